@@ -1,0 +1,144 @@
+"""The one table of faults: a code, what it means, what to do.
+
+Any room may import this module; it imports none.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class FaultEntry(NamedTuple):
+    """One row of the table: the cause in words, and the cure."""
+
+    cause: str
+    cure: str
+
+
+FAULTS: dict[str, FaultEntry] = {
+    # link
+    "LINK_OPEN": FaultEntry(
+        "the port could not be opened",
+        "check the cable, the port's name in daq.port, and that no other program holds it",
+    ),
+    "LINK_LOST": FaultEntry(
+        "the port died while in use",
+        "check the cable and the device's supply, then start the run again; it is never reopened by itself",
+    ),
+    "LINK_TIMEOUT": FaultEntry(
+        "no valid reply within the time-out",
+        "check baud rate, cable and interference; `rig check` prints what the link needs",
+    ),
+    "LINK_HELLO": FaultEntry(
+        "the device did not introduce itself",
+        "flash the firmware, check daq.port and daq.baud; an Arduino needs two seconds after the port opens",
+    ),
+    "LINK_VERSION": FaultEntry(
+        "the firmware speaks another version of the protocol",
+        "flash the firmware that belongs to this version of rig",
+    ),
+    "LINK_REJECTED": FaultEntry(
+        "the device refused a command",
+        "read the device's code beside this line; correct limits or drive in the config",
+    ),
+    "ARM_READBACK": FaultEntry(
+        "the limits read back from the device are not those that were sent",
+        "start again; if it persists, flash the firmware",
+    ),
+    "DEVICE_RESET": FaultEntry(
+        "the device restarted during the run",
+        "check its supply (a motor can pull it down) and wiring, then start the run again",
+    ),
+    # device, reported by the firmware
+    "DEVICE_WATCHDOG": FaultEntry(
+        "the device heard nothing from the host within its watchdog time and set 0 V",
+        "close programs that load the machine, or raise daq.watchdog_s within what `rig check` allows",
+    ),
+    "DEVICE_TRAVEL": FaultEntry(
+        "the device saw the position beyond the hard limit and set 0 V",
+        "bring the shaft inside with `rig jog`, then lower relay.target.amplitude_rad or the speed",
+    ),
+    "DEVICE_SENSOR": FaultEntry(
+        "the device saw the position sensor at its rail and set 0 V",
+        "check the wiper's wire and the pull-down; the reading must stay inside sensor.rail_counts",
+    ),
+    "DEVICE_NOT_ARMED": FaultEntry(
+        "the device refused drive because it is not armed",
+        "start the run again; a device that has been reset must be armed anew",
+    ),
+    "DEVICE_DRIVE_RANGE": FaultEntry(
+        "the device was commanded more drive than it was armed for",
+        "lower the drive or raise drive.max_V",
+    ),
+    # guard
+    "TRAVEL_HARD": FaultEntry(
+        "the position is beyond the hard travel limit",
+        "bring the shaft inside with `rig jog`; lower relay.target.amplitude_rad or limits.max_speed_rad_s",
+    ),
+    "POLARITY": FaultEntry(
+        "the shaft moves against the drive",
+        "swap the two motor wires, or the two outer wires of the potentiometer",
+    ),
+    "SENSOR_RAIL": FaultEntry(
+        "the position sensor reads at its rail",
+        "check the wiper's wire and the supply of the potentiometer; centre the shaft away from the ends",
+    ),
+    "SENSOR_JUMP": FaultEntry(
+        "the position jumped farther than the shaft can move in that time",
+        "check for a loose wiper or the potentiometer's dead zone; limits.max_speed_rad_s must be true",
+    ),
+    "SENSOR_STUCK": FaultEntry(
+        "the position does not change although the drive is well above static friction",
+        "check the coupling of the potentiometer, the motor's wires and its supply",
+    ),
+    "NO_MOTION": FaultEntry(
+        "no motion up to the largest breakaway drive",
+        "check the motor's supply and wires, that it turns by hand, or raise breakaway.max_V",
+    ),
+    "OVERSPEED": FaultEntry(
+        "the shaft is faster than limits.max_speed_rad_s",
+        "lower the gains or the amplitude, or raise the limit if the room for stopping allows it",
+    ),
+    # loop and record
+    "RECORDER_DEAD": FaultEntry(
+        "the recorder stopped taking rows",
+        "check the disk's free space and permissions of the run folder",
+    ),
+    "LOOP_STALLED": FaultEntry(
+        "the loop was held up longer than the watchdog time",
+        "close programs that load the machine; `rig run` needs one core nearly free",
+    ),
+    "INTERRUPTED": FaultEntry(
+        "the run was interrupted",
+        "start it again; what was recorded can be identified with `rig identify`",
+    ),
+    # experiment
+    "NO_CYCLE": FaultEntry(
+        "no settled limit cycle within the search's time",
+        "raise relay.search.timeout_s or relay.search.h_max_V, or ask for another amplitude and period",
+    ),
+    "START_OUTSIDE": FaultEntry(
+        "the shaft stands outside the soft limits",
+        "bring it inside with `rig jog` or by hand, then start again",
+    ),
+}
+
+
+class Fault(Exception):
+    """A latched fault: code, cause, cure, and what was seen here.
+
+    code    a key of ``FAULTS``
+    detail  the numbers of this case, e.g. "y = 1.52 rad, hard limit 1.50 rad"
+    """
+
+    def __init__(self, code: str, detail: str = "") -> None:
+        entry = FAULTS[code]
+        self.code = code
+        self.cause = entry.cause
+        self.cure = entry.cure
+        self.detail = detail
+        super().__init__(f"{code}: {entry.cause}" + (f" ({detail})" if detail else ""))
+
+    def as_dict(self) -> dict[str, str]:
+        """The fault as ``events.jsonl`` and ``result.json`` hold it."""
+        return {"code": self.code, "cause": self.cause, "cure": self.cure, "detail": self.detail}

@@ -1,0 +1,1 @@
+"""What is true of motors, with no I/O."""

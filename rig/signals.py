@@ -1,0 +1,54 @@
+"""What crosses between the rooms: one sample of the bench, and the limits it is armed with.
+
+Any room may import this module; it imports none.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+Order = Literal["sample_first", "write_first"]
+
+# Bits of the ``flags`` column and of ``Sample.flags``.
+FLAG_GUARD_CLIPPED = 1  # the guard passed less drive than the law asked for
+FLAG_GUARD_BRAKED = 2  # the guard drove inward by itself
+FLAG_SKIPPED = 4  # at least one tick was skipped just before this row
+FLAG_SATURATED = 8  # the device applied less than was commanded: the drive's largest value
+
+
+class Sample(NamedTuple):
+    """One reading of the bench, as a driver returns it.
+
+    t_s        time at which the position was sampled, seconds since the run's start (host seconds)
+    y_rad      position of the measured shaft, zero at the centre of travel
+    y_counts   the raw reading behind it
+    v_rad_per_s  velocity of the measured shaft from a tachometer; nan where there is none
+    t_u_s      time at which the *previous* ``write`` took effect at the drive; nan before the first
+    u_V        drive that acts since t_u_s, after saturation and quantisation, as the device reports it
+    seq        sequence number of the exchange
+    """
+
+    t_s: float
+    y_rad: float
+    y_counts: int
+    v_rad_per_s: float = math.nan
+    t_u_s: float = math.nan
+    u_V: float = 0.0
+    seq: int = 0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a device is armed with, and what the guard enforces (architecture: Safety).
+
+    soft_rad, hard_rad   (low, high), rad; hard outside soft
+    max_u_V              largest drive, V
+    watchdog_s           host silence after which the device goes to 0 V and latches, s
+    """
+
+    soft_rad: tuple[float, float]
+    hard_rad: tuple[float, float]
+    max_u_V: float
+    watchdog_s: float
