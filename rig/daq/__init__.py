@@ -1,0 +1,1 @@
+"""Links to the bench: one small interface (`driver`) and one module for each link."""

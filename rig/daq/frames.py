@@ -1,0 +1,321 @@
+"""Wire format of the serial link, version 1.
+
+On the wire a frame is COBS(packet) followed by 0x00. A packet is, little-endian,
+
+    version u8 | kind u8 | seq u16 | body | crc u16
+
+with CRC-16/IBM-3740 (check value 0x29B1) over everything before it, and at most 64 bytes. The host
+chooses ``seq``, the device echoes it. The firmware's side is firmware/core.
+"""
+
+from __future__ import annotations
+
+import struct
+from binascii import crc_hqx
+from enum import IntEnum
+from typing import NamedTuple, Self
+
+from cobs import cobs
+
+VERSION = 1
+MAX_PACKET = 64  # bytes, CRC included
+NO_TACHOMETER = 0xFFFF
+
+STATUS_ARMED = 1
+STATUS_FAULT = 2  # a fault is latched
+STATUS_RECOVERING = 4  # armed outside a hard limit: only inward drive passes
+
+RESET_CAUSES = {1: "power-on", 2: "external", 4: "brown-out", 8: "watchdog"}
+BOARDS = {1: "host", 2: "uno"}
+EMULATED_BOARDS = frozenset({1})
+
+_HEAD = struct.Struct("<BBH")
+_CRC = struct.Struct("<H")
+MAX_BODY = MAX_PACKET - _HEAD.size - _CRC.size
+_MAX_STUFFED = MAX_PACKET + 1  # COBS adds one byte below 254
+
+
+class Kind(IntEnum):
+    """What a packet is. Below 0x80 from host to device, above from device to host."""
+
+    HELLO = 0x01
+    SETUP = 0x02
+    ARM = 0x03
+    READ = 0x04
+    DRIVE = 0x05
+    STOP = 0x06
+    HELLO_REPLY = 0x81
+    SETUP_REPLY = 0x82
+    ARM_REPLY = 0x83
+    STATE = 0x84
+    STOP_REPLY = 0x86
+    NACK = 0xFF
+
+
+class Code(IntEnum):
+    """Why the device refused a request, or which fault it latched."""
+
+    NONE = 0
+    VERSION = 1
+    UNKNOWN_TYPE = 2
+    BAD_LENGTH = 3
+    NOT_ARMED = 4
+    WATCHDOG = 5
+    TRAVEL = 6
+    SENSOR_RAIL = 7
+    DRIVE_RANGE = 8
+    SETUP_INVALID = 9
+    NO_SETUP = 10
+    POLARITY = 11
+
+
+def code_name(code: int) -> str:
+    """The code in words for people, e.g. "code 6 (travel)"; also for codes this version does not know."""
+    try:
+        words = Code(code).name.lower().replace("_", " ")
+    except ValueError:
+        words = "unknown"
+    return f"code {code} ({words})"
+
+
+class Packet(NamedTuple):
+    """One packet whose CRC is right. ``version`` may still be another than ours."""
+
+    kind: int
+    seq: int
+    body: bytes
+    version: int = VERSION
+
+
+class Hello(NamedTuple):
+    """Body of HELLO_REPLY.
+
+    board        key of BOARDS
+    reset_cause  bits of RESET_CAUSES
+    adc_max      largest reading of the position sensor, counts
+    drive_full   drive units at full duty
+    now_us       device clock, us, wraps at 2**32
+    features     bit 0: has a tachometer channel
+    zero         reserved
+    build        16 bytes of ASCII, zero padded
+    """
+
+    board: int
+    reset_cause: int
+    adc_max: int
+    drive_full: int
+    now_us: int
+    features: int
+    zero: int
+    build: bytes
+
+    def pack(self) -> bytes:
+        """The body's bytes; struct.error outside a field's range."""
+        return _HELLO.pack(*self)
+
+    @classmethod
+    def unpack(cls, body: bytes) -> Self:
+        """From a body of the right length (struct.error otherwise)."""
+        return cls(*_HELLO.unpack(body))
+
+    @property
+    def build_text(self) -> str:
+        """The firmware's build as text."""
+        return self.build.rstrip(b"\0").decode("ascii", "backslashreplace")
+
+    @property
+    def reset_words(self) -> str:
+        """The reset's causes in words, e.g. "power-on, brown-out"; "unknown" if no bit is set."""
+        words = [name for bit, name in RESET_CAUSES.items() if self.reset_cause & bit]
+        return ", ".join(words) or "unknown"
+
+
+class Setup(NamedTuple):
+    """Body of SETUP and of its read-back SETUP_REPLY.
+
+    hard_lo, hard_hi, rail_lo, rail_hi, centre   counts of the position sensor
+    max_drive                                    drive units, > 0
+    watchdog_ms                                  1 to 1000
+    polarity                                     +1: positive drive raises the counts; -1: lowers
+    zero                                         reserved
+    """
+
+    hard_lo: int
+    hard_hi: int
+    rail_lo: int
+    rail_hi: int
+    centre: int
+    max_drive: int
+    watchdog_ms: int
+    polarity: int
+    zero: int = 0
+
+    def pack(self) -> bytes:
+        """The body's bytes; struct.error outside a field's range."""
+        return _SETUP.pack(*self)
+
+    @classmethod
+    def unpack(cls, body: bytes) -> Self:
+        """From a body of the right length (struct.error otherwise)."""
+        return cls(*_SETUP.unpack(body))
+
+
+class State(NamedTuple):
+    """Body of STATE and of STOP_REPLY.
+
+    t_sample_us  device time of the position sample, us, wraps at 2**32
+    counts       position reading
+    tach         tachometer reading, NO_TACHOMETER where there is none
+    t_drive_us   device time at which the drive now acting took effect, us
+    drive        drive now at the pin, units
+    drive_seq    seq of the DRIVE frame last accepted
+    status       STATUS_* bits
+    fault        latched Code, or the code of the last refusal
+    """
+
+    t_sample_us: int
+    counts: int
+    tach: int
+    t_drive_us: int
+    drive: int
+    drive_seq: int
+    status: int
+    fault: int
+
+    def pack(self) -> bytes:
+        """The body's bytes; struct.error outside a field's range."""
+        return _STATE.pack(*self)
+
+    @classmethod
+    def unpack(cls, body: bytes) -> Self:
+        """From a body of the right length (struct.error otherwise)."""
+        return cls(*_STATE.unpack(body))
+
+
+class Nack(NamedTuple):
+    """Body of NACK: why, and the kind of the refused request."""
+
+    code: int
+    kind: int
+
+    def pack(self) -> bytes:
+        """The body's bytes; struct.error outside a field's range."""
+        return _NACK.pack(*self)
+
+    @classmethod
+    def unpack(cls, body: bytes) -> Self:
+        """From a body of the right length (struct.error otherwise)."""
+        return cls(*_NACK.unpack(body))
+
+
+_HELLO = struct.Struct("<BBHHIBB16s")
+_SETUP = struct.Struct("<HHHHHHHbB")
+_STATE = struct.Struct("<IHHIhHBB")
+_NACK = struct.Struct("<BB")
+_DRIVE = struct.Struct("<h")
+
+BODY_LENGTH: dict[int, int] = {
+    Kind.HELLO: 0,
+    Kind.SETUP: _SETUP.size,
+    Kind.ARM: 0,
+    Kind.READ: 0,
+    Kind.DRIVE: _DRIVE.size,
+    Kind.STOP: 0,
+    Kind.HELLO_REPLY: _HELLO.size,
+    Kind.SETUP_REPLY: _SETUP.size,
+    Kind.ARM_REPLY: 1,
+    Kind.STATE: _STATE.size,
+    Kind.STOP_REPLY: _STATE.size,
+    Kind.NACK: _NACK.size,
+}
+
+
+def pack_drive(units: int) -> bytes:
+    """Body of DRIVE: signed drive units, -32768 to 32767 (struct.error outside)."""
+    return _DRIVE.pack(units)
+
+
+def unpack_drive(body: bytes) -> int:
+    """Signed drive units from the body of DRIVE."""
+    (units,) = _DRIVE.unpack(body)
+    return int(units)
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/IBM-3740: polynomial 0x1021, start 0xFFFF; 0x29B1 for b"123456789"."""
+    return crc_hqx(data, 0xFFFF)
+
+
+def encode(kind: int, seq: int, body: bytes = b"", version: int = VERSION) -> bytes:
+    """One frame, ready for the wire, delimiter included.
+
+    seq 0 to 65535; body at most MAX_BODY bytes. Raises ValueError on a longer body, struct.error
+    on numbers outside their fields.
+    """
+    if len(body) > MAX_BODY:
+        raise ValueError(f"a body has at most {MAX_BODY} bytes, not {len(body)}")
+    packet = _HEAD.pack(version, kind, seq) + body
+    frame: bytes = cobs.encode(packet + _CRC.pack(crc_hqx(packet, 0xFFFF)))
+    return frame + b"\0"
+
+
+class FrameReader:
+    """Takes bytes as they arrive, gives the packets in them, drops what is damaged and counts it.
+
+    bad_frames  frames dropped: COBS, length or CRC wrong. A damaged delimiter costs both its
+                neighbours; the reader is in step again at the next intact one.
+    """
+
+    def __init__(self) -> None:
+        self.bad_frames = 0
+        self._pending = b""
+        self._skipping = False  # the frame that is arriving is too long already
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """Packets completed by ``data``, in order. Never raises on content."""
+        if not data:
+            return []
+        *frames, rest = (self._pending + data).split(b"\0")
+        packets = []
+        for frame in frames:
+            if self._skipping:
+                self._skipping = False
+            elif frame:  # two delimiters in a row are no frame
+                packet = _decode(frame)
+                if packet is None:
+                    self.bad_frames += 1
+                else:
+                    packets.append(packet)
+        if len(rest) > _MAX_STUFFED:
+            if not self._skipping:
+                self.bad_frames += 1
+            self._skipping = True
+        self._pending = b"" if self._skipping else rest
+        return packets
+
+    def clear(self) -> None:
+        """Forget an unfinished frame."""
+        self._pending = b""
+        self._skipping = False
+
+
+def _decode(frame: bytes) -> Packet | None:
+    """The packet in one stuffed frame without its delimiter, None if damaged."""
+    if len(frame) > _MAX_STUFFED:
+        return None
+    try:
+        packet = cobs.decode(frame)
+    except cobs.DecodeError:
+        return None
+    size = len(packet)
+    if (
+        size < _HEAD.size + _CRC.size
+        or size > MAX_PACKET
+        or crc_hqx(packet[:-2], 0xFFFF) != int.from_bytes(packet[-2:], "little")
+    ):
+        return None
+    version, kind, seq = _HEAD.unpack_from(packet)
+    body = packet[4:-2]
+    if version == VERSION and len(body) != BODY_LENGTH.get(kind, len(body)):
+        return None
+    return Packet(kind, seq, body, version)
