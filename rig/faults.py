@@ -95,6 +95,14 @@ FAULTS: dict[str, FaultEntry] = {
         "no motion up to the largest breakaway drive",
         "check the motor's supply and wires, that it turns by hand, or raise breakaway.max_V",
     ),
+    "DRIVE_STUCK_ON": FaultEntry(
+        "the shaft moves although the drive is at 0 V",
+        "cut the motor's supply; check the H-bridge and the enable pull-down. Software cannot stop such a drive",
+    ),
+    "SENSOR_NOISY": FaultEntry(
+        "the position sensor is too noisy to see motion",
+        "shield the wiper's wire, check the potentiometer's supply, or raise breakaway.motion_rad",
+    ),
     "OVERSPEED": FaultEntry(
         "the shaft is faster than limits.max_speed_rad_s",
         "lower the gains or the amplitude, or raise the limit if the room for stopping allows it",

@@ -1,0 +1,1 @@
+"""Pure laws: one `step(sample) -> volts` each."""

@@ -1,0 +1,119 @@
+"""On-line cycle detection: which oscillations are limit cycles of the relays, and when they have settled."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+class DetectedCycle(NamedTuple):
+    """One period, from one upward crossing of the integral to the next.
+
+    start_s, period_s     time of its start and its length, s
+    amplitude_rad         half of the peak-to-peak position
+    centre_rad            middle of the peaks
+    accepted              it is the cycle of theory section 3, and not delay hunting (section 5)
+    reason                why not, in words; empty if accepted
+    """
+
+    start_s: float
+    period_s: float
+    amplitude_rad: float
+    centre_rad: float
+    accepted: bool
+    reason: str
+
+
+class CycleDetector:
+    """Finds periods from samples of position and its integral, and applies the acceptance rule (theory section 5).
+
+    min_period_s        30 sampling periods
+    min_amplitude_rad   20 LSB
+    spread              largest relative difference among the last three periods, and amplitudes, when settled
+
+    A period starts where z crosses zero upwards: there y is large, so that noise on y cannot make z chatter.
+    Within it must follow, in this order: RA (largest y), RB (y falls through zero), RC (z falls through zero),
+    and the same three mirrored.
+    """
+
+    def __init__(self, min_period_s: float, min_amplitude_rad: float, spread: float = 0.05) -> None:
+        self.min_period_s = min_period_s
+        self.min_amplitude_rad = min_amplitude_rad
+        self.spread = spread
+        self.cycles: list[DetectedCycle] = []
+        self._last: tuple[float, float, float] | None = None
+        self._start_s = math.nan
+        self._begin(0.0)
+
+    def _begin(self, t_s: float) -> None:
+        self._max = (-math.inf, t_s)
+        self._min = (math.inf, t_s)
+        self._y_down_s = math.nan
+        self._y_up_s = math.nan
+        self._z_down_s = math.nan
+
+    def forget(self) -> None:
+        """Drop the cycles found so far: the gains have changed."""
+        self.cycles.clear()
+        self._start_s = math.nan
+
+    def step(self, t_s: float, y_rad: float, z_rad_s: float) -> DetectedCycle | None:
+        """Take one sample; returns the period that it completes, if it does."""
+        last, self._last = self._last, (t_s, y_rad, z_rad_s)
+        if last is None:
+            return None
+        t0, y0, z0 = last
+        if y_rad > self._max[0]:
+            self._max = (y_rad, t_s)
+        if y_rad < self._min[0]:
+            self._min = (y_rad, t_s)
+        # the last crossing downwards before RC, and the last upwards after it: chatter moves them, no more
+        if y0 > 0.0 >= y_rad and math.isnan(self._z_down_s):
+            self._y_down_s = t_s
+        if y0 < 0.0 <= y_rad and not math.isnan(self._z_down_s):
+            self._y_up_s = t_s
+        if z0 > 0.0 >= z_rad_s and math.isnan(self._z_down_s):
+            self._z_down_s = t_s
+        if not z0 < 0.0 <= z_rad_s:
+            return None
+        crossing_s = t0 + (t_s - t0) * z0 / (z0 - z_rad_s)
+        cycle = None if math.isnan(self._start_s) else self._judge(crossing_s)
+        self._start_s = crossing_s
+        self._begin(t_s)
+        if cycle is not None:
+            self.cycles.append(cycle)
+        return cycle
+
+    def _judge(self, end_s: float) -> DetectedCycle:
+        period = end_s - self._start_s
+        amplitude = 0.5 * (self._max[0] - self._min[0])
+        order = (self._max[1], self._y_down_s, self._z_down_s, self._min[1], self._y_up_s, end_s)
+        reason = ""
+        if period < self.min_period_s:
+            reason = f"period {period:.3f} s is below {self.min_period_s:.3f} s: delay hunting"
+        elif amplitude < self.min_amplitude_rad:
+            reason = f"amplitude {amplitude:.4f} rad is below {self.min_amplitude_rad:.4f} rad: delay hunting"
+        elif not all(a <= b for a, b in zip(order, order[1:], strict=False)):
+            reason = "the relays do not switch in the order velocity, position, integral"
+        return DetectedCycle(
+            self._start_s, period, amplitude, 0.5 * (self._max[0] + self._min[0]), not reason, reason
+        )
+
+    @property
+    def settled(self) -> bool:
+        """Three accepted periods in a row agree within ``spread``, in length and in amplitude."""
+        last = self.cycles[-3:]
+        if len(last) < 3 or not all(c.accepted for c in last):
+            return False
+        periods = [c.period_s for c in last]
+        amplitudes = [c.amplitude_rad for c in last]
+        return (max(periods) <= (1.0 + self.spread) * min(periods)) and (
+            max(amplitudes) <= (1.0 + 2.0 * self.spread) * min(amplitudes)
+        )
+
+    def mean(self, last: int = 3) -> tuple[float, float]:
+        """Mean (period s, amplitude rad) of the last periods; raises ValueError when there is none."""
+        cycles = self.cycles[-last:]
+        if not cycles:
+            raise ValueError("no period has been completed")
+        n = len(cycles)
+        return sum(c.period_s for c in cycles) / n, sum(c.amplitude_rad for c in cycles) / n
