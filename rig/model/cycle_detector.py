@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+
 class DetectedCycle(NamedTuple):
     """One period, from one upward crossing of the integral to the next.
 

@@ -1,0 +1,278 @@
+"""The relay experiment's two laws: the search for gains, and the test at fixed gains (theory section 5)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rig.control.relay import DualChannelRelay
+from rig.faults import Fault
+from rig.model.cycle_detector import CycleDetector
+from rig.signals import Sample
+
+
+@dataclass(frozen=True)
+class CycleTarget:
+    """The limit cycle that is wanted: amplitude rad, period s, and the relative error that is good enough."""
+
+    amplitude_rad: float
+    period_s: float
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class SearchRange:
+    """How the search goes: first gains and step, V; time for each step, s; largest gains, V; time-out, s."""
+
+    h1_start_V: float
+    h2_start_V: float
+    h2_step_V: float
+    step_s: float
+    h_max_V: float
+    sum_max_V: float
+    timeout_s: float
+
+
+class SearchStep(NamedTuple):
+    """One pair of gains that was tried, and what came of it (nan where no cycle settled)."""
+
+    t_s: float
+    h1_V: float
+    h2_V: float
+    period_s: float
+    amplitude_rad: float
+    outcome: str
+
+
+class _RelayLaw:
+    """A law that runs the shared relay and watches its cycle."""
+
+    yd_rad = math.nan
+
+    def __init__(self, relay: DualChannelRelay, detector: CycleDetector) -> None:
+        self.relay = relay
+        self.detector = detector
+        self.finished = False
+        self.z_rad_s = 0.0
+        self._start_s = math.nan
+
+    def _run_relay(self, sample: Sample) -> tuple[float, bool]:
+        """Drive, V, and whether this sample completed a period."""
+        if math.isnan(self._start_s):
+            self._start_s = sample.t_s
+        u_V = self.relay.step(sample)
+        self.z_rad_s = self.relay.z_rad_s
+        cycle = self.detector.step(sample.t_s, sample.y_rad, self.z_rad_s)
+        return u_V, cycle is not None
+
+
+class GainSearch(_RelayLaw):
+    """Raise h2 until a cycle is accepted, then trim h1 and h2 to an amplitude and a period (theory section 5).
+
+    relay, detector  shared with the tests that follow, so that the cycle runs on
+    target           the cycle that is wanted
+    search           where to start and how far to go
+    friction_V       first guess of f_c: the breakaway level, V
+    reach_rad        largest |y| that the search may use: the soft limit with some room
+
+    The trim inverts the describing function. With x = h2 - f_c:  w = h1/(tau x),  A = 4 K tau x^2/(pi h1), so a
+    settled (A, w) at known gains gives tau and K for the f_c assumed, and the wanted (A, w) then gives x and h1.
+    From the second settled pair on, f_c comes from the two, where they differ enough.
+    No step changes x or h1 by more than a factor ``_STRIDE``. Raises Fault NO_CYCLE at the time-out.
+    """
+
+    _STRIDE = 1.5
+    _PATIENCE_CYCLES = 12
+
+    def __init__(
+        self,
+        relay: DualChannelRelay,
+        detector: CycleDetector,
+        target: CycleTarget,
+        search: SearchRange,
+        friction_V: float,
+        reach_rad: float,
+    ) -> None:
+        super().__init__(relay, detector)
+        self.target = target
+        self.search = search
+        self.friction_V = friction_V
+        self.reach_rad = reach_rad
+        self.steps: list[SearchStep] = []
+        self._settled: list[tuple[float, float, float, float]] = []  # h1, h2, w, A
+        self._step_start_s = math.nan
+        self._set_gains(search.h1_start_V, search.h2_start_V)
+
+    def step(self, sample: Sample) -> float:
+        """Drive of the relay at this sample, V; changes its gains between cycles."""
+        u_V, completed = self._run_relay(sample)
+        if math.isnan(self._step_start_s):
+            self._step_start_s = sample.t_s
+        if sample.t_s - self._start_s > self.search.timeout_s:
+            raise Fault("NO_CYCLE", self._story())
+        if abs(sample.y_rad) > self.reach_rad:
+            self._retreat(sample.t_s)
+        elif completed and self.detector.settled:
+            self._trim(sample.t_s)
+        elif self._step_is_over(sample.t_s):
+            self._raise_h2(sample.t_s)
+        return u_V
+
+    def _step_is_over(self, t_s: float) -> bool:
+        cycles = self.detector.cycles
+        # a cycle that is growing or settling gets time to do so; hunting does not
+        promising = sum(c.accepted for c in cycles)
+        if 0 < promising and len(cycles) < self._PATIENCE_CYCLES:
+            return False
+        return t_s - self._step_start_s > max(self.search.step_s, 2.5 * self.target.period_s)
+
+    def _raise_h2(self, t_s: float) -> None:
+        self._note(t_s, math.nan, math.nan, self._last_reason())
+        h2 = self.relay.h2_V + self.search.h2_step_V
+        if h2 > self.search.h_max_V or h2 + self.relay.h1_V > self.search.sum_max_V:
+            raise Fault("NO_CYCLE", f"h2 reached {self.relay.h2_V:.2f} V; {self._story()}")
+        self._set_gains(self.relay.h1_V, h2)
+        self._step_start_s = t_s
+
+    def _retreat(self, t_s: float) -> None:
+        """The cycle grows beyond its room: less h2 at once."""
+        excess = self.relay.h2_V - self.friction_V
+        h2 = self.friction_V + 0.6 * excess if excess > 0.05 else self.relay.h2_V * 0.8
+        if t_s - self._step_start_s < self.target.period_s:
+            return  # give the last change a period to show
+        self._note(t_s, math.nan, math.nan, f"|y| above {self.reach_rad:.2f} rad")
+        self._set_gains(min(self.relay.h1_V * 1.2, self.search.h_max_V), h2)
+        self._step_start_s = t_s
+
+    def _trim(self, t_s: float) -> None:
+        period, amplitude = self.detector.mean()
+        h1, h2 = self.relay.h1_V, self.relay.h2_V
+        self._note(t_s, period, amplitude, "settled")
+        error = max(
+            abs(amplitude / self.target.amplitude_rad - 1.0), abs(period / self.target.period_s - 1.0)
+        )
+        if error <= self.target.tolerance:
+            self.finished = True
+            return
+        self._settled.append((h1, h2, 2.0 * math.pi / period, amplitude))
+        self._refine_friction()
+        x = max(h2 - self.friction_V, 0.05)
+        omega = 2.0 * math.pi / period
+        tau = h1 / (omega * x)
+        K = math.pi * amplitude * omega / (4.0 * x)
+        wanted_omega = 2.0 * math.pi / self.target.period_s
+        wanted_x = _within(math.pi * self.target.amplitude_rad * wanted_omega / (4.0 * K), x, self._STRIDE)
+        wanted_h1 = _within(wanted_omega * tau * wanted_x, h1, self._STRIDE)
+        wanted_h2 = self.friction_V + wanted_x
+        # both scaled down together where the drive would not reach
+        scale = min(
+            1.0,
+            self.search.h_max_V / wanted_h1,
+            self.search.h_max_V / wanted_h2,
+            self.search.sum_max_V / (wanted_h1 + wanted_h2),
+        )
+        self._set_gains(wanted_h1 * scale, wanted_h2 * scale)
+        self._step_start_s = t_s
+
+    def _refine_friction(self) -> None:
+        """f_c from two settled pairs: pi A w / 4 = K h2 - K f_c is a line in h2 (theory section 5)."""
+        if len(self._settled) < 2:
+            return
+        (_, h2a, wa, Aa), (_, h2b, wb, Ab) = self._settled[-2:]
+        if abs(h2a - h2b) < 0.08 * max(h2a, h2b):
+            return
+        slope = (Aa * wa - Ab * wb) / (h2a - h2b)
+        if slope <= 0.0:
+            return
+        fc = h2b - Ab * wb / slope
+        # the describing function is a guide: it may move the breakaway level by half, no more
+        self.friction_V = max(0.5 * self.friction_V, min(1.5 * self.friction_V, fc, h2b - 0.05))
+
+    def _set_gains(self, h1_V: float, h2_V: float) -> None:
+        self.relay.h1_V = h1_V
+        self.relay.h2_V = h2_V
+        self.detector.forget()
+
+    def _note(self, t_s: float, period_s: float, amplitude_rad: float, outcome: str) -> None:
+        self.steps.append(SearchStep(t_s, self.relay.h1_V, self.relay.h2_V, period_s, amplitude_rad, outcome))
+
+    def _last_reason(self) -> str:
+        cycles = self.detector.cycles
+        if not cycles:
+            return "no oscillation"
+        return cycles[-1].reason or "not settled"
+
+    def _story(self) -> str:
+        found = [s for s in self.steps if s.outcome == "settled"]
+        if not found:
+            return f"{len(self.steps)} pairs of gains tried, none gave a settled cycle; last: {self._last_reason()}"
+        best = min(found, key=lambda s: abs(math.log(s.amplitude_rad / self.target.amplitude_rad)))
+        return (
+            f"nearest: h1 {best.h1_V:.2f} V, h2 {best.h2_V:.2f} V gave {best.amplitude_rad:.2f} rad, "
+            f"{best.period_s:.2f} s; wanted {self.target.amplitude_rad:.2f} rad, {self.target.period_s:.2f} s"
+        )
+
+    def second_gains(self, ratio: float) -> tuple[float, float]:
+        """Gains (h1, h2), V, of another test with the amplitude kept and h2 - f_c changed by ``ratio``.
+
+        From A = 4 K tau x^2/(pi h1): h1 goes with ratio^2; the period then goes with 1/ratio. The ratio is brought
+        nearer to 1 where the drive would not reach.
+        """
+        x = max(self.relay.h2_V - self.friction_V, 0.05)
+        for _ in range(20):
+            h1, h2 = self.relay.h1_V * ratio**2, self.friction_V + x * ratio
+            if max(h1, h2) <= self.search.h_max_V and h1 + h2 <= self.search.sum_max_V:
+                return h1, h2
+            ratio = 1.0 + 0.8 * (ratio - 1.0)
+        return self.relay.h1_V, self.relay.h2_V
+
+
+class RelayTest(_RelayLaw):
+    """Run the relay at fixed gains until ``cycles`` settled periods have passed.
+
+    settled_start_s and settled_end_s frame them once finished. Raises Fault NO_CYCLE where ``timeout_s`` passes first.
+    """
+
+    def __init__(
+        self,
+        relay: DualChannelRelay,
+        detector: CycleDetector,
+        gains_V: tuple[float, float],
+        cycles: int,
+        timeout_s: float,
+    ) -> None:
+        super().__init__(relay, detector)
+        self.cycles = cycles
+        self.timeout_s = timeout_s
+        self.settled_start_s = math.nan
+        self.settled_end_s = math.nan
+        relay.h1_V, relay.h2_V = gains_V
+        detector.forget()
+
+    def step(self, sample: Sample) -> float:
+        """Drive of the relay at this sample, V."""
+        u_V, completed = self._run_relay(sample)
+        if sample.t_s - self._start_s > self.timeout_s:
+            seen = self.detector.cycles
+            last = f"; last: {seen[-1].reason}" if seen and seen[-1].reason else ""
+            raise Fault(
+                "NO_CYCLE",
+                f"{len(seen)} periods in {self.timeout_s:.0f} s at h1 {self.relay.h1_V:.2f} V, "
+                f"h2 {self.relay.h2_V:.2f} V, not settled{last}",
+            )
+        if completed:
+            if not self.detector.settled:
+                self.settled_start_s = math.nan
+            elif math.isnan(self.settled_start_s):
+                self.settled_start_s = self.detector.cycles[-3].start_s
+            if not math.isnan(self.settled_start_s):
+                settled = [c for c in self.detector.cycles if c.start_s >= self.settled_start_s]
+                if len(settled) >= self.cycles:
+                    self.settled_end_s = settled[-1].start_s + settled[-1].period_s
+                    self.finished = True
+        return u_V
+
+
+def _within(value: float, around: float, factor: float) -> float:
+    return max(around / factor, min(around * factor, value))

@@ -1,0 +1,184 @@
+"""The guard: what the bench may do, whatever a law asks for (architecture: Safety)."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from rig.faults import Fault
+from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, Limits, Sample
+
+
+@dataclass(frozen=True)
+class GuardSettings:
+    """What the guard knows of the bench.
+
+    limits             travel limits, largest drive, watchdog
+    rail_counts        raw readings at or beyond these are a broken wire
+    max_speed_rad_s    largest speed to expect; faster is a fault
+    coast_tau_s        longest velocity time constant to expect: at 0 V the shaft still travels v * coast_tau_s
+    reaction_s         time at full speed to add to that: a tick, the latency and the watchdog time, so that the
+                       shaft stays inside even if the host dies at this instant
+    noise_rad          sensor noise, standard deviation, at least one LSB
+    stuck_s, motion_rad  a drive well above static friction for stuck_s must move the shaft by motion_rad
+    """
+
+    limits: Limits
+    rail_counts: tuple[int, int]
+    max_speed_rad_s: float
+    coast_tau_s: float
+    reaction_s: float
+    noise_rad: float
+    motion_rad: float
+    stuck_s: float = 0.3
+
+
+class VelocityWindow:
+    """Velocity as the slope of the last few positions, by least squares: no model, so it holds when the model is wrong."""
+
+    def __init__(self, samples: int = 5) -> None:
+        self._window: deque[tuple[float, float]] = deque(maxlen=samples)
+
+    def step(self, t_s: float, y_rad: float) -> float:
+        """Slope after this sample, rad/s; 0 until there are three."""
+        window = self._window
+        window.append((t_s, y_rad))
+        n = len(window)
+        if n < 3:
+            return 0.0
+        t_mean = sum(t for t, _ in window) / n
+        y_mean = sum(y for _, y in window) / n
+        spread = sum((t - t_mean) ** 2 for t, _ in window)
+        return sum((t - t_mean) * (y - y_mean) for t, y in window) / spread
+
+
+class Guard:
+    """Passes, reduces, reverses or refuses the drive that a law asks for.
+
+    Faults raised: SENSOR_RAIL, SENSOR_JUMP, SENSOR_STUCK, TRAVEL_HARD, POLARITY, OVERSPEED. Once one was raised it is
+    latched: ``allow`` raises it again until a new guard is made.
+    ``sign_proven`` is set by the experiment after the breakaway check; before that the guard never drives by itself,
+    since it does not know which way is inward. ``static_V`` is the breakaway level, nan until it is known.
+    ``recovering`` lets a shaft that stands outside be jogged inward.
+    """
+
+    def __init__(self, settings: GuardSettings) -> None:
+        self.settings = settings
+        self.sign_proven = False
+        self.recovering = False
+        self.static_V = math.nan
+        self.fault: Fault | None = None
+        self.velocity_rad_s = 0.0
+        self.predicted_stop_rad = 0.0
+        self._velocity = VelocityWindow()
+        self._last: Sample | None = None
+        self._pushing: deque[tuple[float, float]] = deque()
+        self._push_sign = 0
+        self._inward_since: tuple[float, float] | None = None
+
+    def allow(self, sample: Sample, asked_V: float) -> tuple[float, int]:
+        """Drive that may go out for what a law asked, V, and the record's flags for it."""
+        if self.fault is not None:
+            raise self.fault
+        try:
+            self._check_sensor(sample)
+            passed_V, flags = self._limit_travel(sample, asked_V)
+            self._check_polarity(sample, passed_V)
+            self._check_stuck(sample, passed_V)
+        except Fault as fault:
+            self.fault = fault
+            raise
+        self._last = sample
+        return passed_V, flags
+
+    def _check_sensor(self, sample: Sample) -> None:
+        low, high = self.settings.rail_counts
+        if not low < sample.y_counts < high:
+            raise Fault("SENSOR_RAIL", f"reading {sample.y_counts} counts; the rails are {low} and {high}")
+        if self._last is not None:
+            step = abs(sample.y_rad - self._last.y_rad)
+            allowed = 1.5 * self.settings.max_speed_rad_s * (sample.t_s - self._last.t_s)
+            allowed += 12.0 * self.settings.noise_rad
+            if step > allowed:
+                raise Fault(
+                    "SENSOR_JUMP",
+                    f"{step:.3f} rad in {(sample.t_s - self._last.t_s) * 1e3:.1f} ms; possible are {allowed:.3f} rad",
+                )
+        self.velocity_rad_s = self._velocity.step(sample.t_s, sample.y_rad)
+        if abs(self.velocity_rad_s) > 1.2 * self.settings.max_speed_rad_s:
+            raise Fault(
+                "OVERSPEED",
+                f"{abs(self.velocity_rad_s):.1f} rad/s; limit {self.settings.max_speed_rad_s:.1f} rad/s",
+            )
+
+    def _limit_travel(self, sample: Sample, asked_V: float) -> tuple[float, int]:
+        s = self.settings
+        y, v = sample.y_rad, self.velocity_rad_s
+        hard_low, hard_high = s.limits.hard_rad
+        soft_low, soft_high = s.limits.soft_rad
+        self.predicted_stop_rad = y + v * (s.reaction_s + s.coast_tau_s)
+        u_V, flags = asked_V, 0
+        if abs(u_V) > s.limits.max_u_V:
+            u_V, flags = math.copysign(s.limits.max_u_V, u_V), FLAG_GUARD_CLIPPED
+        inside = hard_low <= y <= hard_high
+        if not inside and not self.recovering:
+            raise Fault("TRAVEL_HARD", f"y = {y:.3f} rad, hard limits {hard_low:.2f} to {hard_high:.2f} rad")
+        if inside and soft_low <= y <= soft_high:
+            self.recovering = False
+        # between soft and hard, only inward drive passes
+        if (y > soft_high and u_V > 0.0) or (y < soft_low and u_V < 0.0):
+            u_V, flags = 0.0, flags | FLAG_GUARD_CLIPPED
+        if self.recovering:
+            return u_V, flags
+        outward = (
+            1 if self.predicted_stop_rad > hard_high else -1 if self.predicted_stop_rad < hard_low else 0
+        )
+        if outward and u_V * outward > -s.limits.max_u_V:
+            u_V = -outward * s.limits.max_u_V if self.sign_proven else 0.0
+            flags |= FLAG_GUARD_BRAKED
+        return u_V, flags
+
+    def _check_polarity(self, sample: Sample, u_V: float) -> None:
+        """Beyond the soft limit, moving outward faster although the drive has been inward for a while."""
+        soft_low, soft_high = self.settings.limits.soft_rad
+        outward = 1 if sample.y_rad > soft_high else -1 if sample.y_rad < soft_low else 0
+        if outward == 0 or u_V * outward >= 0.0:
+            self._inward_since = None
+            return
+        speed = self.velocity_rad_s * outward
+        if self._inward_since is None:
+            self._inward_since = (sample.t_s, speed)
+            return
+        since_s, speed_then = self._inward_since
+        # 0.08 s: longer than the velocity window and the latency; an obedient shaft is slower by then
+        gained = speed - max(speed_then, 0.0)
+        if sample.t_s - since_s > 0.08 and gained > 0.05 * self.settings.max_speed_rad_s:
+            raise Fault(
+                "POLARITY",
+                f"at {sample.y_rad:.2f} rad, outward at {speed:.1f} rad/s and gaining, after "
+                f"{(sample.t_s - since_s) * 1e3:.0f} ms of inward drive",
+            )
+
+    def _check_stuck(self, sample: Sample, u_V: float) -> None:
+        sign = 0
+        if not math.isnan(self.static_V) and abs(u_V) > 1.4 * self.static_V:
+            sign = 1 if u_V > 0.0 else -1
+        if sign == 0 or sign != self._push_sign:
+            self._pushing.clear()
+        self._push_sign = sign
+        if sign == 0:
+            return
+        window = self._pushing
+        window.append((sample.t_s, sample.y_rad))
+        while window[-1][0] - window[0][0] > self.settings.stuck_s * 1.5:
+            window.popleft()
+        if window[-1][0] - window[0][0] < self.settings.stuck_s:
+            return
+        positions = [y for _, y in window]
+        if max(positions) - min(positions) < self.settings.motion_rad:
+            raise Fault(
+                "SENSOR_STUCK",
+                f"{u_V:+.2f} V for {window[-1][0] - window[0][0]:.2f} s moved the reading by "
+                f"{(max(positions) - min(positions)) * 1e3:.1f} mrad; it broke away at {self.static_V:.2f} V",
+            )

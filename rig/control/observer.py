@@ -1,0 +1,88 @@
+"""Velocity by an observer on the identified model, with prediction over the delay."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from rig.model.motor import Motor, State
+from rig.signals import Sample
+
+
+class MotorObserver:
+    """Steady-state Kalman filter whose prediction is the exact motor, friction and reversals included.
+
+    motor        the identified model
+    period_s     sampling period, s
+    noise_rad    standard deviation of the position reading
+    disturbance_V  standard deviation of what the model misses, as drive constant over a period
+    tachometer_noise_rad_s  standard deviation of the velocity channel; None where there is none
+
+    The gain comes from the linear part; between samples the state moves by the motor's closed form under the drive
+    that really acted, with the change at its true effect time.
+    """
+
+    def __init__(
+        self,
+        motor: Motor,
+        period_s: float,
+        noise_rad: float,
+        disturbance_V: float = 0.15,
+        tachometer_noise_rad_s: float | None = None,
+    ) -> None:
+        self.motor = motor
+        self.latency_s = 0.0
+        self.state = State()
+        self._last_t_s = math.nan
+        self._acting_V = 0.0
+        self._asked_V = 0.0
+        decay = math.exp(-period_s / motor.tau_s)
+        A = np.array([[decay, 0.0], [motor.tau_s * (1.0 - decay), 1.0]])
+        B = motor.K_rad_s_V * np.array([[1.0 - decay], [period_s - motor.tau_s * (1.0 - decay)]])
+        if tachometer_noise_rad_s is None:
+            C, R = np.array([[0.0, 1.0]]), np.array([[noise_rad**2]])
+        else:
+            C, R = np.array([[0.0, 1.0], [1.0, 0.0]]), np.diag([noise_rad**2, tachometer_noise_rad_s**2])
+        # a little process noise on every state keeps the Riccati equation well posed
+        Q = B @ B.T * disturbance_V**2 + np.diag([1e-6, 1e-10])
+        P = solve_discrete_are(A.T, C.T, Q, R)
+        self._gain: list[list[float]] = (P @ C.T @ np.linalg.inv(C @ P @ C.T + R)).tolist()
+
+    def step(self, sample: Sample) -> State:
+        """State predicted for the instant at which a drive computed now takes effect."""
+        if math.isnan(self._last_t_s):
+            self.state = State(0.0, sample.y_rad)
+            self._acting_V = sample.u_V
+        else:
+            self._advance(sample)
+        self._correct(sample)
+        self._last_t_s = sample.t_s
+        return self.motor.advance(self.state, self._acting_V, self.latency_s)
+
+    def drive(self, asked_V: float) -> None:
+        """Tell which drive was sent after the last ``step``, V."""
+        self._asked_V = asked_V
+
+    def _advance(self, sample: Sample) -> None:
+        span = sample.t_s - self._last_t_s
+        if math.isnan(sample.t_u_s):
+            before, new_V = min(self.latency_s, span), self._asked_V
+        else:
+            before, new_V = min(max(sample.t_u_s - self._last_t_s, 0.0), span), sample.u_V
+            # smoothed: one late exchange must not shake the prediction
+            self.latency_s += 0.1 * (before - self.latency_s) if self.latency_s else before
+        self.state = self.motor.advance(self.state, self._acting_V, before)
+        self.state = self.motor.advance(self.state, new_V, span - before)
+        self._acting_V = new_V
+
+    def _correct(self, sample: Sample) -> None:
+        v, y, z = self.state
+        error = sample.y_rad - y
+        dv, dy = self._gain[0][0] * error, self._gain[1][0] * error
+        if len(self._gain[0]) == 2 and not math.isnan(sample.v_rad_per_s):
+            error_v = sample.v_rad_per_s - v
+            dv += self._gain[0][1] * error_v
+            dy += self._gain[1][1] * error_v
+        self.state = State(v + dv, y + dy, z)
