@@ -87,9 +87,7 @@ class BreakawayCheck:
 
     def _check_at_rest(self, still: list[float]) -> None:
         if self._coasting(still):
-            raise Fault(
-                "DRIVE_STUCK_ON", f"it still moves {10.0 * self.rest_s:.1f} s after the drive was set to 0 V"
-            )
+            raise Fault("DRIVE_STUCK_ON", f"it still moves {10.0 * self.rest_s:.1f} s after the drive was set to 0 V")
 
     def _ramp(self, sample: Sample, elapsed_s: float) -> float:
         moved = sample.y_rad - self._ramp_from_rad

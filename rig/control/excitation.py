@@ -123,7 +123,7 @@ class GainSearch(_RelayLaw):
         cycles = self.detector.cycles
         # a cycle that is growing or settling gets time to do so; hunting does not
         promising = sum(c.accepted for c in cycles)
-        if 0 < promising and len(cycles) < self._PATIENCE_CYCLES:
+        if promising > 0 and len(cycles) < self._PATIENCE_CYCLES:
             return False
         return t_s - self._step_start_s > max(self.search.step_s, 2.5 * self.target.period_s)
 
@@ -149,9 +149,7 @@ class GainSearch(_RelayLaw):
         period, amplitude = self.detector.mean()
         h1, h2 = self.relay.h1_V, self.relay.h2_V
         self._note(t_s, period, amplitude, "settled")
-        error = max(
-            abs(amplitude / self.target.amplitude_rad - 1.0), abs(period / self.target.period_s - 1.0)
-        )
+        error = max(abs(amplitude / self.target.amplitude_rad - 1.0), abs(period / self.target.period_s - 1.0))
         if error <= self.target.tolerance:
             self.finished = True
             return

@@ -131,9 +131,7 @@ class Guard:
             u_V, flags = 0.0, flags | FLAG_GUARD_CLIPPED
         if self.recovering:
             return u_V, flags
-        outward = (
-            1 if self.predicted_stop_rad > hard_high else -1 if self.predicted_stop_rad < hard_low else 0
-        )
+        outward = 1 if self.predicted_stop_rad > hard_high else -1 if self.predicted_stop_rad < hard_low else 0
         if outward and u_V * outward > -s.limits.max_u_V:
             u_V = -outward * s.limits.max_u_V if self.sign_proven else 0.0
             flags |= FLAG_GUARD_BRAKED

@@ -21,9 +21,7 @@ class SumOfSines:
     components  pairs (amplitude rad, angular frequency rad/s)
     """
 
-    def __init__(
-        self, components: Sequence[tuple[float, float]], start_rad: float = 0.0, fade_s: float = 1.5
-    ) -> None:
+    def __init__(self, components: Sequence[tuple[float, float]], start_rad: float = 0.0, fade_s: float = 1.5) -> None:
         self.components = tuple(components)
         self.start_rad = start_rad
         self.fade_s = fade_s

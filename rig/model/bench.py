@@ -1,0 +1,153 @@
+"""The bench around the motor: potentiometer, drive stage, mechanical stops, and the faults it can be wired with.
+
+The same bench stands in C behind the emulated board (firmware/boards/host/bench.c); a test holds the two together.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from rig.model.friction import Friction
+from rig.model.motor import Motor, State
+
+DriveWiring = Literal["ok", "reversed", "dead", "stuck_on"]
+SensorWiring = Literal["ok", "reversed", "broken_low", "broken_high", "stuck"]
+
+
+@dataclass(frozen=True)
+class BenchParameters:
+    """What is really there.
+
+    motor            plant, friction and bias
+    start_rad        where the shaft stands at first
+    stop_rad         mechanical stops (low, high), where the shaft is stopped dead
+    rad_per_count, centre_counts, counts_max, noise_rad, offset_rad   potentiometer and ADC
+    supply_V, drive_counts   voltage at full duty, and the counts of full duty
+    tachometer_rad_s_per_count, tachometer_zero_counts, gear_ratio   velocity channel; None where there is none
+    drive, sensor    wiring; fault_after_s: time from the first arming until their faults begin
+    """
+
+    motor: Motor
+    start_rad: float = 0.0
+    stop_rad: tuple[float, float] = (-2.6, 2.6)
+    rad_per_count: float = 4.2 / 1024
+    centre_counts: float = 512.0
+    counts_max: int = 1023
+    noise_rad: float = 0.0
+    offset_rad: float = 0.0
+    supply_V: float = 12.0
+    drive_counts: int = 799
+    tachometer_rad_s_per_count: float | None = None
+    tachometer_zero_counts: float = 0.0
+    gear_ratio: float = 1.0
+    drive: DriveWiring = "ok"
+    sensor: SensorWiring = "ok"
+    fault_after_s: float = 0.0
+
+    @classmethod
+    def from_mapping(cls, emulated: Mapping[str, Any], tachometer: Mapping[str, Any] | None = None) -> BenchParameters:
+        """Parameters from the plain values of a config's sections ``emulated`` and ``tachometer``."""
+        m, p, w = emulated["motor"], emulated["potentiometer"], emulated["wiring"]
+        static_plus = m["fc_plus_V"] if m["fs_plus_V"] is None else m["fs_plus_V"]
+        static_minus = m["fc_minus_V"] if m["fs_minus_V"] is None else m["fs_minus_V"]
+        friction = Friction(m["fc_plus_V"], m["fc_minus_V"], static_plus, static_minus)
+        has_tachometer = emulated["tachometer"] and tachometer is not None
+        return cls(
+            motor=Motor(m["tau_s"], m["K_rad_s_V"], friction, m["bias_V"]),
+            start_rad=m["start_rad"],
+            stop_rad=tuple(m["stop_rad"]),
+            rad_per_count=p["rad_per_count"],
+            centre_counts=p["centre_counts"],
+            counts_max=p["counts_max"],
+            noise_rad=p["noise_rad"],
+            offset_rad=p["offset_rad"],
+            supply_V=emulated["supply_V"],
+            drive_counts=emulated["drive_counts"],
+            tachometer_rad_s_per_count=tachometer["rad_s_per_count"] if has_tachometer and tachometer else None,
+            tachometer_zero_counts=tachometer["zero_counts"] if has_tachometer and tachometer else 0.0,
+            gear_ratio=tachometer["gear_ratio"] if has_tachometer and tachometer else 1.0,
+            drive=w["drive"],
+            sensor=w["sensor"],
+            fault_after_s=w["fault_after_s"],
+        )
+
+
+class Bench:
+    """The bench in motion: set the drive, let time pass, read the sensors."""
+
+    def __init__(self, parameters: BenchParameters, seed: int) -> None:
+        self.parameters = parameters
+        self.state = State(y=parameters.start_rad)
+        self.pin_counts = 0
+        self.armed_for_s = -1.0  # time since the first arming; negative before it
+        self._noise = random.Random(seed)
+        self._stuck_counts: int | None = None
+
+    def arm(self) -> None:
+        """Start the clock of ``fault_after_s``, at the first arming only."""
+        self.armed_for_s = max(self.armed_for_s, 0.0)
+
+    @property
+    def faulty(self) -> bool:
+        """Whether wiring faults are in force now."""
+        return self.armed_for_s >= self.parameters.fault_after_s
+
+    @property
+    def motor_V(self) -> float:
+        """Voltage at the motor for the drive at the pin, wiring faults included."""
+        volts = self.pin_counts / self.parameters.drive_counts * self.parameters.supply_V
+        wiring = self.parameters.drive if self.faulty else "ok"
+        if wiring == "reversed":
+            return -volts
+        if wiring == "dead":
+            return 0.0
+        if wiring == "stuck_on":
+            return 0.25 * self.parameters.supply_V
+        return volts
+
+    def advance(self, dt_s: float) -> None:
+        """Let ``dt_s`` pass with the drive at the pin unchanged."""
+        begins_in = self.parameters.fault_after_s - self.armed_for_s
+        if self.armed_for_s >= 0.0 and 0.0 < begins_in < dt_s:
+            self._move(begins_in)
+            dt_s -= begins_in
+        self._move(dt_s)
+
+    def _move(self, dt_s: float) -> None:
+        state = self.parameters.motor.advance(self.state, self.motor_V, dt_s)
+        low, high = self.parameters.stop_rad
+        if not low < state.y < high:
+            state = State(0.0, min(max(state.y, low), high), state.z)
+        self.state = state
+        if self.armed_for_s >= 0.0:
+            self.armed_for_s += dt_s
+
+    def read_counts(self) -> int:
+        """Reading of the position's ADC, 0 to counts_max."""
+        p = self.parameters
+        wiring = p.sensor if self.faulty else "ok"
+        if wiring == "broken_low":
+            return 0
+        if wiring == "broken_high":
+            return p.counts_max
+        if wiring == "stuck" and self._stuck_counts is not None:
+            return self._stuck_counts
+        y = self.state.y + p.offset_rad + self._noise.gauss(0.0, 1.0) * p.noise_rad
+        offset_counts = y / p.rad_per_count
+        if wiring == "reversed":
+            offset_counts = -offset_counts
+        counts = min(max(math.floor(p.centre_counts + offset_counts + 0.5), 0), p.counts_max)
+        self._stuck_counts = counts if wiring == "stuck" else None
+        return counts
+
+    def read_tachometer_rad_s(self) -> float:
+        """Velocity of the measured shaft as its channel shows it, quantised, rad/s; nan where there is none."""
+        p = self.parameters
+        if p.tachometer_rad_s_per_count is None:
+            return math.nan
+        counts = round(self.state.v * p.gear_ratio / p.tachometer_rad_s_per_count)
+        return counts * p.tachometer_rad_s_per_count / p.gear_ratio
