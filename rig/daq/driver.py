@@ -1,0 +1,128 @@
+"""The one interface between a controller and a bench, whatever the link.
+
+A run is ``open``, ``arm``, then ``read`` and ``write`` each tick, then ``safe_stop`` and ``close``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from rig.signals import Limits, Order, Sample
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """What a device says of itself when it is opened.
+
+    build        firmware build
+    board        board's name
+    reset_cause  in words, e.g. "power-on"
+    emulated     True where no real motor can be behind it
+    clock_ratio  device seconds for one second of the host; fixed for the run
+    round_trip_s fastest exchange seen while opening, s; nan where it means nothing
+    """
+
+    build: str
+    board: str
+    reset_cause: str
+    emulated: bool
+    clock_ratio: float = 1.0
+    round_trip_s: float = math.nan
+
+
+class DeviceWatchdog(NamedTuple):
+    """The device sets 0 V by itself, and latches, after ``time_s`` seconds without the host."""
+
+    time_s: float
+
+
+class Clock(Protocol):
+    """The time that a loop lives in: the machine's monotonic clock, or a virtual one."""
+
+    def now_s(self) -> float:
+        """Seconds since an arbitrary zero; never decreases."""
+        ...
+
+    def sleep_until(self, t_s: float) -> None:
+        """Return at ``t_s`` or as soon after as possible; at once if it has passed."""
+        ...
+
+
+class Transport(Protocol):
+    """A port that carries bytes, and the clock that its time-outs are counted in."""
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``. Raises Fault LINK_LOST when the port is dead."""
+        ...
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has arrived, at least one byte; b"" after ``timeout_s`` without any.
+
+        ``timeout_s`` >= 0. Raises Fault LINK_LOST when the port is dead.
+        """
+        ...
+
+    def now_s(self) -> float:
+        """Monotonic clock of the host, s."""
+        ...
+
+    def close(self) -> None:
+        """Give the port back. May be called twice."""
+        ...
+
+
+class Driver(Protocol):
+    """A bench behind a link. Times of samples are in the host clock that the driver was given, s."""
+
+    @property
+    def order(self) -> Order:
+        """Whether a tick reads before it writes ("sample_first") or after ("write_first")."""
+        ...
+
+    @property
+    def failsafe(self) -> DeviceWatchdog | None:
+        """What sets 0 V when the host is silent; None: the device holds its last output."""
+        ...
+
+    @property
+    def backend(self) -> str:
+        """What is behind this driver, in words; complete once opened."""
+        ...
+
+    @property
+    def link_statistics(self) -> Mapping[str, int]:
+        """Counts of exchanges and of what went wrong in them, by name; empty where there is no link."""
+        ...
+
+    def open(self) -> DeviceInfo:
+        """Meet the device. Raises Fault LINK_* when it is absent or another than expected."""
+        ...
+
+    def arm(self, limits: Limits) -> None:
+        """Give the device its limits and allow drive.
+
+        Raises Fault when the device refuses, ValueError when it cannot hold such limits.
+        """
+        ...
+
+    def read(self) -> Sample:
+        """Sample the bench. Raises Fault on any fault of link or device."""
+        ...
+
+    def write(self, u_V: float) -> None:
+        """Set the drive; the next ``read`` says what came of it.
+
+        Raises ValueError beyond the drive's range.
+        """
+        ...
+
+    def safe_stop(self) -> bool:
+        """Set 0 V and disarm. True if the device confirmed it; never raises on a dead link."""
+        ...
+
+    def close(self) -> None:
+        """Give the link back, stopped. May be called twice."""
+        ...
