@@ -35,7 +35,7 @@ class GuardSettings:
 
 
 class VelocityWindow:
-    """Velocity as the slope of the last few positions, by least squares: no model, so it holds when the model is wrong."""
+    """Velocity as the slope of the last few positions, by least squares: no model, so none can mislead it."""
 
     def __init__(self, samples: int = 5) -> None:
         self._window: deque[tuple[float, float]] = deque(maxlen=samples)

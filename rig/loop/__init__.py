@@ -1,0 +1,1 @@
+"""Time: the clock on an absolute grid, the runner, and its statistics."""

@@ -1,0 +1,186 @@
+"""The loop: on an absolute grid read, decide, write, record; any end is a safe stop."""
+
+from __future__ import annotations
+
+import gc
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+from rig.control.guard import Guard
+from rig.control.law import Law
+from rig.daq.driver import Clock, Driver
+from rig.faults import Fault
+from rig.loop.statistics import LoopStatistics
+from rig.loop.stop_request import StopRequest
+from rig.signals import FLAG_SATURATED, FLAG_SKIPPED, Limits, Sample
+
+_CHECK_EVERY_TICKS = 25
+
+
+class Record(Protocol):
+    """What the loop tells the recorder; see rig.recording.recorder."""
+
+    def sample(
+        self,
+        tick: int,
+        sample: Sample,
+        stage: str,
+        z_rad_s: float,
+        yd_rad: float,
+        u_V: float,
+        late_us: float,
+        io_us: float,
+        flags: int,
+    ) -> None:
+        """Open a row."""
+
+    def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:
+        """Finish the row opened last."""
+
+    def event(self, t_s: float, kind: str, **fields: object) -> None:
+        """Note an event."""
+
+    def check(self) -> None:
+        """Raise Fault RECORDER_DEAD if rows are not being taken."""
+
+
+class NoRecord:
+    """Records nothing: for rehearsals."""
+
+    def sample(
+        self,
+        tick: int,
+        sample: Sample,
+        stage: str,
+        z_rad_s: float,
+        yd_rad: float,
+        u_V: float,
+        late_us: float,
+        io_us: float,
+        flags: int,
+    ) -> None:
+        """Do nothing."""
+
+    def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:
+        """Do nothing."""
+
+    def event(self, t_s: float, kind: str, **fields: object) -> None:
+        """Do nothing."""
+
+    def check(self) -> None:
+        """Do nothing."""
+
+
+class Loop:
+    """Runs laws on a driver, tick by tick, inside ``armed``.
+
+    Tick k is due at t0 + k * period_s. A late tick runs at once with its true time; ticks that have passed meanwhile
+    are skipped and counted, never caught up. The drive that goes out is the guard's.
+
+    driver, clock   the bench, and the time it lives in
+    guard           latches faults; one for each loop
+    record          where rows and events go
+    stop            looked at each tick; a reason there raises Fault INTERRUPTED
+    """
+
+    def __init__(
+        self, driver: Driver, clock: Clock, guard: Guard, record: Record, period_s: float, stop: StopRequest
+    ) -> None:
+        if driver.order != "sample_first":
+            raise ValueError(f"this loop runs drivers of order sample_first, not {driver.order}")
+        self.guard = guard
+        self.statistics = LoopStatistics(period_s)
+        self._driver = driver
+        self._clock = clock
+        self._record = record
+        self._period_s = period_s
+        self._stop = stop
+        self._t0_s = clock.now_s() + period_s
+        self._tick = 0
+        self._row_open = False
+        self._asked_V = 0.0
+        self._skipped = 0  # ticks skipped just before the next one
+
+    @property
+    def now_s(self) -> float:
+        """Time since the run's start, s."""
+        return self._clock.now_s() - self._t0_s
+
+    @contextmanager
+    def armed(self, limits: Limits) -> Iterator[None]:
+        """Arm the device for the block; however the block ends, stop the drive and disarm first."""
+        self._check_stop()
+        try:
+            self._driver.arm(limits)
+            self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
+            self._skipped = 0
+            # a collection in the middle of a tick would be a late drive
+            gc.collect()
+            gc.disable()
+            yield
+            self._finish_row()
+        finally:
+            stopped = self._driver.safe_stop()
+            gc.enable()
+            self._row_open = False
+            self._record.event(self.now_s, "stop", confirmed=stopped)
+
+    def run(self, law: Law, stage: str, watch: Callable[[float], None] | None = None) -> None:
+        """Run ``law`` to its end inside ``armed``; ``watch`` is called after each tick with its time, s.
+
+        Raises Fault: the driver's, the guard's, the law's, INTERRUPTED, RECORDER_DEAD.
+        """
+        self._record.event(self.now_s, "stage", name=stage)
+        while not law.finished:
+            sample = self._run_tick(law, stage)
+            if watch is not None:
+                watch(sample.t_s)
+
+    def _run_tick(self, law: Law, stage: str) -> Sample:
+        due_s = self._t0_s + self._tick * self._period_s
+        self._clock.sleep_until(due_s)
+        woke_s = self._clock.now_s()
+        while woke_s < due_s and self._stop.reason is None:
+            self._clock.sleep_until(due_s)  # a signal that is none of ours ended the sleep
+            woke_s = self._clock.now_s()
+        self._check_stop()
+        sample = self._driver.read()
+        io_s = self._clock.now_s() - woke_s
+        sample = sample._replace(t_s=sample.t_s - self._t0_s, t_u_s=sample.t_u_s - self._t0_s)
+        self._complete_row(sample)
+        flags = FLAG_SKIPPED if self._skipped else 0
+        u_V, guard_flags = self.guard.allow(sample, law.step(sample))
+        self._driver.write(u_V)
+        late_us = (woke_s - due_s) * 1e6
+        self._record.sample(
+            self._tick, sample, stage, law.z_rad_s, law.yd_rad, u_V, late_us, io_s * 1e6, flags | guard_flags
+        )
+        self._row_open = True
+        self._asked_V = u_V
+        self.statistics.tick(late_us, io_s * 1e6)
+        if self._tick % _CHECK_EVERY_TICKS == 0:
+            self._record.check()
+        # the next tick of the grid that is still to come
+        self._skipped = max(int((self._clock.now_s() - due_s) / self._period_s), 0)
+        self.statistics.skipped += self._skipped
+        self._tick += 1 + self._skipped
+        return sample
+
+    def _check_stop(self) -> None:
+        if self._stop.reason is not None:
+            raise Fault("INTERRUPTED", self._stop.reason)
+
+    def _complete_row(self, sample: Sample) -> None:
+        if self._row_open:
+            # half a percent and 20 mV: more than quantisation can explain
+            clipped = abs(sample.u_V - self._asked_V) > 0.02 + 0.005 * abs(self._asked_V)
+            self._record.complete(sample.t_u_s, sample.u_V, FLAG_SATURATED if clipped else 0)
+            self._row_open = False
+
+    def _finish_row(self) -> None:
+        """One last exchange: the effect of the last drive belongs into its row."""
+        if self._row_open:
+            sample = self._driver.read()
+            self._complete_row(sample._replace(t_u_s=sample.t_u_s - self._t0_s))
