@@ -25,6 +25,8 @@ STATUS_ARMED = 1
 STATUS_FAULT = 2  # a fault is latched
 STATUS_RECOVERING = 4  # armed outside a hard limit: only inward drive passes
 
+FEATURE_TACHOMETER = 1
+
 RESET_CAUSES = {1: "power-on", 2: "external", 4: "brown-out", 8: "watchdog"}
 BOARDS = {1: "host", 2: "uno"}
 EMULATED_BOARDS = frozenset({1})

@@ -1,0 +1,504 @@
+"""A device behind a serial port: frames, arming, and device time mapped to the host's.
+
+``SerialDriver`` takes its port, and with it its clock, as a ``Transport``: pyserial for a board or an
+emulated device behind a pseudo-terminal, or a virtual board in virtual time.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import select
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+
+import serial
+
+from rig.daq import frames
+from rig.daq.calibration import Calibration, DriveMap, TachometerScale, polarity
+from rig.daq.device_clock import DeviceClock, TimedExchange, fit_device_clock
+from rig.daq.driver import DeviceInfo, DeviceWatchdog, Transport
+from rig.daq.frames import Code, Hello, Kind, Packet, Setup, State
+from rig.faults import Fault
+from rig.signals import Limits, Order, Sample
+
+LONGEST_WATCHDOG_S = 1.0  # that the device accepts
+_HELLO_INTERVAL_S = 0.2
+_SYNCHRONISE_S = 1.0
+_ATTEMPTS = 3  # of a request outside the loop
+_READ_BYTES = 512
+
+# Share of the wire time of a HELLO exchange that passes before the device reads its clock.
+_REQUEST_SHARE = len(frames.encode(Kind.HELLO, 1)) / (
+    len(frames.encode(Kind.HELLO, 1))
+    + len(frames.encode(Kind.HELLO_REPLY, 1, bytes(frames.BODY_LENGTH[Kind.HELLO_REPLY])))
+)
+
+_FAULT_OF_CODE: dict[int, str] = {
+    Code.VERSION: "LINK_VERSION",
+    Code.NOT_ARMED: "DEVICE_NOT_ARMED",
+    Code.WATCHDOG: "DEVICE_WATCHDOG",
+    Code.TRAVEL: "DEVICE_TRAVEL",
+    Code.SENSOR_RAIL: "DEVICE_SENSOR",
+    Code.DRIVE_RANGE: "DEVICE_DRIVE_RANGE",
+    Code.POLARITY: "POLARITY",
+}
+
+
+class PySerialTransport:
+    """A serial port of this machine, or a pseudo-terminal; held exclusively.
+
+    low_latency  whether the port's driver took the request not to batch what arrives; pseudo-terminals
+                 and some USB chips have no such mode
+    Raises Fault LINK_OPEN if the port cannot be opened.
+    """
+
+    def __init__(self, port: str, baud: int = 115200) -> None:
+        try:
+            self._serial = serial.Serial(port, baud, timeout=0, exclusive=True)
+        except (OSError, ValueError) as error:  # SerialException is an OSError; ValueError: impossible baud
+            raise Fault("LINK_OPEN", f"{port}: {error}") from error
+        self._port = port
+        self._fd: int = self._serial.fileno()
+        try:
+            self._serial.set_low_latency_mode(True)
+            self.low_latency = True
+        except (ValueError, NotImplementedError):
+            self.low_latency = False
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``; LINK_LOST if the port is dead or takes no more."""
+        try:
+            sent = os.write(self._fd, data)
+        except OSError as error:
+            raise Fault("LINK_LOST", f"{self._port}: {error.strerror}") from error
+        if sent != len(data):
+            raise Fault("LINK_LOST", f"{self._port} takes no more bytes: the device does not read")
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has arrived, at least one byte, or b"" after ``timeout_s``; LINK_LOST if the port is dead."""
+        try:
+            if not select.select([self._fd], [], [], timeout_s)[0]:
+                return b""
+            data = os.read(self._fd, _READ_BYTES)
+        except (OSError, ValueError) as error:  # ValueError: select on a closed port
+            raise Fault("LINK_LOST", f"{self._port}: {error}") from error
+        if not data:
+            raise Fault("LINK_LOST", f"{self._port} hung up")
+        return data
+
+    def now_s(self) -> float:
+        """CLOCK_MONOTONIC, s."""
+        return time.monotonic()
+
+    def close(self) -> None:
+        """Give the port back. May be called twice."""
+        self._fd = -1  # the number may soon be another file's
+        self._serial.close()
+
+
+def setup_for(limits: Limits, calibration: Calibration, drive_map: DriveMap, rail_counts: tuple[int, int]) -> Setup:
+    """What the device is told before arming.
+
+    The hard limits are rounded inward, so that a reading is inside them exactly if its position is.
+    Raises ValueError where the device could not hold such limits: a hard limit that the sensor reads
+    beyond its rail, 0 rad outside the hard limits, drive beyond the supply or below one unit, watchdog
+    outside 1 ms to 1 s.
+    """
+    low_rad, high_rad = limits.hard_rad
+    if not low_rad < 0.0 < high_rad:
+        raise ValueError(f"hard limits {low_rad:g} to {high_rad:g} rad must enclose 0, the centre of travel")
+    low, high = sorted((calibration.to_counts(low_rad), calibration.to_counts(high_rad)))
+    hard_lo, hard_hi = math.ceil(low - 1e-9), math.floor(high + 1e-9)
+    rail_lo, rail_hi = rail_counts
+    if not 0 <= rail_lo < hard_lo <= hard_hi < rail_hi:
+        raise ValueError(
+            f"hard limits {low_rad:g} to {high_rad:g} rad read {low:.1f} to {high:.1f} counts, which must lie "
+            f"inside the sensor's rails at {rail_lo} and {rail_hi} counts"
+        )
+    max_drive = max(abs(drive_map.to_units(limits.max_u_V)), abs(drive_map.to_units(-limits.max_u_V)))
+    if max_drive == 0:
+        raise ValueError(f"largest drive {limits.max_u_V:g} V is less than one unit of the drive")
+    watchdog_ms = round(1000.0 * limits.watchdog_s)
+    if not 1 <= watchdog_ms <= round(1000.0 * LONGEST_WATCHDOG_S):
+        raise ValueError(f"watchdog time {limits.watchdog_s:g} s is not within 0.001 to {LONGEST_WATCHDOG_S:g} s")
+    return Setup(
+        hard_lo=hard_lo,
+        hard_hi=hard_hi,
+        rail_lo=rail_lo,
+        rail_hi=rail_hi,
+        centre=round(calibration.to_counts(0.0)),
+        max_drive=max_drive,
+        watchdog_ms=watchdog_ms,
+        polarity=polarity(calibration, drive_map),
+    )
+
+
+class SerialDriver:
+    """The firmware behind a transport, as a ``Driver``. Times of samples are in the transport's clock, s.
+
+    transport       an open port; closed by ``close``, never reopened
+    calibration     position sensor
+    drive_map       H-bridge; its ``full_units`` are replaced by what the device says
+    rail_counts     (low, high): readings at or beyond are a broken sensor
+    timeout_s       longest wait for one reply
+    open_timeout_s  longest wait for the device to introduce itself, its restart on opening included
+    tachometer      scale of the velocity channel; None: not used
+    counts_max      the ADC's largest reading that the calibration was made for; None: not checked
+    name            of the port, for ``backend``
+    emulated        True where it is known that no real motor is behind the port
+    """
+
+    order: Order = "sample_first"
+
+    def __init__(
+        self,
+        transport: Transport,
+        calibration: Calibration,
+        drive_map: DriveMap,
+        rail_counts: tuple[int, int],
+        timeout_s: float = 0.03,
+        open_timeout_s: float = 5.0,
+        tachometer: TachometerScale | None = None,
+        *,
+        counts_max: int | None = None,
+        name: str = "serial",
+        emulated: bool = False,
+    ) -> None:
+        self.calibration = calibration
+        self.drive_map = drive_map
+        self.tachometer = tachometer
+        self.backend = name
+        self.failsafe: DeviceWatchdog | None = DeviceWatchdog(LONGEST_WATCHDOG_S)  # until armed with less
+        self._transport = transport
+        self._rail_counts = rail_counts
+        self._timeout_s = timeout_s
+        self._open_timeout_s = open_timeout_s
+        self._counts_max = counts_max
+        self._name = name
+        self._emulated = emulated
+        self._reader = frames.FrameReader()
+        self._clock = DeviceClock(0.0, 0, 1.0)
+        self._seq = 0
+        self._setup: Setup | None = None
+        self._armed = False
+        self._unconfirmed: int | None = None  # seq of a DRIVE frame that no STATE has told of yet
+        self._driven = False  # the device has accepted a DRIVE since arming
+        self._t_drive_us = -1  # as last reported, and the same in host time: an old drive is mapped once
+        self._t_u_s = math.nan
+        self._exchanges = 0
+        self._stale_replies = 0
+        self._timeouts = 0
+        self._drives_lost = 0
+
+    @property
+    def link_statistics(self) -> Mapping[str, int]:
+        """Counts since construction.
+
+        exchanges      requests that were waited for
+        timeouts       of these, without a reply in time
+        stale_replies  intact replies that were not the awaited one: late, repeated, of another request
+        bad_frames     damaged frames from the device
+        drives_lost    DRIVE frames that the device never accepted
+        """
+        return {
+            "exchanges": self._exchanges,
+            "timeouts": self._timeouts,
+            "stale_replies": self._stale_replies,
+            "bad_frames": self._reader.bad_frames,
+            "drives_lost": self._drives_lost,
+        }
+
+    def open(self) -> DeviceInfo:
+        """Wait for the device to introduce itself, and measure its clock for about a second.
+
+        Raises Fault LINK_HELLO, LINK_VERSION, DEVICE_RESET or LINK_LOST; ValueError where the config does
+        not fit the device (converter range, rails, tachometer).
+        """
+        hello = self._meet()
+        self._check(hello)
+        self.drive_map = replace(self.drive_map, full_units=hello.drive_full)
+        exchanges = self._time_exchanges()
+        try:
+            self._clock = fit_device_clock(exchanges, _REQUEST_SHARE)
+        except ValueError as error:
+            raise Fault("DEVICE_RESET", f"while its clock was measured: {error}") from error
+        board = frames.BOARDS.get(hello.board, f"number {hello.board}")
+        emulated = self._emulated or hello.board in frames.EMULATED_BOARDS
+        self.backend = f"{self._name} ({'emulated ' if emulated else ''}{board} board, build {hello.build_text})"
+        return DeviceInfo(
+            build=hello.build_text,
+            board=board,
+            reset_cause=hello.reset_words,
+            emulated=emulated,
+            clock_ratio=self._clock.ratio,
+            round_trip_s=min(e.received_s - e.sent_s for e in exchanges),
+        )
+
+    def arm(self, limits: Limits) -> None:
+        """Stop, send the limits, read them back, arm.
+
+        Raises ValueError as ``setup_for``; Fault ARM_READBACK, LINK_TIMEOUT, or what the device refuses with.
+        """
+        setup = setup_for(limits, self.calibration, self.drive_map, self._rail_counts)
+        self._armed = False
+        self._request(Kind.STOP, b"", Kind.STOP_REPLY)
+        stored = Setup.unpack(self._request(Kind.SETUP, setup.pack(), Kind.SETUP_REPLY).body)
+        if stored != setup:
+            raise Fault("ARM_READBACK", f"sent {_fields(setup, stored)}, stored {_fields(stored, setup)}")
+        code = self._request(Kind.ARM, b"", Kind.ARM_REPLY).body[0]
+        if code != Code.NONE:
+            raise Fault(_FAULT_OF_CODE.get(code, "LINK_REJECTED"), f"arming refused, {frames.code_name(code)}")
+        self._setup = setup
+        self.failsafe = DeviceWatchdog(1e-3 * setup.watchdog_ms)
+        self._unconfirmed = None
+        self._driven = False
+        self._armed = True
+
+    def read(self) -> Sample:
+        """Ask for the state and wait for it.
+
+        ``u_V`` is what acts at the pin by the device's own word, even if the last ``write`` was lost on the
+        way (which ``link_statistics`` counts). Before arming it reads, too.
+        Raises Fault LINK_TIMEOUT, LINK_LOST, DEVICE_RESET, or the fault that the device latched.
+        """
+        seq = self._send(Kind.READ)
+        packet = self._await(seq, Kind.STATE)
+        if packet is None:
+            raise self._timeout(Kind.READ)
+        if packet.kind == Kind.NACK:
+            raise _refusal(packet)
+        state = State.unpack(packet.body)
+        if self._armed:
+            if state.status & frames.STATUS_FAULT or not state.status & frames.STATUS_ARMED:
+                raise self._device_fault(state)
+        elif self._unconfirmed is not None and state.fault:
+            raise self._device_fault(state)
+
+        if self._unconfirmed is not None:
+            if state.drive_seq == self._unconfirmed:
+                self._driven = True
+            else:
+                self._drives_lost += 1
+            self._unconfirmed = None
+        now_s = self._transport.now_s()
+        if self._driven and state.t_drive_us != self._t_drive_us:
+            self._t_drive_us = state.t_drive_us
+            self._t_u_s = self._clock.to_host_s(state.t_drive_us, now_s)
+        tachometer = self.tachometer
+        return Sample(
+            self._clock.to_host_s(state.t_sample_us, now_s),
+            self.calibration.to_rad(state.counts),
+            state.counts,
+            math.nan
+            if tachometer is None or state.tach == frames.NO_TACHOMETER
+            else tachometer.to_rad_per_s(state.tach),
+            self._t_u_s if self._driven else math.nan,
+            self.drive_map.to_volts(state.drive),
+            seq,
+        )
+
+    def write(self, u_V: float) -> None:
+        """Send the drive, one way. Raises ValueError beyond supply and bridge, Fault LINK_LOST.
+
+        Beyond what it was armed for, the device sets 0 V and the next ``read`` raises DEVICE_DRIVE_RANGE.
+        """
+        self._unconfirmed = self._send(Kind.DRIVE, frames.pack_drive(self.drive_map.to_units(u_V)))
+
+    def safe_stop(self) -> bool:
+        """Tell the device to stop, up to three times; True once it confirms 0 drive, disarmed.
+
+        On False (or without the host at all) the device's watchdog does it.
+        """
+        self._armed = False
+        self._unconfirmed = None
+        try:
+            for _ in range(_ATTEMPTS):
+                packet = self._await(self._send(Kind.STOP), Kind.STOP_REPLY)
+                if packet is not None and packet.kind == Kind.STOP_REPLY:
+                    state = State.unpack(packet.body)
+                    if state.drive == 0 and not state.status & frames.STATUS_ARMED:
+                        return True
+        except Fault:  # a dead port
+            return False
+        return False
+
+    def close(self) -> None:
+        """Close the port, after a ``safe_stop`` if still armed. May be called twice."""
+        if self._armed:
+            self.safe_stop()
+        self._transport.close()
+
+    # ------------------------------------------------------------------ meeting the device
+
+    def _meet(self) -> Hello:
+        """Ask until the device answers: it may be restarting, or in its boot loader."""
+        transport = self._transport
+        while transport.read(0.0):
+            pass  # what an earlier run left behind
+        started_s = transport.now_s()
+        asked: set[int] = set()
+        while transport.now_s() - started_s < self._open_timeout_s:
+            asked.add(self._send(Kind.HELLO))
+            again_s = transport.now_s() + _HELLO_INTERVAL_S
+            while (left_s := again_s - transport.now_s()) > 0.0:
+                for packet in self._reader.feed(transport.read(left_s)):
+                    if packet.version != frames.VERSION:
+                        raise Fault(
+                            "LINK_VERSION",
+                            f"the device speaks version {packet.version}, this rig version {frames.VERSION}",
+                        )
+                    if packet.seq in asked and packet.kind == Kind.NACK:
+                        raise _refusal(packet)
+                    if packet.seq in asked and packet.kind == Kind.HELLO_REPLY:
+                        return Hello.unpack(packet.body)
+                    self._stale_replies += 1
+        raise Fault(
+            "LINK_HELLO",
+            f"{len(asked)} requests in {self._open_timeout_s:g} s, {self._reader.bad_frames} damaged frames came back",
+        )
+
+    def _check(self, hello: Hello) -> None:
+        """Raise where config and device do not fit."""
+        if not 0 < hello.drive_full <= 32767:
+            raise Fault("LINK_HELLO", f"the device says full drive is {hello.drive_full} units")
+        if self._counts_max is not None and hello.adc_max != self._counts_max:
+            raise ValueError(
+                f"sensor.counts_max is {self._counts_max}, but the device reads 0 to {hello.adc_max}: "
+                "calibrate with this device"
+            )
+        low, high = self._rail_counts
+        if not 0 <= low < high <= hello.adc_max:
+            raise ValueError(f"sensor.rail_counts {low}, {high} must lie within the device's 0 to {hello.adc_max}")
+        if self.tachometer is not None and not hello.features & frames.FEATURE_TACHOMETER:
+            raise ValueError("the config has a section `tachometer`, but the device has no such channel")
+
+    def _time_exchanges(self) -> list[TimedExchange]:
+        """Ask for the device's time as fast as it answers, for about a second.
+
+        HELLO carries the time at which it is answered; a sample's time may be a device tick old.
+        """
+        now_s = self._transport.now_s
+        exchanges: list[TimedExchange] = []
+        until_s = now_s() + _SYNCHRONISE_S
+        sent_s = now_s()
+        while sent_s < until_s:
+            packet = self._await(self._send(Kind.HELLO), Kind.HELLO_REPLY)
+            received_s = now_s()
+            if packet is not None and packet.kind == Kind.HELLO_REPLY:
+                exchanges.append(TimedExchange(sent_s, received_s, Hello.unpack(packet.body).now_us))
+            sent_s = now_s()
+        if len(exchanges) < 4:
+            raise self._timeout(Kind.HELLO)
+        return exchanges
+
+    # ------------------------------------------------------------------ requests and replies
+
+    def _send(self, kind: Kind, body: bytes = b"") -> int:
+        """Send a request; its seq."""
+        self._seq = seq = (self._seq + 1) & 0xFFFF
+        self._transport.write(frames.encode(kind, seq, body))
+        return seq
+
+    def _await(self, seq: int, kind: Kind) -> Packet | None:
+        """The reply of that seq and kind, or the refusal; None after the time-out. Anything else is stale."""
+        transport = self._transport
+        self._exchanges += 1
+        until_s = transport.now_s() + self._timeout_s
+        left_s = self._timeout_s
+        while left_s > 0.0:
+            reply = None
+            for packet in self._reader.feed(transport.read(left_s)):
+                if (
+                    reply is None
+                    and packet.seq == seq
+                    and (packet.kind == kind or packet.kind == Kind.NACK)
+                    and packet.version == frames.VERSION
+                ):
+                    reply = packet
+                else:
+                    self._stale_replies += 1
+            if reply is not None:
+                return reply
+            left_s = until_s - transport.now_s()
+        self._timeouts += 1
+        return None
+
+    def _request(self, kind: Kind, body: bytes, reply: Kind) -> Packet:
+        """Send until answered, a few times; raises Fault on refusal or silence."""
+        for _ in range(_ATTEMPTS):
+            packet = self._await(self._send(kind, body), reply)
+            if packet is not None:
+                if packet.kind == Kind.NACK:
+                    raise _refusal(packet)
+                return packet
+        raise self._timeout(kind)
+
+    def _timeout(self, kind: Kind) -> Fault:
+        return Fault(
+            "LINK_TIMEOUT",
+            f"no reply to {kind.name} within {1e3 * self._timeout_s:g} ms; so far {self._reader.bad_frames} damaged "
+            f"frames, {self._stale_replies} stale replies in {self._exchanges} exchanges",
+        )
+
+    def _device_fault(self, state: State) -> Fault:
+        """What a STATE says that ends the run, with this case's numbers."""
+        where = f"{self.calibration.to_rad(state.counts):.4f} rad, {state.counts} counts"
+        if self._armed and not state.status & frames.STATUS_FAULT:
+            return Fault("DEVICE_RESET", f"no longer armed and no fault latched; at {where}")
+        detail = f"{frames.code_name(state.fault)} at {where}"
+        setup = self._setup
+        if setup is not None:
+            if state.fault == Code.WATCHDOG:
+                detail += f", watchdog {setup.watchdog_ms} ms"
+            elif state.fault == Code.TRAVEL:
+                detail += f", limits {setup.hard_lo} to {setup.hard_hi} counts"
+            elif state.fault == Code.SENSOR_RAIL:
+                detail += f", rails {setup.rail_lo} and {setup.rail_hi} counts"
+            elif state.fault == Code.DRIVE_RANGE:
+                detail += f", largest drive {setup.max_drive} units"
+        return Fault(_FAULT_OF_CODE.get(state.fault, "LINK_REJECTED"), detail)
+
+
+def open_serial(
+    port: str,
+    calibration: Calibration,
+    drive_map: DriveMap,
+    rail_counts: tuple[int, int],
+    *,
+    baud: int = 115200,
+    timeout_s: float = 0.03,
+    open_timeout_s: float = 5.0,
+    tachometer: TachometerScale | None = None,
+    counts_max: int | None = None,
+    emulated: bool = False,
+) -> SerialDriver:
+    """A driver on a port of this machine, not yet opened as a device (``open`` does). Raises Fault LINK_OPEN."""
+    return SerialDriver(
+        PySerialTransport(port, baud),
+        calibration,
+        drive_map,
+        rail_counts,
+        timeout_s,
+        open_timeout_s,
+        tachometer,
+        counts_max=counts_max,
+        name=f"serial:{port}",
+        emulated=emulated,
+    )
+
+
+def _refusal(packet: Packet) -> Fault:
+    nack = frames.Nack.unpack(packet.body)
+    try:
+        request = Kind(nack.kind).name
+    except ValueError:
+        request = f"type {nack.kind}"
+    code = "LINK_VERSION" if nack.code == Code.VERSION else "LINK_REJECTED"
+    return Fault(code, f"{request} refused, {frames.code_name(nack.code)}, by a device of version {packet.version}")
+
+
+def _fields(setup: Setup, other: Setup) -> str:
+    """The fields in which two set-ups differ, with the first one's values."""
+    return ", ".join(f"{name} {a}" for name, a, b in zip(Setup._fields, setup, other, strict=True) if a != b)
