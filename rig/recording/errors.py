@@ -1,0 +1,23 @@
+"""The error of this room: what is wrong with which file, where in it, and what to do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class RecordingError(Exception):
+    """A recording that cannot be made or cannot be read.
+
+    path   the file or folder
+    line   line in that file, counted from 1; None where no line is to blame
+    cause  what is wrong
+    cure   one thing to do about it
+    """
+
+    def __init__(self, path: Path, cause: str, cure: str, line: int | None = None) -> None:
+        self.path = path
+        self.line = line
+        self.cause = cause
+        self.cure = cure
+        place = str(path) if line is None else f"{path}:{line}"
+        super().__init__(f"{place}: {cause}; {cure}")

@@ -1,0 +1,103 @@
+"""The run folder: its name, and the small files that are written whole.
+
+samples.csv and events.jsonl belong to ``recorder``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from rig.recording.errors import RecordingError
+
+CONFIG: Final = "config.yaml"
+META: Final = "meta.json"
+RESULT: Final = "result.json"
+
+
+def create_run(parent: Path, name: str, now_utc: datetime) -> Path:
+    """Create and return a new folder ``parent/<utc>-<name>``, e.g. ``runs/20250131T093000Z-demo``.
+
+    A folder that exists is never reused: the next one of the same second ends in ``-2``, ``-3``, ...
+    ``now_utc``: a time without zone is taken as UTC. Raises RecordingError where it cannot be created.
+    """
+    utc = now_utc.replace(tzinfo=UTC) if now_utc.tzinfo is None else now_utc.astimezone(UTC)
+    stem = f"{utc:%Y%m%dT%H%M%SZ}-{name}"
+    attempt = 1
+    while True:
+        folder = parent / (stem if attempt == 1 else f"{stem}-{attempt}")
+        try:
+            parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir()
+        except FileExistsError as error:
+            if not parent.is_dir():
+                raise _cannot_write(parent, error) from error
+            attempt += 1
+        except OSError as error:
+            raise _cannot_write(folder, error) from error
+        else:
+            return folder
+
+
+def write_config(folder: Path, text: str) -> None:
+    """Write config.yaml, the resolved configuration. Raises RecordingError where that fails."""
+    _replace(folder / CONFIG, text)
+
+
+def write_meta(folder: Path, meta: Mapping[str, Any]) -> None:
+    """Write meta.json, strict JSON: nan and infinities become null; numpy values are converted.
+
+    Raises RecordingError where the file cannot be written, TypeError for what JSON cannot hold.
+    """
+    _replace(folder / META, _json_text(meta))
+
+
+def write_result(folder: Path, result: Mapping[str, Any]) -> None:
+    """Write result.json; otherwise as ``write_meta``."""
+    _replace(folder / RESULT, _json_text(result))
+
+
+def _json_text(value: Mapping[str, Any]) -> str:
+    return json.dumps(_strict(value), indent=2, allow_nan=False) + "\n"
+
+
+def _strict(value: Any) -> Any:
+    if hasattr(value, "tolist"):  # a numpy scalar or array
+        value = value.tolist()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        for key in value:
+            if not isinstance(key, str):
+                raise TypeError(f"JSON keys are strings, not {key!r}")
+        return {key: _strict(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(item) for item in value]
+    return value
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write the whole file or leave the old one: whoever reads it never sees half."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with temporary.open("w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise _cannot_write(path, error) from error
+
+
+def _cannot_write(path: Path, error: OSError) -> RecordingError:
+    return RecordingError(
+        path, f"cannot be written: {error.strerror}", "check the disk's free space and the permissions of the folder"
+    )

@@ -1,0 +1,97 @@
+"""The memory that the loop and the writer process share: counters, a ring of rows, a ring of event bytes.
+
+One producer (the loop) and one consumer (the writer), so no locks: each counter has one side that writes it, as a
+single aligned 8-byte store, after the data that it announces. The file behind the memory has no name, so nothing is
+left over however the two processes end.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+import tempfile
+from pathlib import Path
+from typing import Final
+
+# Counters (8 bytes each): the loop's, and on a cache line of its own the writer's.
+ROWS_OPENED: Final = 0  # rows published; row k is in slot k % capacity
+ROW_COMPLETED: Final = 1  # 1 + the number of the row completed last
+EVENT_BYTES: Final = 2  # bytes of whole event lines published
+ROWS_LOST: Final = 3  # rows that found the ring full
+EVENTS_LOST: Final = 4
+CLOSED: Final = 5  # 1 once the loop has closed the record in order
+ROWS_TAKEN: Final = 8  # rows that are in samples.csv
+EVENT_BYTES_TAKEN: Final = 9  # bytes that are in events.jsonl
+STATE: Final = 10  # one of the following
+
+STARTING: Final = 0
+READY: Final = 1
+CANNOT_OPEN: Final = 2  # the files could not be created: the reason is in the memory
+CANNOT_WRITE: Final = 3  # writing failed later: likewise
+
+# tick seq t_s y counts v u z yd stage late io flags | t_u u flags number
+# The part after the bar is written by ``complete``; its last field is 1 + the row's number once that is done.
+ROW: Final = struct.Struct("=qqddqddddqddq ddqq")
+COMPLETION: Final = struct.Struct("=ddqq")
+COMPLETION_AT: Final = ROW.size - COMPLETION.size
+
+_COUNTERS_SIZE: Final = 128
+_REASON_AT: Final = _COUNTERS_SIZE
+_REASON_SIZE: Final = 1024
+_ROWS_AT: Final = 4096
+
+
+class SharedMemory:
+    """The shared memory, mapped into this process.
+
+    file_descriptor  of the file behind it; stays the caller's
+    capacity_rows, capacity_event_bytes  sizes of the two rings
+    Raises OSError where it cannot be mapped.
+    """
+
+    def __init__(self, file_descriptor: int, capacity_rows: int, capacity_event_bytes: int) -> None:
+        self.capacity_rows = capacity_rows
+        self.capacity_event_bytes = capacity_event_bytes
+        rows_end = _ROWS_AT + capacity_rows * ROW.size
+        # Populated at once: a page fault at the first touch of each page would be paid by the loop.
+        self._map = mmap.mmap(
+            file_descriptor, size_of(capacity_rows, capacity_event_bytes), flags=mmap.MAP_SHARED | mmap.MAP_POPULATE
+        )
+        self._view = memoryview(self._map)
+        self.counters = self._view[:_COUNTERS_SIZE].cast("q")
+        self.rows = self._view[_ROWS_AT:rows_end]
+        self.events = self._view[rows_end : rows_end + capacity_event_bytes]
+        self._reason = self._view[_REASON_AT : _REASON_AT + _REASON_SIZE]
+
+    def fail(self, state: int, reason: str) -> None:
+        """Say, as the writer, that and why it gives up."""
+        text = reason.encode(errors="replace")[: _REASON_SIZE - 1]
+        self._reason[: len(text) + 1] = text + b"\0"
+        self.counters[STATE] = state
+
+    def reason(self) -> str:
+        """The writer's last words; empty where it left none."""
+        return bytes(self._reason).split(b"\0", 1)[0].decode(errors="replace")
+
+    def close(self) -> None:
+        """Unmap."""
+        for view in (self.counters, self.rows, self.events, self._reason, self._view):
+            view.release()
+        self._map.close()
+
+
+def size_of(capacity_rows: int, capacity_event_bytes: int) -> int:
+    """Bytes of shared memory for these capacities."""
+    return _ROWS_AT + capacity_rows * ROW.size + capacity_event_bytes
+
+
+def create_file(size: int) -> int:
+    """Descriptor of a nameless file of ``size`` bytes, all allocated; in memory where the system offers that.
+
+    Raises OSError, e.g. where there is no room.
+    """
+    in_memory = Path("/dev/shm")  # write-back to a disk could hold up the loop's memory writes
+    with tempfile.TemporaryFile(dir=in_memory if in_memory.is_dir() else None) as file:
+        os.posix_fallocate(file.fileno(), 0, size)
+        return os.dup(file.fileno())

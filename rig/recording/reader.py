@@ -1,0 +1,431 @@
+"""Recordings as arrays: a run folder, or any CSV file with at least the columns t_s, u_V and y_rad.
+
+Whatever is in the file, the outcome is a ``Recording`` or a ``RecordingError`` with file, line and one cure.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.recording.columns import COLUMNS, KINDS
+from rig.recording.errors import RecordingError
+from rig.recording.folder import CONFIG, META
+from rig.recording.writer import EVENTS, SAMPLES
+
+__all__ = ["Recording", "RecordingError", "read", "read_csv", "read_run"]
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+REQUIRED: Final = ("t_s", "u_V", "y_rad")
+MIN_ROWS: Final = 3
+MAX_BYTES: Final = 256 * 2**20
+MAX_STAGE_LENGTH: Final = 64
+_MAX_INTEGER: Final = 2.0**53  # beyond, a float no longer tells integers apart
+_ROWS_AT_ONCE: Final = 50_000
+_DELIMITERS: Final = (",", ";", "\t")
+
+# Names that others give to these columns; only used to say "did you mean".
+_OTHER_NAMES: Final = {
+    "t_s": ("t", "time", "time_s", "times", "seconds", "sec", "timestamp", "t_ms", "time_ms"),
+    "u_V": ("u", "voltage", "volt", "volts", "input", "drive", "command", "v_in", "control"),
+    "y_rad": ("y", "position", "pos", "angle", "theta", "theta_rad", "output", "y_deg", "angle_deg", "phi"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Rows of one recording; every array has one entry a row and is read-only.
+
+    t_s          when y was sampled, s; strictly rising
+    t_u_s        when u took effect, s; nan where it is not known
+    y_rad, u_V   position; drive that acts from t_u_s until the next row's
+    v_rad_per_s, z_rad_s, yd_rad, late_us, io_us   as in ``columns``; nan where absent
+    tick         as recorded, else 0, 1, 2, ...
+    seq, y_counts   as recorded, else -1
+    flags        as recorded, else 0
+    stage        name of each row's stage, else ""
+    columns_present   the columns that the file has, in its order, those unknown to us included
+    meta, config_text, events   of a run folder; {}, None and () for a plain CSV file
+    notes        in words, what was tolerated: a torn last line, a missing meta.json
+    """
+
+    t_s: Floats
+    t_u_s: Floats
+    y_rad: Floats
+    u_V: Floats
+    v_rad_per_s: Floats
+    z_rad_s: Floats
+    yd_rad: Floats
+    y_counts: Integers
+    tick: Integers
+    seq: Integers
+    late_us: Floats
+    io_us: Floats
+    flags: Integers
+    stage: NDArray[np.str_]
+    columns_present: tuple[str, ...]
+    source: Path
+    meta: dict[str, Any]
+    config_text: str | None
+    events: tuple[dict[str, Any], ...]
+    notes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def stages(self) -> list[str]:
+        """Names of the stages in the order in which they occur first; [] without a column ``stage``."""
+        names, first = np.unique(self.stage, return_index=True)
+        return [str(names[k]) for k in np.argsort(first) if names[k]]
+
+    def stage_rows(self, name: str) -> slice:
+        """The rows of one stage. Raises RecordingError where it is not there, or in more than one piece."""
+        rows = np.flatnonzero(self.stage == name)
+        if len(rows) == 0:
+            there = ", ".join(self.stages()) or "none"
+            raise RecordingError(self.source, f"has no stage {name!r}", f"the stages there are: {there}")
+        first, end = int(rows[0]), int(rows[-1]) + 1
+        if end - first != len(rows):
+            raise RecordingError(
+                self.source, f"stage {name!r} is interrupted by another", "choose its rows by number instead"
+            )
+        return slice(first, end)
+
+    def select(self, first: int, last: int) -> Recording:
+        """Rows ``first`` to ``last``, both included, counted from 0 as in result.json's ``rows``.
+
+        Events, meta and configuration stay whole. Raises IndexError for rows that are not there.
+        """
+        if not 0 <= first <= last < len(self):
+            raise IndexError(f"rows {first} to {last} of a recording of {len(self)}")
+        return replace(self, **{name: getattr(self, name)[first : last + 1] for name in COLUMNS})
+
+
+def read(path: Path) -> Recording:
+    """Read a run folder or a CSV file, whichever ``path`` is. Raises RecordingError."""
+    return read_run(path) if _is_folder(path) else read_csv(path)
+
+
+def read_run(folder: Path) -> Recording:
+    """Read a run folder; what a killed run has not written yet is noted in ``notes``.
+
+    Raises RecordingError where samples.csv is missing or unusable, or another file of the folder is broken.
+    """
+    if not _is_folder(folder):
+        raise RecordingError(folder, "is not a run folder", "give the folder that `rig run` printed")
+    if not (folder / SAMPLES).exists():
+        raise RecordingError(folder, f"has no {SAMPLES}", "give the folder that `rig run` printed")
+    recording = read_csv(folder / SAMPLES)
+    notes = list(recording.notes)
+
+    meta: dict[str, Any] = {}
+    if (folder / META).exists():
+        meta = _parse_object(folder / META, _text(folder / META, _bytes(folder / META)), None)
+    else:
+        notes.append(f"{META} is missing")
+    config = folder / CONFIG
+    config_text = _text(config, _bytes(config)) if config.exists() else None
+    events: list[dict[str, Any]] = []
+    if (folder / EVENTS).exists():
+        events = _read_events(folder / EVENTS, notes)
+    return replace(
+        recording, source=folder, meta=meta, config_text=config_text, events=tuple(events), notes=tuple(notes)
+    )
+
+
+def read_csv(path: Path) -> Recording:
+    """Read a CSV file: a line of column names, then at least three rows; comma, semicolon or tab.
+
+    Needs t_s, u_V and y_rad; takes every other column of samples.csv that is there, in any order. Lines that begin
+    with # and blank lines are skipped. A last line without a line end is taken as torn: left out and noted.
+    Raises RecordingError.
+    """
+    whole, notes = _without_torn_line(path, _bytes(path))
+    lines = _text(path, whole).split("\n")
+    numbers = [k for k, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    if not numbers:
+        raise RecordingError(path, "holds no rows", "give a CSV file with a line of column names and rows below it")
+    header_line, row_numbers = numbers[0], numbers[1:]
+    delimiter = _delimiter(lines[header_line - 1])
+    header = _parse_header(path, header_line, lines[header_line - 1], delimiter)
+    if len(row_numbers) < MIN_ROWS:
+        raise RecordingError(path, f"has {len(row_numbers)} rows", f"record at least {MIN_ROWS}", header_line)
+
+    chunks = [
+        _parse_rows(path, header, delimiter, lines, row_numbers[k : k + _ROWS_AT_ONCE])
+        for k in range(0, len(row_numbers), _ROWS_AT_ONCE)
+    ]
+    columns = {name: np.concatenate([chunk[name] for chunk in chunks]) for name in chunks[0]}
+    _check_time(path, columns["t_s"], row_numbers)
+    _add_absent(columns, len(row_numbers))
+    for array in columns.values():
+        array.setflags(write=False)
+    return Recording(
+        **columns,
+        columns_present=header,
+        source=path,
+        meta={},
+        config_text=None,
+        events=(),
+        notes=tuple(notes),
+    )
+
+
+# -- files to text ----------------------------------------------------------------------------------------------------
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def _bytes(path: Path) -> bytes:
+    """The content of a regular file of bearable size."""
+    try:
+        if path.exists() and not path.is_file():
+            raise RecordingError(path, "is not a file", "give a run folder or a CSV file")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:  # ValueError: a path that no file can have
+        raise _unreadable(path, error) from error
+    if len(content) > MAX_BYTES:
+        raise RecordingError(path, f"is larger than {MAX_BYTES // 2**20} MiB", "cut it to the rows of the experiment")
+    return content
+
+
+def _unreadable(path: Path, error: Exception) -> RecordingError:
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return RecordingError(path, f"cannot be read: {reason}", "check the path and its permissions")
+
+
+def _without_torn_line(path: Path, content: bytes) -> tuple[bytes, list[str]]:
+    """The lines that have an end, and a note about the one that has none."""
+    if not content:
+        raise RecordingError(path, "is empty", "nothing was recorded: record again")
+    written = content.rstrip(b"\0")  # a power cut can leave zeros behind the last block
+    end = written.rfind(b"\n") + 1
+    if end == len(content):
+        return content, []
+    line = written.count(b"\n", 0, end) + 1
+    return written[:end], [f"line {line}, the last, is torn and was left out ({len(content) - end} bytes)"]
+
+
+def _text(path: Path, content: bytes) -> str:
+    zero = content.find(b"\0")
+    if zero >= 0:
+        raise RecordingError(
+            path, "is a binary file", "give a text file, saved as CSV in UTF-8", content.count(b"\n", 0, zero) + 1
+        )
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise RecordingError(path, "is not UTF-8 text", "save it as CSV in UTF-8", line) from error
+
+
+# -- text to columns --------------------------------------------------------------------------------------------------
+
+
+def _delimiter(header: str) -> str:
+    return max(_DELIMITERS, key=header.count)
+
+
+def _split(path: Path, line_number: int, line: str, delimiter: str) -> list[str]:
+    """The fields of one line, quotes and outer blanks removed."""
+    if '"' not in line:
+        return [field.strip() for field in line.split(delimiter)]
+    try:
+        fields = next(csv.reader([line.strip()], delimiter=delimiter, strict=True))
+    except csv.Error as error:
+        raise RecordingError(
+            path, f"has broken quotes ({error})", "correct or delete this line", line_number
+        ) from error
+    return [field.strip() for field in fields]
+
+
+def _parse_header(path: Path, line_number: int, line: str, delimiter: str) -> tuple[str, ...]:
+    names = tuple(_split(path, line_number, line, delimiter))
+    missing = [name for name in REQUIRED if name not in names]
+    if missing and _is_number(names[0]):
+        raise RecordingError(
+            path, "the first line has no column names", "put t_s,u_V,y_rad (as they are) above, without #", line_number
+        )
+    if missing:
+        there = ", ".join(_shown(name) for name in names[:20])
+        guesses = {name: _did_you_mean(name, names) for name in missing}
+        hints = [f"{_shown(guess)} for {name}" for name, guess in guesses.items() if guess]
+        cure = f"did you mean {', '.join(hints)}? Rename and use s, V, rad" if hints else "name the columns so"
+        raise RecordingError(path, f"has no column {', '.join(missing)}; there are: {there}", cure, line_number)
+    for name in names:
+        if name in COLUMNS and names.count(name) > 1:
+            raise RecordingError(path, f"has column {name} twice", "delete or rename one", line_number)
+    return names
+
+
+def _did_you_mean(name: str, there: Sequence[str]) -> str | None:
+    unclaimed = {other.lower(): other for other in there if other not in COLUMNS}
+    for other in (name.lower(), *_OTHER_NAMES[name]):
+        if other in unclaimed:
+            return unclaimed[other]
+    close = difflib.get_close_matches(name.lower(), [other[:100] for other in unclaimed], n=1, cutoff=0.5)
+    return unclaimed.get(close[0]) if close else None
+
+
+def _parse_rows(
+    path: Path, header: tuple[str, ...], delimiter: str, lines: Sequence[str], numbers: Sequence[int]
+) -> dict[str, NDArray[Any]]:
+    """Arrays of the known columns from the lines with these numbers: by columns, and on any trouble line by line."""
+    rows = [lines[number - 1] for number in numbers]
+    quoted = any('"' in row for row in rows)
+    fields = [
+        _split(path, number, row, delimiter) if quoted else row.split(delimiter)
+        for number, row in zip(numbers, rows, strict=True)
+    ]
+    if any(len(row) != len(header) for row in fields):
+        raise _broken_row(path, header, fields, numbers)
+    by_column = zip(header, zip(*fields, strict=True), strict=True)
+    try:
+        return {name: _parse_column(name, texts) for name, texts in by_column if name in COLUMNS}
+    except ValueError as error:
+        raise _broken_row(path, header, fields, numbers) from error
+
+
+def _parse_column(name: str, texts: Sequence[str]) -> NDArray[Any]:
+    """One column as an array. Raises ValueError where a field breaks ``_complaint``'s rules."""
+    if KINDS[name] == "name":
+        if max(map(len, texts)) > MAX_STAGE_LENGTH:
+            raise ValueError(name)
+        return np.array([text.strip() for text in texts])
+    may_be_empty = name not in REQUIRED and KINDS[name] != "integer"
+    if may_be_empty:
+        texts = [text if text and not text.isspace() else "nan" for text in texts]
+    if "_" in "".join(texts):  # Python would read 1_0 as 10
+        raise ValueError(name)
+    values = np.array(list(map(float, texts)))
+    usable = ~np.isinf(values) if may_be_empty else np.isfinite(values)
+    if KINDS[name] == "integer":
+        usable &= (np.abs(values) < _MAX_INTEGER) & (np.trunc(values) == values)
+    if not usable.all():
+        raise ValueError(name)
+    return values.astype(np.int64) if KINDS[name] == "integer" else values
+
+
+def _broken_row(
+    path: Path, header: Sequence[str], fields: Sequence[Sequence[str]], numbers: Sequence[int]
+) -> RecordingError:
+    """The error for the first row that breaks a rule."""
+    for row, number in zip(fields, numbers, strict=True):
+        if len(row) != len(header):
+            return RecordingError(
+                path, f"has {len(row)} fields, not {len(header)}", "correct or delete this line", number
+            )
+        for name, text in zip(header, row, strict=True):
+            complaint = _complaint(name, text.strip()) if name in COLUMNS else ""
+            if complaint:
+                return RecordingError(path, f"column {name}: {complaint}", _cure(text.strip()), number)
+    return RecordingError(path, "cannot be read as numbers", "save it as plain CSV", numbers[0])
+
+
+def _complaint(name: str, text: str) -> str:
+    """What is wrong with one field; empty where nothing is."""
+    if KINDS[name] == "name":
+        return f"a name of {len(text)} characters" if len(text) > MAX_STAGE_LENGTH else ""
+    if not text:
+        return "is empty" if name in REQUIRED or KINDS[name] == "integer" else ""
+    if not _is_number(text):
+        return f"{_shown(text)} is not a number"
+    value = float(text)
+    if math.isinf(value) or (math.isnan(value) and (name in REQUIRED or KINDS[name] == "integer")):
+        return f"{_shown(text)} is not a finite number"
+    if KINDS[name] == "integer" and not (value == math.trunc(value) and abs(value) < _MAX_INTEGER):
+        return f"{_shown(text)} is not an integer"
+    return ""
+
+
+def _cure(text: str) -> str:
+    if not text:
+        return "fill it in or delete this line"
+    if "," in text and _is_number(text.replace(",", ".")):
+        return "use a decimal point"
+    return "correct or delete this line"
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return "_" not in text
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= 40 else text[:40] + "...")
+
+
+def _check_time(path: Path, t_s: Floats, numbers: Sequence[int]) -> None:
+    bad = np.flatnonzero(t_s[1:] <= t_s[:-1])
+    if len(bad):
+        k = int(bad[0]) + 1
+        what = "repeats the time before it" if t_s[k] == t_s[k - 1] else "goes back in time"
+        raise RecordingError(
+            path,
+            f"{what} (t_s = {t_s[k]:.9g} after {t_s[k - 1]:.9g})",
+            "keep one run in a file, its rows in order and one for each sample",
+            numbers[k],
+        )
+
+
+def _add_absent(columns: dict[str, NDArray[Any]], count: int) -> None:
+    for name in COLUMNS:
+        if name in columns:
+            continue
+        if KINDS[name] == "name":
+            columns[name] = np.full(count, "", dtype=np.str_)
+        elif name == "tick":
+            columns[name] = np.arange(count, dtype=np.int64)
+        elif KINDS[name] == "integer":
+            columns[name] = np.full(count, 0 if name == "flags" else -1, dtype=np.int64)
+        else:
+            columns[name] = np.full(count, np.nan)
+
+
+# -- JSON -------------------------------------------------------------------------------------------------------------
+
+
+def _read_events(path: Path, notes: list[str]) -> list[dict[str, Any]]:
+    content = _bytes(path)
+    if not content:
+        return []
+    whole, torn = _without_torn_line(path, content)
+    notes.extend(f"{EVENTS}: {note}" for note in torn)
+    lines = _text(path, whole).split("\n")
+    return [_parse_object(path, line, number) for number, line in enumerate(lines, 1) if line.strip()]
+
+
+def _parse_object(path: Path, text: str, line: int | None) -> dict[str, Any]:
+    try:
+        value = json.loads(text, parse_constant=_no_such_number)
+    except (ValueError, RecursionError) as error:
+        if line is None and isinstance(error, json.JSONDecodeError):
+            line = error.lineno
+        raise RecordingError(path, f"is broken JSON ({error})", "delete or correct it", line) from error
+    if not isinstance(value, dict):
+        raise RecordingError(path, "is no JSON object", "delete or correct it", line)
+    return value
+
+
+def _no_such_number(text: str) -> float:
+    raise ValueError(f"{text} is no JSON number")

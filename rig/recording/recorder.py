@@ -1,0 +1,313 @@
+"""The loop's side of the record: rows and events go into shared memory, another process puts them on disk.
+
+``sample``, ``complete`` and ``event`` only write memory. They never wait: where the writer does not keep up the row is
+dropped and counted, and ``check`` raises long before that.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import rig
+from rig.faults import Fault
+from rig.recording import layout
+from rig.recording.errors import RecordingError
+from rig.recording.layout import COMPLETION, COMPLETION_AT, ROW, SharedMemory
+from rig.recording.writer import SAMPLES
+from rig.signals import Sample
+
+__all__ = ["JsonScalar", "Recorder", "RecordingError"]
+
+JsonScalar = str | int | float | bool | None
+
+START_TIMEOUT_S: Final = 20.0
+EVENT_BYTES: Final = 512  # room for one event in the ring, on average
+_STAGE_NAME: Final = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
+_NAN: Final = math.nan
+
+# Writers that were left running by ``close``: kept so that nobody warns about a child that is still there on purpose.
+_left_running: list[subprocess.Popen[bytes]] = []
+
+
+class Recorder:
+    """Appends the rows and events of one run to its folder.
+
+    folder           the run folder; must exist and hold no samples yet
+    stages           names of every stage that will be recorded: 1 to 64 of letters, digits and ``_.:-``
+    capacity_rows    rows that the memory holds while the writer is busy; at 100 Hz the default is eleven minutes
+    capacity_events  likewise events, of 512 bytes on average
+
+    Returns once the writer process has opened the files and written the header. Raises RecordingError where the
+    folder cannot be written, Fault RECORDER_DEAD where the disk is full, ValueError for bad stages or capacities.
+    """
+
+    close_timeout_s = 10.0  # longest wait for the writer in ``close``
+
+    def __init__(
+        self, folder: Path, stages: Sequence[str], capacity_rows: int = 65536, capacity_events: int = 2048
+    ) -> None:
+        if capacity_rows < 8 or capacity_events < 8:
+            raise ValueError("capacity_rows and capacity_events must be at least 8")
+        for name in stages:
+            if not _STAGE_NAME.fullmatch(name):
+                raise ValueError(f"stage name {name!r}: use 1 to 64 letters, digits and _.:-")
+        self.folder = folder.absolute()
+        samples = self.folder / SAMPLES
+        if samples.exists() and samples.stat().st_size > 0:
+            raise RecordingError(samples, "already holds a recording", "start each run in a new folder")
+
+        self._stages = tuple(stages)
+        self._stage_index = {name: index for index, name in enumerate(self._stages)}
+        self._capacity_rows = capacity_rows
+        self._capacity_event_bytes = capacity_events * EVENT_BYTES
+        self._opened = 0
+        self._open_offset = -1  # of the row that ``complete`` is to finish
+        self._dropped = False  # that row found no room
+        self._closed = False
+
+        try:
+            self._descriptor = layout.create_file(layout.size_of(capacity_rows, self._capacity_event_bytes))
+        except OSError as error:
+            raise RecordingError(
+                self.folder, f"no shared memory for the recorder: {error.strerror}", "free some in /dev/shm"
+            ) from error
+        self._shared = SharedMemory(self._descriptor, capacity_rows, self._capacity_event_bytes)
+        self._counters, self._rows = self._shared.counters, self._shared.rows
+        self._process = self._start_writer(subprocess.PIPE)
+        try:
+            self._await_ready()
+        except (RecordingError, Fault):
+            self._release()
+            raise
+
+    @property
+    def writer_pid(self) -> int:
+        """Process id of the writer."""
+        return self._process.pid
+
+    # -- the loop's calls: memory writes only ---------------------------------------------------------------------
+
+    def sample(
+        self,
+        tick: int,
+        sample: Sample,
+        stage: str,
+        z_rad_s: float,
+        yd_rad: float,
+        u_V: float,
+        late_us: float,
+        io_us: float,
+        flags: int,
+    ) -> None:
+        """Open the next row: what was sampled, and the drive that is *commanded*, V.
+
+        The previous row, if ``complete`` was not called for it, stays as it is: its effect time unknown.
+        Raises ValueError for a stage that the recorder was not given.
+        """
+        try:
+            stage_index = self._stage_index[stage]
+        except KeyError:
+            raise ValueError(f"stage {stage!r} is none of {', '.join(self._stages)}") from None
+        opened = self._opened
+        if opened - self._counters[layout.ROWS_TAKEN] >= self._capacity_rows:
+            self._counters[layout.ROWS_LOST] += 1
+            self._open_offset, self._dropped = -1, True
+            return
+        offset = opened % self._capacity_rows * ROW.size
+        ROW.pack_into(
+            self._rows,
+            offset,
+            tick,
+            sample.seq,
+            sample.t_s,
+            sample.y_rad,
+            sample.y_counts,
+            sample.v_rad_per_s,
+            u_V,
+            z_rad_s,
+            yd_rad,
+            stage_index,
+            late_us,
+            io_us,
+            flags,
+            _NAN,
+            0.0,
+            0,
+            0,
+        )
+        self._open_offset, self._dropped = offset, False
+        self._opened = opened + 1
+        self._counters[layout.ROWS_OPENED] = self._opened  # last: from here on the row is there
+
+    def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:
+        """Finish the row opened last: when its drive took effect, and the drive that the device reports, V.
+
+        ``flags`` are added to the row's. Raises RuntimeError where no row is open.
+        """
+        if self._open_offset < 0:
+            if self._dropped:
+                return  # counted when it was dropped; ``check`` says so
+            raise RuntimeError("complete() without an open row: call sample() first, and complete() once a row")
+        COMPLETION.pack_into(self._rows, self._open_offset + COMPLETION_AT, t_u_s, u_V, flags, self._opened)
+        self._open_offset = -1
+        self._counters[layout.ROW_COMPLETED] = self._opened
+
+    def event(self, t_s: float, kind: str, **fields: JsonScalar) -> None:
+        """Append ``{"t_s": .., "kind": .., fields}`` to events.jsonl; nan and infinities become null.
+
+        Raises TypeError for a field that is no string, number, bool or None.
+        """
+        values: dict[str, JsonScalar] = {"t_s": t_s, "kind": kind, **fields}
+        for name, value in values.items():
+            if isinstance(value, float):
+                if not math.isfinite(value):
+                    values[name] = None
+            elif value is not None and not isinstance(value, str | int):
+                raise TypeError(f"event field {name} is a {type(value).__name__}, not a JSON scalar")
+        line = json.dumps(values).encode("ascii") + b"\n"
+
+        size, written = self._capacity_event_bytes, self._counters[layout.EVENT_BYTES]
+        if written + len(line) - self._counters[layout.EVENT_BYTES_TAKEN] > size:
+            self._counters[layout.EVENTS_LOST] += 1
+            return
+        start = written % size
+        first = line[: size - start]
+        rest = line[len(first) :]
+        self._shared.events[start : start + len(first)] = first
+        self._shared.events[: len(rest)] = rest
+        self._counters[layout.EVENT_BYTES] = written + len(line)
+
+    def check(self) -> None:
+        """Raise Fault RECORDER_DEAD where the writer has ended, failed, lost anything or is far behind; cheap."""
+        reason = self._ended() or self._lost() or self._far_behind()
+        if reason:
+            raise Fault("RECORDER_DEAD", reason)
+
+    # -- the end --------------------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Write everything, the open row included, and end the writer; at most ``close_timeout_s`` (twice, if killed).
+
+        If the writer was killed a second one writes what it left. Raises Fault RECORDER_DEAD where rows or events
+        are lost or not yet on disk. A second call does nothing.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self._counters[layout.CLOSED] = 1
+        try:
+            self._await_end()
+            if self._process.returncode < 0:  # killed: the rows are still in memory, and the files say how far it got
+                self._process = self._start_writer(subprocess.DEVNULL)
+                self._await_end()
+            reason = self._unwritten() or self._lost()
+            if reason:
+                raise Fault("RECORDER_DEAD", reason)
+        finally:
+            self._release()
+
+    def _await_end(self) -> None:
+        if self._process.stdin:
+            self._process.stdin.close()
+        try:
+            self._process.wait(self.close_timeout_s)
+        except subprocess.TimeoutExpired:
+            _left_running.append(self._process)
+            left = self._opened - self._counters[layout.ROWS_TAKEN]
+            raise Fault(
+                "RECORDER_DEAD",
+                f"process {self._process.pid} has not finished within {self.close_timeout_s:g} s; it still holds"
+                f" {left} rows and is left running",
+            ) from None
+
+    def _release(self) -> None:
+        if self._process.stdin:
+            self._process.stdin.close()
+        self._counters, self._rows = memoryview(b"").cast("q"), memoryview(b"")
+        self._shared.close()
+        os.close(self._descriptor)
+
+    # -- the state of the writer, in words; empty where all is well -----------------------------------------------
+
+    def _ended(self) -> str:
+        status = self._process.poll()
+        if self._counters[layout.STATE] in (layout.CANNOT_OPEN, layout.CANNOT_WRITE):
+            return self._shared.reason()
+        if status is None:
+            return ""
+        how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
+        return f"its process {how}"
+
+    def _lost(self) -> str:
+        rows, events = self._counters[layout.ROWS_LOST], self._counters[layout.EVENTS_LOST]
+        return f"{rows} rows and {events} events were dropped, the memory was full" if rows or events else ""
+
+    def _far_behind(self) -> str:
+        rows = self._opened - self._counters[layout.ROWS_TAKEN]
+        if 8 * rows > 7 * self._capacity_rows:
+            return f"{rows} rows wait to be written, of {self._capacity_rows} that fit"
+        counters = self._counters
+        event_bytes = counters[layout.EVENT_BYTES] - counters[layout.EVENT_BYTES_TAKEN]
+        if 8 * event_bytes > 7 * self._capacity_event_bytes:
+            return f"{event_bytes} bytes of events wait to be written, of {self._capacity_event_bytes} that fit"
+        return ""
+
+    def _unwritten(self) -> str:
+        rows = self._opened - self._counters[layout.ROWS_TAKEN]
+        event_bytes = self._counters[layout.EVENT_BYTES] - self._counters[layout.EVENT_BYTES_TAKEN]
+        if self._process.returncode == 0 and rows == 0 and event_bytes == 0:
+            return ""
+        return f"{self._ended()}; {rows} rows and {event_bytes} bytes of events are lost"
+
+    # -- starting the writer --------------------------------------------------------------------------------------
+
+    def _start_writer(self, stdin: int) -> subprocess.Popen[bytes]:
+        # The same modules as here, whatever the working directory; -S because the path is complete already.
+        root = str(Path(rig.__file__).absolute().parents[1])
+        path = [entry for entry in sys.path if entry]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*path, root])}
+        numbers = (self._descriptor, os.getpid(), self._capacity_rows, self._capacity_event_bytes)
+        module = (sys.executable, "-S", "-P", "-m", "rig.recording.writer")
+        try:
+            return subprocess.Popen(
+                [*module, *map(str, numbers), str(self.folder), *self._stages],
+                bufsize=0,
+                stdin=stdin,
+                stdout=subprocess.DEVNULL,
+                pass_fds=(self._descriptor,),
+                env=environment,
+                start_new_session=True,  # Ctrl-C in the terminal is not meant for it
+            )
+        except OSError as error:
+            raise RecordingError(
+                self.folder, f"cannot start the recorder's process: {error.strerror}", "check the Python installation"
+            ) from error
+
+    def _await_ready(self) -> None:
+        deadline_s = time.monotonic() + START_TIMEOUT_S
+        while self._counters[layout.STATE] == layout.STARTING:
+            if self._process.poll() is not None and self._counters[layout.STATE] == layout.STARTING:
+                raise Fault("RECORDER_DEAD", f"{self._ended()} while starting")
+            if time.monotonic() > deadline_s:
+                self._process.kill()
+                self._process.wait()
+                raise Fault("RECORDER_DEAD", f"its process was not ready within {START_TIMEOUT_S:g} s")
+            time.sleep(0.001)
+        if self._counters[layout.STATE] != layout.READY:
+            self._process.wait()
+            if self._counters[layout.STATE] == layout.CANNOT_OPEN:
+                raise RecordingError(
+                    self.folder,
+                    f"cannot be written ({self._shared.reason()})",
+                    "check that it exists and its permissions, or choose another place with --out",
+                )
+            raise Fault("RECORDER_DEAD", self._shared.reason())

@@ -1,0 +1,213 @@
+"""The writer process: takes rows and events out of shared memory and appends them to the run folder.
+
+Started by ``recorder.Recorder`` as ``python -m rig.recording.writer FD PARENT CAPACITY_ROWS CAPACITY_EVENT_BYTES FOLDER
+STAGE...``. Its standard input is a pipe that nobody writes to: its end says that the loop's process has closed the
+record or is gone; then whatever is in the memory is written, the row still open included, and the process ends.
+
+It resumes where the files end, so a second writer can finish the work of one that was killed.
+Light on purpose (no numpy, no json): it has to be ready before a motor may move.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import stat
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from rig.recording import layout
+from rig.recording.columns import HEADER, format_row
+from rig.recording.layout import ROW, SharedMemory
+
+SAMPLES: Final = "samples.csv"
+EVENTS: Final = "events.jsonl"
+
+POLL_MS: Final = 5
+SYNC_EVERY_S: Final = 1.0
+ROWS_AT_ONCE: Final = 1024
+_NAN: Final = float("nan")
+
+
+class AppendOnlyFile:
+    """A file that only grows; what ``write`` returned from survives the death of this process.
+
+    Raises OSError with the file's name, from every method.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+        self._dirty = False
+
+    def whole_lines(self) -> tuple[int, int]:
+        """Number and bytes of the lines that are there; a torn last line is cut off."""
+        status = os.fstat(self._descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            return 0, 0
+        lines = end = position = 0
+        while block := os.pread(self._descriptor, 1 << 20, position):
+            lines += block.count(b"\n")
+            if b"\n" in block:
+                end = position + block.rindex(b"\n") + 1
+            position += len(block)
+        if end < position:
+            os.ftruncate(self._descriptor, end)
+        return lines, end
+
+    def write(self, data: bytes | memoryview) -> None:
+        """Append all of ``data``."""
+        rest = memoryview(data)
+        self._dirty = self._dirty or len(rest) > 0
+        try:
+            while rest:
+                rest = rest[os.write(self._descriptor, rest) :]
+        except OSError as error:
+            raise self._named(error) from error
+
+    def sync(self) -> None:
+        """Put what was written on the disk, if anything was since the last time."""
+        if self._dirty:
+            try:
+                os.fsync(self._descriptor)
+            except OSError as error:
+                raise self._named(error) from error
+            self._dirty = False
+
+    def _named(self, error: OSError) -> OSError:
+        return OSError(error.errno, error.strerror, str(self._path))
+
+
+class Writer:
+    """Moves what the loop has published into the two files.
+
+    Raises OSError where the files cannot be opened (constructor) or written (the rest).
+    """
+
+    def __init__(self, shared: SharedMemory, folder: Path, stages: Sequence[str]) -> None:
+        self._shared = shared
+        self._stages = stages
+        self._samples = AppendOnlyFile(folder / SAMPLES)
+        self._events = AppendOnlyFile(folder / EVENTS)
+        self._last_t_s = _NAN
+
+    def resume(self) -> None:
+        """Start where the files end: at the beginning, or where a killed writer left off."""
+        lines, _ = self._samples.whole_lines()
+        if lines == 0:
+            self._samples.write(HEADER.encode("ascii"))
+        _, event_bytes = self._events.whole_lines()
+        counters = self._shared.counters
+        counters[layout.ROWS_TAKEN] = max(lines - 1, 0)
+        counters[layout.EVENT_BYTES_TAKEN] = min(event_bytes, counters[layout.EVENT_BYTES])
+
+    def serve(self, is_over: select.poll, parent: int) -> None:
+        """Write until the loop's side is over, then to the last row."""
+        counters = self._shared.counters
+        next_sync_s = time.monotonic() + SYNC_EVERY_S
+        while True:
+            # Counters first, data after the wait: on processors that reorder memory accesses the data that a
+            # counter announces is certainly there a few milliseconds later.
+            completed, opened = counters[layout.ROW_COMPLETED], counters[layout.ROWS_OPENED]
+            event_bytes = counters[layout.EVENT_BYTES]
+            over = bool(is_over.poll(POLL_MS)) or os.getppid() != parent
+            if over:
+                break
+            self._write_rows(opened if completed == opened else opened - 1)
+            self._write_events(event_bytes)
+            if time.monotonic() >= next_sync_s:
+                self._sync()
+                next_sync_s = time.monotonic() + SYNC_EVERY_S
+        self._write_rows(counters[layout.ROWS_OPENED])
+        self._write_events(counters[layout.EVENT_BYTES])
+        self._write_last_words()
+        self._sync()
+
+    def _write_rows(self, end: int) -> None:
+        shared = self._shared
+        taken = shared.counters[layout.ROWS_TAKEN]
+        while taken < end:
+            batch_end = min(end, taken + ROWS_AT_ONCE)
+            self._samples.write("".join(map(self._line, range(taken, batch_end))).encode("ascii"))
+            taken = batch_end
+            shared.counters[layout.ROWS_TAKEN] = taken  # from here on the loop may reuse the slots
+
+    def _line(self, number: int) -> str:
+        offset = number % self._shared.capacity_rows * ROW.size
+        fields = ROW.unpack_from(self._shared.rows, offset)
+        tick, seq, t_s, y_rad, counts, v, u_V, z_rad_s, yd_rad, stage, late_us, io_us, flags = fields[:13]
+        t_u_s, completed_u_V, completed_flags, completed_as = fields[13:]
+        if completed_as == number + 1:
+            u_V, flags = completed_u_V, flags | completed_flags
+        else:
+            t_u_s = _NAN
+        self._last_t_s = t_s
+        name = self._stages[stage]
+        return format_row(tick, seq, t_s, t_u_s, y_rad, counts, v, u_V, z_rad_s, yd_rad, name, late_us, io_us, flags)
+
+    def _write_events(self, end: int) -> None:
+        shared = self._shared
+        taken = shared.counters[layout.EVENT_BYTES_TAKEN]
+        if taken == end:
+            return
+        size = shared.capacity_event_bytes
+        first, last = taken % size, end % size
+        if first < last:
+            self._events.write(bytes(shared.events[first:last]))
+        else:  # around the end of the ring
+            self._events.write(bytes(shared.events[first:]) + bytes(shared.events[:last]))
+        shared.counters[layout.EVENT_BYTES_TAKEN] = end
+
+    def _write_last_words(self) -> None:
+        counters = self._shared.counters
+        t_s = "null" if self._last_t_s != self._last_t_s else f"{self._last_t_s:.9f}"
+        lost_rows, lost_events = counters[layout.ROWS_LOST], counters[layout.EVENTS_LOST]
+        if lost_rows or lost_events:
+            text = f'{{"t_s": {t_s}, "kind": "record_lost", "rows": {lost_rows}, "events": {lost_events}}}\n'
+            self._events.write(text.encode("ascii"))
+        if not counters[layout.CLOSED]:
+            self._events.write(f'{{"t_s": {t_s}, "kind": "loop_died"}}\n'.encode("ascii"))
+
+    def _sync(self) -> None:
+        self._samples.sync()
+        self._events.sync()
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the writer; exit status 0 done, 1 the reason is in the shared memory."""
+    # It ends when the loop does, not when a terminal or a service manager tells the whole group to.
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    # A loop that runs with real-time priority must not hand that down to its disk writer.
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+    descriptor, parent, capacity_rows, capacity_event_bytes = map(int, arguments[:4])
+    folder, stages = Path(arguments[4]), arguments[5:]
+    shared = SharedMemory(descriptor, capacity_rows, capacity_event_bytes)
+    is_over = select.poll()
+    is_over.register(0, select.POLLIN)
+    try:
+        writer = Writer(shared, folder, stages)
+    except OSError as error:
+        shared.fail(layout.CANNOT_OPEN, _in_words(error))
+        return 1
+    try:
+        writer.resume()
+        shared.counters[layout.STATE] = layout.READY
+        writer.serve(is_over, parent)
+    except OSError as error:
+        shared.fail(layout.CANNOT_WRITE, _in_words(error))
+        return 1
+    return 0
+
+
+def _in_words(error: OSError) -> str:
+    return f"{error.filename}: {error.strerror}" if error.filename else str(error)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
