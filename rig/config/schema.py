@@ -111,10 +111,10 @@ class RelayTarget(_Section):
 class GainSearch(_Section):
     """How the gains are found (theory section 5)."""
 
-    h1_start_V: Positive = 0.4
+    h1_start_V: Positive = 0.3
     h2_start_V: Positive = 0.1
     h2_step_V: Positive = 0.15
-    step_s: Positive = Field(1.0, description="time given to each h2 before it is raised")
+    step_s: Positive = Field(0.6, description="time given to each h2 before it is raised")
     h_max_V: Positive = Field(3.0, description="largest h1 and largest h2")
     timeout_s: Positive = 40.0
 
@@ -127,7 +127,7 @@ class Relay(_Section):
         None, description="one relay test for each pair; without it the gains are searched"
     )
     second_ratio: Annotated[float, Field(gt=0.3, lt=3.0)] = Field(
-        1.3, description="searched gains: the second test's h2 - f_c over the first's, amplitude kept"
+        0.75, description="searched gains: the second test's amplitude over the first's, period kept"
     )
     cycles: Annotated[int, Field(ge=3, le=200)] = Field(12, description="settled cycles recorded in each test")
     search: GainSearch = GainSearch()

@@ -102,6 +102,8 @@ class GainSearch(_RelayLaw):
         self.steps: list[SearchStep] = []
         self._settled: list[tuple[float, float, float, float]] = []  # h1, h2, w, A
         self._step_start_s = math.nan
+        self._was_within = False
+        self._y_range = (math.inf, -math.inf)  # since the last change of gains
         self._set_gains(search.h1_start_V, search.h2_start_V)
 
     def step(self, sample: Sample) -> float:
@@ -109,9 +111,15 @@ class GainSearch(_RelayLaw):
         u_V, completed = self._run_relay(sample)
         if math.isnan(self._step_start_s):
             self._step_start_s = sample.t_s
+        self._y_range = (min(self._y_range[0], sample.y_rad), max(self._y_range[1], sample.y_rad))
         if sample.t_s - self._start_s > self.search.timeout_s:
             raise Fault("NO_CYCLE", self._story())
-        if abs(sample.y_rad) > self.reach_rad:
+        # only on the way out: a start beyond the reach is no fault of the gains
+        leaves, self._was_within = (
+            self._was_within and abs(sample.y_rad) > self.reach_rad,
+            (abs(sample.y_rad) <= self.reach_rad),
+        )
+        if leaves:
             self._retreat(sample.t_s)
         elif completed and self.detector.settled:
             self._trim(sample.t_s)
@@ -125,13 +133,18 @@ class GainSearch(_RelayLaw):
         promising = sum(c.accepted for c in cycles)
         if promising > 0 and len(cycles) < self._PATIENCE_CYCLES:
             return False
-        return t_s - self._step_start_s > max(self.search.step_s, 2.5 * self.target.period_s)
+        # while the shaft sticks there is nothing to wait for
+        sticks = self._y_range[1] - self._y_range[0] < self.detector.min_amplitude_rad
+        wait_s = self.search.step_s if sticks else max(self.search.step_s, 2.5 * self.target.period_s)
+        return t_s - self._step_start_s > wait_s
 
     def _raise_h2(self, t_s: float) -> None:
         self._note(t_s, math.nan, math.nan, self._last_reason())
         h2 = self.relay.h2_V + self.search.h2_step_V
         if h2 > self.search.h_max_V or h2 + self.relay.h1_V > self.search.sum_max_V:
             raise Fault("NO_CYCLE", f"h2 reached {self.relay.h2_V:.2f} V; {self._story()}")
+        if self._y_range[1] - self._y_range[0] < self.detector.min_amplitude_rad:
+            self.relay.restart()  # it sticks: what the integral gathered meanwhile says nothing
         self._set_gains(self.relay.h1_V, h2)
         self._step_start_s = t_s
 
@@ -191,6 +204,7 @@ class GainSearch(_RelayLaw):
         self.relay.h1_V = h1_V
         self.relay.h2_V = h2_V
         self.detector.forget()
+        self._y_range = (math.inf, -math.inf)
 
     def _note(self, t_s: float, period_s: float, amplitude_rad: float, outcome: str) -> None:
         self.steps.append(SearchStep(t_s, self.relay.h1_V, self.relay.h2_V, period_s, amplitude_rad, outcome))
@@ -212,18 +226,18 @@ class GainSearch(_RelayLaw):
         )
 
     def second_gains(self, ratio: float) -> tuple[float, float]:
-        """Gains (h1, h2), V, of another test with the amplitude kept and h2 - f_c changed by ``ratio``.
+        """Gains (h1, h2), V, of another test with the period kept and the amplitude changed by ``ratio``.
 
-        From A = 4 K tau x^2/(pi h1): h1 goes with ratio^2; the period then goes with 1/ratio. The ratio is brought
-        nearer to 1 where the drive would not reach.
+        With h1 and x = h2 - f_c both scaled, w = h1/(tau x) stays and A = 4 K tau x^2/(pi h1) goes with the ratio.
+        Where the larger amplitude would leave the reach, or the drive, it is made smaller by as much instead.
         """
+        _, amplitude = self.detector.mean()
         x = max(self.relay.h2_V - self.friction_V, 0.05)
-        for _ in range(20):
-            h1, h2 = self.relay.h1_V * ratio**2, self.friction_V + x * ratio
-            if max(h1, h2) <= self.search.h_max_V and h1 + h2 <= self.search.sum_max_V:
-                return h1, h2
-            ratio = 1.0 + 0.8 * (ratio - 1.0)
-        return self.relay.h1_V, self.relay.h2_V
+        h1, h2 = self.relay.h1_V * ratio, self.friction_V + x * ratio
+        too_much = max(h1, h2) > self.search.h_max_V or h1 + h2 > self.search.sum_max_V
+        if ratio > 1.0 and (too_much or 1.1 * amplitude * ratio > self.reach_rad):
+            return self.second_gains(1.0 / ratio)
+        return h1, h2
 
 
 class RelayTest(_RelayLaw):

@@ -39,6 +39,11 @@ class DualChannelRelay:
         self._sign_z = 0
         self._last: tuple[float, float] | None = None
 
+    def restart(self) -> None:
+        """Begin anew at the next sample: integral zero, both relays inward."""
+        self.z_rad_s = 0.0
+        self._last = None
+
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V."""
         t, y = sample.t_s, sample.y_rad

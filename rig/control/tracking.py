@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from typing import Literal, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rig.control.observer import MotorObserver
 from rig.control.trajectory import Reference
 from rig.model.motor import Motor, State
@@ -88,3 +91,16 @@ class Tracking:
         self.largest_u_V = max(self.largest_u_V, abs(u_V))
         self.observer.drive(u_V)
         return u_V
+
+
+def tracking_error(
+    t_s: NDArray[np.float64], y_rad: NDArray[np.float64], yd_rad: NDArray[np.float64], after_s: float
+) -> tuple[float, float]:
+    """RMS and largest |yd - y|, rad, over the samples later than ``after_s`` from the first one.
+
+    All arrays have one length. Raises ValueError where no sample is left.
+    """
+    error = (yd_rad - y_rad)[t_s - t_s[0] > after_s]
+    if error.size == 0:
+        raise ValueError(f"no sample later than {after_s} s")
+    return float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error)))

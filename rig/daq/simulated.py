@@ -59,6 +59,7 @@ class SimulatedDriver:
         self._pending: tuple[float, int] | None = None  # effect time, drive units
         self._effect_s = self._now_s
         self._seq = 0
+        self._recovering = False  # armed outside the hard limits: only inward drive, until inside
 
     def open(self) -> DeviceInfo:
         """Meet the simulated device."""
@@ -72,6 +73,7 @@ class SimulatedDriver:
         self._fault = None
         self._heard_s = self._now_s
         self.bench.arm()
+        self._recovering = True  # until a reading inside says otherwise
 
     def read(self) -> Sample:
         """Sample the bench now. Raises the device's latched Fault."""
@@ -154,3 +156,12 @@ class SimulatedDriver:
         low, high = self._rail_counts
         if not low < counts < high:
             self._stop(Fault("DEVICE_SENSOR", f"reading {counts} counts"))
+            return
+        y_rad = self._calibration.to_rad(counts)
+        low_rad, high_rad = self._limits.hard_rad
+        if low_rad <= y_rad <= high_rad:
+            self._recovering = False
+        elif not self._recovering:
+            self._stop(Fault("DEVICE_TRAVEL", f"y = {y_rad:.3f} rad"))
+        elif self._drive_map.to_volts(self.bench.pin_counts) * y_rad > 0.0:
+            self._stop(Fault("DEVICE_TRAVEL", f"outward drive at y = {y_rad:.3f} rad"))

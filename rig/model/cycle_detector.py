@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+
+import itertools
 import math
 from typing import NamedTuple
 
@@ -29,7 +31,11 @@ class CycleDetector:
 
     min_period_s        30 sampling periods
     min_amplitude_rad   20 LSB
-    spread              largest relative difference among the last three periods, and amplitudes, when settled
+    spread              largest relative difference among three periods in a row (twice that among their amplitudes)
+                        for them to be settled
+
+    ``settled`` becomes true there, and false again at a period that is not accepted or differs from the one before
+    by more than six times the spread.
 
     A period starts where z crosses zero upwards: there y is large, so that noise on y cannot make z chatter.
     Within it must follow, in this order: RA (largest y), RB (y falls through zero), RC (z falls through zero),
@@ -41,6 +47,7 @@ class CycleDetector:
         self.min_amplitude_rad = min_amplitude_rad
         self.spread = spread
         self.cycles: list[DetectedCycle] = []
+        self.settled = False
         self._last: tuple[float, float, float] | None = None
         self._start_s = math.nan
         self._begin(0.0)
@@ -55,6 +62,7 @@ class CycleDetector:
     def forget(self) -> None:
         """Drop the cycles found so far: the gains have changed."""
         self.cycles.clear()
+        self.settled = False
         self._start_s = math.nan
 
     def step(self, t_s: float, y_rad: float, z_rad_s: float) -> DetectedCycle | None:
@@ -82,34 +90,44 @@ class CycleDetector:
         self._begin(t_s)
         if cycle is not None:
             self.cycles.append(cycle)
+            self._update_settled()
         return cycle
 
     def _judge(self, end_s: float) -> DetectedCycle:
         period = end_s - self._start_s
         amplitude = 0.5 * (self._max[0] - self._min[0])
-        order = (self._max[1], self._y_down_s, self._z_down_s, self._min[1], self._y_up_s, end_s)
+        # RA follows RC by t1, which may be shorter than a sampling period: noise may show it a few samples early
+        early_s = 0.1 * self.min_period_s
+        top_s = self._max[1] if self._max[1] < end_s - early_s else self._start_s
+        bottom_s = max(self._min[1], self._z_down_s) if self._min[1] > self._z_down_s - early_s else self._min[1]
+        order = (self._start_s, top_s, self._y_down_s, self._z_down_s, bottom_s, self._y_up_s, end_s)
         reason = ""
         if period < self.min_period_s:
             reason = f"period {period:.3f} s is below {self.min_period_s:.3f} s: delay hunting"
         elif amplitude < self.min_amplitude_rad:
             reason = f"amplitude {amplitude:.4f} rad is below {self.min_amplitude_rad:.4f} rad: delay hunting"
-        elif not all(a <= b for a, b in zip(order, order[1:], strict=False)):
+        elif not all(a <= b for a, b in itertools.pairwise(order)):
             reason = "the relays do not switch in the order velocity, position, integral"
-        return DetectedCycle(
-            self._start_s, period, amplitude, 0.5 * (self._max[0] + self._min[0]), not reason, reason
-        )
+        return DetectedCycle(self._start_s, period, amplitude, 0.5 * (self._max[0] + self._min[0]), not reason, reason)
 
-    @property
-    def settled(self) -> bool:
-        """Three accepted periods in a row agree within ``spread``, in length and in amplitude."""
+    def _update_settled(self) -> None:
         last = self.cycles[-3:]
-        if len(last) < 3 or not all(c.accepted for c in last):
-            return False
+        if not last[-1].accepted:
+            self.settled = False
+            return
         periods = [c.period_s for c in last]
         amplitudes = [c.amplitude_rad for c in last]
-        return (max(periods) <= (1.0 + self.spread) * min(periods)) and (
-            max(amplitudes) <= (1.0 + 2.0 * self.spread) * min(amplitudes)
-        )
+        if self.settled:
+            # a relay that decides once a sampling period makes the cycle jitter; only a real change unsettles it
+            period, amplitude = self.cycles[-2].period_s, self.cycles[-2].amplitude_rad
+            self.settled = (
+                abs(periods[-1] / period - 1.0) < 6.0 * self.spread
+                and abs(amplitudes[-1] / amplitude - 1.0) < 6.0 * self.spread
+            )
+        elif len(last) == 3 and all(c.accepted for c in last):
+            self.settled = max(periods) <= (1.0 + self.spread) * min(periods) and max(amplitudes) <= (
+                1.0 + 2.0 * self.spread
+            ) * min(amplitudes)
 
     def mean(self, last: int = 3) -> tuple[float, float]:
         """Mean (period s, amplitude rad) of the last periods; raises ValueError when there is none."""
