@@ -1,0 +1,93 @@
+"""What an estimator hands over: parameters with their intervals, and whether to believe them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.model.friction import coulomb
+from rig.model.motor import Motor
+
+Array = NDArray[np.float64]
+Verdict = Literal["ok", "doubtful", "refused"]
+
+PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V", "asym_V", "delay_s")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One estimator's result, as ``result.json`` holds it (architecture.md).
+
+    method          "sampled-data", "triple-relay" or "describing-function"
+    tau_s .. delay_s    parameters; asym_V is 0 and delay_s nan where a method knows nothing of them
+    fc_plus_V, fc_minus_V, bias_V    None where the record cannot tell
+    ci95            parameter -> (low, high)
+    covariance      (5, 5), of ``PARAMETERS``; nan where unknown
+    rms_rad         of the residual of the recorded position
+    iterations      of the start that won
+    verdict, reasons    reasons say what is wrong and what to record instead
+    rows            first and last row used
+    iterates        (n, 3): tau_s, K_rad_s_V, fc_V at each iteration, for a convergence figure
+    residual_rad, residual_t_s  series of the residual, and its times
+    """
+
+    method: str
+    tau_s: float
+    K_rad_s_V: float
+    fc_V: float
+    asym_V: float = 0.0
+    delay_s: float = math.nan
+    fc_plus_V: float | None = None
+    fc_minus_V: float | None = None
+    bias_V: float | None = None
+    ci95: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    covariance: Array = field(default_factory=lambda: np.full((5, 5), np.nan))
+    rms_rad: float = math.nan
+    iterations: int = 0
+    verdict: Verdict = "ok"
+    reasons: tuple[str, ...] = ()
+    rows: tuple[int, int] = (0, 0)
+    iterates: Array = field(default_factory=lambda: np.empty((0, 3)))
+    residual_rad: Array = field(default_factory=lambda: np.empty(0))
+    residual_t_s: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def correlation(self) -> Array:
+        """(5, 5) correlation of ``PARAMETERS``; nan where a parameter was not estimated."""
+        spread = np.sqrt(np.diag(self.covariance))
+        outer = np.outer(spread, spread)
+        return np.divide(self.covariance, outer, out=np.full((5, 5), np.nan), where=outer > 0.0)
+
+    def motor(self) -> Motor:
+        """The identified motor: Coulomb friction fc_V, its asymmetry as a bias."""
+        return Motor(self.tau_s, self.K_rad_s_V, coulomb(self.fc_V), self.asym_V)
+
+    def judged(self, verdict: Verdict, *reasons: str) -> Estimate:
+        """The same with a verdict at least as severe as ``verdict``, and further reasons."""
+        order: tuple[Verdict, ...] = ("ok", "doubtful", "refused")
+        worst = max(self.verdict, verdict, key=order.index)
+        new = tuple(reason for reason in reasons if reason not in self.reasons)
+        return replace(self, verdict=worst, reasons=self.reasons + new)
+
+    def as_dict(self) -> dict[str, Any]:
+        """As one entry of ``estimates`` in result.json; a number that is not finite becomes null."""
+        scalars = (*PARAMETERS, "fc_plus_V", "fc_minus_V", "bias_V")
+        return {
+            **{name: _number(getattr(self, name)) for name in scalars},
+            "ci95": {name: [_number(low), _number(high)] for name, (low, high) in self.ci95.items()},
+            "covariance": [[_number(value) for value in row] for row in self.covariance.tolist()],
+            "rms_rad": _number(self.rms_rad),
+            "iterations": self.iterations,
+            "verdict": self.verdict,
+            "reasons": list(self.reasons),
+            "rows": list(self.rows),
+        }
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else float(value)

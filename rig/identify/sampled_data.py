@@ -1,0 +1,365 @@
+"""The sampled-data estimator (theory section 8): predict the recorded position under the recorded drive.
+
+The commanded voltage is known exactly at every sample, so nothing has to be read off the curve: the exact motor under
+the recorded drive is fitted to the recorded positions by least squares. Any drive that moves the motor both ways will do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import t as student_t
+
+from rig.identify.estimate import PARAMETERS, Estimate
+from rig.identify.record import IdentifyError, Record
+from rig.model.sensitivity import Drive, Theta, position, position_and_jacobian
+
+Array = NDArray[np.float64]
+
+METHOD = "sampled-data"
+SHARED = 5  # tau, K, fc, asym, delay: what all records have in common
+POLISHED = 3  # starts that are iterated to the end
+MAX_ITERATIONS = 100
+
+
+class Start(NamedTuple):
+    """A first guess: time constant, s, gain, (rad/s)/V, Coulomb friction, V."""
+
+    tau_s: float
+    K_rad_s_V: float
+    fc_V: float
+
+
+@dataclass(frozen=True)
+class Piece:
+    """The part of a record whose motion is predicted: samples from the first one whose drive is known."""
+
+    t_s: Array
+    y_rad: Array
+    drive: Drive
+    period_s: float
+    rows: tuple[int, int]
+
+    @classmethod
+    def of(cls, record: Record, longest_delay_s: float) -> Piece:
+        """Samples of ``record`` from the first that comes after its first drive took effect."""
+        edges = record.edge_s
+        first = int(np.searchsorted(record.t_s, edges[0] + longest_delay_s))
+        if record.t_s.size - first < 20:
+            raise IdentifyError(
+                f"{record.name}: {record.t_s.size} rows are too few to fit", "record at least three cycles, better ten"
+            )
+        return cls(
+            record.t_s[first:],
+            record.y_rad[first:],
+            Drive.from_arrays(edges, record.u_V),
+            record.period_s,
+            (record.first_row + first, record.first_row + record.t_s.size - 1),
+        )
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Least squares over pieces with tau, K, fc, asym and delay in common, and a v0 and y0 for each piece.
+
+    Internally tau and K are logarithms. ``free`` says which of the shared five are fitted; the others keep the value of
+    the start.
+    """
+
+    pieces: tuple[Piece, ...]
+    delay_bounds_s: tuple[float, float]
+    free: tuple[bool, bool, bool, bool, bool]
+    iterates: list[Array] = field(default_factory=list)
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of the full vector."""
+        period = min(piece.period_s for piece in self.pieces)
+        duration = max(float(piece.t_s[-1] - piece.t_s[0]) for piece in self.pieces)
+        largest = max(max(abs(u) for u in piece.drive.u_V) for piece in self.pieces)
+        low = [math.log(0.2 * period), -math.inf, 0.0, -largest, self.delay_bounds_s[0]]
+        high = [math.log(10.0 * duration), math.inf, largest, largest, self.delay_bounds_s[1]]
+        nuisance = 2 * len(self.pieces)
+        return np.array(low + [-math.inf] * nuisance), np.array(high + [math.inf] * nuisance)
+
+    def mask(self) -> NDArray[np.bool_]:
+        """Which entries of the full vector are fitted."""
+        return np.array([*self.free, *([True] * (2 * len(self.pieces)))])
+
+    def residual_and_jacobian(self, x: Array) -> tuple[Array, Array]:
+        """Predicted minus recorded positions of all pieces, rad, and the Jacobian by the full vector."""
+        residuals, blocks = [], []
+        tau, K = math.exp(x[0]), math.exp(x[1])
+        for k, piece in enumerate(self.pieces):
+            v0, y0 = x[SHARED + 2 * k], x[SHARED + 2 * k + 1]
+            y, jacobian = position_and_jacobian(Theta(tau, K, x[2], x[3], x[4], v0, y0), piece.drive, piece.t_s)
+            residuals.append(y - piece.y_rad)
+            block = np.zeros((y.size, x.size))
+            block[:, :SHARED] = jacobian[:, :SHARED]
+            block[:, 0] *= tau
+            block[:, 1] *= K
+            block[:, SHARED + 2 * k : SHARED + 2 * k + 2] = jacobian[:, SHARED:]
+            blocks.append(block)
+        return np.concatenate(residuals), np.concatenate(blocks)
+
+    def solve(self, x0: Array) -> Solution:
+        """Local least-squares solution from the full vector ``x0`` (trust region, analytic Jacobian)."""
+        mask = self.mask()
+        low, high = (bound[mask] for bound in self.bounds())
+        margin = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
+        full = x0.copy()
+        cached: dict[bytes, tuple[Array, Array]] = {}
+        iterates: list[Array] = []
+
+        def evaluate(part: Array) -> tuple[Array, Array]:
+            key = part.tobytes()
+            if key not in cached:
+                cached.clear()
+                full[mask] = part
+                residual, jacobian = self.residual_and_jacobian(full)
+                cached[key] = residual, jacobian[:, mask]
+            return cached[key]
+
+        def jacobian(part: Array) -> Array:
+            iterates.append(np.array([math.exp(part[0]), math.exp(part[1]), part[2]]) if all(self.free[:3]) else part[:0])
+            return evaluate(part)[1]
+
+        found = least_squares(
+            lambda part: evaluate(part)[0],
+            np.clip(x0[mask], low + margin, high - margin),
+            jac=jacobian,
+            bounds=(low, high),
+            x_scale="jac",
+            xtol=1e-11,
+            ftol=1e-13,
+            gtol=1e-14,
+            max_nfev=MAX_ITERATIONS,
+        )
+        full[mask] = found.x
+        residual, full_jacobian = self.residual_and_jacobian(full)
+        return Solution(full.copy(), residual, full_jacobian, np.array(iterates), found.status > 0)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A local solution: full vector, residual, Jacobian (in logarithms of tau and K), iterates, converged or not."""
+
+    x: Array
+    residual: Array
+    jacobian: Array
+    iterates: Array
+    converged: bool
+
+    @property
+    def cost(self) -> float:
+        """Sum of squared residuals, rad^2."""
+        return float(self.residual @ self.residual)
+
+
+def fit(
+    records: Sequence[Record],
+    starts: Sequence[Start] | None = None,
+    *,
+    free_delay: bool | None = None,
+    block_s: float | None = None,
+) -> Estimate:
+    """Fit one motor to all records.
+
+    records     each with its own initial state
+    starts      first guesses; default: a coarse grid scored by simulation
+    free_delay  fit a constant delay between 0 and 2 periods; default: only where a record has no t_u_s
+    block_s     time over which residuals may be correlated, s (a cycle's period); default: a tenth of the record
+    Returns an ``Estimate`` with verdict "ok" unless the fit itself failed; judging it is `verdict.py`'s part.
+    Raises IdentifyError if there is nothing to fit.
+    """
+    free = any(record.t_u_s is None for record in records) if free_delay is None else free_delay
+    period = max(record.period_s for record in records)
+    bounds = (0.0, 2.0 * period) if free else (0.0, 0.0)
+    pieces = tuple(Piece.of(record, bounds[1]) for record in records)
+    for record, piece in zip(records, pieces, strict=True):
+        if np.ptp(piece.y_rad) == 0.0 or len(piece.drive.u_V) < 2:
+            still = "the position never changes" if np.ptp(piece.y_rad) == 0.0 else "the drive never changes"
+            raise IdentifyError(f"{record.name}: {still}", "record a relay test, or any drive that moves the motor both ways")
+    problem = Problem(pieces, bounds, (True, True, True, True, free))
+    guesses = list(starts) if starts else grid_starts(pieces)
+    candidates = sorted((_score(pieces, guess, 0.5 * (bounds[0] + bounds[1])) for guess in guesses), key=lambda c: c[0])
+    solutions = [problem.solve(x0) for _, x0 in candidates[:POLISHED]]
+    best = min(solutions, key=lambda s: s.cost)
+    return _estimate(problem, best, records, block_s)
+
+
+def refit(records: Sequence[Record], theta: Theta, fixed: bool = True, delay_bounds_s: tuple[float, float] | None = None) -> Solution:
+    """Prediction of the records by a given motor, only initial states (and what is said below) fitted.
+
+    theta           the motor; its v0 and y0 are not used
+    fixed           True: tau, K and fc are kept, asym and delay too; False: all but delay are fitted from there
+    delay_bounds_s  fit the delay within these bounds, s
+    """
+    reach = delay_bounds_s or (theta.delay_s, theta.delay_s)
+    pieces = tuple(Piece.of(record, max(0.0, reach[1])) for record in records)
+    moving = not fixed
+    problem = Problem(pieces, reach, (moving, moving, moving, moving, delay_bounds_s is not None))
+    shared = [math.log(theta.tau_s), math.log(theta.K_rad_s_V), theta.fc_V, theta.asym_V, theta.delay_s]
+    nuisance = [value for piece in pieces for value in _initial_state(piece)]
+    return problem.solve(np.array(shared + nuisance))
+
+
+def ridge_starts(omega_rad_s: float, amplitude_rad: float, h1_V: float, h2_V: float) -> list[Start]:
+    """Starts along the ridge of the describing function (theory section 5): fc a fraction of h2, then tau and K."""
+    starts = []
+    for fraction in (0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8):
+        beyond = h2_V * (1.0 - fraction)
+        starts.append(Start(h1_V / (omega_rad_s * beyond), math.pi * amplitude_rad * omega_rad_s / (4.0 * beyond), fraction * h2_V))
+    return starts
+
+
+def grid_starts(pieces: Sequence[Piece]) -> list[Start]:
+    """A coarse grid over tau and fc for any drive; K is left to the linear part of the score."""
+    largest = max(max(abs(u) for u in piece.drive.u_V) for piece in pieces)
+    period = min(piece.period_s for piece in pieces)
+    duration = max(float(piece.t_s[-1] - piece.t_s[0]) for piece in pieces)
+    taus = np.geomspace(2.0 * period, min(0.3 * duration, 200.0 * period), 7)
+    return [Start(float(tau), math.nan, fraction * largest) for tau in taus for fraction in (0.02, 0.15, 0.3, 0.45, 0.6, 0.8)]
+
+
+def _initial_state(piece: Piece) -> tuple[float, float]:
+    """Velocity and position at the first sample, from a line through the first few."""
+    n = 4
+    slope, offset = np.polyfit(piece.t_s[:n] - piece.t_s[0], piece.y_rad[:n], 1)
+    return float(slope), float(offset)
+
+
+def _score(pieces: Sequence[Piece], start: Start, delay_s: float) -> tuple[float, Array]:
+    """Sum of squares of a start after its linear part (gain, offset, drift) is solved, and the full vector it gives."""
+    gain = start.K_rad_s_V
+    states = [_initial_state(piece) for piece in pieces]
+    cost = math.inf
+    asym = 0.0
+    for _ in range(1 if math.isfinite(gain) else 3):
+        shapes, targets = [], []
+        for piece, (v0, _y0) in zip(pieces, states, strict=True):
+            w0 = v0 / gain if math.isfinite(gain) else 0.0
+            shape = position(Theta(start.tau_s, 1.0, start.fc_V, 0.0, delay_s, w0, 0.0), piece.drive, piece.t_s)
+            shapes.append(_without_line(piece.t_s, shape))
+            targets.append(_without_line(piece.t_s, piece.y_rad))
+        shape, target = np.concatenate(shapes), np.concatenate(targets)
+        power = float(shape @ shape)
+        if power <= 0.0 or (fitted := float(shape @ target) / power) <= 0.0:
+            break
+        gain = fitted
+        residual = target - gain * shape
+        cost = float(residual @ residual)
+    if not math.isfinite(gain):
+        gain = 1.0
+    # What is left of a drift over the record is asymmetry.
+    drifts = []
+    for piece, (v0, y0) in zip(pieces, states, strict=True):
+        y = position(Theta(start.tau_s, gain, start.fc_V, 0.0, delay_s, v0, y0), piece.drive, piece.t_s)
+        drifts.append(float(np.polyfit(piece.t_s - piece.t_s[0], piece.y_rad - y, 1)[0]))
+    asym = float(np.mean(drifts)) / gain
+    shared = [math.log(start.tau_s), math.log(gain), start.fc_V, asym, delay_s]
+    return cost, np.array(shared + [value for state in states for value in state])
+
+
+def _without_line(t_s: Array, y: Array) -> Array:
+    x = t_s - t_s.mean()
+    return np.asarray(y - y.mean() - x * (x @ y) / (x @ x))
+
+
+def _estimate(problem: Problem, best: Solution, records: Sequence[Record], block_s: float | None) -> Estimate:
+    mask = problem.mask()
+    scale = np.ones(mask.size)
+    tau, K = math.exp(best.x[0]), math.exp(best.x[1])
+    scale[:2] = tau, K
+    jacobian = best.jacobian[:, mask] / scale[mask]
+    lengths = [piece.t_s.size for piece in problem.pieces]
+    duration = max(float(piece.t_s[-1] - piece.t_s[0]) for piece in problem.pieces)
+    block = max(2, round((block_s or 0.1 * duration) / problem.pieces[0].period_s))
+    covariance, freedom = covariance_of(jacobian, best.residual, lengths, block)
+    full = np.zeros((mask.size, mask.size))
+    full[np.ix_(mask, mask)] = covariance
+    shared = full[:SHARED, :SHARED]
+    delay, delay_error = best.x[4], math.sqrt(shared[4, 4])
+    if not problem.free[4]:
+        latency = np.concatenate([r.t_u_s - r.t_s for r in records if r.t_u_s is not None])
+        delay = float(latency.mean())
+        delay_error = float(latency.std() / math.sqrt(latency.size))
+    values = (tau, K, float(best.x[2]), float(best.x[3]), float(delay))
+    quantile = float(student_t.ppf(0.975, freedom))
+    errors = [*np.sqrt(np.diag(shared))[:4].tolist(), delay_error]
+    estimate = Estimate(
+        METHOD,
+        *values,
+        ci95={
+            name: (value - quantile * error, value + quantile * error)
+            for name, value, error in zip(PARAMETERS, values, errors, strict=True)
+        },
+        covariance=shared,
+        rms_rad=math.sqrt(best.cost / best.residual.size),
+        iterations=len(best.iterates),
+        rows=(min(p.rows[0] for p in problem.pieces), max(p.rows[1] for p in problem.pieces)),
+        iterates=best.iterates,
+        residual_rad=-best.residual,
+        residual_t_s=np.concatenate([piece.t_s for piece in problem.pieces]),
+    )
+    if not best.converged:
+        return estimate.judged("refused", "the fit did not converge: record more cycles, or with less noise")
+    return estimate
+
+
+def covariance_of(jacobian: Array, residual: Array, lengths: Sequence[int], block: int) -> tuple[Array, float]:
+    """Covariance of a least-squares solution, and the degrees of freedom behind it.
+
+    jacobian, residual  of all pieces, one after the other, ``lengths`` rows each
+    block               rows over which residuals may be correlated
+
+    (J^T J)^-1 s^2 for white residuals. Where the autocorrelation over a block says otherwise, each standard error
+    grows by what Bartlett-weighted (Newey-West) score sums give, and never shrinks.
+    """
+    n, p = jacobian.shape
+    columns = np.linalg.norm(jacobian, axis=0)
+    columns[columns == 0.0] = 1.0
+    q, r = np.linalg.qr(jacobian / columns)
+    inverse = np.linalg.pinv(r) / columns[:, None]
+    freedom = max(1, n - p)
+    variance = float(residual @ residual) / freedom
+    white = inverse @ inverse.T * variance
+    if variance == 0.0 or not correlated(residual, lengths, block):
+        return white, float(freedom)
+    scores = q * residual[:, None]
+    middle = scores.T @ scores
+    at = 0
+    for length in lengths:
+        part = scores[at : at + length]
+        for lag in range(1, min(block, length - 1)):
+            cross = part[lag:].T @ part[:-lag]
+            middle += (1.0 - lag / block) * (cross + cross.T)
+        at += length
+    robust = inverse @ middle @ inverse.T
+    grow = np.sqrt(np.maximum(1.0, np.divide(np.diag(robust), np.diag(white), out=np.ones(p), where=np.diag(white) > 0)))
+    return white * np.outer(grow, grow), float(max(3, min(freedom, n // block - 1)))
+
+
+def correlated(residual: Array, lengths: Sequence[int], block: int) -> bool:
+    """Whether residuals are far from white: the Ljung-Box sum over ``block`` lags (at most 20) beyond chance of 1 in 1000."""
+    n = residual.size
+    lags = max(1, min(block, 20, min(lengths) - 1))
+    power = float(residual @ residual)
+    if power == 0.0:
+        return False
+    total = 0.0
+    for lag in range(1, lags + 1):
+        at, product = 0, 0.0
+        for length in lengths:
+            part = residual[at : at + length]
+            product += float(part[lag:] @ part[:-lag])
+            at += length
+        total += (product / power) ** 2 / (n - lag)
+    statistic = n * (n + 2) * total
+    # Wilson and Hilferty: the cube root of chi-squared over its degrees is nearly normal.
+    return ((statistic / lags) ** (1 / 3) - (1 - 2 / (9 * lags))) / math.sqrt(2 / (9 * lags)) > 3.09

@@ -1,0 +1,85 @@
+"""Synthetic recordings: a sampled dual-channel relay, or any drive, on the exact motor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rig.model.friction import Friction, coulomb
+from rig.model.motor import Motor, State
+
+LSB_RAD = 4.2 / 1024
+
+
+@dataclass(frozen=True)
+class Bench:
+    """How the motor is watched and driven. Units in the names; ``delay_s`` from sample to effect of the drive."""
+
+    period_s: float = 0.01
+    delay_s: float = 0.004
+    jitter_s: float = 0.0
+    noise_rad: float = 0.0
+    lsb_rad: float = 0.0
+    offset_rad: float = 0.0
+    seed: int = 1
+
+
+@dataclass
+class Samples:
+    """Columns of a synthetic recording."""
+
+    t_s: np.ndarray
+    t_u_s: np.ndarray
+    y_rad: np.ndarray
+    u_V: np.ndarray
+    z_rad_s: np.ndarray
+    true: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+
+
+def dcr(h1_V: float, h2_V: float) -> Callable[[float, float, float], float]:
+    """Dual-channel relay: sgn(0) keeps the previous state; starts by pushing towards +y."""
+    signs = [-1.0, -1.0]
+
+    def law(t_s: float, y_rad: float, z_rad_s: float) -> float:
+        for k, value in enumerate((y_rad, z_rad_s)):
+            if value != 0.0:
+                signs[k] = np.sign(value)
+        return float(-h1_V * signs[0] - h2_V * signs[1])
+
+    return law
+
+
+def simulate(motor: Motor, law: Callable[[float, float, float], float], rows: int, bench: Bench, start: State | None = None) -> Samples:
+    """Record ``rows`` ticks of ``law(t, y, z) -> u`` on ``motor``."""
+    rng = np.random.default_rng(bench.seed)
+    state = start or State()
+    acting = 0.0
+    t_s = np.arange(rows) * bench.period_s
+    out = Samples(t_s, np.empty(rows), np.empty(rows), np.empty(rows), np.empty(rows), np.empty((rows, 3)))
+    z = previous = 0.0
+    for k in range(rows):
+        out.true[k] = state
+        y = state.y + bench.offset_rad + bench.noise_rad * rng.standard_normal()
+        if bench.lsb_rad:
+            y = round(y / bench.lsb_rad) * bench.lsb_rad
+        if k:
+            z += (t_s[k] - t_s[k - 1]) * 0.5 * (y + previous)
+        previous = y
+        u = law(t_s[k], y, z)
+        delay = bench.delay_s + bench.jitter_s * rng.uniform(-1.0, 1.0)
+        out.y_rad[k], out.u_V[k], out.t_u_s[k], out.z_rad_s[k] = y, u, t_s[k] + delay, z
+        assert 0.0 <= delay < bench.period_s
+        state = motor.advance(state, acting, delay)
+        acting = u
+        state = motor.advance(state, acting, bench.period_s - delay)
+    return out
+
+
+def motor(tau_s: float = 0.17, K_rad_s_V: float = 6.5, fc_V: float = 0.5, asym_V: float = 0.0, fs_V: float | None = None) -> Motor:
+    """A motor with Coulomb friction and bias, by default that of theory section 11."""
+    return Motor(tau_s, K_rad_s_V, coulomb(fc_V, fs_V), asym_V)
+
+
+__all__ = ["Bench", "Friction", "LSB_RAD", "Samples", "dcr", "motor", "simulate"]
