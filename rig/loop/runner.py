@@ -102,6 +102,9 @@ class Loop:
         self._row_open = False
         self._asked_V = 0.0
         self._skipped = 0  # ticks skipped just before the next one
+        self.last_y_rad = math.nan  # position at the last tick
+        self._last_t_s = math.nan
+        self.latency_s = 0.0  # from sample to effect of the drive, smoothed
 
     @property
     def now_s(self) -> float:
@@ -150,6 +153,7 @@ class Loop:
         io_s = self._clock.now_s() - woke_s
         sample = sample._replace(t_s=sample.t_s - self._t0_s, t_u_s=sample.t_u_s - self._t0_s)
         self._complete_row(sample)
+        self._measure_latency(sample)
         flags = FLAG_SKIPPED if self._skipped else 0
         u_V, guard_flags = self.guard.allow(sample, law.step(sample))
         self._driver.write(u_V)
@@ -178,6 +182,13 @@ class Loop:
             clipped = abs(sample.u_V - self._asked_V) > 0.02 + 0.005 * abs(self._asked_V)
             self._record.complete(sample.t_u_s, sample.u_V, FLAG_SATURATED if clipped else 0)
             self._row_open = False
+
+    def _measure_latency(self, sample: Sample) -> None:
+        latency_s = sample.t_u_s - self._last_t_s
+        if 0.0 <= latency_s < self._period_s:  # false for nan, and after a skipped tick
+            self.latency_s += (latency_s - self.latency_s) * (0.05 if self.latency_s else 1.0)
+        self._last_t_s = sample.t_s
+        self.last_y_rad = sample.y_rad
 
     def _finish_row(self) -> None:
         """One last exchange: the effect of the last drive belongs into its row."""

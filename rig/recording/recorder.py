@@ -13,6 +13,7 @@ import re
 import subprocess
 import sys
 import time
+import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -62,7 +63,7 @@ class Recorder:
                 raise ValueError(f"stage name {name!r}: use 1 to 64 letters, digits and _.:-")
         self.folder = folder.absolute()
         samples = self.folder / SAMPLES
-        if samples.exists() and samples.stat().st_size > 0:
+        if samples.is_file() and samples.stat().st_size > 0:
             raise RecordingError(samples, "already holds a recording", "start each run in a new folder")
 
         self._stages = tuple(stages)
@@ -83,6 +84,8 @@ class Recorder:
         self._shared = SharedMemory(self._descriptor, capacity_rows, self._capacity_event_bytes)
         self._counters, self._rows = self._shared.counters, self._shared.rows
         self._process = self._start_writer(subprocess.PIPE)
+        # A recorder that is dropped without ``close`` must not leave its writer waiting for more.
+        weakref.finalize(self, _close_pipe, self._process)
         try:
             self._await_ready()
         except (RecordingError, Fault):
@@ -192,6 +195,19 @@ class Recorder:
         if reason:
             raise Fault("RECORDER_DEAD", reason)
 
+    def drain(self, timeout_s: float = 5.0) -> None:
+        """Wait until every completed row is in the file: for reading it while the run goes on, drive at rest.
+
+        Raises Fault RECORDER_DEAD as ``check``, and where the writer takes longer than ``timeout_s``.
+        """
+        wanted = self._opened if self._open_offset < 0 else self._opened - 1
+        deadline_s = time.monotonic() + timeout_s
+        while self._counters[layout.ROWS_TAKEN] < wanted:
+            self.check()
+            if time.monotonic() > deadline_s:
+                raise Fault("RECORDER_DEAD", f"rows not on disk after {timeout_s:.0f} s")
+            time.sleep(0.002)
+
     # -- the end --------------------------------------------------------------------------------------------------
 
     def close(self) -> None:
@@ -216,8 +232,7 @@ class Recorder:
             self._release()
 
     def _await_end(self) -> None:
-        if self._process.stdin:
-            self._process.stdin.close()
+        _close_pipe(self._process)
         try:
             self._process.wait(self.close_timeout_s)
         except subprocess.TimeoutExpired:
@@ -230,8 +245,7 @@ class Recorder:
             ) from None
 
     def _release(self) -> None:
-        if self._process.stdin:
-            self._process.stdin.close()
+        _close_pipe(self._process)
         self._counters, self._rows = memoryview(b"").cast("q"), memoryview(b"")
         self._shared.close()
         os.close(self._descriptor)
@@ -311,3 +325,9 @@ class Recorder:
                     "check that it exists and its permissions, or choose another place with --out",
                 )
             raise Fault("RECORDER_DEAD", self._shared.reason())
+
+
+def _close_pipe(process: subprocess.Popen[bytes]) -> None:
+    """Tell the writer that nothing more will come."""
+    if process.stdin:
+        process.stdin.close()

@@ -1,0 +1,375 @@
+"""The command `rig`: what to do, and how its end is shown. No logic lives here.
+
+Exit status: 0 done, 1 the experiment failed or was refused, 2 bad input.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+import rig
+from rig import config
+from rig.faults import Fault
+from rig.recording.errors import RecordingError
+
+EXIT_FAILED = 1
+EXIT_BAD_INPUT = 2
+
+CONFIG = click.argument("config_path", metavar="CONFIG", type=click.Path(path_type=Path))
+OUT = click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("runs"), show_default=True,
+    help="Folder that the run folder is made in.",
+)  # fmt: skip
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
+
+
+def _fail(status: int, cause: str, cure: str = "") -> NoReturn:
+    """One line of cause and one of cure on stderr, then exit."""
+    click.echo(f"rig: {cause}", err=True)
+    if cure:
+        click.echo(f"     {cure}", err=True)
+    sys.exit(status)
+
+
+def _load(path: Path) -> config.Experiment:
+    """The checked experiment of a config file; exits with 2 and the problems where it is bad."""
+    try:
+        experiment, _ = config.check(path)
+    except config.ConfigError as error:
+        click.echo(str(error), err=True)
+        sys.exit(EXIT_BAD_INPUT)
+    return experiment
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(rig.__version__, prog_name="rig")
+def main() -> None:
+    """Identify and control a friction-impeded DC motor by relay feedback."""
+
+
+@main.command()
+@CONFIG
+@OUT
+@click.option("--repeat", type=click.IntRange(1, 1000), default=1, help="Run it N times and show the scatter.")
+@JSON
+def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
+    """Run the whole experiment: breakaway, search, relay, identify, verify, report."""
+    from rig import experiment as script
+
+    experiment = _load(config_path)
+    outcomes = [_perform(lambda on_start: script.run(experiment, out, on_start), as_json) for _ in range(repeat)]
+    if as_json:
+        results = [outcome.result | {"folder": str(outcome.folder)} for outcome in outcomes]
+        click.echo(json.dumps(results[0] if repeat == 1 else {"runs": results}))
+    elif repeat > 1:
+        _show_scatter([outcome.result for outcome in outcomes])
+    sys.exit(EXIT_FAILED if any(outcome.failure for outcome in outcomes) else 0)
+
+
+@main.command()
+@CONFIG
+@OUT
+@JSON
+def relay(config_path: Path, out: Path, as_json: bool) -> None:
+    """Run breakaway, gain search and relay tests alone, and identify them."""
+    from rig import experiment as script
+
+    experiment = _load(config_path)
+    _finish(_perform(lambda on_start: script.run_relay(experiment, out, on_start), as_json), as_json)
+
+
+@main.command()
+@CONFIG
+@click.option(
+    "--model", "model_run", required=True, type=click.Path(path_type=Path), help="Run folder to take the models from."
+)
+@OUT
+@JSON
+def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
+    """Run the tracking check alone, with the models of an earlier run."""
+    from rig import experiment as script
+    from rig.identify import IdentifyError, identify
+    from rig.recording.reader import read_run
+
+    experiment = _load(config_path)
+    if experiment.tracking is None:
+        _fail(EXIT_BAD_INPUT, f"{config_path}: no section tracking", "add one; config/demo.yaml shows how")
+    try:
+        models = identify([read_run(model_run)])
+    except (RecordingError, IdentifyError) as error:
+        _fail(EXIT_BAD_INPUT, error.cause, error.cure)
+    _finish(_perform(lambda on_start: script.run_tracking(experiment, models, out, on_start), as_json), as_json)
+
+
+@main.command()
+@CONFIG
+@click.option("--u-V", "u_V", type=float, required=True, help="Drive, V; its sign is the direction.")
+@click.option("--seconds", type=click.FloatRange(0.01, 5.0), default=0.3, show_default=True, help="How long.")
+@OUT
+@JSON
+def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool) -> None:
+    """Drive the shaft by hand for a moment, within the limits; after a limit it recovers inward."""
+    from rig import experiment as script
+
+    experiment = _load(config_path)
+    if not abs(u_V) <= experiment.drive.max_V:
+        _fail(EXIT_BAD_INPUT, f"--u-V {u_V:g} is beyond drive.max_V {experiment.drive.max_V:g}", "ask for less")
+    _finish(_perform(lambda on_start: script.jog(experiment, u_V, seconds, out), as_json), as_json)
+
+
+@main.command()
+@CONFIG
+@JSON
+def check(config_path: Path, as_json: bool) -> None:
+    """Validate a config offline: keys, units, limits and stopping distance, link budget."""
+    try:
+        _, preflight = config.check(config_path)
+    except config.ConfigError as error:
+        if as_json:
+            click.echo(json.dumps({"ok": False, "problems": str(error).splitlines()}))
+        else:
+            click.echo(str(error), err=True)
+        sys.exit(EXIT_BAD_INPUT)
+    if as_json:
+        click.echo(json.dumps({"ok": True, "lines": list(preflight.lines)}))
+    else:
+        click.echo("\n".join(preflight.lines))
+
+
+@main.command()
+@click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=click.Path(path_type=Path))
+@click.option(
+    "--method",
+    "methods",
+    multiple=True,
+    type=click.Choice(["sampled-data", "triple-relay", "describing-function"]),
+    help="Repeat for several; default: all that the data allows.",
+)
+@JSON
+def identify(paths: Sequence[Path], methods: Sequence[str], as_json: bool) -> None:
+    """Identify gain, time constant and friction from run folders or CSV files (t_s,u_V,y_rad)."""
+    from rig.identify import IdentifyError
+    from rig.identify import identify as identify_recordings
+    from rig.recording.reader import read
+
+    try:
+        with _patience("reading and identifying"):
+            found = identify_recordings([read(path) for path in paths], tuple(methods) or None)
+    except (RecordingError, IdentifyError) as error:
+        _fail(EXIT_BAD_INPUT, error.cause, error.cure)
+    estimates = {method: estimate.as_dict() for method, estimate in found.estimates.items()}
+    if as_json:
+        click.echo(json.dumps(estimates))
+    else:
+        for note in found.notes:
+            click.echo(note)
+        _show_estimates(estimates, None)
+    refused = [e for e in estimates.values() if e["verdict"] == "refused"]
+    sys.exit(EXIT_FAILED if len(refused) == len(estimates) else 0)
+
+
+@main.command()
+@click.option("--tau", type=float, required=True, help="Time constant, s.")
+@click.option("--K", "K", type=float, required=True, help="Velocity gain, (rad/s)/V.")
+@click.option("--fc", type=float, required=True, help="Coulomb friction, V.")
+@click.option("--fs", type=float, default=None, help="Static friction, V; default: as --fc.")
+@click.option("--h1", type=float, required=True, help="Gain of the relay on position, V.")
+@click.option("--h2", type=float, required=True, help="Gain of the relay on the integral, V.")
+@JSON
+def predict(tau: float, K: float, fc: float, fs: float | None, h1: float, h2: float, as_json: bool) -> None:
+    """Predict limit cycle and stability, by Theorems 2.1 and 2.2 and by describing function."""
+    from rig.report.prediction import predict_cycle, prediction_lines
+
+    try:
+        prediction = predict_cycle(tau, K, fc, fc if fs is None else fs, h1, h2)
+    except ValueError as error:
+        _fail(EXIT_BAD_INPUT, str(error), "tau and K must be > 0, friction and gains >= 0, --fs at least --fc")
+    if as_json:
+        click.echo(json.dumps(prediction))
+    else:
+        click.echo("\n".join(prediction_lines(prediction)))
+    sys.exit(0 if prediction["oscillates"] else EXIT_FAILED)
+
+
+@main.command()
+@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+def report(run_folder: Path) -> None:
+    """Write a run's report anew, and print its path."""
+    from rig.report import write_report
+
+    try:
+        with _patience("drawing the report"):
+            path = write_report(run_folder)
+    except RecordingError as error:
+        _fail(EXIT_BAD_INPUT, error.cause, error.cure)
+    click.echo(path)
+
+
+@main.command()
+@CONFIG
+@click.option("--link", type=click.Path(path_type=Path), default=None, help="Name to give the port (a symbolic link).")
+@click.option("--trace", type=click.Path(path_type=Path), default=None, help="CSV of the drive at the pin over time.")
+def emulate(config_path: Path, link: Path | None, trace: Path | None) -> None:
+    """Run the emulated device of a config until Ctrl-C."""
+    from rig.bench import emulated_board
+
+    experiment = _load(config_path)
+    if experiment.emulated is None:
+        _fail(EXIT_BAD_INPUT, f"{config_path}: no section emulated", "add one; config/demo.yaml shows how")
+    from rig.loop.stop_request import stop_on_signals
+
+    with stop_on_signals() as stop, _faults(), emulated_board(experiment, link, trace) as port:
+        click.echo(f"emulated device on {port}; set daq.port to it in another terminal. Ctrl-C ends it.")
+        while stop.reason is None:
+            time.sleep(0.1)
+
+
+@main.command()
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="File; default: stdout.")
+def schema(out: Path | None) -> None:
+    """Write the JSON Schema of the config, for editors."""
+    text = json.dumps(config.json_schema(), indent=2) + "\n"
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        out.write_text(text, encoding="utf-8")
+
+
+@contextlib.contextmanager
+def _faults() -> Any:
+    try:
+        yield
+    except Fault as fault:
+        _fail(EXIT_FAILED, str(fault), fault.cure)
+    except RecordingError as error:
+        _fail(EXIT_BAD_INPUT, error.cause, error.cure)
+
+
+@contextlib.contextmanager
+def _patience(what: str) -> Any:
+    """A spinner while something takes longer; nothing in pipes."""
+    console = Console(stderr=True)
+    if console.is_terminal:
+        with console.status(what):
+            yield
+    else:
+        yield
+
+
+def _perform(start: Callable[[Callable[[Path], None]], Any], as_json: bool) -> Any:
+    """Run with live progress on a terminal; show the end of it, unless JSON was asked for."""
+    from rig.recording.follow import following
+
+    with _faults(), contextlib.ExitStack() as stack:
+
+        def on_start(folder: Path) -> None:
+            if not as_json and Console(stderr=True).is_terminal:
+                stack.enter_context(following(folder))
+
+        outcome = start(on_start)
+    if not as_json:
+        _show(outcome)
+    return outcome
+
+
+def _finish(outcome: Any, as_json: bool) -> NoReturn:
+    if as_json:
+        click.echo(json.dumps(outcome.result | {"folder": str(outcome.folder)}))
+    sys.exit(EXIT_FAILED if outcome.failure else 0)
+
+
+def _show(outcome: Any) -> None:
+    result = outcome.result
+    click.echo(f"backend: {result['backend']}")
+    for relay_test in result["relays"]:
+        click.echo(
+            f"{relay_test['stage']}: h1 {relay_test['h1_V']:.3f} V, h2 {relay_test['h2_V']:.3f} V -> "
+            f"{relay_test['amplitude_rad']:.3f} rad, {relay_test['period_s']:.3f} s, {relay_test['cycles']} cycles"
+        )
+    if result["estimates"]:
+        _show_estimates(result["estimates"], result.get("truth"), result["tracking"])
+    loop = result["loop"]
+    late = loop["late_us"]
+    if late["p50"] is not None:
+        click.echo(
+            f"loop: {loop['ticks']} ticks of {loop['period_s'] * 1e3:g} ms, {loop['skipped']} skipped; "
+            f"late by {late['p50']:.0f} us (median), {late['p99']:.0f} (p99), {late['max']:.0f} (largest)"
+        )
+    click.echo(f"run:    {outcome.folder}")
+    click.echo(f"report: {outcome.folder / 'report.html'}")
+    if outcome.failure:
+        click.echo(f"rig: {outcome.failure}", err=True)
+        if outcome.fault is not None:
+            click.echo(f"     {outcome.fault.cure}", err=True)
+
+
+def _interval(estimate: dict[str, Any], name: str, truth: dict[str, float] | None) -> str:
+    value = estimate[name]
+    if value is None:
+        return "-"
+    text = f"{value:.4f}"
+    bounds = estimate["ci95"].get(name)
+    if bounds and None not in bounds:
+        text += f" ±{0.5 * (bounds[1] - bounds[0]):.4f}"
+    if truth is not None and truth.get(name):
+        text += f" ({100.0 * (value / truth[name] - 1.0):+.1f} %)"
+    return text
+
+
+def _show_estimates(
+    estimates: dict[str, dict[str, Any]],
+    truth: dict[str, float] | None,
+    tracking: dict[str, dict[str, Any]] | None = None,
+) -> None:
+    console = Console(width=None if sys.stdout.isatty() else 140)
+    table = Table(title="estimates" + (" (in brackets: error against the emulated truth)" if truth else ""))
+    for heading in ("method", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict"):
+        table.add_column(heading)
+    if tracking:
+        table.add_column("tracking RMS, rad")
+    for method, estimate in estimates.items():
+        cells = [_interval(estimate, name, truth) for name in ("tau_s", "K_rad_s_V", "fc_V")]
+        row = [method, *cells, estimate["verdict"]]
+        if tracking:
+            check_run = tracking.get(method, {"not_run": "not asked for"})
+            row.append(f"{check_run['rms_rad']:.4f}" if "rms_rad" in check_run else "not run")
+        table.add_row(*row)
+    if truth is not None:
+        table.add_row("truth", *(f"{truth[name]:.4f}" for name in ("tau_s", "K_rad_s_V", "fc_V")), "")
+    console.print(table)
+    for method, estimate in estimates.items():
+        for reason in estimate["reasons"]:
+            click.echo(f"{method}: {reason}")
+    for method, check_run in (tracking or {}).items():
+        if "not_run" in check_run:
+            click.echo(f"tracking with {method}: not run: {check_run['not_run']}")
+
+
+def _show_scatter(results: Sequence[dict[str, Any]]) -> None:
+    """The scatter between runs beside the intervals that each run gave."""
+    from statistics import fmean, stdev
+
+    table = Table(title=f"sampled-data estimates of {len(results)} runs")
+    for heading in ("", "mean", "scatter between runs (1.96 s)", "mean half-width of the 95 % intervals"):
+        table.add_column(heading)
+    estimates = [r["estimates"]["sampled-data"] for r in results if "sampled-data" in r["estimates"]]
+    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+        values = [e[name] for e in estimates if e[name] is not None]
+        widths = [0.5 * (b[1] - b[0]) for e in estimates if None not in (b := e["ci95"].get(name, (None, None)))]
+        if len(values) >= 2 and widths:
+            table.add_row(name, f"{fmean(values):.5f}", f"{1.96 * stdev(values):.5f}", f"{fmean(widths):.5f}")
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,431 @@
+"""The experiment: breakaway -> search -> relay -> identify -> verify -> report, and what comes of it."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import rig
+from rig.bench import Bench, calibration_of, connect, drive_map_of, guard_settings_of, limits_of
+from rig.config import Experiment, dump
+from rig.control.breakaway import BreakawayCheck
+from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
+from rig.control.guard import Guard
+from rig.control.law import Constant, Rest
+from rig.control.observer import MotorObserver
+from rig.control.relay import DualChannelRelay
+from rig.control.tracking import Tracking, tracking_error
+from rig.control.trajectory import SumOfSines
+from rig.faults import Fault
+from rig.identify import Identification, IdentifyError, identify
+from rig.loop.rehearsal import RehearsalBench, rehearse
+from rig.loop.runner import Loop
+from rig.loop.stop_request import stop_on_signals
+from rig.model.cycle_detector import CycleDetector
+from rig.recording.folder import create_run, write_config, write_meta, write_result
+from rig.recording.reader import read_run
+from rig.recording.recorder import Recorder
+from rig.report import write_report
+
+FADE_S = 1.5  # of the tracking reference; errors count after it
+REST_S = 0.7
+RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
+
+
+@dataclass
+class Outcome:
+    """What a run came to: its folder, its result.json, and why it failed, if it did."""
+
+    folder: Path
+    result: dict[str, Any]
+    fault: Fault | None = None
+    failure: str = ""
+
+
+@dataclass
+class Session:
+    """One run in progress: the open bench, the loop on it, and what is known so far."""
+
+    experiment: Experiment
+    folder: Path
+    bench: Bench
+    recorder: Recorder
+    loop: Loop
+    breakaway: BreakawayCheck | None = None
+    search: GainSearch | None = None
+    identification: Identification | None = None
+    notes: list[str] = field(default_factory=list)
+    tracking: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def note(self, kind: str, **fields: str | float | int | bool) -> None:
+        """An event of now."""
+        self.recorder.event(self.loop.now_s, kind, **fields)
+
+
+Script = Callable[[Session], None]
+OnStart = Callable[[Path], None]
+
+
+def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
+    """The whole experiment. The run folder is made below ``parent``; ``on_start`` is told of it."""
+
+    def script(session: Session) -> None:
+        with session.loop.armed(limits_of(experiment)):
+            check_breakaway(session)
+            test_relays(session)
+        identify_recorded(session)
+        verify_models(session)
+
+    return _record(experiment, parent, script, on_start)
+
+
+def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
+    """Breakaway, gains and relay tests, and what they identify; no tracking."""
+
+    def script(session: Session) -> None:
+        with session.loop.armed(limits_of(experiment)):
+            check_breakaway(session)
+            test_relays(session)
+        identify_recorded(session)
+
+    return _record(experiment, parent, script, on_start)
+
+
+def run_tracking(
+    experiment: Experiment, models: Identification, parent: Path, on_start: OnStart | None = None
+) -> Outcome:
+    """Breakaway and the tracking check, with models identified in an earlier run."""
+
+    def script(session: Session) -> None:
+        session.identification = models
+        with session.loop.armed(limits_of(experiment)):
+            check_breakaway(session)
+        verify_models(session)
+
+    return _record(experiment, parent, script, on_start)
+
+
+def jog(experiment: Experiment, u_V: float, duration_s: float, parent: Path) -> Outcome:
+    """A constant drive for a short time, within the limits; from outside them only inward."""
+
+    def script(session: Session) -> None:
+        session.loop.guard.recovering = True
+        with session.loop.armed(limits_of(experiment)):
+            session.loop.run(Constant(u_V, duration_s), "jog")
+            session.loop.run(Rest(REST_S), "rest")
+
+    return _record(experiment, parent, script, None)
+
+
+def check_breakaway(session: Session) -> None:
+    """Prove sensor, drive and sign by a slow ramp each way; from then on the guard may brake by itself."""
+    e = session.experiment
+    session.loop.run(Rest(0.1), "rest")
+    y_rad = session.loop.last_y_rad
+    low, high = e.limits.soft_rad
+    if not low <= y_rad <= high:
+        raise Fault("START_OUTSIDE", f"y = {y_rad:.3f} rad, soft limits {low:.2f} to {high:.2f} rad")
+    check = BreakawayCheck(e.breakaway.ramp_V_s, e.breakaway.max_V, e.breakaway.motion_rad, e.breakaway.rest_s)
+    session.loop.run(check, "breakaway")
+    session.breakaway = check
+    guard = session.loop.guard
+    guard.settings = guard_settings_of(e, check.noise_rad)
+    guard.static_V = max(check.plus_V, check.minus_V)
+    guard.sign_proven = True
+    session.note("breakaway", plus_V=check.plus_V, minus_V=check.minus_V, noise_rad=check.noise_rad)
+
+
+def test_relays(session: Session) -> None:
+    """Find the gains, where the config gives none, and run a relay test at each pair; then let the shaft rest."""
+    e = session.experiment
+    lsb_rad = calibration_of(e).lsb_rad
+    detector = CycleDetector(min_period_s=30.0 * e.period_s, min_amplitude_rad=20.0 * lsb_rad)
+    relay = DualChannelRelay(0.0, 0.0, _integral_bound_rad_s(e))
+    if e.relay.gains is not None:
+        gains_V = [(g.h1_V, g.h2_V) for g in e.relay.gains]
+        expected_period_s = None
+    else:
+        gains_V = search_gains(session, relay, detector)
+        expected_period_s = detector.mean()[0]
+    for number, pair_V in enumerate(gains_V, start=1):
+        cycle_s = expected_period_s if expected_period_s is not None else 2.0
+        test = RelayTest(relay, detector, pair_V, e.relay.cycles, RELAY_TIMEOUT_PERIODS * e.relay.cycles * cycle_s)
+        stage = f"relay-{number}"
+        session.note("gains", stage=stage, h1_V=pair_V[0], h2_V=pair_V[1], cycles=e.relay.cycles)
+        session.loop.run(test, stage, _watch_cycles(session, detector, stage))
+    if relay.bound_reached:
+        session.notes.append("the relay's integral reached its bound: the first cycles are shorter than they would be")
+    session.loop.run(Rest(REST_S), "rest")
+
+
+def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetector) -> list[tuple[float, float]]:
+    """Search gains for the wanted cycle; returns those of the two relay tests, (h1, h2) in V."""
+    e, target, breakaway = session.experiment, session.experiment.relay.target, session.breakaway
+    if target is None or breakaway is None:
+        raise ValueError("the gain search needs relay.target and a breakaway check")
+    s = e.relay.search
+    search = GainSearch(
+        relay,
+        detector,
+        CycleTarget(target.amplitude_rad, target.period_s, target.tolerance),
+        SearchRange(s.h1_start_V, s.h2_start_V, s.h2_step_V, s.step_s, s.h_max_V, e.drive.max_V, s.timeout_s),
+        # the ramp gains some tenths of a volt until the motion is seen: a little less is nearer to f_c
+        friction_V=0.45 * (breakaway.plus_V + breakaway.minus_V),
+        reach_rad=0.9 * min(-e.limits.soft_rad[0], e.limits.soft_rad[1]),
+    )
+    session.search = search
+    told = 0
+
+    def watch(t_s: float) -> None:
+        nonlocal told
+        for step in search.steps[told:]:
+            session.note("search", **{name: value for name, value in step._asdict().items() if name != "t_s"})
+        told = len(search.steps)
+
+    session.loop.run(search, "search", watch)
+    return [(relay.h1_V, relay.h2_V), search.second_gains(e.relay.second_ratio)]
+
+
+def identify_recorded(session: Session) -> None:
+    """Identify what has been recorded so far, by every method."""
+    session.recorder.drain()
+    session.note("stage", name="identify")
+    session.identification = identify([read_run(session.folder)])
+
+
+def verify_models(session: Session) -> None:
+    """Track the same trajectory with each method's model: those that are safe in simulation on the best one."""
+    e, identification = session.experiment, session.identification
+    if e.tracking is None or identification is None:
+        return
+    best = identification.best
+    if best is None:
+        reason = "no estimate is good enough to rehearse on"
+        session.tracking.update({method: {"not_run": reason} for method in e.tracking.methods})
+        return
+    safe: list[str] = []
+    for method in e.tracking.methods:
+        estimate = identification.estimates.get(method)
+        if estimate is None or estimate.verdict == "refused":
+            session.tracking[method] = {"not_run": "its estimate was refused" if estimate else "no estimate"}
+            continue
+        rehearsal = RehearsalBench(
+            motor=best.motor(),
+            start_rad=session.loop.last_y_rad,
+            noise_rad=session.loop.guard.settings.noise_rad,
+            latency_s=session.loop.latency_s,
+            calibration=calibration_of(e),
+            drive_map=drive_map_of(e),
+            rail_counts=e.sensor.rail_counts,
+            period_s=e.period_s,
+        )
+        reason = rehearse(_tracking_law(session, method), rehearsal, session.loop.guard.settings)
+        if reason is None:
+            safe.append(method)
+        else:
+            session.tracking[method] = {"not_run": reason}
+    if not safe:
+        return
+    for method in safe:
+        session.tracking[method] = {"not_run": "the run ended before it"}
+    with session.loop.armed(limits_of(e)):
+        for method in safe:
+            session.loop.run(Rest(REST_S), "rest")
+            session.loop.run(_tracking_law(session, method), f"track:{method}")
+            session.tracking[method] = {}
+        session.loop.run(Rest(REST_S), "rest")
+    session.recorder.drain()
+    recording = read_run(session.folder)
+    for method in safe:
+        rows = recording.stage_rows(f"track:{method}")
+        rms_rad, max_rad = tracking_error(
+            recording.t_s[rows], recording.y_rad[rows], recording.yd_rad[rows], after_s=FADE_S
+        )
+        session.tracking[method] = {"rms_rad": rms_rad, "max_rad": max_rad}
+
+
+def _tracking_law(session: Session, method: str) -> Tracking:
+    e, identification = session.experiment, session.identification
+    if e.tracking is None or identification is None:
+        raise ValueError("tracking needs a config with section tracking, and models")
+    motor = identification.estimates[method].motor()
+    tachometer_noise = None
+    if e.tachometer is not None:
+        # one count, seen at the shaft
+        tachometer_noise = abs(e.tachometer.rad_s_per_count) / e.tachometer.gear_ratio
+    observer = MotorObserver(
+        motor, e.period_s, session.loop.guard.settings.noise_rad, tachometer_noise_rad_s=tachometer_noise
+    )
+    observer.latency_s = session.loop.latency_s
+    return Tracking(
+        motor,
+        observer,
+        SumOfSines([(c.amplitude_rad, c.omega_rad_s) for c in e.tracking.trajectory], session.loop.last_y_rad, FADE_S),
+        e.tracking.k1_1_s,
+        e.tracking.k2_1_s2,
+        e.tracking.duration_s,
+        e.tracking.friction_sign,
+    )
+
+
+def _integral_bound_rad_s(e: Experiment) -> float:
+    """Bound on the relay's integral: four times the largest |z| of any cycle that is to be expected."""
+    room_rad = min(-e.limits.soft_rad[0], e.limits.soft_rad[1])
+    if e.relay.target is not None:
+        # a sine of the wanted period that fills the soft limits
+        return 4.0 * room_rad * e.relay.target.period_s / 6.28
+    # |z| = A/w with w = h1/(tau (h2 - f_c)) >= h1/(tau h2)
+    longest_s = max(e.limits.coast_tau_s * g.h2_V / g.h1_V for g in e.relay.gains or ())
+    return 4.0 * room_rad * longest_s
+
+
+def _watch_cycles(session: Session, detector: CycleDetector, stage: str) -> Callable[[float], None]:
+    told = 0
+
+    def watch(t_s: float) -> None:
+        nonlocal told
+        if len(detector.cycles) > told:
+            told = len(detector.cycles)
+            c = detector.cycles[-1]
+            session.note(
+                "cycle",
+                stage=stage,
+                number=told,
+                settled=detector.settled,
+                period_s=c.period_s,
+                amplitude_rad=c.amplitude_rad,
+            )
+
+    return watch
+
+
+def _record(experiment: Experiment, parent: Path, script: Script, on_start: OnStart | None) -> Outcome:
+    """Run ``script`` on the bench, recorded; whatever ends it, the drive is stopped and the record kept."""
+    started = datetime.now(UTC)
+    with connect(experiment) as bench:
+        folder = create_run(parent, experiment.name, started)
+        write_config(folder, dump(experiment))
+        write_meta(folder, _meta(experiment, bench, started))
+        recorder = Recorder(folder, _stages(experiment))
+        fault: Fault | None = None
+        try:
+            if on_start is not None:
+                on_start(folder)
+            with stop_on_signals() as stop:
+                guard = Guard(guard_settings_of(experiment))
+                loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
+                session = Session(experiment, folder, bench, recorder, loop)
+                try:
+                    script(session)
+                except Fault as seen:
+                    fault = seen
+                    session.note("fault", **seen.as_dict())
+                session.note("end")
+        finally:
+            lost = _close(recorder)
+    return _conclude(session, fault or lost)
+
+
+def _close(recorder: Recorder) -> Fault | None:
+    """Close the record; the fault, where rows could not be written."""
+    try:
+        recorder.close()
+    except Fault as lost:
+        return lost
+    return None
+
+
+def _conclude(session: Session, fault: Fault | None) -> Outcome:
+    """Identify what a fault has left, write result.json and the report, say what failed."""
+    failure = "" if fault is None else str(fault)
+    recording = read_run(session.folder)
+    if session.identification is None and any(stage.startswith("relay-") for stage in recording.stages()):
+        try:
+            session.identification = identify([recording])
+        except IdentifyError as error:
+            session.notes.append(str(error))
+    identification = session.identification
+    best = None if identification is None else identification.estimates.get("sampled-data")
+    if not failure and best is not None and best.verdict == "refused":
+        failure = "the sampled-data estimate was refused: " + "; ".join(best.reasons)
+    result = _result(session, fault)
+    write_result(session.folder, result)
+    write_report(session.folder)
+    return Outcome(session.folder, result, fault, failure)
+
+
+def _result(session: Session, fault: Fault | None) -> dict[str, Any]:
+    identification, check, search = session.identification, session.breakaway, session.search
+    result: dict[str, Any] = {
+        "schema": 1,
+        "backend": session.bench.driver.backend,
+        "relays": [] if identification is None else identification.relays,
+        "estimates": {}
+        if identification is None
+        else {method: estimate.as_dict() for method, estimate in identification.estimates.items()},
+        "tracking": session.tracking,
+        "loop": session.loop.statistics.summary(),
+        "link": dict(session.bench.driver.link_statistics),
+        "faults": [] if fault is None else [fault.as_dict()],
+        "notes": [*session.notes, *([] if identification is None else identification.notes)],
+    }
+    if check is not None:
+        result["breakaway"] = {"seen_plus_V": check.plus_V, "seen_minus_V": check.minus_V, "noise_rad": check.noise_rad}
+        if identification is not None and identification.breakaway is not None:
+            result["breakaway"] |= identification.breakaway
+    if search is not None:
+        result["search"] = [step._asdict() for step in search.steps]
+    truth = _truth(session.bench)
+    if truth is not None:
+        result["truth"] = truth
+    return result
+
+
+def _truth(bench: Bench) -> dict[str, float] | None:
+    """The emulated motor's parameters, as an estimate would name them."""
+    if bench.truth is None:
+        return None
+    motor = bench.truth.motor
+    return {
+        "tau_s": motor.tau_s,
+        "K_rad_s_V": motor.K_rad_s_V,
+        "fc_V": motor.friction.fc_V,
+        "asym_V": motor.asym_V,
+        "static_plus_V": motor.friction.static_plus_V - motor.bias_V,
+        "static_minus_V": motor.friction.static_minus_V + motor.bias_V,
+    }
+
+
+def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "name": experiment.name,
+        "backend": bench.driver.backend,
+        "emulated": bench.info.emulated,
+        "order": bench.driver.order,
+        "period_s": experiment.period_s,
+        "firmware": {
+            "board": bench.info.board,
+            "build": bench.info.build,
+            "reset_cause": bench.info.reset_cause,
+            "clock_ratio": bench.info.clock_ratio,
+        },
+        "failsafe": f"device watchdog, {experiment.daq.watchdog_s * 1e3:.0f} ms",
+        "started_utc": started.isoformat(timespec="milliseconds"),
+        "versions": {"rig": rig.__version__, "python": platform.python_version()},
+        "host": {"system": platform.platform(), "machine": platform.machine()},
+        "command": " ".join(sys.argv),
+        "truth": _truth(bench),
+    }
+
+
+def _stages(experiment: Experiment) -> list[str]:
+    """Every stage that a run can record."""
+    relays = [f"relay-{number}" for number in range(1, 5)]
+    tracks = [] if experiment.tracking is None else [f"track:{method}" for method in experiment.tracking.methods]
+    return ["rest", "jog", "breakaway", "search", *relays, *tracks]

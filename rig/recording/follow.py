@@ -1,0 +1,153 @@
+"""Follow a run folder as it grows, in a process of its own: live progress that cannot hold up the loop.
+
+``python -m rig.recording.follow FOLDER`` shows the stage, the last readings and the cycles until the run ends or the
+process that started it is gone (end of file on standard input).
+"""
+
+from __future__ import annotations
+
+import json
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from rig.recording.columns import COLUMNS
+
+REFRESH_S = 0.2
+BAR_WIDTH = 41
+
+
+@contextmanager
+def following(folder: Path) -> Iterator[None]:
+    """Show the progress of ``folder`` on standard error for the block."""
+    viewer = subprocess.Popen(
+        [sys.executable, "-m", "rig.recording.follow", str(folder)], stdin=subprocess.PIPE, start_new_session=True
+    )
+    try:
+        yield
+    finally:
+        if viewer.stdin is not None:
+            viewer.stdin.close()
+        try:
+            viewer.wait(timeout=3.0)
+        except subprocess.TimeoutExpired:
+            viewer.kill()
+            viewer.wait()
+
+
+class Tail:
+    """New whole lines of a file that another process appends to."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._offset = 0
+
+    def lines(self) -> list[str]:
+        """Lines that have been completed since the last call; none while there is no file."""
+        try:
+            with self.path.open("rb") as file:
+                file.seek(self._offset)
+                data = file.read()
+        except FileNotFoundError:
+            return []
+        end = data.rfind(b"\n") + 1
+        self._offset += end
+        return data[:end].decode("ascii", errors="replace").splitlines()
+
+
+class Progress:
+    """What is known of the run, and how to show it."""
+
+    def __init__(self) -> None:
+        self.stage = "starting"
+        self.detail = ""
+        self.done: list[tuple[str, str]] = []
+        self.ended = False
+        self.t_s = 0.0
+        self.y_rad = 0.0
+        self.u_V = 0.0
+        self.reach_rad = 0.2
+
+    def take_event(self, event: dict[str, Any]) -> None:
+        """Learn from one line of events.jsonl."""
+        kind = event.get("kind")
+        if kind == "stage":
+            if self.stage not in ("starting", "rest"):
+                self.done.append((self.stage, self.detail))
+            self.stage, self.detail = str(event["name"]), ""
+        elif kind == "breakaway":
+            self.detail = f"moves at {event['plus_V']:+.2f} V and {-event['minus_V']:+.2f} V"
+        elif kind == "search":
+            self.detail = f"h1 {event['h1_V']:.2f} V, h2 {event['h2_V']:.2f} V: {event['outcome']}"
+            if event.get("amplitude_rad") is not None:
+                self.detail += f", {event['amplitude_rad']:.2f} rad, {event['period_s']:.2f} s"
+        elif kind == "cycle":
+            settled = "settled" if event["settled"] else "settling"
+            self.detail = (
+                f"cycle {event['number']} ({settled}): {event['amplitude_rad']:.3f} rad, {event['period_s']:.3f} s"
+            )
+        elif kind == "fault":
+            self.detail = f"{event['code']}: {event['cause']}"
+        elif kind == "end":
+            self.done.append((self.stage, self.detail))
+            self.ended = True
+
+    def take_row(self, line: str) -> None:
+        """Learn from one line of samples.csv."""
+        row = dict(zip(COLUMNS, line.split(","), strict=False))
+        try:
+            self.t_s, self.y_rad, self.u_V = float(row["t_s"]), float(row["y_rad"]), float(row["u_V"])
+        except (KeyError, ValueError):
+            return  # the header, or a line that is still being written
+        self.reach_rad = max(self.reach_rad, abs(self.y_rad))
+
+    def picture(self) -> Table:
+        """Stages that are done, the running one, and the shaft as a mark on a line."""
+        table = Table.grid(padding=(0, 2))
+        for stage, detail in self.done:
+            table.add_row(Text("done", style="green"), stage, detail)
+        if not self.ended:
+            middle = BAR_WIDTH // 2
+            mark = middle + round(middle * self.y_rad / self.reach_rad)
+            line = "".join("|" if k == mark else "+" if k == middle else "." for k in range(BAR_WIDTH))
+            table.add_row(Text("now", style="yellow"), self.stage, self.detail)
+            table.add_row("", f"{self.t_s:6.1f} s", f"{line}  {self.y_rad:+.2f} rad {self.u_V:+.2f} V")
+        return table
+
+
+def main(arguments: list[str]) -> int:
+    """Show the run folder named first until it ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    folder = Path(arguments[0])
+    events, samples = Tail(folder / "events.jsonl"), Tail(folder / "samples.csv")
+    progress = Progress()
+    waiting = select.poll()
+    waiting.register(sys.stdin, select.POLLIN | select.POLLHUP)
+    with Live(console=Console(stderr=True), auto_refresh=False, transient=False) as live:
+        over = False
+        while not over:
+            over = bool(waiting.poll(int(REFRESH_S * 1e3)))
+            for line in events.lines():
+                progress.take_event(json.loads(line))
+            rows = samples.lines()
+            if rows:
+                progress.take_row(rows[-1])
+            live.update(progress.picture(), refresh=True)
+            if progress.ended and not over:
+                time.sleep(REFRESH_S)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
