@@ -1,0 +1,43 @@
+# `make help` lists the targets. Everything is installed into .venv.
+CONFIG ?= config/demo.yaml
+RIG := .venv/bin/rig
+
+.PHONY: help demo test check format bench firmware lock clean
+
+help:  ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
+
+demo: .venv/.ready firmware  ## the whole experiment in real time, on the emulated serial device
+	$(RIG) run $(CONFIG)
+
+test: check firmware  ## check, then every test, the firmware's own included
+	.venv/bin/pytest
+
+check: .venv/.ready  ## format, lint, types, import contract, docs
+	.venv/bin/ruff format --check .
+	.venv/bin/ruff check .
+	.venv/bin/mypy
+	.venv/bin/lint-imports
+	.venv/bin/python tools/check_docs.py
+
+format: .venv/.ready  ## format the Python code
+	.venv/bin/ruff check --fix --quiet . || true
+	.venv/bin/ruff format .
+
+bench: .venv/.ready firmware  ## timing ratios, written to bench.json
+	.venv/bin/python tools/bench/run.py
+
+firmware:  ## the emulated host board
+	@$(MAKE) --no-print-directory -C firmware host
+
+lock: .venv/.ready  ## lock the packages anew
+	.venv/bin/uv pip compile --quiet pyproject.toml --group dev --generate-hashes --universal \
+	    --python-version 3.11 --no-header --upgrade -o requirements.lock
+
+clean:  ## remove what was built; run folders stay
+	$(MAKE) --no-print-directory -C firmware clean
+	rm -rf build dist .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+.venv/.ready: pyproject.toml requirements.lock tools/setup.sh
+	./tools/setup.sh
