@@ -32,7 +32,7 @@ MIN_ROWS: Final = 3
 MAX_BYTES: Final = 256 * 2**20
 MAX_STAGE_LENGTH: Final = 64
 _MAX_INTEGER: Final = 2.0**53  # beyond, a float no longer tells integers apart
-_ROWS_AT_ONCE: Final = 50_000
+_ROWS_AT_ONCE: Final = 4096
 _DELIMITERS: Final = (",", ";", "\t")
 
 # Names that others give to these columns; only used to say "did you mean".

@@ -1,0 +1,86 @@
+"""The run folder's name and its small files."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.recording.errors import RecordingError
+from rig.recording.folder import create_run, write_config, write_meta, write_result
+
+NOW = datetime(2025, 1, 31, 9, 30, 0, tzinfo=UTC)
+
+
+def test_a_run_has_its_time_and_name_and_never_reuses_a_folder(tmp_path: Path) -> None:
+    folders = [create_run(tmp_path / "runs", "demo", NOW) for _ in range(3)]
+    assert [folder.name for folder in folders] == [
+        "20250131T093000Z-demo",
+        "20250131T093000Z-demo-2",
+        "20250131T093000Z-demo-3",
+    ]
+    assert all(folder.is_dir() for folder in folders)
+
+
+def test_the_time_is_utc_whatever_the_zone(tmp_path: Path) -> None:
+    local = NOW.astimezone(timezone(timedelta(hours=-7)))
+    assert create_run(tmp_path, "a", local).name == "20250131T093000Z-a"
+    assert create_run(tmp_path, "b", NOW.replace(tzinfo=None)).name == "20250131T093000Z-b"
+
+
+def test_a_parent_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("")
+    with pytest.raises(RecordingError, match="runs: cannot be written"):
+        create_run(tmp_path / "runs", "demo", NOW)
+
+
+def test_json_is_strict_and_numpy_is_welcome(tmp_path: Path) -> None:
+    write_result(
+        tmp_path,
+        {
+            "nan": float("nan"),
+            "deep": [{"inf": np.inf}, (1, np.float64("nan"))],
+            "array": np.array([[1.0, np.nan], [2.0, 3.0]]),
+            "count": np.int64(3),
+            "yes": np.bool_(True),
+        },
+    )
+
+    def refuse(text: str) -> float:
+        raise AssertionError(f"{text} in strict JSON")
+
+    found = json.loads((tmp_path / "result.json").read_text(), parse_constant=refuse)
+    assert found == {
+        "nan": None,
+        "deep": [{"inf": None}, [1, None]],
+        "array": [[1.0, None], [2.0, 3.0]],
+        "count": 3,
+        "yes": True,
+    }
+
+
+def test_a_result_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
+    write_result(tmp_path, {"a": 1})
+    with pytest.raises(TypeError):
+        write_result(tmp_path, {"a": object()})
+    with pytest.raises(TypeError, match="keys are strings"):
+        write_result(tmp_path, {"a": {1: 2}})
+    assert json.loads((tmp_path / "result.json").read_text()) == {"a": 1}
+    write_result(tmp_path, {"a": 2})
+    assert json.loads((tmp_path / "result.json").read_text()) == {"a": 2}
+    assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
+
+
+def test_config_and_meta_are_written_as_given(tmp_path: Path) -> None:
+    write_config(tmp_path, "name: démo\n")
+    write_meta(tmp_path, {"backend": "simulated"})
+    assert (tmp_path / "config.yaml").read_bytes() == "name: démo\n".encode()
+    assert json.loads((tmp_path / "meta.json").read_text()) == {"backend": "simulated"}
+
+
+def test_a_missing_folder_is_an_error_that_names_the_file(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"gone/meta\.json: cannot be written: No such file"):
+        write_meta(tmp_path / "gone", {})
