@@ -7,12 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import linear_regression
 from typing import NamedTuple
 
 _WRAP = 1 << 32
 _HALF = 1 << 31
-_BINS = 10  # stretches of the record that each contribute their fastest exchanges
 _PLAUSIBLE = 0.1  # relative rate error beyond which it is a restarted device, not a clock
 _SLACK_S = 0.002  # resolution of both clocks, with room
 
@@ -46,7 +44,7 @@ class DeviceClock:
 
 
 def fit_device_clock(exchanges: Sequence[TimedExchange], request_share: float = 0.5) -> DeviceClock:
-    """Line through the fastest of the exchanges, which were held up least.
+    """Line through the exchanges, each weighted by how far it can be off: what it took longer than the fastest.
 
     exchanges      in order of time, each sent after the one before was received
     request_share  share of a round trip that passes before the device reads its clock, 0 to 1
@@ -68,12 +66,21 @@ def fit_device_clock(exchanges: Sequence[TimedExchange], request_share: float = 
         trip_s = exchange.received_s - exchange.sent_s
         points.append((trip_s, exchange.sent_s - first.sent_s + request_share * trip_s, float(device_us)))
         last = exchange
-    span_s = points[-1][1]
-    bins: dict[int, list[tuple[float, float, float]]] = {}
-    for point in points:
-        bins.setdefault(int(_BINS * point[1] / span_s) if span_s > 0.0 else 0, []).append(point)
-    best = [point for group in bins.values() for point in sorted(group)[: -(-len(group) // 4)]]
-    if len(best) < 2:
-        raise ValueError(f"timed exchanges span {span_s:g} s: too short")
-    slope, intercept = linear_regression([p[1] for p in best], [p[2] for p in best])
+    trips = sorted(trip for trip, _, _ in points)
+    fastest, quarter = trips[0], trips[len(trips) // 4]
+    resolution_s = quarter - fastest + 1e-6
+    weights = [1.0 / (trip - fastest + resolution_s) ** 2 for trip, _, _ in points]
+    slope, intercept = _weighted_line([p[1] for p in points], [p[2] for p in points], weights)
     return DeviceClock(host_s=first.sent_s, device_us=first.device_us + intercept, ratio=slope * 1e-6)
+
+
+def _weighted_line(x: Sequence[float], y: Sequence[float], weights: Sequence[float]) -> tuple[float, float]:
+    """Slope and intercept of the weighted least-squares line."""
+    total = sum(weights)
+    x_mean = sum(w * a for w, a in zip(weights, x, strict=True)) / total
+    y_mean = sum(w * b for w, b in zip(weights, y, strict=True)) / total
+    spread = sum(w * (a - x_mean) ** 2 for w, a in zip(weights, x, strict=True))
+    if not spread > 0.0:
+        raise ValueError("timed exchanges that take no time are too short")
+    slope = sum(w * (a - x_mean) * (b - y_mean) for w, a, b in zip(weights, x, y, strict=True)) / spread
+    return slope, y_mean - slope * x_mean

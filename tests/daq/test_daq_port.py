@@ -1,0 +1,78 @@
+"""The pyserial transport on a pseudo-terminal. No assertion on how long anything takes."""
+
+import os
+import pty
+import tty
+
+import pytest
+
+from rig.daq.calibration import Calibration, DriveMap
+from rig.daq.serial_link import PySerialTransport, open_serial
+from rig.faults import Fault
+
+
+@pytest.fixture
+def terminal():
+    """(our end, the port's name) of a pseudo-terminal."""
+    ours, theirs = pty.openpty()
+    tty.setraw(ours)
+    ends = {"ours": ours, "theirs": theirs}
+    yield ends, os.ttyname(theirs)
+    for fd in ends.values():
+        os.close(fd)
+
+
+def test_bytes_both_ways(terminal):
+    ends, name = terminal
+    port = PySerialTransport(name)
+    assert port.read(0.0) == b""
+    every_byte = bytes(range(256))
+    port.write(every_byte)
+    assert os.read(ends["ours"], 512) == every_byte
+    os.write(ends["ours"], every_byte)
+    received = b""
+    while len(received) < 256:
+        received += port.read(5.0)
+    assert received == every_byte
+    assert port.now_s() <= port.now_s()
+    assert port.low_latency is False  # a pseudo-terminal has no such mode
+    port.close()
+
+
+def test_the_port_is_held_exclusively(terminal):
+    _, name = terminal
+    port = PySerialTransport(name)
+    with pytest.raises(Fault) as caught:
+        PySerialTransport(name)
+    assert caught.value.code == "LINK_OPEN"
+    port.close()
+    PySerialTransport(name).close()
+
+
+def test_a_missing_port():
+    with pytest.raises(Fault) as caught:
+        open_serial("/dev/no-such-port", Calibration([(0, 0.0), (1, 1.0)]), DriveMap(supply_V=12.0), (0, 1))
+    assert caught.value.code == "LINK_OPEN"
+    assert "/dev/no-such-port" in caught.value.detail
+
+
+def test_the_cable_is_pulled(terminal):
+    ends, name = terminal
+    port = PySerialTransport(name)
+    os.close(ends.pop("ours"))
+    for dead in (lambda: port.read(5.0), lambda: port.write(b"x")):
+        with pytest.raises(Fault) as caught:
+            dead()
+        assert caught.value.code == "LINK_LOST"
+    port.close()
+
+
+def test_a_closed_port_is_dead_not_another_file(terminal):
+    _, name = terminal
+    port = PySerialTransport(name)
+    port.close()
+    port.close()
+    with pytest.raises(Fault):
+        port.write(b"x")
+    with pytest.raises(Fault):
+        port.read(0.0)

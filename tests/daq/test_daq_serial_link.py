@@ -1,0 +1,615 @@
+"""The serial driver against a scripted port: pairs of an expected request and its reply, in virtual time."""
+
+import math
+
+import pytest
+
+from rig.daq import frames
+from rig.daq.calibration import Calibration, DriveMap, TachometerScale
+from rig.daq.frames import Code, Hello, Kind, Nack, Setup, State, encode
+from rig.daq.serial_link import SerialDriver, setup_for
+from rig.faults import Fault
+from rig.signals import Limits
+
+CALIBRATION = Calibration([(24, -2.0015625), (1000, 2.0015625)])
+DRIVE = DriveMap(supply_V=12.0)
+RAILS = (5, 1018)
+LIMITS = Limits(soft_rad=(-1.1, 1.1), hard_rad=(-1.9, 1.9), max_u_V=3.0, watchdog_s=0.1)
+SETUP = Setup(49, 975, 5, 1018, 512, 200, 100, 1)
+TIMEOUT_S = 0.03
+
+
+class ScriptedPort:
+    """A transport in virtual time. It answers HELLO by itself and everything else from its script.
+
+    A reply is (delay in s, bytes), or a Fault that the port dies of.
+    """
+
+    def __init__(self, ratio=1.0, start_us=1000, silent_s=0.0, version=frames.VERSION, **hello):
+        self.t_s = 100.0
+        self.ratio, self.start_us = ratio, start_us
+        self.silent_until_s = self.t_s + silent_s
+        self.version = version
+        self.hello = Hello(1, 1, 1023, 799, 0, 0, 0, b"test-1".ljust(16, b"\0"))._replace(**hello)
+        self.script: list[tuple[bytes, tuple]] = []
+        self.arriving: list[tuple[float, bytes]] = []
+        self.requests = frames.FrameReader()
+        self.seq = 0  # of the last request seen
+        self.hellos = 0
+        self.dead = False
+        self.closed = False
+
+    def device_us(self, t_s=None):
+        return int(self.start_us + ((self.t_s if t_s is None else t_s) - 100.0) * 1e6 * self.ratio) % 2**32
+
+    # the Transport
+
+    def write(self, data):
+        if self.dead:
+            raise Fault("LINK_LOST", "scripted")
+        (request,) = self.requests.feed(data)
+        self.seq = request.seq
+        if request.kind == Kind.HELLO:
+            self.hellos += 1
+            if self.t_s >= self.silent_until_s:
+                body = self.hello._replace(now_us=self.device_us(self.t_s + 0.0001)).pack()
+                self.reply(0.0005, encode(Kind.HELLO_REPLY, request.seq, body, self.version))
+            return
+        assert self.script, f"unexpected {Kind(request.kind).name}"
+        expected, replies = self.script.pop(0)
+        assert data == expected
+        for reply in replies:
+            if isinstance(reply, Fault):
+                self.dead = True
+            else:
+                self.reply(*reply)
+
+    def reply(self, delay_s, data):
+        self.arriving.append((self.t_s + delay_s, data))
+        self.arriving.sort(key=lambda arrival: arrival[0])
+
+    def read(self, timeout_s):
+        assert timeout_s >= 0.0
+        if self.arriving and self.arriving[0][0] <= self.t_s + timeout_s:
+            self.t_s = max(self.t_s, self.arriving[0][0])
+            here = b"".join(data for at, data in self.arriving if at <= self.t_s)
+            self.arriving = [(at, data) for at, data in self.arriving if at > self.t_s]
+            return here
+        if self.dead:
+            raise Fault("LINK_LOST", "scripted")
+        self.t_s += timeout_s
+        return b""
+
+    def now_s(self):
+        return self.t_s
+
+    def close(self):
+        self.closed = True
+
+    # the script
+
+    def next_seq(self, ahead=1):
+        return (self.seq + ahead + len(self.script)) & 0xFFFF
+
+    def expect(self, kind, body=b"", *replies):
+        """The next request, and what comes back."""
+        self.script.append((encode(kind, self.next_seq(), body), replies))
+
+    def expect_answer(self, kind, body, reply_kind, reply_body):
+        self.expect(kind, body, (0.001, encode(reply_kind, self.next_seq(), reply_body)))
+
+    def expect_read(self, **state):
+        self.expect_answer(Kind.READ, b"", Kind.STATE, self.state(**state))
+
+    def state(self, **fields):
+        base = State(self.device_us(), 512, frames.NO_TACHOMETER, 0, 0, 0, frames.STATUS_ARMED, 0)
+        return base._replace(**fields).pack()
+
+
+def make(port, **options):
+    return SerialDriver(port, CALIBRATION, DRIVE, RAILS, TIMEOUT_S, 5.0, **options)
+
+
+def opened(**options):
+    port = ScriptedPort(**options)
+    driver = make(port)
+    driver.open()
+    return port, driver
+
+
+def expect_arming(port, setup=SETUP, stored=None, code=0):
+    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0))
+    port.expect_answer(Kind.SETUP, setup.pack(), Kind.SETUP_REPLY, (stored or setup).pack())
+    port.expect_answer(Kind.ARM, b"", Kind.ARM_REPLY, bytes([code]))
+
+
+def armed(**options):
+    port, driver = opened(**options)
+    expect_arming(port)
+    driver.arm(LIMITS)
+    assert not port.script
+    return port, driver
+
+
+def fault_of(call, *arguments):
+    with pytest.raises(Fault) as caught:
+        call(*arguments)
+    return caught.value
+
+
+# ---------------------------------------------------------------------- opening
+
+
+def test_open_says_who_is_there():
+    port = ScriptedPort(ratio=1.005, reset_cause=8)
+    driver = make(port, name="serial:/dev/ttyX")
+    info = driver.open()
+    assert (info.build, info.board, info.reset_cause, info.emulated) == ("test-1", "host", "watchdog", True)
+    assert info.round_trip_s == pytest.approx(0.0005)
+    assert driver.backend == "serial:/dev/ttyX (emulated host board, build test-1)"
+    assert driver.order == "sample_first"
+
+
+def test_a_real_board_is_not_called_emulated_unless_told():
+    driver = make(ScriptedPort(board=2), name="serial:/dev/ttyACM0")
+    assert not driver.open().emulated
+    assert driver.backend == "serial:/dev/ttyACM0 (uno board, build test-1)"
+    assert make(ScriptedPort(board=2), emulated=True).open().emulated
+
+
+def test_hello_is_repeated_while_the_board_restarts():
+    port = ScriptedPort(silent_s=2.0)
+    make(port).open()
+    assert 102.0 <= port.t_s < 104.0
+
+
+def test_garbage_of_the_boot_loader_is_survived():
+    port = ScriptedPort(silent_s=0.7)
+    port.reply(0.0, b"left over from before")
+    port.reply(0.3, b"\x14\x10\0garbage\0")
+    driver = make(port)
+    driver.open()
+    assert driver.link_statistics["bad_frames"] >= 1
+
+
+def test_a_silent_device_is_an_error_with_the_numbers():
+    port = ScriptedPort(silent_s=1e9)
+    fault = fault_of(make(port).open)
+    assert fault.code == "LINK_HELLO"
+    assert "25 requests in 5 s" in fault.detail
+    assert port.t_s == pytest.approx(105.0, abs=0.2)
+
+
+@pytest.mark.parametrize("version", [2, 255])
+def test_another_version_names_both(version):
+    fault = fault_of(make(ScriptedPort(version=version)).open)
+    assert fault.code == "LINK_VERSION"
+    assert f"version {version}" in fault.detail and f"version {frames.VERSION}" in fault.detail
+
+
+def test_a_device_that_refuses_our_version():
+    port = ScriptedPort(silent_s=1e9)
+    port.reply(0.01, encode(Kind.NACK, 1, Nack(Code.VERSION, Kind.HELLO).pack()))
+    assert fault_of(make(port).open).code == "LINK_VERSION"
+
+
+def test_a_late_hello_of_an_earlier_request_is_as_good():
+    """A slow reply is not awaited for ever by asking ever anew."""
+    port = ScriptedPort(silent_s=0.5)
+    port.reply(0.45, encode(Kind.HELLO_REPLY, 1, port.hello._replace(build=b"late".ljust(16, b"\0")).pack()))
+    assert make(port).open().build == "late"
+
+
+def test_the_device_restarts_while_its_clock_is_measured():
+    port = ScriptedPort(start_us=5_000_000)
+    write = port.write
+
+    def restarting(data):
+        if port.t_s > 100.5:
+            port.start_us = -500_000
+        write(data)
+
+    port.write = restarting
+    assert fault_of(make(port).open).code == "DEVICE_RESET"
+
+
+@pytest.mark.parametrize(
+    ("hello", "options", "words"),
+    [
+        ({"adc_max": 4095}, {"counts_max": 1023}, "reads 0 to 4095"),
+        ({"adc_max": 1000}, {}, "rail_counts"),
+        ({"features": 0}, {"tachometer": TachometerScale(1.0)}, "tachometer"),
+    ],
+)
+def test_a_config_that_does_not_fit_the_device(hello, options, words):
+    with pytest.raises(ValueError, match=words):
+        make(ScriptedPort(**hello), **options).open()
+
+
+def test_full_drive_is_the_devices_own():
+    _, driver = opened(drive_full=399)
+    assert driver.drive_map.to_units(12.0) == 399
+    assert fault_of(make(ScriptedPort(drive_full=0)).open).code == "LINK_HELLO"
+
+
+# ---------------------------------------------------------------------- arming
+
+
+def test_arming_sends_stop_limits_and_arm_in_this_order():
+    port, driver = armed()
+    assert driver.failsafe is not None and driver.failsafe.time_s == pytest.approx(0.1)
+    assert port.hello.drive_full == 799
+
+
+@pytest.mark.parametrize("field", [f for f in Setup._fields if f != "polarity"])
+def test_a_read_back_that_differs_in_any_field(field):
+    port, driver = opened()
+    expect_arming(port, stored=SETUP._replace(**{field: getattr(SETUP, field) + 1}))
+    fault = fault_of(driver.arm, LIMITS)
+    assert fault.code == "ARM_READBACK"
+    assert field in fault.detail
+    assert len(port.script) == 1  # ARM was not sent
+
+
+@pytest.mark.parametrize(
+    ("code", "name"),
+    [(Code.SENSOR_RAIL, "DEVICE_SENSOR"), (Code.NO_SETUP, "LINK_REJECTED"), (99, "LINK_REJECTED")],
+)
+def test_arming_refused(code, name):
+    port, driver = opened()
+    expect_arming(port, code=code)
+    fault = fault_of(driver.arm, LIMITS)
+    assert fault.code == name
+    assert f"code {int(code)}" in fault.detail
+
+
+def test_setup_refused():
+    port, driver = opened()
+    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0))
+    port.expect_answer(Kind.SETUP, SETUP.pack(), Kind.NACK, Nack(Code.SETUP_INVALID, Kind.SETUP).pack())
+    fault = fault_of(driver.arm, LIMITS)
+    assert fault.code == "LINK_REJECTED"
+    assert "SETUP refused, code 9" in fault.detail
+
+
+def test_arming_asks_again_when_a_reply_is_lost_and_gives_up_in_the_end():
+    port, driver = opened()
+    port.expect(Kind.STOP)
+    expect_arming(port)
+    driver.arm(LIMITS)
+    for _ in range(3):
+        port.expect(Kind.STOP)
+    assert fault_of(driver.arm, LIMITS).code == "LINK_TIMEOUT"
+
+
+def test_setup_of_a_falling_sensor_and_a_reversed_bridge():
+    falling = Calibration([(24, 2.0), (1000, -2.0)])
+    setup = setup_for(LIMITS, falling, DRIVE, RAILS)
+    assert setup.polarity == -1
+    assert setup.hard_lo < setup.centre < setup.hard_hi
+    assert setup_for(LIMITS, falling, DriveMap(supply_V=12.0, reversed=True), RAILS).polarity == 1
+    assert setup_for(LIMITS, CALIBRATION, DriveMap(supply_V=12.0, reversed=True), RAILS).polarity == -1
+
+
+@pytest.mark.parametrize("calibration", [CALIBRATION, Calibration([(20, 2.03), (500, 0.1), (1000, -2.01)])])
+def test_counts_are_inside_exactly_if_the_position_is(calibration):
+    setup = setup_for(LIMITS, calibration, DRIVE, RAILS)
+    for counts in range(6, 1018):
+        inside = LIMITS.hard_rad[0] <= calibration.to_rad(counts) <= LIMITS.hard_rad[1]
+        assert (setup.hard_lo <= counts <= setup.hard_hi) == inside
+
+
+def test_the_largest_drive_covers_both_directions():
+    drive = DriveMap(supply_V=12.0, dead_band_plus=0.0, dead_band_minus=0.1)
+    setup = setup_for(LIMITS, CALIBRATION, drive, RAILS)
+    assert setup.max_drive == -drive.to_units(-3.0) > drive.to_units(3.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"hard_rad": (-2.6, 1.9)}, "rails at 5 and 1018"),
+        ({"hard_rad": (-1.9, 2.6)}, "rails at 5 and 1018"),
+        ({"hard_rad": (0.1, 1.9)}, "must enclose 0"),
+        ({"hard_rad": (1.9, -1.9)}, "must enclose 0"),
+        ({"max_u_V": 12.1}, "beyond the"),
+        ({"max_u_V": 0.001}, "less than one unit"),
+        ({"watchdog_s": 1.001}, "watchdog"),
+        ({"watchdog_s": 0.0004}, "watchdog"),
+    ],
+)
+def test_limits_that_the_device_cannot_hold(change, words):
+    limits = Limits(**{**LIMITS.__dict__, **change})
+    with pytest.raises(ValueError, match=words):
+        setup_for(limits, CALIBRATION, DRIVE, RAILS)
+
+
+# ---------------------------------------------------------------------- one tick
+
+
+def test_a_tick():
+    """Read, write, read: the second sample tells when the drive took effect, and how much it was."""
+    port, driver = armed()
+    port.expect_read(counts=600)
+    first = driver.read()
+    assert first.y_counts == 600
+    assert first.y_rad == pytest.approx(CALIBRATION.to_rad(600))
+    assert first.u_V == 0.0
+    assert math.isnan(first.t_u_s) and math.isnan(first.v_rad_per_s)
+
+    port.expect(Kind.DRIVE, frames.pack_drive(-67))
+    drive_seq = port.next_seq(0)
+    driver.write(-1.0)
+    effect_s = port.t_s + 0.0004
+    port.t_s += 0.009
+    port.expect_read(counts=601, drive=-67, drive_seq=drive_seq, t_drive_us=port.device_us(effect_s))
+    sampled_s = port.t_s
+    second = driver.read()
+    assert second.t_s == pytest.approx(sampled_s, abs=20e-6)
+    assert second.t_u_s == pytest.approx(effect_s, abs=20e-6)
+    assert second.u_V == driver.drive_map.quantised(-1.0)
+    assert second.u_V == pytest.approx(-1.0, abs=0.5 * 12.0 / 799)
+    assert driver.link_statistics["drives_lost"] == 0
+
+
+def test_a_drive_held_for_longer_than_the_clock_wraps_keeps_its_time():
+    port, driver = armed()
+    port.expect(Kind.DRIVE, frames.pack_drive(67))
+    drive_seq = port.next_seq(0)
+    driver.write(1.0)
+    effect_us = port.device_us()
+    times = []
+    for _ in range(5):
+        port.expect_read(drive=67, drive_seq=drive_seq, t_drive_us=effect_us)
+        times.append(driver.read().t_u_s)
+        port.t_s += 1800.0
+    assert len(set(times)) == 1
+
+
+def test_a_drive_beyond_the_bridge_is_refused_before_it_is_sent():
+    _, driver = armed()
+    with pytest.raises(ValueError, match="beyond"):
+        driver.write(12.5)
+
+
+def test_a_lost_drive_is_not_pretended():
+    port, driver = armed()
+    port.expect(Kind.DRIVE, frames.pack_drive(67))
+    accepted = port.next_seq(0)
+    driver.write(1.0)
+    since_us = port.device_us()
+    port.expect_read(drive=67, drive_seq=accepted, t_drive_us=since_us)
+    before = driver.read()
+    port.t_s += 0.01
+    port.expect(Kind.DRIVE, frames.pack_drive(-67))  # lost on the way
+    driver.write(-1.0)
+    for _ in range(2):
+        port.expect_read(drive=67, drive_seq=accepted, t_drive_us=since_us)
+        sample = driver.read()
+        assert sample.u_V == before.u_V > 0.0
+        assert sample.t_u_s == before.t_u_s
+    assert driver.link_statistics["drives_lost"] == 1
+
+
+def test_the_first_drive_lost_leaves_its_time_unknown():
+    port, driver = armed()
+    port.expect(Kind.DRIVE, frames.pack_drive(67))
+    driver.write(1.0)
+    port.expect_read(drive=0, drive_seq=0, t_drive_us=5)
+    sample = driver.read()
+    assert sample.u_V == 0.0
+    assert math.isnan(sample.t_u_s)
+
+
+def test_tachometer():
+    port = ScriptedPort(features=1)
+    driver = make(port, tachometer=TachometerScale(0.09, 512.0, 9.0))
+    driver.open()
+    port.expect_read(tach=612)
+    assert driver.read().v_rad_per_s == pytest.approx(1.0)
+    port.expect_read(tach=frames.NO_TACHOMETER)
+    assert math.isnan(driver.read().v_rad_per_s)
+
+
+def test_reading_before_arming_is_allowed():
+    port, driver = opened()
+    port.expect_read(counts=700, status=0)
+    assert driver.read().y_counts == 700
+    port.expect_read(counts=701, status=frames.STATUS_FAULT, fault=Code.TRAVEL)  # of an earlier run
+    assert driver.read().y_counts == 701
+
+
+# ---------------------------------------------------------------------- replies that are not the reply
+
+
+def test_late_replies_are_never_taken_for_the_next_ones():
+    port, driver = armed()
+    late = port.next_seq()
+    port.expect(Kind.READ, b"", (TIMEOUT_S + 0.001, encode(Kind.STATE, late, port.state(counts=111))))
+    assert fault_of(driver.read).code == "LINK_TIMEOUT"
+    now = port.next_seq()
+    port.expect(Kind.READ, b"", (0.002, encode(Kind.STATE, now, port.state(counts=222))))
+    sample = driver.read()
+    assert (sample.y_counts, sample.seq) == (222, now)
+    assert driver.link_statistics["stale_replies"] == 1
+    assert driver.link_statistics["timeouts"] == 1
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_a_repeated_reply_counts_once(together):
+    port, driver = armed()
+    reply = encode(Kind.STATE, port.next_seq(), port.state(counts=333))
+    replies = [(0.001, reply + reply)] if together else [(0.001, reply), (0.002, reply)]
+    port.expect(Kind.READ, b"", *replies)
+    assert driver.read().y_counts == 333
+    port.t_s += 0.01
+    port.expect_read(counts=334)
+    assert driver.read().y_counts == 334
+    assert driver.link_statistics["stale_replies"] == 1
+
+
+@pytest.mark.parametrize(
+    "foreign",
+    [
+        lambda seq, state: encode(Kind.STATE, seq - 1, state),
+        lambda seq, state: encode(Kind.STATE, (seq + 1) & 0xFFFF, state),
+        lambda seq, state: encode(Kind.STOP_REPLY, seq, state),
+        lambda seq, state: encode(Kind.STATE, seq, state, version=2),
+        lambda seq, state: encode(0x90, seq, state),
+    ],
+    ids=["before", "ahead", "another kind", "another version", "unknown kind"],
+)
+def test_foreign_replies_are_passed_over(foreign):
+    port, driver = armed()
+    seq = port.next_seq()
+    wrong, right = port.state(counts=111), port.state(counts=222)
+    port.expect(Kind.READ, b"", (0.001, foreign(seq, wrong)), (0.002, encode(Kind.STATE, seq, right)))
+    assert driver.read().y_counts == 222
+    assert driver.link_statistics["stale_replies"] == 1
+
+
+def test_a_garbled_reply_ends_in_the_time_out_never_in_another_reading():
+    """Whichever bit of the reply is flipped."""
+    port, driver = armed()
+    for bit in range(8 * len(encode(Kind.STATE, 1, port.state()))):
+        reply = bytearray(encode(Kind.STATE, port.next_seq(), port.state(counts=222)))
+        reply[bit // 8] ^= 1 << bit % 8
+        port.expect(Kind.READ, b"", (0.001, bytes(reply)), (0.002, b"\0"))
+        started_s = port.t_s
+        assert fault_of(driver.read).code == "LINK_TIMEOUT"
+        assert port.t_s - started_s == pytest.approx(TIMEOUT_S)
+    port.expect_read(counts=223)
+    assert driver.read().y_counts == 223
+
+
+def test_a_reply_in_pieces():
+    port, driver = armed()
+    reply = encode(Kind.STATE, port.next_seq(), port.state(counts=222))
+    port.expect(Kind.READ, b"", *((0.001 * k, reply[k : k + 1]) for k in range(len(reply))))
+    assert driver.read().y_counts == 222
+
+
+def test_a_trickle_of_noise_does_not_stretch_the_time_out():
+    port, driver = armed()
+    port.expect(Kind.READ, b"", *((0.001 * k, b"\x55\0") for k in range(100)))
+    started_s = port.t_s
+    assert fault_of(driver.read).code == "LINK_TIMEOUT"
+    assert port.t_s - started_s == pytest.approx(TIMEOUT_S, abs=0.0011)
+
+
+def test_sequence_numbers_wrap():
+    port, driver = armed()
+    driver._seq = port.seq = 0xFFFE
+    for seq in (0xFFFF, 0, 1):
+        port.expect_read(counts=seq & 0x1FF)
+        assert driver.read().seq == seq
+
+
+# ---------------------------------------------------------------------- faults
+
+
+@pytest.mark.parametrize(
+    ("code", "name", "numbers"),
+    [
+        (Code.WATCHDOG, "DEVICE_WATCHDOG", "watchdog 100 ms"),
+        (Code.TRAVEL, "DEVICE_TRAVEL", "limits 49 to 975 counts"),
+        (Code.SENSOR_RAIL, "DEVICE_SENSOR", "rails 5 and 1018"),
+        (Code.DRIVE_RANGE, "DEVICE_DRIVE_RANGE", "200 units"),
+        (Code.POLARITY, "POLARITY", "code 11"),
+        (42, "LINK_REJECTED", "code 42"),
+    ],
+)
+def test_a_latched_fault_has_its_name_and_numbers(code, name, numbers):
+    port, driver = armed()
+    port.expect_read(counts=1001, status=frames.STATUS_FAULT, fault=code)
+    fault = fault_of(driver.read)
+    assert fault.code == name
+    assert numbers in fault.detail and "1001 counts" in fault.detail
+
+
+@pytest.mark.parametrize("code", [Code.NONE, Code.NOT_ARMED])
+def test_a_device_that_is_no_longer_armed_has_restarted(code):
+    port, driver = armed()
+    port.expect_read(status=0, fault=code)
+    assert fault_of(driver.read).code == "DEVICE_RESET"
+
+
+def test_driving_before_arming_is_told():
+    port, driver = opened()
+    port.expect(Kind.DRIVE, frames.pack_drive(67))
+    driver.write(1.0)
+    port.expect_read(status=0, fault=Code.NOT_ARMED)
+    assert fault_of(driver.read).code == "DEVICE_NOT_ARMED"
+
+
+def test_recovering_is_no_fault():
+    port, driver = armed()
+    port.expect_read(counts=1000, status=frames.STATUS_ARMED | frames.STATUS_RECOVERING)
+    assert driver.read().y_counts == 1000
+
+
+def test_a_refused_read():
+    port, driver = armed()
+    port.expect_answer(Kind.READ, b"", Kind.NACK, Nack(Code.UNKNOWN_TYPE, Kind.READ).pack())
+    assert fault_of(driver.read).code == "LINK_REJECTED"
+
+
+def test_a_dead_port_is_told_and_never_reopened():
+    port, driver = armed()
+    port.expect(Kind.READ, b"", Fault("LINK_LOST"))
+    assert fault_of(driver.read).code == "LINK_LOST"
+    assert fault_of(driver.read).code == "LINK_LOST"
+    assert fault_of(driver.write, 1.0).code == "LINK_LOST"
+    assert driver.safe_stop() is False
+    driver.close()
+    assert port.closed
+
+
+# ---------------------------------------------------------------------- stopping
+
+
+def test_safe_stop_confirmed():
+    port, driver = armed()
+    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=frames.STATUS_FAULT, fault=6))
+    assert driver.safe_stop() is True
+
+
+def test_safe_stop_asks_three_times_and_says_so():
+    port, driver = armed()
+    port.expect(Kind.STOP)
+    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=frames.STATUS_ARMED))  # not stopped
+    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0))
+    assert driver.safe_stop() is True
+    for _ in range(3):
+        port.expect(Kind.STOP)
+    assert driver.safe_stop() is False
+    assert not port.script
+
+
+def test_close_stops_what_is_armed():
+    port, driver = armed()
+    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0))
+    driver.close()
+    assert port.closed and not port.script
+    driver.close()
+
+
+# ---------------------------------------------------------------------- clocks
+
+
+@pytest.mark.parametrize("ppm", [-20000, -5000, 0, 5000, 20000])
+def test_device_time_becomes_host_time(ppm):
+    """Over five minutes, a wrap of the 32 bits in between, whatever the device's rate."""
+    ratio = 1.0 + 1e-6 * ppm
+    port = ScriptedPort(ratio=ratio, start_us=2**32 - 60_000_000)
+    driver = make(port)
+    info = driver.open()
+    assert info.clock_ratio == pytest.approx(ratio, abs=5e-6)
+    start_s, first = port.t_s, None
+    for k in range(31):
+        port.t_s = start_s + 10.0 * k
+        port.expect_read()
+        sample = driver.read()
+        first = first or sample
+        assert sample.t_s - first.t_s == pytest.approx(10.0 * k, abs=1e-4 + 5e-6 * 10.0 * k)
+    assert port.device_us() < 2**31  # it wrapped
