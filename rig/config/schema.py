@@ -1,17 +1,27 @@
 """The schema of an experiment: every key, its unit (in its name), its range and its default.
 
-Strict: an unknown key is an error, numbers are finite, objects are frozen.
+Strict: an unknown key is an error, numbers are finite, objects are frozen. What one key says by itself is
+checked here; what keys say together (room to stop, link budget, ...) in ``rig.config.preflight``.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+
+
+def _rising(interval: tuple[float, float]) -> tuple[float, float]:
+    low, high = interval
+    if not low < high:
+        raise ValueError(f"must be [low, high] with low < high, not [{low:g}, {high:g}]")
+    return interval
+
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
-Interval = tuple[float, float]
+Interval = Annotated[tuple[float, float], AfterValidator(_rising)]
 Method = Literal["sampled-data", "triple-relay", "describing-function"]
 
 
@@ -22,22 +32,28 @@ class _Section(BaseModel):
 class Daq(_Section):
     """The link to the bench."""
 
-    driver: Literal["simulated", "serial"] = Field(description="which driver: a simulation in virtual time, or a serial device")
+    driver: Literal["simulated", "serial"] = Field(
+        description="which driver: a simulation in virtual time, or a serial device"
+    )
     port: str | None = Field(
         None, description="serial port such as /dev/ttyACM0, or `emulated`: start the device of section `emulated`"
     )
-    baud: Annotated[int, Field(ge=9600, le=4_000_000)] = 115200
+    baud: Annotated[int, Field(ge=9600, le=4_000_000)] = Field(
+        115200, description="bits per second of the serial link, as the firmware was built"
+    )
     timeout_s: Positive = Field(0.03, description="longest wait for one reply")
     open_timeout_s: Positive = Field(5.0, description="longest wait for the device to introduce itself")
-    watchdog_s: Annotated[float, Field(gt=0, le=1.0)] = Field(0.1, description="host silence before the device sets 0 V")
+    watchdog_s: Annotated[float, Field(gt=0, le=1.0)] = Field(
+        0.1, description="host silence before the device sets 0 V; 3 to 10 periods"
+    )
     accept_no_watchdog: bool = Field(False, description="drive a device that has no watchdog")
 
 
 class CalibrationPoint(_Section):
     """One pair of raw counts and position."""
 
-    counts: Annotated[int, Field(ge=0, le=65535)]
-    rad: float
+    counts: Annotated[int, Field(ge=0, le=65535)] = Field(description="raw reading of the ADC")
+    rad: float = Field(description="position of the measured shaft there, rad; 0 is the centre of travel")
 
 
 class Sensor(_Section):
@@ -47,14 +63,43 @@ class Sensor(_Section):
     calibration: Annotated[tuple[CalibrationPoint, ...], Field(min_length=2)] = Field(
         description="two points or a table, rising or falling; interpolated linearly"
     )
-    rail_counts: tuple[int, int] = Field((5, 1018), description="readings at or beyond these are a broken wire")
+    rail_counts: tuple[int, int] = Field(
+        (5, 1018), description="[low, high]: readings at or beyond these are a broken wire"
+    )
+
+    @field_validator("calibration")
+    @classmethod
+    def _one_to_one(cls, points: tuple[CalibrationPoint, ...], info: ValidationInfo) -> tuple[CalibrationPoint, ...]:
+        counts_max = info.data.get("counts_max")
+        table = sorted(points, key=lambda point: point.counts)
+        if counts_max is not None and table[-1].counts > counts_max:
+            raise ValueError(f"{table[-1].counts} counts is more than sensor.counts_max {counts_max}")
+        rising = table[-1].rad > table[0].rad
+        for a, b in pairwise(table):
+            if a.counts == b.counts:
+                raise ValueError(f"{a.counts} counts is given twice")
+            if a.rad == b.rad or (b.rad > a.rad) != rising:
+                raise ValueError(
+                    "positions must only rise or only fall with counts, but not so between "
+                    f"{a.counts} counts ({a.rad:g} rad) and {b.counts} counts ({b.rad:g} rad)"
+                )
+        return points
+
+    @field_validator("rail_counts")
+    @classmethod
+    def _within_adc(cls, rails: tuple[int, int], info: ValidationInfo) -> tuple[int, int]:
+        low, high = rails
+        counts_max = info.data.get("counts_max", 65535)
+        if not 0 <= low < high <= counts_max:
+            raise ValueError(f"must be [low, high] with 0 <= low < high <= {counts_max}, not [{low}, {high}]")
+        return rails
 
 
 class DeadBand(_Section):
     """Duty below which the bridge passes nothing, by direction."""
 
-    plus: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
-    minus: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
+    plus: Annotated[float, Field(ge=0, lt=0.5)] = Field(0.0, description="of positive duty, as a fraction of 1")
+    minus: Annotated[float, Field(ge=0, lt=0.5)] = Field(0.0, description="of negative duty, as a fraction of 1")
 
 
 class Drive(_Section):
@@ -62,7 +107,7 @@ class Drive(_Section):
 
     supply_V: Positive = Field(description="motor supply; K and f_c scale with it")
     bridge_drop_V: NonNegative = Field(0.0, description="lost in the bridge while driving (an L298: about 2 V)")
-    dead_band_duty: DeadBand = DeadBand()
+    dead_band_duty: DeadBand = Field(DeadBand(), description="duty below which the bridge passes nothing")
     max_V: Positive = Field(description="largest drive that anything may command")
     reversed: bool = Field(False, description="positive duty turns the shaft to falling positions")
 
@@ -71,7 +116,7 @@ class Tachometer(_Section):
     """A velocity channel on the motor's side of the gear."""
 
     rad_s_per_count: float = Field(description="motor velocity for one count, sign included")
-    zero_counts: float = 0.0
+    zero_counts: float = Field(0.0, description="reading at rest")
     gear_ratio: Positive = Field(1.0, description="motor velocity over shaft velocity")
 
 
@@ -87,8 +132,8 @@ class TravelLimits(_Section):
 class Breakaway(_Section):
     """The check before any relay: a slow ramp each way until the shaft moves."""
 
-    ramp_V_s: Positive = 0.4
-    max_V: Positive = 2.0
+    ramp_V_s: Positive = Field(0.4, description="how fast the drive rises, V/s")
+    max_V: Positive = Field(2.0, description="drive at which the check gives up")
     motion_rad: Positive = Field(0.02, description="displacement that counts as motion")
     rest_s: Positive = Field(0.4, description="rest before and between the ramps, and for measuring the noise")
 
@@ -96,33 +141,35 @@ class Breakaway(_Section):
 class Gains(_Section):
     """Gains of the dual-channel relay."""
 
-    h1_V: Positive
-    h2_V: Positive
+    h1_V: Positive = Field(description="gain on the sign of the position")
+    h2_V: Positive = Field(description="gain on the sign of its integral; above f_c, else there is no cycle")
 
 
 class RelayTarget(_Section):
     """The limit cycle that the gain search aims for."""
 
-    amplitude_rad: Positive
-    period_s: Positive
-    tolerance: Annotated[float, Field(gt=0.01, le=0.5)] = Field(0.15, description="relative error of both that is good enough")
+    amplitude_rad: Positive = Field(description="largest distance from the centre of travel")
+    period_s: Positive = Field(description="period of the cycle; at least 30 periods of the loop")
+    tolerance: Annotated[float, Field(gt=0.01, le=0.5)] = Field(
+        0.15, description="relative error of both that is good enough"
+    )
 
 
 class GainSearch(_Section):
     """How the gains are found (theory section 5)."""
 
-    h1_start_V: Positive = 0.3
-    h2_start_V: Positive = 0.1
-    h2_step_V: Positive = 0.15
+    h1_start_V: Positive = Field(0.3, description="first h1")
+    h2_start_V: Positive = Field(0.1, description="first h2")
+    h2_step_V: Positive = Field(0.15, description="by how much h2 is raised until a cycle appears")
     step_s: Positive = Field(0.6, description="time given to each h2 before it is raised")
     h_max_V: Positive = Field(3.0, description="largest h1 and largest h2")
-    timeout_s: Positive = 40.0
+    timeout_s: Positive = Field(40.0, description="longest search")
 
 
 class Relay(_Section):
     """The relay experiment: gains given, or searched for a target."""
 
-    target: RelayTarget | None = None
+    target: RelayTarget | None = Field(None, description="search gains that give this limit cycle; or give `gains`")
     gains: Annotated[tuple[Gains, ...], Field(min_length=1, max_length=4)] | None = Field(
         None, description="one relay test for each pair; without it the gains are searched"
     )
@@ -130,7 +177,7 @@ class Relay(_Section):
         0.75, description="searched gains: the second test's amplitude over the first's, period kept"
     )
     cycles: Annotated[int, Field(ge=3, le=200)] = Field(12, description="settled cycles recorded in each test")
-    search: GainSearch = GainSearch()
+    search: GainSearch = Field(GainSearch(), description="how the gains are searched, where there is a target")
 
     @model_validator(mode="after")
     def _target_or_gains(self) -> Self:
@@ -142,34 +189,39 @@ class Relay(_Section):
 class Sine(_Section):
     """One component of the tracking trajectory."""
 
-    amplitude_rad: float
-    omega_rad_s: Positive
+    amplitude_rad: float = Field(description="amplitude; negative: starts downwards")
+    omega_rad_s: Positive = Field(description="angular frequency")
 
 
 class Tracking(_Section):
     """The check by feedback linearisation, (33)-(35)."""
 
-    duration_s: Annotated[float, Field(gt=1)] = 6.0
+    duration_s: Annotated[float, Field(gt=1)] = Field(6.0, description="length of the check of each method")
     k1_1_s: Positive = Field(12.0, description="k1 of (34), 1/s")
     k2_1_s2: Positive = Field(36.0, description="k2 of (34), 1/s^2")
     friction_sign: Literal["reference", "estimate"] = Field(
         "reference", description="velocity whose sign the friction compensation takes; `estimate` is the paper's"
     )
-    trajectory: Annotated[tuple[Sine, ...], Field(min_length=1)]
-    methods: tuple[Method, ...] = ("sampled-data", "triple-relay", "describing-function")
+    trajectory: Annotated[tuple[Sine, ...], Field(min_length=1)] = Field(
+        description="the reference: a sum of sines about the centre of travel"
+    )
+    methods: tuple[Method, ...] = Field(
+        ("sampled-data", "triple-relay", "describing-function"),
+        description="estimators whose models are compared, each on the same trajectory",
+    )
 
 
 class EmulatedMotor(_Section):
     """The true motor behind an emulated or simulated device."""
 
-    tau_s: Positive
-    K_rad_s_V: Positive
-    fc_plus_V: NonNegative
-    fc_minus_V: NonNegative
+    tau_s: Positive = Field(description="velocity time constant")
+    K_rad_s_V: Positive = Field(description="velocity gain of the measured shaft")
+    fc_plus_V: NonNegative = Field(description="moving friction towards positive positions")
+    fc_minus_V: NonNegative = Field(description="moving friction towards negative positions")
     fs_plus_V: NonNegative | None = Field(None, description="static friction; default: as the moving friction")
-    fs_minus_V: NonNegative | None = None
-    bias_V: float = 0.0
-    start_rad: float = 0.0
+    fs_minus_V: NonNegative | None = Field(None, description="static friction; default: as the moving friction")
+    bias_V: float = Field(0.0, description="constant added to the drive")
+    start_rad: float = Field(0.0, description="position at the start")
     stop_rad: Interval = Field((-2.6, 2.6), description="mechanical stops, where the shaft is stopped dead")
 
 
@@ -178,25 +230,27 @@ class EmulatedPotentiometer(_Section):
 
     rad_per_count: float = Field(4.2 / 1024, description="negative: readings fall with position")
     centre_counts: float = Field(512.0, description="reading at position 0 (with offset_rad 0)")
-    counts_max: Annotated[int, Field(ge=15, le=65535)] = 1023
+    counts_max: Annotated[int, Field(ge=15, le=65535)] = Field(1023, description="largest reading of the ADC")
     noise_rad: NonNegative = Field(0.0, description="standard deviation of white noise before quantisation")
-    offset_rad: float = 0.0
+    offset_rad: float = Field(0.0, description="true zero against the calibration's")
 
 
 class EmulatedWiring(_Section):
     """Faults that the emulated bench is built with."""
 
-    drive: Literal["ok", "reversed", "dead", "stuck_on"] = "ok"
-    sensor: Literal["ok", "reversed", "broken_low", "broken_high", "stuck"] = "ok"
+    drive: Literal["ok", "reversed", "dead", "stuck_on"] = Field("ok", description="fault of the drive")
+    sensor: Literal["ok", "reversed", "broken_low", "broken_high", "stuck"] = Field(
+        "ok", description="fault of the position sensor"
+    )
     fault_after_s: NonNegative = Field(0.0, description="device time from arming until drive and sensor faults begin")
 
 
 class Emulated(_Section):
     """The emulated bench: what is really behind `driver: simulated` or `port: emulated`."""
 
-    motor: EmulatedMotor
-    potentiometer: EmulatedPotentiometer = EmulatedPotentiometer()
-    supply_V: Positive = 12.0
+    motor: EmulatedMotor = Field(description="the true motor, which the report compares estimates with")
+    potentiometer: EmulatedPotentiometer = Field(EmulatedPotentiometer(), description="the true potentiometer")
+    supply_V: Positive = Field(12.0, description="true motor supply")
     drive_counts: Annotated[int, Field(ge=50, le=32767)] = Field(799, description="PWM counts at full duty")
     latency_s: NonNegative = Field(0.0012, description="simulated: mean time from sample to effect of the drive")
     latency_jitter_s: NonNegative = Field(0.0003, description="simulated: uniform half-width around the mean")
@@ -204,7 +258,7 @@ class Emulated(_Section):
         0.0, description="device clock against the host's (a ceramic resonator: 5000)"
     )
     tachometer: bool = Field(False, description="has a velocity channel, scaled as in section tachometer")
-    wiring: EmulatedWiring = EmulatedWiring()
+    wiring: EmulatedWiring = Field(EmulatedWiring(), description="faults that the bench is built with")
 
 
 class Experiment(_Section):
@@ -215,12 +269,12 @@ class Experiment(_Section):
     )
     seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = Field(1, description="of emulated noise")
     period_s: Annotated[float, Field(ge=0.0005, le=0.1)] = Field(0.01, description="the loop's period")
-    daq: Daq
-    sensor: Sensor
-    drive: Drive
-    tachometer: Tachometer | None = None
-    limits: TravelLimits
-    breakaway: Breakaway = Breakaway()
-    relay: Relay
+    daq: Daq = Field(description="the link to the bench")
+    sensor: Sensor = Field(description="the potentiometer: counts to rad")
+    drive: Drive = Field(description="the H-bridge: V to duty")
+    tachometer: Tachometer | None = Field(None, description="velocity channel; leave out where there is none")
+    limits: TravelLimits = Field(description="where the shaft may be, and how fast")
+    breakaway: Breakaway = Field(Breakaway(), description="the check before any relay")
+    relay: Relay = Field(description="the relay experiment")
     tracking: Tracking | None = Field(None, description="leave out to skip the tracking check")
-    emulated: Emulated | None = None
+    emulated: Emulated | None = Field(None, description="the bench behind `driver: simulated` or `port: emulated`")
