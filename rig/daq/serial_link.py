@@ -26,6 +26,7 @@ from rig.signals import Limits, Order, Sample
 LONGEST_WATCHDOG_S = 1.0  # that the device accepts
 _HELLO_INTERVAL_S = 0.2
 _SYNCHRONISE_S = 1.0
+_PAUSE_S = 0.002  # between two of the exchanges that measure the clock
 _ATTEMPTS = 3  # of a request outside the loop
 _READ_BYTES = 512
 
@@ -375,7 +376,7 @@ class SerialDriver:
             raise ValueError("the config has a section `tachometer`, but the device has no such channel")
 
     def _time_exchanges(self) -> list[TimedExchange]:
-        """Ask for the device's time as fast as it answers, for about a second.
+        """Ask for the device's time again and again, for about a second.
 
         HELLO carries the time at which it is answered; a sample's time may be a device tick old.
         """
@@ -388,6 +389,7 @@ class SerialDriver:
             received_s = now_s()
             if packet is not None and packet.kind == Kind.HELLO_REPLY:
                 exchanges.append(TimedExchange(sent_s, received_s, Hello.unpack(packet.body).now_us))
+            self._stale_replies += len(self._reader.feed(self._transport.read(_PAUSE_S)))
             sent_s = now_s()
         if len(exchanges) < 4:
             raise self._timeout(Kind.HELLO)
