@@ -1,0 +1,206 @@
+"""The limit cycle under a dual-channel relay, exactly: where it is (Theorem 2.1), and whether it is stable (Theorem 2.2).
+
+u = -h1 sgn(y) - h2 sgn(z) on tau dv/dt + v = K (u - fc sgn(v)), dy/dt = v, dz/dt = y. Time 0 is where the drive steps up
+to h1 + h2 (theory section 3).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import root
+
+Array = NDArray[np.float64]
+
+# The plane that ends each stage: RA (velocity), RB (position), RC (integral).
+PLANES = np.eye(3)
+
+
+class NoLimitCycle(Exception):
+    """There is no simple oscillation; the message says why."""
+
+
+@dataclass(frozen=True)
+class LimitCycle:
+    """A simple oscillation: each relay switches once per half period.
+
+    durations_s    t1 (until v crosses zero), t2 (until y does), t3 (until z does), s
+    inputs_V       effective inputs of the three stages
+    states         (4, 3): [v, y, z] at 0, t1, t1 + t2, t1 + t2 + t3, in rad/s, rad, rad s
+    tau_s, K_rad_s_V   of the motor
+    """
+
+    durations_s: tuple[float, float, float]
+    inputs_V: tuple[float, float, float]
+    states: Array
+    tau_s: float
+    K_rad_s_V: float
+
+    @property
+    def period_s(self) -> float:
+        """T = 2 (t1 + t2 + t3), s."""
+        return 2.0 * sum(self.durations_s)
+
+    @property
+    def amplitude_rad(self) -> float:
+        """Largest |y|, reached at t1, rad."""
+        return -float(self.states[1, 1])
+
+    @property
+    def integral_amplitude_rad_s(self) -> float:
+        """Largest |z|, reached at t1 + t2, rad s."""
+        return -float(self.states[2, 2])
+
+    @property
+    def speed_rad_s(self) -> float:
+        """Largest |v|, rad/s."""
+        return float(np.abs(self.states[:, 0]).max())
+
+    def stage_jacobians(self) -> tuple[Array, Array, Array]:
+        """J1, J2, J3 of Theorem 2.2: Ji = (I - wi Ci / (Ci wi)) Phi_i."""
+        jacobians = []
+        for i, (duration, U) in enumerate(zip(self.durations_s, self.inputs_V, strict=True)):
+            v, y, _ = self.states[i + 1]
+            w = np.array([(self.K_rad_s_V * U - v) / self.tau_s, v, y])
+            projection = np.eye(3) - np.outer(w, PLANES[i]) / w[i]
+            jacobians.append(projection @ transition(self.tau_s, duration))
+        return jacobians[0], jacobians[1], jacobians[2]
+
+    def jacobian(self) -> Array:
+        """J = J3 J2 J1 of the map from one half period to the next."""
+        j1, j2, j3 = self.stage_jacobians()
+        return np.asarray(j3 @ j2 @ j1)
+
+    def eigenvalues(self) -> NDArray[np.complex128]:
+        """Eigenvalues of J, by falling magnitude; one is 0 (along the switching plane)."""
+        values = np.linalg.eigvals(self.jacobian()).astype(complex)
+        return values[np.argsort(-np.abs(values))]
+
+    @property
+    def stable(self) -> bool:
+        """Locally stable: every eigenvalue of J inside the unit circle (Theorem 2.2)."""
+        return bool(np.abs(self.eigenvalues()).max() < 1.0)
+
+
+def transition(tau_s: float, h_s: float) -> Array:
+    """Phi(h): [v, y, z] after h seconds without input."""
+    decay = -math.expm1(-h_s / tau_s)
+    glide = tau_s * decay
+    return np.array([[1.0 - decay, 0.0, 0.0], [glide, 1.0, 0.0], [tau_s * (h_s - glide), h_s, 1.0]])
+
+
+def input_vector(tau_s: float, K_rad_s_V: float, h_s: float) -> Array:
+    """Gamma(h): [v, y, z] after h seconds of one volt from zero."""
+    decay = -math.expm1(-h_s / tau_s)
+    drift = h_s - tau_s * decay
+    return K_rad_s_V * np.array([decay, drift, 0.5 * h_s * h_s - tau_s * drift])
+
+
+def effective_inputs(fc_V: float, h1_V: float, h2_V: float) -> tuple[float, float, float]:
+    """Effective inputs of the three stages, V (theory section 3)."""
+    return h1_V + h2_V + fc_V, h1_V + h2_V - fc_V, h2_V - h1_V - fc_V
+
+
+def initial_state(
+    tau_s: float, K_rad_s_V: float, durations_s: tuple[float, float, float], inputs_V: tuple[float, float, float]
+) -> Array:
+    """x(0) from odd symmetry, x(T/2) = -x(0) (theory section 3)."""
+    phi, forced = np.eye(3), np.zeros(3)
+    for duration, U in zip(durations_s, inputs_V, strict=True):
+        step = transition(tau_s, duration)
+        phi = step @ phi
+        forced = step @ forced + input_vector(tau_s, K_rad_s_V, duration) * U
+    return np.asarray(-np.linalg.solve(np.eye(3) + phi, forced))
+
+
+def stage_states(
+    tau_s: float, K_rad_s_V: float, durations_s: tuple[float, float, float], inputs_V: tuple[float, float, float]
+) -> Array:
+    """(4, 3): [v, y, z] at the begin and at the end of each stage, from odd symmetry."""
+    states = [initial_state(tau_s, K_rad_s_V, durations_s, inputs_V)]
+    for duration, U in zip(durations_s, inputs_V, strict=True):
+        states.append(transition(tau_s, duration) @ states[-1] + input_vector(tau_s, K_rad_s_V, duration) * U)
+    return np.array(states)
+
+
+def limit_cycle(
+    tau_s: float, K_rad_s_V: float, fc_V: float, h1_V: float, h2_V: float, fs_V: float | None = None
+) -> LimitCycle:
+    """The simple oscillation of Theorem 2.1.
+
+    fs_V   static friction, V; default: fc_V
+    Raises NoLimitCycle with the reason if there is none, ValueError on parameters out of range.
+    """
+    static = fc_V if fs_V is None else fs_V
+    if not (tau_s > 0.0 and K_rad_s_V > 0.0 and h1_V > 0.0 and h2_V >= 0.0 and 0.0 <= fc_V <= static):
+        raise ValueError("need tau, K, h1 > 0, h2 >= 0 and 0 <= fc <= fs")
+    if h2_V <= fc_V:
+        raise NoLimitCycle(f"h2 = {h2_V:g} V does not exceed the friction of {fc_V:g} V (Property 3.1)")
+    if h1_V + h2_V <= static:
+        raise NoLimitCycle(f"the motor sticks: h1 + h2 = {h1_V + h2_V:g} V does not exceed static friction, {static:g} V")
+    inputs = effective_inputs(fc_V, h1_V, h2_V)
+    normal = _durations(inputs, h1_V / (h2_V - fc_V))
+    durations = (normal[0] * tau_s, normal[1] * tau_s, normal[2] * tau_s)
+    cycle = LimitCycle(durations, inputs, stage_states(tau_s, K_rad_s_V, durations, inputs), tau_s, K_rad_s_V)
+    _check_no_additional_switching(cycle)
+    return cycle
+
+
+def _durations(inputs: tuple[float, float, float], omega: float) -> tuple[float, float, float]:
+    """t1, t2, t3 in units of tau, for which z(0) = 0, v(t1) = 0 and y(t1 + t2) = 0.
+
+    Two unknowns remain (see ``_unfolded``), solved from several fractions of the describing function's half period
+    (omega in 1/tau).
+    """
+    half = math.pi / omega
+    for inner in (0.45, 0.3, 0.2, 0.6):
+        for early in (-1.0, -3.0, 0.5, -6.0):
+            for stretch in (1.0, 0.5, 2.0):
+                longer = stretch * inner * half
+                # in a long cycle the speed at RC has all but reached what stage 3 tends to
+                late = -longer if inputs[2] > 0.0 and longer > 5.0 else early
+                guess = np.array([math.log(math.expm1(longer)) if longer < 30.0 else longer, late])
+                found = root(_reduced, guess, args=(inputs,), method="hybr", tol=1e-13)
+                if np.abs(found.fun).max() < 1e-9:
+                    return _unfolded(found.x, inputs)
+    raise NoLimitCycle("no durations satisfy the switching conditions: additional switching")
+
+
+def _unfolded(unknown: Array, inputs: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Durations in units of tau from two unbounded numbers, with v(t1) = 0 and v(T/2) = -v(0) built in.
+
+    The speed at RC, -v(0), lies between what stage 3 tends to (or 0) and the speed v2 at RB, which lies between that and
+    what stage 2 tends to; the unknowns say where, as logistic fractions.
+    """
+    lowest = max(inputs[2], 0.0)
+    p, s = (float(value) for value in np.clip(unknown, [-300.0, -1e5], [1e5, 300.0]))
+    t2 = math.log(inputs[1] / (inputs[1] - lowest)) + float(np.logaddexp(0.0, p))
+    above = (inputs[1] - lowest) * math.exp(-float(np.logaddexp(0.0, -p)))  # v2 - lowest
+    beyond = above * math.exp(-float(np.logaddexp(0.0, -s)))  # -v(0) - lowest
+    rest = lowest - inputs[2]
+    t3 = math.log((above + rest) / (beyond + rest)) if rest > 0.0 else float(np.logaddexp(0.0, -s))
+    return math.log1p((lowest + beyond) / inputs[0]), t2, t3
+
+
+def _reduced(unknown: Array, inputs: tuple[float, float, float]) -> list[float]:
+    """Conditions y(t1 + t2) = 0 and z(0) = 0 for tau = K = 1, relative to what moves within a half period."""
+    durations = _unfolded(unknown, inputs)
+    states = stage_states(1.0, 1.0, durations, inputs)
+    size = float(np.abs(states[:, 1]).max())
+    return [float(states[2, 1]) / size, float(states[0, 2]) / (size * sum(durations))]
+
+
+def _check_no_additional_switching(cycle: LimitCycle) -> None:
+    """v < 0 on (0, t1) and > 0 after; y < 0 before t1 + t2 and > 0 after; z < 0 throughout (Theorem 2.1)."""
+    t1, t2, t3 = cycle.durations_s
+    states = cycle.states
+    # Velocity is monotone within a stage, so the ends decide about v; then v about y, and y about z.
+    if not (min(t1, t2, t3) > 0.0 and states[0, 0] < 0.0 < min(states[2, 0], states[3, 0])):
+        raise NoLimitCycle("the velocity reverses more than once in a half period: additional switching of RA")
+    if not states[0, 1] < 0.0 < states[3, 1]:
+        raise NoLimitCycle("the position crosses zero more than once in a half period: additional switching of RB")
+    if not states[2, 2] < 0.0:
+        raise NoLimitCycle("the integral crosses zero more than once in a half period: additional switching of RC")
