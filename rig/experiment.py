@@ -174,7 +174,7 @@ def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetec
         detector,
         CycleTarget(target.amplitude_rad, target.period_s, target.tolerance),
         SearchRange(s.h1_start_V, s.h2_start_V, s.h2_step_V, s.step_s, s.h_max_V, e.drive.max_V, s.timeout_s),
-        # the ramp gains some tenths of a volt until the motion is seen: a little less is nearer to f_c
+        # moving friction is a little less than what breaks the shaft away
         friction_V=0.45 * (breakaway.plus_V + breakaway.minus_V),
         reach_rad=0.9 * min(-e.limits.soft_rad[0], e.limits.soft_rad[1]),
     )

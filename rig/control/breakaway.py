@@ -1,9 +1,9 @@
-"""The breakaway check: a slow ramp each way proves sensor, drive and sign before any relay runs."""
+"""The breakaway check: a slow ramp each way, in short strokes, proves sensor, drive and sign before any relay runs."""
 
 from __future__ import annotations
 
 import math
-from statistics import fmean, pstdev
+from statistics import fmean
 
 from rig.faults import Fault
 from rig.signals import Sample
@@ -12,17 +12,22 @@ from rig.signals import Sample
 class BreakawayCheck:
     """Ramp up until the shaft moves, rest, ramp down until it moves, rest (architecture: Safety).
 
+    The ramp goes out in strokes of ``STROKE_S``, with as long a pause at 0 V: if the sensor is stuck or not coupled
+    the shaft turns unseen, and a continuous ramp would have it at full speed, and at its stop, before the ramp's end.
+
     ramp_V_s    slope of the ramp
     max_V       largest drive tried; Fault NO_MOTION where it does not move the shaft
     motion_rad  displacement that counts as motion
     rest_s      rest before, between and after; the first one measures the sensor's noise
 
-    Results, once finished: ``plus_V`` and ``minus_V`` (> 0), the drive at which motion was seen each way, and
-    ``noise_rad``, the sensor's standard deviation at rest. Both levels lie above static friction by what the ramp
-    gains until the motion is seen; identification corrects that.
+    Results, once finished: ``plus_V`` and ``minus_V`` (> 0), the last drive each way at which no motion was to be seen,
+    and ``noise_rad``, the sensor's standard deviation at rest. Both levels may lie above static friction by what the
+    ramp gains until the motion leaves the noise; identification corrects that.
 
     Raises Fault: DRIVE_STUCK_ON (moves at 0 V), SENSOR_NOISY, NO_MOTION, POLARITY (moves against the drive).
     """
+
+    STROKE_S = 0.04
 
     z_rad_s = math.nan
     yd_rad = math.nan
@@ -41,6 +46,7 @@ class BreakawayCheck:
         self._ramp_from_rad = 0.0
         self._direction = 0  # 0: at rest; +1, -1: ramping
         self._seen = 0
+        self._still_V = 0.0  # last level of the ramp at which the shaft had not moved beyond the noise
 
     def step(self, sample: Sample) -> float:
         """Drive of the ramp at this sample, V; 0 V while resting."""
@@ -58,13 +64,22 @@ class BreakawayCheck:
             return
         # the second half: the shaft has coasted to a stop by then
         still = self._rest_y[len(self._rest_y) // 2 :]
-        if self._coasting(still) and elapsed_s < 10.0 * self.rest_s:
-            return
+        # from second differences: a shaft that still turns steadily does not count as noise
+        rest = self._rest_y
+        bends = [a - 2.0 * b + c for a, b, c in zip(rest, rest[1:], rest[2:], strict=False)]
+        self.noise_rad = math.sqrt(fmean(bend * bend for bend in bends) / 6.0)
         first = math.isnan(self.plus_V)
-        if first:
-            self.noise_rad = pstdev(still)
-            self._check_noise()
-        self._check_at_rest(still)
+        if first and self.noise_rad > 0.33 * self.motion_rad:
+            raise Fault(
+                "SENSOR_NOISY",
+                f"standard deviation {self.noise_rad * 1e3:.1f} mrad at rest; "
+                f"breakaway.motion_rad is {self.motion_rad * 1e3:.0f} mrad",
+            )
+        if self._turns(still):
+            if elapsed_s > 10.0 * self.rest_s:
+                raise Fault("DRIVE_STUCK_ON", f"it still turns {elapsed_s:.1f} s after the drive was set to 0 V")
+            self._rest_y = self._rest_y[-2 * len(still) :]
+            return
         if not first and not math.isnan(self.minus_V):
             self.finished = True
             return
@@ -73,27 +88,18 @@ class BreakawayCheck:
         self._phase_start_s = sample.t_s
         self._seen = 0
 
-    def _coasting(self, y_rad: list[float]) -> bool:
+    def _turns(self, y_rad: list[float]) -> bool:
         half = len(y_rad) // 2
-        return half > 0 and abs(fmean(y_rad[half:]) - fmean(y_rad[:half])) > 0.25 * self.motion_rad
-
-    def _check_noise(self) -> None:
-        if self.noise_rad > 0.33 * self.motion_rad and not self._coasting(self._rest_y):
-            raise Fault(
-                "SENSOR_NOISY",
-                f"standard deviation {self.noise_rad * 1e3:.1f} mrad at rest; "
-                f"breakaway.motion_rad is {self.motion_rad * 1e3:.0f} mrad",
-            )
-
-    def _check_at_rest(self, still: list[float]) -> None:
-        if self._coasting(still):
-            raise Fault("DRIVE_STUCK_ON", f"it still moves {10.0 * self.rest_s:.1f} s after the drive was set to 0 V")
+        drift = abs(fmean(y_rad[half:]) - fmean(y_rad[:half]))
+        return drift > max(0.25 * self.motion_rad, 4.0 * self.noise_rad * math.sqrt(2.0 / half))
 
     def _ramp(self, sample: Sample, elapsed_s: float) -> float:
         moved = sample.y_rad - self._ramp_from_rad
         # two samples in a row: one noisy reading is not motion
         self._seen = self._seen + 1 if abs(moved) > self.motion_rad else 0
         level = self.ramp_V_s * elapsed_s
+        if abs(moved) < max(2.5 * self.noise_rad, 0.15 * self.motion_rad):
+            self._still_V = level
         if self._seen >= 2:
             if moved * self._direction < 0.0:
                 raise Fault(
@@ -101,9 +107,9 @@ class BreakawayCheck:
                     f"{self._direction * level:+.2f} V moved it by {moved * 1e3:+.0f} mrad",
                 )
             if self._direction > 0:
-                self.plus_V = level
+                self.plus_V = self._still_V
             else:
-                self.minus_V = level
+                self.minus_V = self._still_V
             self._direction = 0
             self._phase_start_s = sample.t_s
             self._rest_y = []
@@ -111,4 +117,5 @@ class BreakawayCheck:
         if level > self.max_V:
             way = "rising" if self._direction > 0 else "falling"
             raise Fault("NO_MOTION", f"up to {self.max_V:.2f} V towards {way} positions")
-        return self._direction * level
+        in_stroke = elapsed_s % (2.0 * self.STROKE_S) < self.STROKE_S
+        return self._direction * level if in_stroke else 0.0

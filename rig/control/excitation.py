@@ -133,17 +133,25 @@ class GainSearch(_RelayLaw):
         promising = sum(c.accepted for c in cycles)
         if promising > 0 and len(cycles) < self._PATIENCE_CYCLES:
             return False
-        # while the shaft sticks there is nothing to wait for
-        sticks = self._y_range[1] - self._y_range[0] < self.detector.min_amplitude_rad
-        wait_s = self.search.step_s if sticks else max(self.search.step_s, 2.5 * self.target.period_s)
+        if self._sticks:
+            wait_s = self.search.step_s  # there is nothing to wait for
+        else:
+            # a first whole period after a change of gains may take two
+            period_s = max(self.target.period_s, *(2.0 * math.pi / s[2] for s in self._settled[-1:]), 0.0)
+            wait_s = max(self.search.step_s, 2.5 * period_s)
         return t_s - self._step_start_s > wait_s
+
+    @property
+    def _sticks(self) -> bool:
+        """The shaft has not moved to speak of since the last change of gains."""
+        return self._y_range[1] - self._y_range[0] < self.detector.min_amplitude_rad
 
     def _raise_h2(self, t_s: float) -> None:
         self._note(t_s, math.nan, math.nan, self._last_reason())
         h2 = self.relay.h2_V + self.search.h2_step_V
         if h2 > self.search.h_max_V or h2 + self.relay.h1_V > self.search.sum_max_V:
             raise Fault("NO_CYCLE", f"h2 reached {self.relay.h2_V:.2f} V; {self._story()}")
-        if self._y_range[1] - self._y_range[0] < self.detector.min_amplitude_rad:
+        if self._sticks:
             self.relay.restart()  # it sticks: what the integral gathered meanwhile says nothing
         self._set_gains(self.relay.h1_V, h2)
         self._step_start_s = t_s

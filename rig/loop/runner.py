@@ -193,5 +193,6 @@ class Loop:
     def _finish_row(self) -> None:
         """One last exchange: the effect of the last drive belongs into its row."""
         if self._row_open:
+            self._clock.sleep_until(self._t0_s + self._tick * self._period_s)
             sample = self._driver.read()
             self._complete_row(sample._replace(t_u_s=sample.t_u_s - self._t0_s))

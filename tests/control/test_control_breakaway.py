@@ -1,0 +1,67 @@
+"""The breakaway check finds every way a bench can be wired wrong before a relay runs."""
+
+from __future__ import annotations
+
+import pytest
+from simulated_bench import DEMO_MOTOR, LIMITS, simulated_bench
+
+from rig.control.breakaway import BreakawayCheck
+from rig.faults import Fault
+from rig.model.friction import coulomb
+from rig.model.motor import Motor
+
+
+def check() -> BreakawayCheck:
+    return BreakawayCheck(ramp_V_s=0.4, max_V=1.2, motion_rad=0.02, rest_s=0.4)
+
+
+def test_it_measures_both_levels_and_the_noise_and_hardly_moves_the_shaft() -> None:
+    bench = simulated_bench()
+    law = check()
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(law, "breakaway")
+    friction, bias = DEMO_MOTOR.friction, DEMO_MOTOR.bias_V
+    # the ramp gains up to 0.1 V until the motion is seen
+    assert friction.static_plus_V - bias < law.plus_V < friction.static_plus_V - bias + 0.1
+    assert friction.static_minus_V + bias < law.minus_V < friction.static_minus_V + bias + 0.1
+    assert 0.002 < law.noise_rad < 0.005
+    assert max(abs(row["y_rad"]) for row in bench.record.rows) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("wiring", "code"),
+    [
+        ({"drive": "reversed"}, "POLARITY"),
+        ({"sensor": "reversed"}, "POLARITY"),
+        ({"drive": "dead"}, "NO_MOTION"),
+        ({"sensor": "stuck"}, "NO_MOTION"),
+        ({"sensor": "broken_low"}, "DEVICE_SENSOR"),
+        ({"sensor": "broken_high"}, "DEVICE_SENSOR"),
+        ({"motor": Motor(0.17, 6.5, coulomb(1.5))}, "NO_MOTION"),
+        ({"noise_rad": 0.05}, "SENSOR_NOISY"),
+    ],
+)
+def test_each_wrong_bench_is_named_and_left_at_zero(wiring, code: str) -> None:
+    bench = simulated_bench(**wiring)
+    with pytest.raises(Fault) as caught, bench.loop.armed(LIMITS):
+        bench.loop.run(check(), "breakaway")
+    assert caught.value.code == code
+    assert bench.driver.bench.pin_counts == 0
+    # a stuck sensor cannot show the motion: the strokes keep it short
+    assert abs(bench.driver.bench.state.y) < 0.5
+
+
+def test_a_drive_that_is_stuck_on_is_noticed_though_no_software_can_stop_it() -> None:
+    bench = simulated_bench(drive="stuck_on", motor=Motor(0.17, 0.4, coulomb(0.5)))
+    with pytest.raises(Fault) as caught, bench.loop.armed(LIMITS):
+        bench.loop.run(check(), "breakaway")
+    assert caught.value.code in ("DRIVE_STUCK_ON", "TRAVEL_HARD", "DEVICE_TRAVEL")
+
+
+def test_a_shaft_that_still_turns_at_the_start_is_waited_for() -> None:
+    bench = simulated_bench()
+    bench.driver.bench.state = bench.driver.bench.state._replace(v=2.0, y=-0.5)
+    law = check()
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(law, "breakaway")
+    assert law.finished

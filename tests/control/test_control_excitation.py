@@ -1,0 +1,107 @@
+"""The gain search on simulated motors: finds the wanted cycle, stays inside, knows hunting from a cycle."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, SimulatedBench, simulated_bench
+
+from rig.control.breakaway import BreakawayCheck
+from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
+from rig.control.relay import DualChannelRelay
+from rig.faults import Fault
+from rig.model.cycle_detector import CycleDetector
+from rig.model.friction import coulomb, directional
+from rig.model.motor import Motor
+
+TARGET = CycleTarget(0.6, 1.0, 0.15)
+SEARCH = SearchRange(0.3, 0.1, 0.15, 0.6, h_max_V=3.0, sum_max_V=3.0, timeout_s=60.0)
+
+
+def relay_and_detector() -> tuple[DualChannelRelay, CycleDetector]:
+    detector = CycleDetector(30 * PERIOD_S, 20 * CALIBRATION.lsb_rad)
+    return DualChannelRelay(0.0, 0.0, z_bound_rad_s=0.7), detector
+
+
+def break_away(bench: SimulatedBench) -> BreakawayCheck:
+    check = BreakawayCheck(0.4, 1.2, 0.02, 0.4)
+    bench.loop.run(check, "breakaway")
+    bench.guard.sign_proven = True
+    bench.guard.static_V = max(check.plus_V, check.minus_V)
+    return check
+
+
+MOTORS = {
+    "demo": DEMO.motor,
+    "quick": Motor(0.09, 6.0, coulomb(0.4, 0.44)),
+    "slow": Motor(0.35, 4.0, coulomb(0.35)),
+    "stiff": Motor(0.15, 5.0, coulomb(0.7, 0.9)),
+    "one-sided": Motor(0.17, 6.5, directional(0.55, 0.40), 0.03),
+}
+
+
+@pytest.mark.parametrize("name", MOTORS)
+@pytest.mark.parametrize("start_rad", [0.0, 0.9])
+def test_search_finds_the_wanted_cycle_inside_the_soft_limits(name: str, start_rad: float) -> None:
+    bench = simulated_bench(motor=MOTORS[name], start_rad=start_rad)
+    relay, detector = relay_and_detector()
+    with bench.loop.armed(LIMITS):
+        check = break_away(bench)
+        search = GainSearch(relay, detector, TARGET, SEARCH, 0.45 * (check.plus_V + check.minus_V), 0.99)
+        bench.loop.run(search, "search")
+        period, amplitude = detector.mean()
+        assert amplitude == pytest.approx(TARGET.amplitude_rad, rel=0.16)
+        assert period == pytest.approx(TARGET.period_s, rel=0.16)
+        test = RelayTest(relay, detector, (relay.h1_V, relay.h2_V), 8, 60.0)
+        bench.loop.run(test, "relay-1")
+    assert test.settled_end_s - test.settled_start_s == pytest.approx(8 * period, rel=0.1)
+    # a jitter of one sampling period at each switch may carry a peak past the wanted amplitude, never past soft
+    assert max(abs(row["y_rad"]) for row in bench.record.rows) < LIMITS.soft_rad[1]
+
+
+def test_search_gives_up_with_its_story_where_the_wish_cannot_be_had() -> None:
+    bench = simulated_bench()
+    relay, detector = relay_and_detector()
+    weak = SearchRange(0.3, 0.1, 0.15, 0.6, h_max_V=0.6, sum_max_V=3.0, timeout_s=60.0)
+    with bench.loop.armed(LIMITS), pytest.raises(Fault) as caught:
+        check = break_away(bench)
+        search = GainSearch(relay, detector, TARGET, weak, 0.45 * (check.plus_V + check.minus_V), 0.99)
+        bench.loop.run(search, "search")
+    assert caught.value.code == "NO_CYCLE"
+    assert "tried" in caught.value.detail or "nearest" in caught.value.detail
+    assert bench.driver.bench.pin_counts == 0
+
+
+@pytest.mark.parametrize(("h1", "h2", "amplitude_mrad"), [(0.8, 0.0, 40), (0.8, 0.4, 110)])
+def test_delay_hunting_is_never_taken_for_a_cycle(h1: float, h2: float, amplitude_mrad: float) -> None:
+    """Theory section 5: with h2 <= f_c the loop still oscillates by its delay; that is not the limit cycle."""
+    bench = simulated_bench(motor=Motor(0.17, 6.5, coulomb(0.5)), start_rad=0.3, noise_rad=0.0, offset_rad=0.0)
+    relay, detector = relay_and_detector()
+    bench.guard.sign_proven = True
+    with bench.loop.armed(LIMITS), pytest.raises(Fault) as caught:
+        bench.loop.run(RelayTest(relay, detector, (h1, h2), 5, timeout_s=15.0), "relay-1")
+    assert caught.value.code == "NO_CYCLE"
+    late = [row["y_rad"] for row in bench.record.rows if row["t_s"] > 10.0]
+    assert 0.001 < 0.5 * (max(late) - min(late)) < 1e-3 * amplitude_mrad  # it does move
+    assert not any(c.accepted for c in detector.cycles[3:])
+
+
+def test_second_gains_change_the_amplitude_and_keep_the_period() -> None:
+    bench = simulated_bench()
+    relay, detector = relay_and_detector()
+    with bench.loop.armed(LIMITS):
+        check = break_away(bench)
+        search = GainSearch(relay, detector, TARGET, SEARCH, 0.45 * (check.plus_V + check.minus_V), 0.99)
+        bench.loop.run(search, "search")
+        first = detector.mean()
+        gains = search.second_gains(0.75)
+        bench.loop.run(RelayTest(relay, detector, gains, 6, 60.0), "relay-2")
+        second = detector.mean()
+    # the describing function's word for it: good to a tenth or two
+    assert 0.6 < second[1] / first[1] < 0.9
+    assert second[0] / first[0] == pytest.approx(1.0, rel=0.2)
+    # upwards it would leave the reach: it turns the ratio round
+    assert search.second_gains(2.0)[0] < relay.h1_V or math.isclose(
+        search.second_gains(2.0)[0], search.second_gains(0.5)[0]
+    )

@@ -1,0 +1,148 @@
+"""The guard, each promise on the moving bench: limits, brake, polarity, sensor faults; measured at the pin."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, simulated_bench
+
+from rig.control.guard import Guard
+from rig.control.law import Constant
+from rig.faults import Fault
+from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, Sample
+
+
+def reading(t_s: float, y_rad: float, counts: int | None = None) -> Sample:
+    return Sample(t_s, y_rad, round(CALIBRATION.to_counts(y_rad)) if counts is None else counts)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(-1.0, 1.0), st.sampled_from([-3.0, 3.0]), st.integers(0, 10**6))
+def test_full_drive_from_anywhere_never_passes_the_hard_limit(start_rad: float, u_V: float, seed: int) -> None:
+    bench = simulated_bench(seed=seed, start_rad=start_rad)
+    bench.guard.sign_proven = True
+    low, high = LIMITS.hard_rad
+    reached: list[float] = []
+    with bench.loop.armed(LIMITS):
+        try:
+            bench.loop.run(Constant(u_V, 4.0), "jog", lambda _: reached.append(bench.driver.bench.state.y))
+        except Fault as fault:
+            # full drive for seconds is faster than the bench was said to be; a fault is an answer too
+            assert fault.code == "OVERSPEED"
+    assert bench.driver.bench.pin_counts == 0
+    bench.driver.bench.advance(3.0)  # it coasts to its stop at 0 V
+    assert low < min([*reached, bench.driver.bench.state.y])
+    assert max([*reached, bench.driver.bench.state.y]) < high
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(0.2, 1.3), st.integers(0, 10**6))
+def test_it_stops_inside_the_hard_limit_even_if_the_host_dies_at_any_instant(die_s: float, seed: int) -> None:
+    """The predicted stop counts the watchdog time: after it, the device's own 0 V still stops inside."""
+    bench = simulated_bench(seed=seed, start_rad=-1.0)
+    bench.guard.sign_proven = True
+    with pytest.raises(Fault, match="WATCHDOG"), bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(1.2, die_s), "jog")
+        bench.driver.write(1.2)  # the last thing the host does is to drive on
+        bench.clock.sleep_until(bench.clock.now_s() + 3.0)
+        bench.driver.read()
+    assert bench.driver.bench.pin_counts == 0
+    assert bench.driver.bench.state.y < LIMITS.hard_rad[1]
+    assert abs(bench.driver.bench.state.v) < 1e-3
+
+
+def test_between_soft_and_hard_only_inward_drive_passes() -> None:
+    guard = Guard(GUARD)
+    for k in range(20):
+        y = 1.2
+        assert guard.allow(reading(0.01 * k, y), 1.0) == (0.0, FLAG_GUARD_CLIPPED)
+        assert guard.allow(reading(0.01 * k + 0.005, y), -0.3) == (-0.3, 0)
+
+
+def test_it_brakes_inward_on_the_predicted_stop_only_once_the_sign_is_proven() -> None:
+    for proven, expected_V in ((False, 0.0), (True, -LIMITS.max_u_V)):
+        guard = Guard(GUARD)
+        guard.sign_proven = proven
+        u_V, flags = 0.0, 0
+        for k in range(10):
+            u_V, flags = guard.allow(reading(0.01 * k, 0.5 + 0.05 * k), 1.0)
+        assert guard.predicted_stop_rad > LIMITS.hard_rad[1]
+        assert u_V == expected_V
+        assert flags & FLAG_GUARD_BRAKED
+
+
+def test_more_than_the_largest_drive_is_cut_and_flagged() -> None:
+    u_V, flags = Guard(GUARD).allow(reading(0.0, 0.0), 7.0)
+    assert (u_V, flags) == (LIMITS.max_u_V, FLAG_GUARD_CLIPPED)
+
+
+@pytest.mark.parametrize(
+    ("code", "samples"),
+    [
+        ("SENSOR_RAIL", [reading(0.0, 0.0, counts=5)]),
+        ("SENSOR_RAIL", [reading(0.0, 0.0, counts=1018)]),
+        ("SENSOR_JUMP", [reading(0.0, 0.0), reading(0.01, 0.4)]),
+        ("TRAVEL_HARD", [reading(0.0, 1.95)]),
+        ("OVERSPEED", [reading(0.01 * k, 0.08 * k - 0.5) for k in range(8)]),
+    ],
+)
+def test_sensor_and_travel_faults_have_their_code_and_latch(code: str, samples: list[Sample]) -> None:
+    guard = Guard(GUARD)
+    with pytest.raises(Fault) as caught:
+        for sample in samples:
+            guard.allow(sample, 0.0)
+    assert caught.value.code == code
+    assert caught.value.cure
+    with pytest.raises(Fault) as again:
+        guard.allow(reading(1.0, 0.0), 0.0)
+    assert again.value is caught.value
+
+
+def test_a_stuck_sensor_is_found_while_driven_and_not_while_at_rest() -> None:
+    guard = Guard(GUARD)
+    guard.static_V = 0.5
+    for k in range(100):
+        guard.allow(reading(0.01 * k, 0.1), 0.5)  # below what moves it: it may stand still
+    with pytest.raises(Fault, match="SENSOR_STUCK"):
+        for k in range(100, 200):
+            guard.allow(reading(0.01 * k, 0.1), 1.0)
+
+
+def test_drive_outward_of_soft_that_persists_while_inward_is_commanded_is_a_polarity_fault() -> None:
+    """Wires swapped after the start: the bench accelerates outward although the guard brakes."""
+    wide = replace(GUARD, limits=replace(LIMITS, soft_rad=(-0.3, 0.3), hard_rad=(-2.0, 2.0)))
+    bench = simulated_bench(DEMO, guard=wide, drive="reversed", start_rad=0.35)
+    bench.guard.sign_proven = True
+    with pytest.raises(Fault) as caught, bench.loop.armed(wide.limits):
+        bench.loop.run(Constant(-1.0, 2.0), "jog")
+    assert caught.value.code == "POLARITY"
+    assert bench.driver.bench.pin_counts == 0
+    assert bench.driver.bench.state.y < 2.0
+
+
+def test_an_obedient_shaft_is_never_accused() -> None:
+    for start in (-1.3, 1.3):
+        bench = simulated_bench(start_rad=start)
+        bench.guard.sign_proven = True
+        with bench.loop.armed(LIMITS):
+            bench.loop.run(Constant(-math.copysign(1.0, start), 0.5), "jog")
+
+
+@pytest.mark.parametrize("outside_rad", [1.95, -1.95])
+def test_jog_recovers_inward_from_beyond_the_hard_limit_and_not_outward(outside_rad: float) -> None:
+    inward = -math.copysign(1.0, outside_rad)
+    bench = simulated_bench(start_rad=outside_rad, offset_rad=0.0)
+    bench.guard.recovering = True
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(inward, 0.8), "jog")
+    assert abs(bench.driver.bench.state.y) < abs(outside_rad) - 0.3
+    bench = simulated_bench(start_rad=outside_rad, offset_rad=0.0)
+    bench.guard.recovering = True
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(-inward, 0.8), "jog")
+    assert bench.driver.bench.state.y == pytest.approx(outside_rad, abs=1e-6)
+    assert PERIOD_S == 0.01

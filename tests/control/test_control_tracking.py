@@ -1,0 +1,110 @@
+"""Tracking: the algebra of (33)-(35), the reference, the observer, and who wins on the simulated bench."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from simulated_bench import DEMO_MOTOR, LIMITS, PERIOD_S, simulated_bench
+
+from rig.control.observer import MotorObserver
+from rig.control.tracking import Tracking, linearising_drive, tracking_error
+from rig.control.trajectory import Reference, SumOfSines
+from rig.model.friction import coulomb
+from rig.model.motor import Motor, State
+
+YD = [(0.5, 1.5), (0.2, 3.1)]
+
+
+@given(
+    st.floats(0.05, 0.5), st.floats(1, 10), st.floats(0, 1), st.floats(-0.1, 0.1),
+    st.floats(-3, 3), st.floats(-1, 1), st.floats(-3, 3), st.floats(-1, 1), st.floats(-10, 10),
+)  # fmt: skip
+def test_the_drive_makes_the_error_obey_35(tau, K, fc, bias, v, y, vd, yd, ad) -> None:
+    """Substitute (33), (34) into the plant: e'' + k1 e' + k2 e = 0 exactly, friction and bias cancelled."""
+    motor = Motor(tau, K, coulomb(fc), bias)
+    u = linearising_drive(motor, State(v, y), Reference(yd, vd, ad), 12.0, 36.0, v)
+    friction = fc * math.copysign(1.0, v) if v else 0.0
+    acceleration = (K * (u + bias - friction) - v) / tau
+    residual = (ad - acceleration) + 12.0 * (vd - v) + 36.0 * (yd - y)
+    assert residual == pytest.approx(0.0, abs=1e-9 * (1 + abs(acceleration)))
+
+
+def test_reference_derivatives_match_its_positions_and_it_starts_at_rest() -> None:
+    yd = SumOfSines(YD, start_rad=-0.4, fade_s=1.5)
+    assert yd.at(0.0) == pytest.approx((-0.4, 0.0, 0.0), abs=1e-12)
+    h = 1e-5
+    for t in np.linspace(0.01, 4.0, 57):
+        before, here, after = yd.at(t - h), yd.at(t), yd.at(t + h)
+        assert here.v_rad_s == pytest.approx((after.y_rad - before.y_rad) / (2 * h), abs=1e-6)
+        assert here.a_rad_s2 == pytest.approx((after.v_rad_s - before.v_rad_s) / (2 * h), abs=1e-5)
+
+
+def track(model: Motor, sign: str = "reference", seed: int = 1) -> float:
+    bench = simulated_bench(seed=seed)
+    bench.guard.sign_proven = True
+    observer = MotorObserver(model, PERIOD_S, 0.003)
+    law = Tracking(model, observer, SumOfSines(YD), 12.0, 36.0, 8.0, sign)  # type: ignore[arg-type]
+    truth: list[float] = []
+    reference: list[float] = []
+    times: list[float] = []
+
+    def watch(t_s: float) -> None:
+        # what the shaft really does, not what the noisy sensor says
+        truth.append(bench.driver.bench.state.y + 0.02)
+        reference.append(law.yd_rad)
+        times.append(t_s)
+
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(law, "track", watch)
+    return tracking_error(np.array(times), np.array(truth), np.array(reference), after_s=1.5)[0]
+
+
+def test_the_true_model_tracks_best_and_the_reference_sign_beats_the_estimates() -> None:
+    exact = track(DEMO_MOTOR)
+    one_percent = track(Motor(0.17 * 1.01, 6.5 * 0.99, coulomb(0.48 * 1.01), DEMO_MOTOR.asym_V))
+    biased = track(Motor(0.17 * 0.7, 6.5 * 0.75, coulomb(0.48 * 0.4)))
+    assert exact < 0.02
+    assert one_percent < 0.02
+    assert biased > 2.0 * one_percent
+    assert track(DEMO_MOTOR, "estimate") > exact
+
+
+def test_tracking_error_is_the_rms_and_the_largest_after_the_fade() -> None:
+    t = np.arange(100) * 0.1
+    y, yd = np.zeros(100), np.where(t < 5.0, 9.0, 0.3)
+    yd[80] = -0.5
+    rms, largest = tracking_error(t, y, yd, after_s=4.95)
+    assert rms == pytest.approx(math.sqrt((49 * 0.09 + 0.25) / 50))
+    assert largest == pytest.approx(0.5)
+    with pytest.raises(ValueError, match="no sample"):
+        tracking_error(t, y, yd, after_s=99.0)
+
+
+@pytest.mark.parametrize("tachometer", [None, 0.05])
+def test_the_observer_sees_velocity_through_noise_and_predicts_over_the_delay(tachometer) -> None:
+    bench = simulated_bench(tachometer_rad_s_per_count=None if tachometer is None else 0.05)
+    observer = MotorObserver(DEMO_MOTOR, PERIOD_S, 0.003, tachometer_noise_rad_s=tachometer)
+    errors: list[float] = []
+    rng = np.random.default_rng(3)
+
+    class Wiggle:
+        finished, z_rad_s, yd_rad, n = False, math.nan, math.nan, 0
+
+        def step(self, sample) -> float:  # type: ignore[no-untyped-def]
+            state = observer.step(sample)
+            truth = bench.driver.bench
+            ahead = truth.parameters.motor.advance(truth.state, truth.motor_V, observer.latency_s)
+            errors.append(state.v - ahead.v)
+            self.n += 1
+            self.finished = self.n > 400
+            u = float(rng.choice([-1.0, 1.0])) if self.n % 20 == 0 else observer._asked_V
+            observer.drive(u)
+            return u
+
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(Wiggle(), "wiggle")
+    assert float(np.sqrt(np.mean(np.square(errors[50:])))) < 0.12

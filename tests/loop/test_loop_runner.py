@@ -1,0 +1,149 @@
+"""The loop on an absolute grid: skips, true times, row semantics, and every end is a safe stop."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+from array import array
+
+import pytest
+from simulated_bench import LIMITS, PERIOD_S, SimulatedBench, simulated_bench
+
+from rig.control.law import Constant, Rest
+from rig.faults import Fault
+from rig.loop.clock import MonotonicClock, VirtualClock
+from rig.loop.statistics import LoopStatistics, quantiles
+from rig.loop.stop_request import stop_on_signals
+from rig.signals import FLAG_SKIPPED
+
+
+class Stalling:
+    """0.3 V, and at chosen ticks the law itself takes too long."""
+
+    z_rad_s = yd_rad = math.nan
+    finished = False
+
+    def __init__(self, bench: SimulatedBench, stalls_s: dict[int, float], ticks: int) -> None:
+        self.bench, self.stalls_s, self.ticks, self.n = bench, stalls_s, ticks, 0
+
+    def step(self, sample) -> float:  # type: ignore[no-untyped-def]
+        clock = self.bench.clock
+        clock.sleep_until(clock.now_s() + self.stalls_s.get(self.n, 0.0))
+        self.n += 1
+        self.finished = self.n >= self.ticks
+        return 0.3
+
+
+def test_ticks_lie_on_the_grid_and_late_ones_are_skipped_and_counted_never_caught_up() -> None:
+    bench = simulated_bench()
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(Stalling(bench, {10: 0.035, 20: 0.012}, 40), "jog")
+    rows = bench.record.rows
+    ticks = [row["tick"] for row in rows]
+    skipped = [t for t in range(ticks[0], ticks[-1]) if t not in ticks]
+    assert skipped == [ticks[10] + 1, ticks[10] + 2, ticks[10] + 3, ticks[20] + 1]
+    assert bench.loop.statistics.skipped == 4
+    assert [k for k, row in enumerate(rows) if row["flags"] & FLAG_SKIPPED] == [11, 21]
+    for row in rows:
+        # the grid never shifts: each row was sampled at its own tick's time
+        assert row["t_s"] == pytest.approx(row["tick"] * PERIOD_S, abs=1e-9)
+        assert row["late_us"] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_row_holds_the_drive_that_acts_from_its_effect_time_on() -> None:
+    bench = simulated_bench()
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(0.305, 0.1), "jog")
+        bench.loop.run(Rest(0.05), "rest")
+    rows = bench.record.rows
+    for row in rows:
+        assert 0.0008 < row["t_u_s"] - row["t_s"] < 0.0016
+    # quantised as the device applies it: 799 steps of 12 V
+    assert rows[3]["u_V"] == pytest.approx(20 * 12 / 799)
+    assert rows[3]["asked_V"] == 0.305
+    assert rows[-1]["u_V"] == 0.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_signals_end_in_a_safe_stop_and_handlers_come_back(number: signal.Signals) -> None:
+    bench = simulated_bench()
+    before = signal.getsignal(number)
+    with stop_on_signals() as request, pytest.raises(Fault) as caught:
+        bench.loop._stop = request
+
+        def watch(t_s: float) -> None:
+            if t_s > 0.2 and request.reason is None:
+                assert bench.driver.bench.pin_counts != 0 or t_s < 0.3
+                os.kill(os.getpid(), number)
+
+        with bench.loop.armed(LIMITS):
+            bench.loop.run(Constant(0.3, 5.0), "jog", watch)
+    assert caught.value.code == "INTERRUPTED"
+    assert caught.value.detail == number.name
+    assert bench.driver.bench.pin_counts == 0
+    assert bench.record.events[-1]["kind"] == "stop"
+    assert bench.loop.now_s < 0.4
+    assert signal.getsignal(number) is before
+
+
+def test_any_exception_of_a_law_ends_in_a_safe_stop() -> None:
+    class Broken(Constant):
+        def step(self, sample) -> float:  # type: ignore[no-untyped-def]
+            if sample.t_s > 0.1:
+                raise ZeroDivisionError("a bug in a law")
+            return 0.3
+
+    bench = simulated_bench()
+    with pytest.raises(ZeroDivisionError), bench.loop.armed(LIMITS):
+        bench.loop.run(Broken(0.3, 1.0), "jog")
+    assert bench.driver.bench.pin_counts == 0
+    assert bench.driver.bench.motor_V == 0.0
+
+
+def test_a_dead_recorder_ends_the_run() -> None:
+    bench = simulated_bench()
+
+    def dead() -> None:
+        if bench.loop.now_s > 0.5:
+            raise Fault("RECORDER_DEAD", "test")
+
+    bench.record.check = dead  # type: ignore[method-assign]
+    with pytest.raises(Fault, match="RECORDER_DEAD"), bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(0.3, 5.0), "jog")
+    assert bench.loop.now_s < 1.0
+    assert bench.driver.bench.pin_counts == 0
+
+
+def test_the_grid_goes_on_after_a_pause_between_two_armings() -> None:
+    bench = simulated_bench()
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(Rest(0.1), "rest")
+    bench.clock.sleep_until(bench.clock.now_s() + 1.2345)
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(Rest(0.1), "rest")
+    assert bench.loop.statistics.skipped == 0
+    times = [row["t_s"] for row in bench.record.rows]
+    assert times == sorted(times)
+    assert bench.record.rows[-1]["t_s"] == pytest.approx(bench.record.rows[-1]["tick"] * PERIOD_S, abs=1e-9)
+
+
+def test_quantiles_are_values_that_occurred() -> None:
+    values = array("d", [float(k) for k in range(1, 1001)])
+    assert quantiles(values) == {"p50": 500.0, "p99": 990.0, "p999": 999.0, "max": 1000.0}
+    assert quantiles(array("d")) == {"p50": None, "p99": None, "p999": None, "max": None}
+    statistics = LoopStatistics(0.01)
+    statistics.tick(3.0, 200.0)
+    assert statistics.summary()["late_us"] == {"p50": 3.0, "p99": 3.0, "p999": 3.0, "max": 3.0}
+
+
+def test_clocks_never_wake_early_and_never_run_backwards() -> None:
+    for clock in (MonotonicClock(), VirtualClock()):
+        last = clock.now_s()
+        for _ in range(20):
+            due = clock.now_s() + 0.001
+            clock.sleep_until(due)
+            assert clock.now_s() >= due - 1e-9
+            assert clock.now_s() >= last
+            last = clock.now_s()
+        clock.sleep_until(last - 1.0)  # the past: returns at once
