@@ -1,0 +1,366 @@
+#include "bench.h"
+
+#include <errno.h>
+#include <math.h>
+#include <stddef.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* ---- motion ---- */
+
+/* Velocity that the motion tends to; 0 from rest if friction holds. */
+static double terminal_velocity(const bench_params *p, double v, double u_V)
+{
+    const double drive = u_V + p->bias_V;
+    if (v > 0.0 || (v == 0.0 && drive > p->fs_plus_V)) {
+        return p->K_rad_s_V * (drive - p->fc_plus_V);
+    }
+    if (v < 0.0 || (v == 0.0 && drive < -p->fs_minus_V)) {
+        return p->K_rad_s_V * (drive + p->fc_minus_V);
+    }
+    return 0.0;
+}
+
+/* Time until a moving shaft comes to rest; infinite if it never does. */
+static double reversal_time(double v, double target, double tau)
+{
+    return v * target < 0.0 ? tau * log1p(-v / target) : INFINITY;
+}
+
+static double displacement(double v, double target, double tau, double h)
+{
+    return target * h - (v - target) * tau * expm1(-h / tau);
+}
+
+/* When within [0, h] a one-way motion has gone `distance`, which it exceeds at h: bisection to the last bit. */
+static double time_to_go(double v, double target, double tau, double h, double distance)
+{
+    double before = 0.0;
+    double after = h;
+    for (;;) {
+        const double middle = 0.5 * (before + after);
+        if (middle <= before || middle >= after) {
+            return after;
+        }
+        if (fabs(displacement(v, target, tau, middle)) < fabs(distance)) {
+            before = middle;
+        } else {
+            after = middle;
+        }
+    }
+}
+
+void bench_motion(const bench_params *p, double *v, double *y, double u_V, double dt_s)
+{
+    /* At most: to rest, to a stop, off the stop, to the other stop; each pass but the last ends at rest. */
+    while (dt_s > 0.0) {
+        const double target = terminal_velocity(p, *v, u_V);
+        if (*v == 0.0 &&
+            (target == 0.0 || (target > 0.0 && *y >= p->stop_high_rad) || (target < 0.0 && *y <= p->stop_low_rad))) {
+            return; /* held by friction or pressed against a stop, as long as the drive stays */
+        }
+        const double rest = reversal_time(*v, target, p->tau_s);
+        const double h = rest < dt_s ? rest : dt_s;
+        const double end = *y + displacement(*v, target, p->tau_s, h);
+        const bool outward_high = end > p->stop_high_rad;
+        if (outward_high || end < p->stop_low_rad) {
+            const double stop = outward_high ? p->stop_high_rad : p->stop_low_rad;
+            dt_s -= time_to_go(*v, target, p->tau_s, h, stop - *y);
+            *y = stop;
+            *v = 0.0;
+            continue;
+        }
+        *v = rest < dt_s ? 0.0 : *v + (*v - target) * expm1(-h / p->tau_s);
+        *y = end;
+        dt_s -= h;
+    }
+}
+
+bool bench_is_faulty(const bench *b)
+{
+    return b->armed_t_s >= 0.0 && b->t_s >= b->armed_t_s + b->p.fault_after_s;
+}
+
+void bench_advance_to(bench *b, double t_s)
+{
+    const double begins_s = b->armed_t_s + b->p.fault_after_s;
+    if (b->armed_t_s >= 0.0 && b->t_s < begins_s && begins_s < t_s) {
+        bench_motion(&b->p, &b->v_rad_per_s, &b->y_rad, bench_motor_V(b), begins_s - b->t_s);
+        b->t_s = begins_s;
+    }
+    if (b->t_s < t_s) {
+        bench_motion(&b->p, &b->v_rad_per_s, &b->y_rad, bench_motor_V(b), t_s - b->t_s);
+        b->t_s = t_s;
+    }
+}
+
+/* ---- noise: splitmix64 and Box-Muller, the same on every machine ---- */
+
+static uint64_t next_random(bench *b)
+{
+    b->random_state += 0x9E3779B97F4A7C15ull;
+    uint64_t x = b->random_state;
+    x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9ull;
+    x = (x ^ (x >> 27)) * 0x94D049BB133111EBull;
+    return x ^ (x >> 31);
+}
+
+static double uniform(bench *b)
+{
+    return ((double)(next_random(b) >> 11) + 0.5) * 0x1p-53; /* inside (0, 1) */
+}
+
+static double gauss(bench *b)
+{
+    if (b->has_spare) {
+        b->has_spare = false;
+        return b->spare_gauss;
+    }
+    const double radius = sqrt(-2.0 * log(uniform(b)));
+    const double angle = 6.283185307179586477 * uniform(b);
+    b->spare_gauss = radius * sin(angle);
+    b->has_spare = true;
+    return radius * cos(angle);
+}
+
+/* ---- what the board sees ---- */
+
+static int32_t quantise(double counts, int32_t counts_max)
+{
+    const double rounded = floor(counts + 0.5);
+    return rounded < 0.0 ? 0 : rounded > (double)counts_max ? counts_max : (int32_t)rounded;
+}
+
+int32_t bench_position_counts(bench *b)
+{
+    const bench_params *p = &b->p;
+    const int32_t wiring = bench_is_faulty(b) ? p->sensor_wiring : BENCH_SENSOR_OK;
+    if (wiring == BENCH_SENSOR_BROKEN_LOW) {
+        return 0;
+    }
+    if (wiring == BENCH_SENSOR_BROKEN_HIGH) {
+        return p->counts_max;
+    }
+    if (wiring == BENCH_SENSOR_STUCK && b->stuck_counts >= 0) {
+        return b->stuck_counts;
+    }
+    const double noise_rad = p->noise_rad > 0.0 ? p->noise_rad * gauss(b) : 0.0;
+    const double from_centre = (b->y_rad + p->offset_rad + noise_rad) / p->rad_per_count;
+    const double sign = wiring == BENCH_SENSOR_REVERSED ? -1.0 : 1.0;
+    const int32_t counts = quantise(p->centre_counts + sign * from_centre, p->counts_max);
+    b->stuck_counts = wiring == BENCH_SENSOR_STUCK ? counts : -1;
+    return counts;
+}
+
+int32_t bench_tachometer_counts(const bench *b)
+{
+    const bench_params *p = &b->p;
+    if (p->tachometer_rad_s_per_count == 0.0) {
+        return -1;
+    }
+    const double motor_rad_s = b->v_rad_per_s * p->gear_ratio;
+    return quantise(p->tachometer_zero_counts + motor_rad_s / p->tachometer_rad_s_per_count, p->counts_max);
+}
+
+double bench_pin_V(const bench *b)
+{
+    return (double)b->pin_units / (double)b->p.drive_counts * b->p.supply_V;
+}
+
+double bench_motor_V(const bench *b)
+{
+    switch (bench_is_faulty(b) ? b->p.drive_wiring : BENCH_DRIVE_OK) {
+    case BENCH_DRIVE_REVERSED:
+        return -bench_pin_V(b);
+    case BENCH_DRIVE_DEAD:
+        return 0.0;
+    case BENCH_DRIVE_STUCK_ON:
+        return 0.25 * b->p.supply_V;
+    default:
+        return bench_pin_V(b);
+    }
+}
+
+/* ---- what is done to the bench ---- */
+
+void bench_init(bench *b, const bench_params *p)
+{
+    memset(b, 0, sizeof *b);
+    b->p = *p;
+    b->y_rad = p->start_rad;
+    b->armed_t_s = -1.0;
+    b->stuck_counts = -1;
+    b->random_state = p->seed;
+}
+
+void bench_set_drive(bench *b, int32_t units)
+{
+    b->pin_units = units;
+}
+
+void bench_arm(bench *b)
+{
+    if (b->armed_t_s < 0.0) {
+        b->armed_t_s = b->t_s;
+    }
+}
+
+void bench_rewire(bench *b, int32_t drive_wiring, int32_t sensor_wiring)
+{
+    b->p.drive_wiring = drive_wiring;
+    b->p.sensor_wiring = sensor_wiring;
+    b->p.fault_after_s = 0.0;
+    bench_arm(b);
+}
+
+/* ---- parameters ---- */
+
+void bench_defaults(bench_params *p)
+{
+    memset(p, 0, sizeof *p);
+    p->tau_s = 0.17;
+    p->K_rad_s_V = 6.5;
+    p->stop_low_rad = -2.6;
+    p->stop_high_rad = 2.6;
+    p->rad_per_count = 4.2 / 1024.0;
+    p->centre_counts = 512.0;
+    p->supply_V = 12.0;
+    p->gear_ratio = 1.0;
+    p->counts_max = 1023;
+    p->drive_counts = 799;
+    p->seed = 1;
+}
+
+enum kind { REAL, INTEGER, UNSIGNED, DRIVE_WIRING, SENSOR_WIRING };
+
+static const struct {
+    const char *name;
+    enum kind kind;
+    size_t at;
+} OPTIONS[] = {
+    {"tau-s", REAL, offsetof(bench_params, tau_s)},
+    {"K-rad-s-V", REAL, offsetof(bench_params, K_rad_s_V)},
+    {"fc-plus-V", REAL, offsetof(bench_params, fc_plus_V)},
+    {"fc-minus-V", REAL, offsetof(bench_params, fc_minus_V)},
+    {"fs-plus-V", REAL, offsetof(bench_params, fs_plus_V)},
+    {"fs-minus-V", REAL, offsetof(bench_params, fs_minus_V)},
+    {"bias-V", REAL, offsetof(bench_params, bias_V)},
+    {"start-rad", REAL, offsetof(bench_params, start_rad)},
+    {"stop-low-rad", REAL, offsetof(bench_params, stop_low_rad)},
+    {"stop-high-rad", REAL, offsetof(bench_params, stop_high_rad)},
+    {"rad-per-count", REAL, offsetof(bench_params, rad_per_count)},
+    {"centre-counts", REAL, offsetof(bench_params, centre_counts)},
+    {"counts-max", INTEGER, offsetof(bench_params, counts_max)},
+    {"noise-rad", REAL, offsetof(bench_params, noise_rad)},
+    {"offset-rad", REAL, offsetof(bench_params, offset_rad)},
+    {"supply-V", REAL, offsetof(bench_params, supply_V)},
+    {"drive-counts", INTEGER, offsetof(bench_params, drive_counts)},
+    {"tachometer-rad-s-per-count", REAL, offsetof(bench_params, tachometer_rad_s_per_count)},
+    {"tachometer-zero-counts", REAL, offsetof(bench_params, tachometer_zero_counts)},
+    {"gear-ratio", REAL, offsetof(bench_params, gear_ratio)},
+    {"clock-error-ppm", REAL, offsetof(bench_params, clock_error_ppm)},
+    {"clock-start-us", UNSIGNED, offsetof(bench_params, clock_start_us)},
+    {"seed", UNSIGNED, offsetof(bench_params, seed)},
+    {"drive", DRIVE_WIRING, offsetof(bench_params, drive_wiring)},
+    {"sensor", SENSOR_WIRING, offsetof(bench_params, sensor_wiring)},
+    {"fault-after-s", REAL, offsetof(bench_params, fault_after_s)},
+};
+
+enum { OPTION_COUNT = sizeof OPTIONS / sizeof OPTIONS[0] };
+
+static const char *const DRIVE_NAMES[] = {"ok", "reversed", "dead", "stuck_on", NULL};
+static const char *const SENSOR_NAMES[] = {"ok", "reversed", "broken_low", "broken_high", "stuck", NULL};
+
+const char *bench_option_name(unsigned i)
+{
+    return i < OPTION_COUNT ? OPTIONS[i].name : NULL;
+}
+
+static const char *set_name(int32_t *field, const char *const *names, const char *value)
+{
+    for (int32_t i = 0; names[i] != NULL; i++) {
+        if (strcmp(names[i], value) == 0) {
+            *field = i;
+            return NULL;
+        }
+    }
+    return "no such wiring";
+}
+
+static const char *set_real(double *field, const char *value)
+{
+    char *end;
+    const double number = strtod(value, &end);
+    if (end == value || *end != '\0' || !isfinite(number)) {
+        return "not a finite number";
+    }
+    *field = number;
+    return NULL;
+}
+
+static const char *set_integer(void *field, enum kind kind, const char *value)
+{
+    char *end;
+    errno = 0;
+    const long long number = strtoll(value, &end, 10);
+    const long long most = kind == UNSIGNED ? (long long)UINT32_MAX : 65535;
+    if (end == value || *end != '\0' || errno != 0 || number < 0 || number > most) {
+        return "not a whole number in range";
+    }
+    if (kind == UNSIGNED) {
+        *(uint32_t *)field = (uint32_t)number;
+    } else {
+        *(int32_t *)field = (int32_t)number;
+    }
+    return NULL;
+}
+
+const char *bench_option(bench_params *p, const char *name, const char *value)
+{
+    for (unsigned i = 0; i < OPTION_COUNT; i++) {
+        if (strcmp(OPTIONS[i].name, name) != 0) {
+            continue;
+        }
+        void *field = (char *)p + OPTIONS[i].at;
+        switch (OPTIONS[i].kind) {
+        case REAL:
+            return set_real(field, value);
+        case DRIVE_WIRING:
+            return set_name(field, DRIVE_NAMES, value);
+        case SENSOR_WIRING:
+            return set_name(field, SENSOR_NAMES, value);
+        default:
+            return set_integer(field, OPTIONS[i].kind, value);
+        }
+    }
+    return "no such option";
+}
+
+const char *bench_check(const bench_params *p)
+{
+    if (!(p->tau_s > 0.0 && p->K_rad_s_V > 0.0)) {
+        return "tau-s and K-rad-s-V must be > 0";
+    }
+    if (!(p->fc_plus_V >= 0.0 && p->fc_minus_V >= 0.0)) {
+        return "friction levels must be >= 0";
+    }
+    if (!(p->fs_plus_V >= p->fc_plus_V && p->fs_minus_V >= p->fc_minus_V)) {
+        return "static friction must be at least the moving friction";
+    }
+    if (!(p->stop_low_rad < p->stop_high_rad && p->stop_low_rad <= p->start_rad && p->start_rad <= p->stop_high_rad)) {
+        return "start-rad must lie between stop-low-rad and stop-high-rad";
+    }
+    if (p->rad_per_count == 0.0 || !(p->noise_rad >= 0.0) || p->counts_max < 1) {
+        return "rad-per-count must not be 0, noise-rad >= 0, counts-max >= 1";
+    }
+    if (!(p->supply_V > 0.0) || p->drive_counts < 1 || p->drive_counts > 32767) {
+        return "supply-V must be > 0, drive-counts 1 to 32767";
+    }
+    if (!(p->gear_ratio > 0.0) || !(p->fault_after_s >= 0.0)) {
+        return "gear-ratio must be > 0, fault-after-s >= 0";
+    }
+    if (!(fabs(p->clock_error_ppm) <= 50000.0)) {
+        return "clock-error-ppm must be within 50000";
+    }
+    return NULL;
+}

@@ -1,0 +1,86 @@
+/* The physical bench around the board, in C doubles: motor, mechanical stops, potentiometer, tachometer, drive
+ * stage, and the faults it can be wired with. The same bench stands in Python in rig/model/bench.py; tests/emulate
+ * holds the two together.
+ *
+ *     tau dv/dt + v = K (u + b - f(v)),   dy/dt = v
+ *
+ * has a closed form between the instants at which the drive changes, the velocity crosses zero or the shaft meets
+ * a stop, so there is no integration step and no integration error.
+ */
+#ifndef RIG_BENCH_H
+#define RIG_BENCH_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+enum bench_drive_wiring { BENCH_DRIVE_OK, BENCH_DRIVE_REVERSED, BENCH_DRIVE_DEAD, BENCH_DRIVE_STUCK_ON };
+
+enum bench_sensor_wiring {
+    BENCH_SENSOR_OK,
+    BENCH_SENSOR_REVERSED,
+    BENCH_SENSOR_BROKEN_LOW,
+    BENCH_SENSOR_BROKEN_HIGH,
+    BENCH_SENSOR_STUCK
+};
+
+typedef struct {
+    double tau_s, K_rad_s_V;
+    double fc_plus_V, fc_minus_V; /* friction while moving towards +y and -y, >= 0 */
+    double fs_plus_V, fs_minus_V; /* level to break away, >= the moving level */
+    double bias_V;
+    double start_rad, stop_low_rad, stop_high_rad;
+    double rad_per_count, centre_counts, noise_rad, offset_rad; /* potentiometer; negative: readings fall */
+    double supply_V;
+    double tachometer_rad_s_per_count, tachometer_zero_counts, gear_ratio; /* 0 rad/s a count: no tachometer */
+    double fault_after_s;    /* from the first arming until the wiring's faults begin */
+    double clock_error_ppm;  /* of the device's clock */
+    int32_t counts_max;      /* largest reading of the ADC, both channels */
+    int32_t drive_counts;    /* units at full duty */
+    uint32_t clock_start_us; /* of the device's clock at a reset */
+    uint32_t seed;           /* of the noise */
+    int32_t drive_wiring, sensor_wiring;
+} bench_params;
+
+void bench_defaults(bench_params *p);
+
+/* Sets a parameter from text: `name` as in the struct with '-' for '_', also "drive" and "sensor" for the wiring.
+ * Returns NULL, or what is wrong in words. */
+const char *bench_option(bench_params *p, const char *name, const char *value);
+
+/* The name of option number `i`, NULL past the last. */
+const char *bench_option_name(unsigned i);
+
+/* NULL, or what is wrong with the parameters as a whole. */
+const char *bench_check(const bench_params *p);
+
+typedef struct {
+    bench_params p;
+    double t_s, v_rad_per_s, y_rad;
+    double armed_t_s;      /* of the first arming; negative before it */
+    int32_t pin_units;     /* drive at the pin, before the wiring */
+    int32_t stuck_counts;  /* reading that a stuck sensor holds; negative: none yet */
+    uint64_t random_state;
+    double spare_gauss;    /* second of a pair of normal numbers */
+    bool has_spare;
+} bench;
+
+/* `p` must have passed bench_check. */
+void bench_init(bench *b, const bench_params *p);
+
+/* Moves the bench on to `t_s`; a time that is past changes nothing. */
+void bench_advance_to(bench *b, double t_s);
+
+void bench_set_drive(bench *b, int32_t units);
+void bench_arm(bench *b); /* starts the clock of fault_after_s, the first time only */
+void bench_rewire(bench *b, int32_t drive_wiring, int32_t sensor_wiring); /* in force at once */
+bool bench_is_faulty(const bench *b);
+
+double bench_pin_V(const bench *b);   /* what the board puts out */
+double bench_motor_V(const bench *b); /* what arrives at the motor */
+int32_t bench_position_counts(bench *b);
+int32_t bench_tachometer_counts(const bench *b); /* negative: there is none */
+
+/* One motion under constant voltage at the motor, stops included: what bench_advance_to is made of. */
+void bench_motion(const bench_params *p, double *v, double *y, double u_V, double dt_s);
+
+#endif

@@ -1,0 +1,232 @@
+/* The emulated device in virtual time, as a shared library (librig_host.so; rig/emulate/virtual_board.py). Nothing
+ * here looks at a clock and nothing is global: any number of devices can live in one process.
+ *
+ * Both ends of the wire send a byte after another, each `byte_ns` long; a byte arrives when its last bit has.
+ */
+#include <stdlib.h>
+
+#include "device.h"
+
+#define QUEUE 4096u /* power of two */
+#define HARDWARE_WATCHDOG_NS 120000000
+
+typedef struct {
+    uint8_t byte[QUEUE];
+    int64_t arrives_ns[QUEUE];
+    uint32_t head, count;
+    int64_t last_ns; /* arrival of the byte last queued */
+} wire;
+
+typedef struct {
+    bench_params params;
+    device device;
+    wire to_device, to_host;
+    int64_t now_ns, byte_ns;
+    int64_t pin_changed_ns; /* of the last change at the pin; negative: never */
+    int64_t fed_ns;         /* when the hardware watchdog was fed last */
+    bool hung;
+} virtual_board;
+
+/* What a test may look at besides the wire. */
+typedef struct {
+    double t_s, pin_V, motor_V, y_rad, v_rad_per_s, pin_changed_s;
+    int32_t armed, latched, fault, recovering, dropped, hung;
+} virtual_view;
+
+static bool put(wire *w, int64_t now_ns, int64_t byte_ns, uint8_t byte)
+{
+    if (w->count == QUEUE) {
+        return false;
+    }
+    const uint32_t at = (w->head + w->count) % QUEUE;
+    w->last_ns = (w->last_ns > now_ns ? w->last_ns : now_ns) + byte_ns;
+    w->byte[at] = byte;
+    w->arrives_ns[at] = w->last_ns;
+    w->count++;
+    return true;
+}
+
+static uint8_t take(wire *w)
+{
+    const uint8_t byte = w->byte[w->head];
+    w->head = (w->head + 1u) % QUEUE;
+    w->count--;
+    return byte;
+}
+
+static void send(void *context, const uint8_t *bytes, uint8_t n)
+{
+    virtual_board *b = context;
+    for (uint8_t i = 0; i < n; i++) {
+        (void)put(&b->to_host, b->now_ns, b->byte_ns, bytes[i]); /* a host that never reads loses bytes */
+    }
+}
+
+static void pin_changed(void *context)
+{
+    virtual_board *b = context;
+    b->pin_changed_ns = b->now_ns;
+}
+
+static int64_t to_ns(double t_s)
+{
+    return (int64_t)(t_s * 1e9 + 0.5);
+}
+
+virtual_board *virtual_new(void)
+{
+    virtual_board *b = calloc(1, sizeof *b);
+    if (b != NULL) {
+        bench_defaults(&b->params);
+    }
+    return b;
+}
+
+const char *virtual_option(virtual_board *b, const char *name, const char *value)
+{
+    return bench_option(&b->params, name, value);
+}
+
+/* Powers the device on at time 0. NULL, or what is wrong with the parameters. */
+const char *virtual_start(virtual_board *b, int64_t byte_ns)
+{
+    const char *wrong = bench_check(&b->params);
+    if (wrong == NULL) {
+        b->byte_ns = byte_ns;
+        b->pin_changed_ns = -1;
+        device_init(&b->device, &b->params, send, pin_changed, b);
+    }
+    return wrong;
+}
+
+void virtual_free(virtual_board *b)
+{
+    free(b);
+}
+
+/* The host sends bytes from now on. Returns how many the wire took. */
+uint32_t virtual_write(virtual_board *b, const uint8_t *bytes, uint32_t n)
+{
+    uint32_t taken = 0;
+    while (taken < n && put(&b->to_device, b->now_ns, b->byte_ns, bytes[taken])) {
+        taken++;
+    }
+    return taken;
+}
+
+/* Bytes that have arrived at the host by now. */
+uint32_t virtual_read(virtual_board *b, uint8_t *bytes, uint32_t n)
+{
+    uint32_t taken = 0;
+    wire *w = &b->to_host;
+    while (taken < n && w->count > 0 && w->arrives_ns[w->head] <= b->now_ns) {
+        bytes[taken++] = take(w);
+    }
+    return taken;
+}
+
+static void run_to(virtual_board *b, int64_t t_ns)
+{
+    b->now_ns = t_ns;
+    bench_advance_to(&b->device.bench, 1e-9 * (double)t_ns);
+}
+
+void virtual_reset(virtual_board *b, uint8_t cause)
+{
+    b->hung = false;
+    b->fed_ns = b->now_ns;
+    device_reset(&b->device, cause);
+}
+
+/* Runs to `until_ns`, or to the arrival of the next byte at the host if `until_byte` and that is sooner. */
+void virtual_run(virtual_board *b, int64_t until_ns, int32_t until_byte)
+{
+    for (;;) {
+        const int64_t tick_ns = b->hung ? INT64_MAX : to_ns(device_next_tick_s(&b->device));
+        const int64_t byte_ns = b->to_device.count > 0 ? b->to_device.arrives_ns[b->to_device.head] : INT64_MAX;
+        const int64_t bite_ns = b->hung ? b->fed_ns + HARDWARE_WATCHDOG_NS : INT64_MAX;
+        int64_t next_ns = until_ns;
+        if (until_byte && b->to_host.count > 0 && b->to_host.arrives_ns[b->to_host.head] < next_ns) {
+            next_ns = b->to_host.arrives_ns[b->to_host.head];
+        }
+        const int64_t event_ns = tick_ns < byte_ns ? tick_ns : byte_ns;
+        const int64_t first_ns = event_ns < bite_ns ? event_ns : bite_ns;
+        if (first_ns > next_ns) {
+            if (next_ns > b->now_ns) {
+                run_to(b, next_ns);
+            }
+            return;
+        }
+        run_to(b, first_ns > b->now_ns ? first_ns : b->now_ns);
+        if (first_ns == byte_ns) {
+            const uint8_t byte = take(&b->to_device);
+            if (!b->hung) {
+                device_byte(&b->device, byte);
+            }
+        } else if (first_ns == tick_ns) {
+            device_tick(&b->device);
+            b->fed_ns = b->now_ns;
+        } else {
+            virtual_reset(b, RIG_RESET_WATCHDOG);
+        }
+    }
+}
+
+int64_t virtual_now_ns(const virtual_board *b)
+{
+    return b->now_ns;
+}
+
+void virtual_look(const virtual_board *b, virtual_view *view)
+{
+    const device *d = &b->device;
+    view->t_s = 1e-9 * (double)b->now_ns;
+    view->pin_V = bench_pin_V(&d->bench);
+    view->motor_V = bench_motor_V(&d->bench);
+    view->y_rad = d->bench.y_rad;
+    view->v_rad_per_s = d->bench.v_rad_per_s;
+    view->pin_changed_s = 1e-9 * (double)b->pin_changed_ns;
+    view->armed = d->core.armed;
+    view->latched = d->core.latched;
+    view->fault = d->core.fault;
+    view->recovering = d->core.recovering;
+    view->dropped = d->core.rx.dropped;
+    view->hung = b->hung;
+}
+
+/* The firmware stops; the pin keeps its drive until the hardware watchdog resets the chip. */
+void virtual_hang(virtual_board *b)
+{
+    b->hung = true;
+}
+
+/* Wiring faults from now on. NULL, or what is wrong with the names. */
+const char *virtual_rewire(virtual_board *b, const char *drive, const char *sensor)
+{
+    bench_params wanted = b->device.bench.p;
+    const char *wrong = bench_option(&wanted, "drive", drive);
+    if (wrong == NULL) {
+        wrong = bench_option(&wanted, "sensor", sensor);
+    }
+    if (wrong == NULL) {
+        bench_rewire(&b->device.bench, wanted.drive_wiring, wanted.sensor_wiring);
+    }
+    return wrong;
+}
+
+/* Puts the shaft somewhere, as a hand would. */
+void virtual_place(virtual_board *b, double y_rad, double v_rad_per_s)
+{
+    b->device.bench.y_rad = y_rad;
+    b->device.bench.v_rad_per_s = v_rad_per_s;
+}
+
+/* One motion of the motor alone under the parameters set so far; the device takes no part. NULL, or what is wrong. */
+const char *virtual_motion(const virtual_board *b, double *v, double *y, double u_V, double dt_s)
+{
+    const char *wrong = bench_check(&b->params);
+    if (wrong == NULL) {
+        bench_motion(&b->params, v, y, u_V, dt_s);
+    }
+    return wrong;
+}

@@ -1,0 +1,398 @@
+#include "rig_core.h"
+
+#define US_PER_MS 1000ul
+#define SETUP_LENGTH 16u
+#define STATE_LENGTH 18u
+#define HELLO_LENGTH (12u + RIG_BUILD_LENGTH)
+#define DRIVE_LENGTH 2u
+
+/* Recovered means farther inside than this, so that noise on the limit does not latch a fault at once. */
+#define RECOVERED_COUNTS 3u
+/* Under inward drive the shaft may lie this part of the hard range farther out before it counts as polarity. */
+#define POLARITY_DIVISOR 32u
+
+/* ---- little-endian fields ---- */
+
+static uint16_t get_u16(const uint8_t *at)
+{
+    return (uint16_t)(at[0] | ((uint16_t)at[1] << 8));
+}
+
+/* Two's complement without the implementation-defined cast. */
+static int16_t get_i16(const uint8_t *at)
+{
+    const uint16_t raw = get_u16(at);
+    return raw < 0x8000u ? (int16_t)raw : (int16_t)(-(int16_t)(0xFFFFu - raw) - 1);
+}
+
+static uint8_t *put_u8(uint8_t *at, uint8_t value)
+{
+    at[0] = value;
+    return at + 1;
+}
+
+static uint8_t *put_u16(uint8_t *at, uint16_t value)
+{
+    at[0] = (uint8_t)(value & 0xFFu);
+    at[1] = (uint8_t)(value >> 8);
+    return at + 2;
+}
+
+static uint8_t *put_u32(uint8_t *at, uint32_t value)
+{
+    return put_u16(put_u16(at, (uint16_t)(value & 0xFFFFu)), (uint16_t)(value >> 16));
+}
+
+/* ---- replies ---- */
+
+static void reply(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *body, uint8_t n)
+{
+    uint8_t content[FRAME_CONTENT_MAX];
+    uint8_t wire[FRAME_WIRE_MAX];
+    uint8_t *at = put_u16(put_u8(put_u8(content, RIG_PROTOCOL), type), seq);
+    for (uint8_t i = 0; i < n; i++) {
+        at = put_u8(at, body[i]);
+    }
+    const uint8_t length = frame_encode(content, (uint8_t)(FRAME_HEADER + n), wire);
+    core->board->transmit(core->board->context, wire, length);
+}
+
+static void refuse(rig_core *core, uint8_t type, uint16_t seq, uint8_t code)
+{
+    const uint8_t body[2] = {code, type};
+    reply(core, RIG_NACK, seq, body, sizeof body);
+}
+
+static void reply_hello(rig_core *core, uint16_t seq)
+{
+    const rig_board *board = core->board;
+    uint8_t body[HELLO_LENGTH];
+    uint8_t *at = put_u8(put_u8(body, board->board_id), core->reset_cause);
+    at = put_u16(put_u16(at, board->adc_max), board->drive_full);
+    at = put_u32(at, board->micros(board->context));
+    at = put_u8(put_u8(at, board->features), 0);
+    const char *text = board->build;
+    for (uint8_t i = 0; i < RIG_BUILD_LENGTH; i++) {
+        at = put_u8(at, (uint8_t)*text);
+        if (*text != '\0') {
+            text++;
+        }
+    }
+    reply(core, RIG_HELLO | RIG_REPLY, seq, body, sizeof body);
+}
+
+static void reply_setup(rig_core *core, uint16_t seq)
+{
+    const rig_setup *setup = &core->setup;
+    uint8_t body[SETUP_LENGTH];
+    uint8_t *at = put_u16(put_u16(body, setup->hard_lo), setup->hard_hi);
+    at = put_u16(put_u16(at, setup->rail_lo), setup->rail_hi);
+    at = put_u16(put_u16(at, setup->centre), setup->max_drive);
+    at = put_u16(at, setup->watchdog_ms);
+    (void)put_u8(put_u8(at, (uint8_t)setup->polarity), 0);
+    reply(core, RIG_SETUP | RIG_REPLY, seq, body, sizeof body);
+}
+
+static void reply_state(rig_core *core, uint8_t type, uint16_t seq)
+{
+    const unsigned status = (core->armed ? (unsigned)RIG_STATUS_ARMED : 0u) |
+                            (core->latched ? (unsigned)RIG_STATUS_FAULT : 0u) |
+                            (core->recovering != 0 ? (unsigned)RIG_STATUS_RECOVERING : 0u);
+    uint8_t body[STATE_LENGTH];
+    uint8_t *at = put_u16(put_u32(body, core->t_sample_us), core->counts);
+    at = put_u32(put_u16(at, core->tach), core->t_drive_us);
+    at = put_u16(put_u16(at, (uint16_t)core->drive), core->drive_seq);
+    (void)put_u8(put_u8(at, (uint8_t)status), core->fault);
+    reply(core, type, seq, body, sizeof body);
+}
+
+/* ---- drive and faults ---- */
+
+static void act(rig_core *core, int16_t units)
+{
+    core->board->set_drive(core->board->context, units);
+    core->drive = units;
+    core->t_drive_us = core->board->micros(core->board->context);
+}
+
+static void disarm(rig_core *core)
+{
+    act(core, 0);
+    core->armed = false;
+    core->recovering = 0;
+}
+
+/* P7: the armed flag goes with the drive, and only ARM sets it again. The first fault is the one kept. */
+static void latch(rig_core *core, uint8_t code)
+{
+    disarm(core);
+    if (!core->latched) {
+        core->latched = true;
+        core->fault = code;
+    }
+}
+
+static void clear_fault(rig_core *core)
+{
+    core->latched = false;
+    core->fault = RIG_OK;
+}
+
+/* ---- sensor ---- */
+
+static void read_sensors(rig_core *core)
+{
+    const rig_board *board = core->board;
+    core->t_sample_us = board->micros(board->context);
+    core->counts = board->adc_counts(board->context);
+    core->tach = board->tach_counts(board->context);
+}
+
+static bool at_rail(const rig_core *core)
+{
+    return core->counts <= core->setup.rail_lo || core->counts >= core->setup.rail_hi;
+}
+
+/* 0 inside the hard limits, +1 above, -1 below. */
+static int8_t side(const rig_core *core)
+{
+    if (core->counts > core->setup.hard_hi) {
+        return 1;
+    }
+    return core->counts < core->setup.hard_lo ? -1 : 0;
+}
+
+static bool exceeds(uint16_t greater, uint16_t less, uint16_t by)
+{
+    return greater > less && (uint16_t)(greater - less) > by;
+}
+
+static bool is_recovered(const rig_core *core)
+{
+    return core->recovering > 0 ? exceeds(core->setup.hard_hi, core->counts, RECOVERED_COUNTS)
+                                : exceeds(core->counts, core->setup.hard_lo, RECOVERED_COUNTS);
+}
+
+/* While recovering under inward drive: does the shaft move outward instead? */
+static bool moves_outward(rig_core *core)
+{
+    if (core->drive == 0) {
+        core->farthest = core->counts; /* it may still coast outward from before */
+        return false;
+    }
+    const uint16_t allowed = (uint16_t)((core->setup.hard_hi - core->setup.hard_lo) / POLARITY_DIVISOR);
+    return core->recovering > 0 ? exceeds(core->counts, core->farthest, allowed)
+                                : exceeds(core->farthest, core->counts, allowed);
+}
+
+static void sample(rig_core *core)
+{
+    read_sensors(core);
+    if (!core->armed) {
+        return;
+    }
+    if (at_rail(core)) {
+        latch(core, RIG_E_SENSOR); /* P5 */
+        return;
+    }
+    if (core->recovering != 0) {
+        if (!is_recovered(core)) {
+            if (moves_outward(core)) {
+                latch(core, RIG_E_POLARITY);
+            }
+            return;
+        }
+        core->recovering = 0;
+    }
+    if (side(core) != 0) {
+        latch(core, RIG_E_TRAVEL); /* P4 */
+    }
+}
+
+/* ---- requests ---- */
+
+static bool is_valid(const rig_setup *setup, const rig_board *board)
+{
+    return setup->hard_lo < setup->hard_hi && setup->rail_lo < setup->rail_hi &&
+           setup->rail_hi <= board->adc_max && /* a rail that no reading reaches would void P5 */
+           setup->watchdog_ms >= 1u && setup->watchdog_ms <= RIG_WATCHDOG_MAX_MS &&
+           setup->max_drive >= 1u && setup->max_drive <= board->drive_full &&
+           (setup->polarity == 1 || setup->polarity == -1);
+}
+
+static void on_setup(rig_core *core, uint16_t seq, const uint8_t *body)
+{
+    rig_setup wanted;
+    wanted.hard_lo = get_u16(body);
+    wanted.hard_hi = get_u16(body + 2);
+    wanted.rail_lo = get_u16(body + 4);
+    wanted.rail_hi = get_u16(body + 6);
+    wanted.centre = get_u16(body + 8);
+    wanted.max_drive = get_u16(body + 10);
+    wanted.watchdog_ms = get_u16(body + 12);
+    wanted.polarity = (int8_t)(body[14] == 1u ? 1 : body[14] == 0xFFu ? -1 : 0);
+    if (core->armed || !is_valid(&wanted, core->board)) {
+        refuse(core, RIG_SETUP, seq, RIG_E_SETUP); /* limits never change under drive */
+        return;
+    }
+    core->setup = wanted;
+    core->has_setup = true;
+    reply_setup(core, seq);
+}
+
+static uint8_t arm(rig_core *core)
+{
+    if (!core->has_setup) {
+        return RIG_E_NO_SETUP; /* P1 */
+    }
+    disarm(core); /* arming starts from drive 0, also when already armed */
+    read_sensors(core);
+    clear_fault(core);
+    if (at_rail(core)) {
+        latch(core, RIG_E_SENSOR); /* P5 */
+        return RIG_E_SENSOR;
+    }
+    core->recovering = side(core); /* P6 */
+    core->farthest = core->counts;
+    core->t_heard_us = core->board->micros(core->board->context);
+    core->armed = true;
+    return RIG_OK;
+}
+
+static void on_drive(rig_core *core, uint16_t seq, int16_t units)
+{
+    if (core->latched) {
+        return; /* P7 */
+    }
+    if (!core->armed) {
+        core->fault = RIG_E_NOT_ARMED; /* P1 */
+        return;
+    }
+    const int16_t most = (int16_t)core->setup.max_drive;
+    if (units > most || units < -most) {
+        latch(core, RIG_E_DRIVE_RANGE); /* P2 */
+        return;
+    }
+    const bool raises = (units > 0) == (core->setup.polarity > 0);
+    if (core->recovering != 0 && units != 0 && raises == (core->recovering > 0)) {
+        latch(core, RIG_E_TRAVEL); /* P6 */
+        return;
+    }
+    act(core, units);
+    core->drive_seq = seq;
+}
+
+static void on_stop(rig_core *core, uint16_t seq)
+{
+    disarm(core);
+    read_sensors(core);
+    reply_state(core, RIG_STOP | RIG_REPLY, seq); /* still names the fault that it clears */
+    clear_fault(core);
+}
+
+static void heard(rig_core *core)
+{
+    core->t_heard_us = core->board->micros(core->board->context);
+}
+
+/* Length of the body of a request, or -1 for an unknown type. */
+static int8_t body_length(uint8_t type)
+{
+    switch (type) {
+    case RIG_HELLO:
+    case RIG_ARM:
+    case RIG_READ:
+    case RIG_STOP:
+        return 0;
+    case RIG_SETUP:
+        return (int8_t)SETUP_LENGTH;
+    case RIG_DRIVE:
+        return (int8_t)DRIVE_LENGTH;
+    default:
+        return -1;
+    }
+}
+
+static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
+{
+    const uint8_t type = content[1];
+    const uint16_t seq = get_u16(content + 2);
+    const uint8_t *body = content + FRAME_HEADER;
+    const int8_t expected = body_length(type);
+    if (content[0] != RIG_PROTOCOL) {
+        core->rx.dropped++;
+        refuse(core, type, seq, RIG_E_VERSION);
+        return;
+    }
+    if (expected < 0) {
+        refuse(core, type, seq, RIG_E_TYPE);
+        return;
+    }
+    if (n != FRAME_HEADER + (uint8_t)expected) {
+        refuse(core, type, seq, RIG_E_LENGTH);
+        return;
+    }
+    switch (type) {
+    case RIG_HELLO:
+        reply_hello(core, seq);
+        break;
+    case RIG_SETUP:
+        on_setup(core, seq, body);
+        break;
+    case RIG_ARM: {
+        const uint8_t code = arm(core);
+        reply(core, RIG_ARM | RIG_REPLY, seq, &code, 1);
+        break;
+    }
+    case RIG_READ:
+        heard(core);
+        sample(core);
+        reply_state(core, RIG_READ | RIG_REPLY, seq);
+        break;
+    case RIG_DRIVE:
+        heard(core);
+        on_drive(core, seq, get_i16(body));
+        break;
+    default: /* RIG_STOP: body_length knows no other */
+        on_stop(core, seq);
+        break;
+    }
+}
+
+/* ---- what the board calls ---- */
+
+void rig_init(rig_core *core, const rig_board *board, uint8_t reset_cause)
+{
+    const rig_setup none = {0, 0, 0, 0, 0, 0, 0, 0};
+    core->board = board;
+    frame_receiver_init(&core->rx);
+    core->setup = none;
+    core->has_setup = false;
+    core->reset_cause = reset_cause;
+    core->drive_seq = 0;
+    core->farthest = 0;
+    clear_fault(core);
+    disarm(core); /* P1 */
+    core->t_heard_us = core->t_drive_us;
+    read_sensors(core);
+}
+
+void rig_byte(rig_core *core, uint8_t byte)
+{
+    const uint8_t n = frame_receive(&core->rx, byte); /* P8 */
+    if (n != 0u) {
+        on_request(core, core->rx.buffer, n);
+    }
+}
+
+void rig_tick(rig_core *core)
+{
+    sample(core); /* P4, P5 */
+    if (!core->armed) {
+        return;
+    }
+    const uint32_t silent_us = core->board->micros(core->board->context) - core->t_heard_us;
+    if (silent_us >= core->setup.watchdog_ms * US_PER_MS) {
+        latch(core, RIG_E_WATCHDOG); /* P3 */
+    }
+}

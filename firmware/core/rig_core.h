@@ -1,0 +1,120 @@
+/* The device: protocol version 1, arming, travel limits, host watchdog and latched faults.
+ *
+ * Portable C99 with no hardware in it. A board fills in `rig_board` and calls, all from one context (its main
+ * loop, fed by interrupts through a byte queue and a tick flag):
+ *
+ *     rig_init   once after a reset
+ *     rig_byte   for each byte received
+ *     rig_tick   every millisecond
+ *
+ * None of them waits. A hung main loop is the business of the board's hardware watchdog.
+ *
+ * What the device promises, whatever the host does (the code names these where it keeps them):
+ *     P1 after a reset the drive is 0, and stays 0 until SETUP and ARM
+ *     P2 more drive than max_drive never reaches the pin
+ *     P3 host silence longer than watchdog_ms sets the drive to 0, at most one tick later
+ *     P4 a position outside the hard limits sets the drive to 0, at most one tick later
+ *     P5 a sensor at its rail sets the drive to 0, at most one tick later
+ *     P6 armed outside a hard limit, only drive inward reaches the pin
+ *     P7 a fault latches: the drive stays 0 until an explicit ARM
+ *     P8 only a whole frame with a valid CRC can change anything
+ */
+#ifndef RIG_CORE_H
+#define RIG_CORE_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "frames.h"
+
+#define RIG_PROTOCOL 1u
+#define RIG_TACH_NONE 0xFFFFu
+#define RIG_BUILD_LENGTH 16u
+#define RIG_WATCHDOG_MAX_MS 1000u
+
+enum rig_board_id { RIG_BOARD_HOST = 1, RIG_BOARD_UNO = 2 };
+
+enum rig_reset_cause { RIG_RESET_POWER_ON = 1, RIG_RESET_EXTERNAL = 2, RIG_RESET_BROWN_OUT = 4, RIG_RESET_WATCHDOG = 8 };
+
+enum rig_feature { RIG_FEATURE_TACHOMETER = 1 };
+
+enum rig_status { RIG_STATUS_ARMED = 1, RIG_STATUS_FAULT = 2, RIG_STATUS_RECOVERING = 4 };
+
+enum rig_type {
+    RIG_HELLO = 0x01,
+    RIG_SETUP = 0x02,
+    RIG_ARM = 0x03,
+    RIG_READ = 0x04,
+    RIG_DRIVE = 0x05,
+    RIG_STOP = 0x06,
+    RIG_REPLY = 0x80, /* set in the type of a reply */
+    RIG_NACK = 0xFF
+};
+
+enum rig_code {
+    RIG_OK = 0,
+    RIG_E_VERSION = 1,
+    RIG_E_TYPE = 2,
+    RIG_E_LENGTH = 3,
+    RIG_E_NOT_ARMED = 4,
+    RIG_E_WATCHDOG = 5,
+    RIG_E_TRAVEL = 6,
+    RIG_E_SENSOR = 7,
+    RIG_E_DRIVE_RANGE = 8,
+    RIG_E_SETUP = 9,
+    RIG_E_NO_SETUP = 10,
+    RIG_E_POLARITY = 11
+};
+
+/* What the core needs of a board. */
+typedef struct {
+    void *context;                                                      /* handed to every function below */
+    uint32_t (*micros)(void *context);                                  /* device clock, us, modulo 2^32 */
+    uint16_t (*adc_counts)(void *context);                              /* position now */
+    uint16_t (*tach_counts)(void *context);                             /* velocity now, or RIG_TACH_NONE */
+    void (*set_drive)(void *context, int16_t units);                    /* to the pins, at once */
+    void (*transmit)(void *context, const uint8_t *bytes, uint8_t n);   /* queues; must not wait */
+    const char *build;                                                  /* shown in HELLO, first 16 characters */
+    uint16_t adc_max;                                                   /* largest reading */
+    uint16_t drive_full;                                                /* units at full duty, 1 to 32767 */
+    uint8_t board_id;
+    uint8_t features;
+} rig_board;
+
+typedef struct {
+    uint16_t hard_lo; /* counts; inside is hard_lo <= counts <= hard_hi */
+    uint16_t hard_hi;
+    uint16_t rail_lo; /* counts at or beyond are a broken sensor */
+    uint16_t rail_hi;
+    uint16_t centre; /* kept for the host: the limits alone say what is inward */
+    uint16_t max_drive;
+    uint16_t watchdog_ms;
+    int8_t polarity; /* +1: positive drive raises counts */
+} rig_setup;
+
+typedef struct {
+    const rig_board *board;
+    frame_receiver rx;
+    rig_setup setup;
+    bool has_setup;
+    bool armed;
+    bool latched;        /* `fault` holds the drive at 0 */
+    uint8_t fault;       /* rig_code; RIG_E_NOT_ARMED is reported but does not latch */
+    int8_t recovering;   /* 0, or the side of the hard limits we were armed on: +1 above, -1 below */
+    uint16_t farthest;   /* counts, while recovering: where inward drive began */
+    uint8_t reset_cause;
+    int16_t drive;       /* units now at the pin */
+    uint16_t drive_seq;  /* of the DRIVE last accepted */
+    uint32_t t_drive_us; /* when `drive` took effect */
+    uint32_t t_heard_us; /* of the last READ, DRIVE or ARM */
+    uint32_t t_sample_us;
+    uint16_t counts;
+    uint16_t tach;
+} rig_core;
+
+/* `board` must outlive the core. */
+void rig_init(rig_core *core, const rig_board *board, uint8_t reset_cause);
+void rig_byte(rig_core *core, uint8_t byte);
+void rig_tick(rig_core *core);
+
+#endif

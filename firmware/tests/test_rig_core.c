@@ -1,0 +1,599 @@
+/* Every device rule of the wire protocol, on a board of plain variables. */
+#include <string.h>
+
+#include "check.h"
+#include "rig_core.h"
+
+#define FULL 799
+
+static struct {
+    uint32_t now_us;
+    uint16_t counts;
+    uint16_t tach;
+    int16_t pin;
+    unsigned drives;     /* calls of set_drive */
+    frame_receiver host; /* what comes back */
+    uint8_t got[FRAME_CONTENT_MAX];
+    uint8_t got_length;
+    unsigned replies;
+} board;
+
+static rig_core core;
+static uint16_t seq;
+
+static uint32_t fake_micros(void *context)
+{
+    (void)context;
+    return board.now_us;
+}
+
+static uint16_t fake_adc(void *context)
+{
+    (void)context;
+    return board.counts;
+}
+
+static uint16_t fake_tach(void *context)
+{
+    (void)context;
+    return board.tach;
+}
+
+static void fake_drive(void *context, int16_t units)
+{
+    (void)context;
+    board.pin = units;
+    board.drives++;
+}
+
+static void fake_transmit(void *context, const uint8_t *bytes, uint8_t n)
+{
+    (void)context;
+    for (uint8_t i = 0; i < n; i++) {
+        const uint8_t length = frame_receive(&board.host, bytes[i]);
+        if (length != 0u) {
+            memcpy(board.got, board.host.buffer, length);
+            board.got_length = length;
+            board.replies++;
+        }
+    }
+}
+
+static const rig_board BOARD = {NULL, fake_micros, fake_adc, fake_tach, fake_drive, fake_transmit,
+                                "build 12345678901234567890", 1023, FULL, RIG_BOARD_HOST, RIG_FEATURE_TACHOMETER};
+
+static void power_on(void)
+{
+    memset(&board, 0, sizeof board);
+    frame_receiver_init(&board.host);
+    board.counts = 512;
+    board.tach = RIG_TACH_NONE;
+    board.pin = 123; /* whatever the pin was, init sets 0 */
+    board.now_us = 1000;
+    rig_init(&core, &BOARD, RIG_RESET_BROWN_OUT);
+}
+
+static void send_raw(uint8_t version, uint8_t type, const uint8_t *body, uint8_t n)
+{
+    uint8_t content[FRAME_CONTENT_MAX], wire[FRAME_WIRE_MAX];
+    seq++;
+    content[0] = version;
+    content[1] = type;
+    content[2] = (uint8_t)(seq & 0xFF);
+    content[3] = (uint8_t)(seq >> 8);
+    if (n > 0) {
+        memcpy(content + 4, body, n);
+    }
+    const uint8_t length = frame_encode(content, (uint8_t)(FRAME_HEADER + n), wire);
+    board.replies = 0;
+    board.got_length = 0;
+    for (uint8_t i = 0; i < length; i++) {
+        rig_byte(&core, wire[i]);
+    }
+}
+
+static uint16_t got_u16(unsigned at)
+{
+    return (uint16_t)(board.got[4 + at] | (board.got[5 + at] << 8));
+}
+
+static uint32_t got_u32(unsigned at)
+{
+    return got_u16(at) | ((uint32_t)got_u16(at + 2) << 16);
+}
+
+/* Whether exactly one reply came, of this type and length of body, with our seq. */
+static int replied(uint8_t type, unsigned length)
+{
+    return board.replies == 1 && board.got_length == 4 + length && board.got[0] == 1 && board.got[1] == type &&
+           board.got[2] == (seq & 0xFF) && board.got[3] == seq >> 8;
+}
+
+static int refused(uint8_t type, uint8_t code)
+{
+    return replied(RIG_NACK, 2) && board.got[4] == code && board.got[5] == type;
+}
+
+static void put_i16(uint8_t *at, int value)
+{
+    at[0] = (uint8_t)((unsigned)value & 0xFFu);
+    at[1] = (uint8_t)(((unsigned)value >> 8) & 0xFFu);
+}
+
+/* The set-up of these tests, one field of which a test may change. */
+enum { HARD_LO, HARD_HI, RAIL_LO, RAIL_HI, CENTRE, MAX_DRIVE, WATCHDOG, POLARITY, FIELDS };
+
+static void send_setup(int field, int value)
+{
+    int fields[FIELDS] = {100, 900, 5, 1018, 500, 200, 100, 1};
+    uint8_t body[16];
+    if (field < FIELDS) {
+        fields[field] = value;
+    }
+    for (int i = 0; i < POLARITY; i++) {
+        put_i16(body + 2 * i, fields[i]);
+    }
+    body[14] = (uint8_t)fields[POLARITY];
+    body[15] = 0;
+    send_raw(1, RIG_SETUP, body, 16);
+}
+
+static void send_drive(int units)
+{
+    uint8_t body[2];
+    put_i16(body, units);
+    send_raw(1, RIG_DRIVE, body, 2);
+}
+
+static uint8_t send_arm(void)
+{
+    send_raw(1, RIG_ARM, NULL, 0);
+    CHECK(replied(RIG_ARM | RIG_REPLY, 1));
+    return board.got[4];
+}
+
+static void send_read(void)
+{
+    send_raw(1, RIG_READ, NULL, 0);
+    CHECK(replied(RIG_READ | RIG_REPLY, 18));
+}
+
+/* Fields of the STATE last received. */
+static int16_t state_drive(void)
+{
+    return (int16_t)got_u16(12);
+}
+static uint8_t state_status(void)
+{
+    return board.got[4 + 16];
+}
+static uint8_t state_fault(void)
+{
+    return board.got[4 + 17];
+}
+
+static void tick(void)
+{
+    board.now_us += 1000;
+    rig_tick(&core);
+}
+
+static void armed(void)
+{
+    power_on();
+    send_setup(FIELDS, 0);
+    CHECK(replied(RIG_SETUP | RIG_REPLY, 16));
+    CHECK(send_arm() == RIG_OK);
+}
+
+/* Checks that a fault is latched: 0 at the pin whatever is commanded, until ARM. */
+static void check_latched(uint8_t code)
+{
+    CHECK(board.pin == 0);
+    send_drive(50);
+    CHECK(board.pin == 0 && board.replies == 0);
+    send_read();
+    CHECK(state_drive() == 0 && state_status() == RIG_STATUS_FAULT && state_fault() == code);
+}
+
+static void test_after_reset(void)
+{
+    power_on();
+    CHECK(board.pin == 0);
+    send_read();
+    CHECK(state_status() == 0 && state_fault() == 0 && state_drive() == 0);
+    CHECK(got_u32(0) == board.now_us && got_u16(4) == 512 && got_u16(6) == RIG_TACH_NONE);
+    CHECK(send_arm() == RIG_E_NO_SETUP);
+    send_drive(50);
+    CHECK(board.pin == 0 && board.replies == 0);
+    send_read();
+    CHECK(state_fault() == RIG_E_NOT_ARMED && state_status() == 0); /* told, but not latched */
+    send_setup(FIELDS, 0);
+    send_drive(50);
+    CHECK(board.pin == 0); /* set up is not armed */
+    CHECK(send_arm() == RIG_OK);
+    send_read();
+    CHECK(state_fault() == 0 && state_status() == RIG_STATUS_ARMED);
+    rig_init(&core, &BOARD, RIG_RESET_WATCHDOG);
+    send_drive(50);
+    CHECK(board.pin == 0 && send_arm() == RIG_E_NO_SETUP); /* a reset forgets everything */
+}
+
+static void test_hello(void)
+{
+    power_on();
+    board.now_us = 0xFEDCBA98u;
+    send_raw(1, RIG_HELLO, NULL, 0);
+    CHECK(replied(RIG_HELLO | RIG_REPLY, 28));
+    CHECK(board.got[4] == RIG_BOARD_HOST && board.got[5] == RIG_RESET_BROWN_OUT);
+    CHECK(got_u16(2) == 1023 && got_u16(4) == FULL && got_u32(6) == 0xFEDCBA98u);
+    CHECK(board.got[14] == RIG_FEATURE_TACHOMETER && board.got[15] == 0);
+    CHECK(memcmp(board.got + 16, "build 1234567890", 16) == 0);
+}
+
+static void test_setup(void)
+{
+    static const struct {
+        int field, value;
+    } wrong[] = {{HARD_LO, 900},  {HARD_HI, 100},         {RAIL_LO, 1018}, {RAIL_HI, 5},     {RAIL_HI, 1024},
+                 {MAX_DRIVE, 0},  {MAX_DRIVE, FULL + 1},  {WATCHDOG, 0},   {WATCHDOG, 1001}, {POLARITY, 0},
+                 {POLARITY, 2},   {MAX_DRIVE, 0xFFFF},    {POLARITY, -2},  {POLARITY, -128}};
+    power_on();
+    for (unsigned i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
+        send_setup(wrong[i].field, wrong[i].value);
+        CHECK(refused(RIG_SETUP, RIG_E_SETUP));
+        CHECK(send_arm() == RIG_E_NO_SETUP); /* nothing of it is kept */
+    }
+    send_setup(POLARITY, -1);
+    CHECK(replied(RIG_SETUP | RIG_REPLY, 16));
+    CHECK(got_u16(0) == 100 && got_u16(2) == 900 && got_u16(4) == 5 && got_u16(6) == 1018);
+    CHECK(got_u16(8) == 500 && got_u16(10) == 200 && got_u16(12) == 100);
+    CHECK(board.got[4 + 14] == 0xFF && board.got[4 + 15] == 0);
+    send_setup(MAX_DRIVE, FULL);
+    CHECK(replied(RIG_SETUP | RIG_REPLY, 16));
+    send_setup(WATCHDOG, 1000);
+    CHECK(replied(RIG_SETUP | RIG_REPLY, 16));
+}
+
+static void test_setup_while_armed(void)
+{
+    armed();
+    send_drive(150);
+    send_setup(MAX_DRIVE, 300);
+    CHECK(refused(RIG_SETUP, RIG_E_SETUP));
+    CHECK(board.pin == 150 && core.setup.max_drive == 200 && core.armed);
+    send_raw(1, RIG_STOP, NULL, 0);
+    send_setup(MAX_DRIVE, 300);
+    CHECK(replied(RIG_SETUP | RIG_REPLY, 16));
+}
+
+static void test_drive(void)
+{
+    armed();
+    board.now_us += 250;
+    send_drive(-200);
+    const uint16_t drive_seq = seq;
+    CHECK(board.pin == -200 && board.replies == 0); /* no reply of its own */
+    const uint32_t t_drive = board.now_us;
+    board.now_us += 300;
+    board.counts = 640;
+    board.tach = 77;
+    send_read();
+    CHECK(state_drive() == -200 && got_u16(14) == drive_seq && got_u32(8) == t_drive);
+    CHECK(got_u32(0) == board.now_us && got_u16(4) == 640 && got_u16(6) == 77);
+    CHECK(state_status() == RIG_STATUS_ARMED && state_fault() == 0);
+    send_drive(200);
+    CHECK(board.pin == 200);
+}
+
+static void test_drive_range(void)
+{
+    static const int beyond[] = {201, -201, 799, 32767, -32768};
+    for (unsigned i = 0; i < sizeof beyond / sizeof beyond[0]; i++) {
+        armed();
+        send_drive(100);
+        const uint16_t accepted = seq;
+        send_drive(beyond[i]);
+        check_latched(RIG_E_DRIVE_RANGE);
+        CHECK(got_u16(14) == accepted);
+    }
+}
+
+static void test_stop(void)
+{
+    armed();
+    send_drive(100);
+    send_raw(1, RIG_STOP, NULL, 0);
+    CHECK(replied(RIG_STOP | RIG_REPLY, 18));
+    CHECK(board.pin == 0 && state_drive() == 0 && state_status() == 0 && state_fault() == 0);
+    send_drive(100);
+    CHECK(board.pin == 0);
+    CHECK(send_arm() == RIG_OK); /* the set-up stays */
+    send_drive(100);
+    CHECK(board.pin == 100);
+    CHECK(send_arm() == RIG_OK && board.pin == 0); /* arming again starts from 0 */
+    send_drive(201);
+    send_raw(1, RIG_STOP, NULL, 0);
+    CHECK(state_fault() == RIG_E_DRIVE_RANGE && state_status() == RIG_STATUS_FAULT); /* the last word on it */
+    send_read();
+    CHECK(state_fault() == 0 && state_status() == 0);
+}
+
+/* Silence from a frame at any phase of the tick: never early, at most a tick late. */
+static void test_watchdog(void)
+{
+    for (uint32_t phase_us = 0; phase_us <= 1000; phase_us += 50) {
+        armed();
+        board.now_us += phase_us;
+        send_drive(100);
+        const uint32_t heard_us = board.now_us;
+        board.now_us -= phase_us; /* back on the grid of the ticks */
+        board.now_us += phase_us == 0 ? 0 : 1000;
+        while (board.pin != 0 && board.now_us - heard_us < 300000u) {
+            tick();
+        }
+        CHECK(board.now_us - heard_us >= 100000u && board.now_us - heard_us <= 101000u);
+        check_latched(RIG_E_WATCHDOG);
+    }
+}
+
+static void test_watchdog_is_fed(void)
+{
+    uint8_t none = 0;
+    armed();
+    send_drive(100);
+    for (unsigned i = 0; i < 500; i++) {
+        tick();
+        if (i % 90 == 0) {
+            send_read();
+        }
+    }
+    CHECK(board.pin == 100);
+    for (unsigned i = 0; i < 500; i++) {
+        tick();
+        if (i % 90 == 0) {
+            send_drive(100);
+        }
+    }
+    CHECK(board.pin == 100);
+    unsigned alive = 0;
+    for (unsigned i = 0; i < 500 && board.pin != 0; i++, alive++) { /* all else does not feed it */
+        tick();
+        send_raw(1, RIG_HELLO, NULL, 0);
+        send_setup(FIELDS, 0);
+        send_raw(1, RIG_READ, &none, 1);
+        send_raw(1, RIG_DRIVE, &none, 1);
+        send_raw(1, 0x55, NULL, 0);
+        send_raw(2, RIG_READ, NULL, 0);
+        rig_byte(&core, 0x17);
+        rig_byte(&core, 0);
+    }
+    CHECK(alive <= 101);
+    check_latched(RIG_E_WATCHDOG);
+}
+
+/* The clock wraps at 2^32 us, after 71.6 min. */
+static void test_watchdog_over_wrap(void)
+{
+    armed();
+    board.now_us = 0xFFFFFFFFu - 30000u;
+    send_drive(100);
+    for (unsigned i = 0; i < 99; i++) {
+        tick();
+    }
+    CHECK(board.pin == 100);
+    tick();
+    tick();
+    check_latched(RIG_E_WATCHDOG);
+}
+
+static void test_travel(void)
+{
+    static const struct {
+        uint16_t counts;
+        int inside;
+    } cases[] = {{100, 1}, {900, 1}, {99, 0}, {901, 0}, {6, 0}, {1017, 0}};
+    for (unsigned i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        armed();
+        send_drive(100);
+        board.counts = cases[i].counts;
+        tick();
+        CHECK(board.pin == (cases[i].inside ? 100 : 0));
+        if (!cases[i].inside) {
+            board.counts = 512; /* back inside by itself: still latched */
+            tick();
+            check_latched(RIG_E_TRAVEL);
+        }
+    }
+    armed();
+    send_drive(100);
+    board.counts = 950;
+    send_read(); /* a sample taken for a reply is checked, too */
+    CHECK(board.pin == 0 && state_drive() == 0 && state_fault() == RIG_E_TRAVEL);
+}
+
+static void test_sensor(void)
+{
+    static const uint16_t rails[] = {0, 5, 1018, 1023};
+    for (unsigned i = 0; i < sizeof rails / sizeof rails[0]; i++) {
+        armed();
+        send_drive(100);
+        board.counts = rails[i];
+        tick();
+        CHECK(board.pin == 0);
+        CHECK(send_arm() == RIG_E_SENSOR);
+        check_latched(RIG_E_SENSOR);
+        board.counts = 512;
+        CHECK(send_arm() == RIG_OK);
+        send_drive(100);
+        CHECK(board.pin == 100);
+    }
+}
+
+static void test_first_fault_is_kept(void)
+{
+    armed();
+    send_drive(100);
+    board.counts = 950;
+    tick();
+    board.counts = 0;
+    for (unsigned i = 0; i < 300; i++) {
+        tick();
+    }
+    send_drive(300);
+    check_latched(RIG_E_TRAVEL);
+}
+
+static void arm_outside(uint16_t counts, int polarity)
+{
+    power_on();
+    send_setup(POLARITY, polarity);
+    board.counts = counts;
+    CHECK(send_arm() == RIG_OK);
+    send_read();
+    CHECK(state_status() == (RIG_STATUS_ARMED | RIG_STATUS_RECOVERING) && state_fault() == 0);
+}
+
+static void test_recovering(void)
+{
+    static const uint16_t outside[] = {950, 50};
+    for (int which = 0; which < 2; which++) {
+        for (int polarity = -1; polarity <= 1; polarity += 2) {
+            const int outward = (which == 0 ? 1 : -1) * polarity;
+            arm_outside(outside[which], polarity);
+            tick();
+            send_drive(0);
+            CHECK(board.pin == 0 && core.armed); /* 0 is not outward */
+            send_drive(-outward * 80);
+            CHECK(board.pin == -outward * 80);
+            tick();
+            CHECK(board.pin == -outward * 80); /* outside, but on the way in */
+            send_drive(outward);
+            check_latched(RIG_E_TRAVEL);
+
+            arm_outside(outside[which], polarity);
+            send_drive(-outward * 80);
+            board.counts = 512;
+            tick();
+            send_read();
+            CHECK(state_status() == RIG_STATUS_ARMED && board.pin == -outward * 80);
+            send_drive(outward * 80);
+            CHECK(board.pin == outward * 80); /* recovered: both ways again */
+            board.counts = outside[which];
+            tick();
+            check_latched(RIG_E_TRAVEL);
+        }
+    }
+}
+
+static void test_recovering_at_the_edge(void)
+{
+    arm_outside(950, 1);
+    send_drive(-80);
+    board.counts = 899; /* noise at the limit: inside, outside */
+    tick();
+    board.counts = 902;
+    tick();
+    CHECK(board.pin == -80 && core.recovering != 0);
+    board.counts = 896;
+    tick();
+    CHECK(board.pin == -80 && core.recovering == 0);
+
+    arm_outside(950, 1);
+    send_drive(-80);
+    board.counts = 50; /* out at the other side */
+    tick();
+    check_latched(RIG_E_TRAVEL);
+
+    arm_outside(950, 1);
+    send_drive(-80);
+    board.counts = 1018; /* the sensor fails meanwhile */
+    tick();
+    check_latched(RIG_E_SENSOR);
+}
+
+/* Inward drive that moves the shaft outward. */
+static void test_recovering_polarity(void)
+{
+    arm_outside(950, 1);
+    board.counts = 960; /* coasts on at 0 drive: no fault */
+    tick();
+    send_drive(-80);
+    board.counts = 985; /* 800 / 32 = 25 counts are allowed */
+    tick();
+    CHECK(board.pin == -80);
+    board.counts = 986;
+    tick();
+    check_latched(RIG_E_POLARITY);
+
+    arm_outside(50, 1);
+    send_drive(80);
+    board.counts = 24;
+    tick();
+    check_latched(RIG_E_POLARITY);
+}
+
+static void test_refusals(void)
+{
+    uint8_t body[17] = {0};
+    armed();
+    send_drive(100);
+    send_raw(2, RIG_STOP, NULL, 0);
+    CHECK(refused(RIG_STOP, RIG_E_VERSION) && core.rx.dropped == 1);
+    send_raw(1, 0x07, NULL, 0);
+    CHECK(refused(0x07, RIG_E_TYPE));
+    send_raw(1, RIG_READ | RIG_REPLY, body, 17);
+    CHECK(refused(RIG_READ | RIG_REPLY, RIG_E_TYPE));
+    send_raw(1, RIG_SETUP, body, 15);
+    CHECK(refused(RIG_SETUP, RIG_E_LENGTH));
+    send_raw(1, RIG_SETUP, body, 17);
+    CHECK(refused(RIG_SETUP, RIG_E_LENGTH));
+    send_raw(1, RIG_DRIVE, body, 1);
+    CHECK(refused(RIG_DRIVE, RIG_E_LENGTH));
+    send_raw(1, RIG_STOP, body, 1);
+    CHECK(refused(RIG_STOP, RIG_E_LENGTH));
+    CHECK(board.pin == 100 && core.armed); /* none of them changed anything */
+}
+
+/* P8: no damage of a DRIVE frame, one byte or one bit each, reaches the pin. */
+static void test_damaged_drive(void)
+{
+    const uint8_t content[] = {1, RIG_DRIVE, 1, 2, 150, 0};
+    uint8_t wire[FRAME_WIRE_MAX];
+    const uint8_t n = frame_encode(content, sizeof content, wire);
+    armed();
+    send_drive(100);
+    const unsigned drives = board.drives;
+    for (unsigned at = 0; at + 1u < n; at++) {
+        for (unsigned flip = 1; flip < 256; flip++) {
+            for (unsigned i = 0; i < n; i++) {
+                rig_byte(&core, i == at ? (uint8_t)(wire[i] ^ flip) : wire[i]);
+            }
+        }
+    }
+    CHECK(board.pin == 100 && board.drives == drives && core.armed);
+    CHECK(core.rx.dropped >= 255u * (n - 1u));
+}
+
+int main(void)
+{
+    test_after_reset();
+    test_hello();
+    test_setup();
+    test_setup_while_armed();
+    test_drive();
+    test_drive_range();
+    test_stop();
+    test_watchdog();
+    test_watchdog_is_fed();
+    test_watchdog_over_wrap();
+    test_travel();
+    test_sensor();
+    test_first_fault_is_kept();
+    test_recovering();
+    test_recovering_at_the_edge();
+    test_recovering_polarity();
+    test_refusals();
+    test_damaged_drive();
+    return report("rig_core");
+}
