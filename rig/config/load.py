@@ -1,0 +1,78 @@
+"""Load an experiment from YAML with errors that name file, line and key; write one; check one."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from rig.config.messages import explain
+from rig.config.preflight import Preflight, preflight
+from rig.config.problems import ConfigError, Problem
+from rig.config.schema import Experiment
+from rig.config.yaml12 import Document, emit, parse
+
+
+def load(path: str | PathLike[str]) -> Experiment:
+    """The experiment in a YAML file (UTF-8). Raises ConfigError, and nothing else, if there is none in it."""
+    return _experiment(_read(path))
+
+
+def check(path: str | PathLike[str]) -> tuple[Experiment, Preflight]:
+    """``load``, and ``preflight`` with the places of its problems. Raises ConfigError only where ``load`` does."""
+    document = _read(path)
+    experiment = _experiment(document)
+    found = preflight(experiment)
+    return experiment, replace(found, problems=tuple(document.located(problem) for problem in found.problems))
+
+
+def dump(experiment: Experiment) -> str:
+    """The resolved experiment, defaults included, as YAML that ``load`` reads back equal."""
+    return emit(experiment.model_dump(mode="json", exclude_none=True))
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of an experiment, for editors."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **Experiment.model_json_schema(),
+        "title": "rig experiment",
+    }
+
+
+def schema_text() -> str:
+    """``json_schema`` as the text of config/schema.json."""
+    return json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+def _read(path: str | PathLike[str]) -> Document:
+    file = str(path)
+    try:
+        raw = Path(path).read_bytes()
+    except IsADirectoryError as error:
+        raise ConfigError([Problem((), "is a directory", "name a YAML file in it", file)]) from error
+    except FileNotFoundError as error:
+        raise ConfigError([Problem((), "no such file", "see config/ for ready experiments", file)]) from error
+    except (OSError, ValueError) as error:  # ValueError: a path with a null character
+        raise ConfigError([Problem((), f"cannot be read: {error}", "", file)]) from error
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = raw[: error.start]
+        line, column = before.count(b"\n") + 1, error.start - (before.rfind(b"\n") + 1) + 1
+        problem = Problem((), f"not UTF-8: byte 0x{raw[error.start]:02X}", "save the file as UTF-8")
+        raise ConfigError([problem.at(file, line, column)]) from error
+    return parse(text, file)
+
+
+def _experiment(document: Document) -> Experiment:
+    # as JSON: there, lists are tuples and sections are objects even in strict mode, and "1" is no number
+    try:
+        return Experiment.model_validate_json(json.dumps(document.data), strict=True)
+    except ValidationError as error:
+        problems = explain(error.errors(include_url=False), document)
+        raise ConfigError(problems) from error

@@ -1,0 +1,183 @@
+"""What pydantic finds, said for people: the key, what it must be, what it is, what to do."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Iterable, Iterator
+from typing import Any, get_args
+
+from pydantic import BaseModel
+from pydantic_core import ErrorDetails
+
+from rig.config.problems import Path, Problem, key_of, printable
+from rig.config.schema import Experiment
+from rig.config.units import converted, stem_of, unit_of
+from rig.config.yaml12 import Document
+
+_COMPARISONS = {
+    "greater_than": ("greater than", "gt"),
+    "greater_than_equal": ("at least", "ge"),
+    "less_than": ("less than", "lt"),
+    "less_than_equal": ("at most", "le"),
+}
+
+
+def explain(errors: Iterable[ErrorDetails], document: Document) -> list[Problem]:
+    """Problems with their places, in the order of the file. An unknown key that is meant for a missing one: once."""
+    problems: list[Problem] = []
+    mistyped: set[Path] = set()
+    missing: list[Problem] = []
+    for error in errors:
+        path = error["loc"]
+        if error["type"] == "extra_forbidden":
+            wanted, hint = _meant(path, error["input"])
+            mistyped.add(wanted)
+            problems.append(document.located(Problem(path, "unknown key", hint), at_key=True))
+        elif error["type"] == "missing" and isinstance(path[-1], str):
+            missing.append(document.located(_missing(path)))
+        elif (problem := _invalid(path, error)) is not None:
+            problems.append(document.located(problem))
+    problems += [problem for problem in missing if problem.path not in mistyped]
+    unique = {(problem.path, problem.message): problem for problem in problems}
+    return sorted(unique.values(), key=lambda problem: (problem.line, problem.column))
+
+
+def _missing(path: Path) -> Problem:
+    key = str(path[-1])
+    section = _section(path[:-1])
+    described = section.model_fields[key].description if section and key in section.model_fields else None
+    unit = unit_of(key)
+    about = ", ".join(part for part in (described, unit and f"in {unit}") if part)
+    return Problem(path, "required key is missing", f"add it: {about}" if about else "add it")
+
+
+def _meant(path: Path, value: object) -> tuple[Path, str]:
+    """The key that an unknown one was probably meant for, () if there is none, and the hint that says so."""
+    *above, last = path
+    key = str(last)
+    section = _section(path[:-1])
+    here = list(section.model_fields) if section else []
+    for known in here:
+        if stem_of(known) == stem_of(key):
+            notes = ", ".join(part for part in (unit_of(known), converted(value, key, known)) if part)
+            return (*above, known), f"did you mean '{known}'?" + (f" ({notes})" if notes else "")
+    elsewhere = [known for known in _all_keys() if known[-1] == key]
+    if elsewhere:
+        return elsewhere[0], f"did you mean '{key_of(elsewhere[0])}'? it belongs in another section"
+    if close := difflib.get_close_matches(key, here, n=1):
+        return (*above, close[0]), f"did you mean '{close[0]}'?"
+    return (), f"known here: {', '.join(here)}"
+
+
+def _invalid(path: Path, error: ErrorDetails) -> Problem | None:
+    """A value that is not what it must be; None where another error of the same list says it better."""
+    kind, value, context = error["type"], error["input"], error.get("ctx", {})
+    key = next((part for part in reversed(path) if isinstance(part, str)), "")
+    unit = unit_of(key)
+    in_unit = f" in {unit}" if unit else ""
+    got = f"got {_described(value)}"
+    if kind in _COMPARISONS:
+        words, bound = _COMPARISONS[kind]
+        return Problem(path, f"must be {words} {context[bound]:g}{f' {unit}' if unit else ''}, {got}")
+    if kind == "float_type":
+        return Problem(path, f"must be a number{in_unit}, {got}", _number_hint(value, unit))
+    if kind == "int_type":
+        return Problem(path, f"must be a whole number{in_unit}, {got}", _number_hint(value, unit))
+    if kind == "bool_type":
+        return Problem(path, f"must be true or false, {got}", "`yes` and `on` are plain text: write true or false")
+    if kind == "string_type":
+        return Problem(
+            path, f"must be text, {got}", "put it in quotes" if isinstance(value, bool | int | float) else ""
+        )
+    if kind == "literal_error":
+        choices = re.findall(r"'([^']*)'", context["expected"])
+        close = difflib.get_close_matches(str(value), choices, n=1)
+        return Problem(
+            path, f"must be one of {', '.join(choices)}, {got}", f"did you mean '{close[0]}'?" if close else ""
+        )
+    if kind == "model_type":
+        return Problem(path, f"must be a section with keys of its own, {got}", _keys_hint(path))
+    if kind == "tuple_type":
+        return Problem(path, f"must be a list, {got}", "write [a, b]")
+    if kind == "missing":  # an element of a pair
+        return Problem(path[:-1], f"must be two values, [low, high], {got}")
+    if kind == "too_short":
+        if len(value) >= context["min_length"]:
+            return None  # its elements are wrong, which is said
+        return Problem(path, f"must hold at least {context['min_length']} items, {got}")
+    if kind == "too_long":
+        return Problem(path, f"must hold at most {context['max_length']} items, {got}")
+    if kind == "string_pattern_mismatch":
+        rule = "lower-case letters, digits, - and _, beginning with a letter or digit"
+        return Problem(path, f"must be made of {rule}, {got}")
+    if kind == "string_too_long":
+        return Problem(path, f"must be at most {context['max_length']} characters, {got}")
+    if kind == "value_error":
+        return Problem(path, str(context["error"]))
+    return Problem(path, f"{error['msg'].replace('Input should be', 'must be')}, {got}")
+
+
+def _number_hint(value: object, unit: str) -> str:
+    """What to write instead of something that is no number."""
+    if isinstance(value, float):
+        return "without a decimal point"
+    if not isinstance(value, str):
+        return ""
+    if re.fullmatch(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?", value):
+        return "leave out the quotes"
+    if re.fullmatch(r"[-+]?[0-9.]+\s*[A-Za-zµ/%]+", value):
+        return f"write the number alone; it is in {unit}" if unit else "write the number alone"
+    if re.fullmatch(r"[-+]?[0-9]+,[0-9]+", value):
+        return "write a decimal point, not a comma"
+    if re.fullmatch(r"[-+]?[0-9_]+", value):
+        return "without underscores"
+    return ""
+
+
+def _keys_hint(path: Path) -> str:
+    section = _section(path)
+    return f"its keys: {', '.join(section.model_fields)}" if section else ""
+
+
+def _described(value: object) -> str:
+    """A value in a few words."""
+    match value:
+        case None:
+            return "nothing"
+        case bool():
+            return "true" if value else "false"
+        case str():
+            return f"the text {json.dumps(printable(value), ensure_ascii=False)}"
+        case list() | tuple():
+            return f"a list of {len(value)}"
+        case dict():
+            return "a section"
+    return str(value)
+
+
+def _section(path: Path) -> type[BaseModel] | None:
+    """The schema's section at a path; None if there is none."""
+    section: type[BaseModel] | None = Experiment
+    for part in path:
+        if isinstance(part, str):
+            if section is None or part not in section.model_fields:
+                return None
+            section = _model_in(section.model_fields[part].annotation)
+    return section
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    """The section that a type holds, be it optional or in a list."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((model for inner in get_args(annotation) if (model := _model_in(inner))), None)
+
+
+def _all_keys(section: type[BaseModel] = Experiment, above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Every key of the schema, as a path without list indices."""
+    for key, info in section.model_fields.items():
+        yield (*above, key)
+        if inner := _model_in(info.annotation):
+            yield from _all_keys(inner, (*above, key))

@@ -1,0 +1,478 @@
+"""What an experiment would do, and whether it may: pure arithmetic on the config, no device is touched.
+
+Here is what several keys say together; what one key says by itself is the schema's. A rule says nothing where
+another has already refused what it builds on, so that one mistake gives one line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from math import isclose
+
+from rig.config.problems import Path, Problem
+from rig.config.schema import Experiment, Gains, RelayTarget
+
+Rule = Callable[[Experiment], Iterator[Problem]]
+
+# Wire format version 1: bytes of the body of each frame of one tick (host asks, device tells, host drives)
+_BODY_BYTES = {"READ": 0, "STATE": 18, "DRIVE": 2}
+# around each body: version, type, seq (4), CRC (2), COBS (1), delimiter (1)
+_FRAME_BYTES = 4 + 2 + 1 + 1
+_BITS_PER_BYTE = 11  # start, 8 data, stop, and the pause that is seen between bytes
+_TURNAROUND_S = 0.001  # the device's 1 ms tick and USB, together
+_LINK_SHARE = 0.8  # of the period that the exchange may take
+_BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000, 921600, 1_000_000, 2_000_000)
+
+_WATCHDOG_PERIODS = (3, 10)
+_SHORTEST_CYCLE_PERIODS = 30  # theory section 5: a shorter cycle is delay hunting
+_SMALLEST_CYCLE_COUNTS = 20  # theory section 5
+_MOTION_COUNTS = 3  # below this the sensor's last digit would pass for motion
+_SLACK = 1e-9  # relative: 0.1 s is ten periods of 0.01 s, whatever the binary fractions say
+
+
+@dataclass(frozen=True)
+class Preflight:
+    """``lines``: what the experiment would do, for people; ``problems``: why it must not, empty if it may."""
+
+    lines: tuple[str, ...]
+    problems: tuple[Problem, ...]
+
+
+def preflight(experiment: Experiment) -> Preflight:
+    """Check an experiment offline. The problems have paths but no places: ``rig.config.check`` adds these."""
+    problems = tuple(problem for rule in _RULES for problem in rule(experiment))
+    return Preflight(tuple(_lines(experiment)), problems)
+
+
+# ---------------------------------------------------------------------- the link
+
+
+def _backend(e: Experiment) -> Iterator[Problem]:
+    d = e.daq
+    if d.driver == "simulated" and d.port is not None:
+        yield _problem("daq.port", "`driver: simulated` has no port", "remove it, or set daq.driver to serial")
+    if d.driver == "serial" and d.port is None:
+        yield _problem("daq.port", "`driver: serial` needs a port", "e.g. port: /dev/ttyACM0, or port: emulated")
+    if e.emulated is None and d.driver == "simulated":
+        yield _problem("emulated", "`driver: simulated` needs this section", "describe the bench: see config/demo.yaml")
+    if e.emulated is None and d.driver == "serial" and d.port == "emulated":
+        yield _problem("emulated", "`port: emulated` needs this section", "describe the bench: see config/demo.yaml")
+
+
+def _link_terms(e: Experiment) -> tuple[int, float, float]:
+    """Bytes of a tick's frames, their time on the wire, and the whole exchange, s."""
+    count = sum(body + _FRAME_BYTES for body in _BODY_BYTES.values())
+    wire_s = count * _BITS_PER_BYTE / e.daq.baud
+    return count, wire_s, wire_s + _TURNAROUND_S
+
+
+def _link_sum(e: Experiment) -> str:
+    count, wire_s, whole_s = _link_terms(e)
+    frames = " + ".join(f"{name} {body + _FRAME_BYTES}" for name, body in _BODY_BYTES.items())
+    return (
+        f"{frames} = {count} bytes x {_BITS_PER_BYTE} bits / {e.daq.baud} baud = {wire_s * 1e3:.2f} ms, "
+        f"+ {_TURNAROUND_S * 1e3:g} ms turnaround = {whole_s * 1e3:.2f} ms; "
+        f"{_LINK_SHARE:.0%} of the period is {_LINK_SHARE * e.period_s * 1e3:.2f} ms"
+    )
+
+
+def _link_budget(e: Experiment) -> Iterator[Problem]:
+    count, _, whole_s = _link_terms(e)
+    if e.daq.driver != "serial" or whole_s <= _LINK_SHARE * e.period_s * (1 + _SLACK):
+        return
+    room_s = _LINK_SHARE * e.period_s - _TURNAROUND_S
+    fitting = [baud for baud in _BAUD_RATES if baud * room_s >= count * _BITS_PER_BYTE]
+    way_out = f"daq.baud {fitting[0]} fits, or " if fitting else ""
+    period_s = whole_s / _LINK_SHARE
+    hint = f"{way_out}period_s of {period_s:.2g} and more" if period_s <= 0.1 else way_out.removesuffix(", or ")
+    yield _problem("daq.baud", f"too slow for the period: {_link_sum(e)}", hint)
+
+
+def _watchdog(e: Experiment) -> Iterator[Problem]:
+    least_s, most_s = (n * e.period_s for n in _WATCHDOG_PERIODS)
+    watchdog_s = e.daq.watchdog_s
+    if not least_s * (1 - _SLACK) <= watchdog_s <= most_s * (1 + _SLACK):
+        yield _problem(
+            "daq.watchdog_s",
+            f"must be {_WATCHDOG_PERIODS[0]} to {_WATCHDOG_PERIODS[1]} periods of {e.period_s:g} s, "
+            f"not {watchdog_s / e.period_s:.3g}",
+            f"between {least_s:g} and {most_s:g} seconds",
+        )
+    elif e.daq.timeout_s + e.period_s > watchdog_s * (1 + _SLACK):
+        yield _problem(
+            "daq.timeout_s",
+            f"one lost reply would set off the watchdog: {e.daq.timeout_s:g} s time-out + {e.period_s:g} s period "
+            f"is more than daq.watchdog_s {watchdog_s:g}",
+            f"at most {watchdog_s - e.period_s:g} seconds",
+        )
+
+
+# ---------------------------------------------------------------------- travel
+
+
+def _limits_are_ordered(e: Experiment) -> bool:
+    (soft_low, soft_high), (hard_low, hard_high) = e.limits.soft_rad, e.limits.hard_rad
+    return hard_low < soft_low < 0.0 < soft_high < hard_high
+
+
+def _limits(e: Experiment) -> Iterator[Problem]:
+    soft, hard = e.limits.soft_rad, e.limits.hard_rad
+    if not soft[0] < 0.0 < soft[1]:
+        yield _problem(
+            "limits.soft_rad",
+            f"must enclose 0 rad, the centre of travel: {_interval(soft)} rad does not",
+            "put the zero of the calibration at the centre of travel",
+        )
+    elif not _limits_are_ordered(e):
+        yield _problem("limits.soft_rad", f"{_interval(soft)} rad is not inside limits.hard_rad {_interval(hard)} rad")
+    low, high = _sensor_range_rad(e)
+    if not (low <= hard[0] and hard[1] <= high):
+        yield _problem(
+            "limits.hard_rad",
+            f"{_interval(hard)} rad is not inside the calibrated range of the sensor between its rails, "
+            f"{_interval((low, high))} rad",
+            "lower the limits, or calibrate farther out",
+        )
+
+
+def _sensor_range_rad(e: Experiment) -> tuple[float, float]:
+    """Positions within the calibration's points and between the rails, rad; (inf, -inf) where there are none."""
+    points = sorted((p.counts, p.rad) for p in e.sensor.calibration)
+    rail_low, rail_high = e.sensor.rail_counts
+    low, high = max(points[0][0], rail_low + 1), min(points[-1][0], rail_high - 1)
+    if low > high:
+        return float("inf"), float("-inf")
+
+    def position(counts: int) -> float:
+        for (c0, r0), (c1, r1) in pairwise(points):
+            if counts <= c1:
+                return r0 + (counts - c0) * (r1 - r0) / (c1 - c0)
+        return points[-1][1]
+
+    ends = sorted((position(low), position(high)))
+    return ends[0], ends[1]
+
+
+def _count_rad(e: Experiment) -> float:
+    """Mean size of one count over the calibration, rad."""
+    points = sorted((p.counts, p.rad) for p in e.sensor.calibration)
+    return abs((points[-1][1] - points[0][1]) / (points[-1][0] - points[0][0]))
+
+
+def _stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
+    """What the shaft travels from the largest speed if the host dies, term by term: words, rad.
+
+    Coasting is at 0 V, terminals shorted, without the help of friction: speed times time constant.
+    """
+    v = e.limits.max_speed_rad_s
+    return (
+        ("one period", v * e.period_s),
+        ("reply time-out", v * e.daq.timeout_s),
+        ("watchdog", v * e.daq.watchdog_s),
+        ("coasting", v * e.limits.coast_tau_s),
+    )
+
+
+def _stopping_sum(e: Experiment) -> str:
+    terms = _stopping_terms(e)
+    written = " + ".join(f"{rad:.3f} {words}" for words, rad in terms)
+    return f"at {e.limits.max_speed_rad_s:g} rad/s: {written} = {sum(rad for _, rad in terms):.3f} rad"
+
+
+def _room_rad(e: Experiment) -> tuple[float, float]:
+    """Centre of the soft limits, and the distance from there to the nearer hard limit, rad."""
+    (soft_low, soft_high), (hard_low, hard_high) = e.limits.soft_rad, e.limits.hard_rad
+    centre = 0.5 * (soft_low + soft_high)
+    return centre, min(hard_high - centre, centre - hard_low)
+
+
+def _room_to_stop(e: Experiment) -> Iterator[Problem]:
+    if not _limits_are_ordered(e):
+        return
+    centre, room = _room_rad(e)
+    distance = sum(rad for _, rad in _stopping_terms(e))
+    if distance <= room:
+        return
+    slower = e.limits.max_speed_rad_s * room / distance
+    yield _problem(
+        "limits.max_speed_rad_s",
+        f"no room to stop: {_stopping_sum(e)}, but from the centre of the soft limits ({centre:.3g} rad) "
+        f"the nearer hard limit is {room:.3f} rad away",
+        f"at most {_floor(slower):g} rad/s, or a shorter daq.watchdog_s, or wider limits.hard_rad",
+    )
+
+
+# ---------------------------------------------------------------------- drive
+
+
+def _drive(e: Experiment) -> Iterator[Problem]:
+    d = e.drive
+    full_V = d.supply_V - d.bridge_drop_V
+    if d.max_V > full_V:
+        yield _problem(
+            "drive.max_V",
+            f"{d.max_V:g} V is more than the {full_V:g} V that the bridge can give "
+            f"({d.supply_V:g} V supply - {d.bridge_drop_V:g} V drop)",
+            f"at most {full_V:g} volts" if full_V > 0.0 else "the supply must exceed the drop",
+        )
+    if e.breakaway.max_V > d.max_V:
+        yield _problem(
+            "breakaway.max_V", f"{e.breakaway.max_V:g} V is more than drive.max_V {d.max_V:g} V", _at_most(d.max_V)
+        )
+
+
+def _breakaway(e: Experiment) -> Iterator[Problem]:
+    least_rad = _MOTION_COUNTS * _count_rad(e)
+    if e.breakaway.motion_rad < least_rad:
+        yield _problem(
+            "breakaway.motion_rad",
+            f"{e.breakaway.motion_rad:g} rad is less than {_MOTION_COUNTS} counts of the sensor ({least_rad:.3g} rad)",
+            "noise would pass for motion: at least that",
+        )
+
+
+# ---------------------------------------------------------------------- relay
+
+
+def _gains(e: Experiment) -> Iterator[Problem]:
+    s = e.relay.search
+    if e.relay.gains is None:
+        start = Gains(h1_V=s.h1_start_V, h2_V=s.h2_start_V)
+        pairs: list[tuple[Path, Gains, str]] = [(("relay", "search"), start, "_start_V")]
+    else:
+        pairs = [(("relay", "gains", k), g, "_V") for k, g in enumerate(e.relay.gains)]
+    for path, gains, ending in pairs:
+        for name, h_V in (("h1", gains.h1_V), ("h2", gains.h2_V)):
+            if h_V > s.h_max_V:
+                message = f"{h_V:g} V is more than relay.search.h_max_V {s.h_max_V:g} V"
+                yield Problem((*path, name + ending), message, _at_most(s.h_max_V))
+        if gains.h1_V + gains.h2_V > e.drive.max_V * (1 + _SLACK):
+            yield Problem(
+                path,
+                f"h1 + h2 = {gains.h1_V:g} + {gains.h2_V:g} = {gains.h1_V + gains.h2_V:g} V "
+                f"is more than drive.max_V {e.drive.max_V:g} V",
+                "the relay must never saturate: lower the gains or raise drive.max_V",
+            )
+
+
+def _peak_speed_rad_s(amplitude_rad: float, period_s: float) -> float:
+    """Largest speed of a limit cycle, rad/s: of two parabolas, a little more than the true arcs reach."""
+    return 8.0 * amplitude_rad / period_s
+
+
+def _largest_amplitude_rad(e: Experiment, target: RelayTarget) -> float:
+    """Amplitude of the larger of the two tests: the second has ``second_ratio`` times the first's, rad."""
+    return target.amplitude_rad * max(1.0, e.relay.second_ratio)
+
+
+def _target(e: Experiment) -> Iterator[Problem]:
+    target = e.relay.target
+    if target is None:
+        return
+    shortest_s = _SHORTEST_CYCLE_PERIODS * e.period_s
+    if target.period_s < shortest_s * (1 - _SLACK):
+        yield _problem(
+            "relay.target.period_s",
+            f"{target.period_s:g} s is {target.period_s / e.period_s:.3g} periods of the loop; a shorter cycle than "
+            f"{_SHORTEST_CYCLE_PERIODS} is delay hunting",
+            f"at least {shortest_s:g} seconds, or a shorter period_s",
+        )
+    smallest_rad = target.amplitude_rad * min(1.0, e.relay.second_ratio)
+    least_rad = _SMALLEST_CYCLE_COUNTS * _count_rad(e)
+    if smallest_rad < least_rad:
+        yield _problem(
+            "relay.target.amplitude_rad",
+            f"the smaller test's {smallest_rad:.3g} rad is less than {_SMALLEST_CYCLE_COUNTS} counts of the sensor "
+            f"({least_rad:.3g} rad)",
+            "raise the amplitude",
+        )
+    if not _limits_are_ordered(e):
+        return
+    reach_rad = _reach_rad(e)
+    amplitude_rad = _largest_amplitude_rad(e, target)
+    largest_rad = amplitude_rad * (1.0 + target.tolerance)
+    if largest_rad > reach_rad:
+        yield _problem(
+            "relay.target.amplitude_rad",
+            f"the larger test's {amplitude_rad:.3g} rad + {target.tolerance:.0%} tolerance = {largest_rad:.3g} rad "
+            f"leaves the soft limits ({reach_rad:g} rad from the centre of travel)",
+            "lower the amplitude",
+        )
+        return
+    speed = _peak_speed_rad_s(amplitude_rad, target.period_s)
+    if speed > e.limits.max_speed_rad_s:
+        yield _problem(
+            "relay.target.amplitude_rad",
+            f"{amplitude_rad:.3g} rad every {target.period_s:g} s peaks at about 8 x amplitude / period = "
+            f"{speed:.3g} rad/s, above limits.max_speed_rad_s {e.limits.max_speed_rad_s:g}",
+            "lower the amplitude or lengthen relay.target.period_s",
+        )
+
+
+def _reach_rad(e: Experiment) -> float:
+    """Distance from the centre of travel to the nearer soft limit, rad."""
+    return min(-e.limits.soft_rad[0], e.limits.soft_rad[1])
+
+
+# ---------------------------------------------------------------------- tracking, emulated bench
+
+
+def _tracking(e: Experiment) -> Iterator[Problem]:
+    if e.tracking is None or not _limits_are_ordered(e):
+        return
+    terms = [(abs(s.amplitude_rad), s.omega_rad_s) for s in e.tracking.trajectory]
+    peak_rad = sum(a for a, _ in terms)
+    speed = sum(a * w for a, w in terms)
+    if peak_rad > _reach_rad(e):
+        written = " + ".join(f"{a:g}" for a, _ in terms)
+        yield _problem(
+            "tracking.trajectory",
+            f"its peak, at most {written} = {peak_rad:.3g} rad, leaves the soft limits "
+            f"({_reach_rad(e):g} rad from the centre of travel)",
+            "lower the amplitudes",
+        )
+    if speed > e.limits.max_speed_rad_s:
+        written = " + ".join(f"{a:g} x {w:g}" for a, w in terms)
+        yield _problem(
+            "tracking.trajectory",
+            f"its speed, at most {written} = {speed:.3g} rad/s, is above limits.max_speed_rad_s "
+            f"{e.limits.max_speed_rad_s:g}",
+            "lower amplitudes or frequencies",
+        )
+
+
+def _emulated(e: Experiment) -> Iterator[Problem]:
+    if e.emulated is None:
+        return
+    m = e.emulated.motor
+    for side, static_V, moving_V in (("plus", m.fs_plus_V, m.fc_plus_V), ("minus", m.fs_minus_V, m.fc_minus_V)):
+        if static_V is not None and static_V < moving_V:
+            yield _problem(
+                f"emulated.motor.fs_{side}_V",
+                f"static friction {static_V:g} V is less than the moving friction fc_{side}_V {moving_V:g} V",
+                "raise it, or leave it out: as the moving friction",
+            )
+    for name, (low, high) in (("mechanical stops", m.stop_rad), ("soft limits", e.limits.soft_rad)):
+        if not low <= m.start_rad <= high:
+            yield _problem(
+                "emulated.motor.start_rad",
+                f"{m.start_rad:g} rad is outside the {name} {_interval((low, high))} rad",
+                "start inside",
+            )
+            break
+    if e.emulated.tachometer and e.tachometer is None:
+        yield _problem("emulated.tachometer", "needs the section `tachometer`, which says how it is scaled")
+
+
+_RULES: tuple[Rule, ...] = (
+    _backend,
+    _link_budget,
+    _watchdog,
+    _limits,
+    _room_to_stop,
+    _drive,
+    _breakaway,
+    _gains,
+    _target,
+    _tracking,
+    _emulated,
+)
+
+
+# ---------------------------------------------------------------------- what would happen
+
+
+def _lines(e: Experiment) -> Iterator[str]:
+    yield f"backend: {_backend_words(e)}, every {e.period_s * 1e3:g} ms"
+    yield from _stage_lines(e)
+    soft, hard = _interval(e.limits.soft_rad), _interval(e.limits.hard_rad)
+    full_V = e.drive.supply_V - e.drive.bridge_drop_V
+    yield (
+        f"limits: soft {soft} rad, hard {hard} rad, sensor {_interval(_sensor_range_rad(e))} rad; "
+        f"{e.limits.max_speed_rad_s:g} rad/s; {e.drive.max_V:g} V of the {full_V:g} V that the bridge can give"
+    )
+    yield f"stopping {_stopping_sum(e)}; room from the centre of the soft limits: {_room_rad(e)[1]:.3f} rad"
+    if e.daq.driver == "serial":
+        yield f"link: {_link_sum(e)}"
+    yield (
+        f"failsafe: the device sets 0 V after {e.daq.watchdog_s * 1e3:g} ms of silence "
+        f"({e.daq.watchdog_s / e.period_s:.3g} periods), latched until it is armed again"
+    )
+    if e.emulated is not None and _is_emulated(e) and not isclose(e.emulated.supply_V, full_V):
+        yield (
+            f"note: the emulated bridge gives {e.emulated.supply_V:g} V, the config believes {full_V:g} V: "
+            "K and f_c will come out scaled"
+        )
+    if e.emulated is not None and not _is_emulated(e):
+        yield f"note: section `emulated` is not used with port {e.daq.port}"
+
+
+def _is_emulated(e: Experiment) -> bool:
+    return e.daq.driver == "simulated" or e.daq.port == "emulated"
+
+
+def _backend_words(e: Experiment) -> str:
+    if e.daq.driver == "simulated":
+        return "a simulation in virtual time, no device, nothing moves"
+    if e.daq.port == "emulated":
+        return f"an emulated device behind a pseudo-terminal, {e.daq.baud} baud, real time, nothing moves"
+    return f"a REAL MOTOR behind the serial port {e.daq.port}, {e.daq.baud} baud"
+
+
+def _stage_lines(e: Experiment) -> Iterator[str]:
+    """The stages with the longest times to expect; strokes and pauses double the time of a ramp."""
+    b, r = e.breakaway, e.relay
+    breakaway_s = 3.0 * b.rest_s + 2.0 * 2.0 * b.max_V / b.ramp_V_s
+    total_s = breakaway_s
+    yield f"stage breakaway: {b.ramp_V_s:g} V/s each way, up to {b.max_V:g} V; at most about {breakaway_s:.0f} s"
+    if r.target is not None:
+        amplitudes = r.target.amplitude_rad, r.target.amplitude_rad * r.second_ratio
+        tests_s = 2.0 * r.cycles * r.target.period_s
+        speed = _peak_speed_rad_s(max(amplitudes), r.target.period_s)
+        yield (
+            f"stage excite: searches gains for {r.target.amplitude_rad:g} rad every {r.target.period_s:g} s, "
+            f"+-{r.target.tolerance:.0%}; at most {r.search.timeout_s:g} s"
+        )
+        yield (
+            f"stage relay: {r.cycles} settled cycles at {amplitudes[0]:.3g} and at {amplitudes[1]:.3g} rad, "
+            f"up to about {speed:.2g} rad/s; about {tests_s:.0f} s and the settling"
+        )
+        total_s += r.search.timeout_s + tests_s
+    else:
+        pairs = ", ".join(f"({g.h1_V:g}, {g.h2_V:g})" for g in r.gains or ())
+        yield f"stage relay: {r.cycles} settled cycles at each of (h1, h2) = {pairs} V; their period is not known yet"
+    yield "stage identify: by every method, no motion"
+    if e.tracking is None:
+        yield "stage verify: left out, there is no section `tracking`"
+    else:
+        verify_s = len(e.tracking.methods) * e.tracking.duration_s
+        total_s += verify_s
+        yield (
+            f"stage verify: tracking with the models of {', '.join(e.tracking.methods)}, "
+            f"{e.tracking.duration_s:g} s each; {verify_s:.0f} s"
+        )
+    unknown = "" if r.target is not None else ", and the relay tests"
+    clock = " of virtual time" if e.daq.driver == "simulated" else ""
+    yield f"together: at most about {total_s:.0f} s{clock}{unknown}, and settling and rests"
+
+
+# ---------------------------------------------------------------------- words
+
+
+def _problem(key: str, message: str, hint: str = "") -> Problem:
+    return Problem(tuple(key.split(".")), message, hint)
+
+
+def _interval(interval: tuple[float, float]) -> str:
+    return f"[{interval[0]:.4g}, {interval[1]:.4g}]"
+
+
+def _at_most(volts: float) -> str:
+    return f"at most {volts:g} volts"
+
+
+def _floor(value: float) -> float:
+    """Three digits, rounded down: a hint that is followed must pass."""
+    return float(f"{value * 0.995:.3g}")
