@@ -1,0 +1,94 @@
+"""Figures of the checks: tracking by feedback linearisation, and the timing of the loop."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from rig.report.source import Array, Run, number, section
+from rig.report.style import INK, LIMIT, MEASURED, MUTED, AbsentError, Picture, colour, new_figure, note, render
+
+
+def tracking(run: Run) -> Picture:
+    """Wanted and measured position and the error, a column for each model, on the same axes."""
+    spans = run.spans("track")
+    if not spans:
+        raise AbsentError("No model was driven along the trajectory in this run.")
+    last = {s.stage: s for s in spans}  # a stage visited twice counts once, with its last visit
+    t, y, yd = run.rows.t_s, run.rows.y_rad, run.rows.yd_rad
+    figure = new_figure(4.3)
+    panels = figure.subplots(2, len(last), sharex=True, sharey="row", squeeze=False, height_ratios=(1.6, 1.0))
+    largest = 0.0
+    for column, span in enumerate(last.values()):
+        method = span.stage.partition(":")[2]
+        rows = slice(span.first, span.last + 1)
+        time = t[rows] - t[span.first]
+        error = 1e3 * (yd[rows] - y[rows])
+        top, bottom = panels[0, column], panels[1, column]
+        top.plot(time, yd[rows], color=INK, lw=1.0, ls=(0, (4, 2)), label="wanted yd")
+        top.plot(time, y[rows], color=colour(method), lw=1.1, label="measured y")
+        top.set_title(method.replace("-", " "))
+        bottom.plot(time, error, color=colour(method), lw=0.8)
+        bottom.axhline(0.0, color=MUTED, lw=0.7)
+        bottom.set_xlabel("time in the stage, s")
+        seen = np.abs(error[np.isfinite(error)])
+        largest = max(largest, float(seen.max()) if seen.size else 0.0)
+        outcome = section(section(run.result, "tracking"), method)
+        rms = 1e3 * number(outcome.get("rms_rad"))
+        if math.isfinite(rms):
+            note(bottom, f"RMS {rms:.3g} mrad", loc="upper left")
+    panels[0, 0].set_ylabel("position, rad")
+    panels[1, 0].set_ylabel("error yd − y, mrad")
+    if largest > 0.0:
+        panels[1, 0].set_ylim(-1.45 * largest, 1.45 * largest)
+    panels[0, -1].legend(loc="upper right", ncols=2, frameon=True, facecolor="white", edgecolor="none", framealpha=0.8)
+    return render(
+        figure, run.backend, "Tracking with each model side by side: wanted and measured position, and the error.",
+        "Tracking by feedback linearisation with each model: the same trajectory, gains and axes. The error shown is "
+        "that of the samples, noise of the sensor included.",
+    )  # fmt: skip
+
+
+def loop_timing(run: Run) -> Picture:
+    """Histograms of lateness and link time on logarithmic counts, with percentiles."""
+    if run.in_virtual_time:
+        raise AbsentError(
+            "This run was simulated in virtual time: its clock waits for the computation, so there is no lateness "
+            "and no link time to show."
+        )
+    late, io = run.rows.late_us, run.rows.io_us
+    if not (np.isfinite(late).any() or np.isfinite(io).any()):
+        raise AbsentError("Lateness and link time were not recorded.")
+    figure = new_figure(2.9)
+    left, right = figure.subplots(1, 2)
+    _histogram(left, late, "lateness of the tick")
+    _histogram(right, io, "time of the exchange with the device")
+    left.set_ylabel("ticks")
+    skipped = number(section(run.result, "loop").get("skipped"))
+    words = f" {skipped:.0f} ticks were skipped." if math.isfinite(skipped) else ""
+    period = run.period_s
+    grid = f" The period is {1e6 * period:.0f} µs." if math.isfinite(period) else ""
+    return render(
+        figure, run.backend, "Histograms of loop lateness and link time.",
+        "Timing of the loop, counts on a logarithmic scale; vertical lines are the median, 99 %, 99.9 % and the "
+        f"largest value.{grid}{words}",
+    )  # fmt: skip
+
+
+def _histogram(axes: Axes, values: Array, label: str) -> None:
+    seen = values[np.isfinite(values)]
+    axes.set_xlabel(f"{label}, µs")
+    if seen.size == 0:
+        note(axes, "not recorded")
+        return
+    axes.hist(seen, bins=80, color=MEASURED, lw=0)
+    axes.set_yscale("log")
+    marks = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
+    words = []
+    for (name, percent), ink in zip(marks.items(), ("#009E73", "#E69F00", "#D55E00", LIMIT), strict=True):
+        value = float(np.percentile(seen, percent))
+        axes.axvline(value, color=ink, lw=1.2)
+        words.append(f"{name} {value:,.0f}")
+    axes.set_title(",  ".join(words) + " µs", fontweight="normal")

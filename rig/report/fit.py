@@ -1,0 +1,160 @@
+"""Cycles of a relay test, and what an estimated model predicts of each of them under the recorded drive."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from rig.identify.cycles import find_cycle
+from rig.identify.estimate import Estimate
+from rig.identify.record import IdentifyError, Record
+from rig.model.friction import Friction
+from rig.model.motor import Motor, State
+from rig.report.source import Array, Json, Run, Span, number
+
+PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
+
+
+@dataclass(frozen=True)
+class Cycles:
+    """Whole cycles of one relay test: row ranges (first, last), both included."""
+
+    rows: list[tuple[int, int]]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """One recorded cycle and its prediction from a fitted start: arrays of one length.
+
+    phase        time since the cycle's start over its length, 0 to 1
+    measured_rad, y_rad   position as recorded and as predicted
+    v_rad_per_s  predicted velocity
+    """
+
+    phase: Array
+    measured_rad: Array
+    y_rad: Array
+    v_rad_per_s: Array
+
+    @property
+    def residual_rad(self) -> Array:
+        """Recorded less predicted position, rad."""
+        return self.measured_rad - self.y_rad
+
+
+def central_difference(t: Array, y: Array) -> Array:
+    """Velocity by central differences; one-sided at the ends; nan where times repeat."""
+    if t.size < 3:
+        return np.full(t.size, np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        v = np.empty(t.size)
+        v[1:-1] = (y[2:] - y[:-2]) / (t[2:] - t[:-2])
+        v[0] = (y[1] - y[0]) / (t[1] - t[0])
+        v[-1] = (y[-1] - y[-2]) / (t[-1] - t[-2])
+    return np.where(np.isfinite(v), v, np.nan)
+
+
+def cycles_of(run: Run, span: Span) -> Cycles | None:
+    """Whole settled cycles of a relay test, as identification finds them; None where it finds none.
+
+    A cycle starts where the integral crosses zero downwards (the drive steps up to h1 + h2, theory section 3);
+    crossings closer than half the median are chatter around the edge.
+    """
+    try:
+        settled = find_cycle(record_of(run, span))
+    except IdentifyError:
+        return None
+    first, last = settled.rows
+    z = run.rows.z_rad_s
+    row = np.arange(max(first, 1), min(last + 1, span.last) + 1)
+    starts = row[(z[row] < 0.0) & (z[row - 1] >= 0.0)].tolist()
+    kept: list[int] = []
+    for start in starts:
+        if not kept or start - kept[-1] > 0.5 * settled.period_s / settled.period_sampling_s:
+            kept.append(start)
+    rows = list(pairwise(kept))
+    return Cycles(rows) if len(rows) >= 2 else None
+
+
+def record_of(run: Run, span: Span) -> Record:
+    """The rows of one stage as estimators read them. Raises IdentifyError where they are unusable."""
+    rows = slice(span.first, span.last + 1)
+    reported = run.rows.t_u_s[rows]
+    known = reported if np.isfinite(reported).all() else None
+    return Record(run.rows.t_s[rows], run.rows.y_rad[rows], known, run.rows.u_V[rows], span.first, span.stage)
+
+
+def motor_of(estimate: Json) -> Motor | None:
+    """The estimated model; None where the estimate has no usable parameters."""
+    tau, gain, fc = (number(estimate.get(key)) for key in PARAMETERS)
+    if not (math.isfinite(fc) and tau > 0.0 and gain > 0.0 and fc >= 0.0):
+        return None
+    asym = number(estimate.get("asym_V"))
+    return Motor(tau, gain, Friction(fc, fc, fc, fc), bias_V=asym if math.isfinite(asym) else 0.0)
+
+
+def drive_edges(run: Run, estimate: Json) -> Array:
+    """Times from which each row's drive acts, s: as the device reported it, else the row's time plus the delay.
+
+    The delay is the estimate's, else the sampled-data estimate's, else none.
+    """
+    delays = (number(e.get("delay_s")) for e in (estimate, run.estimates.get("sampled-data", {})))
+    delay = next((d for d in delays if math.isfinite(d)), 0.0)
+    reported = run.rows.t_u_s
+    return np.asarray(np.maximum.accumulate(np.where(np.isfinite(reported), reported, run.rows.t_s + delay)))
+
+
+def predict_cycles(run: Run, estimate: Json, cycles: Cycles) -> list[Predicted]:
+    """Each cycle under its recorded drive, from the start (v0, y0) that fits it best; empty without a model."""
+    motor = motor_of(estimate)
+    if motor is None:
+        return []
+    edges = drive_edges(run, estimate)
+    t, y, u = run.rows.t_s, run.rows.y_rad, run.rows.u_V
+    return [_predict(motor, edges, u, t[a : b + 1], y[a : b + 1]) for a, b in cycles.rows]
+
+
+def _predict(motor: Motor, edges: Array, u: Array, t: Array, y: Array) -> Predicted:
+    first = max(int(np.searchsorted(edges, t[0], side="right")) - 1, 0)
+    stop = int(np.searchsorted(edges, t[-1], side="right"))
+    edge, drive = edges[first:stop].copy(), u[first:stop]
+    edge[0] = min(edge[0], t[0])
+    guess = float(np.polyfit(t[:6] - t[0], y[:6], 1)[0])
+
+    def states(start: Array) -> Array:
+        return motor.response(State(float(start[0]), float(start[1])), t, edge, drive)
+
+    best = least_squares(lambda start: states(start)[:, 1] - y, [guess, y[0]], method="lm", max_nfev=30)
+    path = states(best.x)
+    return Predicted((t - t[0]) / (t[-1] - t[0]), y, path[:, 1], path[:, 0])
+
+
+def average(phase: Array, values: Array, bins: int) -> tuple[Array, Array, Array]:
+    """Mean over cycles in ``bins`` equal steps of phase: centres, means, counts (empty bins left out)."""
+    place = np.minimum((phase * bins).astype(int), bins - 1)
+    count = np.bincount(place, minlength=bins)
+    total = np.bincount(place, weights=values, minlength=bins)
+    centre = np.bincount(place, weights=phase, minlength=bins)
+    full = count > 0
+    return centre[full] / count[full], total[full] / count[full], count[full].astype(float)
+
+
+def fits_of(run: Run) -> tuple[dict[str, Estimate], str]:
+    """Estimates made anew from the recording, with residual series and iterates; or why there are none, as a sentence."""
+    if run.recording is None:
+        return {}, "There are no samples, so there is no residual and no convergence to show."
+    from rig.identify.sampled_data import fit
+    try:
+        records = [record_of(run, span) for span in run.spans("relay")]
+        if not records:
+            return {}, "There was no relay test."
+        return {"sampled-data": fit(records)}, ""
+    except IdentifyError as error:
+        return {}, f"The estimators refuse this recording: {error.cause}."

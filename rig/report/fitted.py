@@ -1,0 +1,199 @@
+"""Figures of the estimates: averaged cycle and model, residual, convergence, and the estimates side by side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from rig.identify.estimate import Estimate
+from rig.report.fit import PARAMETERS, average, cycles_of, motor_of, predict_cycles
+from rig.report.source import Array, Run, Span, interval, number
+from rig.report.style import (
+    INK,
+    MEASURED,
+    MUTED,
+    AbsentError,
+    Picture,
+    colour,
+    line,
+    new_figure,
+    note,
+    render,
+    short,
+    stage_label,
+)
+
+LABELS = {"tau_s": "τ, s", "K_rad_s_V": "K, (rad/s)/V", "fc_V": r"$\mathbf{f_c}$, V"}
+LONGEST_LAG = 60
+
+
+def averaged_cycle(run: Run, span: Span) -> Picture:
+    """One relay test: the averaged cycle with each model's prediction over it, and the residual below."""
+    cycles = cycles_of(run, span)
+    if cycles is None:
+        raise AbsentError(f"{stage_label(span.stage).capitalize()} has no two settled cycles, so there is no average to show.")
+    methods = {m: e for m, e in run.estimates.items() if motor_of(e) is not None}
+    if not methods:
+        raise AbsentError("There is no estimated model to lay over the averaged cycle.")
+    figure = new_figure(4.2)
+    panels = figure.subplots(2, len(methods), sharex=True, squeeze=False, height_ratios=(1.7, 1.0))
+    bins = round(float(np.median([b - a for a, b in cycles.rows])))
+    for column, (method, estimate) in enumerate(methods.items()):
+        top, bottom = panels[0, column], panels[1, column]
+        predicted = predict_cycles(run, estimate, cycles)
+        phase = np.concatenate([p.phase[:-1] for p in predicted])
+        measured = np.concatenate([p.measured_rad[:-1] for p in predicted])
+        model = np.concatenate([p.y_rad[:-1] for p in predicted])
+        at, mean, _ = average(phase, measured, bins)
+        at_model, mean_model, _ = average(phase, model, bins)
+        residual = 1e3 * (measured - model)
+        at_residual, mean_residual, _ = average(phase, residual, bins)
+        top.plot(at, mean, "o", color=MEASURED, ms=2.6, mew=0, label="measured, averaged")
+        top.plot(at_model, mean_model, color=colour(method), ls=line(method), lw=1.4, label=f"{short(method)} model")
+        top.set_title(f"{method.replace('-', ' ')}")
+        top.legend(loc="lower center", handlelength=2.4)  # below the crest, where the curve is not
+        bottom.axhline(0.0, color=MUTED, lw=0.7)
+        bottom.plot(phase, residual, ".", color=colour(method), ms=1.6, alpha=0.35, mew=0, rasterized=phase.size > 5000)
+        bottom.plot(at_residual, mean_residual, color=colour(method), lw=1.2)
+        reach = 1.1 * float(np.max(np.abs(residual)))
+        bottom.set_ylim(-1.35 * reach, 1.35 * reach)
+        note(bottom, f"RMS {math.sqrt(float(np.mean(residual**2))):.3g} mrad")
+        bottom.set_xlabel("phase of the cycle")
+        if column:
+            top.sharey(panels[0, 0])
+            top.tick_params(labelleft=False)
+    panels[0, 0].set_ylabel("position, rad")
+    panels[1, 0].set_ylabel("residual, mrad")
+    stage = stage_label(span.stage)
+    return render(
+        figure, run.backend, f"Averaged cycle of {stage} with each model over it and the residual below.",
+        f"{stage.capitalize()}: average of {len(cycles)} cycles and what each model predicts of them under the recorded "
+        "drive, each cycle from its own best-fitting start. Below, recorded less predicted position: every sample a "
+        "point, the line their average. Each residual has its own scale.",
+    )  # fmt: skip
+
+
+def residuals(run: Run, method: str, fits: Mapping[str, Estimate]) -> Picture:
+    """Residual of one estimator over time, its histogram, and its autocorrelation with the whiteness band."""
+    fit = fits.get(method)
+    if fit is None or fit.residual_rad.size < 20:
+        raise AbsentError("The residual series could not be computed from this recording.")
+    t, r = fit.residual_t_s, 1e3 * fit.residual_rad
+    figure = new_figure(2.9)
+    series, histogram, correlation = figure.subplots(1, 3, width_ratios=(1.7, 0.8, 1.2))
+    pieces = _pieces(t)
+    for piece in pieces:
+        series.plot(t[piece], r[piece], color=colour(method), lw=0.6)
+    series.axhline(0.0, color=MUTED, lw=0.7)
+    series.set_xlabel("time since the start, s")
+    series.set_ylabel("residual, mrad")
+    series.set_title("over time")
+    spread = float(np.std(r))
+    histogram.hist(r, bins=min(60, max(10, r.size // 30)), density=True, orientation="horizontal", color=colour(method), alpha=0.45)
+    if spread > 0.0:
+        grid = np.linspace(float(r.min()), float(r.max()), 200)
+        bell = np.exp(-0.5 * ((grid - r.mean()) / spread) ** 2) / (spread * math.sqrt(2.0 * math.pi))
+        histogram.plot(bell, grid, color=INK, lw=1.0, ls=(0, (4, 2)))
+    histogram.sharey(series)
+    histogram.tick_params(labelleft=False)
+    histogram.set_xlabel("density, 1/mrad")
+    histogram.set_title("histogram, normal")
+    lags, values = autocorrelation([r[piece] for piece in pieces], LONGEST_LAG)
+    band = 1.96 / math.sqrt(r.size)
+    outside = float(np.mean(np.abs(values) > band)) if values.size else 0.0
+    correlation.axhspan(-band, band, color="#e4e7eb", lw=0)
+    correlation.axhline(0.0, color=MUTED, lw=0.7)
+    correlation.vlines(lags, 0.0, values, color=colour(method), lw=1.4)
+    correlation.set_xlabel("lag, samples")
+    correlation.set_title("autocorrelation")
+    note(correlation, f"{100 * outside:.0f} % of lags outside the 95 % band", loc="upper right")
+    return render(
+        figure, run.backend, f"Residual of the {method} estimate: over time, histogram, autocorrelation.",
+        f"Residual of the {method.replace('-', ' ')} estimate (RMS {spread:.3g} mrad about its mean, {r.size} samples). "
+        "A model that explains the data leaves white noise: bell-shaped, and about 5 % of lags outside the band.",
+    )  # fmt: skip
+
+
+def _pieces(t: Array) -> list[slice]:
+    """Contiguous stretches of a series of times: cut where a step is beyond ten times the median."""
+    steps = np.diff(t)
+    cuts = [0, *(np.flatnonzero((steps > 10.0 * np.median(steps)) | (steps <= 0.0)) + 1).tolist(), t.size]
+    return [slice(a, b) for a, b in zip(cuts, cuts[1:], strict=False)]
+
+
+def autocorrelation(pieces: list[Array], longest: int) -> tuple[Array, Array]:
+    """Autocorrelation at lags 1 to ``longest``, products never taken across pieces."""
+    mean = float(np.mean(np.concatenate(pieces)))
+    power = sum(float(np.sum((p - mean) ** 2)) for p in pieces)
+    longest = min(longest, max(p.size for p in pieces) - 1)
+    lags = np.arange(1, longest + 1)
+    if power == 0.0:
+        return lags.astype(float), np.zeros(lags.size)
+    values = [sum(float((p[k:] - mean) @ (p[: p.size - k] - mean)) for p in pieces if p.size > k) / power for k in lags]
+    return lags.astype(float), np.array(values)
+
+
+def convergence(run: Run, fits: Mapping[str, Estimate]) -> Picture:
+    """Iterates of each estimator, and their distance from its final value."""
+    iterated = {m: f for m, f in fits.items() if f.iterates.shape[0] >= 2}
+    if not iterated:
+        raise AbsentError("No estimator of this run iterated, so there is no convergence to show.")
+    figure = new_figure(3.9)
+    panels = figure.subplots(2, 3, sharex=True, height_ratios=(1.3, 1.0))
+    for column, key in enumerate(PARAMETERS):
+        top, bottom = panels[0, column], panels[1, column]
+        for method, fit in iterated.items():
+            path = fit.iterates[:, column]
+            steps = np.arange(path.size)
+            final = getattr(fit, key)
+            top.plot(steps, path, marker="o", ms=3.0, color=colour(method), ls=line(method), label=short(method))
+            distance = np.abs(path / final - 1.0) if final else np.abs(path - final)
+            seen = distance > 0.0
+            bottom.semilogy(steps[seen], distance[seen], marker="o", ms=3.0, color=colour(method), ls=line(method))
+        if key in run.truth:
+            top.axhline(run.truth[key], color=INK, lw=0.9, ls=":", label="truth")
+        top.set_title(LABELS[key])
+        bottom.set_xlabel("iteration")
+    panels[0, 0].set_ylabel("value")
+    panels[1, 0].set_ylabel("relative distance from final")
+    panels[0, -1].legend(loc="best")
+    truth = " The dotted line is the emulated motor's true value." if run.truth else ""
+    return render(
+        figure, run.backend, "Convergence of the iterated estimates of tau, K and f_c.",
+        "Iterates of the start that won, for each estimator, and their relative distance from its final value." + truth,
+    )  # fmt: skip
+
+
+def forest(run: Run) -> Picture:
+    """Estimates of tau, K and f_c side by side with their 95 % intervals, and the truth where it is known."""
+    estimates = {m: e for m, e in run.estimates.items() if any(math.isfinite(number(e.get(k))) for k in PARAMETERS)}
+    if not estimates:
+        raise AbsentError("There is no estimate to compare.")
+    figure = new_figure(0.9 + 0.34 * len(estimates))
+    panels = figure.subplots(1, 3, sharey=True)
+    names = list(estimates)
+    for axes, key in zip(panels, PARAMETERS, strict=True):
+        for row, (method, estimate) in enumerate(estimates.items()):
+            value = number(estimate.get(key))
+            if not math.isfinite(value):
+                continue
+            bounds = interval(estimate, key)
+            if bounds is not None:
+                axes.plot(bounds, (row, row), "-", color=colour(method), lw=2.2, solid_capstyle="butt")
+                axes.plot(bounds, (row, row), "|", color=colour(method), ms=9, mew=1.6)
+            hollow = estimate.get("verdict") != "ok"
+            axes.plot(value, row, "o", ms=6, color=colour(method), mfc="white" if hollow else colour(method), mew=1.5)
+        if key in run.truth:
+            axes.axvline(run.truth[key], color=INK, lw=1.0, ls=":", zorder=1)
+        axes.set_title(LABELS[key])
+        axes.margins(x=0.12)
+    panels[0].set_yticks(range(len(names)), [n.replace("-", " ") for n in names])
+    panels[0].set_ylim(len(names) - 0.4, -0.6)
+    truth = " The dotted line is the emulated motor's true value." if run.truth else ""
+    return render(
+        figure, run.backend, "Estimates side by side with their 95 % intervals.",
+        "Estimates and 95 % intervals side by side. A hollow mark is an estimate whose verdict is not ok; a mark without "
+        "a bar has no interval." + truth,
+    )  # fmt: skip

@@ -1,0 +1,322 @@
+"""Figures of what was measured: the whole run, breakaway, gain search, the relay tests and their portraits."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.transforms import blended_transform_factory
+
+from rig.report.fit import Cycles, central_difference, cycles_of, predict_cycles
+from rig.report.source import Array, Json, Run, Span, number, section
+from rig.report.style import (
+    BANDS,
+    DRIVE,
+    FAINT,
+    INK,
+    LIMIT,
+    MEASURED,
+    MUTED,
+    RASTER_FROM,
+    RELAY_STAGES,
+    WIDTH_IN,
+    AbsentError,
+    Picture,
+    new_figure,
+    note,
+    plain,
+    render,
+    stage_kind,
+    stage_label,
+)
+
+
+def whole_run(run: Run) -> Picture:
+    """Position and drive over time: stages, limits, cycles, faults."""
+    t, y, u = run.rows.t_s, run.rows.y_rad, run.rows.u_V
+    figure = new_figure(4.9)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.1, 1.0))
+    raster = t.size > RASTER_FROM
+    top.plot(t, y, color=MEASURED, lw=0.7, label="measured position", rasterized=raster)
+    if np.isfinite(run.rows.yd_rad).any():
+        top.plot(t, run.rows.yd_rad, color="#E69F00", lw=1.0, ls=(0, (4, 2)), label="wanted position", rasterized=raster)
+    _limits(top, run)
+    top.set_ylabel("position y, rad")
+    bottom.step(t, u, where="post", color=MEASURED, lw=0.6, rasterized=raster)
+    bottom.set_ylabel("drive u, V")
+    bottom.set_xlabel("time since the start, s")
+    bottom.set_xlim(float(t[0]), float(t[-1]) if t[-1] > t[0] else float(t[0]) + 1.0)
+    _stage_bands((top, bottom), t, run.spans())
+    count = 0
+    for span in run.spans("relay"):
+        cycles = cycles_of(run, span)
+        if cycles is not None:
+            count += len(cycles)
+            foot = blended_transform_factory(top.transData, top.transAxes)
+            starts = t[[first for first, _ in cycles.rows]]
+            top.plot(starts, np.full(starts.size, 0.025), "^", ms=3.0, color=INK, transform=foot, zorder=4)
+    for fault in run.faults:
+        when = number(fault["t_s"])
+        if math.isfinite(when):
+            for axes in (top, bottom):
+                axes.axvline(when, color=LIMIT, lw=1.2)
+            note(top, plain(f"fault {fault['code']} at {when:.2f} s"), loc="lower right", colour=LIMIT)
+    low, high = top.get_ylim()
+    top.set_ylim(low, high + 0.13 * (high - low))  # room for the legend above the limits
+    top.legend(loc="upper right", ncols=4, borderaxespad=0.1)
+    cycles_words = f" {count} relay cycles used are marked by triangles at their starts." if count else ""
+    return render(
+        figure, run.backend, "Position and drive over the whole run, stages shaded.",
+        f"Position and drive over the whole run ({t.size} samples), stages shaded and named." + cycles_words,
+    )  # fmt: skip
+
+
+def _limits(axes: Axes, run: Run) -> None:
+    for which, style, words in (("soft_rad", (0, (5, 3)), "soft limit"), ("hard_rad", "-", "hard limit")):
+        pair = run.limits(which)
+        for k, value in enumerate(pair or ()):
+            axes.axhline(value, color=LIMIT, lw=0.9, ls=style, label=words if k == 0 else None)
+
+
+def _stage_bands(panels: tuple[Axes, ...], t: Array, spans: list[Span]) -> None:
+    """Shade each stage, and name it above the first panel; names that would overlap go to a second line."""
+    inches_per_s = 0.88 * WIDTH_IN / max(float(t[-1] - t[0]), 1e-9)
+    free_from = [-math.inf, -math.inf, -math.inf]
+    head = blended_transform_factory(panels[0].transData, panels[0].transAxes)
+    for k, span in enumerate(spans):
+        begin = float(t[span.first])
+        end = float(t[min(span.last + 1, t.size - 1)])
+        for axes in panels:
+            axes.axvspan(begin, end, color=BANDS.get(stage_kind(span.stage), "#f3f0f5"), lw=0, zorder=0)
+            if k:
+                axes.axvline(begin, color=FAINT, lw=0.6, zorder=0.5)
+        label = stage_label(span.stage)
+        at = begin * inches_per_s
+        lane = next((n for n, free in enumerate(free_from) if at >= free), 0)
+        free_from[lane] = at + 0.075 * len(label) + 0.08
+        panels[0].text(
+            begin, 1.015 + 0.055 * lane, label, transform=head, fontsize=8, color=INK, weight="bold", clip_on=False
+        )
+
+
+def relay_tests(run: Run) -> Picture:
+    """The last periods of each relay test: position, its integral, the drive, and the order of the edges."""
+    spans = run.spans("relay")
+    if not spans:
+        raise AbsentError("There was no relay test, so there is no limit cycle to show.")
+    t, y, z, u = run.rows.t_s, run.rows.y_rad, run.rows.z_rad_s, run.rows.u_V
+    v = velocity(run)
+    figure = new_figure(5.0)
+    panels = figure.subplots(3, len(spans), sharex="col", sharey="row", squeeze=False, height_ratios=(2, 1.2, 1.2))
+    for column, span in enumerate(spans):
+        rows = _last_periods(run, span, 4)
+        time = t[rows] - t[rows.start]
+        acts = run.rows.t_u_s[rows] - t[rows.start]
+        acts = np.where(np.isfinite(acts), acts, time)
+        panels[0, column].plot(time, y[rows], ".-", color=MEASURED, ms=2.5, lw=0.6)
+        panels[1, column].plot(time, z[rows], ".-", color=MEASURED, ms=2.5, lw=0.6)
+        panels[2, column].step(acts, u[rows], where="post", color=MEASURED)
+        for axes, signal, mark, words in (
+            (panels[0, column], y[rows], "#0072B2", "RB: y = 0"),
+            (panels[1, column], z[rows], "#D55E00", "RC: z = 0"),
+        ):
+            axes.axhline(0.0, color=MUTED, lw=0.7)
+            crossing = _crossings(time, signal)
+            axes.plot(crossing, np.zeros(crossing.size), "o", ms=4.5, mfc="white", mec=mark, mew=1.3, label=words)
+        turns = _extrema(time, y[rows], v[rows])
+        panels[0, column].plot(
+            turns, np.interp(turns, time, y[rows]), "D", ms=4.5, mfc="white", mec="#009E73", mew=1.3, label="RA: v = 0"
+        )
+        gains = next((r for r in run.result.get("relays", []) if r.get("stage") == span.stage), {})
+        title = stage_label(span.stage)
+        if gains:
+            title += f":  h1 = {number(gains.get('h1_V')):.3g} V,  h2 = {number(gains.get('h2_V')):.3g} V"
+        panels[0, column].set_title(title)
+        panels[2, column].set_xlabel("time, s")
+    for axes, words in zip(panels[:, 0], ("y, rad", "z, rad s", "u, V"), strict=True):
+        axes.set_ylabel(words)
+    for axes in panels[:2, -1]:
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, borderaxespad=0.0, handletextpad=0.2)
+    return render(
+        figure, run.backend, "The last four periods of each relay test: position, its integral and drive.",
+        "The last four periods of each relay test: position y, its integral z, and the drive as the device "
+        "reported it. In the limit cycle of the theory the edges follow in the order RA (velocity), RB (position), "
+        "RC (integral).",
+    )  # fmt: skip
+
+
+def _last_periods(run: Run, span: Span, count: int) -> slice:
+    """Rows of the last ``count`` whole cycles of a relay test, or of its last 3 s where none is settled."""
+    cycles = cycles_of(run, span)
+    if cycles is not None:
+        return slice(cycles.rows[-min(count, len(cycles))][0], cycles.rows[-1][1] + 1)
+    t = run.rows.t_s
+    first = int(np.searchsorted(t, t[span.last] - 3.0))
+    return slice(max(first, span.first), span.last + 1)
+
+
+def _crossings(t: Array, signal: Array) -> Array:
+    """Times at which ``signal`` changes sign, by linear interpolation."""
+    k = np.flatnonzero(np.signbit(signal[1:]) != np.signbit(signal[:-1]))
+    return np.asarray(t[k] - signal[k] * (t[k + 1] - t[k]) / (signal[k + 1] - signal[k]))
+
+
+def _extrema(t: Array, y: Array, v: Array) -> Array:
+    """Times of the largest and the smallest position between crossings of the mean (noise makes no extra ones)."""
+    level = y - 0.5 * (np.max(y) + np.min(y))
+    edges = np.flatnonzero(np.signbit(level[1:]) != np.signbit(level[:-1])) + 1
+    return np.array([t[a + int(np.argmax(np.abs(level[a:b])))] for a, b in pairwise(edges.tolist())])
+
+
+def velocity(run: Run) -> Array:
+    """Velocity of the shaft: the tachometer where there is one, else the central difference of the position."""
+    if has_tachometer(run):
+        return run.rows.v_rad_per_s
+    return central_difference(run.rows.t_s, run.rows.y_rad)
+
+
+def has_tachometer(run: Run) -> bool:
+    """Whether nearly every row has a measured velocity."""
+    return bool(np.isfinite(run.rows.v_rad_per_s).mean() > 0.9)
+
+
+def portraits(run: Run) -> Picture:
+    """Phase portraits y-v and y-z of the relay tests, with the switching planes."""
+    spans = run.spans("relay")
+    if not spans:
+        raise AbsentError("There was no relay test, so there is no phase portrait.")
+    y, z, v = run.rows.y_rad, run.rows.z_rad_s, velocity(run)
+    figure = new_figure(4.5)
+    left, right = figure.subplots(1, 2, sharex=True)
+    for k, span in enumerate(spans):
+        rows = _last_periods(run, span, 12)
+        ink = RELAY_STAGES[k % len(RELAY_STAGES)]
+        mark = "osD^"[k % 4]
+        label = stage_label(span.stage)
+        left.plot(y[rows], v[rows], mark, ms=1.8, color=ink, alpha=0.45, mew=0, label=label)
+        right.plot(y[rows], z[rows], mark, ms=1.8, color=ink, alpha=0.45, mew=0, label=label)
+        cycles = cycles_of(run, span)
+        best = next(iter(run.estimates.values()), {})
+        for predicted in predict_cycles(run, best, Cycles(cycles.rows[-1:])) if cycles else ():
+            left.plot(predicted.y_rad, predicted.v_rad_per_s, "-", color=INK, lw=1.0,
+                      label="model" if k == 0 else None)  # fmt: skip
+        at = np.flatnonzero(np.signbit(z[rows][1:]) != np.signbit(z[rows][:-1]))
+        left.plot(y[rows][at], v[rows][at], "x", color=INK, ms=4.5, mew=1.0, label="z = 0 (RC)" if k == 0 else None)
+        turn = np.flatnonzero(np.signbit(v[rows][1:]) != np.signbit(v[rows][:-1]))
+        far = turn[np.abs(y[rows][turn]) > 0.5 * np.max(np.abs(y[rows]))]
+        right.plot(y[rows][far], z[rows][far], "D", color=INK, ms=3.2, mfc="none", mew=0.9,
+                   label="v = 0 (RA)" if k == 0 else None)  # fmt: skip
+    left.axhline(0, color="#009E73", lw=1.0)
+    right.axhline(0, color="#D55E00", lw=1.0)
+    for axes in (left, right):
+        axes.axvline(0, color="#0072B2", lw=1.0)
+        axes.set_xlabel("position y, rad")
+    left.set_ylabel("velocity v, rad/s")
+    right.set_ylabel("integral of position z, rad s")
+    left.set_title("velocity over position")
+    right.set_title("integral over position")
+    note(left, "plane v = 0 (RA) green, y = 0 (RB) blue", loc="lower left", colour=MUTED)
+    note(right, "plane z = 0 (RC) orange, y = 0 (RB) blue", loc="lower left", colour=MUTED)
+    for axes in (left, right):  # the middle of a cycle is empty
+        axes.legend(loc="center", markerscale=2.0, frameon=True, facecolor="white", edgecolor="none", framealpha=0.9)
+    source = "the tachometer" if has_tachometer(run) else "the central difference of the position"
+    return render(
+        figure, run.backend, "Phase portraits of the relay tests with the switching planes.",
+        f"Phase portraits of the settled cycles with the three switching planes; velocity is {source}, every sample "
+        "a point.",
+    )  # fmt: skip
+
+
+def breakaway(run: Run) -> Picture:
+    """The slow ramps: drive and position over time, static friction marked."""
+    spans = run.spans("breakaway")
+    if not spans:
+        raise AbsentError("There was no breakaway check in this run.")
+    rows = slice(spans[0].first, spans[-1].last + 1)
+    t, y, u = run.rows.t_s[rows], run.rows.y_rad[rows], run.rows.u_V[rows]
+    figure = new_figure(3.0)
+    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    left.plot(t, 1e3 * y, color=MEASURED, lw=0.8)
+    left.set_xlabel("time since the start, s")
+    left.set_ylabel("position, mrad", color=MEASURED)
+    left.set_title("slow ramp each way, until the shaft moves")
+    drive = left.twinx()
+    drive.step(t, u, where="post", color=DRIVE, lw=1.0, ls=(0, (4, 2)))
+    drive.set_ylabel("drive, V (dashed)", color=DRIVE)
+    drive.grid(visible=False)
+    drive.spines["right"].set_visible(True)
+    found = section(run.result, "breakaway")
+    for name, sign, ink in (("plus", 1.0, "#0072B2"), ("minus", -1.0, "#D55E00")):
+        ramp = np.flatnonzero(sign * u > 0.0)
+        if ramp.size:
+            right.plot(sign * u[ramp], sign * 1e3 * (y[ramp] - y[ramp[0]]), ".-", ms=2.5, lw=0.6, color=ink,
+                       label=f"{name}: towards {'rising' if sign > 0 else 'falling'} positions")  # fmt: skip
+        level = number(found.get(f"static_{name}_V"))
+        if math.isfinite(level):
+            right.axvline(level, color=ink, lw=1.2, ls=(0, (4, 2)), label=f"static friction {name} {level:.3f} V")
+    right.set_xlabel("|drive|, V")
+    right.set_ylabel("displacement, mrad")
+    right.set_title("displacement over drive")
+    right.legend(loc="upper left")
+    noise = 1e3 * number(found.get("noise_rad"))
+    words = f" At rest the sensor's noise is {noise:.2g} mrad (standard deviation)." if math.isfinite(noise) else ""
+    return render(
+        figure, run.backend, "Breakaway ramps: drive and position, with static friction.",
+        "Breakaway check: a slow ramp each way proves sensor, drive and sign before any relay runs, and shows static "
+        "friction. The motion is seen a little after it begins; the dashed levels are corrected for that." + words,
+    )  # fmt: skip
+
+
+def gain_search(run: Run) -> Picture:
+    """The path of the gain search: h1 and h2 over time, and the amplitude and period that settled."""
+    steps = _search_steps(run)
+    if not steps:
+        raise AbsentError("The gains were given in the configuration, or the run ended before the search noted a step.")
+    t, h1, h2, amplitude, period = (
+        np.array([number(s.get(k)) for s in steps]) for k in ("t_s", "h1_V", "h2_V", "amplitude_rad", "period_s")
+    )
+    figure = new_figure(4.3)
+    gains, size, length = figure.subplots(3, 1, sharex=True, height_ratios=(1.3, 1, 1))
+    # a step is noted when it is over: its gains held since the step before
+    begin = min((float(run.rows.t_s[s.first]) for s in run.spans("search")), default=float(t[0]))
+    edges = np.concatenate(([begin], t))
+    gains.stairs(h1, edges, baseline=None, color="#0072B2", lw=1.6, label="h1 (position)")
+    gains.stairs(h2, edges, baseline=None, color="#D55E00", lw=1.6, ls="--", label="h2 (integral)")
+    gains.set_ylabel("gain, V")
+    gains.legend(loc="upper left", ncols=2)
+    target = section(section(run.config, "relay"), "target")
+    tolerance = number(target.get("tolerance"))
+    for axes, values, key, words in (
+        (size, amplitude, "amplitude_rad", "amplitude A, rad"),
+        (length, period, "period_s", "period T, s"),
+    ):
+        axes.plot(t, values, "o", color=MEASURED, ms=5)
+        wanted = number(target.get(key))
+        if math.isfinite(wanted):
+            axes.axhline(wanted, color="#009E73", lw=1.0, ls=(0, (4, 2)))
+            if math.isfinite(tolerance):
+                axes.axhspan(wanted * (1 - tolerance), wanted * (1 + tolerance), color="#e2f1ea", lw=0)
+            note(axes, f"wanted {wanted:g}", loc="lower left", colour="#00684b")
+        if not np.isfinite(values).any():
+            note(axes, "no cycle settled")
+            axes.set_yticks([])
+        axes.set_ylabel(words)
+    length.set_xlabel("time since the start, s")
+    gains.set_xlim(edges[0], edges[-1] + 0.02 * (edges[-1] - edges[0]))
+    settled = int(np.isfinite(amplitude).sum())
+    return render(
+        figure, run.backend, "Path of the gain search: gains, amplitude and period over time.",
+        f"Gain search: h2 is raised until a cycle settles, then both gains are trimmed towards the wanted amplitude and "
+        f"period (green). {len(steps)} pairs of gains were tried; a dot marks each of the {settled} that settled.",
+    )  # fmt: skip
+
+
+def _search_steps(run: Run) -> list[Json]:
+    """Steps of the search from the events, else from the result."""
+    seen = [e for e in run.events if e.get("kind") == "search"]
+    recorded = run.result.get("search")
+    if not seen and isinstance(recorded, list):
+        seen = [s for s in recorded if isinstance(s, dict)]
+    return [s for s in seen if all(math.isfinite(number(s.get(k))) for k in ("t_s", "h1_V", "h2_V"))]

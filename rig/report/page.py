@@ -1,0 +1,192 @@
+"""The report: a run folder in, one self-contained report.html out."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+import rig
+from rig.report import checked, fitted, measured
+from rig.report.fit import fits_of
+from rig.report.source import Json, Run, load, number, section
+from rig.report.style import AbsentError, Picture, short, stage_label, style
+from rig.report.words import PARAMETERS, Quantity, headline, quantity, rounded
+
+REPORT = "report.html"
+TEMPLATE = "report.html.j2"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A place for a figure: the picture, or the sentence that says why there is none."""
+
+    picture: Picture | None
+    absent: str = ""
+
+
+def write_report(run_folder: Path) -> Path:
+    """Write ``report.html`` into a run folder and return its path.
+
+    Whatever is missing from the folder is said on the page. Raises FileNotFoundError if ``run_folder`` is no
+    folder, OSError where the file cannot be written.
+    """
+    run = load(Path(run_folder))
+    page = render_page(run)
+    path = run.folder / REPORT
+    half = path.with_name(f".{REPORT}.part")
+    half.write_text(page, encoding="utf-8")
+    os.replace(half, path)
+    return path
+
+
+def render_page(run: Run) -> str:
+    """The whole page as text."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("rig.report", package_path="."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["rounded"] = rounded
+    return environment.get_template(TEMPLATE).render(
+        run=run,
+        version=rig.__version__,
+        headline=headline(run),
+        figures=draw(run),
+        estimates=_estimates(run),
+        relays=_relays(run),
+        tracking=_tracking(run),
+        loop=_loop(run),
+        facts=_facts(run),
+        notes=[str(n) for n in run.result.get("notes") or ()],
+    )
+
+
+def draw(run: Run) -> dict[str, list[Figure]]:
+    """All figures by section; a part that is missing becomes its sentence."""
+    with style():
+        fits, trouble = fits_of(run)
+        best = next(iter(run.estimates), "sampled-data")
+        relays = run.spans("relay")
+
+        def fit_figure(make: Callable[[], Picture]) -> Figure:
+            return Figure(None, trouble) if trouble else _figure(make)
+
+        cycles = [_figure(lambda span=span: fitted.averaged_cycle(run, span)) for span in relays]  # type: ignore[misc]
+        return {
+            "whole": [_figure(lambda: measured.whole_run(run))],
+            "breakaway": [_figure(lambda: measured.breakaway(run))],
+            "search": [_figure(lambda: measured.gain_search(run))],
+            "relays": [_figure(lambda: measured.relay_tests(run))],
+            "portraits": [_figure(lambda: measured.portraits(run))],
+            "forest": [_figure(lambda: fitted.forest(run))],
+            "cycles": cycles or [Figure(None, "There was no relay test, so there is no averaged cycle.")],
+            "residuals": [fit_figure(lambda: fitted.residuals(run, best, fits))],
+            "convergence": [fit_figure(lambda: fitted.convergence(run, fits))],
+            "tracking": [_figure(lambda: checked.tracking(run))],
+            "loop": [_figure(lambda: checked.loop_timing(run))],
+        }
+
+
+def _figure(make: Callable[[], Picture]) -> Figure:
+    try:
+        return Figure(make())
+    except AbsentError as absent:
+        return Figure(None, str(absent))
+
+
+@dataclass(frozen=True)
+class EstimateRow:
+    """One line of the table of estimates."""
+
+    method: str
+    short: str
+    quantities: tuple[Quantity, ...]
+    rms_rad: float | None
+    rms_text: str
+    iterations: str
+    rows: str
+    verdict: str
+    reasons: tuple[str, ...]
+
+
+def _estimates(run: Run) -> list[EstimateRow]:
+    table = []
+    for method, e in run.estimates.items():
+        rms = number(e.get("rms_rad"))
+        rows = e.get("rows")
+        table.append(
+            EstimateRow(
+                method,
+                short(method),
+                tuple(quantity(p, e, run.truth) for p in PARAMETERS),
+                rms if math.isfinite(rms) else None,
+                rounded(1e3 * rms) if math.isfinite(rms) else "–",
+                str(e.get("iterations", "–")),
+                f"{rows[0]} to {rows[1]}" if isinstance(rows, list) and len(rows) == 2 else "–",
+                str(e.get("verdict", "not judged")),
+                tuple(str(r) for r in e.get("reasons") or ()),
+            )
+        )
+    return table
+
+
+def _relays(run: Run) -> list[Json]:
+    """Relay tests as the result has them; every value a pair of exact number (or None) and text."""
+    recorded = run.result.get("relays")
+    table = []
+    for relay in recorded if isinstance(recorded, list) else []:
+        if isinstance(relay, dict):
+            keys = ("h1_V", "h2_V", "period_s", "amplitude_rad", "cycles")
+            table.append({"stage": stage_label(str(relay.get("stage", ""))), "cells": [_cell(relay.get(k)) for k in keys]})
+    return table
+
+
+def _cell(value: Any, factor: float = 1.0) -> tuple[float | None, str]:
+    x = number(value)
+    if not math.isfinite(x):
+        return None, "–"
+    return x, f"{factor * x:.4g}" if abs(factor * x) < 1e4 else f"{factor * x:.0f}"
+
+
+def _tracking(run: Run) -> list[Json]:
+    table = []
+    for method, outcome in section(run.result, "tracking").items():
+        entry = outcome if isinstance(outcome, dict) else {}
+        known = math.isfinite(number(entry.get("rms_rad")))
+        reason = "" if known else str(entry.get("not_run") or "no outcome was recorded")
+        cells = [_cell(entry.get(k), 1e3) for k in ("rms_rad", "max_rad")]
+        table.append({"method": method, "short": short(method), "cells": cells, "reason": reason})
+    return table
+
+
+def _loop(run: Run) -> Json:
+    loop = section(run.result, "loop")
+    late = section(loop, "late_us")
+    return {
+        "known": bool(loop),
+        "period": _cell(run.period_s, 1e3),
+        "ticks": _cell(loop.get("ticks")),
+        "skipped": _cell(loop.get("skipped")),
+        "late": [(name, _cell(late.get(key))) for name, key in
+                 (("median", "p50"), ("99 %", "p99"), ("99.9 %", "p999"), ("largest", "max"))],
+    }  # fmt: skip
+
+
+def _facts(run: Run) -> list[tuple[str, str]]:
+    """What is known about the run, flat: (name, value) pairs in the order of meta.json."""
+    facts: list[tuple[str, str]] = []
+    for key, value in run.meta.items():
+        if key in ("truth", "backend", "schema"):
+            continue
+        facts.append((key, ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else str(value)))
+    if run.truth:
+        facts.append(("truth (emulated)", ", ".join(f"{k} = {v:.6g}" for k, v in run.truth.items())))
+    return facts

@@ -1,0 +1,161 @@
+"""How figures look: palette, names, sizes, and the way from a matplotlib figure to an inline image.
+
+The palette is Okabe and Ito's (safe for colour-blind readers); line styles differ too, so that a black and
+white print can be read. Figures are made without pyplot: no global state, no display.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import textwrap
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+WIDTH_IN = 10.0
+INK = "#1f2328"
+MUTED = "#6a737d"
+FAINT = "#c9ced6"
+LIMIT = "#9a1b1b"
+MEASURED = "#4a4f57"
+DRIVE = "#b35900"
+# From this many points on, a curve is drawn as pixels inside the vector figure: all points, smaller file.
+RASTER_FROM = 20_000
+
+METHODS: dict[str, tuple[str, str, str]] = {  # colour, line style, short name
+    "sampled-data": ("#0072B2", "-", "SD"),
+    "triple-relay": ("#D55E00", "--", "TR"),
+    "describing-function": ("#009E73", "-.", "DF"),
+    "least-squares": ("#CC79A7", ":", "LS"),
+}
+RELAY_STAGES = ("#0072B2", "#E69F00", "#CC79A7", "#56B4E9")
+BANDS = {"breakaway": "#eceef1", "search": "#f8efd6", "relay": "#dfecf6", "track": "#e2f1ea"}
+
+RC: dict[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.titlesize": 9.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8.5,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": MUTED,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-4, 5),
+    "grid.color": "#e4e7eb",
+    "grid.linewidth": 0.6,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "text.color": INK,
+    "lines.linewidth": 1.1,
+    "lines.solid_joinstyle": "round",
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "figure.constrained_layout.h_pad": 0.06,
+    "figure.constrained_layout.w_pad": 0.06,
+    "path.simplify": False,  # every sample is drawn
+    "agg.path.chunksize": 20_000,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "rig",
+    "mathtext.fontset": "dejavusans",
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One finished figure: ``uri`` is a data URI, ``alt`` what it shows in words, ``caption`` how to read it."""
+
+    uri: str
+    alt: str
+    caption: str
+
+
+class AbsentError(Exception):
+    """A part of the run is not there; the message says which and why, as a sentence for the page."""
+
+
+def colour(method: str) -> str:
+    """Colour of an estimator."""
+    return METHODS.get(method, (INK, "-", ""))[0]
+
+
+def line(method: str) -> str:
+    """Line style of an estimator."""
+    return METHODS.get(method, (INK, "-", ""))[1]
+
+
+def short(method: str) -> str:
+    """Short name of an estimator."""
+    return METHODS.get(method, (INK, "-", method))[2]
+
+
+def plain(text: str) -> str:
+    """``text`` from a file, kept from being read as mathematics."""
+    return text.replace("$", r"\$")
+
+
+def stage_kind(stage: str) -> str:
+    """``relay-1`` -> ``relay``, ``track:sampled-data`` -> ``track``."""
+    return stage.split(":")[0].split("-")[0]
+
+
+def stage_label(stage: str) -> str:
+    """Stage name as figures show it: ``track:sampled-data`` -> ``track SD``."""
+    kind, _, method = stage.partition(":")
+    return plain(f"{kind} {short(method)}" if method else stage.replace("-", " "))
+
+
+def new_figure(height_in: float) -> Figure:
+    """An empty figure of the page's width."""
+    return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+
+
+def style() -> Any:
+    """Context in which every figure is made and rendered."""
+    return mpl.rc_context(RC)
+
+
+def note(axes: Axes, text: str, *, loc: str = "upper left", colour: str = INK) -> None:
+    """A few words in a corner of ``axes``: ``upper left``, ``lower right``, ..."""
+    x = 0.015 if "left" in loc else 0.985
+    y = 0.97 if "upper" in loc else 0.03
+    axes.text(
+        x, y, text, transform=axes.transAxes, fontsize=8, color=colour,
+        ha="left" if "left" in loc else "right", va="top" if "upper" in loc else "bottom",
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
+    )  # fmt: skip
+
+
+def render(figure: Figure, backend: str, alt: str, caption: str) -> Picture:
+    """The figure as a data URI, with the backend's words in its foot."""
+    words = textwrap.wrap(f"backend: {backend}", 150) or ["backend: not recorded"]
+    foot_in = 0.13 * len(words) + 0.05
+    height = figure.get_figheight()
+    figure.text(
+        1.0 - 0.06 / WIDTH_IN, 0.03 / height, plain("\n".join(words)),
+        ha="right", va="bottom", fontsize=6.5, color=MUTED,
+    )  # fmt: skip
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.set(rect=(0.0, foot_in / height, 1.0, 1.0 - foot_in / height))  # type: ignore[call-arg]
+    buffer = io.BytesIO()
+    FigureCanvasSVG(figure)
+    figure.savefig(buffer, format="svg", dpi=160, metadata={"Date": None, "Creator": None})
+    encoded = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return Picture(f"data:image/svg+xml;base64,{encoded}", f"{alt} Backend: {backend}.", caption)

@@ -1,0 +1,176 @@
+"""The report's words and numbers: the headline, what to do next, and values rounded as their intervals allow."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from rig.report.source import Json, Run, interval, number, section
+
+Outcome = Literal["ok", "doubtful", "refused", "none"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """How one parameter is called: symbol, unit, factor from SI to what is shown, and a sentence for it."""
+
+    key: str
+    symbol: str
+    unit: str
+    factor: float
+    meaning: str
+
+
+PARAMETERS = (
+    Parameter("tau_s", "τ", "s", 1.0, "velocity time constant"),
+    Parameter("K_rad_s_V", "K", "(rad/s)/V", 1.0, "velocity gain of the measured shaft"),
+    Parameter("fc_V", "f<sub>c</sub>", "V", 1.0, "Coulomb friction, referred to the drive"),
+    Parameter("asym_V", "a", "V", 1.0, "asymmetry of the effective drive"),
+    Parameter("delay_s", "d", "ms", 1e3, "from a sample to the effect of its drive"),
+)
+HEADLINE_PARAMETERS = PARAMETERS[:3]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One value of an estimate, ready to show: ``exact`` is the file's value, None where it has none."""
+
+    parameter: Parameter
+    exact: float | None
+    text: str
+    interval: str
+    relative: str
+    error: str
+
+
+class Step(NamedTuple):
+    """One thing to do next, and the command for it where there is one."""
+
+    text: str
+    command: str = ""
+
+
+@dataclass(frozen=True)
+class Headline:
+    """What came of the run, for the top of the page."""
+
+    outcome: Outcome
+    title: str
+    sentences: tuple[str, ...]
+    reasons: tuple[str, ...]
+    next_steps: tuple[Step, ...]
+    method: str
+    quantities: tuple[Quantity, ...]
+
+
+def rounded(value: float, half_width: float = math.nan) -> str:
+    """``value`` with two digits of its uncertainty, or four digits without one."""
+    if not math.isfinite(value):
+        return "–"
+    if math.isfinite(half_width) and half_width > 0.0:
+        digits = 1 - math.floor(math.log10(half_width))
+        if value != 0.0:
+            digits = max(digits, 1 - math.floor(math.log10(abs(value))))
+    elif value != 0.0:
+        digits = 3 - math.floor(math.log10(abs(value)))
+    else:
+        digits = 0
+    return f"{value:.{min(max(digits, 0), 9)}f}".replace("-", "−")
+
+
+def percent(ratio: float) -> str:
+    """A ratio as per cent with two significant digits and its sign."""
+    if not math.isfinite(ratio):
+        return "–"
+    value = 100.0 * ratio
+    digits = 0 if abs(value) >= 9.95 else (1 if abs(value) >= 0.995 else 2)
+    return f"{value:+.{digits}f} %".replace("-", "−")
+
+
+def quantity(parameter: Parameter, estimate: Json, truth: dict[str, float]) -> Quantity:
+    """One parameter of an estimate with its interval, and its error where the truth is known."""
+    exact = number(estimate.get(parameter.key))
+    if not math.isfinite(exact):
+        return Quantity(parameter, None, "–", "", "", "")
+    value = parameter.factor * exact
+    bounds = interval(estimate, parameter.key)
+    between = relative = ""
+    half = math.nan
+    if bounds is not None:
+        low, high = (parameter.factor * b for b in bounds)
+        half = 0.5 * (high - low)
+        between = f"{rounded(low, half)} to {rounded(high, half)}"
+        if value and parameter in HEADLINE_PARAMETERS:
+            relative = f"± {100.0 * half / abs(value):.2g} %"
+    error = ""
+    true = truth.get(parameter.key, math.nan)
+    if math.isfinite(true):
+        if parameter in HEADLINE_PARAMETERS and true:
+            error = percent(exact / true - 1.0)
+        else:
+            difference = parameter.factor * (exact - true)
+            error = f"{difference:+.2g} {parameter.unit}".replace("-", "−")
+    return Quantity(parameter, exact, rounded(value, half), between, relative, error)
+
+
+def headline(run: Run) -> Headline:
+    """What came of the run: verdict, the three parameters, why, and what to do next."""
+    method, estimate = next(iter(run.estimates.items()), ("", {}))
+    if not estimate:
+        return _nothing(run)
+    outcome: Outcome = next((o for o in ("ok", "doubtful", "refused") if o == estimate.get("verdict")), "doubtful")
+    reasons = tuple(str(r) for r in estimate.get("reasons") or ())
+    quantities = tuple(quantity(p, estimate, run.truth) for p in HEADLINE_PARAMETERS)
+    name = method.replace("-", " ")
+    sentences: list[str] = []
+    next_steps: list[Step] = []
+    if outcome == "refused":
+        title = "No model: the estimate was refused"
+        sentences.append(f"The {name} estimate does not describe this motor. Its values are shown below for diagnosis only.")
+        next_steps.append(Step("Do not use these values. Follow what each reason says, then run the experiment again."))
+    else:
+        title = "The motor is identified" if outcome == "ok" else "Identified, but doubtful"
+        sentences.extend(_plain_words(quantities, run))
+        if outcome == "ok":
+            next_steps.append(Step("Drive the bench with this model:", f"rig track CONFIG --model {run.folder}"))
+        else:
+            next_steps.append(Step("Treat the values as a first guess. Follow what each reason says, then run again."))
+    if method != "sampled-data":
+        text = f"These values are the {name} method's: this run has no sampled-data estimate, which is more exact."
+        next_steps.append(Step(text))
+    if run.faults:
+        next_steps.append(Step("The run ended with a fault: see the box below for its cause and cure."))
+    return Headline(outcome, title, tuple(sentences), reasons, tuple(next_steps), method, quantities)
+
+
+def _plain_words(quantities: tuple[Quantity, ...], run: Run) -> list[str]:
+    tau, gain, friction = (q.exact for q in quantities)
+    if tau is None or gain is None or friction is None:
+        return []
+    words = (
+        f"After a step of drive the shaft reaches 63 % of its final speed in {1e3 * tau:.0f} ms; each volt beyond friction "
+        f"adds {gain:.3g} rad/s; Coulomb friction takes {friction:.3g} V of the drive."
+    )
+    found = section(run.result, "breakaway")
+    plus, minus = number(found.get("static_plus_V")), number(found.get("static_minus_V"))
+    if math.isfinite(plus) and math.isfinite(minus):
+        words += f" From rest it takes {plus:.3g} V towards rising and {minus:.3g} V towards falling positions to move it."
+    return [words]
+
+
+def _nothing(run: Run) -> Headline:
+    if not run.result:
+        title = "No result: the run ended before it had one"
+        steps = (Step("Identify what was recorded:", f"rig identify {run.folder}"),)
+        if run.recording is None:
+            steps = (Step("Nothing can be identified from this folder; run the experiment again."),)
+    else:
+        title = "No estimate in this run"
+        steps = (
+            (Step("See the fault below for its cause and cure, then run again."),)
+            if run.faults
+            else (Step("This run held no relay test that could be identified; run the whole experiment:", "rig run CONFIG"),)
+        )
+    notes = tuple(str(n) for n in run.result.get("notes") or ())
+    return Headline("none", title, (), notes, steps, "", ())
