@@ -138,6 +138,18 @@ def test_rows_reach_the_file_while_the_run_goes_on(recorder: Recorder, tmp_path:
     wait_until(lambda: len(lines(tmp_path / "samples.csv")) == 11)
 
 
+def test_drained_rows_can_be_read_while_the_run_goes_on(recorder: Recorder, tmp_path: Path) -> None:
+    record(recorder, range(500))
+    recorder.sample(500, Sample(5.0, 0.0, 0), "relay-1", 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+    recorder.drain()
+    assert len(read_run(tmp_path)) == 500
+    os.kill(recorder.writer_pid, signal.SIGSTOP)
+    record(recorder, range(501, 502))
+    with pytest.raises(Fault, match="rows not on disk"):
+        recorder.drain(timeout_s=0.02)
+    os.kill(recorder.writer_pid, signal.SIGCONT)
+
+
 def test_the_same_calls_give_the_same_bytes(tmp_path: Path) -> None:
     contents = []
     for name, pause_s in (("a", 0.0), ("b", 0.004)):
