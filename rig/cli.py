@@ -188,7 +188,7 @@ def identify(paths: Sequence[Path], methods: Sequence[str], as_json: bool) -> No
 @JSON
 def predict(tau: float, K: float, fc: float, fs: float | None, h1: float, h2: float, as_json: bool) -> None:
     """Predict limit cycle and stability, by Theorems 2.1 and 2.2 and by describing function."""
-    from rig.report.prediction import predict_cycle, prediction_lines
+    from rig.model.prediction import predict_cycle
 
     try:
         prediction = predict_cycle(tau, K, fc, fc if fs is None else fs, h1, h2)
@@ -197,7 +197,7 @@ def predict(tau: float, K: float, fc: float, fs: float | None, h1: float, h2: fl
     if as_json:
         click.echo(json.dumps(prediction))
     else:
-        click.echo("\n".join(prediction_lines(prediction)))
+        _show_prediction(prediction)
     sys.exit(0 if prediction["oscillates"] else EXIT_FAILED)
 
 
@@ -311,6 +311,21 @@ def _show(outcome: Any) -> None:
         click.echo(f"rig: {outcome.failure}", err=True)
         if outcome.fault is not None:
             click.echo(f"     {outcome.fault.cure}", err=True)
+
+
+def _show_prediction(prediction: dict[str, Any]) -> None:
+    if prediction["oscillates"]:
+        t1, t2, t3 = prediction["durations_s"]
+        stable = "locally stable" if prediction["stable"] else "not locally stable"
+        eigenvalues = ", ".join(f"{re:.6f}" + (f"{im:+.6f}j" if im else "") for re, im in prediction["eigenvalues"])
+        click.echo(f"limit cycle (Theorem 2.1): period {prediction['period_s']:.6f} s, amplitude ", nl=False)
+        click.echo(f"{prediction['amplitude_rad']:.6f} rad; t1 {t1:.6f}, t2 {t2:.6f}, t3 {t3:.6f} s")
+        click.echo(f"stability (Theorem 2.2): {stable}; eigenvalues of J: {eigenvalues}")
+    else:
+        click.echo(f"no simple oscillation: {prediction['reason']}")
+    sine = prediction["describing_function"]
+    if sine is not None:
+        click.echo(f"describing function: period {sine['period_s']:.6f} s, amplitude {sine['amplitude_rad']:.6f} rad")
 
 
 def _interval(estimate: dict[str, Any], name: str, truth: dict[str, float] | None) -> str:

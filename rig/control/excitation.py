@@ -9,6 +9,7 @@ from typing import NamedTuple
 from rig.control.relay import DualChannelRelay
 from rig.faults import Fault
 from rig.model.cycle_detector import CycleDetector
+from rig.model.describing_function import Oscillation, gains_for, linear_part
 from rig.signals import Sample
 
 
@@ -178,11 +179,11 @@ class GainSearch(_RelayLaw):
         self._refine_friction()
         x = max(h2 - self.friction_V, 0.05)
         omega = 2.0 * math.pi / period
-        tau = h1 / (omega * x)
-        K = math.pi * amplitude * omega / (4.0 * x)
-        wanted_omega = 2.0 * math.pi / self.target.period_s
-        wanted_x = _within(math.pi * self.target.amplitude_rad * wanted_omega / (4.0 * K), x, self._STRIDE)
-        wanted_h1 = _within(wanted_omega * tau * wanted_x, h1, self._STRIDE)
+        motor = linear_part(Oscillation(omega, amplitude), h2 - x, h1, h2)
+        wish = Oscillation(2.0 * math.pi / self.target.period_s, self.target.amplitude_rad)
+        _, wished_h2 = gains_for(wish, motor.tau_s, motor.K_rad_s_V, h2 - x)
+        wanted_x = _within(wished_h2 - (h2 - x), x, self._STRIDE)
+        wanted_h1 = _within(wish.omega_rad_s * motor.tau_s * wanted_x, h1, self._STRIDE)
         wanted_h2 = self.friction_V + wanted_x
         # both scaled down together where the drive would not reach
         scale = min(
