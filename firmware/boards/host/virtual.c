@@ -230,3 +230,9 @@ const char *virtual_motion(const virtual_board *b, double *v, double *y, double 
     }
     return wrong;
 }
+
+/* One conversion of the position channel now. */
+int32_t virtual_position_counts(virtual_board *b)
+{
+    return bench_position_counts(&b->device.bench);
+}

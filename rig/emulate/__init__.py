@@ -1,0 +1,1 @@
+"""Emulated devices: the compiled firmware with a simulated bench behind it."""
