@@ -1,0 +1,221 @@
+"""The bench in C equals the bench in Python: motion, stops, potentiometer, wiring."""
+
+from __future__ import annotations
+
+import math
+import random
+import statistics
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rig.daq.frames import Kind, Setup, encode, pack_drive
+from rig.emulate.firmware_build import EmulationError
+from rig.emulate.virtual_board import VirtualBoard
+from rig.model.bench import Bench, BenchParameters, DriveWiring, SensorWiring
+from rig.model.friction import Friction, coulomb
+from rig.model.motor import Motor, State
+
+NO_STOPS = (-1e6, 1e6)
+
+
+@st.composite
+def motors(draw: st.DrawFn) -> Motor:
+    plus, minus = draw(st.floats(0.0, 2.0)), draw(st.floats(0.0, 2.0))
+    ratio = draw(st.floats(1.0, 2.0))
+    friction = Friction(plus, minus, plus * ratio, minus * ratio)
+    return Motor(draw(st.floats(0.02, 2.0)), draw(st.floats(0.1, 50.0)), friction, draw(st.floats(-0.5, 0.5)))
+
+
+steps = st.lists(st.tuples(st.floats(-12.0, 12.0), st.floats(0.0, 3.0)), min_size=1, max_size=8)
+
+
+@settings(max_examples=300, deadline=None)
+@given(motors(), st.floats(-20.0, 20.0), st.floats(-2.0, 2.0), steps)
+def test_motor_in_c_is_the_motor_of_the_model(
+    motor: Motor, v0: float, y0: float, sequence: list[tuple[float, float]]
+) -> None:
+    board = VirtualBoard(BenchParameters(motor, stop_rad=NO_STOPS))
+    state, v, y = State(v0, y0), v0, y0
+    for u_V, dt_s in sequence:
+        state = motor.advance(state, u_V, dt_s)
+        v, y = board.motion(v, y, u_V, dt_s)
+        assert v == pytest.approx(state.v, rel=1e-9, abs=1e-9)
+        assert y == pytest.approx(state.y, rel=1e-9, abs=1e-9)
+
+
+@settings(max_examples=100, deadline=None)
+@given(motors(), st.floats(-20.0, 20.0), st.floats(-2.0, 2.0), steps)
+def test_motion_with_stops_equals_small_steps_of_the_python_bench(
+    motor: Motor, v0: float, y0: float, sequence: list[tuple[float, float]]
+) -> None:
+    """The Python bench meets a stop at the end of a step, up to one step late; the C one at the exact instant."""
+    parameters = BenchParameters(motor, stop_rad=(-2.1, 2.3), supply_V=12.0, drive_counts=32767)
+    board = VirtualBoard(parameters)
+    bench = Bench(parameters, 1)
+    bench.state = State(v0, y0)
+    v, y = v0, y0
+    total_s = sum(dt_s for _, dt_s in sequence)
+    n = 200
+    fastest = abs(v0) + motor.K_rad_s_V * 15.0
+    for u_V, dt_s in sequence:
+        bench.pin_counts = round(u_V / 12.0 * 32767)
+        v, y = board.motion(v, y, bench.motor_V, dt_s)
+        for _ in range(n):
+            bench.advance(dt_s / n)
+    assert -2.1 <= y <= 2.3
+    assert abs(y - bench.state.y) <= 2.0 * fastest * total_s / n + 1e-9
+
+
+def test_a_stop_is_met_at_the_exact_instant_and_left_at_once() -> None:
+    motor = Motor(0.2, 5.0)
+    board = VirtualBoard(BenchParameters(motor, stop_rad=(-1.0, 1.0)))
+    # from rest at 0 under 1 V: y = 5 (t - 0.2 (1 - exp(-t/0.2))) reaches 1 rad here
+    t_s = 0.0
+    for _ in range(60):
+        t_s -= (5.0 * (t_s - 0.2 * (1.0 - math.exp(-t_s / 0.2))) - 1.0) / (5.0 * (1.0 - math.exp(-t_s / 0.2)) or 1.0)
+    assert board.motion(0.0, 0.0, 1.0, t_s * (1 - 1e-9))[0] > 0.0
+    assert board.motion(0.0, 0.0, 1.0, t_s * (1 + 1e-9)) == (0.0, 1.0)
+    assert board.motion(0.0, 0.0, 1.0, 100.0) == (0.0, 1.0)  # pressed against it
+    inward = board.motion(0.0, 1.0, -1.0, 0.3)
+    expected = motor.advance(State(0.0, 1.0), -1.0, 0.3)
+    assert inward == pytest.approx((expected.v, expected.y), abs=1e-12)
+    # a shaft that arrives against inward drive is stopped dead, then driven off, within one call
+    v, y = board.motion(20.0, 0.9, -1.0, 0.5)
+    assert y < 1.0 and v < 0.0
+
+
+def _board_at(y_rad: float, **parameters: object) -> VirtualBoard:
+    motor = Motor(0.17, 6.5, coulomb(0.5))
+    return VirtualBoard(replace(BenchParameters(motor, start_rad=y_rad), **parameters), 3)  # type: ignore[arg-type]
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.floats(-2.6, 2.6),
+    st.floats(-0.3, 0.3),
+    st.sampled_from([4.2 / 1024, -4.2 / 1024, 0.001, 0.1]),
+    st.floats(0.0, 4095.0),
+    st.sampled_from([255, 1023, 4095]),
+)
+def test_quantisation_is_the_python_benchs(
+    y_rad: float, offset_rad: float, rad_per_count: float, centre: float, counts_max: int
+) -> None:
+    parameters = BenchParameters(
+        Motor(0.17, 6.5, coulomb(0.5)),
+        start_rad=y_rad,
+        offset_rad=offset_rad,
+        rad_per_count=rad_per_count,
+        centre_counts=centre,
+        counts_max=counts_max,
+    )
+    assert VirtualBoard(parameters).position_counts() == Bench(parameters, 1).read_counts()
+
+
+def test_noise_of_the_potentiometer() -> None:
+    lsb, sigma, n = 4.2 / 1024, 0.006, 40_000
+    y_rad, offset_rad = 0.3217, 0.02
+    board = _board_at(y_rad, noise_rad=sigma, offset_rad=offset_rad)
+    readings = [board.position_counts() for _ in range(n)]
+    position = [(counts - 512.0) * lsb for counts in readings]
+    sd = math.sqrt(sigma**2 + lsb**2 / 12.0)
+    assert abs(statistics.fmean(position) - (y_rad + offset_rad)) < 4.5 * sd / math.sqrt(n)
+    assert statistics.pstdev(position) == pytest.approx(sd, rel=4.5 / math.sqrt(2 * n))
+    mean = statistics.fmean(position)
+    lag_1 = sum((a - mean) * (b - mean) for a, b in zip(position, position[1:], strict=False)) / (n * sd**2)
+    assert abs(lag_1) < 4.5 / math.sqrt(n)  # white
+    fourth = sum((x - mean) ** 4 for x in position) / (n * sd**4)
+    assert fourth == pytest.approx(3.0, abs=0.15)  # normal
+
+
+def test_noise_repeats_with_its_seed() -> None:
+    parameters = BenchParameters(Motor(0.17, 6.5, coulomb(0.5)), noise_rad=0.02)
+
+    def readings(seed: int) -> list[int]:
+        board = VirtualBoard(parameters, seed)
+        return [board.position_counts() for _ in range(200)]
+
+    assert readings(5) == readings(5)
+    assert readings(5) != readings(6)
+
+
+@pytest.mark.parametrize(("y_rad", "rail"), [(2.55, 1023), (-2.55, 0)])
+def test_readings_end_at_the_rails(y_rad: float, rail: int) -> None:
+    board = _board_at(y_rad, noise_rad=0.003)
+    assert {board.position_counts() for _ in range(200)} == {rail}
+
+
+@pytest.mark.parametrize("drive", ["ok", "reversed", "dead", "stuck_on"])
+@pytest.mark.parametrize("sensor", ["ok", "reversed", "broken_low", "broken_high", "stuck"])
+@pytest.mark.parametrize("fault_after_s", [0.0, 0.0437])
+def test_wiring_is_the_python_benchs(drive: DriveWiring, sensor: SensorWiring, fault_after_s: float) -> None:
+    """The same drives at the same instants: motor voltage, motion and readings agree, before and after the fault."""
+    friction = Friction(0.45, 0.5, 0.5, 0.55)
+    parameters = BenchParameters(
+        Motor(0.17, 6.5, friction, 0.03),
+        start_rad=0.2,
+        drive=drive,
+        sensor=sensor,
+        fault_after_s=fault_after_s,
+        rad_per_count=-4.2 / 1024,
+    )
+    board, bench = VirtualBoard(parameters), Bench(parameters, 1)
+    board.write(encode(Kind.SETUP, 1, Setup(2, 1021, 0, 1023, 512, 799, 1000, 1).pack()))
+    board.sleep_until(0.01)
+    arm = encode(Kind.ARM, 2)
+    board.write(arm)
+    armed_s = 0.01 + len(arm) * round(11e9 / 115200) * 1e-9
+    board.sleep_until(armed_s)
+    assert board.truth().armed
+    bench.advance(armed_s)
+    bench.arm()
+    last_s = armed_s
+    rng = random.Random(4)
+    for k in range(12):
+        units = rng.randint(-150, 150)
+        frame = encode(Kind.DRIVE, 3 + k, pack_drive(units))
+        board.write(frame)
+        board.sleep_until(last_s + 0.010)
+        truth = board.truth()
+        if not truth.armed:  # a broken wire: the firmware stops by itself
+            assert sensor in ("broken_low", "broken_high") and truth.pin_V == 0.0
+            break
+        bench.advance(truth.pin_changed_s - last_s)
+        bench.pin_counts = units
+        bench.advance(board.now_s() - truth.pin_changed_s)
+        last_s = board.now_s()
+        assert truth.motor_V == bench.motor_V
+        assert truth.y_rad == pytest.approx(bench.state.y, abs=1e-9)
+        assert truth.v_rad_per_s == pytest.approx(bench.state.v, abs=1e-9)
+        if sensor != "stuck":  # which holds the first reading that each takes after the fault, at its own instant
+            assert board.position_counts() == bench.read_counts()
+    else:
+        assert sensor not in ("broken_low", "broken_high")
+        assert bench.faulty
+
+
+def test_a_stuck_sensor_holds_its_reading() -> None:
+    board = _board_at(0.2)
+    board.rewire(sensor="stuck")
+    held = board.position_counts()
+    board.place(-0.7)
+    assert board.position_counts() == held
+    board.rewire()
+    assert board.position_counts() != held
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"start_rad": 3.0}, "between"),
+        ({"drive_counts": 40000}, "drive-counts"),
+        ({"noise_rad": -1.0}, "noise-rad"),
+        ({"noise_rad": math.nan}, "finite"),
+        ({"counts_max": 100_000}, "counts-max"),
+    ],
+)
+def test_parameters_out_of_range_are_refused(changes: dict[str, object], words: str) -> None:
+    with pytest.raises(EmulationError, match=words):
+        _board_at(0.0, **changes)
