@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -106,10 +105,8 @@ def connect(experiment: Experiment) -> Iterator[Bench]:
         if daq.port == "emulated":
             if truth is None:
                 raise ValueError("port `emulated` needs the section `emulated`")
-            with tempfile.TemporaryDirectory(prefix="rig-") as folder:
-                link = Path(folder) / "device"
-                with emulated_board(experiment, link) as port:
-                    yield from _serial(experiment, port, truth)
+            with emulated_board(experiment) as port:
+                yield from _serial(experiment, port, truth)
         elif daq.port is not None:
             yield from _serial(experiment, daq.port, truth)
         else:
@@ -119,17 +116,16 @@ def connect(experiment: Experiment) -> Iterator[Bench]:
 
 
 @contextmanager
-def emulated_board(experiment: Experiment, link: Path | None, trace: Path | None = None) -> Iterator[str]:
-    """The emulated serial device of the config, running for the block; yields the path of its port."""
-    truth = truth_of(experiment)
-    if truth is None or experiment.emulated is None:
+def emulated_board(experiment: Experiment, link: Path | None = None, trace: Path | None = None) -> Iterator[str]:
+    """The emulated serial device of the config, running for the block; yields the path of its port.
+
+    Raises EmulationError where it cannot be built or started.
+    """
+    if experiment.emulated is None:
         raise ValueError("the config has no section `emulated`")
-    board = HostBoard()
-    port = board.start(truth, experiment.seed, experiment.emulated.clock_error_ppm, link=link, trace=trace)
-    try:
-        yield port
-    finally:
-        board.stop()
+    tachometer = None if experiment.tachometer is None else experiment.tachometer.model_dump()
+    with HostBoard() as board:
+        yield board.start(experiment.emulated.model_dump(), experiment.seed, link, trace, tachometer)
 
 
 def _serial(experiment: Experiment, port: str, truth: BenchParameters | None) -> Iterator[Bench]:

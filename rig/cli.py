@@ -19,6 +19,7 @@ from rich.table import Table
 
 import rig
 from rig import config
+from rig.emulate.firmware_build import EmulationError
 from rig.faults import Fault
 from rig.recording.errors import RecordingError
 
@@ -251,6 +252,8 @@ def _faults() -> Any:
         yield
     except Fault as fault:
         _fail(EXIT_FAILED, str(fault), fault.cure)
+    except EmulationError as error:
+        _fail(EXIT_FAILED, *str(error).split("\n", maxsplit=1))
     except RecordingError as error:
         _fail(EXIT_BAD_INPUT, error.cause, error.cure)
 

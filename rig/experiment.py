@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,6 +24,8 @@ from rig.control.tracking import Tracking, tracking_error
 from rig.control.trajectory import SumOfSines
 from rig.faults import Fault
 from rig.identify import Identification, IdentifyError, identify
+from rig.loop.clock import VirtualClock
+from rig.loop.real_time import real_time
 from rig.loop.rehearsal import RehearsalBench, rehearse
 from rig.loop.runner import Loop
 from rig.loop.stop_request import stop_on_signals
@@ -321,7 +324,8 @@ def _record(experiment: Experiment, parent: Path, script: Script, on_start: OnSt
                 loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
                 session = Session(experiment, folder, bench, recorder, loop)
                 try:
-                    script(session)
+                    with _real_time(session):
+                        script(session)
                 except Fault as seen:
                     fault = seen
                     session.note("fault", **seen.as_dict())
@@ -329,6 +333,18 @@ def _record(experiment: Experiment, parent: Path, script: Script, on_start: OnSt
         finally:
             lost = _close(recorder)
     return _conclude(session, fault or lost)
+
+
+@contextmanager
+def _real_time(session: Session) -> Iterator[None]:
+    """Real-time set-up for the block where time is real; the result says what the machine granted."""
+    if isinstance(session.bench.clock, VirtualClock):
+        session.notes.append("virtual time: lateness means nothing here")
+        yield
+        return
+    with real_time() as granted:
+        session.notes.append("loop: " + "; ".join(granted))
+        yield
 
 
 def _close(recorder: Recorder) -> Fault | None:

@@ -1,0 +1,106 @@
+"""What a person sees: exit status, one line of cause and one of cure, JSON and nothing else."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from rig.cli import main
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def rig(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+def test_predict_gives_the_check_values_of_theory_section_4() -> None:
+    result = rig("predict", "--tau", 1, "--K", 1, "--fc", 0.5, "--h1", 0.8, "--h2", 1.0, "--json")
+    assert result.exit_code == 0
+    prediction = json.loads(result.stdout)
+    assert prediction["durations_s"] == pytest.approx([0.046812, 0.837516, 0.927743], abs=5e-7)
+    assert prediction["y_switch_rad"][1] == pytest.approx(-0.351390, abs=5e-7)
+    assert sorted(re for re, _ in prediction["eigenvalues"]) == pytest.approx([-0.620786, 0.0, 0.148697], abs=5e-7)
+    assert prediction["largest_eigenvalue_J3"] == pytest.approx(1.482359, abs=5e-7)
+    assert prediction["stable"] is True
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [(("--fc", 0.5, "--h1", 0.8, "--h2", 0.4), "h2"), (("--fc", 0.5, "--fs", 3.0, "--h1", 0.8, "--h2", 1), "sticks")],
+)
+def test_predict_says_why_there_is_no_cycle(options, words: str) -> None:
+    result = rig("predict", "--tau", 0.17, "--K", 6.5, *options)
+    assert result.exit_code == 1
+    assert words in result.stdout
+
+
+def test_predict_refuses_senseless_numbers() -> None:
+    result = rig("predict", "--tau", -1, "--K", 6.5, "--fc", 0.5, "--h1", 0.8, "--h2", 1)
+    assert result.exit_code == 2
+    assert len(result.stderr.splitlines()) == 2
+
+
+@pytest.mark.parametrize("name", ["demo", "simulated", "uno"])
+def test_check_passes_every_config_of_the_project(name: str) -> None:
+    result = rig("check", ROOT / f"config/{name}.yaml")
+    assert result.exit_code == 0, result.output
+    assert "stop" in result.stdout
+
+
+def test_bad_configs_end_with_status_2_and_no_traceback(tmp_path: Path) -> None:
+    missing = rig("run", tmp_path / "none.yaml")
+    assert missing.exit_code == 2
+    text = (ROOT / "config/demo.yaml").read_text(encoding="utf-8")
+    broken = tmp_path / "broken.yaml"
+    broken.write_text(text.replace("cycles: 12", "cyles: 12"), encoding="utf-8")
+    for command in ("run", "check", "relay", "emulate"):
+        result = rig(command, broken)
+        assert result.exit_code == 2
+        assert "cyles" in result.stderr
+        assert "did you mean" in result.stderr
+        assert "Traceback" not in result.output
+    as_json = rig("check", broken, "--json")
+    assert json.loads(as_json.stdout)["ok"] is False
+
+
+def test_a_missing_port_is_an_error_and_never_a_simulation(tmp_path: Path) -> None:
+    text = (ROOT / "config/demo.yaml").read_text(encoding="utf-8")
+    config = tmp_path / "real.yaml"
+    config.write_text(text.replace("port: emulated", "port: /dev/ttyNONE"), encoding="utf-8")
+    result = rig("run", config, "--out", tmp_path / "runs")
+    assert result.exit_code == 1
+    lines = result.stderr.splitlines()
+    assert "LINK_OPEN" in lines[0]
+    assert "daq.port" in lines[1]
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "a,b\n1,2\n", "t_s,u_V,y_rad\n", "t_s,u_V,y_rad\n0,1,nan\n0.01,1,0\n0.02,1,0\n", "\x00\x01\x02",
+     "t_s,u_V,y_rad\n0,1,0\n0.01,1,0\n0.005,1,0\n0.02,1,0\n", "t_s,u_V,y_rad\n0,1,0\n0.01,1,0\n0.02,1,0\n"],
+)  # fmt: skip
+def test_identify_refuses_bad_csv_in_two_lines(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(content, encoding="utf-8")
+    result = rig("identify", path)
+    assert result.exit_code in (1, 2), result.output
+    assert "Traceback" not in result.output
+    if result.exit_code == 2:
+        assert len(result.stderr.splitlines()) == 2
+
+
+def test_schema_is_the_one_in_config() -> None:
+    result = rig("schema")
+    assert json.loads(result.stdout) == json.loads((ROOT / "config/schema.json").read_text(encoding="utf-8"))
+
+
+def test_help_of_every_command_fits_a_screen() -> None:
+    for name in main.commands:
+        result = rig(name, "--help")
+        assert result.exit_code == 0
+        assert max(map(len, result.stdout.splitlines())) <= 100

@@ -1,0 +1,173 @@
+"""The whole experiment in virtual time, through the command line, as a user runs it."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+import yaml
+from click.testing import CliRunner, Result
+
+from rig.cli import main
+from rig.recording.reader import read_run
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def rig(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+def written(folder: Path, **changes: object) -> Path:
+    """config/simulated.yaml with changes: dotted keys."""
+    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    for key, value in changes.items():
+        *path, last = key.split("__")
+        section = config
+        for name in path:
+            section = section.setdefault(name, {})
+        section[last] = value
+    path = folder / "changed.yaml"
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict]:
+    result = rig("run", ROOT / "config/simulated.yaml", "--out", tmp_path_factory.mktemp("runs"), "--json")
+    return result, json.loads(result.stdout)
+
+
+def test_it_ends_well_and_finds_the_truth(demo_run) -> None:
+    result, outcome = demo_run
+    assert result.exit_code == 0, result.output
+    estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
+    assert estimate["verdict"] == "ok", estimate["reasons"]
+    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+        assert estimate[name] == pytest.approx(truth[name], rel=0.03)
+        low, high = estimate["ci95"][name]
+        assert low < estimate[name] < high
+        assert high - low < 0.08 * truth[name]
+    assert outcome["backend"] == "simulated in virtual time"
+
+
+def test_the_sampled_data_model_tracks_best_of_those_that_ran(demo_run) -> None:
+    _, outcome = demo_run
+    tracking = outcome["tracking"]
+    ran = {method: entry["rms_rad"] for method, entry in tracking.items() if "rms_rad" in entry}
+    assert set(tracking) == {"sampled-data", "triple-relay", "describing-function"}
+    assert min(ran, key=ran.__getitem__) == "sampled-data"
+    assert ran["sampled-data"] < 0.03
+    for entry in tracking.values():
+        assert "rms_rad" in entry or entry["not_run"]
+
+
+def test_breakaway_finds_static_friction_both_ways(demo_run) -> None:
+    _, outcome = demo_run
+    breakaway, truth = outcome["breakaway"], outcome["truth"]
+    assert breakaway["static_plus_V"] == pytest.approx(truth["static_plus_V"], abs=0.03)
+    assert breakaway["static_minus_V"] == pytest.approx(truth["static_minus_V"], abs=0.03)
+
+
+def test_the_run_folder_reads_back_whole_and_stays_inside_the_soft_limits(demo_run) -> None:
+    _, outcome = demo_run
+    folder = Path(outcome["folder"])
+    names = {path.name for path in folder.iterdir()}
+    assert {"config.yaml", "meta.json", "samples.csv", "events.jsonl", "result.json", "report.html"} <= names
+    recording = read_run(folder)
+    assert len(recording) == outcome["loop"]["ticks"]
+    assert math.isclose(float(recording.t_u_s[0] - recording.t_s[0]), 0.0012, abs_tol=0.0004)
+    assert abs(recording.y_rad).max() < 1.1
+    stages = recording.stages()
+    assert [s for s in stages if s != "rest"] == [
+        "breakaway", "search", "relay-1", "relay-2",
+        *(f"track:{m}" for m, entry in outcome["tracking"].items() if "rms_rad" in entry),
+    ]  # fmt: skip
+    assert json.loads((folder / "result.json").read_text())["schema"] == 1
+
+
+def test_identify_from_the_folder_and_from_the_bare_csv(demo_run, tmp_path: Path) -> None:
+    _, outcome = demo_run
+    folder = Path(outcome["folder"])
+    again = rig("identify", folder, "--json")
+    assert again.exit_code == 0
+    assert json.loads(again.stdout)["sampled-data"]["tau_s"] == outcome["estimates"]["sampled-data"]["tau_s"]
+    recording = read_run(folder)
+    rows = recording.stage_rows("relay-1")
+    bare = tmp_path / "bare.csv"
+    lines = [
+        f"{t},{u},{y}" for t, u, y in zip(recording.t_s[rows], recording.u_V[rows], recording.y_rad[rows], strict=True)
+    ]
+    bare.write_text("t_s,u_V,y_rad\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    from_csv = rig("identify", bare, "--method", "sampled-data", "--json")
+    assert from_csv.exit_code == 0, from_csv.output
+    estimate = json.loads(from_csv.stdout)["sampled-data"]
+    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+        assert estimate[name] == pytest.approx(outcome["truth"][name], rel=0.03)
+
+
+def test_the_same_seed_gives_the_same_samples_byte_for_byte_and_another_does_not(tmp_path: Path) -> None:
+    quick = {"relay__gains": [{"h1_V": 0.45, "h2_V": 0.9}], "relay__cycles": 3, "tracking": None}
+
+    def samples(seed: int) -> bytes:
+        config = yaml.safe_load(written(tmp_path, **quick, seed=seed).read_text())
+        del config["relay"]["target"], config["tracking"]
+        path = tmp_path / "quick.yaml"
+        path.write_text(yaml.safe_dump(config), encoding="utf-8")
+        result = rig("relay", path, "--out", tmp_path, "--json")
+        return (Path(json.loads(result.stdout)["folder"]) / "samples.csv").read_bytes()
+
+    first = samples(7)
+    assert samples(7) == first
+    assert samples(8) != first
+
+
+@pytest.mark.parametrize(
+    ("changes", "code"),
+    [
+        ({"emulated__wiring": {"drive": "reversed"}}, "POLARITY"),
+        ({"emulated__wiring": {"sensor": "reversed"}}, "POLARITY"),
+        ({"emulated__wiring": {"drive": "dead"}}, "NO_MOTION"),
+        ({"emulated__wiring": {"sensor": "stuck"}}, "NO_MOTION"),
+        ({"emulated__wiring": {"sensor": "broken_low"}}, "DEVICE_SENSOR"),
+        ({"emulated__wiring": {"sensor": "broken_high"}}, "DEVICE_SENSOR"),
+        ({"emulated__wiring": {"sensor": "stuck", "fault_after_s": 25.0}}, "SENSOR_STUCK"),
+        ({"emulated__wiring": {"sensor": "broken_low", "fault_after_s": 25.0}}, "DEVICE_SENSOR"),
+        ({"emulated__wiring": {"drive": "dead", "fault_after_s": 25.0}}, "SENSOR_STUCK"),
+        ({"emulated__motor__start_rad": 1.3}, "START_OUTSIDE"),
+        ({"relay__search": {"h_max_V": 0.5}}, "NO_CYCLE"),
+    ],
+)
+def test_each_bad_bench_ends_in_its_fault_with_a_cure_and_a_readable_folder(tmp_path: Path, changes, code: str) -> None:
+    result = rig("run", written(tmp_path, **changes), "--out", tmp_path / "runs", "--json")
+    assert result.exit_code == 1, result.output
+    outcome = json.loads(result.stdout)
+    assert [fault["code"] for fault in outcome["faults"]] == [code]
+    assert outcome["faults"][0]["cure"]
+    folder = Path(outcome["folder"])
+    read_run(folder)
+    assert code in (folder / "report.html").read_text(encoding="utf-8")
+    assert any(json.loads(line)["kind"] == "stop" for line in (folder / "events.jsonl").read_text().splitlines())
+
+
+def test_jog_recovers_a_shaft_from_beyond_the_hard_limit(tmp_path: Path) -> None:
+    config = written(tmp_path, emulated__motor__start_rad=1.91, emulated__motor__stop_rad=[-2.0, 2.0])
+    inward = rig("jog", config, "--u-V", "-1.0", "--seconds", "0.5", "--out", tmp_path, "--json")
+    assert inward.exit_code == 0, inward.output
+    recording = read_run(Path(json.loads(inward.stdout)["folder"]))
+    assert recording.y_rad[-1] < recording.y_rad[0] - 0.3
+    outward = rig("jog", config, "--u-V", "1.0", "--out", tmp_path, "--json")
+    recording = read_run(Path(json.loads(outward.stdout)["folder"]))
+    assert abs(recording.u_V).max() == 0.0
+    too_much = rig("jog", config, "--u-V", "9", "--out", tmp_path)
+    assert too_much.exit_code == 2
+    assert "drive.max_V" in too_much.stderr
+
+
+def test_track_alone_uses_the_models_of_an_earlier_run(demo_run, tmp_path: Path) -> None:
+    _, outcome = demo_run
+    result = rig("track", ROOT / "config/simulated.yaml", "--model", outcome["folder"], "--out", tmp_path, "--json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["tracking"]["sampled-data"]["rms_rad"] < 0.03
