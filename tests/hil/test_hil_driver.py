@@ -1,0 +1,314 @@
+"""The serial driver against the compiled firmware, both in virtual time. The truth is read at the pin."""
+
+import math
+
+import pytest
+
+from rig.daq.calibration import Calibration, DriveMap, TachometerScale
+from rig.daq.serial_link import SerialDriver
+from rig.emulate.virtual_board import VirtualBoard
+from rig.faults import Fault
+from rig.model.bench import BenchParameters
+from rig.model.friction import Friction
+from rig.model.motor import Motor
+from rig.signals import Limits
+
+MOTOR = Motor(0.17, 6.5, Friction(0.5, 0.46, 0.54, 0.5), 0.01)
+RAD_PER_COUNT = 4.2 / 1024
+RISING = Calibration([(12, -500 * RAD_PER_COUNT), (1012, 500 * RAD_PER_COUNT)])
+FALLING = Calibration([(12, 500 * RAD_PER_COUNT), (1012, -500 * RAD_PER_COUNT)])
+DRIVE = DriveMap(supply_V=12.0)
+LIMITS = Limits(soft_rad=(-1.1, 1.1), hard_rad=(-1.9, 1.9), max_u_V=3.0, watchdog_s=0.1)
+PERIOD_S = 0.01
+WATCHDOG_LATEST_S = LIMITS.watchdog_s + 0.002  # a tick of the device, and the last frame's way
+
+
+def make(board, calibration=RISING, drive_map=DRIVE, **options):
+    return SerialDriver(board, calibration, drive_map, (5, 1018), **options)
+
+
+def armed(calibration=RISING, drive_map=DRIVE, board_options=None, **bench):
+    board = VirtualBoard(BenchParameters(MOTOR, **bench), **(board_options or {}))
+    driver = make(board, calibration, drive_map)
+    driver.open()
+    driver.arm(LIMITS)
+    return board, driver
+
+
+def ticks(board, driver, u_V, n):
+    """``n`` ticks of constant drive; their samples, and the truth right after each was read."""
+    pairs = []
+    for _ in range(n):
+        pairs.append((driver.read(), board.truth()))
+        driver.write(u_V)
+        board.sleep_until(board.now_s() + PERIOD_S)
+    return pairs
+
+
+def fault_of(call, *arguments):
+    with pytest.raises(Fault) as caught:
+        call(*arguments)
+    return caught.value
+
+
+# ---------------------------------------------------------------------- opening, and time
+
+
+@pytest.mark.parametrize("ppm", [-20000, -5000, 0, 4000, 5000, 20000])
+def test_the_devices_clock_is_found(ppm):
+    board = VirtualBoard(BenchParameters(MOTOR), clock_error_ppm=ppm)
+    info = make(board).open()
+    assert info.clock_ratio == pytest.approx(1.0 + 1e-6 * ppm, abs=10e-6)  # 100 ppm is what is asked for
+    assert (info.board, info.reset_cause, info.emulated) == ("host", "power-on", True)
+
+
+def test_the_cause_of_the_last_reset_is_told():
+    board = VirtualBoard(BenchParameters(MOTOR))
+    board.sleep_until(0.5)
+    board.reset(8)
+    assert make(board).open().reset_cause == "watchdog"
+
+
+@pytest.mark.parametrize("ppm", [0, 5000])
+def test_the_drives_time_is_that_at_the_pin(ppm):
+    """Also while the device's 32 bits of microseconds wrap, here in the middle of the run."""
+    board, driver = armed(board_options={"clock_error_ppm": ppm, "clock_start_us": 2**32 - 2_000_000})
+    for k in range(200):
+        driver.write(0.1 if k % 2 else -0.1)
+        sample = driver.read()
+        truth = board.truth()
+        assert sample.t_u_s == pytest.approx(truth.pin_changed_s, abs=20e-6)
+        assert sample.t_u_s < sample.t_s < truth.t_s
+        assert sample.u_V == truth.pin_V
+        board.sleep_until(board.now_s() + PERIOD_S)
+    assert board.now_s() > 2.5
+
+
+# ---------------------------------------------------------------------- a run
+
+
+@pytest.mark.parametrize(
+    ("calibration", "rad_per_count"), [(RISING, RAD_PER_COUNT), (FALLING, -RAD_PER_COUNT)], ids=["rising", "falling"]
+)
+def test_a_run_agrees_with_the_truth(calibration, rad_per_count):
+    board, driver = armed(calibration, rad_per_count=rad_per_count)
+    assert board.truth().armed
+    for sample, truth in ticks(board, driver, 1.5, 20):
+        read_later_s = truth.t_s - sample.t_s
+        assert 0.0 < read_later_s < 0.004
+        lag_rad = abs(truth.v_rad_per_s) * read_later_s
+        assert abs(sample.y_rad - truth.y_rad) <= 0.51 * RAD_PER_COUNT + 1.1 * lag_rad
+        assert sample.u_V == truth.pin_V
+    assert sample.u_V == pytest.approx(1.5, abs=0.5 * 12.0 / 799)
+    assert sample.y_rad > 0.3
+    assert driver.link_statistics["drives_lost"] == driver.link_statistics["stale_replies"] == 0
+    assert driver.link_statistics["bad_frames"] == driver.link_statistics["timeouts"] == 0
+    assert board.truth().dropped == 0
+
+
+def test_a_reversed_bridge_is_turned_back_by_the_config():
+    """Wired the other way round, and said so: positive volts raise the position all the same."""
+    board, driver = armed(RISING, DriveMap(supply_V=12.0, reversed=True), drive="reversed")
+    samples = [sample for sample, _ in ticks(board, driver, 1.5, 20)]
+    assert samples[-1].u_V == pytest.approx(1.5, abs=0.01)
+    assert samples[-1].y_rad > 0.3
+    assert board.truth().pin_V == pytest.approx(-1.5, abs=0.01)
+
+
+def test_the_tachometer_gives_the_shafts_velocity():
+    tachometer = {"tachometer_rad_s_per_count": 0.2, "tachometer_zero_counts": 512.0, "gear_ratio": 9.0}
+    board = VirtualBoard(BenchParameters(MOTOR, **tachometer))
+    driver = make(board, tachometer=TachometerScale(0.2, 512.0, 9.0))
+    driver.open()
+    driver.arm(LIMITS)
+    sample, truth = ticks(board, driver, 1.5, 20)[-1]
+    assert truth.v_rad_per_s > 2.0
+    assert sample.v_rad_per_s == pytest.approx(truth.v_rad_per_s, abs=0.5 * 0.2 / 9.0 + 0.1)
+    with pytest.raises(ValueError, match="tachometer"):
+        make(VirtualBoard(BenchParameters(MOTOR)), tachometer=TachometerScale(0.2)).open()
+
+
+def test_a_damaged_drive_is_not_pretended():
+    board, driver = armed()
+    ticks(board, driver, 1.0, 3)
+    acting_V = board.truth().pin_V
+    write = board.write
+    board.write = lambda data: write(data[:2] + bytes([data[2] ^ 0x10]) + data[3:])
+    driver.write(-1.0)
+    board.write = write
+    sample = driver.read()
+    assert sample.u_V == board.truth().pin_V == acting_V > 0.0
+    assert driver.link_statistics["drives_lost"] == 1
+    assert board.truth().dropped == 1
+
+
+# ---------------------------------------------------------------------- faults, with their codes and at the pin
+
+
+def expect_fault(board, driver, code):
+    """The fault comes with its code; the pin is at 0 V, latched, and stays there whatever is written."""
+    fault = fault_of(driver.read)
+    assert fault.code == code
+    driver.write(1.0)
+    board.sleep_until(board.now_s() + PERIOD_S)
+    truth = board.truth()
+    assert truth.pin_V == 0.0
+    assert truth.latched and not truth.armed
+    return fault
+
+
+def test_host_silence():
+    board, driver = armed()
+    ticks(board, driver, 1.0, 3)
+    heard_s = board.now_s() - PERIOD_S
+    board.sleep_until(heard_s + WATCHDOG_LATEST_S)
+    assert board.truth().pin_V == 0.0
+    assert board.truth().pin_changed_s - heard_s > 0.99 * LIMITS.watchdog_s
+    assert "watchdog 100 ms" in expect_fault(board, driver, "DEVICE_WATCHDOG").detail
+
+
+@pytest.mark.parametrize("y_rad", [1.91, -1.91])
+def test_travel(y_rad):
+    board, driver = armed()
+    ticks(board, driver, 0.2, 3)
+    board.place(y_rad)
+    board.sleep_until(board.now_s() + 0.002)
+    assert board.truth().pin_V == 0.0
+    assert "limits" in expect_fault(board, driver, "DEVICE_TRAVEL").detail
+
+
+@pytest.mark.parametrize("wiring", ["broken_low", "broken_high"])
+def test_sensor(wiring):
+    board, driver = armed()
+    ticks(board, driver, 0.2, 3)
+    board.rewire(sensor=wiring)
+    board.sleep_until(board.now_s() + 0.002)
+    assert board.truth().pin_V == 0.0
+    expect_fault(board, driver, "DEVICE_SENSOR")
+
+
+def test_more_drive_than_armed_for():
+    board, driver = armed()
+    ticks(board, driver, 3.0, 3)
+    driver.write(3.1)
+    expect_fault(board, driver, "DEVICE_DRIVE_RANGE")
+
+
+def test_drive_without_arming():
+    board = VirtualBoard(BenchParameters(MOTOR))
+    driver = make(board)
+    driver.open()
+    driver.write(1.0)
+    assert fault_of(driver.read).code == "DEVICE_NOT_ARMED"
+    assert board.truth().pin_V == 0.0
+
+
+@pytest.mark.parametrize("cause", [1, 2, 4, 8])
+def test_a_reset_during_the_run(cause):
+    board, driver = armed()
+    ticks(board, driver, 1.0, 3)
+    board.reset(cause)
+    driver.write(1.0)
+    assert fault_of(driver.read).code == "DEVICE_RESET"
+    assert board.truth().pin_V == 0.0
+    assert driver.safe_stop()
+
+
+def test_a_hung_firmware():
+    """No reply; the chip's own watchdog resets it, and it is not armed then."""
+    board, driver = armed()
+    ticks(board, driver, 1.0, 3)
+    board.hang()
+    assert fault_of(driver.read).code == "LINK_TIMEOUT"
+    board.sleep_until(board.now_s() + 0.13)
+    assert board.truth().pin_V == 0.0
+    assert fault_of(driver.read).code == "DEVICE_RESET"
+
+
+def test_the_cable_is_pulled():
+    board, driver = armed()
+    ticks(board, driver, 1.0, 3)
+    pulled_s = board.now_s()
+    board.unplug()
+    assert fault_of(driver.read).code == "LINK_LOST"
+    assert fault_of(driver.write, 1.0).code == "LINK_LOST"
+    assert driver.safe_stop() is False
+    board.sleep_until(pulled_s + WATCHDOG_LATEST_S)
+    assert board.truth().pin_V == 0.0
+
+
+def test_arming_with_a_broken_wire_is_refused():
+    board = VirtualBoard(BenchParameters(MOTOR, sensor="broken_low"))
+    driver = make(board)
+    driver.open()
+    driver.arm(LIMITS)  # the emulated wire breaks at the first arming
+    board.sleep_until(board.now_s() + 0.002)
+    assert fault_of(driver.read).code == "DEVICE_SENSOR"
+    assert fault_of(driver.arm, LIMITS).code == "DEVICE_SENSOR"
+    assert not board.truth().armed
+
+
+def test_a_fault_is_cleared_by_arming_anew():
+    board, driver = armed()
+    board.place(1.91)
+    board.sleep_until(board.now_s() + 0.002)
+    assert fault_of(driver.read).code == "DEVICE_TRAVEL"
+    board.place(0.0)
+    board.sleep_until(board.now_s() + 0.002)
+    driver.arm(LIMITS)
+    samples = [sample for sample, _ in ticks(board, driver, 1.0, 3)]
+    assert samples[-1].u_V > 0.9
+    assert math.isnan(samples[0].t_u_s)
+
+
+# ---------------------------------------------------------------------- beyond a limit, and the sign
+
+
+@pytest.mark.parametrize("falling", [False, True])
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_beyond_a_limit_only_inward_drive_passes(falling, turned, side):
+    """Whatever way sensor and bridge are turned, once the config says so."""
+    calibration = FALLING if falling else RISING
+    bench = {
+        "start_rad": side * 1.95,
+        "rad_per_count": -RAD_PER_COUNT if falling else RAD_PER_COUNT,
+        "drive": "reversed" if turned else "ok",
+    }
+    drive_map = DriveMap(supply_V=12.0, reversed=turned)
+    board, driver = armed(calibration, drive_map, **bench)
+    driver.write(side * 0.3)  # outward
+    assert fault_of(driver.read).code == "DEVICE_TRAVEL"
+    assert board.truth().pin_V == 0.0
+
+    driver.arm(LIMITS)
+    samples = [sample for sample, _ in ticks(board, driver, -side * 1.0, 20)]
+    assert side * samples[0].y_rad > 1.9
+    assert side * samples[-1].y_rad < 1.85
+    assert board.truth().recovering == 0
+    assert side * samples[-1].u_V < -0.9
+
+
+# ---------------------------------------------------------------------- stopping
+
+
+def test_safe_stop_is_seen_at_the_pin():
+    board, driver = armed()
+    ticks(board, driver, 1.0, 3)
+    assert board.truth().pin_V > 0.9
+    asked_s = board.now_s()
+    assert driver.safe_stop() is True
+    truth = board.truth()
+    assert truth.pin_V == 0.0 and not truth.armed
+    assert truth.pin_changed_s - asked_s < 0.002
+    driver.write(1.0)
+    board.sleep_until(board.now_s() + PERIOD_S)
+    assert board.truth().pin_V == 0.0
+
+
+def test_close_stops():
+    board, driver = armed()
+    ticks(board, driver, 1.0, 3)
+    driver.close()
+    assert board.truth().pin_V == 0.0 and not board.truth().armed
+    driver.close()

@@ -1,0 +1,60 @@
+"""The serial driver, pyserial and the emulated board's process behind a pseudo-terminal, in real time: a smoke test."""
+
+import contextlib
+import time
+from itertools import pairwise
+
+import pytest
+
+from rig.config.schema import Emulated
+from rig.daq.calibration import Calibration, DriveMap
+from rig.daq.serial_link import open_serial
+from rig.emulate.host_board import HostBoard
+from rig.faults import Fault
+from rig.signals import Limits
+
+pytestmark = pytest.mark.realtime
+
+EMULATED = Emulated.model_validate(
+    {"motor": {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_plus_V": 0.5, "fc_minus_V": 0.46}, "clock_error_ppm": 5000}
+)
+CALIBRATION = Calibration([(12, -500 * 4.2 / 1024), (1012, 500 * 4.2 / 1024)])
+LIMITS = Limits(soft_rad=(-1.1, 1.1), hard_rad=(-1.9, 1.9), max_u_V=3.0, watchdog_s=1.0)
+
+
+def connect(port):
+    # a shared machine may hold a process up for long
+    return open_serial(port, CALIBRATION, DriveMap(supply_V=12.0), (5, 1018), timeout_s=2.0, counts_max=1023)
+
+
+def test_a_run_and_another_on_the_same_port():
+    with HostBoard() as board:
+        port = board.start(EMULATED.model_dump(), 1)
+        for _ in range(2):
+            with contextlib.closing(connect(port)) as driver:
+                info = driver.open()
+                assert info.emulated and info.board == "host"
+                assert driver.backend.startswith(f"serial:{port} (emulated host board, build ")
+                driver.arm(LIMITS)
+                samples = []
+                for _ in range(10):
+                    samples.append(driver.read())
+                    driver.write(0.2)
+                    time.sleep(0.005)
+                assert samples[-1].u_V == driver.drive_map.quantised(0.2)
+                assert all(b.t_s > a.t_s for a, b in pairwise(samples))
+                assert all(s.t_u_s < s.t_s for s in samples[1:])
+                assert driver.safe_stop()
+                assert driver.link_statistics["bad_frames"] == 0
+
+
+def test_the_device_disappears():
+    with HostBoard() as board, contextlib.closing(connect(board.start(EMULATED.model_dump(), 1))) as driver:
+        driver.open()
+        driver.arm(LIMITS)
+        driver.read()
+        board.stop()
+        with pytest.raises(Fault) as caught:
+            driver.read()
+        assert caught.value.code == "LINK_LOST"
+        assert driver.safe_stop() is False
