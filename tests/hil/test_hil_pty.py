@@ -1,0 +1,178 @@
+"""The emulated board as a process, in real time. Nothing here asserts how long anything takes."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rig.config.schema import Emulated, EmulatedMotor
+from rig.daq.frames import FrameReader, Hello, Kind, Packet, Setup, encode
+from rig.daq.serial_link import PySerialTransport
+from rig.emulate.firmware_build import EmulationError
+from rig.emulate.host_board import HostBoard
+
+pytestmark = pytest.mark.realtime
+
+EMULATED = Emulated(motor=EmulatedMotor(tau_s=0.17, K_rad_s_V=6.5, fc_plus_V=5.0, fc_minus_V=5.0)).model_dump()
+SETUP = Setup(49, 975, 5, 1018, 512, 200, 1000, 1)
+PATIENCE_S = 60.0
+
+# A host that arms, drives for as long as it lives, and says when it does.
+HOST = """
+import sys, time
+from rig.daq.frames import Kind, Setup, encode, pack_drive
+from rig.daq.serial_link import PySerialTransport
+port = PySerialTransport(sys.argv[1])
+port.write(encode(Kind.SETUP, 1, Setup(*{setup}).pack()) + encode(Kind.ARM, 2))
+for k in range(10**6):
+    port.write(encode(Kind.DRIVE, 3, pack_drive(100)))
+    port.read(0.0)
+    if k == 20:
+        print("driving", flush=True)
+    time.sleep(0.005)
+"""
+
+# The same host, which has started its board itself.
+PARENT = (
+    """
+import sys
+from pathlib import Path
+from rig.emulate.host_board import HostBoard
+board = HostBoard()
+sys.argv[1] = board.start({emulated}, 1, trace=Path(sys.argv[1]))
+print(board.pid, flush=True)
+"""
+    + HOST
+)
+
+
+def rows(trace: Path) -> list[dict[str, float]]:
+    """Whole rows of the trace so far."""
+    lines = trace.read_text().splitlines(keepends=True)
+    return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(lines) if len(row) == 5]
+
+
+def wait_until(true: Callable[[], bool]) -> None:
+    until_s = time.monotonic() + PATIENCE_S
+    while not true():
+        assert time.monotonic() < until_s, "it never happened"
+        time.sleep(0.02)
+
+
+def ask(port: PySerialTransport, kind: Kind) -> Packet:
+    reader = FrameReader()
+    until_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until_s:
+        port.write(encode(kind, 99))
+        for packet in reader.feed(port.read(0.2)):
+            if packet.seq == 99:
+                return packet
+    raise AssertionError("no reply")
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def run_host(script: str, argument: str, watchdog_ms: int) -> subprocess.Popen[str]:
+    text = script.format(setup=tuple(SETUP._replace(watchdog_ms=watchdog_ms)), emulated=EMULATED)
+    return subprocess.Popen([sys.executable, "-c", text, argument], stdout=subprocess.PIPE, text=True)
+
+
+def test_a_killed_host_leaves_0_V_and_a_board_that_still_answers(tmp_path: Path) -> None:
+    trace, link = tmp_path / "trace.csv", tmp_path / "port"
+    with HostBoard() as board:
+        port_name = board.start(EMULATED, 1, link=link, trace=trace)
+        assert os.readlink(link) == port_name
+        host = run_host(HOST, str(link), 1000)
+        assert host.stdout is not None
+        with host.stdout:
+            assert host.stdout.readline() == "driving\n"
+            wait_until(lambda: any(row["drive_V"] > 0.0 for row in rows(trace)))
+            host.kill()
+            killed_s = time.monotonic()
+            host.wait()
+        wait_until(lambda: rows(trace)[-1]["drive_V"] == 0.0)
+        end = next(row for row in rows(trace) if row["t_s"] > killed_s and row["drive_V"] == 0.0)
+        assert end["fault"] == 5.0  # the watchdog, and nothing else
+
+        for _ in range(3):  # open and close as often as one likes
+            port = PySerialTransport(str(link))
+            hello = Hello.unpack(ask(port, Kind.HELLO).body)
+            assert hello.board == 1 and hello.drive_full == 799
+            port.close()
+        times = [row["t_s"] for row in rows(trace)]
+        assert times == sorted(times)
+        pid = board.pid
+    assert not alive(pid)
+    assert not link.is_symlink()
+
+
+def test_a_killed_parent_takes_its_board_with_it(tmp_path: Path) -> None:
+    trace = tmp_path / "trace.csv"
+    parent = run_host(PARENT, str(trace), 200)
+    assert parent.stdout is not None
+    with parent.stdout:
+        pid = int(parent.stdout.readline())
+        assert parent.stdout.readline() == "driving\n"
+        assert alive(pid)
+        parent.kill()
+        parent.wait()
+    # its last row is the power cut, which clears the fault (the process itself may linger until it is reaped)
+    wait_until(lambda: any(row["fault"] == 5.0 for row in rows(trace)) and rows(trace)[-1]["fault"] == 0.0)
+    seen = rows(trace)
+    assert seen[-1]["drive_V"] == 0.0
+    last_driven = max(k for k, row in enumerate(seen) if row["drive_V"] != 0.0)
+    assert (seen[last_driven + 1]["drive_V"], seen[last_driven + 1]["fault"]) == (0.0, 5.0)  # the watchdog first
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_0_V_in_the_trace(tmp_path: Path, number: signal.Signals) -> None:
+    trace, link = tmp_path / "trace.csv", tmp_path / "port"
+    board = HostBoard()
+    port = PySerialTransport(board.start(EMULATED, 1, link=link, trace=trace))
+    port.write(encode(Kind.SETUP, 1, SETUP.pack()) + encode(Kind.ARM, 2))
+    port.write(encode(Kind.DRIVE, 3, b"\x64\x00"))
+    wait_until(lambda: any(row["drive_V"] > 0.0 for row in rows(trace)))
+    os.kill(board.pid, number)
+    pid = board.pid
+    wait_until(lambda: not link.is_symlink())
+    board.stop()
+    port.close()
+    assert not alive(pid)
+    assert rows(trace)[-1]["drive_V"] == 0.0
+
+
+def test_what_is_not_possible_is_said(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    board = HostBoard()
+    with pytest.raises(EmulationError, match="not a symbolic link"):
+        board.start(EMULATED, 1, link=tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "mine"
+    with pytest.raises(EmulationError, match="start-rad"):
+        board.start({**EMULATED, "motor": {**EMULATED["motor"], "start_rad": 9.0}}, 1)
+    board.stop()
+
+
+def test_a_missing_compiler_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(EmulationError, match="`no-such-compiler` is missing"):
+        HostBoard(tmp_path).start(EMULATED, 1)
+
+
+def test_a_build_that_fails_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("CFLAGS", "-DFRAME_PACKET_MAX=oops")
+    with pytest.raises(EmulationError, match="(?s)failed: .*redefined"):
+        HostBoard(tmp_path).start(EMULATED, 1)

@@ -1,0 +1,82 @@
+"""A host for tests: asks one thing at a time over the wire of a virtual board."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from rig.daq.frames import Code, FrameReader, Hello, Kind, Packet, Setup, State, encode, pack_drive
+from rig.emulate.virtual_board import VirtualBoard
+from rig.model.bench import BenchParameters
+from rig.model.friction import coulomb
+from rig.model.motor import Motor
+
+BENCH = BenchParameters(Motor(0.17, 6.5, coulomb(0.5)), noise_rad=0.003)
+HELD = replace(BENCH, motor=Motor(0.17, 6.5, coulomb(5.0)))  # a shaft that no drive of these tests moves
+SETUP = Setup(hard_lo=49, hard_hi=975, rail_lo=5, rail_hi=1018, centre=512, max_drive=200, watchdog_ms=100, polarity=1)
+TICK_S = 1e-3
+LSB_RAD = BENCH.rad_per_count
+
+
+class VirtualHost:
+    """Frames to and from one virtual board.
+
+    heard_s  time at which the last frame sent has arrived whole at the device
+    """
+
+    def __init__(self, board: VirtualBoard) -> None:
+        self.board = board
+        self.heard_s = 0.0
+        self._reader = FrameReader()
+        self._seq = 0
+
+    def send(self, kind: int, body: bytes = b"", version: int = 1) -> None:
+        self._seq = (self._seq + 1) & 0xFFFF
+        self.send_raw(encode(kind, self._seq, body, version))
+
+    def send_raw(self, data: bytes) -> None:
+        self.heard_s = max(self.heard_s, self.board.now_s()) + len(data) * round(11e9 / 115200) * 1e-9
+        self.board.write(data)
+
+    def ask(self, kind: int, body: bytes = b"", version: int = 1) -> Packet:
+        self.send(kind, body, version)
+        until_s = self.board.now_s() + 0.05
+        while self.board.now_s() < until_s:
+            for packet in self._reader.feed(self.board.read(until_s - self.board.now_s())):
+                if packet.seq == self._seq:
+                    return packet
+        raise AssertionError(f"no reply to {kind}")
+
+    def hello(self) -> Hello:
+        return Hello.unpack(self.ask(Kind.HELLO).body)
+
+    def setup(self, setup: Setup = SETUP) -> None:
+        packet = self.ask(Kind.SETUP, setup.pack())
+        assert packet.kind == Kind.SETUP_REPLY and Setup.unpack(packet.body) == setup
+
+    def arm(self) -> Code:
+        packet = self.ask(Kind.ARM)
+        assert packet.kind == Kind.ARM_REPLY
+        return Code(packet.body[0])
+
+    def state(self) -> State:
+        packet = self.ask(Kind.READ)
+        assert packet.kind == Kind.STATE
+        return State.unpack(packet.body)
+
+    def drive(self, units: int) -> None:
+        """Send a drive, and wait until the device has it."""
+        self.send(Kind.DRIVE, pack_drive(units))
+        self.board.sleep_until(self.heard_s)
+
+    def wait(self, time_s: float) -> None:
+        self.board.sleep_until(self.board.now_s() + time_s)
+
+    def pin_V(self) -> float:
+        return self.board.truth().pin_V
+
+
+def armed_host(bench: BenchParameters = BENCH, setup: Setup = SETUP, **board: float) -> VirtualHost:
+    host = VirtualHost(VirtualBoard(bench, **board))  # type: ignore[arg-type]
+    host.setup(setup)
+    assert host.arm() == Code.NONE
+    return host
