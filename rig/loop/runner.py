@@ -115,13 +115,13 @@ class Loop:
     def armed(self, limits: Limits) -> Iterator[None]:
         """Arm the device for the block; however the block ends, stop the drive and disarm first."""
         self._check_stop()
+        # a collection in the middle of a tick would be a late drive; before arming it only takes time
+        gc.collect()
+        gc.disable()
         try:
             self._driver.arm(limits)
             self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
             self._skipped = 0
-            # a collection in the middle of a tick would be a late drive
-            gc.collect()
-            gc.disable()
             yield
             self._finish_row()
         finally:
