@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -18,16 +17,24 @@ from rig.config.yaml12 import Document, emit, parse
 
 
 def load(path: str | PathLike[str]) -> Experiment:
-    """The experiment in a YAML file (UTF-8). Raises ConfigError, and nothing else, if there is none in it."""
+    """The experiment in a YAML file (UTF-8). Raises ConfigError, and nothing else, if there is none in it.
+
+    What is loaded need not be safe to run: that is ``check``.
+    """
     return _experiment(_read(path))
 
 
 def check(path: str | PathLike[str]) -> tuple[Experiment, Preflight]:
-    """``load``, and ``preflight`` with the places of its problems. Raises ConfigError only where ``load`` does."""
+    """``load``, and ``preflight`` on it: the experiment, and what it would do.
+
+    Raises ConfigError as ``load`` does, and, with the places of the keys, where the experiment must not be run.
+    """
     document = _read(path)
     experiment = _experiment(document)
     found = preflight(experiment)
-    return experiment, replace(found, problems=tuple(document.located(problem) for problem in found.problems))
+    if found.problems:
+        raise ConfigError(document.located(problem) for problem in found.problems)
+    return experiment, found
 
 
 def dump(experiment: Experiment) -> str:

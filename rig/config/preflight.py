@@ -354,7 +354,7 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
                 f"static friction {static_V:g} V is less than the moving friction fc_{side}_V {moving_V:g} V",
                 "raise it, or leave it out: as the moving friction",
             )
-    for name, (low, high) in (("mechanical stops", m.stop_rad), ("soft limits", e.limits.soft_rad)):
+    for name, (low, high) in (("mechanical stops", m.stop_rad), ("hard limits", e.limits.hard_rad)):
         if not low <= m.start_rad <= high:
             yield _problem(
                 "emulated.motor.start_rad",
@@ -405,6 +405,9 @@ def _lines(e: Experiment) -> Iterator[str]:
             f"note: the emulated bridge gives {e.emulated.supply_V:g} V, the config believes {full_V:g} V: "
             "K and f_c will come out scaled"
         )
+    low, high = e.limits.soft_rad
+    if e.emulated is not None and not low <= e.emulated.motor.start_rad <= high:
+        yield "note: the emulated shaft starts outside the soft limits: a run refuses until `rig jog` has it inside"
     if e.emulated is not None and not _is_emulated(e):
         yield f"note: section `emulated` is not used with port {e.daq.port}"
 

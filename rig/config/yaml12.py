@@ -35,13 +35,13 @@ _CORE_SCHEMA = [
     ),
 ]
 
-_HINTS = [  # part of PyYAML's message -> what people have usually done
-    ("mapping values are not allowed", "check the indentation, and quote a text that contains `: `"),
-    ("could not find expected ':'", "write `key: value`, with a space after the colon"),
-    ("expected <block end>", "keys of one section must start in the same column"),
-    ("expected ',' or", "a bracket or brace is not closed, or a comma is missing"),
-    ("found unexpected end of stream", "a quote is not closed"),
-    ("sequence entries are not allowed here", "put the list's first `-` on a line of its own"),
+_HINTS = [  # part of PyYAML's message -> what people have usually done; whether its cause is where the construct begins
+    ("mapping values are not allowed", "check the indentation, and quote a text that contains `: `", False),
+    ("could not find expected ':'", "write `key: value`, with a space after the colon", True),
+    ("expected <block end>", "keys of one section must start in the same column", False),
+    ("expected ',' or", "the bracket or brace that begins here is not closed, or a comma is missing", True),
+    ("found unexpected end of stream", "the quote that begins here is not closed", True),
+    ("sequence entries are not allowed here", "put the list's first `-` on a line of its own", False),
 ]
 
 
@@ -124,7 +124,7 @@ def parse(text: str, file: str) -> Document:
 
 def emit(data: dict[str, Any]) -> str:
     """Plain values as YAML that ``parse`` reads back equal."""
-    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True, width=100)
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100)
 
 
 def _compose(text: str, file: str) -> yaml.Node | None:
@@ -141,25 +141,29 @@ def _compose(text: str, file: str) -> yaml.Node | None:
         problem = Problem((), f"control character U+{ord(text[error.position]):04X}", "delete it")
         raise ConfigError([problem.at(file, *place)]) from error
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        place = _place(mark) if mark is not None else (1, 1)
-        raise ConfigError([_syntax(error).at(file, *place)]) from error
+        raise ConfigError([_syntax(error, file)]) from error
     except (ValueError, OverflowError) as error:  # PyYAML on `"\Uffffffff"` and the like
         problem = Problem((), f"not valid YAML: {printable(str(error))}", "check escapes in quoted text")
         raise ConfigError([problem.at(file, 1, 1)]) from error
 
 
-def _syntax(error: yaml.MarkedYAMLError) -> Problem:
+def _syntax(error: yaml.MarkedYAMLError, file: str) -> Problem:
     """PyYAML's complaint, in this project's words."""
     text = error.problem or error.context or "cannot be read"
+    message, hint, mark = f"not valid YAML: {printable(text)}", "", error.problem_mark
     if type(error) is yaml.MarkedYAMLError:  # one of ours
-        return Problem((), text)
-    if "expected a single document" in f"{error.context} {text}":
-        return Problem((), "a second document begins here", "one experiment a file: remove the `---`")
-    if "'\\t'" in text:
-        return Problem((), "a tab where spaces must be", "indent with spaces")
-    hint = next((hint for part, hint in _HINTS if part in text), "")
-    return Problem((), f"not valid YAML: {printable(text)}", hint)
+        message = text
+    elif "expected a single document" in (error.context or ""):
+        message, hint = "a second document begins here", "one experiment a file: remove the `---`"
+    elif "'\\t'" in text:
+        message, hint = "a tab where spaces must be", "indent with spaces"
+    else:
+        for part, way_out, at_start in _HINTS:
+            if part in text:
+                hint = way_out
+                mark = error.context_mark if at_start else mark
+                break
+    return Problem((), message, hint).at(file, *(_place(mark) if mark is not None else (1, 1)))
 
 
 def _build(node: yaml.Node, path: Path, document: Document, problems: list[Problem]) -> Any:
