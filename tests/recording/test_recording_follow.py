@@ -1,0 +1,68 @@
+"""Live progress: what it makes of a growing folder, and that it ends by itself."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from rich.console import Console
+
+from rig.recording.columns import HEADER
+from rig.recording.follow import Progress, Tail
+
+EVENTS = [
+    {"t_s": 0.0, "kind": "stage", "name": "breakaway"},
+    {"t_s": 3.0, "kind": "breakaway", "plus_V": 0.61, "minus_V": 0.57, "noise_rad": 0.003},
+    {"t_s": 3.1, "kind": "stage", "name": "search"},
+    {"t_s": 6.0, "kind": "search", "h1_V": 0.3, "h2_V": 0.7, "period_s": None, "amplitude_rad": None, "outcome": "no oscillation"},
+    {"t_s": 9.0, "kind": "stage", "name": "relay-1"},
+    {"t_s": 11.0, "kind": "cycle", "stage": "relay-1", "number": 2, "settled": True, "period_s": 1.0, "amplitude_rad": 0.58},
+    {"t_s": 12.0, "kind": "fault", "code": "POLARITY", "cause": "the shaft moves against the drive", "cure": "swap"},
+    {"t_s": 12.1, "kind": "end"},
+]  # fmt: skip
+
+
+def shown(progress: Progress) -> str:
+    console = Console(width=140, record=True, file=open("/dev/null", "w"))  # noqa: SIM115, PTH123
+    with console.file:
+        console.print(progress.picture())
+        return console.export_text()
+
+
+def test_each_stage_is_shown_with_what_came_of_it() -> None:
+    progress = Progress()
+    for event in EVENTS[:6]:
+        progress.take_event(event)
+    progress.take_row("812,9,11.5,11.501,0.41,612,,0.9,0.02,,relay-1,80.0,160.0,0")
+    text = shown(progress)
+    assert "moves at +0.61 V and -0.57 V" in text
+    assert "cycle 2 (settled): 0.580 rad, 1.000 s" in text
+    assert "+0.41 rad +0.90 V" in text
+    for event in EVENTS[6:]:
+        progress.take_event(event)
+    assert progress.ended
+    assert "POLARITY" in shown(progress)
+
+
+def test_only_whole_lines_are_taken(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    tail = Tail(path)
+    assert tail.lines() == []
+    path.write_text('{"a": 1}\n{"b"')
+    assert tail.lines() == ['{"a": 1}']
+    assert tail.lines() == []
+    path.write_text('{"a": 1}\n{"b": 2}\n')
+    assert tail.lines() == ['{"b": 2}']
+
+
+def test_the_viewer_ends_when_the_one_who_started_it_is_gone(tmp_path: Path) -> None:
+    (tmp_path / "events.jsonl").write_text("".join(json.dumps(e) + "\n" for e in EVENTS[:-1]))
+    (tmp_path / "samples.csv").write_text(HEADER)
+    viewer = subprocess.Popen(
+        [sys.executable, "-m", "rig.recording.follow", str(tmp_path)], stdin=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    _, error = viewer.communicate(timeout=30)  # closes its standard input
+    assert viewer.returncode == 0
+    assert "POLARITY" in error.decode()
