@@ -51,7 +51,9 @@ def dcr(h1_V: float, h2_V: float) -> Callable[[float, float, float], float]:
     return law
 
 
-def simulate(motor: Motor, law: Callable[[float, float, float], float], rows: int, bench: Bench, start: State | None = None) -> Samples:
+def simulate(
+    motor: Motor, law: Callable[[float, float, float], float], rows: int, bench: Bench, start: State | None = None
+) -> Samples:
     """Record ``rows`` ticks of ``law(t, y, z) -> u`` on ``motor``."""
     rng = np.random.default_rng(bench.seed)
     state = start or State()
@@ -77,7 +79,9 @@ def simulate(motor: Motor, law: Callable[[float, float, float], float], rows: in
     return out
 
 
-def motor(tau_s: float = 0.17, K_rad_s_V: float = 6.5, fc_V: float = 0.5, asym_V: float = 0.0, fs_V: float | None = None) -> Motor:
+def motor(
+    tau_s: float = 0.17, K_rad_s_V: float = 6.5, fc_V: float = 0.5, asym_V: float = 0.0, fs_V: float | None = None
+) -> Motor:
     """A motor with Coulomb friction and bias, by default that of theory section 11."""
     return Motor(tau_s, K_rad_s_V, coulomb(fc_V, fs_V), asym_V)
 

@@ -13,7 +13,8 @@ from rig.identify.record import IdentifyError, Record
 Array = NDArray[np.float64]
 
 SETTLED = 0.05  # three periods in a row within this show that the oscillation has settled;
-KEPT = 0.15  # cycles before and after them belong to it while within this of the median
+ARRIVED = 0.005  # their mean lies this near the period at which the recording ends
+KEPT = 0.15  # cycles after them belong to it while within this of the median
 FEWEST_CYCLES = 3
 SHORTEST_PERIODS = 30  # a cycle lasts at least this many sampling periods,
 SMALLEST_LSB = 20  # and is at least this many steps of the sensor in amplitude; else it is delay hunting
@@ -135,9 +136,15 @@ def relay_gains(record: Record) -> Gains:
     levels = [float(np.median(g)) for g in groups]
     shown = ", ".join(f"{level:.3g}" for level in levels)
     if not 3 <= len(groups) <= 4 or covered < 0.9 or any(np.ptp(g) > 0.12 * largest for g in groups):
-        raise IdentifyError(f"{record.name}: the drive is not a dual-channel relay's (levels: {shown or 'none'} V)", cure)
+        raise IdentifyError(
+            f"{record.name}: the drive is not a dual-channel relay's (levels: {shown or 'none'} V)", cure
+        )
     top, bottom = levels[-1], levels[0]
-    if not (bottom < 0.0 < top) or abs(top + bottom) > 0.25 * largest or any(abs(x) > 0.94 * largest for x in levels[1:-1]):
+    if (
+        not (bottom < 0.0 < top)
+        or abs(top + bottom) > 0.25 * largest
+        or any(abs(x) > 0.94 * largest for x in levels[1:-1])
+    ):
         raise IdentifyError(f"{record.name}: the drive's levels are not symmetric ({shown} V)", cure)
     width = 0.06 * largest
     side = np.full(u.size, np.nan)
@@ -183,7 +190,8 @@ def find_cycle(record: Record) -> Cycle:
     stops = [row for row, (_, s) in zip(halves.rows[2:], halves.found[:-1], strict=True) if s > 0]
     if len(waves) < FEWEST_CYCLES:
         raise IdentifyError(
-            f"{record.name}: {len(waves)} full cycles are too few", "record at least ten settled cycles of the relay test"
+            f"{record.name}: {len(waves)} full cycles are too few",
+            "record at least ten settled cycles of the relay test",
         )
     resolution = record.resolution_rad()
     first, stop = _settled(record, waves, resolution)
@@ -237,9 +245,13 @@ def _settled(record: Record, waves: list[Wave], resolution_rad: float) -> tuple[
     runs = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(int), [0]))))
     spans = [(int(a), int(b)) for a, b in zip(runs[::2], runs[1::2], strict=True)]
     first, stop = max(spans, key=lambda span: span[1] - span[0], default=(0, 0))
-    triples = [periods[k : k + 3] for k in range(first, stop - 2)]
-    if not any(np.ptp(triple) <= SETTLED * period + tick for triple in triples):
-        first, stop = 0, 0
+    begins = [
+        k
+        for k in range(first, stop - 2)
+        if np.ptp(periods[k : k + 3]) <= SETTLED * period + tick
+        and np.abs(periods[k : k + 3].mean() - period) <= ARRIVED * period + tick
+    ]
+    first, stop = (begins[0], stop) if begins else (0, 0)
     if stop - first < FEWEST_CYCLES:
         raise IdentifyError(
             f"{record.name}: no {FEWEST_CYCLES} cycles in a row are settled (periods {periods.min():.3g} to "
@@ -265,7 +277,8 @@ def _accept(record: Record, cycle: Cycle) -> None:
         )
     if cycle.amplitude_rad < SMALLEST_LSB * cycle.resolution_rad:
         raise IdentifyError(
-            f"{record.name}: the amplitude {cycle.amplitude_rad:.3g} rad is below {SMALLEST_LSB} steps of the sensor", cure
+            f"{record.name}: the amplitude {cycle.amplitude_rad:.3g} rad is below {SMALLEST_LSB} steps of the sensor",
+            cure,
         )
     if not (0.0 < cycle.t1_s < cycle.t1_s + cycle.t2_s < 0.5 * cycle.period_s):
         raise IdentifyError(
@@ -298,9 +311,7 @@ def average(
     y_rc = -_at(tau, y, length, length - inner)
     y_rb = _at(tau, y, inner, min(inner - t1, length - inner))
     inside = (tau > 0.0) & (tau < length)
-    area = np.trapezoid(
-        np.concatenate(([y_rc], y[inside], [-y_rc])), np.concatenate(([0.0], tau[inside], [length]))
-    )
+    area = np.trapezoid(np.concatenate(([y_rc], y[inside], [-y_rc])), np.concatenate(([0.0], tau[inside], [length])))
     phase = np.concatenate((tau[inside], tau[inside] + length)) / (2.0 * length)
     drive = np.where(tau[inside] < inner, h1_V + h2_V, h2_V - h1_V)
     scatter = {

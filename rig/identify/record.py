@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.recording.reader import Recording
+
 Array = NDArray[np.float64]
 
 
@@ -106,3 +108,82 @@ class Record:
         lsb = float(np.median(steps[steps < 1.5 * steps.min()]))
         ratio = steps / lsb
         return lsb if float(np.mean(np.abs(ratio - np.round(ratio)) < 0.1)) > 0.9 else 0.0
+
+    def noise_rad(self) -> float:
+        """Standard deviation of white noise on the position, rad, at least that of its quantisation.
+
+        From fourth differences, in which motion all but vanishes; their median, so that jumps of acceleration do not
+        count.
+        """
+        differences = np.diff(self.y_rad, 4)
+        scatter = 1.4826 * float(np.median(np.abs(differences))) / np.sqrt(70.0) if differences.size else 0.0
+        return max(scatter, self.resolution_rad() / np.sqrt(12.0))
+
+
+@dataclass(frozen=True)
+class ClockRatio:
+    """Ratio of a recording's times to the host's, and its standard error."""
+
+    ratio: float
+    error: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether it differs from 1 beyond four standard errors and 20 ppm."""
+        return abs(self.ratio - 1.0) > max(4.0 * self.error, 20e-6)
+
+
+def clock_ratio(recording: Recording) -> ClockRatio | None:
+    """Regress t_s on the host's time of each tick (tick * period + lateness); None where that is not recorded."""
+    period = recording.meta.get("period_s")
+    usable = np.isfinite(recording.late_us)
+    if not isinstance(period, int | float) or not period > 0.0 or int(usable.sum()) < 100:
+        return None
+    host = recording.tick[usable] * float(period) + 1e-6 * recording.late_us[usable]
+    x = host - host.mean()
+    power = float(x @ x)
+    if power == 0.0:
+        return None
+    t = recording.t_s[usable]
+    slope = float(x @ t) / power
+    residual = t - t.mean() - slope * x
+    return ClockRatio(slope, float(np.sqrt(residual @ residual / (x.size - 2) / power)))
+
+
+def from_recording(recording: Recording, rows: slice, name: str) -> tuple[Record, list[str]]:
+    """Rows of a recording as a ``Record``, and notes on what was done to the times.
+
+    Times are divided by the clock ratio over the whole run where that is significant. Rows before the first known t_u_s
+    are dropped; a t_u_s missing between others is filled in with the median latency. Raises IdentifyError.
+    """
+    notes: list[str] = []
+    scale = 1.0
+    clock = clock_ratio(recording)
+    if clock is not None and clock.significant:
+        if abs(clock.ratio - 1.0) > 0.03:
+            raise IdentifyError(
+                f"{name}: t_s runs {100.0 * (clock.ratio - 1.0):+.1f} % against the ticks and period_s of meta.json",
+                "correct the times; a clock is a few per cent off at most",
+            )
+        scale = clock.ratio
+        notes.append(f"{name}: times divided by the clock ratio over the run, {scale:.6f} +- {clock.error:.6f}")
+    t_s = recording.t_s[rows] / scale
+    t_u_s = recording.t_u_s[rows] / scale
+    y_rad, u_V = recording.y_rad[rows], recording.u_V[rows]
+    first = rows.indices(len(recording))[0]
+    known = np.isfinite(t_u_s)
+    if not known.any():
+        return Record(t_s, y_rad, None, u_V, first, name), notes
+    start = int(np.flatnonzero(known)[0])
+    missing = int((~known[start:]).sum())
+    if missing > 0.2 * t_s.size:
+        notes.append(f"{name}: t_u_s is missing in {missing} rows and was not used")
+        return Record(t_s, y_rad, None, u_V, first, name), notes
+    latency = float(np.median((t_u_s - t_s)[known]))
+    filled = np.where(known, t_u_s, t_s + latency)[start:]
+    if missing:
+        notes.append(
+            f"{name}: t_u_s missing in {missing} rows, filled in with the median latency of {1e3 * latency:.2f} ms"
+        )
+        filled = np.maximum.accumulate(filled)
+    return Record(t_s[start:], y_rad[start:], filled, u_V[start:], first + start, name), notes

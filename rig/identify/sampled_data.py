@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +26,7 @@ METHOD = "sampled-data"
 SHARED = 5  # tau, K, fc, asym, delay: what all records have in common
 POLISHED = 3  # starts that are iterated to the end
 MAX_ITERATIONS = 100
+SINGULAR = 1e10  # condition of the scaled Jacobian beyond which parameters cannot be told apart
 
 
 class Start(NamedTuple):
@@ -75,7 +76,6 @@ class Problem:
     pieces: tuple[Piece, ...]
     delay_bounds_s: tuple[float, float]
     free: tuple[bool, bool, bool, bool, bool]
-    iterates: list[Array] = field(default_factory=list)
 
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of the full vector."""
@@ -126,8 +126,9 @@ class Problem:
             return cached[key]
 
         def jacobian(part: Array) -> Array:
-            iterates.append(np.array([math.exp(part[0]), math.exp(part[1]), part[2]]) if all(self.free[:3]) else part[:0])
-            return evaluate(part)[1]
+            residual_jacobian = evaluate(part)[1]
+            iterates.append(np.array([math.exp(full[0]), math.exp(full[1]), full[2]]))
+            return residual_jacobian
 
         found = least_squares(
             lambda part: evaluate(part)[0],
@@ -184,7 +185,9 @@ def fit(
     for record, piece in zip(records, pieces, strict=True):
         if np.ptp(piece.y_rad) == 0.0 or len(piece.drive.u_V) < 2:
             still = "the position never changes" if np.ptp(piece.y_rad) == 0.0 else "the drive never changes"
-            raise IdentifyError(f"{record.name}: {still}", "record a relay test, or any drive that moves the motor both ways")
+            raise IdentifyError(
+                f"{record.name}: {still}", "record a relay test, or any drive that moves the motor both ways"
+            )
     problem = Problem(pieces, bounds, (True, True, True, True, free))
     guesses = list(starts) if starts else grid_starts(pieces)
     candidates = sorted((_score(pieces, guess, 0.5 * (bounds[0] + bounds[1])) for guess in guesses), key=lambda c: c[0])
@@ -193,20 +196,24 @@ def fit(
     return _estimate(problem, best, records, block_s)
 
 
-def refit(records: Sequence[Record], theta: Theta, fixed: bool = True, delay_bounds_s: tuple[float, float] | None = None) -> Solution:
-    """Prediction of the records by a given motor, only initial states (and what is said below) fitted.
+def refit(
+    records: Sequence[Record],
+    theta: Theta,
+    free: Sequence[str] = (),
+    delay_bounds_s: tuple[float, float] | None = None,
+) -> Solution:
+    """Prediction of the records by a given motor: initial states are fitted, and the parameters named in ``free``.
 
-    theta           the motor; its v0 and y0 are not used
-    fixed           True: tau, K and fc are kept, asym and delay too; False: all but delay are fitted from there
-    delay_bounds_s  fit the delay within these bounds, s
+    theta           the motor, where the others start or stay; its v0 and y0 are not used
+    free            names of ``PARAMETERS``
+    delay_bounds_s  bounds of the delay if that is free, s; may be negative
     """
     reach = delay_bounds_s or (theta.delay_s, theta.delay_s)
     pieces = tuple(Piece.of(record, max(0.0, reach[1])) for record in records)
-    moving = not fixed
-    problem = Problem(pieces, reach, (moving, moving, moving, moving, delay_bounds_s is not None))
+    tau, K, fc, asym, delay = (name in free for name in PARAMETERS)
+    problem = Problem(pieces, reach, (tau, K, fc, asym, delay))
     shared = [math.log(theta.tau_s), math.log(theta.K_rad_s_V), theta.fc_V, theta.asym_V, theta.delay_s]
-    nuisance = [value for piece in pieces for value in _initial_state(piece)]
-    return problem.solve(np.array(shared + nuisance))
+    return problem.solve(np.array(shared + [value for piece in pieces for value in _initial_state(piece)]))
 
 
 def ridge_starts(omega_rad_s: float, amplitude_rad: float, h1_V: float, h2_V: float) -> list[Start]:
@@ -214,7 +221,11 @@ def ridge_starts(omega_rad_s: float, amplitude_rad: float, h1_V: float, h2_V: fl
     starts = []
     for fraction in (0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8):
         beyond = h2_V * (1.0 - fraction)
-        starts.append(Start(h1_V / (omega_rad_s * beyond), math.pi * amplitude_rad * omega_rad_s / (4.0 * beyond), fraction * h2_V))
+        starts.append(
+            Start(
+                h1_V / (omega_rad_s * beyond), math.pi * amplitude_rad * omega_rad_s / (4.0 * beyond), fraction * h2_V
+            )
+        )
     return starts
 
 
@@ -224,7 +235,11 @@ def grid_starts(pieces: Sequence[Piece]) -> list[Start]:
     period = min(piece.period_s for piece in pieces)
     duration = max(float(piece.t_s[-1] - piece.t_s[0]) for piece in pieces)
     taus = np.geomspace(2.0 * period, min(0.3 * duration, 200.0 * period), 7)
-    return [Start(float(tau), math.nan, fraction * largest) for tau in taus for fraction in (0.02, 0.15, 0.3, 0.45, 0.6, 0.8)]
+    return [
+        Start(float(tau), math.nan, fraction * largest)
+        for tau in taus
+        for fraction in (0.02, 0.15, 0.3, 0.45, 0.6, 0.8)
+    ]
 
 
 def _initial_state(piece: Piece) -> tuple[float, float]:
@@ -319,14 +334,17 @@ def covariance_of(jacobian: Array, residual: Array, lengths: Sequence[int], bloc
     block               rows over which residuals may be correlated
 
     (J^T J)^-1 s^2 for white residuals. Where the autocorrelation over a block says otherwise, each standard error
-    grows by what Bartlett-weighted (Newey-West) score sums give, and never shrinks.
+    grows by what Bartlett-weighted (Newey-West) score sums give, and never shrinks. Infinite where parameters cannot be
+    told apart.
     """
     n, p = jacobian.shape
     columns = np.linalg.norm(jacobian, axis=0)
     columns[columns == 0.0] = 1.0
     q, r = np.linalg.qr(jacobian / columns)
-    inverse = np.linalg.pinv(r) / columns[:, None]
     freedom = max(1, n - p)
+    if np.linalg.cond(r) > SINGULAR:
+        return np.full((p, p), np.inf), float(freedom)
+    inverse = np.linalg.inv(r) / columns[:, None]
     variance = float(residual @ residual) / freedom
     white = inverse @ inverse.T * variance
     if variance == 0.0 or not correlated(residual, lengths, block):
@@ -341,7 +359,9 @@ def covariance_of(jacobian: Array, residual: Array, lengths: Sequence[int], bloc
             middle += (1.0 - lag / block) * (cross + cross.T)
         at += length
     robust = inverse @ middle @ inverse.T
-    grow = np.sqrt(np.maximum(1.0, np.divide(np.diag(robust), np.diag(white), out=np.ones(p), where=np.diag(white) > 0)))
+    grow = np.sqrt(
+        np.maximum(1.0, np.divide(np.diag(robust), np.diag(white), out=np.ones(p), where=np.diag(white) > 0))
+    )
     return white * np.outer(grow, grow), float(max(3, min(freedom, n // block - 1)))
 
 

@@ -140,7 +140,9 @@ def limit_cycle(
     if h2_V <= fc_V:
         raise NoLimitCycle(f"h2 = {h2_V:g} V does not exceed the friction of {fc_V:g} V (Property 3.1)")
     if h1_V + h2_V <= static:
-        raise NoLimitCycle(f"the motor sticks: h1 + h2 = {h1_V + h2_V:g} V does not exceed static friction, {static:g} V")
+        raise NoLimitCycle(
+            f"the motor sticks: h1 + h2 = {h1_V + h2_V:g} V does not exceed static friction, {static:g} V"
+        )
     inputs = effective_inputs(fc_V, h1_V, h2_V)
     normal = _durations(inputs, h1_V / (h2_V - fc_V))
     durations = (normal[0] * tau_s, normal[1] * tau_s, normal[2] * tau_s)

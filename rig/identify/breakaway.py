@@ -1,0 +1,153 @@
+"""Static friction both ways, from the breakaway ramps and the identified motor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.identify.estimate import Estimate
+from rig.identify.record import Record
+from rig.model.friction import Friction
+from rig.model.motor import Motor, State
+
+Array = NDArray[np.float64]
+
+SETTLE_S = 0.3  # after the last drive of a ramp
+CHANCE = 3.84  # chi-squared of one degree, 95 %
+NEEDED = 0.1  # relative standard error up to which a split of friction and bias is told
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """Drive at which the motor breaks away one way, V (> 0), and the interval that the record leaves."""
+
+    static_V: float
+    low_V: float
+    high_V: float
+
+    @property
+    def error_V(self) -> float:
+        """Standard error: that of the interval taken as two standard errors each way."""
+        return 0.25 * (self.high_V - self.low_V)
+
+
+@dataclass(frozen=True)
+class Breakaway:
+    """What the ramps show.
+
+    plus, minus   towards rising and falling positions; None where the ramp does not tell
+    friction_V    (fc_plus, fc_minus, bias), V; None unless static friction is clearly above moving friction
+    reason        in words: why something is None, or what was assumed
+    """
+
+    plus: Ramp | None
+    minus: Ramp | None
+    friction_V: tuple[float, float, float] | None
+    reason: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """As result.json holds it: the drives at break-away, their intervals, and the reason."""
+        return {
+            "static_plus_V": None if self.plus is None else self.plus.static_V,
+            "static_minus_V": None if self.minus is None else self.minus.static_V,
+            "static_plus_range_V": None if self.plus is None else [self.plus.low_V, self.plus.high_V],
+            "static_minus_range_V": None if self.minus is None else [self.minus.low_V, self.minus.high_V],
+            "reason": self.reason,
+        }
+
+
+def breakaway(record: Record, estimate: Estimate, noise_rad: float) -> Breakaway:
+    """Static friction from the record of slow ramps each way, given the motor.
+
+    The drive at break-away is that for which the exact simulation reproduces the recorded positions best. It includes
+    bias: towards rising positions it is static friction less bias, towards falling ones static friction plus bias.
+    """
+    plus = _ramp(record, estimate, 1.0, noise_rad)
+    minus = _ramp(record, estimate, -1.0, noise_rad)
+    if plus is None or minus is None:
+        which = (
+            "either way" if plus is None and minus is None else "towards " + ("rising" if plus is None else "falling")
+        )
+        return Breakaway(plus, minus, None, f"no motion was seen in the breakaway record {which}: ramp higher")
+    friction, reason = split(plus, minus, estimate)
+    return Breakaway(plus, minus, friction, reason)
+
+
+def _ramp(record: Record, estimate: Estimate, sign: float, noise_rad: float) -> Ramp | None:
+    """Scan the drives of one ramp for the level that explains the positions best."""
+    driven = np.flatnonzero(sign * record.u_V > 0.0)
+    if driven.size < 5:
+        return None
+    acts = record.edge_s + (
+        0.0 if record.t_u_s is not None or not math.isfinite(estimate.delay_s) else estimate.delay_s
+    )
+    first, last = max(int(driven[0]) - 1, 0), int(driven[-1])
+    stop = int(np.searchsorted(record.t_s, record.t_s[last] + SETTLE_S))
+    other = np.flatnonzero(sign * record.u_V[last:stop] < 0.0)
+    stop = last + int(other[0]) if other.size else stop
+    start = int(np.searchsorted(record.t_s, acts[first]))
+    t_s, y_rad = record.t_s[start:stop], record.y_rad[start:stop]
+    edges, drive = acts[first:stop], record.u_V[first:stop]
+    moving_plus, moving_minus = estimate.fc_V - estimate.asym_V, estimate.fc_V + estimate.asym_V
+    if t_s.size < 10 or min(moving_plus, moving_minus) < 0.0:
+        return None
+    moving = moving_plus if sign > 0.0 else moving_minus
+    levels = np.unique(sign * record.u_V[driven])
+    levels = levels[levels > moving]
+    if levels.size == 0:
+        return None
+    # Between two levels that the ramp visits nothing changes: one trial each, just below every level, and one above all.
+    lows = np.concatenate(([moving], levels))
+    trials = [*(0.5 * (a + b) for a, b in zip(lows[:-1], levels, strict=True)), 2.0 * levels[-1]]
+    costs = np.empty(len(trials))
+    for k, static in enumerate(trials):
+        friction = (
+            Friction(moving_plus, moving_minus, static, max(moving_minus, static))
+            if sign > 0.0
+            else Friction(moving_plus, moving_minus, max(moving_plus, static), static)
+        )
+        motor = Motor(estimate.tau_s, estimate.K_rad_s_V, friction)
+        residual = y_rad - motor.response(State(), t_s, edges, drive)[:, 1]
+        residual -= residual.mean()
+        costs[k] = float(residual @ residual)
+    best = int(np.argmin(costs))
+    if best == len(trials) - 1:
+        return None
+    variance = max(costs[best] / t_s.size, noise_rad**2)
+    near = np.flatnonzero(costs <= costs[best] + CHANCE * variance)
+    low, high = lows[int(near[0])], levels[min(int(near[-1]), levels.size - 1)]
+    return Ramp(float(trials[best]), float(low), float(high))
+
+
+def split(plus: Ramp, minus: Ramp, estimate: Estimate) -> tuple[tuple[float, float, float] | None, str]:
+    """(fc_plus, fc_minus, bias), V, or None; and the reason in words.
+
+    With static and moving friction equal, bias and direction never separate: moving shows fc_plus - bias and
+    fc_minus + bias, and so does the band in which the motor sticks. If static friction is r > 1 times the moving one, with one
+    ratio both ways, then (r - 1) fc_plus and (r - 1) fc_minus show beside them.
+    """
+    moving = (estimate.fc_V - estimate.asym_V, estimate.fc_V + estimate.asym_V)
+    ratio = (plus.static_V + minus.static_V) / (2.0 * estimate.fc_V) if estimate.fc_V > 0.0 else math.inf
+    if not math.isfinite(ratio):
+        return None, "there is no friction to split"
+    variance = 2.0 * float(estimate.covariance[2, 2] + estimate.covariance[3, 3])
+    error = math.sqrt(max(plus.error_V, minus.error_V) ** 2 + (variance if math.isfinite(variance) else 0.0))
+    excess = ratio - 1.0
+    if excess <= 3.0 * error / estimate.fc_V:
+        return None, (
+            f"static friction is not clearly above moving friction (ratio {ratio:.3f}), and without that bias and "
+            "direction of friction cannot be told apart by any record"
+        )
+    if error / excess > NEEDED * estimate.fc_V:
+        return None, (
+            f"static friction is {ratio:.3f} times moving friction, too little to tell bias from direction of friction "
+            f"(it would be good to {error / excess:.2g} V)"
+        )
+    fc_plus, fc_minus = (plus.static_V - moving[0]) / excess, (minus.static_V - moving[1]) / excess
+    return (fc_plus, fc_minus, fc_plus - moving[0]), (
+        f"fc_plus, fc_minus and bias assume one ratio of static to moving friction both ways ({ratio:.3f})"
+    )

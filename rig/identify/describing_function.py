@@ -1,0 +1,99 @@
+"""The describing-function estimator (theory section 5): two relay tests, two straight lines.
+
+pi A w / 4 = K h2 - K fc is linear in K and K fc; tau follows from w = h1 / (tau (h2 - fc)). It carries the error of
+assuming a sine, which no interval shows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student_t
+
+from rig.identify.cycles import Cycle
+from rig.identify.estimate import Estimate
+from rig.identify.record import IdentifyError
+from rig.identify.sampled_data import Start
+
+Array = NDArray[np.float64]
+
+METHOD = "describing-function"
+NEAREST_H2 = 0.05  # relative difference of h2 below which two tests are one
+
+
+def solve(omegas_rad_s: Array, amplitudes_rad: Array, h1_V: Array, h2_V: Array) -> Start:
+    """tau, K and fc from the oscillations of at least two tests: least squares for K and K fc, mean of the taus."""
+    design = np.column_stack([h2_V, -np.ones_like(h2_V)])
+    K, K_fc = np.linalg.lstsq(design, 0.25 * math.pi * amplitudes_rad * omegas_rad_s, rcond=None)[0]
+    fc = float(K_fc / K) if K != 0.0 else math.nan
+    tau = float(np.mean(h1_V / (omegas_rad_s * (h2_V - fc))))
+    return Start(tau, float(K), fc)
+
+
+def fit(cycles: Sequence[Cycle]) -> Estimate:
+    """Estimate tau, K and fc from two or more relay tests with different gains.
+
+    Intervals come from the scatter between periods alone. rms_rad is left to the caller. Raises IdentifyError on fewer
+    than two tests, or gains too near one another.
+    """
+    if len(cycles) < 2:
+        raise IdentifyError(
+            "the describing function needs two relay tests", "give two recordings with different gains h2"
+        )
+    h1 = np.array([cycle.h1_V for cycle in cycles])
+    h2 = np.array([cycle.h2_V for cycle in cycles])
+    if np.ptp(h2) < NEAREST_H2 * h2.max():
+        raise IdentifyError(
+            f"the tests' gains h2 lie within {100 * NEAREST_H2:.0f} % of one another",
+            "record the second test with an h2 at least a fifth larger or smaller",
+        )
+    omegas = np.array([cycle.omega_rad_s for cycle in cycles])
+    amplitudes = np.array([cycle.amplitude_rad for cycle in cycles])
+    theta = solve(omegas, amplitudes, h1, h2)
+    covariance = np.full((5, 5), np.nan)
+    intervals: dict[str, tuple[float, float]] = {}
+    spread = _propagated(cycles, omegas, amplitudes, h1, h2)
+    covariance[:3, :3] = spread
+    quantile = float(student_t.ppf(0.975, max(1, min(cycle.cycles for cycle in cycles) - 1)))
+    for name, value, variance in zip(("tau_s", "K_rad_s_V", "fc_V"), theta, np.diag(spread), strict=True):
+        error = quantile * math.sqrt(variance)
+        intervals[name] = (value - error, value + error)
+    estimate = Estimate(
+        METHOD,
+        *theta,
+        ci95=intervals,
+        covariance=covariance,
+        iterations=1,
+        rows=(min(cycle.rows[0] for cycle in cycles), max(cycle.rows[1] for cycle in cycles)),
+        iterates=np.array([theta]),
+    )
+    if not (theta.K_rad_s_V > 0.0 and 0.0 <= theta.fc_V < h2.min() and theta.tau_s > 0.0):
+        return estimate.judged(
+            "refused",
+            f"the two oscillations give no motor (fc = {theta.fc_V:.3g} V, K = {theta.K_rad_s_V:.3g} (rad/s)/V): record "
+            "larger and slower cycles, whose gains differ more",
+        )
+    return estimate
+
+
+def _propagated(cycles: Sequence[Cycle], omegas: Array, amplitudes: Array, h1: Array, h2: Array) -> Array:
+    """Covariance of tau, K, fc from that of each test's mean frequency and amplitude."""
+    total = np.zeros((3, 3))
+    for k, cycle in enumerate(cycles):
+        pairs = np.array([(2.0 * math.pi / wave.period_s, wave.amplitude_rad) for wave in cycle.waves])
+        if len(pairs) < 2:
+            return np.full((3, 3), np.nan)
+        jacobian = np.empty((3, 2))
+        for column, values in enumerate((omegas, amplitudes)):
+            step = 1e-5 * values[k]
+            sides = []
+            for sign in (1.0, -1.0):
+                moved = values.copy()
+                moved[k] += sign * step
+                sides.append(np.array(solve(*((moved, amplitudes) if column == 0 else (omegas, moved)), h1, h2)))
+            jacobian[:, column] = (sides[0] - sides[1]) / (2.0 * step)
+        total += jacobian @ (np.cov(pairs.T) / len(pairs)) @ jacobian.T
+    return total

@@ -1,0 +1,188 @@
+"""From recordings to estimates: which rows, which methods, and what to believe."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from rig.identify import describing_function, sampled_data, triple_relay, verdict
+from rig.identify.breakaway import breakaway
+from rig.identify.cycles import Cycle, find_cycle
+from rig.identify.estimate import Estimate
+from rig.identify.record import IdentifyError, Record, from_recording
+from rig.recording.reader import Recording
+from rig.signals import FLAG_SATURATED
+
+METHODS = (sampled_data.METHOD, triple_relay.METHOD, describing_function.METHOD)
+
+
+@dataclass
+class Identification:
+    """Estimates by method, and what they rest on.
+
+    estimates   method -> Estimate, in the order of ``METHODS``
+    relays      for each accepted relay test: stage, h1_V, h2_V, period_s, amplitude_rad, cycles
+    cycles      stage -> averaged cycle
+    breakaway   drives at break-away both ways, None without a breakaway record
+    notes       which rows were used, how the gains were found, what was left out and why
+    """
+
+    estimates: dict[str, Estimate] = field(default_factory=dict)
+    relays: list[dict[str, Any]] = field(default_factory=list)
+    cycles: dict[str, Cycle] = field(default_factory=dict)
+    breakaway: dict[str, Any] | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def best(self) -> Estimate | None:
+        """The sampled-data estimate, else the next method's that was not refused; None if all were."""
+        usable = (self.estimates[method] for method in METHODS if method in self.estimates)
+        return next((estimate for estimate in usable if estimate.verdict != "refused"), None)
+
+
+def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = None) -> Identification:
+    """Identify one motor from run folders or CSV files.
+
+    methods   of ``METHODS``; default: all that the data allows
+    A run's relay stages are used; a CSV file without stages is used whole. Raises IdentifyError if a wanted method
+    cannot work on the data, or none can.
+    """
+    unknown = [method for method in methods or () if method not in METHODS]
+    if unknown:
+        raise IdentifyError(f"there is no method {unknown[0]!r}", f"the methods are {', '.join(METHODS)}")
+    if not recordings:
+        raise IdentifyError("no recording was given", "give a run folder or a CSV file")
+    wanted = tuple(methods) if methods else METHODS
+    found = Identification()
+    records: list[Record] = []
+    cycles: list[Cycle] = []
+    complaints: list[IdentifyError] = []
+    for recording in recordings:
+        for record in _records(recording, len(recordings) > 1, found.notes):
+            records.append(record)
+            try:
+                cycle = find_cycle(record)
+            except IdentifyError as error:
+                complaints.append(error)
+                found.notes.append(f"{error.cause}: no cycle is averaged from it")
+                continue
+            cycles.append(cycle)
+            found.cycles[record.name] = cycle
+            found.relays.append(_relay(record.name, cycle))
+            found.notes += [f"{record.name}: {note}" for note in cycle.notes]
+    blocks = [cycle.period_s for cycle in cycles]
+    for method in METHODS:
+        if method not in wanted:
+            continue
+        try:
+            if method == sampled_data.METHOD:
+                estimate = _sampled_data(records, cycles, max(blocks, default=None))
+            elif method == triple_relay.METHOD:
+                estimate = _triple_relay(records, cycles, complaints)
+            else:
+                estimate = verdict.judge_reference(describing_function.fit(cycles), records, cycles)
+        except IdentifyError as error:
+            if methods or len(wanted) == 1:
+                raise
+            complaints.append(error)
+            found.notes.append(f"{method}: {error.cause}")
+            continue
+        found.estimates[method] = estimate
+    if not found.estimates:
+        raise complaints[-1]
+    _add_breakaway(recordings, found)
+    return found
+
+
+def _records(recording: Recording, several: bool, notes: list[str]) -> list[Record]:
+    """The relay stages of a run, or all rows of a plain file."""
+    name = recording.source.name or str(recording.source)
+    notes += [f"{name}: {note}" for note in recording.notes]
+    stages = recording.stages()
+    if not stages:
+        chosen = [(slice(0, len(recording)), name)]
+    else:
+        relays = [stage for stage in stages if stage.startswith("relay-")]
+        if not relays:
+            raise IdentifyError(
+                f"{name} has no relay test (stages: {', '.join(stages)})",
+                "run `rig relay` or `rig run`, and identify that",
+            )
+        chosen = [(recording.stage_rows(stage), f"{name}:{stage}" if several else stage) for stage in relays]
+    records = []
+    for rows, label in chosen:
+        record, remarks = from_recording(recording, rows, label)
+        records.append(record)
+        notes += [remark for remark in remarks if remark not in notes]
+        saturated = int(np.count_nonzero(recording.flags[rows] & FLAG_SATURATED))
+        if saturated:
+            notes.append(f"{label}: the drive was saturated in {saturated} rows; the drive as it acted is used")
+    return records
+
+
+def _relay(stage: str, cycle: Cycle) -> dict[str, Any]:
+    return {
+        "stage": stage,
+        "h1_V": cycle.h1_V,
+        "h2_V": cycle.h2_V,
+        "period_s": cycle.period_s,
+        "amplitude_rad": cycle.amplitude_rad,
+        "cycles": cycle.cycles,
+    }
+
+
+def _sampled_data(records: Sequence[Record], cycles: Sequence[Cycle], block_s: float | None) -> Estimate:
+    starts = [
+        start
+        for cycle in cycles[:1]
+        for start in sampled_data.ridge_starts(cycle.omega_rad_s, cycle.amplitude_rad, cycle.h1_V, cycle.h2_V)
+    ]
+    estimate = sampled_data.fit(records, starts or None, block_s=block_s)
+    return verdict.judge_sampled_data(estimate, records, cycles)
+
+
+def _triple_relay(records: Sequence[Record], cycles: Sequence[Cycle], complaints: Sequence[IdentifyError]) -> Estimate:
+    """Of several tests, the estimate whose cycles scatter least."""
+    if not cycles:
+        raise complaints[-1] if complaints else IdentifyError("there is no relay test", "record one")
+    first = None
+    if len(cycles) > 1:
+        try:
+            first = sampled_data.Start(*_parameters(describing_function.fit(cycles)))
+        except IdentifyError:
+            first = None  # the ridge's starts do without it
+    estimates = [triple_relay.fit(cycle, first) for cycle in cycles]
+    best = min(estimates, key=lambda e: e.covariance[0, 0] / e.tau_s**2 if e.covariance[0, 0] >= 0.0 else np.inf)
+    used = cycles[estimates.index(best)]
+    return verdict.judge_reference(best, records, [used])
+
+
+def _parameters(estimate: Estimate) -> tuple[float, float, float]:
+    if estimate.verdict == "refused":
+        raise IdentifyError("the describing function gives no start", "use the others")
+    return estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V
+
+
+def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> None:
+    """Static friction, from the first recording that has a breakaway stage, on the sampled-data model."""
+    estimate = found.estimates.get(sampled_data.METHOD)
+    if estimate is None or estimate.verdict == "refused":
+        return
+    for recording in recordings:
+        if "breakaway" not in recording.stages():
+            continue
+        try:
+            record, _ = from_recording(recording, recording.stage_rows("breakaway"), "breakaway")
+        except IdentifyError as error:
+            found.notes.append(error.cause)
+            continue
+        shown = breakaway(record, estimate, max(estimate.rms_rad, 1e-9))
+        found.breakaway = shown.as_dict()
+        found.notes.append(f"breakaway: {shown.reason}")
+        if shown.friction_V is not None:
+            plus, minus, bias = shown.friction_V
+            found.estimates[sampled_data.METHOD] = replace(estimate, fc_plus_V=plus, fc_minus_V=minus, bias_V=bias)
+        return

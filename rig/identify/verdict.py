@@ -1,0 +1,217 @@
+"""Whether to believe an estimate: ok, doubtful or refused, with reasons that say what to record instead."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rig.identify import sampled_data
+from rig.identify.cycles import Cycle
+from rig.identify.estimate import PARAMETERS, Estimate
+from rig.identify.record import IdentifyError, Record
+from rig.model.motor import State
+from rig.model.sensitivity import Theta
+
+WIDE, TOO_WIDE = 0.1, 0.5  # half width of an interval, relative to its parameter
+NOISY, TOO_NOISY = 2.0, 8.0  # residual over the sensor's noise
+NEGLIGIBLE = 0.003  # residual over the spread of positions, below which it is no objection
+POOR, TOO_POOR = 0.1, 0.4  # residual of a reference method over the spread of positions
+SLIPPED = 0.3  # of a period, by which the drive seems to act beside its recorded times
+TRANSFER = 1.5  # residual of a second test predicted by the first's model, over that of its own
+STUCK = 0.3  # of the time
+FEW_CYCLES = 5
+
+
+def judge_sampled_data(estimate: Estimate, records: Sequence[Record], cycles: Sequence[Cycle]) -> Estimate:
+    """The sampled-data estimate with its verdict: intervals, bounds, residual, row convention, sticking, transfer."""
+    estimate = _intervals(estimate)
+    estimate = _bounds(estimate, records)
+    estimate = _residual(estimate, records)
+    estimate = _enough(estimate, cycles)
+    if estimate.verdict == "refused":
+        return estimate
+    estimate = _row_convention(estimate, records)
+    estimate = _sticking(estimate, records)
+    return _transfer(estimate, records)
+
+
+def judge_reference(estimate: Estimate, records: Sequence[Record], cycles: Sequence[Cycle]) -> Estimate:
+    """A triple-relay or describing-function estimate with its residual on the records, and its verdict.
+
+    The residual is that of the exact prediction under the recorded drive, with initial states, asymmetry and an
+    unknown delay fitted.
+    """
+    if not (estimate.tau_s > 0.0 and estimate.K_rad_s_V > 0.0 and estimate.fc_V >= 0.0):
+        return estimate.judged(
+            "refused",
+            f"no motor has tau = {estimate.tau_s:.3g} s, K = {estimate.K_rad_s_V:.3g} (rad/s)/V, fc = {estimate.fc_V:.3g} V: "
+            "record larger and slower cycles",
+        )
+    estimate = _enough(_intervals(estimate), cycles)
+    free = ["asym_V"]
+    bounds = None
+    delay = 0.0
+    if any(record.t_u_s is None for record in records):
+        period = max(record.period_s for record in records)
+        free.append("delay_s")
+        bounds, delay = (0.0, 2.0 * period), 0.5 * period
+    theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, 0.0, delay)
+    solution = sampled_data.refit(records, theta, free, bounds)
+    rms = math.sqrt(solution.cost / solution.residual.size)
+    estimate = replace(
+        estimate,
+        rms_rad=rms,
+        residual_rad=-solution.residual,
+        residual_t_s=np.concatenate(
+            [sampled_data.Piece.of(r, max(0.0, bounds[1] if bounds else 0.0)).t_s for r in records]
+        ),
+    )
+    share = rms / _spread(records)
+    if share > POOR:
+        return estimate.judged(
+            "refused" if share > TOO_POOR else "doubtful",
+            f"its model leaves {100 * share:.0f} % of the position unexplained: trust the sampled-data estimate; for this "
+            "method record slower cycles, or sample faster",
+        )
+    return estimate
+
+
+def _spread(records: Sequence[Record]) -> float:
+    return float(np.sqrt(np.mean([np.var(record.y_rad) for record in records])))
+
+
+def _intervals(estimate: Estimate) -> Estimate:
+    sizes = {"tau_s": estimate.tau_s, "K_rad_s_V": estimate.K_rad_s_V}
+    # friction is small or large against the largest drive's share of it, not against itself
+    fc = abs(estimate.fc_V)
+    sizes["fc_V"] = max(fc, 0.05)
+    for name, size in sizes.items():
+        if name not in estimate.ci95:
+            continue
+        low, high = estimate.ci95[name]
+        share = 0.5 * (high - low) / abs(size)
+        if not math.isfinite(share):
+            return estimate.judged(
+                "refused",
+                f"the record cannot tell {name} from the others: record a drive that moves the motor both ways",
+            )
+        if share > WIDE:
+            cure = "record more cycles, or slower and larger ones"
+            estimate = estimate.judged(
+                "refused" if share > TOO_WIDE else "doubtful",
+                f"{name} is only known to {100 * share:.0f} % (95 % interval): {cure}",
+            )
+    return estimate
+
+
+def _bounds(estimate: Estimate, records: Sequence[Record]) -> Estimate:
+    period = max(record.period_s for record in records)
+    duration = max(float(record.t_s[-1] - record.t_s[0]) for record in records)
+    if estimate.tau_s < 0.5 * period:
+        return estimate.judged(
+            "refused", f"tau = {estimate.tau_s:.3g} s is too fast for samples every {period:.3g} s: sample faster"
+        )
+    if estimate.tau_s > 2.0 * duration:
+        return estimate.judged(
+            "refused", f"tau = {estimate.tau_s:.3g} s is longer than the record of {duration:.3g} s: record longer"
+        )
+    if any(record.t_u_s is None for record in records) and not 1e-3 < estimate.delay_s / period < 1.999:
+        return estimate.judged(
+            "doubtful",
+            f"the delay is at its bound ({1e3 * estimate.delay_s:.1f} ms; 0 to 2 periods are looked at): check that u of a "
+            "row is the drive set after that row's y was read",
+        )
+    return estimate
+
+
+def _residual(estimate: Estimate, records: Sequence[Record]) -> Estimate:
+    noise = float(np.sqrt(np.mean([record.noise_rad() ** 2 for record in records])))
+    share = estimate.rms_rad / _spread(records)
+    if share > 0.5:
+        return estimate.judged(
+            "refused",
+            f"the model leaves {100 * share:.0f} % of the position unexplained: check that u and y belong together, their "
+            "signs and units",
+        )
+    if share > NEGLIGIBLE and estimate.rms_rad > NOISY * noise:
+        ratio = estimate.rms_rad / noise if noise > 0.0 else math.inf
+        return estimate.judged(
+            "refused" if ratio > TOO_NOISY and share > 0.1 else "doubtful",
+            f"the residual, {1e3 * estimate.rms_rad:.2g} mrad, is {ratio:.1f} times the sensor's noise: the motor is not "
+            "tau, K and Coulomb friction alone (stops, backlash, loads?), or the times are wrong",
+        )
+    return estimate
+
+
+def _enough(estimate: Estimate, cycles: Sequence[Cycle]) -> Estimate:
+    few = [cycle.cycles for cycle in cycles if cycle.cycles < FEW_CYCLES]
+    if few:
+        return estimate.judged("doubtful", f"only {min(few)} settled cycles: record ten")
+    return estimate
+
+
+def _row_convention(estimate: Estimate, records: Sequence[Record]) -> Estimate:
+    """With known t_u_s the drive must act then: a free delay has to come out as nothing."""
+    if any(record.t_u_s is None for record in records):
+        return estimate
+    period = max(record.period_s for record in records)
+    reach = 2.5 * period
+    theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, 0.0)
+    moved = sampled_data.refit(records, theta, PARAMETERS, (-reach, reach))
+    slip = float(moved.x[4])
+    gain = estimate.rms_rad**2 * moved.residual.size / moved.cost if moved.cost > 0.0 else math.inf
+    if abs(slip) > SLIPPED * period and gain > 1.02:
+        way = "later" if slip > 0.0 else "earlier"
+        return estimate.judged(
+            "refused" if abs(slip) > 2.0 * SLIPPED * period else "doubtful",
+            f"the drive seems to act {1e3 * abs(slip):.1f} ms {way} than t_u_s says: check that u stands in its own row "
+            "(y_k, then u_k, which acts from t_u_s of row k)",
+        )
+    return estimate
+
+
+def _sticking(estimate: Estimate, records: Sequence[Record]) -> Estimate:
+    motor = estimate.motor()
+    share = 0.0
+    for record in records:
+        late = int(np.searchsorted(record.t_s, record.edge_s[0]))
+        states = motor.response(State(y=float(record.y_rad[late])), record.t_s[late:], record.edge_s, record.u_V)
+        share = max(share, float(np.mean(states[:, 0] == 0.0)))
+    if share > STUCK:
+        return estimate.judged(
+            "doubtful", f"the motor stands still {100 * share:.0f} % of the time: record with more drive"
+        )
+    return estimate
+
+
+def _transfer(estimate: Estimate, records: Sequence[Record]) -> Estimate:
+    """Of several tests, the first one's model has to predict the others nearly as well as their own."""
+    if len(records) < 2:
+        return estimate
+    theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, estimate.delay_s)
+    unknown = any(record.t_u_s is None for record in records)
+    free = PARAMETERS if unknown else PARAMETERS[:4]
+    bounds = (0.0, 2.0 * max(record.period_s for record in records)) if unknown else None
+    theta = theta if unknown else theta._replace(delay_s=0.0)
+    try:
+        first = sampled_data.refit(records[:1], theta, free, bounds)
+        model = Theta(math.exp(first.x[0]), math.exp(first.x[1]), *(float(x) for x in first.x[2:5]))
+        ratios = []
+        for record in records[1:]:
+            own = sampled_data.refit([record], theta, free, bounds)
+            given = sampled_data.refit([record], model)
+            rms = math.sqrt(given.cost / given.residual.size)
+            if rms > NEGLIGIBLE * _spread([record]):
+                ratios.append(math.sqrt(given.cost / own.cost) if own.cost > 0.0 else math.inf)
+    except IdentifyError:
+        return estimate  # too short to be fitted alone
+    if ratios and max(ratios) > TRANSFER:
+        return estimate.judged(
+            "doubtful",
+            f"the first test's model predicts another with {max(ratios):.1f} times the residual of its own fit: friction or "
+            "gain depend on speed, amplitude or temperature; record the tests nearer to the use",
+        )
+    return estimate
