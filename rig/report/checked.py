@@ -43,7 +43,7 @@ def tracking(run: Run) -> Picture:
     panels[1, 0].set_ylabel("error yd − y, mrad")
     if largest > 0.0:
         panels[1, 0].set_ylim(-1.45 * largest, 1.45 * largest)
-    panels[0, -1].legend(loc="upper right", ncols=2, frameon=True, facecolor="white", edgecolor="none", framealpha=0.8)
+    panels[0, -1].legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, borderaxespad=0.0)
     return render(
         figure, run.backend, "Tracking with each model side by side: wanted and measured position, and the error.",
         "Tracking by feedback linearisation with each model: the same trajectory, gains and axes. The error shown is "

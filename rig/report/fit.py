@@ -131,7 +131,10 @@ def _predict(motor: Motor, edges: Array, u: Array, t: Array, y: Array) -> Predic
     def states(start: Array) -> Array:
         return motor.response(State(float(start[0]), float(start[1])), t, edge, drive)
 
-    best = least_squares(lambda start: states(start)[:, 1] - y, [guess, y[0]], method="lm", max_nfev=30)
+    def residual(start: Array) -> Array:
+        return np.asarray(states(start)[:, 1] - y)
+
+    best = least_squares(residual, [guess, y[0]], method="lm", max_nfev=30)
     path = states(best.x)
     return Predicted((t - t[0]) / (t[-1] - t[0]), y, path[:, 1], path[:, 0])
 
@@ -147,10 +150,11 @@ def average(phase: Array, values: Array, bins: int) -> tuple[Array, Array, Array
 
 
 def fits_of(run: Run) -> tuple[dict[str, Estimate], str]:
-    """Estimates made anew from the recording, with residual series and iterates; or why there are none, as a sentence."""
+    """Estimates made anew from the recording, with residuals and iterates; or why there are none, as a sentence."""
     if run.recording is None:
         return {}, "There are no samples, so there is no residual and no convergence to show."
     from rig.identify.sampled_data import fit
+
     try:
         records = [record_of(run, span) for span in run.spans("relay")]
         if not records:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 
@@ -33,7 +34,9 @@ def averaged_cycle(run: Run, span: Span) -> Picture:
     """One relay test: the averaged cycle with each model's prediction over it, and the residual below."""
     cycles = cycles_of(run, span)
     if cycles is None:
-        raise AbsentError(f"{stage_label(span.stage).capitalize()} has no two settled cycles, so there is no average to show.")
+        raise AbsentError(
+            f"{stage_label(span.stage).capitalize()} has no two settled cycles, so there is no average to show."
+        )
     methods = {m: e for m, e in run.estimates.items() if motor_of(e) is not None}
     if not methods:
         raise AbsentError("There is no estimated model to lay over the averaged cycle.")
@@ -55,7 +58,7 @@ def averaged_cycle(run: Run, span: Span) -> Picture:
         top.set_title(f"{method.replace('-', ' ')}")
         top.legend(loc="lower center", handlelength=2.4)  # below the crest, where the curve is not
         bottom.axhline(0.0, color=MUTED, lw=0.7)
-        bottom.plot(phase, residual, ".", color=colour(method), ms=1.6, alpha=0.35, mew=0, rasterized=phase.size > 5000)
+        bottom.plot(phase, residual, ".", color=colour(method), ms=1.6, alpha=0.35, mew=0, rasterized=True)
         bottom.plot(at_residual, mean_residual, color=colour(method), lw=1.2)
         reach = 1.1 * float(np.max(np.abs(residual)))
         bottom.set_ylim(-1.35 * reach, 1.35 * reach)
@@ -69,9 +72,9 @@ def averaged_cycle(run: Run, span: Span) -> Picture:
     stage = stage_label(span.stage)
     return render(
         figure, run.backend, f"Averaged cycle of {stage} with each model over it and the residual below.",
-        f"{stage.capitalize()}: average of {len(cycles)} cycles and what each model predicts of them under the recorded "
-        "drive, each cycle from its own best-fitting start. Below, recorded less predicted position: every sample a "
-        "point, the line their average. Each residual has its own scale.",
+        f"{stage.capitalize()}: average of {len(cycles)} cycles and what each model predicts of them under the "
+        "recorded drive, each cycle from its own best-fitting start. Below, recorded less predicted position: every "
+        "sample a point, the line their average. Each residual has its own scale.",
     )  # fmt: skip
 
 
@@ -91,7 +94,9 @@ def residuals(run: Run, method: str, fits: Mapping[str, Estimate]) -> Picture:
     series.set_ylabel("residual, mrad")
     series.set_title("over time")
     spread = float(np.std(r))
-    histogram.hist(r, bins=min(60, max(10, r.size // 30)), density=True, orientation="horizontal", color=colour(method), alpha=0.45)
+    histogram.hist(
+        r, bins=min(60, max(10, r.size // 30)), density=True, orientation="horizontal", color=colour(method), alpha=0.45
+    )
     if spread > 0.0:
         grid = np.linspace(float(r.min()), float(r.max()), 200)
         bell = np.exp(-0.5 * ((grid - r.mean()) / spread) ** 2) / (spread * math.sqrt(2.0 * math.pi))
@@ -111,8 +116,9 @@ def residuals(run: Run, method: str, fits: Mapping[str, Estimate]) -> Picture:
     note(correlation, f"{100 * outside:.0f} % of lags outside the 95 % band", loc="upper right")
     return render(
         figure, run.backend, f"Residual of the {method} estimate: over time, histogram, autocorrelation.",
-        f"Residual of the {method.replace('-', ' ')} estimate (RMS {spread:.3g} mrad about its mean, {r.size} samples). "
-        "A model that explains the data leaves white noise: bell-shaped, and about 5 % of lags outside the band.",
+        f"Residual of the {method.replace('-', ' ')} estimate (RMS {spread:.3g} mrad about its mean, {r.size} "
+        "samples). A model that explains the data leaves white noise: bell-shaped, and about 5 % of lags outside "
+        "the band.",
     )  # fmt: skip
 
 
@@ -120,7 +126,7 @@ def _pieces(t: Array) -> list[slice]:
     """Contiguous stretches of a series of times: cut where a step is beyond ten times the median."""
     steps = np.diff(t)
     cuts = [0, *(np.flatnonzero((steps > 10.0 * np.median(steps)) | (steps <= 0.0)) + 1).tolist(), t.size]
-    return [slice(a, b) for a, b in zip(cuts, cuts[1:], strict=False)]
+    return [slice(a, b) for a, b in pairwise(cuts)]
 
 
 def autocorrelation(pieces: list[Array], longest: int) -> tuple[Array, Array]:
@@ -194,6 +200,6 @@ def forest(run: Run) -> Picture:
     truth = " The dotted line is the emulated motor's true value." if run.truth else ""
     return render(
         figure, run.backend, "Estimates side by side with their 95 % intervals.",
-        "Estimates and 95 % intervals side by side. A hollow mark is an estimate whose verdict is not ok; a mark without "
-        "a bar has no interval." + truth,
+        "Estimates and 95 % intervals side by side. A hollow mark is an estimate whose verdict is not ok; a mark "
+        "without a bar has no interval." + truth,
     )  # fmt: skip

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.transforms import blended_transform_factory
 
 from rig.report.fit import Cycles, central_difference, cycles_of, predict_cycles
-from rig.report.source import Array, Json, Run, Span, number, section
+from rig.report.source import Array, Json, Run, Span, mappings, number, section
 from rig.report.style import (
     BANDS,
     DRIVE,
@@ -41,7 +41,9 @@ def whole_run(run: Run) -> Picture:
     raster = t.size > RASTER_FROM
     top.plot(t, y, color=MEASURED, lw=0.7, label="measured position", rasterized=raster)
     if np.isfinite(run.rows.yd_rad).any():
-        top.plot(t, run.rows.yd_rad, color="#E69F00", lw=1.0, ls=(0, (4, 2)), label="wanted position", rasterized=raster)
+        top.plot(
+            t, run.rows.yd_rad, color="#E69F00", lw=1.0, ls=(0, (4, 2)), label="wanted position", rasterized=raster
+        )
     _limits(top, run)
     top.set_ylabel("position y, rad")
     bottom.step(t, u, where="post", color=MEASURED, lw=0.6, rasterized=raster)
@@ -129,7 +131,7 @@ def relay_tests(run: Run) -> Picture:
         panels[0, column].plot(
             turns, np.interp(turns, time, y[rows]), "D", ms=4.5, mfc="white", mec="#009E73", mew=1.3, label="RA: v = 0"
         )
-        gains = next((r for r in run.result.get("relays", []) if r.get("stage") == span.stage), {})
+        gains = next((r for r in mappings(run.result.get("relays")) if r.get("stage") == span.stage), {})
         title = stage_label(span.stage)
         if gains:
             title += f":  h1 = {number(gains.get('h1_V')):.3g} V,  h2 = {number(gains.get('h2_V')):.3g} V"
@@ -195,8 +197,8 @@ def portraits(run: Run) -> Picture:
         ink = RELAY_STAGES[k % len(RELAY_STAGES)]
         mark = "osD^"[k % 4]
         label = stage_label(span.stage)
-        left.plot(y[rows], v[rows], mark, ms=1.8, color=ink, alpha=0.45, mew=0, label=label)
-        right.plot(y[rows], z[rows], mark, ms=1.8, color=ink, alpha=0.45, mew=0, label=label)
+        left.plot(y[rows], v[rows], mark, ms=1.8, color=ink, alpha=0.45, mew=0, label=label, rasterized=True)
+        right.plot(y[rows], z[rows], mark, ms=1.8, color=ink, alpha=0.45, mew=0, label=label, rasterized=True)
         cycles = cycles_of(run, span)
         best = next(iter(run.estimates.values()), {})
         for predicted in predict_cycles(run, best, Cycles(cycles.rows[-1:])) if cycles else ():
@@ -217,8 +219,8 @@ def portraits(run: Run) -> Picture:
     right.set_ylabel("integral of position z, rad s")
     left.set_title("velocity over position")
     right.set_title("integral over position")
-    note(left, "plane v = 0 (RA) green, y = 0 (RB) blue", loc="lower left", colour=MUTED)
-    note(right, "plane z = 0 (RC) orange, y = 0 (RB) blue", loc="lower left", colour=MUTED)
+    _name_planes(left, "RA: v = 0", "#009E73")
+    _name_planes(right, "RC: z = 0", "#D55E00")
     for axes in (left, right):  # the middle of a cycle is empty
         axes.legend(loc="center", markerscale=2.0, frameon=True, facecolor="white", edgecolor="none", framealpha=0.9)
     source = "the tachometer" if has_tachometer(run) else "the central difference of the position"
@@ -227,6 +229,15 @@ def portraits(run: Run) -> Picture:
         f"Phase portraits of the settled cycles with the three switching planes; velocity is {source}, every sample "
         "a point.",
     )  # fmt: skip
+
+
+def _name_planes(axes: Axes, horizontal: str, ink: str) -> None:
+    """Name the horizontal plane at its right end, and y = 0 at its foot."""
+    axes.margins(0.12, 0.1)
+    axes.annotate(horizontal, (1.0, 0.0), xycoords=("axes fraction", "data"), xytext=(3, 0),
+                  textcoords="offset points", va="center", fontsize=7.5, color=ink)  # fmt: skip
+    axes.annotate("RB: y = 0", (0.0, 0.0), xycoords=("data", "axes fraction"), xytext=(4, 3),
+                  textcoords="offset points", fontsize=7.5, color="#0072B2")  # fmt: skip
 
 
 def breakaway(run: Run) -> Picture:
@@ -259,7 +270,10 @@ def breakaway(run: Run) -> Picture:
     right.set_xlabel("|drive|, V")
     right.set_ylabel("displacement, mrad")
     right.set_title("displacement over drive")
-    right.legend(loc="upper left")
+    if right.get_legend_handles_labels()[0]:
+        right.legend(loc="upper left")
+    else:
+        note(right, "the run ended before a ramp")
     noise = 1e3 * number(found.get("noise_rad"))
     words = f" At rest the sensor's noise is {noise:.2g} mrad (standard deviation)." if math.isfinite(noise) else ""
     return render(
@@ -308,15 +322,16 @@ def gain_search(run: Run) -> Picture:
     settled = int(np.isfinite(amplitude).sum())
     return render(
         figure, run.backend, "Path of the gain search: gains, amplitude and period over time.",
-        f"Gain search: h2 is raised until a cycle settles, then both gains are trimmed towards the wanted amplitude and "
-        f"period (green). {len(steps)} pairs of gains were tried; a dot marks each of the {settled} that settled.",
+        f"Gain search: h2 is raised until a cycle settles, then both gains are trimmed towards the wanted amplitude "
+        f"and period (green). {len(steps)} pairs of gains were tried; a dot marks each of the {settled} that settled.",
     )  # fmt: skip
 
 
 def _search_steps(run: Run) -> list[Json]:
     """Steps of the search from the events, else from the result."""
     seen = [e for e in run.events if e.get("kind") == "search"]
-    recorded = run.result.get("search")
-    if not seen and isinstance(recorded, list):
-        seen = [s for s in recorded if isinstance(s, dict)]
-    return [s for s in seen if all(math.isfinite(number(s.get(k))) for k in ("t_s", "h1_V", "h2_V"))]
+    return [
+        s
+        for s in seen or mappings(run.result.get("search"))
+        if all(math.isfinite(number(s.get(k))) for k in ("t_s", "h1_V", "h2_V"))
+    ]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,8 @@ import jinja2
 import rig
 from rig.report import checked, fitted, measured
 from rig.report.fit import fits_of
-from rig.report.source import Json, Run, load, number, section
-from rig.report.style import AbsentError, Picture, short, stage_label, style
+from rig.report.source import Json, Run, load, mappings, number, section, texts
+from rig.report.style import AbsentError, Picture, short, style
 from rig.report.words import PARAMETERS, Quantity, headline, quantity, rounded
 
 REPORT = "report.html"
@@ -41,7 +41,7 @@ def write_report(run_folder: Path) -> Path:
     path = run.folder / REPORT
     half = path.with_name(f".{REPORT}.part")
     half.write_text(page, encoding="utf-8")
-    os.replace(half, path)
+    half.replace(path)
     return path
 
 
@@ -65,7 +65,8 @@ def render_page(run: Run) -> str:
         tracking=_tracking(run),
         loop=_loop(run),
         facts=_facts(run),
-        notes=[str(n) for n in run.result.get("notes") or ()],
+        started=_started(run),
+        notes=list(texts(run.result.get("notes"))),
     )
 
 
@@ -132,7 +133,7 @@ def _estimates(run: Run) -> list[EstimateRow]:
                 str(e.get("iterations", "–")),
                 f"{rows[0]} to {rows[1]}" if isinstance(rows, list) and len(rows) == 2 else "–",
                 str(e.get("verdict", "not judged")),
-                tuple(str(r) for r in e.get("reasons") or ()),
+                texts(e.get("reasons")),
             )
         )
     return table
@@ -140,13 +141,11 @@ def _estimates(run: Run) -> list[EstimateRow]:
 
 def _relays(run: Run) -> list[Json]:
     """Relay tests as the result has them; every value a pair of exact number (or None) and text."""
-    recorded = run.result.get("relays")
-    table = []
-    for relay in recorded if isinstance(recorded, list) else []:
-        if isinstance(relay, dict):
-            keys = ("h1_V", "h2_V", "period_s", "amplitude_rad", "cycles")
-            table.append({"stage": stage_label(str(relay.get("stage", ""))), "cells": [_cell(relay.get(k)) for k in keys]})
-    return table
+    keys = ("h1_V", "h2_V", "period_s", "amplitude_rad", "cycles")
+    return [
+        {"stage": str(relay.get("stage", "")).replace("-", " "), "cells": [_cell(relay.get(k)) for k in keys]}
+        for relay in mappings(run.result.get("relays"))
+    ]
 
 
 def _cell(value: Any, factor: float = 1.0) -> tuple[float | None, str]:
@@ -178,6 +177,15 @@ def _loop(run: Run) -> Json:
         "late": [(name, _cell(late.get(key))) for name, key in
                  (("median", "p50"), ("99 %", "p99"), ("99.9 %", "p999"), ("largest", "max"))],
     }  # fmt: skip
+
+
+def _started(run: Run) -> str:
+    """When the run started, in words; empty where it is not recorded."""
+    try:
+        started = datetime.fromisoformat(str(run.meta.get("started_utc")))
+    except ValueError:
+        return ""
+    return f"{started:%Y-%m-%d %H:%M:%S} UTC"
 
 
 def _facts(run: Run) -> list[tuple[str, str]]:

@@ -101,7 +101,8 @@ class Run:
             unique[code, detail] = {
                 "code": code,
                 "cause": fault.get("cause") or (known.cause if known else "not recorded"),
-                "cure": fault.get("cure") or (known.cure if known else "look the code up in docs, or ask with this report"),
+                "cure": fault.get("cure")
+                or (known.cure if known else "look the code up in docs, or ask with this report"),
                 "detail": detail,
                 "t_s": fault.get("t_s", old.get("t_s")),
             }
@@ -152,6 +153,16 @@ def numbers(of: Any) -> dict[str, float]:
     """The finite numbers of a mapping."""
     items = of.items() if isinstance(of, dict) else ()
     return {k: number(v) for k, v in items if math.isfinite(number(v))}
+
+
+def mappings(value: Any) -> list[Json]:
+    """The mappings in a list; none where ``value`` is no list."""
+    return [v for v in value if isinstance(v, dict)] if isinstance(value, list) else []
+
+
+def texts(value: Any) -> tuple[str, ...]:
+    """The items of a list as texts; none where ``value`` is no list."""
+    return tuple(str(v) for v in value) if isinstance(value, list) else ()
 
 
 def interval(estimate: Json, key: str) -> tuple[float, float] | None:

@@ -13,9 +13,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 WIDTH_IN = 10.0
 INK = "#1f2328"
@@ -36,7 +38,7 @@ METHODS: dict[str, tuple[str, str, str]] = {  # colour, line style, short name
 RELAY_STAGES = ("#0072B2", "#E69F00", "#CC79A7", "#56B4E9")
 BANDS = {"breakaway": "#eceef1", "search": "#f8efd6", "relay": "#dfecf6", "track": "#e2f1ea"}
 
-RC: dict[str, Any] = {
+RC: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
     "axes.titlesize": 9.0,
@@ -123,7 +125,7 @@ def stage_label(stage: str) -> str:
 
 def new_figure(height_in: float) -> Figure:
     """An empty figure of the page's width."""
-    return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    return Figure(figsize=(WIDTH_IN, height_in))
 
 
 def style() -> Any:
@@ -151,11 +153,13 @@ def render(figure: Figure, backend: str, alt: str, caption: str) -> Picture:
         1.0 - 0.06 / WIDTH_IN, 0.03 / height, plain("\n".join(words)),
         ha="right", va="bottom", fontsize=6.5, color=MUTED,
     )  # fmt: skip
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.set(rect=(0.0, foot_in / height, 1.0, 1.0 - foot_in / height))  # type: ignore[call-arg]
-    buffer = io.BytesIO()
     FigureCanvasSVG(figure)
+    # laid out once, by hand: saving with an engine would draw everything once more
+    engine = ConstrainedLayoutEngine(rect=(0.0, foot_in / height, 1.0, 1.0 - foot_in / height))
+    engine.execute(figure)
+    for axes in figure.axes:  # its solver is exact to rounding only, and the same run shall give the same file
+        axes.set_position(np.round(axes.get_position().bounds, 6).tolist())
+    buffer = io.BytesIO()
     figure.savefig(buffer, format="svg", dpi=160, metadata={"Date": None, "Creator": None})
     encoded = base64.b64encode(buffer.getvalue()).decode("ascii")
     return Picture(f"data:image/svg+xml;base64,{encoded}", f"{alt} Backend: {backend}.", caption)

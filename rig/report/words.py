@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from rig.report.source import Json, Run, interval, number, section
+from rig.report.source import Json, Run, interval, number, section, texts
 
 Outcome = Literal["ok", "doubtful", "refused", "none"]
 
@@ -120,14 +120,16 @@ def headline(run: Run) -> Headline:
     if not estimate:
         return _nothing(run)
     outcome: Outcome = next((o for o in ("ok", "doubtful", "refused") if o == estimate.get("verdict")), "doubtful")
-    reasons = tuple(str(r) for r in estimate.get("reasons") or ())
+    reasons = texts(estimate.get("reasons"))
     quantities = tuple(quantity(p, estimate, run.truth) for p in HEADLINE_PARAMETERS)
     name = method.replace("-", " ")
     sentences: list[str] = []
     next_steps: list[Step] = []
     if outcome == "refused":
         title = "No model: the estimate was refused"
-        sentences.append(f"The {name} estimate does not describe this motor. Its values are shown below for diagnosis only.")
+        sentences.append(
+            f"The {name} estimate does not describe this motor. Its values are shown below for diagnosis only."
+        )
         next_steps.append(Step("Do not use these values. Follow what each reason says, then run the experiment again."))
     else:
         title = "The motor is identified" if outcome == "ok" else "Identified, but doubtful"
@@ -149,13 +151,15 @@ def _plain_words(quantities: tuple[Quantity, ...], run: Run) -> list[str]:
     if tau is None or gain is None or friction is None:
         return []
     words = (
-        f"After a step of drive the shaft reaches 63 % of its final speed in {1e3 * tau:.0f} ms; each volt beyond friction "
-        f"adds {gain:.3g} rad/s; Coulomb friction takes {friction:.3g} V of the drive."
+        f"After a step of drive the shaft reaches 63 % of its final speed in {1e3 * tau:.0f} ms; each volt beyond "
+        f"friction adds {gain:.3g} rad/s; Coulomb friction takes {friction:.3g} V of the drive."
     )
     found = section(run.result, "breakaway")
     plus, minus = number(found.get("static_plus_V")), number(found.get("static_minus_V"))
     if math.isfinite(plus) and math.isfinite(minus):
-        words += f" From rest it takes {plus:.3g} V towards rising and {minus:.3g} V towards falling positions to move it."
+        words += (
+            f" From rest it takes {plus:.3g} V towards rising and {minus:.3g} V towards falling positions to move it."
+        )
     return [words]
 
 
@@ -170,7 +174,11 @@ def _nothing(run: Run) -> Headline:
         steps = (
             (Step("See the fault below for its cause and cure, then run again."),)
             if run.faults
-            else (Step("This run held no relay test that could be identified; run the whole experiment:", "rig run CONFIG"),)
+            else (
+                Step(
+                    "This run held no relay test that could be identified; run the whole experiment:", "rig run CONFIG"
+                ),
+            )
         )
-    notes = tuple(str(n) for n in run.result.get("notes") or ())
+    notes = texts(run.result.get("notes"))
     return Headline("none", title, (), notes, steps, "", ())

@@ -40,7 +40,7 @@ class Bench:
     """The motor behind a sampler: one call to ``tick`` is one row."""
 
     rng: np.random.Generator
-    state: State = State()
+    state: State = field(default_factory=State)
     u_V: float = 0.0
     z_rad_s: float = 0.0
     last_y: float | None = None

@@ -1,0 +1,343 @@
+"""The whole page: valid, self-contained, true to result.json, honest about what is missing."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import math
+import shutil
+from collections.abc import Callable
+from html.parser import HTMLParser
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from synthetic_run import BACKEND, write_run
+
+from rig.faults import FAULTS, Fault
+from rig.report import write_report
+from rig.report.page import render_page
+from rig.report.source import load
+
+FILES = ("samples.csv", "meta.json", "events.jsonl", "config.yaml", "result.json")
+VOID = {"meta", "img", "br", "link", "hr", "input", "wbr"}
+
+
+class Page(HTMLParser):
+    """What tests look at; raises AssertionError on unbalanced tags."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.stack: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text: list[str] = []
+        self.values: list[float] = []
+        self.feed(text)
+        self.close()
+        assert self.stack == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.stack.append(tag)
+        if tag == "data":
+            self.values.append(float(str(dict(attrs)["value"])))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.stack and self.stack[-1] == tag, f"</{tag}> closes <{self.stack[-1:]}> at {self.getpos()}"
+        self.stack.pop()
+
+    def handle_data(self, data: str) -> None:
+        if self.stack and self.stack[-1] not in ("style", "script"):
+            self.text.append(data)
+
+    @property
+    def words(self) -> str:
+        return " ".join(" ".join(self.text).split())
+
+    def images(self) -> list[dict[str, str | None]]:
+        return [attrs for tag, attrs in self.tags if tag == "img"]
+
+
+def page_of(folder: Path) -> Page:
+    return Page(write_report(folder).read_text(encoding="utf-8"))
+
+
+def svg_of(image: dict[str, str | None]) -> str:
+    prefix, _, data = str(image["src"]).partition(",")
+    assert prefix == "data:image/svg+xml;base64"
+    return base64.b64decode(data).decode("utf-8")
+
+
+@pytest.fixture(scope="module")
+def complete(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_run(tmp_path_factory.mktemp("run") / "20260509T120000Z-synthetic")
+
+
+@pytest.fixture(scope="module")
+def page(complete: Path) -> Page:
+    return page_of(complete)
+
+
+@pytest.fixture
+def run(complete: Path, tmp_path: Path) -> Path:
+    """A copy of the complete run to break."""
+    return Path(shutil.copytree(complete, tmp_path / complete.name))
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made but not rendered: what can go wrong with missing data goes wrong before that."""
+    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: None)
+    monkeypatch.setattr(Figure, "savefig", lambda self, buffer, **options: buffer.write(b"<svg/>"))
+
+
+def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    value = json.loads(path.read_text())
+    change(value)
+    path.write_text(json.dumps(value))
+
+
+def test_the_page_is_balanced_with_unique_ids_and_targets_for_its_links(page: Page) -> None:
+    ids = [attrs["id"] for _, attrs in page.tags if "id" in attrs]
+    assert len(ids) == len(set(ids))
+    links = [str(attrs["href"]) for tag, attrs in page.tags if tag == "a"]
+    assert links
+    assert {link.removeprefix("#") for link in links} <= set(ids)
+
+
+def test_nothing_is_loaded_from_elsewhere(page: Page, complete: Path) -> None:
+    for tag, attrs in page.tags:
+        assert tag not in ("script", "link", "iframe", "object", "embed")
+        for name in ("src", "href", "srcset", "action", "poster"):
+            target = attrs.get(name)
+            assert target is None or target.startswith(("data:", "#"))
+    text = (complete / "report.html").read_text()
+    style = text[text.index("<style>") : text.index("</style>")]
+    assert "url(" not in style
+    assert "@import" not in style
+    for image in page.images():
+        svg = svg_of(image)
+        for part in svg.split("href=")[1:]:
+            assert part.startswith(('"#', '"data:'))
+
+
+def test_every_figure_names_the_backend_in_picture_alt_and_caption(page: Page) -> None:
+    images = page.images()
+    assert len(images) == 12
+    for image in images:
+        # glyphs are outlines; matplotlib writes the string beside them as a comment
+        assert f"backend: {BACKEND}" in html.unescape(svg_of(image))
+        assert BACKEND in str(image["alt"])
+    assert page.words.count(f"Backend: {BACKEND}.") == len(images)
+
+
+def test_header_and_footer_of_printed_pages_name_the_backend(page: Page, complete: Path) -> None:
+    assert page.words.startswith(f"{complete.name} – identification report {complete.name} · backend: {BACKEND}")
+    assert page.words.endswith(f"{complete.name} · backend: {BACKEND}")
+    text = (complete / "report.html").read_text()
+    assert "display: table-header-group; break-inside: avoid" in text
+    assert "display: table-footer-group; break-inside: avoid" in text
+
+
+def test_numbers_are_those_of_the_result(page: Page, complete: Path) -> None:
+    result = json.loads((complete / "result.json").read_text())
+    expected = []
+    for estimate in result["estimates"].values():
+        expected += [estimate[k] for k in ("tau_s", "K_rad_s_V", "fc_V", "asym_V", "delay_s", "rms_rad")]
+    for relay in result["relays"]:
+        expected += [relay[k] for k in ("h1_V", "h2_V", "period_s", "amplitude_rad", "cycles")]
+    for tracked in result["tracking"].values():
+        expected += [tracked[k] for k in ("rms_rad", "max_rad") if k in tracked]
+    expected += [result["loop"]["ticks"], *result["loop"]["late_us"].values()]
+    for value in expected:
+        assert value in page.values
+
+
+def test_headline_gives_the_values_with_interval_and_error_in_words(page: Page) -> None:
+    assert "The motor is identified" in page.words
+    assert "63 % of its final speed in 170 ms" in page.words
+    assert "95 % interval 0.1694 to 0.1714 (± 0.6 %)" in page.words
+    assert "+0.25 % off the emulated motor's value" in page.words  # 0.17042 against 0.17
+    assert "rig track CONFIG --model" in page.words
+
+
+def test_reasons_and_what_was_not_run_are_said(page: Page) -> None:
+    assert "triple relay is doubtful: the position extremum is located no better than 1.2 ms" in page.words
+    assert "not run: its simulation on the best model leaves the soft limits (1.31 rad, limit 1.10 rad)" in page.words
+
+
+def test_the_same_folder_gives_the_same_page(page: Page, complete: Path) -> None:
+    before = (complete / "report.html").read_bytes()
+    write_report(complete)
+    assert (complete / "report.html").read_bytes() == before
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize("gone", [c for n in range(1, 6) for c in combinations(FILES, n)], ids=lambda c: "+".join(c))
+def test_any_subset_of_files_makes_a_page_that_says_what_is_missing(run: Path, gone: tuple[str, ...]) -> None:
+    for name in gone:
+        (run / name).unlink()
+    page = page_of(run)
+    for name in FILES:
+        assert (f"{name} is missing" in page.words) == (name in gone)
+    samples, result = "samples.csv" not in gone, "result.json" not in gone
+    steps = result or "events.jsonl" not in gone  # of the gain search
+    # whole run, breakaway, relays, portraits, residual, convergence, tracking, timing; two averaged cycles need a model
+    assert len(page.images()) == 8 * samples + 2 * (samples and result) + result + steps
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(
+    ("rows", "drawn", "not_drawn"),
+    [
+        (3, "Position and drive over the whole run", "There was no relay test"),
+        (300, "Breakaway check", "There was no relay test, so there is no limit cycle to show"),
+        (800, "Gain search", "There was no relay test, so there is no averaged cycle"),
+        (1130, "The last four periods", "no two settled cycles"),
+        (2000, "Residual of the sampled data estimate", "No model was driven along the trajectory"),
+        (3500, "Tracking by feedback linearisation", "There is no estimated model to lay over"),
+    ],
+)
+def test_a_killed_run_shows_what_there_is(run: Path, rows: int, drawn: str, not_drawn: str) -> None:
+    lines = (run / "samples.csv").read_text().splitlines(keepends=True)
+    (run / "samples.csv").write_text("".join(lines[: rows + 1]) + lines[rows + 1][:11])
+    (run / "result.json").unlink()
+    page = page_of(run)
+    assert "No result: the run ended before it had one" in page.words
+    assert f"line {rows + 2}, the last, is torn" in page.words
+    assert f"rig identify {run}" in page.words
+    assert drawn in page.words
+    assert not_drawn in page.words
+
+
+@pytest.mark.parametrize("content", ["", "tick,seq\n", "not a table", "t_s,u_V,y_rad\n0,0,0\n0,0,0\n0,0,0\n"])
+def test_unusable_samples_are_said_with_their_cause(run: Path, content: str) -> None:
+    (run / "samples.csv").write_text(content)
+    page = page_of(run)
+    assert "nothing that was measured can be shown" in page.words
+    assert "There are no samples to draw" in page.words
+    assert len(page.images()) == 2  # the estimates side by side, and the gain search from the events
+
+
+def test_broken_small_files_are_said(run: Path) -> None:
+    (run / "samples.csv").unlink()
+    (run / "result.json").write_text('{"schema": 1, "estim')
+    (run / "meta.json").write_text("[1]")
+    (run / "config.yaml").write_text("a: [")
+    (run / "events.jsonl").write_text('{"t_s": 0.1, "kind": "stage"}\n{"t_s"')
+    words = page_of(run).words
+    assert "result.json cannot be read" in words
+    assert "meta.json does not hold an object" in words
+    assert "config.yaml is no valid YAML" in words
+    assert "events.jsonl: 1 line(s) are torn or broken" in words
+
+
+def test_a_fault_is_on_top_with_cause_and_cure(run: Path) -> None:
+    fault = Fault("TRAVEL_HARD", "y = 1.92 rad, hard limit 1.90 rad")
+    (run / "samples.csv").unlink()
+    edit(run / "result.json", lambda r: r.update(faults=[fault.as_dict()]))
+    with (run / "events.jsonl").open("a") as f:
+        f.write(json.dumps({"t_s": 12.345, "kind": "fault", **fault.as_dict()}) + "\n")
+    words = page_of(run).words
+    assert words.count("Fault TRAVEL_HARD") == 1
+    assert FAULTS["TRAVEL_HARD"].cause in words
+    assert FAULTS["TRAVEL_HARD"].cure in words
+    assert "y = 1.92 rad, hard limit 1.90 rad at 12.345 s" in words
+    assert words.index("Fault TRAVEL_HARD") < words.index("What was measured")
+
+
+def test_a_refused_estimate_gives_no_recommendation(run: Path) -> None:
+    def refuse(result: dict[str, Any]) -> None:
+        result["estimates"]["sampled-data"].update(
+            verdict="refused", reasons=["the residual is not white: record more"]
+        )
+
+    (run / "samples.csv").unlink()
+    edit(run / "result.json", refuse)
+    page = page_of(run)
+    assert "No model: the estimate was refused" in page.words
+    assert "the residual is not white: record more" in page.words
+    assert "Do not use these values" in page.words
+    assert "rig track" not in page.words
+
+
+def test_a_doubtful_estimate_says_why_and_what_to_do(run: Path) -> None:
+    reasons = ["only 4 cycles: record ten", "f_c is uncertain by 20 %: raise h2"]
+    (run / "samples.csv").unlink()
+    edit(run / "result.json", lambda r: r["estimates"]["sampled-data"].update(verdict="doubtful", reasons=reasons))
+    words = page_of(run).words
+    assert "Identified, but doubtful" in words
+    assert all(reason in words for reason in reasons)
+    assert "Treat the values as a first guess" in words
+
+
+def test_words_from_files_are_never_markup_or_mathematics(run: Path) -> None:
+    nasty = '<script>alert("1")</script> $\\frac{1$ --> & ]]>'
+    edit(run / "meta.json", lambda m: m.update(backend=nasty))
+    edit(run / "result.json", lambda r: r.update(notes=[nasty], faults=[{"code": nasty, "t_s": 3.0}]))
+    page = page_of(run)
+    assert nasty in page.words
+    assert "script" not in {tag for tag, _ in page.tags}
+    assert all(nasty in str(image["alt"]) for image in page.images())
+
+
+def test_virtual_time_has_no_timing_figure(run: Path) -> None:
+    lines = (run / "samples.csv").read_text().splitlines(keepends=True)
+    (run / "samples.csv").write_text("".join(lines[:200]))
+    edit(run / "meta.json", lambda m: m.update(backend="simulated (virtual time)"))
+    page = page_of(run)
+    assert "simulated in virtual time: its clock waits for the computation" in page.words
+    assert "Timing of the loop, counts" not in page.words
+
+
+def test_a_folder_that_is_none_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="is not a run folder"):
+        write_report(tmp_path / "nowhere")
+
+
+ANY_JSON = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+NUMBER = st.floats() | st.none() | ANY_JSON
+ESTIMATE = st.dictionaries(
+    st.sampled_from(
+        ["tau_s", "K_rad_s_V", "fc_V", "asym_V", "delay_s", "ci95", "rms_rad", "verdict", "reasons", "rows"]
+    ),
+    NUMBER | st.dictionaries(st.sampled_from(["tau_s", "K_rad_s_V", "fc_V"]), st.lists(NUMBER, max_size=3)),
+)
+RESULT = st.fixed_dictionaries(
+    {},
+    optional={
+        "backend": ANY_JSON,
+        "estimates": ANY_JSON | st.dictionaries(st.sampled_from(["sampled-data", "triple-relay", "own"]), ESTIMATE),
+        "relays": ANY_JSON,
+        "tracking": ANY_JSON | st.dictionaries(st.text(max_size=5), ANY_JSON),
+        "loop": ANY_JSON,
+        "faults": ANY_JSON,
+        "notes": ANY_JSON,
+        "breakaway": ANY_JSON,
+        "search": ANY_JSON,
+    },
+)
+
+
+@pytest.mark.usefixtures("undrawn")
+@given(result=RESULT, meta=st.dictionaries(st.sampled_from(["backend", "truth", "versions", "period_s"]), ANY_JSON))
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_no_result_however_odd_keeps_the_page_from_being_made(
+    tmp_path: Path, result: dict[str, Any], meta: dict[str, Any]
+) -> None:
+    (tmp_path / "result.json").write_text(json.dumps(result))
+    (tmp_path / "meta.json").write_text(json.dumps(meta))
+    page = Page(render_page(load(tmp_path)))
+    assert "samples.csv is missing" in page.words
+    assert not any(math.isnan(value) for value in page.values)
