@@ -16,9 +16,11 @@ EVENTS = [
     {"t_s": 0.0, "kind": "stage", "name": "breakaway"},
     {"t_s": 3.0, "kind": "breakaway", "plus_V": 0.61, "minus_V": 0.57, "noise_rad": 0.003},
     {"t_s": 3.1, "kind": "stage", "name": "search"},
-    {"t_s": 6.0, "kind": "search", "h1_V": 0.3, "h2_V": 0.7, "period_s": None, "amplitude_rad": None, "outcome": "no oscillation"},
+    {"t_s": 6.0, "kind": "search", "h1_V": 0.3, "h2_V": 0.7, "period_s": None, "amplitude_rad": None}
+    | {"outcome": "no oscillation"},
     {"t_s": 9.0, "kind": "stage", "name": "relay-1"},
-    {"t_s": 11.0, "kind": "cycle", "stage": "relay-1", "number": 2, "settled": True, "period_s": 1.0, "amplitude_rad": 0.58},
+    {"t_s": 11.0, "kind": "cycle", "stage": "relay-1", "number": 2, "settled": True, "period_s": 1.0}
+    | {"amplitude_rad": 0.58},
     {"t_s": 12.0, "kind": "fault", "code": "POLARITY", "cause": "the shaft moves against the drive", "cure": "swap"},
     {"t_s": 12.1, "kind": "end"},
 ]  # fmt: skip
