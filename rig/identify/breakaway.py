@@ -100,7 +100,7 @@ def _ramp(record: Record, estimate: Estimate, sign: float, noise_rad: float) -> 
     levels = levels[levels > moving]
     if levels.size == 0:
         return None
-    # Between two levels that the ramp visits nothing changes: one trial each, just below every level, and one above all.
+    # Between two levels that the ramp visits nothing changes: one trial for each gap, and one above all levels.
     lows = np.concatenate(([moving], levels))
     trials = [*(0.5 * (a + b) for a, b in zip(lows[:-1], levels, strict=True)), 2.0 * levels[-1]]
     costs = np.empty(len(trials))
@@ -127,8 +127,8 @@ def split(plus: Ramp, minus: Ramp, estimate: Estimate) -> tuple[tuple[float, flo
     """(fc_plus, fc_minus, bias), V, or None; and the reason in words.
 
     With static and moving friction equal, bias and direction never separate: moving shows fc_plus - bias and
-    fc_minus + bias, and so does the band in which the motor sticks. If static friction is r > 1 times the moving one, with one
-    ratio both ways, then (r - 1) fc_plus and (r - 1) fc_minus show beside them.
+    fc_minus + bias, and so does the band in which the motor sticks. If static friction is r > 1 times the moving one,
+    with one ratio both ways, then (r - 1) fc_plus and (r - 1) fc_minus show beside them.
     """
     moving = (estimate.fc_V - estimate.asym_V, estimate.fc_V + estimate.asym_V)
     ratio = (plus.static_V + minus.static_V) / (2.0 * estimate.fc_V) if estimate.fc_V > 0.0 else math.inf

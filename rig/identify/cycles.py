@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -216,7 +217,7 @@ def _halves(record: Record, gains: Gains) -> _Halves:
     acts = record.edge_s
     margin = 3.0 * record.period_s
     found = []
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+    for begin, end in pairwise(edges):
         sign = float(state[begin])
         t0 = float(acts[begin])
         length = float(acts[end]) - t0
@@ -232,8 +233,8 @@ def _halves(record: Record, gains: Gains) -> _Halves:
 def _settled(record: Record, waves: list[Wave], resolution_rad: float) -> tuple[int, int]:
     """Longest run of cycles whose period and amplitude stay: (first, stop).
 
-    A relay that decides once a tick makes cycles jitter by more than a tick, so three in a row have to agree closely, and
-    the others roughly.
+    A relay that decides once a tick makes cycles jitter by more than a tick, so three in a row have to agree closely,
+    and the others roughly.
     """
     periods = np.array([wave.period_s for wave in waves])
     amplitudes = np.array([wave.amplitude_rad for wave in waves])

@@ -61,7 +61,7 @@ class Estimate:
         """(5, 5) correlation of ``PARAMETERS``; nan where a parameter was not estimated."""
         spread = np.sqrt(np.diag(self.covariance))
         outer = np.outer(spread, spread)
-        return np.divide(self.covariance, outer, out=np.full((5, 5), np.nan), where=outer > 0.0)
+        return np.asarray(np.divide(self.covariance, outer, out=np.full((5, 5), np.nan), where=outer > 0.0))
 
     def motor(self) -> Motor:
         """The identified motor: Coulomb friction fc_V, its asymmetry as a bias."""

@@ -117,7 +117,7 @@ class Record:
         """
         differences = np.diff(self.y_rad, 4)
         scatter = 1.4826 * float(np.median(np.abs(differences))) / np.sqrt(70.0) if differences.size else 0.0
-        return max(scatter, self.resolution_rad() / np.sqrt(12.0))
+        return float(max(scatter, self.resolution_rad() / np.sqrt(12.0)))
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """The sampled-data estimator (theory section 8): predict the recorded position under the recorded drive.
 
 The commanded voltage is known exactly at every sample, so nothing has to be read off the curve: the exact motor under
-the recorded drive is fitted to the recorded positions by least squares. Any drive that moves the motor both ways will do.
+the recorded drive is fitted to the recorded positions by least squares. Any drive that moves the motor both ways
+will do.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ METHOD = "sampled-data"
 SHARED = 5  # tau, K, fc, asym, delay: what all records have in common
 POLISHED = 3  # starts that are iterated to the end
 MAX_ITERATIONS = 100
+LARGEST_LOG_K = 40.0  # keeps exp(log K) finite
 SINGULAR = 1e10  # condition of the scaled Jacobian beyond which parameters cannot be told apart
 
 
@@ -82,8 +84,8 @@ class Problem:
         period = min(piece.period_s for piece in self.pieces)
         duration = max(float(piece.t_s[-1] - piece.t_s[0]) for piece in self.pieces)
         largest = max(max(abs(u) for u in piece.drive.u_V) for piece in self.pieces)
-        low = [math.log(0.2 * period), -math.inf, 0.0, -largest, self.delay_bounds_s[0]]
-        high = [math.log(10.0 * duration), math.inf, largest, largest, self.delay_bounds_s[1]]
+        low = [math.log(0.2 * period), -LARGEST_LOG_K, 0.0, -largest, self.delay_bounds_s[0]]
+        high = [math.log(10.0 * duration), LARGEST_LOG_K, largest, largest, self.delay_bounds_s[1]]
         nuisance = 2 * len(self.pieces)
         return np.array(low + [-math.inf] * nuisance), np.array(high + [math.inf] * nuisance)
 
@@ -121,17 +123,20 @@ class Problem:
             if key not in cached:
                 cached.clear()
                 full[mask] = part
-                residual, jacobian = self.residual_and_jacobian(full)
-                cached[key] = residual, jacobian[:, mask]
+                values, derivatives = self.residual_and_jacobian(full)
+                cached[key] = values, derivatives[:, mask]
             return cached[key]
 
         def jacobian(part: Array) -> Array:
-            residual_jacobian = evaluate(part)[1]
+            derivatives = evaluate(part)[1]
             iterates.append(np.array([math.exp(full[0]), math.exp(full[1]), full[2]]))
-            return residual_jacobian
+            return derivatives
+
+        def residual(part: Array) -> Array:
+            return evaluate(part)[0]
 
         found = least_squares(
-            lambda part: evaluate(part)[0],
+            residual,
             np.clip(x0[mask], low + margin, high - margin),
             jac=jacobian,
             bounds=(low, high),
@@ -142,8 +147,8 @@ class Problem:
             max_nfev=MAX_ITERATIONS,
         )
         full[mask] = found.x
-        residual, full_jacobian = self.residual_and_jacobian(full)
-        return Solution(full.copy(), residual, full_jacobian, np.array(iterates), found.status > 0)
+        left, full_jacobian = self.residual_and_jacobian(full)
+        return Solution(full.copy(), left, full_jacobian, np.array(iterates), found.status > 0)
 
 
 @dataclass(frozen=True)
@@ -366,7 +371,7 @@ def covariance_of(jacobian: Array, residual: Array, lengths: Sequence[int], bloc
 
 
 def correlated(residual: Array, lengths: Sequence[int], block: int) -> bool:
-    """Whether residuals are far from white: the Ljung-Box sum over ``block`` lags (at most 20) beyond chance of 1 in 1000."""
+    """Whether residuals are far from white: the Ljung-Box sum over ``block`` lags (at most 20), at 0.1 %."""
     n = residual.size
     lags = max(1, min(block, 20, min(lengths) - 1))
     power = float(residual @ residual)
@@ -382,4 +387,5 @@ def correlated(residual: Array, lengths: Sequence[int], block: int) -> bool:
         total += (product / power) ** 2 / (n - lag)
     statistic = n * (n + 2) * total
     # Wilson and Hilferty: the cube root of chi-squared over its degrees is nearly normal.
-    return ((statistic / lags) ** (1 / 3) - (1 - 2 / (9 * lags))) / math.sqrt(2 / (9 * lags)) > 3.09
+    normal = ((statistic / lags) ** (1 / 3) - (1 - 2 / (9 * lags))) / math.sqrt(2 / (9 * lags))
+    return bool(normal > 3.09)

@@ -47,8 +47,8 @@ def judge_reference(estimate: Estimate, records: Sequence[Record], cycles: Seque
     if not (estimate.tau_s > 0.0 and estimate.K_rad_s_V > 0.0 and estimate.fc_V >= 0.0):
         return estimate.judged(
             "refused",
-            f"no motor has tau = {estimate.tau_s:.3g} s, K = {estimate.K_rad_s_V:.3g} (rad/s)/V, fc = {estimate.fc_V:.3g} V: "
-            "record larger and slower cycles",
+            f"no motor has tau = {estimate.tau_s:.3g} s, K = {estimate.K_rad_s_V:.3g} (rad/s)/V, "
+            f"fc = {estimate.fc_V:.3g} V: record larger and slower cycles",
         )
     estimate = _enough(_intervals(estimate), cycles)
     free = ["asym_V"]
@@ -73,8 +73,8 @@ def judge_reference(estimate: Estimate, records: Sequence[Record], cycles: Seque
     if share > POOR:
         return estimate.judged(
             "refused" if share > TOO_POOR else "doubtful",
-            f"its model leaves {100 * share:.0f} % of the position unexplained: trust the sampled-data estimate; for this "
-            "method record slower cycles, or sample faster",
+            f"its model leaves {100 * share:.0f} % of the position unexplained: trust the sampled-data estimate; "
+            "for this method record slower cycles, or sample faster",
         )
     return estimate
 
@@ -121,8 +121,8 @@ def _bounds(estimate: Estimate, records: Sequence[Record]) -> Estimate:
     if any(record.t_u_s is None for record in records) and not 1e-3 < estimate.delay_s / period < 1.999:
         return estimate.judged(
             "doubtful",
-            f"the delay is at its bound ({1e3 * estimate.delay_s:.1f} ms; 0 to 2 periods are looked at): check that u of a "
-            "row is the drive set after that row's y was read",
+            f"the delay is at its bound ({1e3 * estimate.delay_s:.1f} ms; 0 to 2 periods are looked at): "
+            "check that u of a row is the drive set after that row's y was read",
         )
     return estimate
 
@@ -133,15 +133,15 @@ def _residual(estimate: Estimate, records: Sequence[Record]) -> Estimate:
     if share > 0.5:
         return estimate.judged(
             "refused",
-            f"the model leaves {100 * share:.0f} % of the position unexplained: check that u and y belong together, their "
-            "signs and units",
+            f"the model leaves {100 * share:.0f} % of the position unexplained: check that u and y belong together, "
+            "their signs and units",
         )
     if share > NEGLIGIBLE and estimate.rms_rad > NOISY * noise:
         ratio = estimate.rms_rad / noise if noise > 0.0 else math.inf
         return estimate.judged(
             "refused" if ratio > TOO_NOISY and share > 0.1 else "doubtful",
-            f"the residual, {1e3 * estimate.rms_rad:.2g} mrad, is {ratio:.1f} times the sensor's noise: the motor is not "
-            "tau, K and Coulomb friction alone (stops, backlash, loads?), or the times are wrong",
+            f"the residual, {1e3 * estimate.rms_rad:.2g} mrad, is {ratio:.1f} times the sensor's noise: "
+            "the motor is not tau, K and Coulomb friction alone (stops, backlash, loads?), or the times are wrong",
         )
     return estimate
 
@@ -167,8 +167,8 @@ def _row_convention(estimate: Estimate, records: Sequence[Record]) -> Estimate:
         way = "later" if slip > 0.0 else "earlier"
         return estimate.judged(
             "refused" if abs(slip) > 2.0 * SLIPPED * period else "doubtful",
-            f"the drive seems to act {1e3 * abs(slip):.1f} ms {way} than t_u_s says: check that u stands in its own row "
-            "(y_k, then u_k, which acts from t_u_s of row k)",
+            f"the drive seems to act {1e3 * abs(slip):.1f} ms {way} than t_u_s says: check that u stands in its own "
+            "row (y_k, then u_k, which acts from t_u_s of row k)",
         )
     return estimate
 
@@ -211,7 +211,7 @@ def _transfer(estimate: Estimate, records: Sequence[Record]) -> Estimate:
     if ratios and max(ratios) > TRANSFER:
         return estimate.judged(
             "doubtful",
-            f"the first test's model predicts another with {max(ratios):.1f} times the residual of its own fit: friction or "
-            "gain depend on speed, amplitude or temperature; record the tests nearer to the use",
+            f"the first test's model predicts another with {max(ratios):.1f} times the residual of its own fit: "
+            "friction or gain depend on speed, amplitude or temperature; record the tests nearer to the use",
         )
     return estimate

@@ -1,7 +1,7 @@
-"""The limit cycle under a dual-channel relay, exactly: where it is (Theorem 2.1), and whether it is stable (Theorem 2.2).
+"""The limit cycle under a dual-channel relay, exactly: where it is (Theorem 2.1), whether it is stable (Theorem 2.2).
 
-u = -h1 sgn(y) - h2 sgn(z) on tau dv/dt + v = K (u - fc sgn(v)), dy/dt = v, dz/dt = y. Time 0 is where the drive steps up
-to h1 + h2 (theory section 3).
+u = -h1 sgn(y) - h2 sgn(z) on tau dv/dt + v = K (u - fc sgn(v)), dy/dt = v, dz/dt = y. Time 0 is where the drive steps
+up to h1 + h2 (theory section 3).
 """
 
 from __future__ import annotations
@@ -174,8 +174,8 @@ def _durations(inputs: tuple[float, float, float], omega: float) -> tuple[float,
 def _unfolded(unknown: Array, inputs: tuple[float, float, float]) -> tuple[float, float, float]:
     """Durations in units of tau from two unbounded numbers, with v(t1) = 0 and v(T/2) = -v(0) built in.
 
-    The speed at RC, -v(0), lies between what stage 3 tends to (or 0) and the speed v2 at RB, which lies between that and
-    what stage 2 tends to; the unknowns say where, as logistic fractions.
+    The speed at RC, -v(0), lies between what stage 3 tends to (or 0) and the speed v2 at RB, which lies between that
+    and what stage 2 tends to; the unknowns say where, as logistic fractions.
     """
     lowest = max(inputs[2], 0.0)
     p, s = (float(value) for value in np.clip(unknown, [-300.0, -1e5], [1e5, 300.0]))
@@ -196,7 +196,7 @@ def _reduced(unknown: Array, inputs: tuple[float, float, float]) -> list[float]:
 
 
 def _check_no_additional_switching(cycle: LimitCycle) -> None:
-    """v < 0 on (0, t1) and > 0 after; y < 0 before t1 + t2 and > 0 after; z < 0 throughout (Theorem 2.1)."""
+    """Check v < 0 on (0, t1) and > 0 after; y < 0 before t1 + t2 and > 0 after; z < 0 throughout (Theorem 2.1)."""
     t1, t2, t3 = cycle.durations_s
     states = cycle.states
     # Velocity is monotone within a stage, so the ends decide about v; then v about y, and y about z.
