@@ -30,6 +30,7 @@ from rig.loop.rehearsal import RehearsalBench, rehearse
 from rig.loop.runner import Loop
 from rig.loop.stop_request import stop_on_signals
 from rig.model.cycle_detector import CycleDetector
+from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
 from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
@@ -359,12 +360,13 @@ def _close(recorder: Recorder) -> Fault | None:
 def _conclude(session: Session, fault: Fault | None) -> Outcome:
     """Identify what a fault has left, write result.json and the report, say what failed."""
     failure = "" if fault is None else str(fault)
-    recording = read_run(session.folder)
-    if session.identification is None and any(stage.startswith("relay-") for stage in recording.stages()):
+    if session.identification is None:
         try:
-            session.identification = identify([recording])
-        except IdentifyError as error:
-            session.notes.append(str(error))
+            recording = read_run(session.folder)
+            if any(stage.startswith("relay-") for stage in recording.stages()):
+                session.identification = identify([recording])
+        except (IdentifyError, RecordingError) as error:
+            session.notes.append(f"nothing to identify: {error.cause}")
     identification = session.identification
     best = None if identification is None else identification.estimates.get("sampled-data")
     if not failure and best is not None and best.verdict == "refused":

@@ -7,6 +7,7 @@
  */
 #include <errno.h>
 #include <fcntl.h>
+#include <sched.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -217,6 +218,18 @@ static void usage(void)
     }
 }
 
+/* A chip is not kept waiting by the other programs of the host; where the system allows it, neither is this one. */
+static void ask_for_priority(void)
+{
+    struct sched_param priority;
+    memset(&priority, 0, sizeof priority);
+    priority.sched_priority = 50;
+    if (sched_setscheduler(0, SCHED_FIFO, &priority) != 0) {
+        fprintf(stderr, "rig_host_board: no real-time priority (%s): replies may be late on a busy machine\n",
+                strerror(errno));
+    }
+}
+
 int main(int argc, char **argv)
 {
     static process self;
@@ -286,6 +299,7 @@ int main(int argc, char **argv)
     printf("port %s\n", port);
     fflush(stdout);
 
+    ask_for_priority();
     run(&self, exit_with_stdin, &outside);
 
     advance_to_now(&self);
