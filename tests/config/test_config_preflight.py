@@ -57,15 +57,15 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "no room to stop": (
         {"limits__max_speed_rad_s": 6.0},
         "limits.max_speed_rad_s",
-        "no room to stop: at 6 rad/s: 0.060 one period + 0.180 reply time-out + 0.600 watchdog + 1.200 coasting "
-        "= 2.040 rad, but from the centre of the soft limits (0 rad) the nearer hard limit is 1.900 rad away",
+        "no room to stop: at 6 rad/s: 0.060 one period + 0.360 reply time-out + 0.600 watchdog + 1.200 coasting "
+        "= 2.220 rad, but from the centre of the soft limits (0 rad) the nearer hard limit is 1.900 rad away",
     ),
     "no room on one side": (
         {"limits__soft_rad": [-0.8, 1.1]},
         "limits.max_speed_rad_s",
         "from the centre of the soft limits (0.15 rad) the nearer hard limit is 1.750 rad away",
     ),
-    "coasts too far": ({"limits__coast_tau_s": 0.3}, "limits.max_speed_rad_s", "1.650 coasting"),
+    "coasts too far": ({"limits__coast_tau_s": 0.3}, "limits.max_speed_rad_s", "1.500 coasting"),
     "more than the supply": (
         {"drive__bridge_drop_V": 9.5},
         "drive.max_V",
@@ -111,7 +111,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "cycle too fast": (
         {"relay__target__period_s": 0.8},
         "relay.target.amplitude_rad",
-        "= 6 rad/s, above limits.max_speed_rad_s 5.5",
+        "= 6 rad/s, above limits.max_speed_rad_s 5",
     ),
     "trajectory too wide": (
         {"tracking__trajectory": [{"amplitude_rad": 0.9, "omega_rad_s": 1}, {"amplitude_rad": -0.3, "omega_rad_s": 2}]},
@@ -121,7 +121,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "trajectory too fast": (
         {"tracking__trajectory": [{"amplitude_rad": 0.5, "omega_rad_s": 12}]},
         "tracking.trajectory",
-        "at most 0.5 x 12 = 6 rad/s, is above limits.max_speed_rad_s 5.5",
+        "at most 0.5 x 12 = 6 rad/s, is above limits.max_speed_rad_s 5",
     ),
     "watchdog too short": (
         {"daq__watchdog_s": 0.025, "daq__timeout_s": 0.01},

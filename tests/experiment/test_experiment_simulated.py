@@ -80,6 +80,7 @@ def test_the_run_folder_reads_back_whole_and_stays_inside_the_soft_limits(demo_r
     assert len(recording) == outcome["loop"]["ticks"]
     assert math.isclose(float(recording.t_u_s[0] - recording.t_s[0]), 0.0012, abs_tol=0.0004)
     assert abs(recording.y_rad).max() < 1.1
+    assert not recording.flags.any()  # the guard never had to step in
     stages = recording.stages()
     assert [s for s in stages if s != "rest"] == [
         "breakaway", "search", "relay-1", "relay-2",
