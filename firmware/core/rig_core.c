@@ -122,14 +122,13 @@ static void disarm(rig_core *core)
     core->recovering = 0;
 }
 
-/* P7: the armed flag goes with the drive, and only ARM sets it again. The first fault is the one kept. */
+/* P7: the armed flag goes with the drive, and only ARM sets it again. Faults are looked for only while armed, so
+ * the first one is the one kept. */
 static void latch(rig_core *core, uint8_t code)
 {
     disarm(core);
-    if (!core->latched) {
-        core->latched = true;
-        core->fault = code;
-    }
+    core->latched = true;
+    core->fault = code;
 }
 
 static void clear_fault(rig_core *core)

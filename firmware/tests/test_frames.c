@@ -139,6 +139,16 @@ static void test_oversize(void)
     }
     CHECK(rx.overflow);
     CHECK(frame_receive(&rx, 0) == 0 && rx.dropped == 1 && !rx.overflow);
+
+    /* the longest frame is taken; with one byte more before its end it is not, though its beginning is whole */
+    uint8_t content[FRAME_CONTENT_MAX], wire[FRAME_WIRE_MAX], got[FRAME_CONTENT_MAX];
+    unsigned frames = 0;
+    memset(content, 0x55, sizeof content);
+    const uint8_t n = frame_encode(content, sizeof content, wire);
+    CHECK(n == FRAME_WIRE_MAX);
+    CHECK(feed(&rx, wire, n, &frames, got) == sizeof content);
+    (void)feed(&rx, wire, n - 1u, &frames, got);
+    CHECK(frame_receive(&rx, 0x55) == 0 && frame_receive(&rx, 0) == 0 && rx.dropped == 2 && frames == 1);
 }
 
 int main(void)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 import statistics
@@ -124,7 +125,7 @@ def test_noise_of_the_potentiometer() -> None:
     assert abs(statistics.fmean(position) - (y_rad + offset_rad)) < 4.5 * sd / math.sqrt(n)
     assert statistics.pstdev(position) == pytest.approx(sd, rel=4.5 / math.sqrt(2 * n))
     mean = statistics.fmean(position)
-    lag_1 = sum((a - mean) * (b - mean) for a, b in zip(position, position[1:], strict=False)) / (n * sd**2)
+    lag_1 = sum((a - mean) * (b - mean) for a, b in itertools.pairwise(position)) / (n * sd**2)
     assert abs(lag_1) < 4.5 / math.sqrt(n)  # white
     fourth = sum((x - mean) ** 4 for x in position) / (n * sd**4)
     assert fourth == pytest.approx(3.0, abs=0.15)  # normal
