@@ -295,11 +295,6 @@ class FrameReader:
         self._pending = b"" if self._skipping else rest
         return packets
 
-    def clear(self) -> None:
-        """Forget an unfinished frame."""
-        self._pending = b""
-        self._skipping = False
-
 
 def _decode(frame: bytes) -> Packet | None:
     """The packet in one stuffed frame without its delimiter, None if damaged."""
@@ -310,11 +305,7 @@ def _decode(frame: bytes) -> Packet | None:
     except cobs.DecodeError:
         return None
     size = len(packet)
-    if (
-        size < _HEAD.size + _CRC.size
-        or size > MAX_PACKET
-        or crc_hqx(packet[:-2], 0xFFFF) != int.from_bytes(packet[-2:], "little")
-    ):
+    if size < _HEAD.size + _CRC.size or crc_hqx(packet[:-2], 0xFFFF) != int.from_bytes(packet[-2:], "little"):
         return None
     version, kind, seq = _HEAD.unpack_from(packet)
     body = packet[4:-2]

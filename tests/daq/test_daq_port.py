@@ -1,5 +1,6 @@
 """The pyserial transport on a pseudo-terminal. No assertion on how long anything takes."""
 
+import contextlib
 import os
 import pty
 import tty
@@ -67,12 +68,16 @@ def test_the_cable_is_pulled(terminal):
     port.close()
 
 
-def test_a_closed_port_is_dead_not_another_file(terminal):
+def test_a_closed_port_is_dead_not_another_file(terminal, tmp_path):
+    """Files opened later get its number; nothing may be written to them."""
     _, name = terminal
     port = PySerialTransport(name)
     port.close()
     port.close()
-    with pytest.raises(Fault):
-        port.write(b"x")
-    with pytest.raises(Fault):
-        port.read(0.0)
+    with contextlib.ExitStack() as stack:
+        files = [stack.enter_context((tmp_path / f"{k}").open("w+b")) for k in range(8)]
+        for dead in (lambda: port.read(0.0), lambda: port.write(b"x")):
+            with pytest.raises(Fault) as caught:
+                dead()
+            assert caught.value.code == "LINK_LOST"
+        assert all(file.read() == b"" for file in files)

@@ -72,9 +72,7 @@ class ScriptedPort:
         assert timeout_s >= 0.0
         if self.arriving and self.arriving[0][0] <= self.t_s + timeout_s:
             self.t_s = max(self.t_s, self.arriving[0][0])
-            here = b"".join(data for at, data in self.arriving if at <= self.t_s)
-            self.arriving = [(at, data) for at, data in self.arriving if at > self.t_s]
-            return here
+            return self.arriving.pop(0)[1]
         if self.dead:
             raise Fault("LINK_LOST", "scripted")
         self.t_s += timeout_s
@@ -170,6 +168,14 @@ def test_garbage_of_the_boot_loader_is_survived():
     driver = make(port)
     driver.open()
     assert driver.link_statistics["bad_frames"] >= 1
+
+
+def test_what_an_earlier_run_left_in_the_port_is_not_believed():
+    port = ScriptedPort()
+    stale = port.hello._replace(build=b"stale".ljust(16, b"\0")).pack()
+    port.reply(0.0, b"left over")
+    port.reply(0.0, encode(Kind.HELLO_REPLY, 1, stale))
+    assert make(port).open().build == "test-1"
 
 
 def test_a_silent_device_is_an_error_with_the_numbers():
