@@ -11,9 +11,11 @@ from scipy.optimize import least_squares
 
 from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
-from rig.identify.record import IdentifyError, Record
+from rig.identify.identification import identify
+from rig.identify.record import IdentifyError, Record, from_recording
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
+from rig.recording.errors import RecordingError
 from rig.report.source import Array, Json, Run, Span, number
 
 PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
@@ -21,17 +23,26 @@ PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
 
 @dataclass(frozen=True)
 class Cycles:
-    """Whole cycles of one relay test: row ranges (first, last), both included."""
+    """Whole settled cycles of one relay test.
 
+    record  the test as the estimators read it, clock corrected
+    rows    (first, last) of each cycle, both included, counted in the file
+    """
+
+    record: Record
     rows: list[tuple[int, int]]
 
     def __len__(self) -> int:
         return len(self.rows)
 
+    def last(self) -> Cycles:
+        """The last cycle alone."""
+        return Cycles(self.record, self.rows[-1:])
+
 
 @dataclass(frozen=True)
 class Predicted:
-    """One recorded cycle and its prediction from a fitted start: arrays of one length.
+    """One recorded cycle, and its prediction from a fitted start: arrays of one length.
 
     phase        time since the cycle's start over its length, 0 to 1
     measured_rad, y_rad   position as recorded and as predicted
@@ -68,7 +79,8 @@ def cycles_of(run: Run, span: Span) -> Cycles | None:
     crossings closer than half the median are chatter around the edge.
     """
     try:
-        settled = find_cycle(record_of(run, span))
+        record, _ = from_recording(run.rows, slice(span.first, span.last + 1), span.stage)
+        settled = find_cycle(record)
     except IdentifyError:
         return None
     first, last = settled.rows
@@ -80,15 +92,7 @@ def cycles_of(run: Run, span: Span) -> Cycles | None:
         if not kept or start - kept[-1] > 0.5 * settled.period_s / settled.period_sampling_s:
             kept.append(start)
     rows = list(pairwise(kept))
-    return Cycles(rows) if len(rows) >= 2 else None
-
-
-def record_of(run: Run, span: Span) -> Record:
-    """The rows of one stage as estimators read them. Raises IdentifyError where they are unusable."""
-    rows = slice(span.first, span.last + 1)
-    reported = run.rows.t_u_s[rows]
-    known = reported if np.isfinite(reported).all() else None
-    return Record(run.rows.t_s[rows], run.rows.y_rad[rows], known, run.rows.u_V[rows], span.first, span.stage)
+    return Cycles(record, rows) if len(rows) >= 2 else None
 
 
 def motor_of(estimate: Json) -> Motor | None:
@@ -100,25 +104,21 @@ def motor_of(estimate: Json) -> Motor | None:
     return Motor(tau, gain, Friction(fc, fc, fc, fc), bias_V=asym if math.isfinite(asym) else 0.0)
 
 
-def drive_edges(run: Run, estimate: Json) -> Array:
-    """Times from which each row's drive acts, s: as the device reported it, else the row's time plus the delay.
-
-    The delay is the estimate's, else the sampled-data estimate's, else none.
-    """
-    delays = (number(e.get("delay_s")) for e in (estimate, run.estimates.get("sampled-data", {})))
-    delay = next((d for d in delays if math.isfinite(d)), 0.0)
-    reported = run.rows.t_u_s
-    return np.asarray(np.maximum.accumulate(np.where(np.isfinite(reported), reported, run.rows.t_s + delay)))
-
-
 def predict_cycles(run: Run, estimate: Json, cycles: Cycles) -> list[Predicted]:
     """Each cycle under its recorded drive, from the start (v0, y0) that fits it best; empty without a model."""
     motor = motor_of(estimate)
     if motor is None:
         return []
-    edges = drive_edges(run, estimate)
-    t, y, u = run.rows.t_s, run.rows.y_rad, run.rows.u_V
-    return [_predict(motor, edges, u, t[a : b + 1], y[a : b + 1]) for a, b in cycles.rows]
+    record = cycles.record
+    edges = record.edge_s
+    if record.t_u_s is None:  # then the drive acts an estimated delay later, if any method knows it
+        delays = (number(e.get("delay_s")) for e in (estimate, run.estimates.get("sampled-data", {})))
+        edges = edges + next((d for d in delays if math.isfinite(d)), 0.0)
+    found = []
+    for first, last in cycles.rows:
+        part = slice(first - record.first_row, last + 1 - record.first_row)
+        found.append(_predict(motor, edges, record.u_V, record.t_s[part], record.y_rad[part]))
+    return found
 
 
 def _predict(motor: Motor, edges: Array, u: Array, t: Array, y: Array) -> Predicted:
@@ -153,12 +153,11 @@ def fits_of(run: Run) -> tuple[dict[str, Estimate], str]:
     """Estimates made anew from the recording, with residuals and iterates; or why there are none, as a sentence."""
     if run.recording is None:
         return {}, "There are no samples, so there is no residual and no convergence to show."
-    from rig.identify.sampled_data import fit
-
+    if not run.spans("relay"):
+        return {}, "There was no relay test, so there is no residual and no convergence to show."
     try:
-        records = [record_of(run, span) for span in run.spans("relay")]
-        if not records:
-            return {}, "There was no relay test."
-        return {"sampled-data": fit(records)}, ""
+        return identify([run.recording]).estimates, ""
     except IdentifyError as error:
-        return {}, f"The estimators refuse this recording: {error.cause}."
+        return {}, f"The estimators refuse this recording: {error.cause}. What to do: {error.cure}."
+    except RecordingError as error:
+        return {}, f"The estimators cannot read this recording: {error}."

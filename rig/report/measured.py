@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.transforms import blended_transform_factory
 
-from rig.report.fit import Cycles, central_difference, cycles_of, predict_cycles
-from rig.report.source import Array, Json, Run, Span, mappings, number, section
+from rig.report.fit import central_difference, cycles_of, predict_cycles
+from rig.report.source import Array, Json, Run, Span, mappings, number, pair, section
 from rig.report.style import (
     BANDS,
     DRIVE,
@@ -41,15 +41,13 @@ def whole_run(run: Run) -> Picture:
     raster = t.size > RASTER_FROM
     top.plot(t, y, color=MEASURED, lw=0.7, label="measured position", rasterized=raster)
     if np.isfinite(run.rows.yd_rad).any():
-        top.plot(
-            t, run.rows.yd_rad, color="#E69F00", lw=1.0, ls=(0, (4, 2)), label="wanted position", rasterized=raster
-        )
+        top.plot(t, run.rows.yd_rad, color="#f0b64a", lw=2.2, zorder=1.5, label="wanted position", rasterized=raster)
     _limits(top, run)
     top.set_ylabel("position y, rad")
     bottom.step(t, u, where="post", color=MEASURED, lw=0.6, rasterized=raster)
     bottom.set_ylabel("drive u, V")
     bottom.set_xlabel("time since the start, s")
-    bottom.set_xlim(float(t[0]), float(t[-1]) if t[-1] > t[0] else float(t[0]) + 1.0)
+    bottom.set_xlim(float(t[0]), float(t[-1]) + 0.005 * float(t[-1] - t[0]))
     _stage_bands((top, bottom), t, run.spans())
     count = 0
     for span in run.spans("relay"):
@@ -64,7 +62,7 @@ def whole_run(run: Run) -> Picture:
         if math.isfinite(when):
             for axes in (top, bottom):
                 axes.axvline(when, color=LIMIT, lw=1.2)
-            note(top, plain(f"fault {fault['code']} at {when:.2f} s"), loc="lower right", colour=LIMIT)
+            note(top, plain(f"fault {fault['code']} at {when:.2f} s"), loc="upper left", colour=LIMIT)
     low, high = top.get_ylim()
     top.set_ylim(low, high + 0.13 * (high - low))  # room for the legend above the limits
     top.legend(loc="upper right", ncols=4, borderaxespad=0.1)
@@ -201,7 +199,7 @@ def portraits(run: Run) -> Picture:
         right.plot(y[rows], z[rows], mark, ms=1.8, color=ink, alpha=0.45, mew=0, label=label, rasterized=True)
         cycles = cycles_of(run, span)
         best = next(iter(run.estimates.values()), {})
-        for predicted in predict_cycles(run, best, Cycles(cycles.rows[-1:])) if cycles else ():
+        for predicted in predict_cycles(run, best, cycles.last()) if cycles else ():
             left.plot(predicted.y_rad, predicted.v_rad_per_s, "-", color=INK, lw=1.0,
                       label="model" if k == 0 else None)  # fmt: skip
         at = np.flatnonzero(np.signbit(z[rows][1:]) != np.signbit(z[rows][:-1]))
@@ -254,19 +252,22 @@ def breakaway(run: Run) -> Picture:
     left.set_ylabel("position, mrad", color=MEASURED)
     left.set_title("slow ramp each way, until the shaft moves")
     drive = left.twinx()
-    drive.step(t, u, where="post", color=DRIVE, lw=1.0, ls=(0, (4, 2)))
-    drive.set_ylabel("drive, V (dashed)", color=DRIVE)
+    drive.fill_between(t, u, step="post", color=DRIVE, alpha=0.35, lw=0)
+    drive.set_ylabel("drive, V (shaded)", color=DRIVE)
     drive.grid(visible=False)
     drive.spines["right"].set_visible(True)
     found = section(run.result, "breakaway")
     for name, sign, ink in (("plus", 1.0, "#0072B2"), ("minus", -1.0, "#D55E00")):
         ramp = np.flatnonzero(sign * u > 0.0)
         if ramp.size:
-            right.plot(sign * u[ramp], sign * 1e3 * (y[ramp] - y[ramp[0]]), ".-", ms=2.5, lw=0.6, color=ink,
+            right.plot(sign * u[ramp], sign * 1e3 * (y[ramp] - y[ramp[0]]), ".", ms=3.0, color=ink,
                        label=f"{name}: towards {'rising' if sign > 0 else 'falling'} positions")  # fmt: skip
         level = number(found.get(f"static_{name}_V"))
         if math.isfinite(level):
-            right.axvline(level, color=ink, lw=1.2, ls=(0, (4, 2)), label=f"static friction {name} {level:.3f} V")
+            reach = pair(found.get(f"static_{name}_range_V"))
+            if reach is not None:
+                right.axvspan(*reach, color=ink, alpha=0.12, lw=0)
+            right.axvline(level, color=ink, lw=1.2, ls=(0, (4, 2)), label=f"breaks away at {level:.3f} V")
     right.set_xlabel("|drive|, V")
     right.set_ylabel("displacement, mrad")
     right.set_title("displacement over drive")
@@ -279,7 +280,9 @@ def breakaway(run: Run) -> Picture:
     return render(
         figure, run.backend, "Breakaway ramps: drive and position, with static friction.",
         "Breakaway check: a slow ramp each way proves sensor, drive and sign before any relay runs, and shows static "
-        "friction. The motion is seen a little after it begins; the dashed levels are corrected for that." + words,
+        "friction. Dashed: the drive at which the identified model, breaking away there, reproduces the motion "
+        "best, and its interval; static friction less bias towards rising positions, plus bias towards "
+        "falling ones." + words,
     )  # fmt: skip
 
 
@@ -320,10 +323,13 @@ def gain_search(run: Run) -> Picture:
     length.set_xlabel("time since the start, s")
     gains.set_xlim(edges[0], edges[-1] + 0.02 * (edges[-1] - edges[0]))
     settled = int(np.isfinite(amplitude).sum())
+    why = {str(s.get("outcome")) for s, a in zip(steps, amplitude, strict=True) if not math.isfinite(a)} - {"None"}
+    others = f" The others: {'; '.join(sorted(why))}." if why else ""
     return render(
         figure, run.backend, "Path of the gain search: gains, amplitude and period over time.",
         f"Gain search: h2 is raised until a cycle settles, then both gains are trimmed towards the wanted amplitude "
-        f"and period (green). {len(steps)} pairs of gains were tried; a dot marks each of the {settled} that settled.",
+        f"and period (green). {len(steps)} pairs of gains were tried; a dot marks each of the {settled} that settled."
+        + others,
     )  # fmt: skip
 
 

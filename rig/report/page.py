@@ -14,7 +14,7 @@ import jinja2
 import rig
 from rig.report import checked, fitted, measured
 from rig.report.fit import fits_of
-from rig.report.source import Json, Run, load, mappings, number, section, texts
+from rig.report.source import PREFERRED, Json, Run, load, mappings, number, section, texts
 from rig.report.style import AbsentError, Picture, short, style
 from rig.report.words import PARAMETERS, Quantity, headline, quantity, rounded
 
@@ -157,7 +157,9 @@ def _cell(value: Any, factor: float = 1.0) -> tuple[float | None, str]:
 
 def _tracking(run: Run) -> list[Json]:
     table = []
-    for method, outcome in section(run.result, "tracking").items():
+    outcomes = section(run.result, "tracking")
+    for method in sorted(outcomes, key=lambda m: (*PREFERRED, m).index(m)):
+        outcome = outcomes[method]
         entry = outcome if isinstance(outcome, dict) else {}
         known = math.isfinite(number(entry.get("rms_rad")))
         reason = "" if known else str(entry.get("not_run") or "no outcome was recorded")

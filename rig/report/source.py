@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -126,11 +126,7 @@ class Run:
 
     def limits(self, which: str) -> tuple[float, float] | None:
         """Travel limits ``soft_rad`` or ``hard_rad`` of the configuration, rad; None where they are not known."""
-        pair = section(self.config, "limits").get(which)
-        if not isinstance(pair, list) or len(pair) != 2:
-            return None
-        low, high = number(pair[0]), number(pair[1])
-        return (low, high) if math.isfinite(low) and math.isfinite(high) else None
+        return pair(section(self.config, "limits").get(which))
 
 
 def section(of: Json, key: str) -> Json:
@@ -165,13 +161,17 @@ def texts(value: Any) -> tuple[str, ...]:
     return tuple(str(v) for v in value) if isinstance(value, list) else ()
 
 
+def pair(value: Any) -> tuple[float, float] | None:
+    """Two finite numbers of a list; None where it is anything else."""
+    if not isinstance(value, list) or len(value) != 2:
+        return None
+    low, high = number(value[0]), number(value[1])
+    return (low, high) if math.isfinite(low) and math.isfinite(high) else None
+
+
 def interval(estimate: Json, key: str) -> tuple[float, float] | None:
     """The 95 % interval of one parameter of an estimate; None where it has none."""
-    pair = section(estimate, "ci95").get(key)
-    if not isinstance(pair, (list, tuple)) or len(pair) != 2:
-        return None
-    low, high = number(pair[0]), number(pair[1])
-    return (low, high) if math.isfinite(low) and math.isfinite(high) else None
+    return pair(section(estimate, "ci95").get(key))
 
 
 def load(folder: Path) -> Run:
@@ -196,6 +196,8 @@ def load(folder: Path) -> Run:
     except RecordingError as error:
         recording = None
         missing.append(f"samples.csv {error.cause}{_line(error)}: nothing that was measured can be shown.")
+    if recording is not None:  # estimators compare the clock with the period in meta
+        recording = replace(recording, source=folder, meta=meta)
     return Run(folder, recording, meta, result, config, config_text, events, missing, notes)
 
 

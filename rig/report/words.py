@@ -26,7 +26,7 @@ PARAMETERS = (
     Parameter("tau_s", "τ", "s", 1.0, "velocity time constant"),
     Parameter("K_rad_s_V", "K", "(rad/s)/V", 1.0, "velocity gain of the measured shaft"),
     Parameter("fc_V", "f<sub>c</sub>", "V", 1.0, "Coulomb friction, referred to the drive"),
-    Parameter("asym_V", "a", "V", 1.0, "asymmetry of the effective drive"),
+    Parameter("asym_V", "a", "mV", 1e3, "asymmetry of the effective drive"),
     Parameter("delay_s", "d", "ms", 1e3, "from a sample to the effect of its drive"),
 )
 HEADLINE_PARAMETERS = PARAMETERS[:3]
@@ -34,12 +34,20 @@ HEADLINE_PARAMETERS = PARAMETERS[:3]
 
 @dataclass(frozen=True)
 class Quantity:
-    """One value of an estimate, ready to show: ``exact`` is the file's value, None where it has none."""
+    """One value of an estimate, ready to show.
+
+    exact       the file's value; None where it has none
+    interval    "low to high"
+    plus_minus  "± half" where the interval is symmetric, else as interval
+    relative    half of the interval over the value
+    error       against the truth, where that is known
+    """
 
     parameter: Parameter
     exact: float | None
     text: str
     interval: str
+    plus_minus: str
     relative: str
     error: str
 
@@ -92,15 +100,19 @@ def quantity(parameter: Parameter, estimate: Json, truth: dict[str, float]) -> Q
     """One parameter of an estimate with its interval, and its error where the truth is known."""
     exact = number(estimate.get(parameter.key))
     if not math.isfinite(exact):
-        return Quantity(parameter, None, "–", "", "", "")
+        return Quantity(parameter, None, "–", "", "", "", "")
     value = parameter.factor * exact
     bounds = interval(estimate, parameter.key)
-    between = relative = ""
+    if parameter not in HEADLINE_PARAMETERS and exact == 0.0 and bounds is None:
+        return Quantity(parameter, None, "–", "", "", "", "")  # zero stands for "not estimated"
+    between = plus_minus = relative = ""
     half = math.nan
     if bounds is not None:
         low, high = (parameter.factor * b for b in bounds)
         half = 0.5 * (high - low)
+        middle = abs(0.5 * (low + high) - value) < 0.01 * half
         between = f"{rounded(low, half)} to {rounded(high, half)}"
+        plus_minus = f"± {rounded(half, half)}" if middle else between
         if value and parameter in HEADLINE_PARAMETERS:
             relative = f"± {100.0 * half / abs(value):.2g} %"
     error = ""
@@ -110,8 +122,8 @@ def quantity(parameter: Parameter, estimate: Json, truth: dict[str, float]) -> Q
             error = percent(exact / true - 1.0)
         else:
             difference = parameter.factor * (exact - true)
-            error = f"{difference:+.2g} {parameter.unit}".replace("-", "−")
-    return Quantity(parameter, exact, rounded(value, half), between, relative, error)
+            error = f"{'+' if difference > 0.0 else ''}{rounded(difference, abs(difference))} {parameter.unit}"
+    return Quantity(parameter, exact, rounded(value, half), between, plus_minus, relative, error)
 
 
 def headline(run: Run) -> Headline:
@@ -133,6 +145,9 @@ def headline(run: Run) -> Headline:
         next_steps.append(Step("Do not use these values. Follow what each reason says, then run the experiment again."))
     else:
         title = "The motor is identified" if outcome == "ok" else "Identified, but doubtful"
+        if run.faults:
+            title += ", and the run ended with a fault"
+            next_steps.append(Step("Cure the fault above first."))
         sentences.extend(_plain_words(quantities, run))
         if outcome == "ok":
             next_steps.append(Step("Drive the bench with this model:", f"rig track CONFIG --model {run.folder}"))
@@ -141,8 +156,6 @@ def headline(run: Run) -> Headline:
     if method != "sampled-data":
         text = f"These values are the {name} method's: this run has no sampled-data estimate, which is more exact."
         next_steps.append(Step(text))
-    if run.faults:
-        next_steps.append(Step("The run ended with a fault: see the box below for its cause and cure."))
     return Headline(outcome, title, tuple(sentences), reasons, tuple(next_steps), method, quantities)
 
 
@@ -164,21 +177,14 @@ def _plain_words(quantities: tuple[Quantity, ...], run: Run) -> list[str]:
 
 
 def _nothing(run: Run) -> Headline:
-    if not run.result:
-        title = "No result: the run ended before it had one"
-        steps = (Step("Identify what was recorded:", f"rig identify {run.folder}"),)
-        if run.recording is None:
-            steps = (Step("Nothing can be identified from this folder; run the experiment again."),)
+    """The headline of a run without any estimate."""
+    title = "No estimate in this run" if run.result else "No result: the run ended before it had one"
+    if run.faults:
+        step = Step("Cure the fault above, then run again.")
+    elif run.result:
+        step = Step("No relay test could be identified; run the whole experiment:", "rig run CONFIG")
+    elif run.recording is not None:
+        step = Step("Identify what was recorded:", f"rig identify {run.folder}")
     else:
-        title = "No estimate in this run"
-        steps = (
-            (Step("See the fault below for its cause and cure, then run again."),)
-            if run.faults
-            else (
-                Step(
-                    "This run held no relay test that could be identified; run the whole experiment:", "rig run CONFIG"
-                ),
-            )
-        )
-    notes = texts(run.result.get("notes"))
-    return Headline("none", title, (), notes, steps, "", ())
+        step = Step("Nothing can be identified from this folder; run the experiment again.")
+    return Headline("none", title, (), texts(run.result.get("notes")), (step,), "", ())
