@@ -15,7 +15,9 @@ from rig.signals import Sample
 
 
 class Trajectory(Protocol):
-    """A reference with two derivatives."""
+    """A reference with two derivatives that begins where the shaft stands."""
+
+    start_rad: float
 
     def at(self, t_s: float) -> Reference:
         """Reference ``t_s`` seconds after the start."""
@@ -47,6 +49,8 @@ def linearising_drive(
 
 class Tracking:
     """Follow a trajectory for ``duration_s`` with the model's linearising drive, velocity by its observer.
+
+    The trajectory begins where the first sample finds the shaft.
 
     friction_sign  "reference": sign of the reference velocity; "estimate": of the observed velocity, as in the paper
                    (at 10 ms it chatters around reversals: theory section 10)
@@ -80,6 +84,7 @@ class Tracking:
         """Drive for this sample, V; ``yd_rad`` is the reference at the sample's own time."""
         if math.isnan(self._start_s):
             self._start_s = sample.t_s
+            self.trajectory.start_rad = sample.y_rad
         elapsed = sample.t_s - self._start_s
         self.finished = elapsed >= self.duration_s
         self.yd_rad = self.trajectory.at(elapsed).y_rad
