@@ -14,6 +14,7 @@ from typing import Any
 import rig
 from rig.bench import Bench, calibration_of, connect, drive_map_of, guard_settings_of, limits_of
 from rig.config import Experiment, dump
+from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.guard import Guard
@@ -79,7 +80,7 @@ def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -
     """The whole experiment. The run folder is made below ``parent``; ``on_start`` is told of it."""
 
     def script(session: Session) -> None:
-        with session.loop.armed(limits_of(experiment)):
+        with driving(session):
             check_breakaway(session)
             test_relays(session)
         identify_recorded(session)
@@ -92,7 +93,7 @@ def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = N
     """Breakaway, gains and relay tests, and what they identify; no tracking."""
 
     def script(session: Session) -> None:
-        with session.loop.armed(limits_of(experiment)):
+        with driving(session):
             check_breakaway(session)
             test_relays(session)
         identify_recorded(session)
@@ -107,7 +108,7 @@ def run_tracking(
 
     def script(session: Session) -> None:
         session.identification = models
-        with session.loop.armed(limits_of(experiment)):
+        with driving(session):
             check_breakaway(session)
         verify_models(session)
 
@@ -119,11 +120,26 @@ def jog(experiment: Experiment, u_V: float, duration_s: float, parent: Path) -> 
 
     def script(session: Session) -> None:
         session.loop.guard.recovering = True
-        with session.loop.armed(limits_of(experiment)):
+        with driving(session):
             session.loop.run(Constant(u_V, duration_s), "jog")
             session.loop.run(Rest(REST_S), "rest")
 
     return _record(experiment, parent, script, None)
+
+
+@contextmanager
+def driving(session: Session) -> Iterator[None]:
+    """The device armed for the block, and this process set up for real time where time is real."""
+    if isinstance(session.bench.clock, VirtualClock):
+        granted = ["virtual time: lateness means nothing here"]
+        with session.loop.armed(limits_of(session.experiment)):
+            yield
+    else:
+        with real_time() as granted, session.loop.armed(limits_of(session.experiment)):
+            yield
+    note = "loop: " + "; ".join(granted)
+    if note not in session.notes:
+        session.notes.append(note)
 
 
 def check_breakaway(session: Session) -> None:
@@ -209,10 +225,10 @@ def verify_models(session: Session) -> None:
         return
     best = identification.best
     if best is None:
-        reason = "no estimate is good enough to rehearse on"
-        session.tracking.update({method: {"not_run": reason} for method in e.tracking.methods})
+        unknown = "no estimate is good enough to rehearse on"
+        session.tracking.update({method: {"not_run": unknown} for method in e.tracking.methods})
         return
-    safe: list[str] = []
+    safe: list[Method] = []
     for method in e.tracking.methods:
         estimate = identification.estimates.get(method)
         if estimate is None or estimate.verdict == "refused":
@@ -238,7 +254,7 @@ def verify_models(session: Session) -> None:
     for method in safe:
         session.tracking[method] = {"not_run": "the run ended before it"}
     laws = {method: _tracking_law(session, method) for method in safe}  # an observer's gain takes longer than a tick
-    with session.loop.armed(limits_of(e)):
+    with driving(session):
         for method, law in laws.items():
             session.loop.run(Rest(REST_S), "rest")
             session.loop.run(law, f"track:{method}")
@@ -326,8 +342,7 @@ def _record(experiment: Experiment, parent: Path, script: Script, on_start: OnSt
                 loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
                 session = Session(experiment, folder, bench, recorder, loop)
                 try:
-                    with _real_time(session):
-                        script(session)
+                    script(session)
                 except Fault as seen:
                     fault = seen
                     session.note("fault", **seen.as_dict())
@@ -335,18 +350,6 @@ def _record(experiment: Experiment, parent: Path, script: Script, on_start: OnSt
         finally:
             lost = _close(recorder)
     return _conclude(session, fault or lost)
-
-
-@contextmanager
-def _real_time(session: Session) -> Iterator[None]:
-    """Real-time set-up for the block where time is real; the result says what the machine granted."""
-    if isinstance(session.bench.clock, VirtualClock):
-        session.notes.append("virtual time: lateness means nothing here")
-        yield
-        return
-    with real_time() as granted:
-        session.notes.append("loop: " + "; ".join(granted))
-        yield
 
 
 def _close(recorder: Recorder) -> Fault | None:

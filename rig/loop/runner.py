@@ -39,7 +39,7 @@ class Record(Protocol):
     def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:
         """Finish the row opened last."""
 
-    def event(self, t_s: float, kind: str, **fields: object) -> None:
+    def event(self, t_s: float, kind: str, **fields: str | int | float | bool | None) -> None:
         """Note an event."""
 
     def check(self) -> None:
@@ -66,7 +66,7 @@ class NoRecord:
     def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:
         """Do nothing."""
 
-    def event(self, t_s: float, kind: str, **fields: object) -> None:
+    def event(self, t_s: float, kind: str, **fields: str | int | float | bool | None) -> None:
         """Do nothing."""
 
     def check(self) -> None:
