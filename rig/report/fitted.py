@@ -15,6 +15,7 @@ from rig.report.style import (
     INK,
     MEASURED,
     MUTED,
+    RASTER_FROM,
     AbsentError,
     Picture,
     colour,
@@ -88,7 +89,7 @@ def residuals(run: Run, method: str, fits: Mapping[str, Estimate]) -> Picture:
     series, histogram, correlation = figure.subplots(1, 3, width_ratios=(1.7, 0.8, 1.2))
     pieces = _pieces(t)
     for piece in pieces:
-        series.plot(t[piece], r[piece], color=colour(method), lw=0.6)
+        series.plot(t[piece], r[piece], color=colour(method), lw=0.6, rasterized=t.size > RASTER_FROM)
     series.axhline(0.0, color=MUTED, lw=0.7)
     series.set_xlabel("time since the start, s")
     series.set_ylabel("residual, mrad")

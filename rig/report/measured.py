@@ -277,12 +277,16 @@ def breakaway(run: Run) -> Picture:
         note(right, "the run ended before a ramp")
     noise = 1e3 * number(found.get("noise_rad"))
     words = f" At rest the sensor's noise is {noise:.2g} mrad (standard deviation)." if math.isfinite(noise) else ""
+    levels = (number(found.get(f"static_{name}_V")) for name in ("plus", "minus"))
+    if any(math.isfinite(level) for level in levels):
+        words += (
+            " Dashed: the drive at which the identified model, breaking away there, reproduces the motion best, and "
+            "its interval; it is static friction less bias towards rising positions, plus bias towards falling ones."
+        )
     return render(
         figure, run.backend, "Breakaway ramps: drive and position, with static friction.",
         "Breakaway check: a slow ramp each way proves sensor, drive and sign before any relay runs, and shows static "
-        "friction. Dashed: the drive at which the identified model, breaking away there, reproduces the motion "
-        "best, and its interval; static friction less bias towards rising positions, plus bias towards "
-        "falling ones." + words,
+        "friction." + words,
     )  # fmt: skip
 
 

@@ -77,8 +77,11 @@ def draw(run: Run) -> dict[str, list[Figure]]:
         best = next(iter(run.estimates), "sampled-data")
         relays = run.spans("relay")
 
-        def fit_figure(make: Callable[[], Picture]) -> Figure:
-            return Figure(None, trouble) if trouble else _figure(make)
+        def evidence() -> list[Figure]:
+            return [
+                _figure(lambda: fitted.residuals(run, best, fits)),
+                _figure(lambda: fitted.convergence(run, fits)),
+            ]
 
         cycles = [_figure(lambda span=span: fitted.averaged_cycle(run, span)) for span in relays]  # type: ignore[misc]
         return {
@@ -89,8 +92,7 @@ def draw(run: Run) -> dict[str, list[Figure]]:
             "portraits": [_figure(lambda: measured.portraits(run))],
             "forest": [_figure(lambda: fitted.forest(run))],
             "cycles": cycles or [Figure(None, "There was no relay test, so there is no averaged cycle.")],
-            "residuals": [fit_figure(lambda: fitted.residuals(run, best, fits))],
-            "convergence": [fit_figure(lambda: fitted.convergence(run, fits))],
+            "evidence": [Figure(None, trouble)] if trouble else evidence(),
             "tracking": [_figure(lambda: checked.tracking(run))],
             "loop": [_figure(lambda: checked.loop_timing(run))],
         }
