@@ -52,8 +52,9 @@ class Tracking:
 
     The trajectory begins where the first sample finds the shaft.
 
-    friction_sign  "reference": sign of the reference velocity; "estimate": of the observed velocity, as in the paper
-                   (at 10 ms it chatters around reversals: theory section 10)
+    friction_sign  "reference": sign of the reference velocity; "estimate": of the observed velocity, as in the paper,
+                   and of the reference where that is exactly zero (at 10 ms it chatters around reversals: theory
+                   section 10)
     """
 
     z_rad_s = math.nan
@@ -91,7 +92,9 @@ class Tracking:
         state = self.observer.step(sample)
         # the drive acts after the latency: the reference is taken there too
         reference = self.trajectory.at(elapsed + self.observer.latency_s)
-        velocity = reference.v_rad_s if self.friction_sign == "reference" else state.v
+        # at rest the estimate has no sign, and without compensation the shaft would stay there
+        use_reference = self.friction_sign == "reference" or state.v == 0.0
+        velocity = reference.v_rad_s if use_reference else state.v
         u_V = linearising_drive(self.motor, state, reference, self.k1_1_s, self.k2_1_s2, velocity)
         self.largest_u_V = max(self.largest_u_V, abs(u_V))
         self.observer.drive(u_V)

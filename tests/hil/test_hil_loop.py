@@ -1,0 +1,136 @@
+"""The real loop on the compiled firmware, both in virtual time: relay experiment, and every end measured at the pin."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import pytest
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListRecord
+
+from rig.control.breakaway import BreakawayCheck
+from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
+from rig.control.guard import Guard
+from rig.control.law import Constant
+from rig.control.relay import DualChannelRelay
+from rig.daq.calibration import DriveMap
+from rig.daq.serial_link import SerialDriver
+from rig.emulate.virtual_board import VirtualBoard
+from rig.faults import Fault
+from rig.loop.runner import Loop
+from rig.loop.stop_request import StopRequest
+from rig.model.cycle_detector import CycleDetector
+
+
+@dataclass
+class ChipBench:
+    """The compiled firmware, and the loop that drives it through frames."""
+
+    board: VirtualBoard
+    guard: Guard
+    loop: Loop
+    record: ListRecord
+    stop: StopRequest
+
+
+def chip_bench(seed: int = 1, **changes) -> ChipBench:
+    board = VirtualBoard(replace(DEMO, **changes), seed, clock_error_ppm=4000)
+    driver = SerialDriver(board, CALIBRATION, DriveMap(12.0), RAILS)
+    driver.open()
+    guard, record, stop = Guard(GUARD), ListRecord(), StopRequest()
+    return ChipBench(board, guard, Loop(driver, board, guard, record, PERIOD_S, stop), record, stop)
+
+
+def break_away(bench: ChipBench) -> BreakawayCheck:
+    check = BreakawayCheck(0.4, 1.2, 0.02, 0.4)
+    bench.loop.run(check, "breakaway")
+    bench.guard.sign_proven = True
+    bench.guard.static_V = max(check.plus_V, check.minus_V)
+    return check
+
+
+def test_breakaway_search_and_relay_on_the_compiled_firmware() -> None:
+    bench = chip_bench()
+    detector = CycleDetector(30 * PERIOD_S, 20 * CALIBRATION.lsb_rad)
+    relay = DualChannelRelay(0.0, 0.0, 0.7)
+    with bench.loop.armed(LIMITS):
+        check = break_away(bench)
+        search = GainSearch(
+            relay,
+            detector,
+            CycleTarget(0.6, 1.0, 0.15),
+            SearchRange(0.3, 0.1, 0.15, 0.6, 3.0, 3.0, 60.0),
+            0.45 * (check.plus_V + check.minus_V),
+            0.99,
+        )
+        bench.loop.run(search, "search")
+        bench.loop.run(RelayTest(relay, detector, (relay.h1_V, relay.h2_V), 5, 60.0), "relay-1")
+    assert detector.mean()[1] == pytest.approx(0.6, rel=0.2)
+    assert bench.loop.statistics.skipped == 0
+    assert bench.board.truth().pin_V == 0.0
+    rows = bench.record.rows
+    # one round trip at 115200 baud, 4.2 ms of wire, from sample to effect; the same in every row
+    latencies = [row["t_u_s"] - row["t_s"] for row in rows]
+    assert 0.0005 < min(latencies) <= max(latencies) < 0.006
+    assert max(latencies) - min(latencies) < 0.0005
+
+
+@pytest.mark.parametrize("sensor", ["broken_low", "broken_high"])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_wire_that_breaks_while_driving_is_zero_at_the_pin_within_a_tick(sensor: str, seed: int) -> None:
+    bench = chip_bench(seed)
+    broken_s: list[float] = []
+
+    def watch(t_s: float) -> None:
+        if t_s > 1.5 + 0.0137 * seed and not broken_s:
+            broken_s.append(bench.board.now_s())
+            bench.board.rewire(sensor=sensor)
+
+    with pytest.raises(Fault) as caught, bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(0.6, 3.0), "jog", watch)
+    assert caught.value.code in ("DEVICE_SENSOR", "SENSOR_RAIL")
+    assert bench.board.truth().pin_V == 0.0
+    assert bench.board.now_s() - broken_s[0] < 2 * PERIOD_S + 0.2  # the safe stop is confirmed
+
+
+@pytest.mark.parametrize("end", ["fault", "exception", "signal"])
+def test_however_the_block_ends_the_pin_is_at_zero_and_the_device_disarmed(end: str) -> None:
+    bench = chip_bench()
+
+    def watch(t_s: float) -> None:
+        if t_s > 1.5:
+            assert bench.board.truth().pin_V != 0.0
+            if end == "signal":
+                bench.stop.reason = "SIGTERM"
+            elif end == "fault":
+                raise Fault("NO_CYCLE")
+            else:
+                raise ZeroDivisionError
+
+    with pytest.raises((Fault, ZeroDivisionError)), bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(0.6, 3.0), "jog", watch)
+    assert bench.board.truth().pin_V == 0.0
+    assert bench.record.events[-1] == {"t_s": pytest.approx(bench.loop.now_s), "kind": "stop", "confirmed": True}
+
+
+def test_an_unplugged_cable_is_a_fault_and_the_watchdog_stops_the_motor_inside_the_limits() -> None:
+    bench = chip_bench(start_rad=-0.8)
+    unplugged_s: list[float] = []
+
+    def watch(t_s: float) -> None:
+        if t_s > 1.4:
+            unplugged_s.append(bench.board.now_s())
+            bench.board.unplug()
+
+    with pytest.raises(Fault) as caught, bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(0.7, 5.0), "jog", watch)
+    assert caught.value.code == "LINK_LOST"
+    assert bench.record.events[-1]["confirmed"] is False  # nobody answered: it says so
+    assert bench.board.truth().pin_V != 0.0
+    off_s = math.nan
+    while bench.board.now_s() < unplugged_s[0] + 1.5:
+        bench.board.sleep_until(bench.board.now_s() + 0.0005)
+        if math.isnan(off_s) and bench.board.truth().pin_V == 0.0:
+            off_s = bench.board.now_s()
+    assert off_s - unplugged_s[0] < LIMITS.watchdog_s + 0.0025
+    assert bench.board.truth().y_rad < LIMITS.hard_rad[1]
