@@ -1,0 +1,47 @@
+"""Building the emulated board: from the repository, and as installed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from rig.emulate import firmware_build
+from rig.emulate.firmware_build import EmulationError
+
+
+def test_an_installed_rig_builds_in_the_users_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    package = tmp_path / "site-packages" / "rig"
+    sources = firmware_build.source_folder()
+    for part in ("core", "boards"):  # what pyproject.toml packs into the wheel
+        shutil.copytree(sources / part, package / "_firmware" / part)
+    shutil.copy(sources / "Makefile", package / "_firmware" / "Makefile")
+    monkeypatch.setattr(firmware_build, "_PACKAGE", package)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    packed = sorted(package.rglob("*"))
+    built = firmware_build.build()
+    assert built.program.is_relative_to(tmp_path / "cache" / "rig")
+    assert os.access(built.program, os.X_OK) and built.library.is_file()
+    assert sorted(package.rglob("*")) == packed  # the package itself may be read-only
+
+    source = package / "_firmware" / "core" / "rig_core.c"
+    source.write_text(source.read_text() + "\n")
+    assert firmware_build.build().program != built.program  # other content, other folder
+
+
+def test_missing_sources_are_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(firmware_build, "_PACKAGE", tmp_path / "rig")
+    with pytest.raises(EmulationError, match="no firmware sources"):
+        firmware_build.build()
+
+
+def test_builds_at_the_same_time_wait_for_each_other(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(3) as pool:
+        built = list(pool.map(lambda _: firmware_build.build(tmp_path), range(3)))
+    assert len(set(built)) == 1
+    help_text = subprocess.run([built[0].program, "--help"], capture_output=True, text=True, check=True).stdout
+    assert "tau-s" in help_text
