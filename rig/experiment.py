@@ -377,7 +377,7 @@ def _conclude(session: Session, fault: Fault | None) -> Outcome:
         failure = "the sampled-data estimate was refused: " + "; ".join(best.reasons)
     result = _result(session, fault)
     write_result(session.folder, result)
-    write_report(session.folder)
+    write_report(session.folder, identification)
     return Outcome(session.folder, result, fault, failure)
 
 

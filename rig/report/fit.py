@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
-from rig.identify.identification import identify
+from rig.identify.identification import Identification, identify
 from rig.identify.record import IdentifyError, Record, from_recording
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
@@ -149,12 +149,17 @@ def average(phase: Array, values: Array, bins: int) -> tuple[Array, Array, Array
     return centre[full] / count[full], total[full] / count[full], count[full].astype(float)
 
 
-def fits_of(run: Run) -> tuple[dict[str, Estimate], str]:
-    """Estimates made anew from the recording, with residuals and iterates; or why there are none, as a sentence."""
+def fits_of(run: Run, identification: Identification | None = None) -> tuple[dict[str, Estimate], str]:
+    """Estimates with residuals and iterates, or why there are none, as a sentence.
+
+    Made anew from the recording unless ``identification`` already is of it.
+    """
     if run.recording is None:
         return {}, "There are no samples, so there is no residual and no convergence to show."
     if not run.spans("relay"):
         return {}, "There was no relay test, so there is no residual and no convergence to show."
+    if identification is not None:
+        return identification.estimates, ""
     try:
         return identify([run.recording]).estimates, ""
     except IdentifyError as error:

@@ -12,6 +12,7 @@ from typing import Any
 import jinja2
 
 import rig
+from rig.identify import Identification
 from rig.report import checked, fitted, measured
 from rig.report.fit import fits_of
 from rig.report.source import PREFERRED, Json, Run, load, mappings, number, section, texts
@@ -30,14 +31,15 @@ class Figure:
     absent: str = ""
 
 
-def write_report(run_folder: Path) -> Path:
+def write_report(run_folder: Path, identification: Identification | None = None) -> Path:
     """Write ``report.html`` into a run folder and return its path.
 
-    Whatever is missing from the folder is said on the page. Raises FileNotFoundError if ``run_folder`` is no
-    folder, OSError where the file cannot be written.
+    ``identification`` is what `rig.identify` made of this recording, where the caller has it already. Whatever is
+    missing from the folder is said on the page. Raises FileNotFoundError if ``run_folder`` is no folder, OSError where
+    the file cannot be written.
     """
     run = load(Path(run_folder))
-    page = render_page(run)
+    page = render_page(run, identification)
     path = run.folder / REPORT
     half = path.with_name(f".{REPORT}.part")
     half.write_text(page, encoding="utf-8")
@@ -45,8 +47,8 @@ def write_report(run_folder: Path) -> Path:
     return path
 
 
-def render_page(run: Run) -> str:
-    """The whole page as text."""
+def render_page(run: Run, identification: Identification | None = None) -> str:
+    """The whole page as text; identifies the recording anew unless ``identification`` is given."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.report", package_path="."),
         autoescape=True,
@@ -59,7 +61,7 @@ def render_page(run: Run) -> str:
         run=run,
         version=rig.__version__,
         headline=headline(run),
-        figures=draw(run),
+        figures=draw(run, identification),
         estimates=_estimates(run),
         relays=_relays(run),
         tracking=_tracking(run),
@@ -70,10 +72,10 @@ def render_page(run: Run) -> str:
     )
 
 
-def draw(run: Run) -> dict[str, list[Figure]]:
+def draw(run: Run, identification: Identification | None = None) -> dict[str, list[Figure]]:
     """All figures by section; a part that is missing becomes its sentence."""
     with style():
-        fits, trouble = fits_of(run)
+        fits, trouble = fits_of(run, identification)
         best = next(iter(run.estimates), "sampled-data")
         relays = run.spans("relay")
 
