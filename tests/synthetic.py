@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
-from rig.model.friction import Friction, coulomb
+from rig.identify.record import Record
+from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
 
 LSB_RAD = 4.2 / 1024
@@ -86,4 +88,21 @@ def motor(
     return Motor(tau_s, K_rad_s_V, coulomb(fc_V, fs_V), asym_V)
 
 
-__all__ = ["Bench", "Friction", "LSB_RAD", "Samples", "dcr", "motor", "simulate"]
+def record(samples: Samples, t_u_known: bool = True, first: int = 0) -> Record:
+    """The samples as estimators read them, from row ``first`` on."""
+    times = samples.t_u_s if t_u_known else None
+    return Record(samples.t_s, samples.y_rad, times, samples.u_V, name="synthetic").part(first, samples.t_s.size)
+
+
+def write_csv(path: Path, samples: Samples, t_u_known: bool = True, stage: str = "") -> Path:
+    """The samples as a plain CSV file, or with a column ``stage`` as samples.csv has it."""
+    names = ["t_s", "u_V", "y_rad"] + (["t_u_s"] if t_u_known else []) + (["stage"] if stage else [])
+    lines = [",".join(names)]
+    for t, u, y, t_u in zip(samples.t_s, samples.u_V, samples.y_rad, samples.t_u_s, strict=True):
+        row = [repr(float(x)) for x in (t, u, y, t_u)[: 4 if t_u_known else 3]] + ([stage] if stage else [])
+        lines.append(",".join(row))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+__all__ = ["LSB_RAD", "Bench", "Samples", "dcr", "motor", "record", "simulate", "write_csv"]

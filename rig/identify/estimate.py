@@ -34,6 +34,7 @@ class Estimate:
     rows            first and last row used
     iterates        (n, 3): tau_s, K_rad_s_V, fc_V at each iteration, for a convergence figure
     residual_rad, residual_t_s  series of the residual, and its times
+    segments        stretches of the record that have an initial state of their own
     """
 
     method: str
@@ -55,6 +56,7 @@ class Estimate:
     iterates: Array = field(default_factory=lambda: np.empty((0, 3)))
     residual_rad: Array = field(default_factory=lambda: np.empty(0))
     residual_t_s: Array = field(default_factory=lambda: np.empty(0))
+    segments: int = 1
 
     @property
     def correlation(self) -> Array:

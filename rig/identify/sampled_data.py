@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,9 @@ METHOD = "sampled-data"
 SHARED = 5  # tau, K, fc, asym, delay: what all records have in common
 POLISHED = 3  # starts that are iterated to the end
 MAX_ITERATIONS = 100
+FEWEST_CLUSTERS = 8  # pieces from which on the scatter between them shows the error
+MOST_SEGMENTS = 24  # initial states for one record
+EXACT = 1e-7  # residual over the spread of positions that is rounding
 LARGEST_LOG_K = 40.0  # keeps exp(log K) finite
 SINGULAR = 1e10  # condition of the scaled Jacobian beyond which parameters cannot be told apart
 
@@ -65,6 +69,17 @@ class Piece:
             record.period_s,
             (record.first_row + first, record.first_row + record.t_s.size - 1),
         )
+
+    def split(self, length_s: float) -> list[Piece]:
+        """Consecutive parts of about this length, each to get an initial state of its own."""
+        count = min(MOST_SEGMENTS, round(float(self.t_s[-1] - self.t_s[0]) / length_s))
+        if count < 2 or self.t_s.size < 20 * count:
+            return [self]
+        cuts = np.linspace(0, self.t_s.size, count + 1).astype(int).tolist()
+        return [
+            Piece(self.t_s[a:b], self.y_rad[a:b], self.drive, self.period_s, (self.rows[0] + a, self.rows[0] + b - 1))
+            for a, b in pairwise(cuts)
+        ]
 
 
 @dataclass(frozen=True)
@@ -176,10 +191,13 @@ def fit(
 ) -> Estimate:
     """Fit one motor to all records.
 
+    Position integrates whatever disturbs the motor, or the times of its drive, so that one initial state cannot hold
+    for long: where the residual is correlated, every ``block_s`` gets an initial state of its own.
+
     records     each with its own initial state
     starts      first guesses; default: a coarse grid scored by simulation
     free_delay  fit a constant delay between 0 and 2 periods; default: only where a record has no t_u_s
-    block_s     time over which residuals may be correlated, s (a cycle's period); default: a tenth of the record
+    block_s     time over which residuals may be correlated, s (a cycle's period); default: a tenth of the longest one
     Returns an ``Estimate`` with verdict "ok" unless the fit itself failed; judging it is `verdict.py`'s part.
     Raises IdentifyError if there is nothing to fit.
     """
@@ -198,7 +216,25 @@ def fit(
     candidates = sorted((_score(pieces, guess, 0.5 * (bounds[0] + bounds[1])) for guess in guesses), key=lambda c: c[0])
     solutions = [problem.solve(x0) for _, x0 in candidates[:POLISHED]]
     best = min(solutions, key=lambda s: s.cost)
-    return _estimate(problem, best, records, block_s)
+    durations = [float(piece.t_s[-1] - piece.t_s[0]) for piece in pieces]
+    block = block_s or 0.1 * max(durations)
+    rows = max(2, round(block / period))
+    if _disturbed(best, pieces, rows):
+        parts = tuple(part for piece in pieces for part in piece.split(block))
+        if len(parts) > len(pieces):
+            problem = replace(problem, pieces=parts)
+            states = [value for part in parts for value in _initial_state(part)]
+            again = problem.solve(np.concatenate((best.x[:SHARED], states)))
+            best = replace(again, iterates=np.concatenate((best.iterates, again.iterates)))
+    return _estimate(problem, best, records, rows)
+
+
+def _disturbed(solution: Solution, pieces: Sequence[Piece], block: int) -> bool:
+    """Whether the residual is more than white noise: the position integrates every disturbance and timing error."""
+    spread = float(np.std(np.concatenate([piece.y_rad - piece.y_rad.mean() for piece in pieces])))
+    if math.sqrt(solution.cost / solution.residual.size) < EXACT * spread:
+        return False
+    return correlated(solution.residual, [piece.t_s.size for piece in pieces], block)
 
 
 def refit(
@@ -291,15 +327,13 @@ def _without_line(t_s: Array, y: Array) -> Array:
     return np.asarray(y - y.mean() - x * (x @ y) / (x @ x))
 
 
-def _estimate(problem: Problem, best: Solution, records: Sequence[Record], block_s: float | None) -> Estimate:
+def _estimate(problem: Problem, best: Solution, records: Sequence[Record], block: int) -> Estimate:
     mask = problem.mask()
     scale = np.ones(mask.size)
     tau, K = math.exp(best.x[0]), math.exp(best.x[1])
     scale[:2] = tau, K
     jacobian = best.jacobian[:, mask] / scale[mask]
     lengths = [piece.t_s.size for piece in problem.pieces]
-    duration = max(float(piece.t_s[-1] - piece.t_s[0]) for piece in problem.pieces)
-    block = max(2, round((block_s or 0.1 * duration) / problem.pieces[0].period_s))
     covariance, freedom = covariance_of(jacobian, best.residual, lengths, block)
     full = np.zeros((mask.size, mask.size))
     full[np.ix_(mask, mask)] = covariance
@@ -326,6 +360,7 @@ def _estimate(problem: Problem, best: Solution, records: Sequence[Record], block
         iterates=best.iterates,
         residual_rad=-best.residual,
         residual_t_s=np.concatenate([piece.t_s for piece in problem.pieces]),
+        segments=len(problem.pieces),
     )
     if not best.converged:
         return estimate.judged("refused", "the fit did not converge: record more cycles, or with less noise")
@@ -339,8 +374,8 @@ def covariance_of(jacobian: Array, residual: Array, lengths: Sequence[int], bloc
     block               rows over which residuals may be correlated
 
     (J^T J)^-1 s^2 for white residuals. Where the autocorrelation over a block says otherwise, each standard error
-    grows by what Bartlett-weighted (Newey-West) score sums give, and never shrinks. Infinite where parameters cannot be
-    told apart.
+    grows, and never shrinks, by what the scores say: summed over each piece where there are many, else
+    Bartlett-weighted (Newey-West). Infinite where parameters cannot be told apart.
     """
     n, p = jacobian.shape
     columns = np.linalg.norm(jacobian, axis=0)
@@ -355,19 +390,24 @@ def covariance_of(jacobian: Array, residual: Array, lengths: Sequence[int], bloc
     if variance == 0.0 or not correlated(residual, lengths, block):
         return white, float(freedom)
     scores = q * residual[:, None]
-    middle = scores.T @ scores
-    at = 0
-    for length in lengths:
-        part = scores[at : at + length]
-        for lag in range(1, min(block, length - 1)):
-            cross = part[lag:].T @ part[:-lag]
-            middle += (1.0 - lag / block) * (cross + cross.T)
-        at += length
+    starts = np.concatenate(([0], np.cumsum(lengths)[:-1]))
+    if len(lengths) >= FEWEST_CLUSTERS:
+        sums = np.add.reduceat(scores, starts)
+        middle = sums.T @ sums * len(lengths) / (len(lengths) - 1)
+        groups = len(lengths)
+    else:
+        middle = scores.T @ scores
+        for start, length in zip(starts, lengths, strict=True):
+            part = scores[start : start + length]
+            for lag in range(1, min(block, length - 1)):
+                cross = part[lag:].T @ part[:-lag]
+                middle += (1.0 - lag / block) * (cross + cross.T)
+        groups = n // block
     robust = inverse @ middle @ inverse.T
     grow = np.sqrt(
         np.maximum(1.0, np.divide(np.diag(robust), np.diag(white), out=np.ones(p), where=np.diag(white) > 0))
     )
-    return white * np.outer(grow, grow), float(max(3, min(freedom, n // block - 1)))
+    return white * np.outer(grow, grow), float(max(3, min(freedom, groups - 1)))
 
 
 def correlated(residual: Array, lengths: Sequence[int], block: int) -> bool:

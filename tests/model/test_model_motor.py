@@ -43,7 +43,7 @@ def integrate(motor: Motor, state: State, u_V: float, dt_s: float) -> np.ndarray
         if direction == 0.0:
             drive = u_V + motor.bias_V
             if -motor.friction.static_minus_V <= drive <= motor.friction.static_plus_V:
-                return x + [0.0, 0.0, x[1] * (dt_s - now)]
+                return x + np.array([0.0, 0.0, x[1] * (dt_s - now)])
             direction = math.copysign(1.0, drive)
         stop.direction = -direction
         run = solve_ivp(field(direction), (now, dt_s), x, events=stop, rtol=1e-10, atol=1e-12, method="DOP853")
@@ -120,7 +120,14 @@ def test_many_small_steps_are_one_large_step(tau, K, fc, v, u_V, dt_s, steps):
 
 
 @settings(max_examples=40, deadline=None)
-@given(taus, gains, levels, speeds, st.lists(st.tuples(drives, st.floats(0.0, 0.4)), min_size=1, max_size=8), st.integers(2, 40))
+@given(
+    taus,
+    gains,
+    levels,
+    speeds,
+    st.lists(st.tuples(drives, st.floats(0.0, 0.4)), min_size=1, max_size=8),
+    st.integers(2, 40),
+)
 def test_response_is_advance_repeated(tau, K, fc, v, plan, samples):
     motor = Motor(tau, K, coulomb(fc), 0.03)
     edges = np.concatenate(([0.0], np.cumsum([width for _, width in plan])[:-1]))
@@ -150,7 +157,7 @@ def test_energy_never_grows_without_drive():
     [([1.0, 0.0], [0.0], [1.0]), ([0.0, 1.0], [0.5], [1.0]), ([0.0], [0.0, 1.0], [1.0]), ([0.0], [], [])],
 )
 def test_unordered_times_and_unknown_drive_are_refused(t_s, edges, u):
-    with pytest.raises(ValueError, match="times|drive|one-dimensional"):
+    with pytest.raises(ValueError, match=r"times|drive|one-dimensional"):
         Motor(0.1, 1.0).response(State(), t_s, edges, u)
 
 
