@@ -63,8 +63,9 @@ class Breakaway:
 def breakaway(record: Record, estimate: Estimate, noise_rad: float) -> Breakaway:
     """Static friction from the record of slow ramps each way, given the motor.
 
-    The drive at break-away is that for which the exact simulation reproduces the recorded positions best. It includes
-    bias: towards rising positions it is static friction less bias, towards falling ones static friction plus bias.
+    The drive at break-away is that for which the exact simulation reproduces the recorded positions (their likelihood's
+    mean). It includes bias: towards rising positions it is static friction less bias, towards falling ones static
+    friction plus bias.
     """
     plus = _ramp(record, estimate, 1.0, noise_rad)
     minus = _ramp(record, estimate, -1.0, noise_rad)
@@ -120,7 +121,9 @@ def _ramp(record: Record, estimate: Estimate, sign: float, noise_rad: float) -> 
     variance = max(costs[best] / t_s.size, noise_rad**2)
     near = np.flatnonzero(costs <= costs[best] + CHANCE * variance)
     low, high = lows[int(near[0])], levels[min(int(near[-1]), levels.size - 1)]
-    return Ramp(float(trials[best]), float(low), float(high))
+    # Costs are flat where the noise hides the first motion: the mean over what they leave, not their lowest point.
+    weights = np.diff(np.concatenate((lows[:1], levels))) * np.exp(-0.5 * (costs[:-1] - costs[best]) / variance)
+    return Ramp(float(weights @ np.array(trials[:-1]) / weights.sum()), float(low), float(high))
 
 
 def split(plus: Ramp, minus: Ramp, estimate: Estimate) -> tuple[tuple[float, float, float] | None, str]:

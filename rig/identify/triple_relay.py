@@ -91,6 +91,28 @@ def _relative(states: Array, features: Features, amplitude: float, omega: float)
     )
 
 
+@dataclass(frozen=True)
+class _Scale:
+    """Unknowns of order one: logarithms of tau and K in units of the cycle's, and fc over h2."""
+
+    tau_s: float
+    K_rad_s_V: float
+    fc_V: float
+
+    @classmethod
+    def of(cls, features: Features, h2_V: float) -> _Scale:
+        omega = math.pi / (features.t1_s + features.t2_s + features.t3_s)
+        return cls(1.0 / omega, abs(features.y_extremum_rad) * omega / h2_V, h2_V)
+
+    def theta(self, x: Array) -> Start:
+        return Start(self.tau_s * math.exp(x[0]), self.K_rad_s_V * math.exp(x[1]), self.fc_V * float(x[2]))
+
+    def unknowns(self, theta: Start) -> Array:
+        return np.array(
+            [math.log(theta.tau_s / self.tau_s), math.log(theta.K_rad_s_V / self.K_rad_s_V), theta.fc_V / self.fc_V]
+        )
+
+
 def solve(features: Features, h1_V: float, h2_V: float, starts: Sequence[Start]) -> Fit:
     """Best solution of the five equations from the given starts, t1 being known.
 
@@ -98,14 +120,12 @@ def solve(features: Features, h1_V: float, h2_V: float, starts: Sequence[Start])
     """
     _check_order(features)
 
-    def unscaled(x: Array) -> Start:
-        return Start(math.exp(x[0]), math.exp(x[1]), float(x[2]) * h2_V)
+    scale = _Scale.of(features, h2_V)
 
     def evaluate(x: Array) -> Array:
-        return residuals(unscaled(x), features, h1_V, h2_V)
+        return residuals(scale.theta(x), features, h1_V, h2_V)
 
-    scaled = [[math.log(s.tau_s), math.log(s.K_rad_s_V), s.fc_V / h2_V] for s in starts]
-    return _best([_gauss_newton(evaluate, np.array(x)) for x in scaled], unscaled)
+    return _best([_gauss_newton(evaluate, scale.unknowns(start)) for start in starts], scale.theta)
 
 
 def solve_cycle(cycle: Cycle, starts: Sequence[Start]) -> Fit:
@@ -123,11 +143,10 @@ def solve_cycle(cycle: Cycle, starts: Sequence[Start]) -> Fit:
     at_s, y_rad = at_s[window], cycle.curve_rad[window]
     weight = 1.0 / (cycle.amplitude_rad * math.sqrt(at_s.size))
 
-    def unscaled(x: Array) -> Start:
-        return Start(math.exp(x[0]), math.exp(x[1]), float(x[2]) * h2)
+    scale = _Scale.of(features, h2)
 
     def evaluate(x: Array) -> Array:
-        theta = unscaled(x)
+        theta = scale.theta(x)
         inputs = effective_inputs(theta.fc_V, h1, h2)
         t1 = _reversal(theta.tau_s, inputs, inner, features.t3_s)
         states = stage_states(theta.tau_s, theta.K_rad_s_V, (t1, inner - t1, features.t3_s), inputs)
@@ -135,8 +154,7 @@ def solve_cycle(cycle: Cycle, starts: Sequence[Start]) -> Fit:
         curve = _curve(theta, states, t1, inputs, at_s)
         return np.concatenate((planes[[0, 2, 4]], weight * (curve - y_rad)))
 
-    scaled = [[math.log(s.tau_s), math.log(s.K_rad_s_V), s.fc_V / h2] for s in starts]
-    return _best([_gauss_newton(evaluate, np.array(x)) for x in scaled], unscaled)
+    return _best([_gauss_newton(evaluate, scale.unknowns(start)) for start in starts], scale.theta)
 
 
 def _reversal(tau_s: float, inputs: tuple[float, float, float], inner_s: float, t3_s: float) -> float:

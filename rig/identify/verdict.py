@@ -27,7 +27,7 @@ FEW_CYCLES = 5
 
 def judge_sampled_data(estimate: Estimate, records: Sequence[Record], cycles: Sequence[Cycle]) -> Estimate:
     """The sampled-data estimate with its verdict: intervals, bounds, residual, row convention, sticking, transfer."""
-    estimate = _intervals(estimate)
+    estimate = _intervals(estimate, records)
     estimate = _bounds(estimate, records)
     estimate = _residual(estimate, records)
     estimate = _enough(estimate, cycles)
@@ -50,7 +50,7 @@ def judge_reference(estimate: Estimate, records: Sequence[Record], cycles: Seque
             f"no motor has tau = {estimate.tau_s:.3g} s, K = {estimate.K_rad_s_V:.3g} (rad/s)/V, "
             f"fc = {estimate.fc_V:.3g} V: record larger and slower cycles",
         )
-    estimate = _enough(_intervals(estimate), cycles)
+    estimate = _enough(_intervals(estimate, records), cycles)
     free = ["asym_V"]
     bounds = None
     delay = 0.0
@@ -83,11 +83,10 @@ def _spread(records: Sequence[Record]) -> float:
     return float(np.sqrt(np.mean([np.var(record.y_rad) for record in records])))
 
 
-def _intervals(estimate: Estimate) -> Estimate:
+def _intervals(estimate: Estimate, records: Sequence[Record]) -> Estimate:
     sizes = {"tau_s": estimate.tau_s, "K_rad_s_V": estimate.K_rad_s_V}
-    # friction is small or large against the largest drive's share of it, not against itself
-    fc = abs(estimate.fc_V)
-    sizes["fc_V"] = max(fc, 0.05)
+    # a motor without friction has none to be known to a tenth: then the drive is the measure
+    sizes["fc_V"] = max(abs(estimate.fc_V), 0.03 * max(float(np.abs(record.u_V).max()) for record in records))
     for name, size in sizes.items():
         if name not in estimate.ci95:
             continue

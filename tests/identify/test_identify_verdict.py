@@ -1,0 +1,156 @@
+"""Verdicts: believed where it is right, doubted or refused where it is not, always with a reason."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
+
+from rig.identify import sampled_data, verdict
+from rig.identify.cycles import find_cycle
+from rig.identify.estimate import Estimate
+from rig.identify.record import IdentifyError, Record
+from rig.model.friction import Friction
+from rig.model.motor import Motor
+
+NOISY = {"noise_rad": 0.003, "lsb_rad": LSB_RAD}
+
+
+def judged(*records: Record) -> Estimate:
+    cycles = []
+    for one in records:
+        try:
+            cycles.append(find_cycle(one))
+        except IdentifyError:
+            continue
+    block = cycles[0].period_s if cycles else None
+    return verdict.judge_sampled_data(sampled_data.fit(records, block_s=block), records, cycles)
+
+
+def relay(
+    rows: int = 1000, known: bool = True, plant: Motor | None = None, h1: float = 0.8, h2: float = 1.0, **bench
+) -> Record:
+    samples = simulate(plant or motor(asym_V=0.02), dcr(h1, h2), rows, Bench(**(NOISY | bench)))
+    return record(samples, known, 100)
+
+
+def slipped(one: Record, rows: int) -> Record:
+    """The drive written ``rows`` rows too late (> 0) or too early."""
+    n = len(one)
+    if rows > 0:
+        return Record(
+            one.t_s[rows:], one.y_rad[rows:], None if one.t_u_s is None else one.t_u_s[rows:], one.u_V[: n - rows]
+        )
+    return Record(one.t_s[:rows], one.y_rad[:rows], None if one.t_u_s is None else one.t_u_s[:rows], one.u_V[-rows:])
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_good_record_is_ok(known, seed):
+    found = judged(relay(known=known, seed=seed))
+    assert found.verdict == "ok", found.reasons
+    assert found.reasons == ()
+    assert found.tau_s == pytest.approx(0.17, rel=0.05)
+
+
+@pytest.mark.parametrize("rows", [1, -1])
+@pytest.mark.parametrize("seed", range(3))
+def test_with_known_times_a_row_slipped_by_one_tick_is_refused(rows, seed):
+    found = judged(slipped(relay(seed=seed), rows))
+    assert found.verdict == "refused"
+    assert any("than t_u_s says" in reason or "unexplained" in reason for reason in found.reasons)
+
+
+@pytest.mark.parametrize("delay_s", [0.002, 0.006])
+def test_without_times_the_delay_absorbs_a_row_slipped_early(delay_s):
+    """A drive one row early in the file acts from t_s + delay + Ts: within the 2 Ts that are looked at."""
+    found = judged(slipped(relay(known=False, delay_s=delay_s), -1))
+    whole = judged(relay(known=False, delay_s=delay_s))
+    assert whole.delay_s == pytest.approx(delay_s, abs=0.002)
+    assert found.delay_s == pytest.approx(delay_s + 0.01, abs=0.002)
+    assert found.tau_s == pytest.approx(0.17, rel=0.05)
+
+
+def test_without_times_a_row_slipped_late_is_not_believed():
+    """It would have to act before it was commanded: the delay ends at its bound of 0."""
+    found = judged(slipped(relay(known=False, delay_s=0.002), 1))
+    assert found.verdict != "ok"
+    assert any("bound" in reason or "noise" in reason for reason in found.reasons)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda r: Record(r.t_s, -r.y_rad, r.t_u_s, r.u_V), "unexplained|cannot tell|not converge"),
+        (lambda r: Record(r.t_s, np.clip(r.y_rad, -0.35, 0.5), r.t_u_s, r.u_V), "noise|unexplained"),
+        (
+            lambda r: Record(r.t_s, np.random.default_rng(1).permutation(r.y_rad), r.t_u_s, r.u_V),
+            "unexplained|only known",
+        ),
+    ],
+)
+def test_positions_that_do_not_belong_to_the_drive_are_not_believed(change: Callable[[Record], Record], words: str):
+    found = judged(change(relay()))
+    assert found.verdict != "ok"
+    assert re.search(words, " ".join(found.reasons)), found.reasons
+
+
+def test_a_short_noisy_record_is_doubted_for_its_interval():
+    found = judged(relay(rows=190, noise_rad=0.02, lsb_rad=0.0))
+    assert found.verdict != "ok"
+    assert any("only known to" in reason for reason in found.reasons)
+
+
+def test_a_motor_that_turns_one_way_only_is_refused():
+    samples = simulate(motor(), lambda t, y, z: 1.5 if t % 1.0 < 0.5 else 1.0, 400, Bench(**NOISY))
+    found = judged(record(samples))
+    assert found.verdict == "refused"
+    assert any("both ways" in reason or "only known" in reason for reason in found.reasons)
+
+
+def test_a_motor_that_mostly_stands_still_is_doubted():
+    samples = simulate(
+        motor(), lambda t, y, z: (1.5 if t % 4.0 < 2.0 else -1.5) if t % 2.0 < 0.3 else 0.0, 2000, Bench(**NOISY)
+    )
+    found = judged(record(samples))
+    assert any("stands still" in reason for reason in found.reasons)
+    assert found.verdict == "doubtful"
+
+
+def test_two_tests_of_one_motor_predict_each_other_and_of_two_motors_do_not():
+    same = judged(relay(), relay(1700, h1=0.5, h2=1.2, seed=2))
+    assert same.verdict == "ok", same.reasons
+    warm = judged(relay(), relay(1700, plant=motor(0.17, 6.0, 0.42), h1=0.5, h2=1.2, seed=2))
+    assert warm.verdict != "ok"
+    assert any("noise" in reason or "own fit" in reason for reason in warm.reasons)
+
+
+def test_static_friction_above_moving_friction_is_no_objection_where_the_relay_exceeds_it():
+    plant = Motor(0.17, 6.5, Friction(0.5, 0.46, 0.56, 0.52), 0.01)
+    found = judged(relay(plant=plant))
+    assert found.verdict == "ok", found.reasons
+    assert found.fc_V == pytest.approx(0.48, rel=0.03)
+
+
+def reference(tau: float, K: float, fc: float, known: bool = True) -> Estimate:
+    one = relay(known=known)
+    return verdict.judge_reference(Estimate("triple-relay", tau, K, fc), [one], [find_cycle(one)])
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_reference_method_is_judged_by_what_its_model_leaves(known):
+    good, poor, none = (reference(*p, known) for p in ((0.17, 6.5, 0.5), (0.22, 6.5, 0.5), (0.17, 6.5, -0.1)))
+    assert good.verdict == "ok"
+    assert good.rms_rad == pytest.approx(0.0032, rel=0.1)
+    assert poor.verdict in ("doubtful", "refused")
+    assert poor.rms_rad > 5.0 * good.rms_rad
+    assert none.verdict == "refused"
+    assert "no motor" in none.reasons[0]
+
+
+def test_a_verdict_never_improves_and_reasons_do_not_repeat():
+    one = Estimate("sampled-data", 0.1, 1.0, 0.1).judged("refused", "a").judged("doubtful", "b", "a")
+    assert (one.verdict, one.reasons) == ("refused", ("a", "b"))
