@@ -97,7 +97,10 @@ class Motor:
         return end.y
 
     def response(
-        self, start: State, t_s: Sequence[float] | Array, edge_s: Sequence[float] | Array,
+        self,
+        start: State,
+        t_s: Sequence[float] | Array,
+        edge_s: Sequence[float] | Array,
         edge_u_V: Sequence[float] | Array,
     ) -> Array:
         """States at the times ``t_s`` under a drive that is constant between edges.

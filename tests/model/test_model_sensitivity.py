@@ -47,7 +47,9 @@ def test_jacobian_is_that_of_finite_differences(tau, K, fc, asym, delay, v0, see
 
 
 def test_a_motor_held_by_friction_does_not_depend_on_its_parameters():
-    y, jacobian = position_and_jacobian(Theta(0.2, 5.0, 0.5, 0.0, 0.0, 0.0, 0.4), Drive((0.0, 1.0), (0.3, -0.3)), np.linspace(0, 2, 9))
+    y, jacobian = position_and_jacobian(
+        Theta(0.2, 5.0, 0.5, 0.0, 0.0, 0.0, 0.4), Drive((0.0, 1.0), (0.3, -0.3)), np.linspace(0, 2, 9)
+    )
     assert np.all(y == 0.4)
     assert np.all(jacobian[:, :5] == 0.0)
     assert np.all(jacobian[:, 6] == 1.0)
