@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from rig.identify.cycles import Cycle
 from rig.identify.estimate import Estimate
@@ -57,7 +57,7 @@ def fit(cycles: Sequence[Cycle]) -> Estimate:
     intervals: dict[str, tuple[float, float]] = {}
     spread = _propagated(cycles, omegas, amplitudes, h1, h2)
     covariance[:3, :3] = spread
-    quantile = float(student_t.ppf(0.975, max(1, min(cycle.cycles for cycle in cycles) - 1)))
+    quantile = float(stdtrit(max(1, min(cycle.cycles for cycle in cycles) - 1), 0.975))
     for name, value, variance in zip(("tau_s", "K_rad_s_V", "fc_V"), theta, np.diag(spread), strict=True):
         error = quantile * math.sqrt(variance)
         intervals[name] = (value - error, value + error)

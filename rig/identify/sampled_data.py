@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.record import IdentifyError, Record
@@ -344,7 +344,7 @@ def _estimate(problem: Problem, best: Solution, records: Sequence[Record], block
         delay = float(latency.mean())
         delay_error = float(latency.std() / math.sqrt(latency.size))
     values = (tau, K, float(best.x[2]), float(best.x[3]), float(delay))
-    quantile = float(student_t.ppf(0.975, freedom))
+    quantile = float(stdtrit(freedom, 0.975))
     errors = [*np.sqrt(np.diag(shared))[:4].tolist(), delay_error]
     estimate = Estimate(
         METHOD,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from rig.identify.cycles import Cycle, average
 from rig.identify.estimate import Estimate
@@ -260,7 +260,7 @@ def fit(cycle: Cycle, start: Start | None = None) -> Estimate:
     spread = _jackknife(cycle, found.theta)
     if spread is not None:
         covariance[:3, :3] = spread
-        quantile = float(student_t.ppf(0.975, cycle.cycles - 1))
+        quantile = float(stdtrit(cycle.cycles - 1, 0.975))
         for name, value, variance in zip(("tau_s", "K_rad_s_V", "fc_V"), found.theta, np.diag(spread), strict=True):
             error = quantile * math.sqrt(variance)
             intervals[name] = (value - error, value + error)

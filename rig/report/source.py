@@ -135,14 +135,18 @@ def section(of: Json, key: str) -> Json:
     return value if isinstance(value, dict) else {}
 
 
+LARGEST = 1e100  # nothing measured is larger, and no axis is drawn to numbers whose square overflows
+
+
 def number(value: Any) -> float:
-    """``value`` as a float; nan where it is no number."""
+    """``value`` as a float; nan where it is no number, or one that cannot have been measured."""
     if value is None or isinstance(value, bool):
         return math.nan
     try:
-        return float(value)
-    except (TypeError, ValueError):
+        measured = float(value)
+    except (TypeError, ValueError, OverflowError):
         return math.nan
+    return measured if abs(measured) < LARGEST else math.nan
 
 
 def numbers(of: Any) -> dict[str, float]:
