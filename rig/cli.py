@@ -10,6 +10,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -61,14 +62,21 @@ def main() -> None:
 @main.command()
 @CONFIG
 @OUT
-@click.option("--repeat", type=click.IntRange(1, 1000), default=1, help="Run it N times and show the scatter.")
+@click.option(
+    "--repeat",
+    type=click.IntRange(1, 1000),
+    default=1,
+    help="Run it N times and show the scatter between runs; an emulated bench takes seed, seed + 1, ...",
+)
 @JSON
 def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
     """Run the whole experiment: breakaway, search, relay, identify, verify, report."""
     from rig import experiment as script
 
     experiment = _load(config_path)
-    outcomes = [_perform(lambda on_start: script.run(experiment, out, on_start), as_json) for _ in range(repeat)]
+    # an emulated bench has its noise from the seed: each repetition gets another
+    several = [experiment.model_copy(update={"seed": experiment.seed + k}) for k in range(repeat)]
+    outcomes = [_perform(partial(script.run, e, out), as_json) for e in several]
     if as_json:
         results = [outcome.result | {"folder": str(outcome.folder)} for outcome in outcomes]
         click.echo(json.dumps(results[0] if repeat == 1 else {"runs": results}))
@@ -86,7 +94,7 @@ def relay(config_path: Path, out: Path, as_json: bool) -> None:
     from rig import experiment as script
 
     experiment = _load(config_path)
-    _finish(_perform(lambda on_start: script.run_relay(experiment, out, on_start), as_json), as_json)
+    _finish(_perform(partial(script.run_relay, experiment, out), as_json), as_json)
 
 
 @main.command()
@@ -109,7 +117,7 @@ def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
         models = identify([read_run(model_run)])
     except (RecordingError, IdentifyError) as error:
         _fail(EXIT_BAD_INPUT, error.cause, error.cure)
-    _finish(_perform(lambda on_start: script.run_tracking(experiment, models, out, on_start), as_json), as_json)
+    _finish(_perform(partial(script.run_tracking, experiment, models, out), as_json), as_json)
 
 
 @main.command()
