@@ -174,3 +174,19 @@ def test_track_alone_uses_the_models_of_an_earlier_run(demo_run, tmp_path: Path)
     result = rig("track", ROOT / "config/simulated.yaml", "--model", outcome["folder"], "--out", tmp_path, "--json")
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["tracking"]["sampled-data"]["rms_rad"] < 0.03
+
+
+def test_repeated_runs_differ_and_show_their_scatter(tmp_path: Path) -> None:
+    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    del config["tracking"]
+    config["relay"] = {"gains": [{"h1_V": 0.45, "h2_V": 0.9}], "cycles": 5}
+    path = tmp_path / "quick.yaml"
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    result = rig("run", path, "--repeat", 3, "--out", tmp_path / "runs", "--json")
+    assert result.exit_code == 0, result.output
+    runs = json.loads(result.stdout)["runs"]
+    taus = [run["estimates"]["sampled-data"]["tau_s"] for run in runs]
+    assert len(set(taus)) == 3
+    assert len({run["folder"] for run in runs}) == 3
+    shown = rig("run", path, "--repeat", 2, "--out", tmp_path / "runs")
+    assert "scatter between runs" in shown.stdout
