@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from rig.config.preflight import REACTION_PERIODS
 from rig.config.schema import Experiment
 from rig.control.guard import GuardSettings
 from rig.daq import registry
@@ -18,9 +19,6 @@ from rig.emulate.host_board import HostBoard
 from rig.loop.clock import MonotonicClock, VirtualClock
 from rig.model.bench import BenchParameters
 from rig.signals import Limits
-
-# The guard's velocity is the slope of the last five samples: it lags by two.
-_VELOCITY_LAG_TICKS = 2
 
 
 @dataclass(frozen=True)
@@ -64,10 +62,8 @@ def guard_settings_of(experiment: Experiment, noise_rad: float | None = None) ->
         rail_counts=experiment.sensor.rail_counts,
         max_speed_rad_s=t.max_speed_rad_s,
         coast_tau_s=t.coast_tau_s,
-        # as in `rig check`: one period, one reply that never comes, then the device's watchdog
-        reaction_s=(1 + _VELOCITY_LAG_TICKS) * experiment.period_s
-        + experiment.daq.timeout_s
-        + experiment.daq.watchdog_s,
+        # as in `rig check`: the loop's own reaction, one reply that never comes, then the device's watchdog
+        reaction_s=REACTION_PERIODS * experiment.period_s + experiment.daq.timeout_s + experiment.daq.watchdog_s,
         noise_rad=2.0 * lsb_rad if noise_rad is None else max(noise_rad, lsb_rad),
         motion_rad=experiment.breakaway.motion_rad,
     )

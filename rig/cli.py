@@ -23,6 +23,7 @@ from rig import config
 from rig.emulate.firmware_build import EmulationError
 from rig.faults import Fault
 from rig.recording.errors import RecordingError
+from rig.recording.folder import json_text
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -76,10 +77,14 @@ def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
     experiment = _load(config_path)
     # an emulated bench has its noise from the seed: each repetition gets another
     several = [experiment.model_copy(update={"seed": experiment.seed + k}) for k in range(repeat)]
-    outcomes = [_perform(partial(script.run, e, out), as_json) for e in several]
+    outcomes: list[Any] = []
+    for e in several:
+        outcomes.append(_perform(partial(script.run, e, out), as_json))
+        if outcomes[-1].fault is not None:
+            break  # nothing arms again by itself after a fault or a Ctrl-C
     if as_json:
         results = [outcome.result | {"folder": str(outcome.folder)} for outcome in outcomes]
-        click.echo(json.dumps(results[0] if repeat == 1 else {"runs": results}))
+        click.echo(json_text(results[0] if repeat == 1 else {"runs": results}), nl=False)
     elif repeat > 1:
         _show_scatter([outcome.result for outcome in outcomes])
     sys.exit(EXIT_FAILED if any(outcome.failure for outcome in outcomes) else 0)
@@ -117,7 +122,7 @@ def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
         models = identify([read_run(model_run)])
     except (RecordingError, IdentifyError) as error:
         _fail(EXIT_BAD_INPUT, error.cause, error.cure)
-    _finish(_perform(partial(script.run_tracking, experiment, models, out), as_json), as_json)
+    _finish(_perform(partial(script.run_tracking, experiment, models, model_run, out), as_json), as_json)
 
 
 @main.command()
@@ -295,7 +300,7 @@ def _perform(start: Callable[[Callable[[Path], None]], Any], as_json: bool) -> A
 
 def _finish(outcome: Any, as_json: bool) -> NoReturn:
     if as_json:
-        click.echo(json.dumps(outcome.result | {"folder": str(outcome.folder)}))
+        click.echo(json_text(outcome.result | {"folder": str(outcome.folder)}), nl=False)
     sys.exit(EXIT_FAILED if outcome.failure else 0)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import sys
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -44,12 +45,21 @@ RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
 
 @dataclass
 class Outcome:
-    """What a run came to: its folder, its result.json, and why it failed, if it did."""
+    """What a run came to: its folder, its result.json, the fault that ended it, and what else failed."""
 
     folder: Path
     result: dict[str, Any]
     fault: Fault | None = None
-    failure: str = ""
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def failure(self) -> str:
+        """Why the run is not a success, in words; empty if it is."""
+        why = ([] if self.fault is None else [str(self.fault)]) + self.failures
+        best = self.result.get("estimates", {}).get("sampled-data")
+        if not why and best is not None and best["verdict"] == "refused":
+            why.append("the sampled-data estimate was refused: " + "; ".join(best["reasons"]))
+        return "; ".join(why)
 
 
 @dataclass
@@ -64,6 +74,7 @@ class Session:
     breakaway: BreakawayCheck | None = None
     search: GainSearch | None = None
     identification: Identification | None = None
+    models_from: Path | None = None  # the run that identified them, where it is another
     notes: list[str] = field(default_factory=list)
     tracking: dict[str, dict[str, Any]] = field(default_factory=dict)
 
@@ -102,12 +113,17 @@ def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = N
 
 
 def run_tracking(
-    experiment: Experiment, models: Identification, parent: Path, on_start: OnStart | None = None
+    experiment: Experiment,
+    models: Identification,
+    models_from: Path,
+    parent: Path,
+    on_start: OnStart | None = None,
 ) -> Outcome:
-    """Breakaway and the tracking check, with models identified in an earlier run."""
+    """Breakaway and the tracking check, with models identified in an earlier run, ``models_from``."""
 
     def script(session: Session) -> None:
         session.identification = models
+        session.models_from = models_from
         with driving(session):
             check_breakaway(session)
         verify_models(session)
@@ -197,6 +213,7 @@ def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetec
         # moving friction is a little less than what breaks the shaft away
         friction_V=0.45 * (breakaway.plus_V + breakaway.minus_V),
         reach_rad=0.9 * min(-e.limits.soft_rad[0], e.limits.soft_rad[1]),
+        top_speed_rad_s=0.95 * e.limits.max_speed_rad_s,
     )
     session.search = search
     told = 0
@@ -216,6 +233,7 @@ def identify_recorded(session: Session) -> None:
     session.recorder.drain()
     session.note("stage", name="identify")
     session.identification = identify([read_run(session.folder)])
+    session.loop.check_stop()
 
 
 def verify_models(session: Session) -> None:
@@ -260,14 +278,6 @@ def verify_models(session: Session) -> None:
             session.loop.run(law, f"track:{method}")
             session.tracking[method] = {}
         session.loop.run(Rest(REST_S), "rest")
-    session.recorder.drain()
-    recording = read_run(session.folder)
-    for method in safe:
-        rows = recording.stage_rows(f"track:{method}")
-        rms_rad, max_rad = tracking_error(
-            recording.t_s[rows], recording.y_rad[rows], recording.yd_rad[rows], after_s=FADE_S
-        )
-        session.tracking[method] = {"rms_rad": rms_rad, "max_rad": max_rad}
 
 
 def _tracking_law(session: Session, method: str) -> Tracking:
@@ -326,30 +336,54 @@ def _watch_cycles(session: Session, detector: CycleDetector, stage: str) -> Call
 
 
 def _record(experiment: Experiment, parent: Path, script: Script, on_start: OnStart | None) -> Outcome:
-    """Run ``script`` on the bench, recorded; whatever ends it, the drive is stopped and the record kept."""
+    """Run ``script`` on the bench, recorded; whatever ends it, the drive is stopped and the record kept.
+
+    result.json is written before signals get their usual meaning back: a second Ctrl-C costs the report, no more.
+    """
     started = datetime.now(UTC)
-    with connect(experiment) as bench:
-        folder = create_run(parent, experiment.name, started)
-        write_config(folder, dump(experiment))
-        write_meta(folder, _meta(experiment, bench, started))
-        recorder = Recorder(folder, _stages(experiment))
-        fault: Fault | None = None
-        try:
-            if on_start is not None:
-                on_start(folder)
-            with stop_on_signals() as stop:
+    with stop_on_signals() as stop:
+        with connect(experiment) as bench:
+            folder = create_run(parent, experiment.name, started)
+            write_config(folder, dump(experiment))
+            write_meta(folder, _meta(experiment, bench, started))
+            recorder = Recorder(folder, _stages(experiment))
+            try:
+                if on_start is not None:
+                    on_start(folder)
                 guard = Guard(guard_settings_of(experiment))
                 loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
                 session = Session(experiment, folder, bench, recorder, loop)
-                try:
-                    script(session)
-                except Fault as seen:
-                    fault = seen
-                    session.note("fault", **seen.as_dict())
-                session.note("end")
-        finally:
-            lost = _close(recorder)
-    return _conclude(session, fault or lost)
+                fault = _run_script(script, session)
+            finally:
+                lost = _close(recorder)
+        outcome = Outcome(session.folder, {}, fault or lost)
+        _measure_tracking(session)
+        _write_result(session, outcome)
+    return _conclude(session, outcome)
+
+
+def _run_script(script: Script, session: Session) -> Fault | None:
+    """Run the script to its end; the fault that ended it, if one did."""
+    fault: Fault | None = None
+    try:
+        script(session)
+        session.loop.check_stop()
+    except Fault as seen:
+        fault = seen
+    except (IdentifyError, RecordingError) as error:
+        fault = Fault("NOT_IDENTIFIED", f"{error.cause}; {error.cure}")
+    except Exception as error:  # noqa: BLE001 - whatever it is, the run ends with its record and a result
+        fault = Fault("INTERNAL", f"{type(error).__name__}: {error}")
+        session.note("traceback", text="".join(traceback.format_exception(error))[-2000:])
+    if fault is not None:
+        session.note("fault", **fault.as_dict())
+    braked = session.loop.guard.braked_ticks
+    if braked:
+        session.notes.append(
+            f"the guard braked in {braked} ticks: for this motion the limits leave too little room to stop"
+        )
+    session.note("end")
+    return fault
 
 
 def _close(recorder: Recorder) -> Fault | None:
@@ -361,9 +395,8 @@ def _close(recorder: Recorder) -> Fault | None:
     return None
 
 
-def _conclude(session: Session, fault: Fault | None) -> Outcome:
-    """Identify what a fault has left, write result.json and the report, say what failed."""
-    failure = "" if fault is None else str(fault)
+def _conclude(session: Session, outcome: Outcome) -> Outcome:
+    """Identify what a fault has left, complete result.json, write the report, say what failed."""
     if session.identification is None:
         try:
             recording = read_run(session.folder)
@@ -371,14 +404,34 @@ def _conclude(session: Session, fault: Fault | None) -> Outcome:
                 session.identification = identify([recording])
         except (IdentifyError, RecordingError) as error:
             session.notes.append(f"nothing to identify: {error.cause}")
-    identification = session.identification
-    best = None if identification is None else identification.estimates.get("sampled-data")
-    if not failure and best is not None and best.verdict == "refused":
-        failure = "the sampled-data estimate was refused: " + "; ".join(best.reasons)
-    result = _result(session, fault)
-    write_result(session.folder, result)
-    write_report(session.folder, identification)
-    return Outcome(session.folder, result, fault, failure)
+        _write_result(session, outcome)
+    try:
+        write_report(session.folder, session.identification)
+    except OSError as error:
+        outcome.failures.append(f"report.html cannot be written: {error.strerror}")
+    return outcome
+
+
+def _write_result(session: Session, outcome: Outcome) -> None:
+    outcome.result = _result(session, outcome.fault)
+    try:
+        write_result(session.folder, outcome.result)
+    except RecordingError as error:
+        outcome.failures.append(error.cause)
+
+
+def _measure_tracking(session: Session) -> None:
+    """Errors of the tracking runs that came to their end."""
+    finished = [method for method, entry in session.tracking.items() if not entry]
+    if not finished:
+        return
+    recording = read_run(session.folder)
+    for method in finished:
+        rows = recording.stage_rows(f"track:{method}")
+        rms_rad, max_rad = tracking_error(
+            recording.t_s[rows], recording.y_rad[rows], recording.yd_rad[rows], after_s=FADE_S
+        )
+        session.tracking[method] = {"rms_rad": rms_rad, "max_rad": max_rad}
 
 
 def _result(session: Session, fault: Fault | None) -> dict[str, Any]:
@@ -396,9 +449,14 @@ def _result(session: Session, fault: Fault | None) -> dict[str, Any]:
         "faults": [] if fault is None else [fault.as_dict()],
         "notes": [*session.notes, *([] if identification is None else identification.notes)],
     }
+    if session.models_from is not None:
+        # rows, relays and notes of another run would be taken for this one's
+        result |= {"relays": [], "notes": [*session.notes, f"models are those of {session.models_from}"]}
+        result["models_from"] = str(session.models_from)
+        result["estimates"] = {method: {**e, "rows": None} for method, e in result["estimates"].items()}
     if check is not None:
         result["breakaway"] = {"seen_plus_V": check.plus_V, "seen_minus_V": check.minus_V, "noise_rad": check.noise_rad}
-        if identification is not None and identification.breakaway is not None:
+        if identification is not None and identification.breakaway is not None and session.models_from is None:
             result["breakaway"] |= identification.breakaway
     if search is not None:
         result["search"] = [step._asdict() for step in search.steps]

@@ -41,6 +41,10 @@ FAULTS: dict[str, FaultEntry] = {
         "the device refused a command",
         "read the device's code beside this line; correct limits or drive in the config",
     ),
+    "CONFIG_MISMATCH": FaultEntry(
+        "the device is not the one that the config describes",
+        "correct the key that is named here, or connect the other device",
+    ),
     "ARM_READBACK": FaultEntry(
         "the limits read back from the device are not those that were sent",
         "start again; if it persists, flash the firmware",
@@ -112,15 +116,27 @@ FAULTS: dict[str, FaultEntry] = {
         "the recorder stopped taking rows",
         "check the disk's free space and permissions of the run folder",
     ),
-    "LOOP_STALLED": FaultEntry(
-        "the loop was held up longer than the watchdog time",
-        "close programs that load the machine; `rig run` needs one core nearly free",
-    ),
     "INTERRUPTED": FaultEntry(
         "the run was interrupted",
         "start it again; what was recorded can be identified with `rig identify`",
     ),
+    "LAW_FAILED": FaultEntry(
+        "the program asked for a drive that is no number",
+        "this is a defect of rig: please report it with the run folder",
+    ),
+    "INTERNAL": FaultEntry(
+        "the program failed",
+        "this is a defect of rig: please report it with the run folder; what was recorded can be identified",
+    ),
+    "STOP_UNCONFIRMED": FaultEntry(
+        "the device did not confirm the stop",
+        "its watchdog sets 0 V; cut the motor's supply if the shaft still turns, then check the cable",
+    ),
     # experiment
+    "NOT_IDENTIFIED": FaultEntry(
+        "the record cannot be identified",
+        "see the reason beside this line; `rig identify` on the folder says more",
+    ),
     "NO_CYCLE": FaultEntry(
         "no settled limit cycle within the search's time",
         "raise relay.search.timeout_s or relay.search.h_max_V, or ask for another amplitude and period",

@@ -26,6 +26,7 @@ _LINK_SHARE = 0.8  # of the period that the exchange may take
 _BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000, 921600, 1_000_000, 2_000_000)
 
 _WATCHDOG_PERIODS = (3, 10)
+REACTION_PERIODS = 3  # of the loop: one until the next tick, two by which the guard's velocity lags
 _SHORTEST_CYCLE_PERIODS = 30  # theory section 5: a shorter cycle is delay hunting
 _SMALLEST_CYCLE_COUNTS = 20  # theory section 5
 _MOTION_COUNTS = 3  # below this the sensor's last digit would pass for motion
@@ -168,7 +169,7 @@ def _stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
     """
     v = e.limits.max_speed_rad_s
     return (
-        ("one period", v * e.period_s),
+        (f"{REACTION_PERIODS} periods", v * REACTION_PERIODS * e.period_s),
         ("reply time-out", v * e.daq.timeout_s),
         ("watchdog", v * e.daq.watchdog_s),
         ("coasting", v * e.limits.coast_tau_s),
@@ -181,24 +182,22 @@ def _stopping_sum(e: Experiment) -> str:
     return f"at {e.limits.max_speed_rad_s:g} rad/s: {written} = {sum(rad for _, rad in terms):.3f} rad"
 
 
-def _room_rad(e: Experiment) -> tuple[float, float]:
-    """Centre of the soft limits, and the distance from there to the nearer hard limit, rad."""
-    (soft_low, soft_high), (hard_low, hard_high) = e.limits.soft_rad, e.limits.hard_rad
-    centre = 0.5 * (soft_low + soft_high)
-    return centre, min(hard_high - centre, centre - hard_low)
+def _room_rad(e: Experiment) -> float:
+    """Distance from the centre of travel, about which the relay oscillates, to the nearer hard limit, rad."""
+    return min(e.limits.hard_rad[1], -e.limits.hard_rad[0])
 
 
 def _room_to_stop(e: Experiment) -> Iterator[Problem]:
     if not _limits_are_ordered(e):
         return
-    centre, room = _room_rad(e)
+    room = _room_rad(e)
     distance = sum(rad for _, rad in _stopping_terms(e))
     if distance <= room:
         return
     slower = e.limits.max_speed_rad_s * room / distance
     yield _problem(
         "limits.max_speed_rad_s",
-        f"no room to stop: {_stopping_sum(e)}, but from the centre of the soft limits ({centre:.3g} rad) "
+        f"no room to stop: {_stopping_sum(e)}, but from the centre of travel (0 rad) "
         f"the nearer hard limit is {room:.3f} rad away",
         f"at most {_floor(slower):g} rad/s, or a shorter daq.watchdog_s, or wider limits.hard_rad",
     )
@@ -224,6 +223,13 @@ def _drive(e: Experiment) -> Iterator[Problem]:
 
 
 def _breakaway(e: Experiment) -> Iterator[Problem]:
+    if e.breakaway.rest_s < 10.0 * e.period_s * (1 - _SLACK):
+        yield _problem(
+            "breakaway.rest_s",
+            f"{e.breakaway.rest_s:g} s is {e.breakaway.rest_s / e.period_s:.3g} periods of the loop: too few for "
+            "the noise",
+            f"at least {10.0 * e.period_s:g} seconds",
+        )
     least_rad = _MOTION_COUNTS * _count_rad(e)
     if e.breakaway.motion_rad < least_rad:
         yield _problem(
@@ -301,6 +307,15 @@ def _target(e: Experiment) -> Iterator[Problem]:
             "lower the amplitude",
         )
         return
+    stop_rad = _predicted_stop_rad(e, largest_rad, target.period_s)
+    if stop_rad > _room_rad(e):
+        yield _problem(
+            "relay.target.amplitude_rad",
+            f"the guard would brake within the cycle: its predicted stop reaches {stop_rad:.3g} rad, the nearer hard "
+            f"limit is {_room_rad(e):.3g} rad from the centre of travel",
+            "lower the amplitude, lengthen relay.target.period_s, or widen limits.hard_rad",
+        )
+        return
     speed = _peak_speed_rad_s(amplitude_rad, target.period_s)
     if speed > e.limits.max_speed_rad_s:
         yield _problem(
@@ -309,6 +324,17 @@ def _target(e: Experiment) -> Iterator[Problem]:
             f"{speed:.3g} rad/s, above limits.max_speed_rad_s {e.limits.max_speed_rad_s:g}",
             "lower the amplitude or lengthen relay.target.period_s",
         )
+
+
+def _predicted_stop_rad(e: Experiment, amplitude_rad: float, period_s: float) -> float:
+    """Largest stop that the guard predicts within a cycle, rad.
+
+    A cycle of constant accelerations, y = A (1 - s^2) with v = 8 A s/T at s = 0..1 from its top, is faster than the
+    motor's; its largest y + v r is A (1 + (4 r/T)^2) within the arc, else 8 A r/T at the centre.
+    """
+    r = sum(rad for _, rad in _stopping_terms(e)) / e.limits.max_speed_rad_s
+    s = 4.0 * r / period_s
+    return amplitude_rad * (1.0 + s * s if s < 1.0 else 2.0 * s)
 
 
 def _reach_rad(e: Experiment) -> float:
@@ -393,7 +419,7 @@ def _lines(e: Experiment) -> Iterator[str]:
         f"limits: soft {soft} rad, hard {hard} rad, sensor {_interval(_sensor_range_rad(e))} rad; "
         f"{e.limits.max_speed_rad_s:g} rad/s; {e.drive.max_V:g} V of the {full_V:g} V that the bridge can give"
     )
-    yield f"stopping {_stopping_sum(e)}; room from the centre of the soft limits: {_room_rad(e)[1]:.3f} rad"
+    yield f"stopping {_stopping_sum(e)}; room from the centre of travel: {_room_rad(e):.3f} rad"
     if e.daq.driver == "serial":
         yield f"link: {_link_sum(e)}"
     yield (

@@ -115,9 +115,15 @@ class Drive(_Section):
 class Tachometer(_Section):
     """A velocity channel on the motor's side of the gear."""
 
-    rad_s_per_count: float = Field(description="motor velocity for one count, sign included")
+    rad_s_per_count: float = Field(description="motor velocity for one count, sign included; not 0")
     zero_counts: float = Field(0.0, description="reading at rest")
     gear_ratio: Positive = Field(1.0, description="motor velocity over shaft velocity")
+
+    @model_validator(mode="after")
+    def _not_zero(self) -> Self:
+        if self.rad_s_per_count == 0.0:
+            raise ValueError("`rad_s_per_count` must not be 0")
+        return self
 
 
 class TravelLimits(_Section):
@@ -135,7 +141,9 @@ class Breakaway(_Section):
     ramp_V_s: Positive = Field(0.4, description="how fast the drive rises, V/s")
     max_V: Positive = Field(2.0, description="drive at which the check gives up")
     motion_rad: Positive = Field(0.02, description="displacement that counts as motion")
-    rest_s: Positive = Field(0.4, description="rest before and between the ramps, and for measuring the noise")
+    rest_s: Annotated[float, Field(ge=0.1)] = Field(
+        0.4, description="rest before and between the ramps, and for measuring the noise"
+    )
 
 
 class Gains(_Section):
@@ -163,7 +171,7 @@ class GainSearch(_Section):
     h2_step_V: Positive = Field(0.15, description="by how much h2 is raised until a cycle appears")
     step_s: Positive = Field(0.6, description="time given to each h2 before it is raised")
     h_max_V: Positive = Field(3.0, description="largest h1 and largest h2")
-    timeout_s: Positive = Field(40.0, description="longest search")
+    timeout_s: Positive = Field(90.0, description="longest search")
 
 
 class Relay(_Section):
@@ -196,7 +204,7 @@ class Sine(_Section):
 class Tracking(_Section):
     """The check by feedback linearisation, (33)-(35)."""
 
-    duration_s: Annotated[float, Field(gt=1)] = Field(6.0, description="length of the check of each method")
+    duration_s: Annotated[float, Field(ge=2)] = Field(6.0, description="length of the check of each method")
     k1_1_s: Positive = Field(12.0, description="k1 of (34), 1/s")
     k2_1_s2: Positive = Field(36.0, description="k2 of (34), 1/s^2")
     friction_sign: Literal["reference", "estimate"] = Field(

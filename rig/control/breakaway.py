@@ -85,6 +85,7 @@ class BreakawayCheck:
             return
         self._ramp_from_rad = fmean(still)
         self._direction = 1 if first else -1
+        self._still_V = 0.0
         self._phase_start_s = sample.t_s
         self._seen = 0
 

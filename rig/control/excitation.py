@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from rig.control.guard import VelocityWindow
 from rig.control.relay import DualChannelRelay
 from rig.faults import Fault
 from rig.model.cycle_detector import CycleDetector
@@ -76,6 +77,7 @@ class GainSearch(_RelayLaw):
     search           where to start and how far to go
     friction_V       first guess of f_c: the breakaway level, V
     reach_rad        largest |y| that the search may use: the soft limit with some room
+    top_speed_rad_s  largest speed that the search may use
 
     The trim inverts the describing function. With x = h2 - f_c:  w = h1/(tau x),  A = 4 K tau x^2/(pi h1), so a
     settled (A, w) at known gains gives tau and K for the f_c assumed, and the wanted (A, w) then gives x and h1.
@@ -94,8 +96,11 @@ class GainSearch(_RelayLaw):
         search: SearchRange,
         friction_V: float,
         reach_rad: float,
+        top_speed_rad_s: float = math.inf,
     ) -> None:
         super().__init__(relay, detector)
+        self.top_speed_rad_s = top_speed_rad_s
+        self._velocity = VelocityWindow()
         self.target = target
         self.search = search
         self.friction_V = friction_V
@@ -120,8 +125,11 @@ class GainSearch(_RelayLaw):
             self._was_within and abs(sample.y_rad) > self.reach_rad,
             (abs(sample.y_rad) <= self.reach_rad),
         )
+        speed = abs(self._velocity.step(sample.t_s, sample.y_rad))
         if leaves:
-            self._retreat(sample.t_s)
+            self._retreat(sample.t_s, f"|y| above {self.reach_rad:.2f} rad")
+        elif speed > self.top_speed_rad_s:
+            self._retreat(sample.t_s, f"speed above {self.top_speed_rad_s:.1f} rad/s")
         elif completed and self.detector.settled:
             self._trim(sample.t_s)
         elif self._step_is_over(sample.t_s):
@@ -133,7 +141,8 @@ class GainSearch(_RelayLaw):
         # a cycle that is growing or settling gets time to do so; hunting does not
         promising = sum(c.accepted for c in cycles)
         if promising > 0 and len(cycles) < self._PATIENCE_CYCLES:
-            return False
+            last = cycles[-1]
+            return t_s > last.start_s + 3.5 * last.period_s  # it has stuck meanwhile
         if self._sticks:
             wait_s = self.search.step_s  # there is nothing to wait for
         else:
@@ -157,14 +166,15 @@ class GainSearch(_RelayLaw):
         self._set_gains(self.relay.h1_V, h2)
         self._step_start_s = t_s
 
-    def _retreat(self, t_s: float) -> None:
-        """The cycle grows beyond its room: less h2 at once."""
+    def _retreat(self, t_s: float, why: str) -> None:
+        """The cycle grows beyond its room, or beyond the speed that the bench is made for: less h2 at once."""
         excess = self.relay.h2_V - self.friction_V
         h2 = self.friction_V + 0.6 * excess if excess > 0.05 else self.relay.h2_V * 0.8
         if t_s - self._step_start_s < self.target.period_s:
             return  # give the last change a period to show
-        self._note(t_s, math.nan, math.nan, f"|y| above {self.reach_rad:.2f} rad")
-        self._set_gains(min(self.relay.h1_V * 1.2, self.search.h_max_V), h2)
+        self._note(t_s, math.nan, math.nan, why)
+        h1 = min(self.relay.h1_V * 1.2, self.search.h_max_V, self.search.sum_max_V - h2)
+        self._set_gains(h1, h2)
         self._step_start_s = t_s
 
     def _trim(self, t_s: float) -> None:

@@ -56,11 +56,12 @@ class VelocityWindow:
 class Guard:
     """Passes, reduces, reverses or refuses the drive that a law asks for.
 
-    Faults raised: SENSOR_RAIL, SENSOR_JUMP, SENSOR_STUCK, TRAVEL_HARD, POLARITY, OVERSPEED. Once one was raised it is
-    latched: ``allow`` raises it again until a new guard is made.
+    Faults raised: LAW_FAILED (no finite drive), SENSOR_RAIL, SENSOR_JUMP, SENSOR_STUCK, TRAVEL_HARD, POLARITY,
+    OVERSPEED. Once one was raised it is latched: ``allow`` raises it again until a new guard is made.
     ``sign_proven`` is set by the experiment after the breakaway check; before that the guard never drives by itself,
     since it does not know which way is inward. ``static_V`` is the breakaway level, nan until it is known.
     ``recovering`` lets a shaft that stands outside be jogged inward.
+    ``braked_ticks`` counts the ticks at which it drove inward by itself.
     """
 
     def __init__(self, settings: GuardSettings) -> None:
@@ -69,6 +70,7 @@ class Guard:
         self.recovering = False
         self.static_V = math.nan
         self.fault: Fault | None = None
+        self.braked_ticks = 0
         self.velocity_rad_s = 0.0
         self.predicted_stop_rad = 0.0
         self._velocity = VelocityWindow()
@@ -77,11 +79,20 @@ class Guard:
         self._push_sign = 0
         self._inward_since: tuple[float, float] | None = None
 
+    def rearm(self) -> None:
+        """Forget the motion seen before a pause: time has passed unseen since."""
+        self._velocity = VelocityWindow()
+        self._last = None
+        self._pushing.clear()
+        self._inward_since = None
+
     def allow(self, sample: Sample, asked_V: float) -> tuple[float, int]:
         """Drive that may go out for what a law asked, V, and the record's flags for it."""
         if self.fault is not None:
             raise self.fault
         try:
+            if not math.isfinite(asked_V):
+                raise Fault("LAW_FAILED", f"{asked_V} V")
             self._check_sensor(sample)
             passed_V, flags = self._limit_travel(sample, asked_V)
             self._check_polarity(sample, passed_V)
@@ -135,6 +146,7 @@ class Guard:
         if outward and u_V * outward > -s.limits.max_u_V:
             u_V = -outward * s.limits.max_u_V if self.sign_proven else 0.0
             flags |= FLAG_GUARD_BRAKED
+            self.braked_ticks += 1
         return u_V, flags
 
     def _check_polarity(self, sample: Sample, u_V: float) -> None:

@@ -53,7 +53,7 @@ class DualChannelRelay:
         else:
             t_last, y_last = self._last
             z = self.z_rad_s + (t - t_last) * 0.5 * (y + y_last)
-            self.bound_reached = abs(z) > self.z_bound_rad_s
+            self.bound_reached |= abs(z) > self.z_bound_rad_s
             self.z_rad_s = max(-self.z_bound_rad_s, min(self.z_bound_rad_s, z))
         self._last = (t, y)
         self._sign_y = keep_sign(y, self._sign_y)

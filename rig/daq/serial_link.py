@@ -28,6 +28,7 @@ _HELLO_INTERVAL_S = 0.2
 _SYNCHRONISE_S = 1.0
 _PAUSE_S = 0.002  # between two of the exchanges that measure the clock
 _ATTEMPTS = 3  # of a request outside the loop
+_LOST_DRIVES = 3  # in a row: the drive that acts is no longer the host's
 _READ_BYTES = 512
 
 # Share of the wire time of a HELLO exchange that passes before the device reads its clock.
@@ -192,6 +193,7 @@ class SerialDriver:
         self._stale_replies = 0
         self._timeouts = 0
         self._drives_lost = 0
+        self._lost_in_a_row = 0
 
     @property
     def link_statistics(self) -> Mapping[str, int]:
@@ -214,7 +216,7 @@ class SerialDriver:
     def open(self) -> DeviceInfo:
         """Wait for the device to introduce itself, and measure its clock for about a second.
 
-        Raises Fault LINK_HELLO, LINK_VERSION, DEVICE_RESET or LINK_LOST; ValueError where the config does
+        Raises Fault LINK_HELLO, LINK_VERSION, DEVICE_RESET or LINK_LOST; CONFIG_MISMATCH where the config does
         not fit the device (converter range, rails, tachometer).
         """
         hello = self._meet()
@@ -254,6 +256,7 @@ class SerialDriver:
         self._setup = setup
         self.failsafe = DeviceWatchdog(1e-3 * setup.watchdog_ms)
         self._unconfirmed = None
+        self._lost_in_a_row = 0
         self._driven = False
         self._armed = True
 
@@ -280,8 +283,12 @@ class SerialDriver:
         if self._unconfirmed is not None:
             if state.drive_seq == self._unconfirmed:
                 self._driven = True
+                self._lost_in_a_row = 0
             else:
                 self._drives_lost += 1
+                self._lost_in_a_row += 1
+                if self._lost_in_a_row >= _LOST_DRIVES:
+                    raise Fault("LINK_TIMEOUT", f"{self._lost_in_a_row} drives in a row were not accepted")
             self._unconfirmed = None
         now_s = self._transport.now_s()
         if self._driven and state.t_drive_us != self._t_drive_us:
@@ -365,15 +372,18 @@ class SerialDriver:
         if not 0 < hello.drive_full <= 32767:
             raise Fault("LINK_HELLO", f"the device says full drive is {hello.drive_full} units")
         if self._counts_max is not None and hello.adc_max != self._counts_max:
-            raise ValueError(
+            raise Fault(
+                "CONFIG_MISMATCH",
                 f"sensor.counts_max is {self._counts_max}, but the device reads 0 to {hello.adc_max}: "
-                "calibrate with this device"
+                "calibrate with this device",
             )
         low, high = self._rail_counts
         if not 0 <= low < high <= hello.adc_max:
-            raise ValueError(f"sensor.rail_counts {low}, {high} must lie within the device's 0 to {hello.adc_max}")
+            raise Fault(
+                "CONFIG_MISMATCH", f"sensor.rail_counts {low}, {high} must lie within the device's 0 to {hello.adc_max}"
+            )
         if self.tachometer is not None and not hello.features & frames.FEATURE_TACHOMETER:
-            raise ValueError("the config has a section `tachometer`, but the device has no such channel")
+            raise Fault("CONFIG_MISMATCH", "the config has a section `tachometer`, but the device has no such channel")
 
     def _time_exchanges(self) -> list[TimedExchange]:
         """Ask for the device's time again and again, for about a second.

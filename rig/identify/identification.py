@@ -14,7 +14,7 @@ from rig.identify.cycles import Cycle, find_cycle
 from rig.identify.estimate import Estimate
 from rig.identify.record import IdentifyError, Record, from_recording
 from rig.recording.reader import Recording
-from rig.signals import FLAG_SATURATED
+from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 
 METHODS = (sampled_data.METHOD, triple_relay.METHOD, describing_function.METHOD)
 
@@ -57,10 +57,12 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
         raise IdentifyError("no recording was given", "give a run folder or a CSV file")
     wanted = tuple(methods) if methods else METHODS
     found = Identification()
+    guarded: list[str] = []
     records: list[Record] = []
     cycles: list[Cycle] = []
     complaints: list[IdentifyError] = []
     for recording in recordings:
+        guarded += _guarded(recording)
         for record in _records(recording, len(recordings) > 1, found.notes):
             records.append(record)
             try:
@@ -90,11 +92,30 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
             complaints.append(error)
             found.notes.append(f"{method}: {error.cause}")
             continue
+        if method == sampled_data.METHOD:
+            found.notes += guarded  # it reads the drive as it acted
+        else:
+            estimate = estimate.judged("doubtful", *guarded) if guarded else estimate
         found.estimates[method] = estimate
     if not found.estimates:
         raise complaints[-1]
     _add_breakaway(recordings, found)
     return found
+
+
+def _guarded(recording: Recording) -> list[str]:
+    """What the guard changed of the relay's drive, as a sentence for each test."""
+    said = []
+    for stage in recording.stages():
+        if stage.startswith("relay-"):
+            rows = recording.flags[recording.stage_rows(stage)]
+            changed = int(np.count_nonzero(rows & (FLAG_GUARD_BRAKED | FLAG_GUARD_CLIPPED)))
+            if changed:
+                said.append(
+                    f"{stage}: the guard changed the drive in {changed} rows, so this is not the relay's own cycle; "
+                    "record again with a smaller amplitude or wider limits"
+                )
+    return said
 
 
 def _records(recording: Recording, several: bool, notes: list[str]) -> list[Record]:

@@ -114,21 +114,38 @@ class Loop:
     @contextmanager
     def armed(self, limits: Limits) -> Iterator[None]:
         """Arm the device for the block; however the block ends, stop the drive and disarm first."""
-        self._check_stop()
+        self.check_stop()
         # a collection in the middle of a tick would be a late drive; before arming it only takes time
         gc.collect()
         gc.disable()
         try:
+            self.guard.rearm()
             self._driver.arm(limits)
             self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
             self._skipped = 0
             yield
             self._finish_row()
         finally:
-            stopped = self._driver.safe_stop()
+            stopped = self._stop_drive()
+        if not stopped:
+            raise Fault("STOP_UNCONFIRMED")
+
+    def _stop_drive(self) -> bool:
+        """Stop, whatever happens; False where the device did not confirm it."""
+        try:
+            return self._stop_confirmed()
+        finally:
             gc.enable()
             self._row_open = False
-            self._record.event(self.now_s, "stop", confirmed=stopped)
+
+    def _stop_confirmed(self) -> bool:
+        try:
+            stopped = self._driver.safe_stop()
+        except Exception as error:  # noqa: BLE001 - a broken driver must not hide why the run ended
+            stopped = False
+            self._record.event(self.now_s, "stop_failed", error=repr(error))
+        self._record.event(self.now_s, "stop", confirmed=stopped)
+        return stopped
 
     def run(self, law: Law, stage: str, watch: Callable[[float], None] | None = None) -> None:
         """Run ``law`` to its end inside ``armed``; ``watch`` is called after each tick with its time, s.
@@ -148,23 +165,28 @@ class Loop:
         while woke_s < due_s and self._stop.reason is None:
             self._clock.sleep_until(due_s)  # a signal that is none of ours ended the sleep
             woke_s = self._clock.now_s()
-        self._check_stop()
+        self.check_stop()
         sample = self._driver.read()
         io_s = self._clock.now_s() - woke_s
         sample = sample._replace(t_s=sample.t_s - self._t0_s, t_u_s=sample.t_u_s - self._t0_s)
         self._complete_row(sample)
         self._measure_latency(sample)
         flags = FLAG_SKIPPED if self._skipped else 0
-        u_V, guard_flags = self.guard.allow(sample, law.step(sample))
-        self._driver.write(u_V)
         late_us = (woke_s - due_s) * 1e6
+        try:
+            u_V, guard_flags = self.guard.allow(sample, law.step(sample))
+            self._driver.write(u_V)
+        except BaseException:
+            # the reading that ended the run belongs into the record; the stop that follows is 0 V
+            self._record.sample(self._tick, sample, stage, law.z_rad_s, law.yd_rad, 0.0, late_us, io_s * 1e6, flags)
+            raise
         self._record.sample(
             self._tick, sample, stage, law.z_rad_s, law.yd_rad, u_V, late_us, io_s * 1e6, flags | guard_flags
         )
         self._row_open = True
         self._asked_V = u_V
         self.statistics.tick(late_us, io_s * 1e6)
-        if self._tick % _CHECK_EVERY_TICKS == 0:
+        if self.statistics.ticks % _CHECK_EVERY_TICKS == 0:
             self._record.check()
         # the next tick of the grid that is still to come
         self._skipped = max(int((self._clock.now_s() - due_s) / self._period_s), 0)
@@ -172,14 +194,16 @@ class Loop:
         self._tick += 1 + self._skipped
         return sample
 
-    def _check_stop(self) -> None:
+    def check_stop(self) -> None:
+        """Raise Fault INTERRUPTED if a signal has asked for a stop."""
         if self._stop.reason is not None:
             raise Fault("INTERRUPTED", self._stop.reason)
 
     def _complete_row(self, sample: Sample) -> None:
         if self._row_open:
-            # half a percent and 20 mV: more than quantisation can explain
-            clipped = abs(sample.u_V - self._asked_V) > 0.02 + 0.005 * abs(self._asked_V)
+            # half a percent and 50 mV: more than the quantisation of 8 bits can explain
+            accepted = sample.t_u_s >= self._last_t_s  # else the drive was lost, and the one before still acts
+            clipped = accepted and abs(sample.u_V - self._asked_V) > 0.05 + 0.005 * abs(self._asked_V)
             self._record.complete(sample.t_u_s, sample.u_V, FLAG_SATURATED if clipped else 0)
             self._row_open = False
 

@@ -55,15 +55,16 @@ def write_meta(folder: Path, meta: Mapping[str, Any]) -> None:
 
     Raises RecordingError where the file cannot be written, TypeError for what JSON cannot hold.
     """
-    _replace(folder / META, _json_text(meta))
+    _replace(folder / META, json_text(meta))
 
 
 def write_result(folder: Path, result: Mapping[str, Any]) -> None:
     """Write result.json; otherwise as ``write_meta``."""
-    _replace(folder / RESULT, _json_text(result))
+    _replace(folder / RESULT, json_text(result))
 
 
-def _json_text(value: Mapping[str, Any]) -> str:
+def json_text(value: Mapping[str, Any]) -> str:
+    """JSON that any reader takes: numbers that are not finite become null. Raises TypeError for what it cannot hold."""
     return json.dumps(_strict(value), indent=2, allow_nan=False) + "\n"
 
 

@@ -47,7 +47,7 @@ BROKEN = {
         "supply_V: 12.0", "supply: 12.0", "supply", "drive.supply", "unknown key", "did you mean 'supply_V'? (volts)"
     ),
     "degrees": (
-        "amplitude_rad: 0.6, ", "amplitude_deg: 30, ", "amplitude_deg", "relay.target.amplitude_deg", "unknown key",
+        "amplitude_rad: 0.5, ", "amplitude_deg: 30, ", "amplitude_deg", "relay.target.amplitude_deg", "unknown key",
         "did you mean 'amplitude_rad'? (rad, 30 deg is 0.523599)",
     ),
     "key of another section": (
@@ -133,7 +133,7 @@ BROKEN = {
     ),
     "rails upside down": ("[5, 1018]", "[1018, 5]", "[1018", "sensor.rail_counts", "0 <= low < high <= 1023", ""),
     "neither target nor gains": (
-        "  target: {amplitude_rad: 0.6, period_s: 1.0}\n", "", "cycles: 12", "relay", "give either `target`", ""
+        "  target: {amplitude_rad: 0.5, period_s: 1.0}\n", "", "cycles: 12", "relay", "give either `target`", ""
     ),
     "key twice": (
         "supply_V: 12.0", "supply_V: 12.0\n  supply_V: 24.0", "supply_V: 24.0", "drive.supply_V",

@@ -45,7 +45,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "soft around no centre": ({"limits__soft_rad": [0.1, 1.1]}, "limits.soft_rad", "must enclose 0 rad"),
     "soft outside hard": ({"limits__soft_rad": [-1.1, 1.95]}, "limits.soft_rad", "not inside limits.hard_rad"),
     "hard beyond the sensor": (
-        {"limits__hard_rad": [-1.9, 2.1]},
+        {"limits__hard_rad": [-1.95, 2.1]},
         "limits.hard_rad",
         "not inside the calibrated range of the sensor between its rails, [-2.002, 2.002] rad",
     ),
@@ -57,15 +57,15 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "no room to stop": (
         {"limits__max_speed_rad_s": 6.0},
         "limits.max_speed_rad_s",
-        "no room to stop: at 6 rad/s: 0.060 one period + 0.360 reply time-out + 0.600 watchdog + 1.200 coasting "
-        "= 2.220 rad, but from the centre of the soft limits (0 rad) the nearer hard limit is 1.900 rad away",
+        "no room to stop: at 6 rad/s: 0.180 3 periods + 0.360 reply time-out + 0.600 watchdog + 1.200 coasting "
+        "= 2.340 rad, but from the centre of travel (0 rad) the nearer hard limit is 1.950 rad away",
     ),
     "no room on one side": (
-        {"limits__soft_rad": [-0.8, 1.1]},
+        {"limits__hard_rad": [-1.8, 1.95]},
         "limits.max_speed_rad_s",
-        "from the centre of the soft limits (0.15 rad) the nearer hard limit is 1.750 rad away",
+        "from the centre of travel (0 rad) the nearer hard limit is 1.800 rad away",
     ),
-    "coasts too far": ({"limits__coast_tau_s": 0.3}, "limits.max_speed_rad_s", "1.500 coasting"),
+    "coasts too far": ({"limits__coast_tau_s": 0.21}, "limits.max_speed_rad_s", "1.029 coasting"),
     "more than the supply": (
         {"drive__bridge_drop_V": 9.5},
         "drive.max_V",
@@ -94,9 +94,9 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "1 rad + 15% tolerance = 1.15 rad leaves the soft limits (1.1 rad",
     ),
     "second amplitude at the soft limit": (
-        {"relay__second_ratio": 1.7, "relay__target__period_s": 2.0},
+        {"relay__second_ratio": 2.0, "relay__target__period_s": 2.0},
         "relay.target.amplitude_rad",
-        "the larger test's 1.02 rad",
+        "the larger test's 1 rad",
     ),
     "amplitude below the sensor": (
         {"relay__target__amplitude_rad": 0.1},
@@ -108,10 +108,20 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "relay.target.period_s",
         "0.29 s is 29 periods of the loop; a shorter cycle than 30 is delay hunting",
     ),
-    "cycle too fast": (
-        {"relay__target__period_s": 0.8},
+    "cycle within which the guard would brake": (
+        {"relay__target__amplitude_rad": 0.6},
         "relay.target.amplitude_rad",
-        "= 6 rad/s, above limits.max_speed_rad_s 5",
+        "the guard would brake within the cycle: its predicted stop reaches 2.15 rad",
+    ),
+    "rest too short for the noise": (
+        {"period_s": 0.02, "breakaway__rest_s": 0.1, "daq__watchdog_s": 0.1} | {"limits__max_speed_rad_s": 4.5},
+        "breakaway.rest_s",
+        "5 periods of the loop",
+    ),
+    "cycle too fast": (
+        {"limits__max_speed_rad_s": 3.9},
+        "relay.target.amplitude_rad",
+        "= 4 rad/s, above limits.max_speed_rad_s 3.9",
     ),
     "trajectory too wide": (
         {"tracking__trajectory": [{"amplitude_rad": 0.9, "omega_rad_s": 1}, {"amplitude_rad": -0.3, "omega_rad_s": 2}]},
@@ -121,7 +131,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "trajectory too fast": (
         {"tracking__trajectory": [{"amplitude_rad": 0.5, "omega_rad_s": 12}]},
         "tracking.trajectory",
-        "at most 0.5 x 12 = 6 rad/s, is above limits.max_speed_rad_s 5",
+        "at most 0.5 x 12 = 6 rad/s, is above limits.max_speed_rad_s 4.9",
     ),
     "watchdog too short": (
         {"daq__watchdog_s": 0.025, "daq__timeout_s": 0.01},
@@ -270,7 +280,8 @@ def test_following_the_hint_on_baud_passes(period_s: float) -> None:
         "period_s": period_s,
         "daq__watchdog_s": 5 * period_s,
         "daq__timeout_s": 2 * period_s,
-        "limits__max_speed_rad_s": 3.0,
+        "limits__max_speed_rad_s": 2.5,
+        "breakaway__rest_s": 0.5,
         "relay__target__amplitude_rad": 0.4,
         "relay__target__period_s": 2.0,
     }

@@ -228,8 +228,9 @@ def test_the_device_restarts_while_its_clock_is_measured():
     ],
 )
 def test_a_config_that_does_not_fit_the_device(hello, options, words):
-    with pytest.raises(ValueError, match=words):
-        make(ScriptedPort(**hello), **options).open()
+    fault = fault_of(make(ScriptedPort(**hello), **options).open)
+    assert fault.code == "CONFIG_MISMATCH"
+    assert words in fault.detail
 
 
 def test_full_drive_is_the_devices_own():

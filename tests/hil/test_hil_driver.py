@@ -124,8 +124,8 @@ def test_the_tachometer_gives_the_shafts_velocity():
     sample, truth = ticks(board, driver, 1.5, 20)[-1]
     assert truth.v_rad_per_s > 2.0
     assert sample.v_rad_per_s == pytest.approx(truth.v_rad_per_s, abs=0.5 * 0.2 / 9.0 + 0.1)
-    with pytest.raises(ValueError, match="tachometer"):
-        make(VirtualBoard(BenchParameters(MOTOR)), tachometer=TachometerScale(0.2)).open()
+    fault = fault_of(make(VirtualBoard(BenchParameters(MOTOR)), tachometer=TachometerScale(0.2)).open)
+    assert fault.code == "CONFIG_MISMATCH"
 
 
 def test_a_damaged_drive_is_not_pretended():
