@@ -22,6 +22,7 @@ import rig
 from rig import config
 from rig.emulate.firmware_build import EmulationError
 from rig.faults import Fault
+from rig.identify.record import IdentifyError
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
 
@@ -37,11 +38,22 @@ JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON obje
 
 
 def _fail(status: int, cause: str, cure: str = "") -> NoReturn:
-    """One line of cause and one of cure on stderr, then exit."""
-    click.echo(f"rig: {cause}", err=True)
-    if cure:
-        click.echo(f"     {cure}", err=True)
+    """One line of cause and one of cure on stderr, or one JSON object on stdout where that was asked for; then exit."""
+    if click.get_current_context().params.get("as_json"):
+        click.echo(json.dumps({"ok": False, "cause": cause, "cure": cure}))
+    else:
+        click.echo(f"rig: {cause}", err=True)
+        if cure:
+            click.echo(f"     {cure}", err=True)
     sys.exit(status)
+
+
+def _fail_input(error: RecordingError | IdentifyError) -> NoReturn:
+    """Bad recording: file and line where they are known, the cause, the cure."""
+    place = ""
+    if isinstance(error, RecordingError):
+        place = f"{error.path}: " if error.line is None else f"{error.path}:{error.line}: "
+    _fail(EXIT_BAD_INPUT, place + error.cause, error.cure)
 
 
 def _load(path: Path) -> config.Experiment:
@@ -49,7 +61,10 @@ def _load(path: Path) -> config.Experiment:
     try:
         experiment, _ = config.check(path)
     except config.ConfigError as error:
-        click.echo(str(error), err=True)
+        if click.get_current_context().params.get("as_json"):
+            click.echo(json.dumps({"ok": False, "problems": str(error).splitlines()}))
+        else:
+            click.echo(str(error), err=True)
         sys.exit(EXIT_BAD_INPUT)
     return experiment
 
@@ -72,9 +87,11 @@ def main() -> None:
 @JSON
 def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
     """Run the whole experiment: breakaway, search, relay, identify, verify, report."""
+    experiment = _load(config_path)
+    if Console(stderr=True).is_terminal and not as_json:
+        click.echo("opening the bench ...", err=True)
     from rig import experiment as script
 
-    experiment = _load(config_path)
     # an emulated bench has its noise from the seed: each repetition gets another
     several = [experiment.model_copy(update={"seed": experiment.seed + k}) for k in range(repeat)]
     outcomes: list[Any] = []
@@ -112,7 +129,7 @@ def relay(config_path: Path, out: Path, as_json: bool) -> None:
 def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
     """Run the tracking check alone, with the models of an earlier run."""
     from rig import experiment as script
-    from rig.identify import IdentifyError, identify
+    from rig.identify import identify
     from rig.recording.reader import read_run
 
     experiment = _load(config_path)
@@ -121,7 +138,7 @@ def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
     try:
         models = identify([read_run(model_run)])
     except (RecordingError, IdentifyError) as error:
-        _fail(EXIT_BAD_INPUT, error.cause, error.cure)
+        _fail_input(error)
     _finish(_perform(partial(script.run_tracking, experiment, models, model_run, out), as_json), as_json)
 
 
@@ -138,7 +155,13 @@ def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool)
     experiment = _load(config_path)
     if not abs(u_V) <= experiment.drive.max_V:
         _fail(EXIT_BAD_INPUT, f"--u-V {u_V:g} is beyond drive.max_V {experiment.drive.max_V:g}", "ask for less")
-    _finish(_perform(lambda on_start: script.jog(experiment, u_V, seconds, out), as_json), as_json)
+    outcome = _perform(lambda _: script.jog(experiment, u_V, seconds, out), as_json)
+    moved = outcome.result.get("jog")
+    if moved is not None and not as_json:
+        click.echo(f"y {moved['from_rad']:+.3f} -> {moved['to_rad']:+.3f} rad")
+        if moved["refused_ticks"]:
+            click.echo(f"the guard cut the drive in {moved['refused_ticks']} ticks: outward; try the other sign")
+    _finish(outcome, as_json)
 
 
 @main.command()
@@ -172,7 +195,6 @@ def check(config_path: Path, as_json: bool) -> None:
 @JSON
 def identify(paths: Sequence[Path], methods: Sequence[str], as_json: bool) -> None:
     """Identify gain, time constant and friction from run folders or CSV files (t_s,u_V,y_rad)."""
-    from rig.identify import IdentifyError
     from rig.identify import identify as identify_recordings
     from rig.recording.reader import read
 
@@ -180,7 +202,7 @@ def identify(paths: Sequence[Path], methods: Sequence[str], as_json: bool) -> No
         with _patience("reading and identifying"):
             found = identify_recordings([read(path) for path in paths], tuple(methods) or None)
     except (RecordingError, IdentifyError) as error:
-        _fail(EXIT_BAD_INPUT, error.cause, error.cure)
+        _fail_input(error)
     estimates = {method: estimate.as_dict() for method, estimate in found.estimates.items()}
     if as_json:
         click.echo(json.dumps(estimates))
@@ -221,11 +243,17 @@ def report(run_folder: Path) -> None:
     """Write a run's report anew, and print its path."""
     from rig.report import write_report
 
+    if not (run_folder / "meta.json").is_file() and not (run_folder / "samples.csv").is_file():
+        _fail(EXIT_BAD_INPUT, f"{run_folder}: is not a run folder", "give the path that `rig run` printed")
     try:
         with _patience("drawing the report"):
             path = write_report(run_folder)
     except RecordingError as error:
-        _fail(EXIT_BAD_INPUT, error.cause, error.cure)
+        _fail_input(error)
+    except OSError as error:
+        _fail(
+            EXIT_FAILED, f"{run_folder}: the report cannot be written: {error.strerror}", "check space and permissions"
+        )
     click.echo(path)
 
 
@@ -243,7 +271,7 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None) -> None:
     from rig.loop.stop_request import stop_on_signals
 
     with stop_on_signals() as stop, _faults(), emulated_board(experiment, link, trace) as port:
-        click.echo(f"emulated device on {port}; set daq.port to it in another terminal. Ctrl-C ends it.")
+        click.echo(f"emulated device on {link or port}; set daq.port to it in another terminal. Ctrl-C ends it.")
         while stop.reason is None:
             time.sleep(0.1)
 
@@ -256,7 +284,10 @@ def schema(out: Path | None) -> None:
     if out is None:
         click.echo(text, nl=False)
     else:
-        out.write_text(text, encoding="utf-8")
+        try:
+            out.write_text(text, encoding="utf-8")
+        except OSError as error:
+            _fail(EXIT_BAD_INPUT, f"{out}: cannot be written: {error.strerror}", "name a file in an existing folder")
 
 
 @contextlib.contextmanager
@@ -268,7 +299,7 @@ def _faults() -> Any:
     except EmulationError as error:
         _fail(EXIT_FAILED, *str(error).split("\n", maxsplit=1))
     except RecordingError as error:
-        _fail(EXIT_BAD_INPUT, error.cause, error.cure)
+        _fail_input(error)
 
 
 @contextlib.contextmanager

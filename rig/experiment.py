@@ -75,6 +75,7 @@ class Session:
     search: GainSearch | None = None
     identification: Identification | None = None
     models_from: Path | None = None  # the run that identified them, where it is another
+    jog: dict[str, float] | None = None
     notes: list[str] = field(default_factory=list)
     tracking: dict[str, dict[str, Any]] = field(default_factory=dict)
 
@@ -137,8 +138,11 @@ def jog(experiment: Experiment, u_V: float, duration_s: float, parent: Path) -> 
     def script(session: Session) -> None:
         session.loop.guard.recovering = True
         with driving(session):
+            session.loop.run(Rest(0.1), "rest")
+            session.jog = {"from_rad": session.loop.last_y_rad}
             session.loop.run(Constant(u_V, duration_s), "jog")
             session.loop.run(Rest(REST_S), "rest")
+            session.jog |= {"to_rad": session.loop.last_y_rad, "refused_ticks": session.loop.guard.clipped_ticks}
 
     return _record(experiment, parent, script, None)
 
@@ -458,6 +462,8 @@ def _result(session: Session, fault: Fault | None) -> dict[str, Any]:
         result["breakaway"] = {"seen_plus_V": check.plus_V, "seen_minus_V": check.minus_V, "noise_rad": check.noise_rad}
         if identification is not None and identification.breakaway is not None and session.models_from is None:
             result["breakaway"] |= identification.breakaway
+    if session.jog is not None and "to_rad" in session.jog:
+        result["jog"] = session.jog
     if search is not None:
         result["search"] = [step._asdict() for step in search.steps]
     truth = _truth(session.bench)

@@ -118,7 +118,7 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "INTERRUPTED": FaultEntry(
         "the run was interrupted",
-        "start it again; what was recorded can be identified with `rig identify`",
+        "start it again; a relay test that had its cycles can be identified with `rig identify`",
     ),
     "LAW_FAILED": FaultEntry(
         "the program asked for a drive that is no number",

@@ -61,7 +61,8 @@ class Guard:
     ``sign_proven`` is set by the experiment after the breakaway check; before that the guard never drives by itself,
     since it does not know which way is inward. ``static_V`` is the breakaway level, nan until it is known.
     ``recovering`` lets a shaft that stands outside be jogged inward.
-    ``braked_ticks`` counts the ticks at which it drove inward by itself.
+    ``braked_ticks`` counts the ticks at which it drove inward by itself, ``clipped_ticks`` those at which it refused
+    outward drive beyond a soft limit.
     """
 
     def __init__(self, settings: GuardSettings) -> None:
@@ -71,6 +72,7 @@ class Guard:
         self.static_V = math.nan
         self.fault: Fault | None = None
         self.braked_ticks = 0
+        self.clipped_ticks = 0
         self.velocity_rad_s = 0.0
         self.predicted_stop_rad = 0.0
         self._velocity = VelocityWindow()
@@ -140,6 +142,7 @@ class Guard:
         # between soft and hard, only inward drive passes
         if (y > soft_high and u_V > 0.0) or (y < soft_low and u_V < 0.0):
             u_V, flags = 0.0, flags | FLAG_GUARD_CLIPPED
+            self.clipped_ticks += 1
         if self.recovering:
             return u_V, flags
         outward = 1 if self.predicted_stop_rad > hard_high else -1 if self.predicted_stop_rad < hard_low else 0

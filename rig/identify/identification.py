@@ -12,7 +12,9 @@ from rig.identify import describing_function, sampled_data, triple_relay, verdic
 from rig.identify.breakaway import breakaway
 from rig.identify.cycles import Cycle, find_cycle
 from rig.identify.estimate import Estimate
+from rig.identify.plausibility import gaps, wrong_units
 from rig.identify.record import IdentifyError, Record, from_recording
+from rig.identify.verdict import FEW_CYCLES
 from rig.recording.reader import Recording
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 
@@ -58,6 +60,7 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
     wanted = tuple(methods) if methods else METHODS
     found = Identification()
     guarded: list[str] = []
+    unsettled: list[str] = []  # relay tests without a settled cycle
     records: list[Record] = []
     cycles: list[Cycle] = []
     complaints: list[IdentifyError] = []
@@ -70,11 +73,14 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
             except IdentifyError as error:
                 complaints.append(error)
                 found.notes.append(f"{error.cause}: no cycle is averaged from it")
+                if recording.stages():
+                    unsettled.append(record.name)
                 continue
             cycles.append(cycle)
             found.cycles[record.name] = cycle
             found.relays.append(_relay(record.name, cycle))
             found.notes += [f"{record.name}: {note}" for note in cycle.notes]
+    foreign, holes = wrong_units(records), gaps(records)
     blocks = [cycle.period_s for cycle in cycles]
     for method in METHODS:
         if method not in wanted:
@@ -89,16 +95,22 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
         except IdentifyError as error:
             if methods or len(wanted) == 1:
                 raise
-            complaints.append(error)
+            # the sampled-data estimator asks for least: what it misses is what the record lacks
+            complaints.insert(0 if method == sampled_data.METHOD else len(complaints), error)
             found.notes.append(f"{method}: {error.cause}")
             continue
+        estimate = estimate.judged("refused", *foreign) if foreign else estimate
+        estimate = estimate.judged("doubtful", *holes) if holes else estimate
+        if unsettled and not cycles:
+            missing = f"no settled cycle in {', '.join(unsettled)}: {FEW_CYCLES} are missing; record ten"
+            estimate = estimate.judged("refused", missing)
         if method == sampled_data.METHOD:
             found.notes += guarded  # it reads the drive as it acted
         else:
             estimate = estimate.judged("doubtful", *guarded) if guarded else estimate
         found.estimates[method] = estimate
     if not found.estimates:
-        raise complaints[-1]
+        raise complaints[0]
     _add_breakaway(recordings, found)
     return found
 

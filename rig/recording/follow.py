@@ -72,7 +72,8 @@ class Progress:
     def __init__(self) -> None:
         self.stage = "starting"
         self.detail = ""
-        self.done: list[tuple[str, str]] = []
+        self.done: list[tuple[str, str, str]] = []  # done or ended, stage, what came of it
+        self.fault = False
         self.ended = False
         self.t_s = 0.0
         self.y_rad = 0.0
@@ -84,7 +85,7 @@ class Progress:
         kind = event.get("kind")
         if kind == "stage":
             if self.stage not in ("starting", "rest"):
-                self.done.append((self.stage, self.detail))
+                self.done.append(("done", self.stage, self.detail))
             self.stage, self.detail = str(event["name"]), ""
         elif kind == "breakaway":
             self.detail = f"moves at {event['plus_V']:+.2f} V and {-event['minus_V']:+.2f} V"
@@ -99,8 +100,9 @@ class Progress:
             )
         elif kind == "fault":
             self.detail = f"{event['code']}: {event['cause']}"
+            self.fault = True
         elif kind == "end":
-            self.done.append((self.stage, self.detail))
+            self.done.append(("ended" if self.fault else "done", self.stage, self.detail))
             self.ended = True
 
     def take_row(self, line: str) -> None:
@@ -115,8 +117,8 @@ class Progress:
     def picture(self) -> Table:
         """Stages that are done, the running one, and the shaft as a mark on a line."""
         table = Table.grid(padding=(0, 2))
-        for stage, detail in self.done:
-            table.add_row(Text("done", style="green"), stage, detail)
+        for end, stage, detail in self.done:
+            table.add_row(Text(end, style="green" if end == "done" else "red"), stage, detail)
         if not self.ended:
             middle = BAR_WIDTH // 2
             mark = middle + round(middle * self.y_rad / self.reach_rad)

@@ -12,7 +12,8 @@ from typing import Any
 import jinja2
 
 import rig
-from rig.identify import Identification
+from rig.identify import Identification, IdentifyError, identify
+from rig.recording.errors import RecordingError
 from rig.report import checked, fitted, measured
 from rig.report.fit import fits_of
 from rig.report.source import PREFERRED, Json, Run, load, mappings, number, section, texts
@@ -39,12 +40,29 @@ def write_report(run_folder: Path, identification: Identification | None = None)
     the file cannot be written.
     """
     run = load(Path(run_folder))
+    if identification is None and not run.result:
+        identification = _identify_unfinished(run)
     page = render_page(run, identification)
     path = run.folder / REPORT
     half = path.with_name(f".{REPORT}.part")
     half.write_text(page, encoding="utf-8")
     half.replace(path)
     return path
+
+
+def _identify_unfinished(run: Run) -> Identification | None:
+    """What a run that ended before its result has left, put where the result would be; None if that is nothing."""
+    if run.recording is None or not run.spans("relay"):
+        return None
+    try:
+        found = identify([run.recording])
+    except (IdentifyError, RecordingError) as error:
+        run.notes.append(f"The record of this run cannot be identified: {error.cause}. {error.cure}.")
+        return None
+    run.result["estimates"] = {method: estimate.as_dict() for method, estimate in found.estimates.items()}
+    run.result["relays"] = found.relays
+    run.notes.append("The run ended before it had a result: its record was identified for this page.")
+    return found
 
 
 def render_page(run: Run, identification: Identification | None = None) -> str:

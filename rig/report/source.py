@@ -200,6 +200,8 @@ def load(folder: Path) -> Run:
     except RecordingError as error:
         recording = None
         missing.append(f"samples.csv {error.cause}{_line(error)}: nothing that was measured can be shown.")
+    if any(event.get("kind") == "loop_died" for event in events):
+        notes.append("The process that ran the loop was killed; the record is complete to its last tick.")
     if recording is not None:  # estimators compare the clock with the period in meta
         recording = replace(recording, source=folder, meta=meta)
     return Run(folder, recording, meta, result, config, config_text, events, missing, notes)

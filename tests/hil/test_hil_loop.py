@@ -134,3 +134,25 @@ def test_an_unplugged_cable_is_a_fault_and_the_watchdog_stops_the_motor_inside_t
             off_s = bench.board.now_s()
     assert off_s - unplugged_s[0] < LIMITS.watchdog_s + 0.0025
     assert bench.board.truth().y_rad < LIMITS.hard_rad[1]
+
+
+def test_drives_that_never_arrive_end_the_run_within_the_watchdog_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """READ alone must not keep an old drive alive: the device hears the host, but not what it wants."""
+    bench = chip_bench(start_rad=-0.8)
+    lost_s: list[float] = []
+    original = bench.board.write
+
+    def lossy(data: bytes) -> None:
+        if not (lost_s and len(data) == 10):  # a DRIVE frame, COBS and delimiter included
+            original(data)
+
+    bench.board.write = lossy  # type: ignore[method-assign]
+
+    def watch(t_s: float) -> None:
+        if t_s > 1.4 and not lost_s:
+            lost_s.append(bench.board.now_s())
+
+    with pytest.raises(Fault, match="in a row were not accepted"), bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(0.7, 5.0), "jog", watch)
+    assert bench.board.truth().pin_V == 0.0
+    assert bench.board.truth().pin_changed_s - lost_s[0] < LIMITS.watchdog_s

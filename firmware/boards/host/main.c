@@ -91,6 +91,9 @@ static void make_link(const char *port, const char *path)
     if (lstat(path, &there) == 0 && !S_ISLNK(there.st_mode)) {
         fail(path, "exists and is not a symbolic link");
     }
+    if (stat(path, &there) == 0) {
+        fail(path, "is the link of a device that exists: end that one, or choose another name");
+    }
     if (snprintf(fresh, sizeof fresh, "%s.%ld", path, (long)getpid()) >= (int)sizeof fresh) {
         fail(path, "too long");
     }

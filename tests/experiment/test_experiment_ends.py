@@ -1,0 +1,155 @@
+"""However a run ends: nothing arms again, the record is whole, there is a result, and no traceback."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+from pathlib import Path
+
+import pytest
+import yaml
+from click.testing import CliRunner, Result
+
+from rig import experiment as script
+from rig.cli import main
+from rig.control.law import Constant
+from rig.faults import Fault
+from rig.recording.reader import read_run
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def rig(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+def quick(folder: Path, **changes: object) -> Path:
+    """Given gains, few cycles, no tracking."""
+    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    del config["tracking"]
+    config["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.85}], "cycles": 4}
+    path = folder / "quick.yaml"
+    path.write_text(yaml.safe_dump(config | changes), encoding="utf-8")
+    return path
+
+
+def test_nothing_arms_again_after_a_fault_or_a_signal(tmp_path: Path) -> None:
+    config = yaml.safe_load(quick(tmp_path).read_text(encoding="utf-8"))
+    config["emulated"]["wiring"] = {"drive": "reversed"}
+    (tmp_path / "wrong.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
+    result = rig("run", tmp_path / "wrong.yaml", "--repeat", 3, "--out", tmp_path / "runs", "--json")
+    assert result.exit_code == 1
+    assert len(json.loads(result.stdout)["runs"]) == 1
+    assert len(list((tmp_path / "runs").iterdir())) == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_in_the_loop_or_while_identifying_ends_the_run_with_a_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    original = script.identify
+
+    def interrupted(recordings):  # type: ignore[no-untyped-def]
+        os.kill(os.getpid(), number)
+        return original(recordings)
+
+    monkeypatch.setattr(script, "identify", interrupted)
+    result = rig("relay", quick(tmp_path), "--out", tmp_path / "runs", "--json")
+    assert result.exit_code == 1
+    outcome = json.loads(result.stdout)
+    assert outcome["faults"][0]["code"] == "INTERRUPTED"
+    assert outcome["faults"][0]["detail"] == number.name
+    assert outcome["estimates"]
+    assert (Path(outcome["folder"]) / "report.html").is_file()
+
+
+def test_a_defect_of_the_program_is_a_fault_with_its_traceback_in_the_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(self, sample) -> float:  # type: ignore[no-untyped-def]
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(Constant, "step", broken)
+    result = rig("jog", quick(tmp_path), "--u-V", 0.5, "--out", tmp_path / "runs", "--json")
+    assert result.exit_code == 1
+    outcome = json.loads(result.stdout)
+    assert outcome["faults"][0]["code"] == "INTERNAL"
+    events = (Path(outcome["folder"]) / "events.jsonl").read_text()
+    assert "ZeroDivisionError" in events
+    assert "broken" in events
+
+
+def test_a_drive_that_is_no_number_never_reaches_the_bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Constant, "step", lambda self, sample: math.nan)
+    result = rig("jog", quick(tmp_path), "--u-V", 0.5, "--out", tmp_path / "runs", "--json")
+    outcome = json.loads(result.stdout)
+    assert outcome["faults"][0]["code"] == "LAW_FAILED"
+    recording = read_run(Path(outcome["folder"]))
+    assert abs(recording.u_V).max() == 0.0
+    # the tick that ended the run is in the record
+    assert recording.stage[-1] == "jog"
+
+
+def test_a_report_that_cannot_be_written_costs_the_report_and_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(folder, identification) -> None:  # type: ignore[no-untyped-def]
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(script, "write_report", full)
+    result = rig("relay", quick(tmp_path), "--out", tmp_path / "runs", "--json")
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["estimates"]["sampled-data"]["verdict"] in ("ok", "doubtful")
+    assert "Traceback" not in result.output
+
+
+def test_a_run_cut_off_before_a_settled_cycle_gives_no_number_as_ok(tmp_path: Path) -> None:
+    outcome = json.loads(rig("relay", quick(tmp_path), "--out", tmp_path / "runs", "--json").stdout)
+    folder = Path(outcome["folder"])
+    lines = (folder / "samples.csv").read_text().splitlines(keepends=True)
+    begin = next(k for k, line in enumerate(lines) if ",relay-1," in line)
+    (folder / "samples.csv").write_text("".join(lines[: begin + 61]))
+    (folder / "result.json").unlink()
+    cut = rig("identify", folder, "--json")
+    assert cut.exit_code == 1
+    estimates = json.loads(cut.stdout)
+    assert all(estimate["verdict"] == "refused" for estimate in estimates.values())
+    assert any("no settled cycle" in reason for estimate in estimates.values() for reason in estimate["reasons"])
+    page = rig("report", folder)
+    assert page.exit_code == 0
+    assert "no settled cycle" in (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_an_unconfirmed_stop_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    from simulated_bench import LIMITS, simulated_bench
+
+    bench = simulated_bench()
+    monkeypatch.setattr(type(bench.driver), "safe_stop", lambda self: False)
+    with pytest.raises(Fault) as caught, bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(0.3, 0.1), "jog")
+    assert caught.value.code == "STOP_UNCONFIRMED"
+
+    def broken(self) -> bool:  # type: ignore[no-untyped-def]
+        raise OSError("a broken driver")
+
+    monkeypatch.setattr(type(bench.driver), "safe_stop", broken)
+    with pytest.raises(Fault) as caught, bench.loop.armed(LIMITS):
+        raise Fault("POLARITY")
+    assert caught.value.code == "POLARITY"  # why the run ended is not hidden
+    assert bench.record.events[-1]["confirmed"] is False
+
+
+def test_the_guards_part_in_a_cycle_is_said_and_nothing_of_it_is_ok(tmp_path: Path) -> None:
+    config = yaml.safe_load(quick(tmp_path).read_text(encoding="utf-8"))
+    config["relay"] = {"gains": [{"h1_V": 0.45, "h2_V": 0.95}], "cycles": 6}
+    config["daq"]["timeout_s"] = 0.08
+    config["limits"] |= {"max_speed_rad_s": 4.3}
+    (tmp_path / "tight.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
+    result = rig("relay", tmp_path / "tight.yaml", "--out", tmp_path / "runs", "--json")
+    outcome = json.loads(result.stdout)
+    assert any("the guard braked in" in note for note in outcome["notes"]), outcome["notes"]
+    assert any("the guard changed the drive in" in note for note in outcome["notes"])
+    assert {estimate["verdict"] for estimate in outcome["estimates"].values()} <= {"doubtful", "refused"}
+    assert outcome["estimates"]
