@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.identify import sampled_data
+from rig.identify import describing_function, sampled_data
 from rig.identify.cycles import Cycle
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.record import IdentifyError, Record
@@ -22,6 +22,7 @@ POOR, TOO_POOR = 0.1, 0.4  # residual of a reference method over the spread of p
 SLIPPED = 0.3  # of a period, by which the drive seems to act beside its recorded times
 TRANSFER = 1.5  # residual of a second test predicted by the first's model, over that of its own
 STUCK = 0.3  # of the time
+FINE_SAMPLING = 1000.0  # samples a cycle from which the triple relay's edges are good to a per cent or two
 FEW_CYCLES = 5
 
 
@@ -69,12 +70,31 @@ def judge_reference(estimate: Estimate, records: Sequence[Record], cycles: Seque
             [sampled_data.Piece.of(r, max(0.0, bounds[1] if bounds else 0.0)).t_s for r in records]
         ),
     )
+    estimate = _known_bias(estimate, records, cycles)
     share = rms / _spread(records)
     if share > POOR:
         return estimate.judged(
             "refused" if share > TOO_POOR else "doubtful",
             f"its model leaves {100 * share:.0f} % of the position unexplained: trust the sampled-data estimate; "
             "for this method record slower cycles, or sample faster",
+        )
+    return estimate
+
+
+def _known_bias(estimate: Estimate, records: Sequence[Record], cycles: Sequence[Cycle]) -> Estimate:
+    """Errors that the cycles' scatter, and so the interval, does not show (theory sections 5 and 8)."""
+    if estimate.method == describing_function.METHOD:
+        return estimate.judged(
+            "doubtful", "its interval shows the scatter of the cycles, not the error of assuming a sine"
+        )
+    tick_s = max(record.period_s for record in records)
+    shortest_s = min((cycle.period_s for cycle in cycles), default=math.inf)
+    if shortest_s < FINE_SAMPLING * tick_s:
+        return estimate.judged(
+            "doubtful",
+            f"the relay decides every {1e3 * tick_s:.3g} ms, {shortest_s / tick_s:.0f} times a cycle: its edges are "
+            f"late by up to that, which the interval does not show: below {FINE_SAMPLING:.0f} times trust the "
+            "sampled-data estimate",
         )
     return estimate
 

@@ -173,6 +173,7 @@ class Loop:
         self._measure_latency(sample)
         flags = FLAG_SKIPPED if self._skipped else 0
         late_us = (woke_s - due_s) * 1e6
+        self.statistics.tick(late_us, io_s * 1e6)
         try:
             u_V, guard_flags = self.guard.allow(sample, law.step(sample))
             self._driver.write(u_V)
@@ -185,7 +186,6 @@ class Loop:
         )
         self._row_open = True
         self._asked_V = u_V
-        self.statistics.tick(late_us, io_s * 1e6)
         if self.statistics.ticks % _CHECK_EVERY_TICKS == 0:
             self._record.check()
         # the next tick of the grid that is still to come
