@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -104,3 +108,20 @@ def test_help_of_every_command_fits_a_screen() -> None:
         result = rig(name, "--help")
         assert result.exit_code == 0
         assert max(map(len, result.stdout.splitlines())) <= 100
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("after_s", [0.05, 0.2, 0.4, 0.8, 1.6])
+def test_ctrl_c_while_starting_is_no_traceback(tmp_path: Path, after_s: float) -> None:
+    """Wherever in its start it is caught; what is asserted is what it prints, not when."""
+    command = [sys.executable, "-c", "from rig.__main__ import run; run()"]
+    process = subprocess.Popen(
+        [*command, "run", str(ROOT / "config/demo.yaml"), "--out", str(tmp_path)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    time.sleep(after_s)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode != 0
+    if "rig" in error:  # else Python itself was still starting
+        assert "Traceback" not in error

@@ -1,0 +1,20 @@
+"""The entry of the command `rig`: a Ctrl-C while the program is still loading ends in one line, not in a traceback."""
+
+from __future__ import annotations
+
+import sys
+
+
+def run() -> None:
+    """Load the commands and run the one that was asked for."""
+    try:
+        from rig.cli import main
+
+        main()
+    except KeyboardInterrupt:
+        sys.stderr.write("rig: interrupted before the bench was opened; nothing has moved\n")
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    run()
