@@ -49,18 +49,7 @@ class Record(Protocol):
 class NoRecord:
     """Records nothing: for rehearsals."""
 
-    def sample(
-        self,
-        tick: int,
-        sample: Sample,
-        stage: str,
-        z_rad_s: float,
-        yd_rad: float,
-        u_V: float,
-        late_us: float,
-        io_us: float,
-        flags: int,
-    ) -> None:
+    def sample(self, *row: object) -> None:
         """Do nothing."""
 
     def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:
