@@ -344,7 +344,9 @@ static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
         break;
     }
     case RIG_READ:
-        heard(core);
+        if (core->drive == 0) {
+            heard(core); /* P3: what drives is kept up by DRIVE alone: one that got lost must not stay on */
+        }
         sample(core);
         reply_state(core, RIG_READ | RIG_REPLY, seq);
         break;

@@ -12,7 +12,8 @@
  * What the device promises, whatever the host does (the code names these where it keeps them):
  *     P1 after a reset the drive is 0, and stays 0 until SETUP and ARM
  *     P2 more drive than max_drive never reaches the pin
- *     P3 host silence longer than watchdog_ms sets the drive to 0, at most one tick later
+ *     P3 host silence longer than watchdog_ms sets the drive to 0, at most one tick later;
+ *        while something drives, only DRIVE counts as the host's voice
  *     P4 a position outside the hard limits sets the drive to 0, at most one tick later
  *     P5 a sensor at its rail sets the drive to 0, at most one tick later
  *     P6 armed outside a hard limit, only drive inward reaches the pin

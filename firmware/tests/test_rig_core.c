@@ -341,14 +341,23 @@ static void test_watchdog_is_fed(void)
 {
     uint8_t none = 0;
     armed();
-    send_drive(100);
-    for (unsigned i = 0; i < 500; i++) {
+    for (unsigned i = 0; i < 500; i++) { /* at rest a READ is enough */
         tick();
         if (i % 90 == 0) {
             send_read();
         }
     }
-    CHECK(board.pin == 100);
+    CHECK(core.armed);
+    send_drive(100);
+    for (unsigned i = 0; i < 110; i++) { /* a drive is not kept up by READ */
+        CHECK(i >= 100 || board.pin == 100);
+        tick();
+        send_read();
+    }
+    CHECK(board.pin == 0);
+    check_latched(RIG_E_WATCHDOG);
+    armed();
+    send_drive(100);
     for (unsigned i = 0; i < 500; i++) {
         tick();
         if (i % 90 == 0) {
