@@ -16,6 +16,7 @@ from rig.daq.driver import Clock, DeviceInfo, Driver
 from rig.daq.serial_link import open_serial
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.emulate.host_board import HostBoard
+from rig.faults import Fault
 from rig.loop.clock import MonotonicClock, VirtualClock
 from rig.model.bench import BenchParameters
 from rig.signals import Limits
@@ -81,7 +82,8 @@ def truth_of(experiment: Experiment) -> BenchParameters | None:
 def connect(experiment: Experiment) -> Iterator[Bench]:
     """Open the bench for the block; on leaving it is stopped and closed.
 
-    Raises Fault LINK_* where there is no such device. Nothing is ever simulated in place of a missing device.
+    Raises Fault LINK_* where there is no such device, NO_WATCHDOG where it has none and the config forbids that.
+    Nothing is ever simulated in place of a missing device.
     """
     truth = truth_of(experiment)
     daq = experiment.daq
@@ -99,7 +101,7 @@ def connect(experiment: Experiment) -> Iterator[Bench]:
             latency,
             experiment.seed,
         )
-        yield from _opened(driver, clock, truth)
+        yield from _opened(driver, clock, truth, daq.accept_no_watchdog)
     elif daq.driver == "serial":
         if daq.port == "emulated":
             if truth is None:
@@ -140,12 +142,14 @@ def _serial(experiment: Experiment, port: str, truth: BenchParameters | None) ->
         tachometer=None if t is None else TachometerScale(t.rad_s_per_count, t.zero_counts, t.gear_ratio),
         counts_max=experiment.sensor.counts_max,
     )
-    yield from _opened(driver, MonotonicClock(), truth)
+    yield from _opened(driver, MonotonicClock(), truth, experiment.daq.accept_no_watchdog)
 
 
-def _opened(driver: Driver, clock: Clock, truth: BenchParameters | None) -> Iterator[Bench]:
+def _opened(driver: Driver, clock: Clock, truth: BenchParameters | None, accept_no_watchdog: bool) -> Iterator[Bench]:
     try:
         info = driver.open()
+        if driver.failsafe is None and not accept_no_watchdog:
+            raise Fault("NO_WATCHDOG")
         # only a device that says that it is emulated has a truth to compare with
         yield Bench(driver, clock, info, truth if info.emulated else None)
     finally:

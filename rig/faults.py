@@ -45,6 +45,10 @@ FAULTS: dict[str, FaultEntry] = {
         "the device is not the one that the config describes",
         "correct the key that is named here, or connect the other device",
     ),
+    "NO_WATCHDOG": FaultEntry(
+        "the device holds its last drive when the host is silent",
+        "use a device with a watchdog, or accept the risk with daq.accept_no_watchdog: true and an e-stop at hand",
+    ),
     "ARM_READBACK": FaultEntry(
         "the limits read back from the device are not those that were sent",
         "start again; if it persists, flash the firmware",

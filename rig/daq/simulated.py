@@ -44,7 +44,7 @@ class SimulatedDriver:
         seed: int,
     ) -> None:
         self.bench = Bench(bench, seed)
-        self.failsafe: DeviceWatchdog | None = None
+        self.failsafe: DeviceWatchdog | None = DeviceWatchdog(1.0)  # until armed with less
         self.link_statistics: Mapping[str, int] = {}
         self._clock = clock
         self._calibration = calibration

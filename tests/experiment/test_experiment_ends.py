@@ -122,6 +122,29 @@ def test_a_run_cut_off_before_a_settled_cycle_gives_no_number_as_ok(tmp_path: Pa
     assert "no settled cycle" in (folder / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("accepted", [False, True])
+def test_a_device_without_watchdog_is_refused_unless_the_config_accepts_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, accepted: bool
+) -> None:
+    from rig.daq.simulated import SimulatedDriver
+
+    original = SimulatedDriver.open
+
+    def without(self):  # type: ignore[no-untyped-def]
+        info = original(self)
+        self.failsafe = None
+        return info
+
+    monkeypatch.setattr(SimulatedDriver, "open", without)
+    config = yaml.safe_load(quick(tmp_path).read_text(encoding="utf-8"))
+    config["daq"]["accept_no_watchdog"] = accepted
+    (tmp_path / "none.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
+    result = rig("jog", tmp_path / "none.yaml", "--u-V", 0.5, "--seconds", 0.1, "--out", tmp_path / "runs")
+    assert result.exit_code == (0 if accepted else 1)
+    assert ("NO_WATCHDOG" in result.stderr) != accepted
+    assert ("accept_no_watchdog" in result.stderr) != accepted
+
+
 def test_an_unconfirmed_stop_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     from simulated_bench import LIMITS, simulated_bench
 
