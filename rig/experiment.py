@@ -246,7 +246,9 @@ def verify_models(session: Session) -> None:
     if e.tracking is None or identification is None:
         return
     best = identification.best
-    if best is None:
+    first_choice = identification.estimates.get("sampled-data")
+    if best is None or (first_choice is not None and first_choice.verdict == "refused"):
+        # where the best estimator refuses the record, a reference method is no ground to drive the bench on
         unknown = "no estimate is good enough to rehearse on"
         session.tracking.update({method: {"not_run": unknown} for method in e.tracking.methods})
         return
@@ -386,6 +388,8 @@ def _run_script(script: Script, session: Session) -> Fault | None:
         session.notes.append(
             f"the guard braked in {braked} ticks: for this motion the limits leave too little room to stop"
         )
+    if session.loop.unconfirmed_stops:
+        session.notes.append("the device did not confirm the stop: its watchdog sets 0 V; see that the shaft stands")
     session.note("end")
     return fault
 

@@ -93,6 +93,7 @@ class Loop:
         self._skipped = 0  # ticks skipped just before the next one
         self.last_y_rad = math.nan  # position at the last tick
         self._last_t_s = math.nan
+        self.unconfirmed_stops = 0  # stops that the device did not answer: its watchdog has to do them
         self.latency_s = 0.0  # from sample to effect of the drive, smoothed
 
     @property
@@ -134,6 +135,7 @@ class Loop:
             stopped = False
             self._record.event(self.now_s, "stop_failed", error=repr(error))
         self._record.event(self.now_s, "stop", confirmed=stopped)
+        self.unconfirmed_stops += not stopped
         return stopped
 
     def run(self, law: Law, stage: str, watch: Callable[[float], None] | None = None) -> None:

@@ -176,3 +176,28 @@ def test_the_guards_part_in_a_cycle_is_said_and_nothing_of_it_is_ok(tmp_path: Pa
     assert any("the guard changed the drive in" in note for note in outcome["notes"])
     assert {estimate["verdict"] for estimate in outcome["estimates"].values()} <= {"doubtful", "refused"}
     assert outcome["estimates"]
+
+
+def test_nothing_is_tracked_where_the_sampled_data_estimate_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from dataclasses import replace
+
+    config = yaml.safe_load(quick(tmp_path).read_text(encoding="utf-8"))
+    whole = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    (tmp_path / "whole.yaml").write_text(yaml.safe_dump(config | {"tracking": whole["tracking"]}), encoding="utf-8")
+    original = script.identify
+
+    def refusing(recordings):  # type: ignore[no-untyped-def]
+        found = original(recordings)
+        estimates = {**found.estimates}
+        estimates["sampled-data"] = estimates["sampled-data"].judged("refused", "for this test")
+        return replace(found, estimates=estimates)
+
+    monkeypatch.setattr(script, "identify", refusing)
+    result = rig("run", tmp_path / "whole.yaml", "--out", tmp_path / "runs", "--json")
+    assert result.exit_code == 1
+    outcome = json.loads(result.stdout)
+    assert outcome["estimates"]["triple-relay"]["verdict"] != "refused"
+    assert all("good enough" in entry["not_run"] for entry in outcome["tracking"].values())
+    assert not any(stage.startswith("track:") for stage in read_run(Path(outcome["folder"])).stages())
