@@ -11,10 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from rig.identify.cycles import Cycle
-from rig.identify.estimate import Estimate
+from rig.identify.estimate import Estimate, student_intervals
 from rig.identify.record import IdentifyError
 from rig.identify.sampled_data import Start
 
@@ -54,13 +53,9 @@ def fit(cycles: Sequence[Cycle]) -> Estimate:
     amplitudes = np.array([cycle.amplitude_rad for cycle in cycles])
     theta = solve(omegas, amplitudes, h1, h2)
     covariance = np.full((5, 5), np.nan)
-    intervals: dict[str, tuple[float, float]] = {}
     spread = _propagated(cycles, omegas, amplitudes, h1, h2)
     covariance[:3, :3] = spread
-    quantile = float(stdtrit(max(1, min(cycle.cycles for cycle in cycles) - 1), 0.975))
-    for name, value, variance in zip(("tau_s", "K_rad_s_V", "fc_V"), theta, np.diag(spread), strict=True):
-        error = quantile * math.sqrt(variance)
-        intervals[name] = (value - error, value + error)
+    intervals = student_intervals(theta, spread, max(1, min(cycle.cycles for cycle in cycles) - 1))
     estimate = Estimate(
         METHOD,
         *theta,

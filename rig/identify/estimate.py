@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
@@ -89,6 +90,16 @@ class Estimate:
             "reasons": list(self.reasons),
             "rows": list(self.rows),
         }
+
+
+def student_intervals(theta: Sequence[float], covariance: Array, freedom: float) -> dict[str, tuple[float, float]]:
+    """95 % intervals of tau_s, K_rad_s_V and fc_V from their (3, 3) covariance and its degrees of freedom (>= 1)."""
+    quantile = float(stdtrit(freedom, 0.975))
+    errors = quantile * np.sqrt(np.diag(covariance))
+    return {
+        name: (value - float(error), value + float(error))
+        for name, value, error in zip(PARAMETERS[:3], theta, errors, strict=True)
+    }
 
 
 def _number(value: float | None) -> float | None:

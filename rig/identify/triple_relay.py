@@ -14,10 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import stdtrit
 
 from rig.identify.cycles import Cycle, average
-from rig.identify.estimate import Estimate
+from rig.identify.estimate import Estimate, student_intervals
 from rig.identify.record import IdentifyError
 from rig.identify.sampled_data import Start, ridge_starts
 from rig.model.limit_cycle import effective_inputs, stage_states
@@ -260,10 +259,7 @@ def fit(cycle: Cycle, start: Start | None = None) -> Estimate:
     spread = _jackknife(cycle, found.theta)
     if spread is not None:
         covariance[:3, :3] = spread
-        quantile = float(stdtrit(cycle.cycles - 1, 0.975))
-        for name, value, variance in zip(("tau_s", "K_rad_s_V", "fc_V"), found.theta, np.diag(spread), strict=True):
-            error = quantile * math.sqrt(variance)
-            intervals[name] = (value - error, value + error)
+        intervals = student_intervals(found.theta, spread, cycle.cycles - 1)
     estimate = Estimate(
         METHOD,
         *found.theta,
