@@ -98,7 +98,7 @@ class Problem:
         """Lower and upper bounds of the full vector."""
         period = min(piece.period_s for piece in self.pieces)
         duration = max(float(piece.t_s[-1] - piece.t_s[0]) for piece in self.pieces)
-        largest = max(max(abs(u) for u in piece.drive.u_V) for piece in self.pieces)
+        largest = max(float(np.abs(piece.drive.u_V).max()) for piece in self.pieces)
         low = [math.log(0.2 * period), -LARGEST_LOG_K, 0.0, -largest, self.delay_bounds_s[0]]
         high = [math.log(10.0 * duration), LARGEST_LOG_K, largest, largest, self.delay_bounds_s[1]]
         nuisance = 2 * len(self.pieces)
@@ -206,7 +206,7 @@ def fit(
     bounds = (0.0, 2.0 * period) if free else (0.0, 0.0)
     pieces = tuple(Piece.of(record, bounds[1]) for record in records)
     for record, piece in zip(records, pieces, strict=True):
-        if np.ptp(piece.y_rad) == 0.0 or len(piece.drive.u_V) < 2:
+        if np.ptp(piece.y_rad) == 0.0 or piece.drive.u_V.size < 2:
             still = "the position never changes" if np.ptp(piece.y_rad) == 0.0 else "the drive never changes"
             raise IdentifyError(
                 f"{record.name}: {still}", "record a relay test, or any drive that moves the motor both ways"
@@ -272,7 +272,7 @@ def ridge_starts(omega_rad_s: float, amplitude_rad: float, h1_V: float, h2_V: fl
 
 def grid_starts(pieces: Sequence[Piece]) -> list[Start]:
     """A coarse grid over tau and fc for any drive; K is left to the linear part of the score."""
-    largest = max(max(abs(u) for u in piece.drive.u_V) for piece in pieces)
+    largest = max(float(np.abs(piece.drive.u_V).max()) for piece in pieces)
     period = min(piece.period_s for piece in pieces)
     duration = max(float(piece.t_s[-1] - piece.t_s[0]) for piece in pieces)
     taus = np.geomspace(2.0 * period, min(0.3 * duration, 200.0 * period), 7)

@@ -7,14 +7,11 @@ after) * dt to first order, and the position does not. So one pass over the even
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from rig.model.motor import reversal_time
 
 Array = NDArray[np.float64]
 
@@ -39,10 +36,10 @@ class Theta(NamedTuple):
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive that is constant between edges: ``u_V[j]`` acts from ``edge_s[j]`` on, s, V, m of each."""
+    """A drive that is constant between edges: ``u_V[j]`` acts from ``edge_s[j]`` on, s, V, arrays of m each."""
 
-    edge_s: tuple[float, ...]
-    u_V: tuple[float, ...]
+    edge_s: Array
+    u_V: Array
 
     @classmethod
     def from_arrays(cls, edge_s: Array, u_V: Array) -> Drive:
@@ -55,103 +52,36 @@ class Drive:
         if np.any(np.diff(edge_s) < 0.0):
             raise ValueError("the times at which the drive acts must not decrease")
         keep = np.concatenate(([True], u_V[1:] != u_V[:-1]))
-        return cls(tuple(edge_s[keep].tolist()), tuple(u_V[keep].tolist()))
+        return cls(np.asarray(edge_s[keep], dtype=float), np.asarray(u_V[keep], dtype=float))
 
 
-def position(theta: Theta, drive: Drive, t_s: Array) -> Array:
+def position(theta: Theta, drive: Drive, t_s: Array, static_V: float | None = None) -> Array:
     """Positions at the times ``t_s`` (n, non-decreasing), rad, without the derivatives."""
-    return position_and_jacobian(theta, drive, t_s)[0]
+    from rig.model.compiled import motion
+
+    y = np.empty(t_s.size)
+    motion.position(_floats(theta), _level(theta, static_V), drive.edge_s, drive.u_V, t_s, y)
+    return y
 
 
-def position_and_jacobian(theta: Theta, drive: Drive, t_s: Array) -> tuple[Array, Array]:
+def position_and_jacobian(theta: Theta, drive: Drive, t_s: Array, static_V: float | None = None) -> tuple[Array, Array]:
     """Positions at the times ``t_s`` and their derivatives by each of ``Theta``.
 
-    t_s   n times, s, non-decreasing, n >= 1
-    Returns y, (n,), rad, and dy/dtheta, (n, 7). Coulomb friction, as strong at rest as in motion. The drive before its
-    first edge is that of its first edge. Derivatives are exact but where a parameter decides *whether* the motor
-    sticks.
+    t_s       n times, s, non-decreasing, n >= 1
+    static_V  level that holds the motor at rest, V; default: as strong as in motion
+    Returns y, (n,), rad, and dy/dtheta, (n, 7). The drive before its first edge is that of its first edge. Derivatives
+    are exact but where a parameter decides *whether* the motor sticks.
     """
-    tau, K, fc, asym, delay, v0, y0 = theta
-    first, last = float(t_s[0]), float(t_s[-1])
-    edges = [edge + delay for edge in drive.edge_s]
-    j = 0
-    while j + 1 < len(edges) and edges[j + 1] <= first:
-        j += 1
-    # One row a segment: begin, v, y, velocity it tends to, its derivatives by (fc, asym), then those of v and y at the
-    # segment's begin by (tau, fc, asym, delay, v0).
-    rows: list[tuple[float, ...]] = []
-    now, v, y = first, v0, y0
-    vt = vf = va = vd = 0.0
-    v_0 = 1.0
-    yt = yf = ya = yd = y_0 = 0.0
-    target, sign = _target(v, drive.u_V[j] + asym, fc, K)
-    while True:
-        j += 1
-        end = edges[j] if j < len(edges) else math.inf
-        while True:
-            reversal = now + reversal_time(v, target, tau) if v != 0.0 else math.inf
-            reverses = reversal < end
-            until = reversal if reverses else end
-            tf, ta = (-K * sign, K) if sign else (0.0, 0.0)
-            rows.append((now, v, y, target, tf, ta, vt, vf, va, vd, v_0, yt, yf, ya, yd, y_0))
-            if until >= last:
-                return _evaluate(rows, theta, t_s)
-            h = until - now
-            decay = -math.expm1(-h / tau)
-            keep = 1.0 - decay
-            glide, drift = tau * decay, h - tau * decay
-            excess = v - target
-            yt += vt * glide + excess * (decay - h / tau * keep)
-            yf += vf * glide + tf * drift
-            ya += va * glide + ta * drift
-            yd += vd * glide
-            y_0 += v_0 * glide
-            vt = vt * keep + excess * keep * h / (tau * tau)
-            vf = vf * keep + tf * decay
-            va = va * keep + ta * decay
-            vd *= keep
-            v_0 *= keep
-            y += target * h + excess * glide
-            v = target + excess * keep
-            now = until
-            if not reverses:
-                break
-            v = 0.0
-            before = target
-            target, sign = _target(0.0, drive.u_V[j - 1] + asym, fc, K)
-            jump = target / before
-            vt, vf, va, vd, v_0 = vt * jump, vf * jump, va * jump, vd * jump, v_0 * jump
-        before = target
-        target, sign = _target(v, drive.u_V[j] + asym, fc, K)
-        vd += (before - target) / tau
+    from rig.model.compiled import motion
 
-
-def _target(v: float, u_V: float, fc_V: float, K: float) -> tuple[float, float]:
-    """Velocity that the motion tends to, rad/s, and the direction of motion (0: held by friction)."""
-    if v > 0.0 or (v == 0.0 and u_V > fc_V):
-        return K * (u_V - fc_V), 1.0
-    if v < 0.0 or u_V < -fc_V:
-        return K * (u_V + fc_V), -1.0
-    return 0.0, 0.0
-
-
-def _evaluate(rows: list[tuple[float, ...]], theta: Theta, t_s: Array) -> tuple[Array, Array]:
-    table = np.array(rows)
-    row = table[np.searchsorted(table[:, 0], t_s, side="right") - 1].T
-    tau, K = theta.tau_s, theta.K_rad_s_V
-    h = t_s - row[0]
-    decay = -np.expm1(-h / tau)
-    glide = tau * decay
-    drift = h - glide
-    excess = row[1] - row[3]
-    y = row[2] + row[3] * h + excess * glide
-    jacobian = np.empty((t_s.size, 7))
-    jacobian[:, 0] = row[11] + row[6] * glide + excess * (decay - h / tau * (1.0 - decay))
-    jacobian[:, 2] = row[12] + row[7] * glide + row[4] * drift
-    jacobian[:, 3] = row[13] + row[8] * glide + row[5] * drift
-    jacobian[:, 4] = row[14] + row[9] * glide
-    jacobian[:, 5] = row[15] + row[10] * glide
-    jacobian[:, 6] = 1.0
-    # The motion is linear in K at a given v0 / K.
-    jacobian[:, 1] = (y - theta.y0_rad - theta.v0_rad_per_s * jacobian[:, 5]) / K
+    y, jacobian = np.empty(t_s.size), np.empty((t_s.size, 7))
+    motion.position_and_jacobian(_floats(theta), _level(theta, static_V), drive.edge_s, drive.u_V, t_s, y, jacobian)
     return y, jacobian
+
+
+def _floats(theta: Theta) -> tuple[float, ...]:
+    return tuple(float(value) for value in theta)
+
+
+def _level(theta: Theta, static_V: float | None) -> float:
+    return float(theta.fc_V if static_V is None else max(static_V, theta.fc_V))
