@@ -79,8 +79,9 @@ def position_and_jacobian(theta: Theta, drive: Drive, t_s: Array, static_V: floa
     return y, jacobian
 
 
-def _floats(theta: Theta) -> tuple[float, ...]:
-    return tuple(float(value) for value in theta)
+def _floats(theta: Theta) -> tuple[float, float, float, float, float, float, float]:
+    tau, K, fc, asym, delay, v0, y0 = theta
+    return float(tau), float(K), float(fc), float(asym), float(delay), float(v0), float(y0)
 
 
 def _level(theta: Theta, static_V: float | None) -> float:

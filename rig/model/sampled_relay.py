@@ -1,0 +1,81 @@
+"""A relay test as a bench records it: the exact motor under a dual-channel relay that decides at its samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.model.motor import Motor, State
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RelayTest:
+    """What was recorded and what was true, n rows each.
+
+    t_s, t_u_s       times of the samples, and from which each row's drive acted, s
+    y_rad, u_V       position as read, and drive
+    z_rad_s          integral of the position as read
+    true_v_rad_s, true_y_rad    the motor's own state at the samples
+    """
+
+    t_s: Array
+    t_u_s: Array
+    y_rad: Array
+    u_V: Array
+    z_rad_s: Array
+    true_v_rad_s: Array
+    true_y_rad: Array
+
+
+def relay_test(
+    motor: Motor,
+    h1_V: float,
+    h2_V: float,
+    t_s: Array,
+    latency_s: float | Array,
+    *,
+    disturbance_rad: Array | None = None,
+    disturbance_V: Array | None = None,
+    lsb_rad: float = 0.0,
+    start: State | None = None,
+) -> RelayTest:
+    """Simulate ``u = -h1 sgn(y) - h2 sgn(z)``, decided at each sample and acting a latency later.
+
+    t_s              n times of the samples, s, increasing
+    latency_s        from each sample until its drive acts, s, >= 0; effects must stay in order
+    disturbance_rad  n values added to the position before it is read: noise and offset, rad
+    disturbance_V    n values added to the drive at the motor during the tick, not recorded, V
+    lsb_rad          step of the reading, rad; 0 for none
+    The law is that of ``rig.control.relay.DualChannelRelay``. Raises ValueError outside these ranges.
+    """
+    from rig.model.compiled import sampled_relay as compiled
+
+    t = np.ascontiguousarray(t_s, dtype=float)
+    t_u = t + np.broadcast_to(np.asarray(latency_s, dtype=float), t.shape)
+    if t.ndim != 1 or t.size == 0 or np.any(np.diff(t) <= 0.0):
+        raise ValueError("t_s must be one-dimensional and increase")
+    if np.any(t_u < t) or np.any(np.diff(t_u) < 0.0):
+        raise ValueError("latencies must be >= 0 s, and drives must take effect in their order")
+    zeros = np.zeros(t.size)
+    f = motor.friction
+    levels = (f.plus_V, f.minus_V, f.static_plus_V, f.static_minus_V)
+    first = start or State()
+    out = np.empty((t.size, 5))
+    compiled.relay_test(
+        (motor.tau_s, motor.K_rad_s_V, *levels, motor.bias_V),
+        float(h1_V),
+        float(h2_V),
+        t,
+        t_u,
+        zeros if disturbance_rad is None else np.ascontiguousarray(disturbance_rad, dtype=float),
+        zeros if disturbance_V is None else np.ascontiguousarray(disturbance_V, dtype=float),
+        float(lsb_rad),
+        (float(first.v), float(first.y)),
+        out,
+    )
+    y, u, z, v, true_y = (np.ascontiguousarray(column) for column in out.T)
+    return RelayTest(t, t_u, y, u, z, v, true_y)
