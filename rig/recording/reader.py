@@ -34,6 +34,15 @@ MAX_STAGE_LENGTH: Final = 64
 _MAX_INTEGER: Final = 2.0**53  # beyond, a float no longer tells integers apart
 _ROWS_AT_ONCE: Final = 4096
 _DELIMITERS: Final = (",", ";", "\t")
+_BLANKS: Final = " "  # the delimiter where none of those is in the header, however many blanks there are
+# First bytes of files that are often given in place of a CSV file: what they are, and the way to a CSV file.
+_NO_CSV: Final = {
+    b"\x1f\x8b": ("is compressed (gzip)", "unpack it first: gunzip"),
+    b"PK\x03\x04": ("is an Excel workbook or a zip file", "export the sheet as CSV in UTF-8, or unpack it"),
+    b"\xff\xfe": ("is UTF-16 text", "save it as CSV in UTF-8"),
+    b"\xfe\xff": ("is UTF-16 text", "save it as CSV in UTF-8"),
+    b"\x89HDF": ("is an HDF5 file", "export t_s, u_V and y_rad as CSV"),
+}
 
 # Names that others give to these columns; only used to say "did you mean".
 _OTHER_NAMES: Final = {
@@ -145,15 +154,16 @@ def read_run(folder: Path) -> Recording:
 
 
 def read_csv(path: Path) -> Recording:
-    """Read a CSV file: a line of column names, then at least three rows; comma, semicolon or tab.
+    """Read a CSV file: a line of column names, then at least three rows; comma, semicolon, tab or blanks between.
 
     Needs t_s, u_V and y_rad; takes every other column of samples.csv that is there, in any order. Lines that begin
-    with # and blank lines are skipped. A last line without a line end is taken as torn: left out and noted.
+    with # and blank lines are skipped, so is Excel's ``sep=``. Decimal commas are read where no comma separates
+    columns and no decimal point occurs. A last line without a line end is taken as torn: left out and noted.
     Raises RecordingError.
     """
-    whole, notes = _without_torn_line(path, _bytes(path))
+    whole, notes = _without_torn_line(path, _with_line_feeds(_csv_bytes(path)))
     lines = _text(path, whole).split("\n")
-    numbers = [k for k, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    numbers = [k for k, line in enumerate(lines, 1) if line.strip() and not line.startswith(("#", "sep="))]
     if not numbers:
         raise RecordingError(path, "holds no rows", "give a CSV file with a line of column names and rows below it")
     header_line, row_numbers = numbers[0], numbers[1:]
@@ -161,6 +171,9 @@ def read_csv(path: Path) -> Recording:
     header = _parse_header(path, header_line, lines[header_line - 1], delimiter)
     if len(row_numbers) < MIN_ROWS:
         raise RecordingError(path, f"has {len(row_numbers)} rows", f"record at least {MIN_ROWS}", header_line)
+    if delimiter != "," and _has_decimal_commas(lines, row_numbers):
+        lines = [line.replace(",", ".") for line in lines]
+        notes.append("decimal commas were read as decimal points")
 
     chunks = [
         _parse_rows(path, header, delimiter, lines, row_numbers[k : k + _ROWS_AT_ONCE])
@@ -211,6 +224,19 @@ def _unreadable(path: Path, error: Exception) -> RecordingError:
     return RecordingError(path, f"cannot be read: {reason}", "check the path and its permissions")
 
 
+def _csv_bytes(path: Path) -> bytes:
+    content = _bytes(path)
+    for magic, (cause, cure) in _NO_CSV.items():
+        if content.startswith(magic):
+            raise RecordingError(path, cause, cure)
+    return content
+
+
+def _with_line_feeds(content: bytes) -> bytes:
+    """The same with a line feed at each line's end where the file has carriage returns alone."""
+    return content if b"\n" in content else content.replace(b"\r", b"\n")
+
+
 def _without_torn_line(path: Path, content: bytes) -> tuple[bytes, list[str]]:
     """The lines that have an end, and a note about the one that has none."""
     if not content:
@@ -240,11 +266,24 @@ def _text(path: Path, content: bytes) -> str:
 
 
 def _delimiter(header: str) -> str:
-    return max(_DELIMITERS, key=header.count)
+    most = max(_DELIMITERS, key=header.count)
+    return most if most in header or len(header.split()) < len(REQUIRED) else _BLANKS
+
+
+def _has_decimal_commas(lines: Sequence[str], numbers: Sequence[int]) -> bool:
+    """Whether numbers are written with a decimal comma: commas, and no point, in rows that no comma separates."""
+    commas = False
+    for number in numbers:
+        if "." in lines[number - 1]:
+            return False
+        commas = commas or "," in lines[number - 1]
+    return commas
 
 
 def _split(path: Path, line_number: int, line: str, delimiter: str) -> list[str]:
     """The fields of one line, quotes and outer blanks removed."""
+    if delimiter == _BLANKS:
+        line = " ".join(line.split())
     if '"' not in line:
         return [field.strip() for field in line.split(delimiter)]
     try:
@@ -289,9 +328,9 @@ def _parse_rows(
 ) -> dict[str, NDArray[Any]]:
     """Arrays of the known columns from the lines with these numbers: by columns, and on any trouble line by line."""
     rows = [lines[number - 1] for number in numbers]
-    quoted = any('"' in row for row in rows)
+    plain = delimiter != _BLANKS and not any('"' in row for row in rows)
     fields = [
-        _split(path, number, row, delimiter) if quoted else row.split(delimiter)
+        row.split(delimiter) if plain else _split(path, number, row, delimiter)
         for number, row in zip(numbers, rows, strict=True)
     ]
     if any(len(row) != len(header) for row in fields):

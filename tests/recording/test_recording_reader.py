@@ -78,7 +78,14 @@ def test_a_plain_csv_has_what_it_has_and_says_so(tmp_path: Path) -> None:
         PLAIN.replace("\n", "\r\n"),
         "\ufeff" + PLAIN,
         "# made by hand\n\n" + PLAIN.replace("0.02,", "# half\n  \n0.02,"),
+        PLAIN.replace("\n", "\r"),
+        "sep=;\n" + PLAIN.replace(",", ";"),
+        PLAIN.replace(",", ";").replace(".", ","),
+        PLAIN.replace(",", "\t").replace(".", ","),
+        PLAIN.replace(",", "   "),
+        "  t_s u_V   y_rad\n   0.0e+00  1.8   1.0E-1\n 1e-2 -0.2  0.2\n  2e-2 -.2 3e-1  \n\n \n",
         '"t_s","u_V","y_rad"\n"0","1.8","0.1"\n0.01,-0.2,0.2\n"0.02",-2e-1,.3\n',
+        "t_s,u_V,y_rad,\n0.00,1.8,0.1,\n0.01,-0.2,0.2,\n0.02,-0.2,0.3,\n",
         "y_rad,other,t_s,u_V\n0.1,a,0,1.8\n0.2,,0.01,-0.2\n0.3,7,0.02,-0.2\n",
     ],
 )
@@ -86,6 +93,11 @@ def test_forms_of_the_same_file(tmp_path: Path, text: str) -> None:
     recording, plain = parse(tmp_path, text), parse(tmp_path, PLAIN)
     for name in COLUMNS:
         assert np.array_equal(getattr(recording, name), getattr(plain, name), equal_nan=name != "stage")
+
+
+def test_decimal_commas_are_said(tmp_path: Path) -> None:
+    recording = parse(tmp_path, PLAIN.replace(",", ";").replace(".", ","))
+    assert recording.notes == ("decimal commas were read as decimal points",)
 
 
 def test_a_run_folder_has_it_all(tmp_path: Path) -> None:
@@ -188,7 +200,13 @@ ROWS = "0,1,0.1\n1,1,0.2\n2,1,0.3\n"
         ("t_s,u_V,y_rad\n0,1,0.1\n1,1,nan\n2,1,0.3\n", 3, "y_rad: 'nan' is not a finite number"),
         ("t_s,u_V,y_rad\n0,1,0.1\n1,1e999,2\n2,1,0.3\n", 3, "u_V: '1e999' is not a finite number"),
         ("t_s,u_V,y_rad\n0,1,0.1\n,1,0.2\n2,1,0.3\n", 3, "t_s: is empty; fill it in"),
-        ("t_s;u_V;y_rad\n0;1;0,1\n1;1;0,2\n2;1;0,3\n", 2, "'0,1' is not a number; use a decimal point"),
+        ("t_s;u_V;y_rad\n0;1;0,1\n1;1.5;0,2\n2;1;0,3\n", 2, "'0,1' is not a number; use a decimal point"),
+        ("t_s;u_V;y_rad\n0,0;1;2\n1,0;1;1,2,3\n2;1;3\n", 3, "'1.2.3' is not a number"),
+        ("t_s u_V y_rad\n0 1 0.1\n1 1\n2 1 0.3\n", 3, "has 2 fields, not 3"),
+        ("t_s,u_V,y_rad\n0,1,0,1\n1,1,0,2\n2,1,0,3\n", 2, "has 4 fields, not 3"),
+        ("t_s,u_V,y_rad\ns,V,rad\n0,1,0.1\n1,1,0.2\n2,1,0.3\n", 2, "column t_s: 's' is not a number"),
+        (b"\x1f\x8b\x08\x00rest", None, "gzip.*gunzip"),
+        (b"PK\x03\x04rest\n", None, "Excel workbook"),
         ("t_s,u_V,y_rad\n0,1,0.1\n\n# c\n0,1,0.2\n2,1,0.3\n", 5, "repeats the time"),
         ("t_s,u_V,y_rad\n0,1,0.1\n3,1,0.2\n2,1,0.3\n", 4, r"goes back in time \(t_s = 2 after 3\)"),
         ("t_s,u_V,y_rad,flags\n0,1,2,0\n1,1,2,0.5\n2,1,2,0\n", 3, "flags: '0.5' is not an integer"),
@@ -196,7 +214,8 @@ ROWS = "0,1,0.1\n1,1,0.2\n2,1,0.3\n"
         ("t_s,u_V,y_rad,stage\n0,1,2,a\n1,1,2," + 99 * "a" + "\n2,1,2,a\n", 3, "stage: a name of 99 characters"),
         ('t_s,u_V,y_rad\n0,1,0.1\n1,"1,2\n2,1,0.3\n', 3, "broken quotes"),
         (b"t_s,u_V,y_rad\n0,1,0.1\n1,\xff,2\n2,1,0.3\n", 3, "not UTF-8"),
-        (PLAIN.encode("utf-16"), 1, "binary"),
+        (PLAIN.encode("utf-16"), None, "UTF-16"),
+        (PLAIN.encode("utf-16-le"), 1, "binary"),
         (b"\x7fELF\0\0\0\n1\n", 1, "binary"),
     ],
 )
@@ -261,7 +280,18 @@ def test_broken_small_files_are_errors_too(tmp_path: Path, name: str, text: str 
 def damaged_files(draw: st.DrawFn) -> bytes:
     """A good file with bytes cut, doubled or replaced: deeper into the parser than noise would get."""
     content = bytearray(
-        draw(st.sampled_from([PLAIN, PLAIN.replace(",", ";"), run_text(5), '"t_s",u_V,y_rad\n' + ROWS])), "utf-8"
+        draw(
+            st.sampled_from(
+                [
+                    PLAIN,
+                    PLAIN.replace(",", ";").replace(".", ","),
+                    run_text(5),
+                    PLAIN.replace(",", " "),
+                    '"t_s",u_V,y_rad\n' + ROWS,
+                ]
+            )
+        ),
+        "utf-8",
     )
     pieces = st.one_of(
         st.binary(max_size=4),
