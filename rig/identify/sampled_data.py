@@ -26,7 +26,8 @@ Array = NDArray[np.float64]
 
 METHOD = "sampled-data"
 SHARED = 5  # tau, K, fc, asym, delay: what all records have in common
-POLISHED = 3  # starts that are iterated to the end
+POLISHED = 3  # starts that are iterated
+FIRST_BLOCKS = 2.5  # length of the part of the record on which they compete, in cycles
 MAX_ITERATIONS = 100
 FEWEST_CLUSTERS = 8  # pieces from which on the scatter between them shows the error
 MOST_SEGMENTS = 24  # initial states for one record
@@ -69,6 +70,13 @@ class Piece:
             record.period_s,
             (record.first_row + first, record.first_row + record.t_s.size - 1),
         )
+
+    def until(self, length_s: float) -> Piece:
+        """The first part of it, of this length, s, and of 20 samples at least."""
+        stop = max(20, int(np.searchsorted(self.t_s, self.t_s[0] + length_s)))
+        if stop >= self.t_s.size:
+            return self
+        return replace(self, t_s=self.t_s[:stop], y_rad=self.y_rad[:stop], rows=(self.rows[0], self.rows[0] + stop - 1))
 
     def split(self, length_s: float) -> list[Piece]:
         """Consecutive parts of about this length, each to get an initial state of its own."""
@@ -214,10 +222,9 @@ def fit(
     problem = Problem(pieces, bounds, (True, True, True, True, free))
     guesses = list(starts) if starts else grid_starts(pieces)
     candidates = sorted((_score(pieces, guess, 0.5 * (bounds[0] + bounds[1])) for guess in guesses), key=lambda c: c[0])
-    solutions = [problem.solve(x0) for _, x0 in candidates[:POLISHED]]
-    best = min(solutions, key=lambda s: s.cost)
     durations = [float(piece.t_s[-1] - piece.t_s[0]) for piece in pieces]
     block = block_s or 0.1 * max(durations)
+    best = _extended(problem, [x0 for _, x0 in candidates], FIRST_BLOCKS * block, max(durations))
     rows = max(2, round(block / period))
     if _disturbed(best, pieces, rows):
         parts = tuple(part for piece in pieces for part in piece.split(block))
@@ -227,6 +234,26 @@ def fit(
             again = problem.solve(np.concatenate((best.x[:SHARED], states)))
             best = replace(again, iterates=np.concatenate((best.iterates, again.iterates)))
     return _estimate(problem, best, records, rows)
+
+
+def _extended(problem: Problem, candidates: Sequence[Array], first_s: float, last_s: float) -> Solution:
+    """Solution on the whole record by way of ever longer parts of it.
+
+    A small error of asymmetry or friction runs away over a long record, which makes false minima. Over a few cycles it
+    does not: the starts compete there, and the winner stays near the minimum while the record grows.
+    """
+    horizon_s = first_s
+    best: Solution | None = None
+    while best is None or horizon_s < 2.0 * last_s:
+        part = replace(problem, pieces=tuple(piece.until(horizon_s) for piece in problem.pieces))
+        x0s = candidates[:POLISHED] if best is None else [best.x]
+        solutions = [part.solve(x0) for x0 in x0s]
+        found = min(solutions, key=lambda s: s.cost)
+        if best is not None:
+            found = replace(found, iterates=np.concatenate((best.iterates, found.iterates)))
+        best = found
+        horizon_s *= 2.0
+    return best
 
 
 def _disturbed(solution: Solution, pieces: Sequence[Piece], block: int) -> bool:
