@@ -22,7 +22,7 @@ from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META
 from rig.recording.writer import EVENTS, SAMPLES
 
-__all__ = ["Recording", "RecordingError", "read", "read_csv", "read_run"]
+__all__ = ["Recording", "RecordingError", "from_columns", "read", "read_csv", "read_run"]
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -119,6 +119,41 @@ class Recording:
         if not 0 <= first <= last < len(self):
             raise IndexError(f"rows {first} to {last} of a recording of {len(self)}")
         return replace(self, **{name: getattr(self, name)[first : last + 1] for name in COLUMNS})
+
+
+def from_columns(
+    source: Path,
+    t_s: Floats,
+    u_V: Floats,
+    y_rad: Floats,
+    t_u_s: Floats | None = None,
+    late_us: Floats | None = None,
+    meta: dict[str, Any] | None = None,
+) -> Recording:
+    """A recording that is in no file: what ``read_csv`` would make of these columns, each of n >= 3 finite values.
+
+    source         what to call it in messages
+    late_us, meta  as a run has them: with meta["period_s"] the clock ratio can be told
+    Raises RecordingError where times do not rise.
+    """
+    columns: dict[str, NDArray[Any]] = {"t_s": t_s, "u_V": u_V, "y_rad": y_rad}
+    columns |= {} if t_u_s is None else {"t_u_s": t_u_s}
+    columns |= {} if late_us is None else {"late_us": late_us}
+    present = tuple(columns)
+    columns = {name: np.array(values, dtype=np.float64) for name, values in columns.items()}
+    _check_time(source, columns["t_s"], range(1, t_s.size + 1))
+    _add_absent(columns, t_s.size)
+    for array in columns.values():
+        array.setflags(write=False)
+    return Recording(
+        **columns,
+        columns_present=present,
+        source=source,
+        meta=meta or {},
+        config_text=None,
+        events=(),
+        notes=(),
+    )
 
 
 def read(path: Path) -> Recording:

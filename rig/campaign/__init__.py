@@ -1,0 +1,1 @@
+"""Thousands of random experiments, simulated and identified: how good the estimator is, and how honest."""

@@ -1,0 +1,158 @@
+"""The random experiments of a campaign (theory section 8, the grid): experiment k is the same whoever simulates it.
+
+Each experiment, and in it the motor, the noise, the timing and the second test, has a random stream of its own, derived
+from seed and number alone. So neither order nor company matters, and two campaigns of one seed that differ in noise or
+quantisation have the same motors.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from rig.config.campaign import Campaign
+from rig.model.describing_function import predict
+from rig.model.friction import coulomb
+from rig.model.motor import Motor, State
+from rig.model.sampled_relay import RelayTest, relay_test
+
+Array = NDArray[np.float64]
+Stream = Literal["motor", "noise", "timing", "second noise", "second timing"]
+
+STREAMS: tuple[Stream, ...] = ("motor", "noise", "timing", "second noise", "second timing")
+MOST_DRAWS = 10_000
+LONGEST_CYCLE = 1.6  # of the describing function's period: delay and sampling make the cycle longer
+
+
+class CampaignError(Exception):
+    """A campaign that cannot be run: one line of cause, one of cure."""
+
+    def __init__(self, cause: str, cure: str) -> None:
+        self.cause = cause
+        self.cure = cure
+        super().__init__(f"{cause}\n{cure}")
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One random experiment: motor, gains, bench. ``period_s`` is the describing function's."""
+
+    number: int
+    tau_s: float
+    K_rad_s_V: float
+    fc_V: float
+    asym_V: float
+    delay_s: float
+    h1_V: float
+    h2_V: float
+    period_s: float
+    offset_rad: float
+    start_rad: float
+    clock_ratio: float
+    static_ratio: float
+
+    def motor(self) -> Motor:
+        """The motor; its asymmetry is a bias, as motion cannot tell (theory section 8)."""
+        return Motor(self.tau_s, self.K_rad_s_V, coulomb(self.fc_V, self.fc_V * self.static_ratio), self.asym_V)
+
+    def second_gains(self, ratio: float) -> tuple[float, float]:
+        """h1 and h2, V, of a test with the same period and ``ratio`` times the amplitude."""
+        return ratio * self.h1_V, self.fc_V + ratio * (self.h2_V - self.fc_V)
+
+
+def stream(campaign: Campaign, number: int, name: Stream) -> np.random.Generator:
+    """The random stream of one part of one experiment: counter-based, from seed and number alone."""
+    seeds = np.random.SeedSequence(campaign.seed, spawn_key=(number, STREAMS.index(name)))
+    return np.random.Generator(np.random.Philox(seeds))
+
+
+def draw(campaign: Campaign, number: int) -> Draw:
+    """Experiment ``number`` of the campaign. Raises CampaignError where the ranges give no cycle slow enough."""
+    rng = stream(campaign, number, "motor")
+    motor, relay, sampling, sensor = campaign.motor, campaign.relay, campaign.sampling, campaign.sensor
+    for _ in range(MOST_DRAWS):
+        tau = math.exp(rng.uniform(math.log(motor.tau_s[0]), math.log(motor.tau_s[1])))
+        fc = rng.uniform(*motor.fc_V)
+        h2 = fc + rng.uniform(*relay.h2_beyond_fc_V)
+        h1 = rng.uniform(*relay.h1_over_h2) * h2
+        unit = predict(tau, 1.0, fc, h1, h2)
+        if unit.period_s >= relay.least_samples * sampling.period_s:
+            break
+    else:
+        raise CampaignError(
+            f"none of {MOST_DRAWS} draws has a period of {relay.least_samples:g} samples or more",
+            "widen motor.tau_s, lower relay.h1_over_h2 or relay.least_samples, or sample faster",
+        )
+    return Draw(
+        number=number,
+        tau_s=tau,
+        K_rad_s_V=relay.amplitude_rad / unit.amplitude_rad,
+        fc_V=fc,
+        h1_V=h1,
+        h2_V=h2,
+        period_s=unit.period_s,
+        asym_V=rng.uniform(*motor.asym_V),
+        delay_s=rng.uniform(*sampling.delay_s),
+        offset_rad=rng.uniform(*sensor.offset_rad),
+        start_rad=rng.uniform(*motor.start_rad),
+        clock_ratio=rng.uniform(*sampling.clock_ratio),
+        static_ratio=motor.static_ratio,
+    )
+
+
+def simulate(campaign: Campaign, one: Draw, *, second: bool = False) -> tuple[RelayTest, slice]:
+    """The relay test of an experiment from its start, and the rows that are recorded.
+
+    second  the test at the second amplitude instead
+    """
+    relay, sampling, sensor = campaign.relay, campaign.sampling, campaign.sensor
+    noise = stream(campaign, one.number, "second noise" if second else "noise")
+    timing = stream(campaign, one.number, "second timing" if second else "timing")
+    wanted = relay.settling_cycles + relay.cycles
+    rows = math.ceil((wanted + 1) * LONGEST_CYCLE * one.period_s / sampling.period_s)
+    white = noise.standard_normal((3, rows))
+    disturbance = one.offset_rad + sensor.noise_rad * white[0]
+    if sensor.correlated is not None:
+        disturbance += sensor.correlated.std_rad * autoregressive(white[1], sensor.correlated.coefficient)
+    torque = campaign.drive_noise
+    unit = timing.uniform(-1.0, 1.0, (2, rows))
+    h1, h2 = (one.h1_V, one.h2_V)
+    if second and relay.second is not None:
+        h1, h2 = one.second_gains(relay.second.amplitude_ratio)
+    test = relay_test(
+        one.motor(),
+        h1,
+        h2,
+        sampling.period_s * np.arange(rows) + sampling.jitter_s * unit[0],
+        one.delay_s + sampling.delay_jitter_s * unit[1],
+        disturbance_rad=disturbance,
+        disturbance_V=None if torque is None else torque.std_V * autoregressive(white[2], torque.coefficient),
+        lsb_rad=sensor.lsb_rad,
+        start=State(y=one.start_rad),
+    )
+    return test, recorded_rows(test, relay.settling_cycles, relay.cycles)
+
+
+def recorded_rows(test: RelayTest, settling_cycles: int, cycles: int) -> slice:
+    """Rows of ``cycles`` cycles after ``settling_cycles``, from one fall of the integral through zero to another.
+
+    Where the test has fewer, all rows to its end; where not even the settling ones, all.
+    """
+    z = test.z_rad_s
+    falls = np.flatnonzero((z[1:] < 0.0) & (z[:-1] >= 0.0))
+    first = int(falls[settling_cycles]) if falls.size > settling_cycles else 0
+    last = settling_cycles + cycles
+    stop = int(falls[last]) + 2 if falls.size > last else z.size
+    return slice(first, stop)
+
+
+def autoregressive(white: Array, coefficient: float) -> Array:
+    """Stationary x_k = c x_(k-1) + sqrt(1 - c^2) w_k of unit variance from unit white noise w, the first as it is."""
+    driven = math.sqrt(1.0 - coefficient**2) * white
+    driven[0] = white[0]
+    return np.asarray(lfilter([1.0], [1.0, -coefficient], driven))

@@ -1,0 +1,174 @@
+"""One experiment of a campaign: simulated, identified as `rig identify` does, compared with the truth and its bound."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.campaign.grid import Draw, draw, simulate
+from rig.config.campaign import Campaign
+from rig.identify import IdentifyError, identify, sampled_data
+from rig.identify.cramer_rao import PositionNoise, cramer_rao
+from rig.identify.estimate import PARAMETERS, Estimate
+from rig.identify.record import Record
+from rig.model.sampled_relay import RelayTest
+from rig.model.sensitivity import Drive, Theta
+from rig.recording.reader import Recording, RecordingError, from_columns
+
+Array = NDArray[np.float64]
+Row = dict[str, Any]
+
+TRUTHS = ("h1_V", "h2_V", "period_s", "offset_rad", "start_rad", "clock_ratio")
+# Column -> int, float or str: the order of the result file. Estimates are nan where there is none.
+COLUMNS: dict[str, type] = {
+    "number": int,
+    **{f"true_{name}": float for name in (*PARAMETERS, *TRUTHS)},
+    **dict.fromkeys(PARAMETERS, float),
+    **{f"se_{name}": float for name in PARAMETERS},  # standard error by the estimator
+    **{f"low_{name}": float for name in PARAMETERS},  # nominal 95 % interval
+    **{f"high_{name}": float for name in PARAMETERS},
+    **{f"bound_{name}": float for name in PARAMETERS},  # Cramer-Rao; nan where noise is none or the delay is known
+    "samples": int,
+    "cycles": float,  # true ones, recorded
+    "segments": int,
+    "iterations": int,
+    "rms_rad": float,
+    "second_rms_rad": float,  # of the second test, predicted; nan without one
+    "second_own_rms_rad": float,  # the same with the true motor
+    "verdict": str,
+    "reasons": str,
+    "seconds": float,
+}
+# What two runs of one experiment may differ in.
+UNREPEATABLE = ("seconds",)
+
+
+def run_trial(campaign: Campaign, number: int) -> Row:
+    """Experiment ``number``: its row, of ``COLUMNS``. Raises CampaignError where the ranges give none."""
+    began = time.perf_counter()
+    one = draw(campaign, number)
+    test, rows = simulate(campaign, one)
+    row: Row = {"number": number}
+    row |= {f"true_{name}": float(getattr(one, name)) for name in (*PARAMETERS, *TRUTHS)}
+    bound = _bound(campaign, one, test, rows)
+    row |= {f"bound_{name}": bound[name] for name in PARAMETERS}
+    row |= {"samples": rows.stop - rows.start, "cycles": _cycles(test, rows)}
+    try:
+        estimate = identify([_recording(campaign, one, test, rows)], (sampled_data.METHOD,)).estimates[
+            sampled_data.METHOD
+        ]
+    except (IdentifyError, RecordingError) as error:
+        row |= _no_estimate(error.cause)
+    else:
+        row |= _columns(estimate)
+        row |= _second(campaign, one, estimate)
+    row["seconds"] = time.perf_counter() - began
+    return {name: row[name] for name in COLUMNS}
+
+
+def _recording(campaign: Campaign, one: Draw, test: RelayTest, rows: slice) -> Recording:
+    """The recorded rows: a plain CSV's columns, and what tells the clock ratio where the clock has its own rate."""
+    sampling = campaign.sampling
+    own_clock = sampling.clock_ratio != (1.0, 1.0)
+    count = rows.stop - rows.start
+    t_0 = test.t_s[rows.start]
+    return from_columns(
+        Path(f"experiment-{one.number}"),
+        one.clock_ratio * (test.t_s[rows] - t_0),
+        test.u_V[rows],
+        test.y_rad[rows],
+        one.clock_ratio * (test.t_u_s[rows] - t_0) if sampling.times_known else None,
+        np.zeros(count) if own_clock else None,
+        {"period_s": sampling.period_s} if own_clock else None,
+    )
+
+
+def _bound(campaign: Campaign, one: Draw, test: RelayTest, rows: slice) -> dict[str, float]:
+    """Cramer-Rao bound over the samples that the estimator can use: those whose drive is known."""
+    sampling, sensor = campaign.sampling, campaign.sensor
+    if sensor.noise_rad == 0.0 and sensor.lsb_rad == 0.0:
+        return dict.fromkeys(PARAMETERS, math.nan)
+    known = sampling.times_known
+    edges = test.t_u_s[rows] if known else test.t_s[rows]
+    longest_s = 0.0 if known else 2.0 * sampling.period_s
+    first = rows.start + int(np.searchsorted(test.t_s[rows], edges[0] + longest_s))
+    theta = Theta(
+        one.tau_s,
+        one.K_rad_s_V,
+        one.fc_V,
+        one.asym_V,
+        0.0 if known else one.delay_s,
+        float(test.true_v_rad_s[first]),
+        float(test.true_y_rad[first]) + one.offset_rad,
+    )
+    correlated = sensor.correlated
+    noise = PositionNoise(
+        sensor.noise_rad,
+        sensor.lsb_rad,
+        0.0 if correlated is None else correlated.std_rad,
+        0.0 if correlated is None else correlated.coefficient,
+    )
+    drive = Drive.from_arrays(edges, test.u_V[rows])
+    bound = cramer_rao(theta, drive, test.t_s[first : rows.stop], noise, delay_known=known)
+    found = dict(zip(PARAMETERS, bound[: len(PARAMETERS)].tolist(), strict=True))
+    return found | ({"delay_s": math.nan} if known else {})
+
+
+def _cycles(test: RelayTest, rows: slice) -> float:
+    """Falls of the integral through zero within the rows, less one."""
+    z = test.z_rad_s[rows]
+    return float(max(0, np.count_nonzero((z[1:] < 0.0) & (z[:-1] >= 0.0)) - 1))
+
+
+def _columns(estimate: Estimate) -> Row:
+    row: Row = {name: float(getattr(estimate, name)) for name in PARAMETERS}
+    errors = np.sqrt(np.diag(estimate.covariance))
+    for name, error in zip(PARAMETERS, errors.tolist(), strict=True):
+        low, high = estimate.ci95.get(name, (math.nan, math.nan))
+        row |= {f"se_{name}": error, f"low_{name}": low, f"high_{name}": high}
+    return row | {
+        "segments": estimate.segments,
+        "iterations": estimate.iterations,
+        "rms_rad": float(estimate.rms_rad),
+        "verdict": estimate.verdict,
+        "reasons": " | ".join(estimate.reasons),
+    }
+
+
+def _no_estimate(reason: str) -> Row:
+    kinds = ("", "se_", "low_", "high_")
+    row: Row = {f"{kind}{name}": math.nan for kind in kinds for name in PARAMETERS}
+    return row | {
+        "segments": 0,
+        "iterations": 0,
+        "rms_rad": math.nan,
+        "second_rms_rad": math.nan,
+        "second_own_rms_rad": math.nan,
+        "verdict": "refused",
+        "reasons": reason,
+    }
+
+
+def _second(campaign: Campaign, one: Draw, estimate: Estimate) -> Row:
+    """Residual of the second test when the estimate predicts it, and when the true motor does."""
+    if campaign.relay.second is None:
+        return {"second_rms_rad": math.nan, "second_own_rms_rad": math.nan}
+    test, rows = simulate(campaign, one, second=True)
+    known = campaign.sampling.times_known
+    record = Record(test.t_s[rows], test.y_rad[rows], test.t_u_s[rows] if known else None, test.u_V[rows])
+    true = Theta(one.tau_s, one.K_rad_s_V, one.fc_V, one.asym_V, 0.0 if known else one.delay_s)
+    found = Theta(
+        estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, 0.0 if known else estimate.delay_s
+    )
+    return {"second_rms_rad": _residual_rad(record, found), "second_own_rms_rad": _residual_rad(record, true)}
+
+
+def _residual_rad(record: Record, theta: Theta) -> float:
+    """RMS residual of a record whose initial state alone is fitted."""
+    solution = sampled_data.refit([record], theta)
+    return math.sqrt(solution.cost / solution.residual.size)
