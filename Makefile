@@ -2,7 +2,7 @@
 CONFIG ?= config/demo.yaml
 RIG := .venv/bin/rig
 
-.PHONY: help demo test check format bench firmware lock clean
+.PHONY: help demo test check format bench paper firmware lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -26,6 +26,9 @@ format: .venv/.ready  ## format the Python code
 
 bench: .venv/.ready firmware  ## timing ratios, written to bench.json
 	.venv/bin/python tools/bench/run.py
+
+paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/report.html
+	PYTHONPATH=tools .venv/bin/python -m paper
 
 firmware:  ## the emulated host board
 	@$(MAKE) --no-print-directory -C firmware host

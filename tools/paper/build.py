@@ -1,0 +1,34 @@
+"""From nothing to report.html: each example in turn."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from paper import example_4_1
+from paper.drawing import style
+from paper.page import Report, Section, render_page
+
+
+def examples(quick: bool) -> list[tuple[str, Callable[[], Section]]]:
+    """What each step is called and how it is made."""
+    return [
+        ("Example 4.1: limit cycle", lambda: example_4_1.section(example_4_1.compute(9 if quick else 31))),
+    ]
+
+
+def build(out: Path, *, quick: bool = False, say: Callable[[str], None] = print) -> Path:
+    """Compute everything and write one self-contained HTML file to ``out``; its path."""
+    steps = examples(quick)
+    sections = []
+    for number, (name, make) in enumerate(steps, start=1):
+        begin = time.perf_counter()
+        with style():
+            sections.append(make())
+        say(f"[{number}/{len(steps)}] {name}: {time.perf_counter() - begin:.1f} s")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    half = out.with_name(f".{out.name}.part")
+    half.write_text(render_page(Report(tuple(sections))), encoding="utf-8")
+    half.replace(out)
+    return out

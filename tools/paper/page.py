@@ -1,0 +1,158 @@
+"""The page: sections of paragraphs, tables, figures and remarks, and the summary that the report begins with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import jinja2
+
+import rig
+from rig.report.style import Picture
+
+TEMPLATE = "report.html.j2"
+BACKEND = "computed on the exact model of the motor, no device"
+
+Agreement = Literal["agrees", "differs", "not comparable"]
+RemarkKind = Literal["agrees", "differs", "chosen", "ours"]
+
+
+class Cell(NamedTuple):
+    """One entry of a table: its text (HTML), the exact number behind it, and whose number it is."""
+
+    text: str
+    exact: float | None = None
+    whose: Literal["", "paper", "bad"] = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with a caption; the first cell of each row names the row."""
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    caption: str
+
+    def __post_init__(self) -> None:
+        if any(len(row) != len(self.head) for row in self.rows):
+            raise ValueError(f"a row of the table {self.caption[:40]!r} has not {len(self.head)} cells")
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """Plain text (HTML)."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Remark:
+    """A sentence that stands out: where the paper and we agree or differ, what was chosen, what is our addition."""
+
+    kind: RemarkKind
+    text: str
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading within a section."""
+
+    text: str
+
+
+Block = Paragraph | Heading | Remark | Table | Picture
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One line of the summary: a surviving number or statement of the paper beside ours."""
+
+    place: str
+    quantity: str
+    paper: str
+    ours: str
+    agreement: Agreement
+    why: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """One example: its blocks in order, and its lines of the summary."""
+
+    key: str
+    short: str
+    title: str
+    blocks: tuple[Block, ...]
+    comparisons: tuple[Comparison, ...] = ()
+
+    def tables(self) -> list[Table]:
+        """Its tables, in order."""
+        return [block for block in self.blocks if isinstance(block, Table)]
+
+    def pictures(self) -> list[Picture]:
+        """Its figures, in order."""
+        return [block for block in self.blocks if isinstance(block, Picture)]
+
+
+@dataclass(frozen=True)
+class Report:
+    """All of the report."""
+
+    sections: tuple[Section, ...]
+    chosen: tuple[str, ...] = field(default=())
+
+    @property
+    def comparisons(self) -> list[Comparison]:
+        """The summary, in the order of the sections."""
+        return [line for section in self.sections for line in section.comparisons]
+
+
+def number(value: float, digits: int = 4, *, whose: Literal["", "paper", "bad"] = "") -> Cell:
+    """A number to so many significant digits, exact behind it."""
+    if not math.isfinite(value):
+        return Cell("–")
+    return Cell(significant(value, digits), value, whose)
+
+
+def significant(value: float, digits: int = 4) -> str:
+    """So many significant digits, trailing zeros kept; in powers of ten where that is shorter to read."""
+    if value == 0.0:
+        return "0"
+    size = math.floor(math.log10(abs(value)))
+    if -5 <= size < 6:
+        text = f"{value:.{max(0, digits - 1 - size)}f}"
+    else:
+        mantissa = f"{value / 10.0**size:.{min(digits, 2) - 1}f}"
+        text = f"{mantissa}·10<sup>{size}</sup>"
+    return text.replace("-", "−")
+
+
+def fixed(value: float, decimals: int, *, whose: Literal["", "paper", "bad"] = "") -> Cell:
+    """A number to so many decimals, exact behind it."""
+    return Cell(f"{value:.{decimals}f}".replace("-", "−"), value, whose) if math.isfinite(value) else Cell("–")
+
+
+def words(*texts: str) -> tuple[Cell, ...]:
+    """Cells of text."""
+    return tuple(Cell(text) for text in texts)
+
+
+def listed(items: Sequence[str]) -> str:
+    """``a, b and c``."""
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"
+
+
+def render_page(report: Report) -> str:
+    """The whole page as text, self-contained."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).resolve().parent),
+        autoescape=False,  # every text on the page is this package's own
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["kind"] = lambda block: type(block).__name__
+    return environment.get_template(TEMPLATE).render(report=report, version=rig.__version__)
