@@ -145,6 +145,18 @@ FAULTS: dict[str, FaultEntry] = {
         "no settled limit cycle within the search's time",
         "raise relay.search.timeout_s or relay.search.h_max_V, or ask for another amplitude and period",
     ),
+    "NOT_HOME": FaultEntry(
+        "the shaft could not be brought to rest at zero",
+        "check for play, a spring or a load that moves it; turn it near the centre by hand and start again",
+    ),
+    "DRIVE_TOO_SMALL": FaultEntry(
+        "a hysteretic relay's drive does not move the shaft from rest",
+        "raise that d_V in relay.hysteretic above the breakaway level",
+    ),
+    "NO_SWITCHING": FaultEntry(
+        "the hysteretic relay did not switch in time",
+        "raise its d_V, or lower its eps_rad, in relay.hysteretic",
+    ),
     "START_OUTSIDE": FaultEntry(
         "the shaft stands outside the soft limits",
         "bring it inside with `rig jog` or by hand, then start again",

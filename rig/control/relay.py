@@ -1,4 +1,4 @@
-"""Relays: the dual-channel relay of the experiment, and the sign rule that all of them share."""
+"""Relays: the dual-channel relay, the single relay with hysteresis, and the sign rule that both share."""
 
 from __future__ import annotations
 
@@ -59,3 +59,30 @@ class DualChannelRelay:
         self._sign_y = keep_sign(y, self._sign_y)
         self._sign_z = keep_sign(self.z_rad_s, self._sign_z)
         return -self.h1_V * self._sign_y - self.h2_V * self._sign_z
+
+
+class HystereticRelay:
+    """u = -|d| sgn(y) with hysteresis: the sign changes only once y is beyond eps on the other side (theory section 6).
+
+    The first drive is +d_V, towards rising positions if d_V > 0, as from a start at or below zero.
+    d_V     drive, V; not 0
+    eps_rad half width of the hysteresis, rad; > 0
+    """
+
+    z_rad_s = math.nan
+    yd_rad = math.nan
+
+    def __init__(self, d_V: float, eps_rad: float) -> None:
+        if not (abs(d_V) > 0.0 and math.isfinite(d_V) and eps_rad > 0.0):
+            raise ValueError("a hysteretic relay needs a drive that is not 0 V and a hysteresis > 0 rad")
+        self.d_V = d_V
+        self.eps_rad = eps_rad
+        self.finished = False
+        self._sign_y = -1 if d_V > 0.0 else 1
+
+    def step(self, sample: Sample) -> float:
+        """Drive for this sample, V."""
+        y = sample.y_rad
+        beyond = y if abs(y) > self.eps_rad else 0.0  # within the band: as at zero, the state stays
+        self._sign_y = keep_sign(beyond, self._sign_y)
+        return -abs(self.d_V) * self._sign_y

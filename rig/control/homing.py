@@ -1,0 +1,140 @@
+"""Homing: careful strokes that bring the shaft to rest at zero, where a test has to start from."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from statistics import fmean
+
+from rig.faults import Fault
+from rig.signals import Sample
+
+
+class Homing:
+    """Look at the shaft until it stands; while it does not stand at zero, give it a stroke towards zero and look again.
+
+    A stroke is a constant drive a little above the breakaway level. Under a short one the shaft goes a distance that
+    grows with the square of its time, so each tells how long the next one should be; where it did not move at all the
+    next is stronger. A long way is cut short at a quarter of it. No motor model is needed.
+
+    plus_V, minus_V  breakaway levels towards rising and falling positions, V (> 0)
+    max_V            largest drive, V
+    noise_rad        the sensor's standard deviation
+    tolerance_rad    largest mean position that is zero enough
+    period_s         of the loop
+    timeout_s        longest homing; Fault NOT_HOME where it passes first
+
+    Results: ``strokes``, how many it took, and ``rest_rad``, the mean position at which the shaft stood last.
+    """
+
+    LOOK_S = 0.2  # over which it has to stand still
+    SHORTEST_TICKS = 1
+    FIRST_TICKS = 3
+    ABOVE_BREAKAWAY = 1.15
+
+    z_rad_s = math.nan
+    yd_rad = math.nan
+
+    def __init__(
+        self,
+        plus_V: float,
+        minus_V: float,
+        max_V: float,
+        noise_rad: float,
+        tolerance_rad: float,
+        period_s: float,
+        timeout_s: float,
+    ) -> None:
+        if not (plus_V > 0.0 and minus_V > 0.0 and tolerance_rad > 0.0):
+            raise ValueError("homing needs breakaway levels > 0 V and a tolerance > 0 rad")
+        self.noise_rad = noise_rad
+        self.tolerance_rad = tolerance_rad
+        self.timeout_s = timeout_s
+        self.finished = False
+        self.strokes = 0
+        self.rest_rad = math.nan
+        self._max_V = max_V
+        self._breakaway_V = {1: plus_V, -1: minus_V}
+        self._above = {1: self.ABOVE_BREAKAWAY, -1: self.ABOVE_BREAKAWAY}
+        self._reach_rad = {1: math.nan, -1: math.nan}  # displacement of a stroke of one tick, as learned
+        self._window: deque[float] = deque(maxlen=max(8, 2 * round(0.5 * self.LOOK_S / period_s)))
+        self._direction = 0  # 0: looking
+        self._ticks = 0  # of the stroke: planned, and gone
+        self._gone = 0
+        self._begin_s = math.nan
+
+    def step(self, sample: Sample) -> float:
+        """Drive of a stroke, V; 0 V while looking."""
+        if math.isnan(self._begin_s):
+            self._begin_s = sample.t_s
+        if sample.t_s - self._begin_s > self.timeout_s:
+            raise Fault(
+                "NOT_HOME",
+                f"{self.strokes} strokes in {self.timeout_s:.0f} s, last seen at {1e3 * sample.y_rad:+.1f} mrad; "
+                f"wanted within {1e3 * self.tolerance_rad:.1f} mrad",
+            )
+        if self._direction == 0:
+            self._look(sample.y_rad)
+        else:
+            self._stroke(sample.y_rad)
+        return self._drive_V()
+
+    def _drive_V(self) -> float:
+        way = self._direction
+        return way * min(self._above[way] * self._breakaway_V[way], self._max_V) if way else 0.0
+
+    def _look(self, y_rad: float) -> None:
+        self._window.append(y_rad)
+        if len(self._window) < (self._window.maxlen or 0) or self._turns():
+            return
+        before_rad, self.rest_rad = self.rest_rad, fmean(self._window)
+        if abs(self.rest_rad) <= self.tolerance_rad:
+            self.finished = True
+            return
+        way = -1 if self.rest_rad > 0.0 else 1
+        self._learn(before_rad)
+        self._ticks = self._plan(way)
+        self._gone = 0
+        self._direction = way
+        self.strokes += 1
+
+    def _turns(self) -> bool:
+        y = list(self._window)
+        half = len(y) // 2
+        drift = abs(fmean(y[half:]) - fmean(y[:half]))
+        return drift > max(0.5 * self.tolerance_rad, 4.0 * self.noise_rad * math.sqrt(2.0 / half))
+
+    def _learn(self, before_rad: float) -> None:
+        """What the last stroke did: how far one of a tick would go, and whether its drive was right."""
+        if self._gone == 0:
+            return
+        way = -1 if before_rad > 0.0 else 1
+        moved = (self.rest_rad - before_rad) * way
+        if moved < max(0.5 * self.tolerance_rad, 2.0 * self.noise_rad * math.sqrt(2.0 / len(self._window))):
+            if self._gone > self.FIRST_TICKS:  # a shorter one may have been too short to tell
+                self._above[way] = min(1.1 * self._above[way], self._max_V / self._breakaway_V[way])
+                self._reach_rad[way] = math.nan
+            else:
+                self._reach_rad[way] = self.tolerance_rad / (2.0 * self._gone) ** 2
+            return
+        self._reach_rad[way] = moved / self._gone**2
+        if self._gone == self.SHORTEST_TICKS and moved > abs(before_rad) + self.tolerance_rad:
+            self._above[way] = max(1.02, 0.95 * self._above[way])  # the shortest stroke goes too far: a weaker one
+
+    def _plan(self, way: int) -> int:
+        """Ticks of the next stroke."""
+        reach = self._reach_rad[way]
+        if math.isnan(reach):
+            other = self._reach_rad[-way]
+            if math.isnan(other):
+                return self.FIRST_TICKS if abs(self.rest_rad) < 20.0 * self.tolerance_rad else 4 * self.FIRST_TICKS
+            reach = other
+        return max(self.SHORTEST_TICKS, math.floor(math.sqrt(abs(self.rest_rad) / reach)))
+
+    def _stroke(self, y_rad: float) -> None:
+        self._gone += 1
+        left = -y_rad * self._direction
+        near = left < 0.25 * abs(self.rest_rad) and abs(self.rest_rad) > 5.0 * self.tolerance_rad
+        if self._gone >= self._ticks or near:
+            self._direction = 0
+            self._window.clear()
