@@ -12,7 +12,7 @@ from rig.identify import describing_function, sampled_data, triple_relay, verdic
 from rig.identify.breakaway import breakaway
 from rig.identify.cycles import Cycle, find_cycle
 from rig.identify.estimate import Estimate
-from rig.identify.plausibility import gaps, wrong_units
+from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.record import IdentifyError, Record, from_recording
 from rig.identify.verdict import FEW_CYCLES
 from rig.recording.reader import Recording
@@ -80,7 +80,7 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
             found.cycles[record.name] = cycle
             found.relays.append(_relay(record.name, cycle))
             found.notes += [f"{record.name}: {note}" for note in cycle.notes]
-    foreign, holes = wrong_units(records), gaps(records)
+    objections = judge_records(records)
     blocks = [cycle.period_s for cycle in cycles]
     for method in METHODS:
         if method not in wanted:
@@ -99,8 +99,8 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
             complaints.insert(0 if method == sampled_data.METHOD else len(complaints), error)
             found.notes.append(f"{method}: {error.cause}")
             continue
-        estimate = estimate.judged("refused", *foreign) if foreign else estimate
-        estimate = estimate.judged("doubtful", *holes) if holes else estimate
+        for severity, reason in [*objections, *judge_motor(estimate, records)]:
+            estimate = estimate.judged(severity, reason)
         if unsettled and not cycles:
             missing = f"no settled cycle in {', '.join(unsettled)}: {FEW_CYCLES} are missing; record ten"
             estimate = estimate.judged("refused", missing)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,11 +113,22 @@ class Record:
     def noise_rad(self) -> float:
         """Standard deviation of white noise on the position, rad, at least that of its quantisation.
 
-        From fourth differences, in which motion all but vanishes; their median, so that jumps of acceleration do not
-        count.
+        From fourth divided differences, in which motion all but vanishes however the samples are spaced; their median,
+        so that jumps of acceleration do not count.
         """
-        differences = np.diff(self.y_rad, 4)
-        scatter = 1.4826 * float(np.median(np.abs(differences))) / np.sqrt(70.0) if differences.size else 0.0
+        return self._noise_rad
+
+    @cached_property
+    def _noise_rad(self) -> float:
+        scatter = 0.0
+        if len(self) >= 5:
+            t = np.lib.stride_tricks.sliding_window_view(self.t_s, 5)
+            y = np.lib.stride_tricks.sliding_window_view(self.y_rad, 5)
+            apart = (t[:, :, None] - t[:, None, :]) / self.period_s
+            apart[:, range(5), range(5)] = 1.0
+            weights = 1.0 / apart.prod(axis=2)
+            differences = np.sum(weights * y, axis=1) / np.linalg.norm(weights, axis=1)
+            scatter = 1.4826 * float(np.median(np.abs(differences)))
         return float(max(scatter, self.resolution_rad() / np.sqrt(12.0)))
 
 
