@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from rig.config.campaign import Campaign
 from rig.config.messages import explain
 from rig.config.preflight import Preflight, preflight
 from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
 from rig.config.yaml12 import Document, emit, parse
+
+_Schema = TypeVar("_Schema", Experiment, Campaign)
 
 
 def load(path: str | PathLike[str]) -> Experiment:
@@ -37,9 +40,23 @@ def check(path: str | PathLike[str]) -> tuple[Experiment, Preflight]:
     return experiment, found
 
 
-def dump(experiment: Experiment) -> str:
-    """The resolved experiment, defaults included, as YAML that ``load`` reads back equal."""
-    return emit(experiment.model_dump(mode="json", exclude_none=True))
+def load_campaign(path: str | PathLike[str]) -> Campaign:
+    """The campaign in a YAML file (UTF-8). Raises ConfigError, and nothing else, if there is none in it."""
+    document = _read(path)
+    if not is_campaign(document) and "daq" in document.data:
+        problem = Problem(("daq",), "this is one experiment, not a campaign", "run it with `rig run`")
+        raise ConfigError([document.located(problem, at_key=True)])
+    return _validated(document, Campaign)
+
+
+def is_campaign(document: Document) -> bool:
+    """Whether a file is meant as a campaign: it says how many experiments."""
+    return "experiments" in document.data and "daq" not in document.data
+
+
+def dump(config: Experiment | Campaign) -> str:
+    """The resolved experiment or campaign, defaults included, as YAML that loads back equal."""
+    return emit(config.model_dump(mode="json", exclude_none=True))
 
 
 def json_schema() -> dict[str, Any]:
@@ -77,9 +94,16 @@ def _read(path: str | PathLike[str]) -> Document:
 
 
 def _experiment(document: Document) -> Experiment:
+    if is_campaign(document):
+        problem = Problem(("experiments",), "this is a campaign of many experiments", "run it with `rig campaign`")
+        raise ConfigError([document.located(problem, at_key=True)])
+    return _validated(document, Experiment)
+
+
+def _validated(document: Document, schema: type[_Schema]) -> _Schema:
     # as JSON: there, lists are tuples and sections are objects even in strict mode, and "1" is no number
     try:
-        return Experiment.model_validate_json(json.dumps(document.data), strict=True)
+        return schema.model_validate_json(json.dumps(document.data), strict=True)
     except ValidationError as error:
-        problems = explain(error.errors(include_url=False), document)
+        problems = explain(error.errors(include_url=False), document, schema)
         raise ConfigError(problems) from error

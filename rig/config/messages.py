@@ -24,7 +24,7 @@ _COMPARISONS = {
 }
 
 
-def explain(errors: Iterable[ErrorDetails], document: Document) -> list[Problem]:
+def explain(errors: Iterable[ErrorDetails], document: Document, schema: type[BaseModel] = Experiment) -> list[Problem]:
     """Problems with their places, in the order of the file. An unknown key that is meant for a missing one: once."""
     problems: list[Problem] = []
     mistyped: set[Path] = set()
@@ -32,38 +32,38 @@ def explain(errors: Iterable[ErrorDetails], document: Document) -> list[Problem]
     for error in errors:
         path = error["loc"]
         if error["type"] == "extra_forbidden":
-            wanted, hint = _meant(path, error["input"])
+            wanted, hint = _meant(path, error["input"], schema)
             mistyped.add(wanted)
             problems.append(document.located(Problem(path, "unknown key", hint), at_key=True))
         elif error["type"] == "missing" and isinstance(path[-1], str):
-            missing.append(document.located(_missing(path)))
-        elif (problem := _invalid(path, error)) is not None:
+            missing.append(document.located(_missing(path, schema)))
+        elif (problem := _invalid(path, error, schema)) is not None:
             problems.append(document.located(problem))
     problems += [problem for problem in missing if problem.path not in mistyped]
     unique = {(problem.path, problem.message): problem for problem in problems}
     return sorted(unique.values(), key=lambda problem: (problem.line, problem.column))
 
 
-def _missing(path: Path) -> Problem:
+def _missing(path: Path, schema: type[BaseModel]) -> Problem:
     key = str(path[-1])
-    section = _section(path[:-1])
+    section = _section(path[:-1], schema)
     described = section.model_fields[key].description if section and key in section.model_fields else None
     unit = unit_of(key)
     about = ", ".join(part for part in (described, unit and f"in {unit}") if part)
     return Problem(path, "required key is missing", f"add it: {about}" if about else "add it")
 
 
-def _meant(path: Path, value: object) -> tuple[Path, str]:
+def _meant(path: Path, value: object, schema: type[BaseModel]) -> tuple[Path, str]:
     """The key that an unknown one was probably meant for, () if there is none, and the hint that says so."""
     *above, last = path
     key = str(last)
-    section = _section(path[:-1])
+    section = _section(path[:-1], schema)
     here = list(section.model_fields) if section else []
     for known in here:
         if stem_of(known) == stem_of(key):
             notes = ", ".join(part for part in (unit_of(known), converted(value, key, known)) if part)
             return (*above, known), f"did you mean '{known}'?" + (f" ({notes})" if notes else "")
-    elsewhere = [known for known in _all_keys() if known[-1] == key]
+    elsewhere = [known for known in _all_keys(schema) if known[-1] == key]
     if elsewhere:
         return elsewhere[0], f"did you mean '{key_of(elsewhere[0])}'? it belongs in another section"
     if close := difflib.get_close_matches(key, here, n=1):
@@ -71,7 +71,7 @@ def _meant(path: Path, value: object) -> tuple[Path, str]:
     return (), f"known here: {', '.join(here)}"
 
 
-def _invalid(path: Path, error: ErrorDetails) -> Problem | None:
+def _invalid(path: Path, error: ErrorDetails, schema: type[BaseModel]) -> Problem | None:
     """A value that is not what it must be; None where another error of the same list says it better."""
     kind, value, context = error["type"], error["input"], error.get("ctx", {})
     key = next((part for part in reversed(path) if isinstance(part, str)), "")
@@ -98,7 +98,7 @@ def _invalid(path: Path, error: ErrorDetails) -> Problem | None:
             path, f"must be one of {', '.join(choices)}, {got}", f"did you mean '{close[0]}'?" if close else ""
         )
     if kind == "model_type":
-        return Problem(path, f"must be a section with keys of its own, {got}", _keys_hint(path))
+        return Problem(path, f"must be a section with keys of its own, {got}", _keys_hint(path, schema))
     if kind == "tuple_type":
         return Problem(path, f"must be a list, {got}", "write [a, b]")
     if kind == "missing":  # an element of a pair
@@ -136,8 +136,8 @@ def _number_hint(value: object, unit: str) -> str:
     return ""
 
 
-def _keys_hint(path: Path) -> str:
-    section = _section(path)
+def _keys_hint(path: Path, schema: type[BaseModel]) -> str:
+    section = _section(path, schema)
     return f"its keys: {', '.join(section.model_fields)}" if section else ""
 
 
@@ -157,9 +157,9 @@ def _described(value: object) -> str:
     return str(value)
 
 
-def _section(path: Path) -> type[BaseModel] | None:
+def _section(path: Path, schema: type[BaseModel]) -> type[BaseModel] | None:
     """The schema's section at a path; None if there is none."""
-    section: type[BaseModel] | None = Experiment
+    section: type[BaseModel] | None = schema
     for part in path:
         if isinstance(part, str):
             if section is None or part not in section.model_fields:
@@ -175,7 +175,7 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
     return next((model for inner in get_args(annotation) if (model := _model_in(inner))), None)
 
 
-def _all_keys(section: type[BaseModel] = Experiment, above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+def _all_keys(section: type[BaseModel], above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
     """Every key of the schema, as a path without list indices."""
     for key, info in section.model_fields.items():
         yield (*above, key)
