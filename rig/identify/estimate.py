@@ -24,8 +24,9 @@ PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V", "asym_V", "delay_s")
 class Estimate:
     """One estimator's result, as ``result.json`` holds it (architecture.md).
 
-    method          "sampled-data", "triple-relay" or "describing-function"
-    tau_s .. delay_s    parameters; asym_V is 0 and delay_s nan where a method knows nothing of them
+    method          "sampled-data", "triple-relay", "describing-function" or "least-squares"
+    tau_s .. delay_s    parameters; asym_V is 0 and delay_s nan where a method knows nothing of them; tau_s and
+                    K_rad_s_V are nan from least squares, which gives friction alone
     fc_plus_V, fc_minus_V, bias_V    None where the record cannot tell
     ci95            parameter -> (low, high)
     covariance      (5, 5), of ``PARAMETERS``; nan where unknown
@@ -66,8 +67,15 @@ class Estimate:
         outer = np.outer(spread, spread)
         return np.asarray(np.divide(self.covariance, outer, out=np.full((5, 5), np.nan), where=outer > 0.0))
 
+    @property
+    def is_motor(self) -> bool:
+        """Whether it is a whole motor: tau and K, not friction alone."""
+        return math.isfinite(self.tau_s) and math.isfinite(self.K_rad_s_V)
+
     def motor(self) -> Motor:
-        """The identified motor: Coulomb friction fc_V, its asymmetry as a bias."""
+        """The identified motor: Coulomb friction fc_V, its asymmetry as a bias. Raises ValueError if it is none."""
+        if not self.is_motor:
+            raise ValueError(f"{self.method} gives no motor: tau and K are unknown")
         return Motor(self.tau_s, self.K_rad_s_V, coulomb(self.fc_V), self.asym_V)
 
     def judged(self, verdict: Verdict, *reasons: str) -> Estimate:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.identify import describing_function, sampled_data, triple_relay, verdict
+from rig.identify import describing_function, least_squares, sampled_data, triple_relay, verdict
 from rig.identify.breakaway import breakaway
 from rig.identify.cycles import Cycle, find_cycle
 from rig.identify.estimate import Estimate
@@ -18,7 +18,7 @@ from rig.identify.verdict import FEW_CYCLES
 from rig.recording.reader import Recording
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 
-METHODS = (sampled_data.METHOD, triple_relay.METHOD, describing_function.METHOD)
+METHODS = (sampled_data.METHOD, triple_relay.METHOD, describing_function.METHOD, least_squares.METHOD)
 
 
 @dataclass
@@ -27,6 +27,7 @@ class Identification:
 
     estimates   method -> Estimate, in the order of ``METHODS``
     relays      for each accepted relay test: stage, h1_V, h2_V, period_s, amplitude_rad, cycles
+    hysteretic  for each run of a hysteretic relay: stage, d_V, start_rad, switched_s, switched_rad, rows
     cycles      stage -> averaged cycle
     breakaway   drives at break-away both ways, None without a breakaway record
     notes       which rows were used, how the gains were found, what was left out and why
@@ -34,23 +35,25 @@ class Identification:
 
     estimates: dict[str, Estimate] = field(default_factory=dict)
     relays: list[dict[str, Any]] = field(default_factory=list)
+    hysteretic: list[dict[str, Any]] = field(default_factory=list)
     cycles: dict[str, Cycle] = field(default_factory=dict)
     breakaway: dict[str, Any] | None = None
     notes: list[str] = field(default_factory=list)
 
     @property
     def best(self) -> Estimate | None:
-        """The sampled-data estimate, else the next method's that was not refused; None if all were."""
+        """The sampled-data estimate, else the next method's that was not refused and is a motor; None if all were."""
         usable = (self.estimates[method] for method in METHODS if method in self.estimates)
-        return next((estimate for estimate in usable if estimate.verdict != "refused"), None)
+        return next((estimate for estimate in usable if estimate.verdict != "refused" and estimate.is_motor), None)
 
 
 def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = None) -> Identification:
     """Identify one motor from run folders or CSV files.
 
     methods   of ``METHODS``; default: all that the data allows
-    A run's relay stages are used; a CSV file without stages is used whole. Raises IdentifyError if a wanted method
-    cannot work on the data, or none can.
+    A run's relay tests are used, or its hysteretic runs if it has no others; least squares takes the hysteretic runs
+    alone. A CSV file without stages is used whole; it is taken for a hysteretic run only where least squares is asked
+    for. Raises IdentifyError if a wanted method cannot work on the data, or none can.
     """
     unknown = [method for method in methods or () if method not in METHODS]
     if unknown:
@@ -62,12 +65,17 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
     guarded: list[str] = []
     unsettled: list[str] = []  # relay tests without a settled cycle
     records: list[Record] = []
+    hysteretic: list[Record] = []
     cycles: list[Cycle] = []
     complaints: list[IdentifyError] = []
     for recording in recordings:
         guarded += _guarded(recording)
-        for record in _records(recording, len(recordings) > 1, found.notes):
-            records.append(record)
+        relay_tests, runs = _records(recording, len(recordings) > 1, found.notes)
+        if least_squares.METHOD in (methods or ()) and not recording.stages():
+            runs = relay_tests
+        hysteretic += runs
+        records += relay_tests
+        for record in relay_tests if wanted != (least_squares.METHOD,) else ():
             try:
                 cycle = find_cycle(record)
             except IdentifyError as error:
@@ -80,18 +88,22 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
             found.cycles[record.name] = cycle
             found.relays.append(_relay(record.name, cycle))
             found.notes += [f"{record.name}: {note}" for note in cycle.notes]
-    objections = judge_records(records)
+    records = records or hysteretic
     blocks = [cycle.period_s for cycle in cycles]
     for method in METHODS:
-        if method not in wanted:
+        if method not in wanted or (method == least_squares.METHOD and not hysteretic and not methods):
             continue
+        used = hysteretic if method == least_squares.METHOD else records
         try:
             if method == sampled_data.METHOD:
                 estimate = _sampled_data(records, cycles, max(blocks, default=None))
             elif method == triple_relay.METHOD:
                 estimate = _triple_relay(records, cycles, complaints)
-            else:
+            elif method == describing_function.METHOD:
                 estimate = verdict.judge_reference(describing_function.fit(cycles), records, cycles)
+            else:
+                estimate = least_squares.fit(hysteretic)
+                found.hysteretic = [least_squares.Transient.of(record).as_dict() for record in hysteretic]
         except IdentifyError as error:
             if methods or len(wanted) == 1:
                 raise
@@ -99,14 +111,14 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
             complaints.insert(0 if method == sampled_data.METHOD else len(complaints), error)
             found.notes.append(f"{method}: {error.cause}")
             continue
-        for severity, reason in [*objections, *judge_motor(estimate, records)]:
+        for severity, reason in [*judge_records(used), *judge_motor(estimate, used)]:
             estimate = estimate.judged(severity, reason)
-        if unsettled and not cycles:
+        if unsettled and not cycles and method != least_squares.METHOD:
             missing = f"no settled cycle in {', '.join(unsettled)}: {FEW_CYCLES} are missing; record ten"
             estimate = estimate.judged("refused", missing)
         if method == sampled_data.METHOD:
             found.notes += guarded  # it reads the drive as it acted
-        else:
+        elif method != least_squares.METHOD:  # it reads the drive too, and only until that first changes
             estimate = estimate.judged("doubtful", *guarded) if guarded else estimate
         found.estimates[method] = estimate
     if not found.estimates:
@@ -130,30 +142,32 @@ def _guarded(recording: Recording) -> list[str]:
     return said
 
 
-def _records(recording: Recording, several: bool, notes: list[str]) -> list[Record]:
-    """The relay stages of a run, or all rows of a plain file."""
+def _records(recording: Recording, several: bool, notes: list[str]) -> tuple[list[Record], list[Record]]:
+    """The relay tests of a run, or all rows of a plain file; and the runs of hysteretic relays."""
     name = recording.source.name or str(recording.source)
     notes += [f"{name}: {note}" for note in recording.notes]
     stages = recording.stages()
     if not stages:
         chosen = [(slice(0, len(recording)), name)]
     else:
-        relays = [stage for stage in stages if stage.startswith("relay-")]
+        relays = [stage for stage in stages if stage.startswith(("relay-", "hysteretic-"))]
         if not relays:
             raise IdentifyError(
                 f"{name} has no relay test (stages: {', '.join(stages)})",
                 "run `rig relay` or `rig run`, and identify that",
             )
         chosen = [(recording.stage_rows(stage), f"{name}:{stage}" if several else stage) for stage in relays]
-    records = []
+    tests: list[Record] = []
+    runs: list[Record] = []
     for rows, label in chosen:
         record, remarks = from_recording(recording, rows, label)
-        records.append(record)
+        hysteretic = str(recording.stage[rows][0]).startswith("hysteretic-")
+        (runs if hysteretic else tests).append(record)
         notes += [remark for remark in remarks if remark not in notes]
         saturated = int(np.count_nonzero(recording.flags[rows] & FLAG_SATURATED))
         if saturated:
             notes.append(f"{label}: the drive was saturated in {saturated} rows; the drive as it acted is used")
-    return records
+    return tests, runs
 
 
 def _relay(stage: str, cycle: Cycle) -> dict[str, Any]:

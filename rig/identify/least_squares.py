@@ -17,6 +17,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,6 +110,17 @@ class Transient:
             record.t_u_s is not None,
             (record.first_row + first, record.first_row + last),
         )
+
+    def as_dict(self) -> dict[str, Any]:
+        """As result.json holds it; ``switched_s`` and ``switched_rad`` are None where no switching is recorded."""
+        return {
+            "stage": self.name,
+            "d_V": self.d_V,
+            "start_rad": self.start_rad,
+            "switched_s": float(self.t_s[-1]) if self.switched else None,
+            "switched_rad": float(self.y_rad[-1]) if self.switched else None,
+            "rows": list(self.rows),
+        }
 
     @property
     def moves(self) -> bool:
@@ -275,7 +287,7 @@ def _unusable(runs: Sequence[Transient]) -> list[str]:
     for run in runs:
         if not run.moves:
             said.append(
-                f"{run.name}: {run.d_V:+.3g} V does not move the shaft: from rest it takes more than the static friction; "
+                f"{run.name}: {run.d_V:+.3g} V does not move the shaft: from rest it takes more than static friction; "
                 "record with more"
             )
         elif not run.switched:
