@@ -189,8 +189,8 @@ def check(config_path: Path, as_json: bool) -> None:
     "--method",
     "methods",
     multiple=True,
-    type=click.Choice(["sampled-data", "triple-relay", "describing-function"]),
-    help="Repeat for several; default: all that the data allows.",
+    type=click.Choice(["sampled-data", "triple-relay", "describing-function", "least-squares"]),
+    help="Repeat for several; default: all that the data allows. least-squares takes two CSVs: hysteretic relays.",
 )
 @JSON
 def identify(paths: Sequence[Path], methods: Sequence[str], as_json: bool) -> None:
@@ -342,6 +342,12 @@ def _show(outcome: Any) -> None:
         click.echo(
             f"{relay_test['stage']}: h1 {relay_test['h1_V']:.3f} V, h2 {relay_test['h2_V']:.3f} V -> "
             f"{relay_test['amplitude_rad']:.3f} rad, {relay_test['period_s']:.3f} s, {relay_test['cycles']} cycles"
+        )
+    for run in result.get("hysteretic", ()):
+        switched = "no switching" if run["switched_s"] is None else f"switches after {run['switched_s']:.3f} s"
+        click.echo(
+            f"{run['stage']}: d {run['d_V']:+.3f} V, eps {run['eps_rad']:.3f} rad -> {switched}, "
+            f"from {1e3 * run['start_rad']:+.1f} mrad"
         )
     if result["estimates"]:
         _show_estimates(result["estimates"], result.get("truth"), result["tracking"])

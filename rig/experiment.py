@@ -19,9 +19,11 @@ from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.guard import Guard
+from rig.control.homing import Homing
+from rig.control.hysteretic import HystereticRun
 from rig.control.law import Constant, Rest
 from rig.control.observer import MotorObserver
-from rig.control.relay import DualChannelRelay
+from rig.control.relay import DualChannelRelay, HystereticRelay
 from rig.control.tracking import Tracking, tracking_error
 from rig.control.trajectory import SumOfSines
 from rig.faults import Fault
@@ -41,6 +43,11 @@ from rig.report import write_report
 FADE_S = 1.5  # of the tracking reference; errors count after it
 REST_S = 0.7
 RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
+HOMING_TIMEOUT_S = 40.0
+HOMING_LSB = 0.6  # the mean reading at rest that is zero: a step of the sensor may have its edge there
+START_REST_S = 0.5  # recorded before a hysteretic relay's first drive
+HYSTERETIC_SWITCHINGS = 6  # least squares takes the motion up to the first, the sampled-data estimator all of it
+HYSTERETIC_TIMEOUT_S = 10.0  # for each
 
 
 @dataclass
@@ -56,9 +63,12 @@ class Outcome:
     def failure(self) -> str:
         """Why the run is not a success, in words; empty if it is."""
         why = ([] if self.fault is None else [str(self.fault)]) + self.failures
-        best = self.result.get("estimates", {}).get("sampled-data")
-        if not why and best is not None and best["verdict"] == "refused":
-            why.append("the sampled-data estimate was refused: " + "; ".join(best["reasons"]))
+        estimates = self.result.get("estimates", {})
+        # least squares is what the run was for where it had no other relay test
+        for method in ("sampled-data", *(() if self.result.get("relays") else ("least-squares",))):
+            estimate = estimates.get(method)
+            if not why and estimate is not None and estimate["verdict"] == "refused":
+                why.append(f"the {method} estimate was refused: " + "; ".join(estimate["reasons"]))
         return "; ".join(why)
 
 
@@ -95,6 +105,7 @@ def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -
         with driving(session):
             check_breakaway(session)
             test_relays(session)
+            test_hysteretic(session)
         identify_recorded(session)
         verify_models(session)
 
@@ -108,6 +119,7 @@ def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = N
         with driving(session):
             check_breakaway(session)
             test_relays(session)
+            test_hysteretic(session)
         identify_recorded(session)
 
     return _record(experiment, parent, script, on_start)
@@ -183,6 +195,8 @@ def check_breakaway(session: Session) -> None:
 def test_relays(session: Session) -> None:
     """Find the gains, where the config gives none, and run a relay test at each pair; then let the shaft rest."""
     e = session.experiment
+    if e.relay.gains is None and e.relay.target is None:
+        return
     lsb_rad = calibration_of(e).lsb_rad
     detector = CycleDetector(min_period_s=30.0 * e.period_s, min_amplitude_rad=20.0 * lsb_rad)
     relay = DualChannelRelay(0.0, 0.0, _integral_bound_rad_s(e))
@@ -201,6 +215,45 @@ def test_relays(session: Session) -> None:
     if relay.bound_reached:
         session.notes.append("the relay's integral reached its bound: the first cycles are shorter than they would be")
     session.loop.run(Rest(REST_S), "rest")
+
+
+def test_hysteretic(session: Session) -> None:
+    """Run each hysteretic relay of the config, every time from rest at zero; then let the shaft rest."""
+    e, breakaway = session.experiment, session.breakaway
+    if e.relay.hysteretic is None:
+        return
+    if breakaway is None:
+        raise ValueError("a hysteretic run needs a breakaway check")
+    for number, wanted in enumerate(e.relay.hysteretic, start=1):
+        level_V = breakaway.plus_V if wanted.d_V > 0.0 else breakaway.minus_V
+        if abs(wanted.d_V) <= level_V:
+            raise Fault("DRIVE_TOO_SMALL", f"d_V {wanted.d_V:+.3f} V of run {number}; it broke away at {level_V:.3f} V")
+    for number, wanted in enumerate(e.relay.hysteretic, start=1):
+        stage = f"hysteretic-{number}"
+        bring_home(session)
+        session.note("hysteretic", stage=stage, d_V=wanted.d_V, eps_rad=wanted.eps_rad)
+        relay = HystereticRelay(wanted.d_V, wanted.eps_rad)
+        session.loop.run(HystereticRun(relay, START_REST_S, HYSTERETIC_SWITCHINGS, HYSTERETIC_TIMEOUT_S), stage)
+        session.loop.run(Rest(REST_S), "rest")
+
+
+def bring_home(session: Session) -> None:
+    """Bring the shaft to rest at zero."""
+    e, breakaway = session.experiment, session.breakaway
+    if breakaway is None:
+        raise ValueError("homing needs a breakaway check")
+    tolerance_rad = max(HOMING_LSB * calibration_of(e).lsb_rad, 0.8 * breakaway.noise_rad)
+    homing = Homing(
+        breakaway.plus_V,
+        breakaway.minus_V,
+        e.drive.max_V,
+        breakaway.noise_rad,
+        tolerance_rad,
+        e.period_s,
+        HOMING_TIMEOUT_S,
+    )
+    session.loop.run(homing, "homing")
+    session.note("home", rest_rad=homing.rest_rad, strokes=homing.strokes)
 
 
 def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetector) -> list[tuple[float, float]]:
@@ -408,7 +461,7 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
     if session.identification is None:
         try:
             recording = read_run(session.folder)
-            if any(stage.startswith("relay-") for stage in recording.stages()):
+            if any(stage.startswith(("relay-", "hysteretic-")) for stage in recording.stages()):
                 session.identification = identify([recording])
         except (IdentifyError, RecordingError) as error:
             session.notes.append(f"nothing to identify: {error.cause}")
@@ -457,8 +510,12 @@ def _result(session: Session, fault: Fault | None) -> dict[str, Any]:
         "faults": [] if fault is None else [fault.as_dict()],
         "notes": [*session.notes, *([] if identification is None else identification.notes)],
     }
+    eps_rad = {f"hysteretic-{k}": run.eps_rad for k, run in enumerate(session.experiment.relay.hysteretic or (), 1)}
+    if identification is not None and identification.hysteretic:
+        result["hysteretic"] = [run | {"eps_rad": eps_rad.get(run["stage"])} for run in identification.hysteretic]
     if session.models_from is not None:
         # rows, relays and notes of another run would be taken for this one's
+        result.pop("hysteretic", None)
         result |= {"relays": [], "notes": [*session.notes, f"models are those of {session.models_from}"]}
         result["models_from"] = str(session.models_from)
         result["estimates"] = {method: {**e, "rows": None} for method, e in result["estimates"].items()}
@@ -517,5 +574,7 @@ def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, 
 def _stages(experiment: Experiment) -> list[str]:
     """Every stage that a run can record."""
     relays = [f"relay-{number}" for number in range(1, 5)]
+    if experiment.relay.hysteretic is not None:
+        relays += ["homing", *(f"hysteretic-{number}" for number in range(1, len(experiment.relay.hysteretic) + 1))]
     tracks = [] if experiment.tracking is None else [f"track:{method}" for method in experiment.tracking.methods]
     return ["rest", "jog", "breakaway", "search", *relays, *tracks]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from math import isclose
+from math import isclose, log
 
 from rig.config.problems import Path, Problem
 from rig.config.schema import Experiment, Gains, RelayTarget
@@ -244,6 +244,8 @@ def _breakaway(e: Experiment) -> Iterator[Problem]:
 
 def _gains(e: Experiment) -> Iterator[Problem]:
     s = e.relay.search
+    if e.relay.gains is None and e.relay.target is None:
+        return
     if e.relay.gains is None:
         start = Gains(h1_V=s.h1_start_V, h2_V=s.h2_start_V)
         pairs: list[tuple[Path, Gains, str]] = [(("relay", "search"), start, "_start_V")]
@@ -326,6 +328,46 @@ def _target(e: Experiment) -> Iterator[Problem]:
         )
 
 
+def _hysteretic(e: Experiment) -> Iterator[Problem]:
+    """Drives within the largest one; bands that the sensor sees, and that the shaft does not overshoot too far."""
+    overshoot = sum(rad for _, rad in _overshoot_terms(e))
+    for k, run in enumerate(e.relay.hysteretic or ()):
+        path: Path = ("relay", "hysteretic", k)
+        if abs(run.d_V) > e.drive.max_V * (1 + _SLACK):
+            yield Problem(
+                (*path, "d_V"),
+                f"{abs(run.d_V):g} V is more than drive.max_V {e.drive.max_V:g} V",
+                _at_most(e.drive.max_V),
+            )
+        least_rad = _SMALLEST_CYCLE_COUNTS * _count_rad(e)
+        if run.eps_rad < least_rad:
+            yield Problem(
+                (*path, "eps_rad"),
+                f"{run.eps_rad:g} rad is less than {_SMALLEST_CYCLE_COUNTS} counts of the sensor ({least_rad:.3g} rad)",
+                "widen it: the transient up to it is all that the method sees",
+            )
+        elif _limits_are_ordered(e) and run.eps_rad + overshoot > _reach_rad(e):
+            written = " + ".join(f"{rad:.3f} {words}" for words, rad in _overshoot_terms(e))
+            room = _reach_rad(e) - overshoot
+            yield Problem(
+                (*path, "eps_rad"),
+                f"{run.eps_rad:g} rad and the overshoot, at most {written} = {overshoot:.3f} rad at "
+                f"{e.limits.max_speed_rad_s:g} rad/s, leave the soft limits ({_reach_rad(e):g} rad from the centre of "
+                "travel)",
+                (f"at most {_floor(room):g} rad, or " if room > least_rad else "")
+                + "lower limits.max_speed_rad_s if the shaft is slower, or widen limits.soft_rad",
+            )
+
+
+def _overshoot_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
+    """How far the shaft goes on, at most, once it is beyond the hysteresis: words, rad.
+
+    From a speed v that drive d has given it, -d stops it within v tau (1 - ln 2), the more friction the sooner.
+    """
+    v = e.limits.max_speed_rad_s
+    return (("2 periods", 2.0 * v * e.period_s), ("reversing", v * e.limits.coast_tau_s * (1.0 - log(2.0))))
+
+
 def _predicted_stop_rad(e: Experiment, amplitude_rad: float, period_s: float) -> float:
     """Largest stop that the guard predicts within a cycle, rad.
 
@@ -402,6 +444,7 @@ _RULES: tuple[Rule, ...] = (
     _breakaway,
     _gains,
     _target,
+    _hysteretic,
     _tracking,
     _emulated,
 )
@@ -469,9 +512,20 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
             f"up to about {speed:.2g} rad/s; about {tests_s:.0f} s and the settling"
         )
         total_s += r.search.timeout_s + tests_s
-    else:
-        pairs = ", ".join(f"({g.h1_V:g}, {g.h2_V:g})" for g in r.gains or ())
+    elif r.gains is not None:
+        pairs = ", ".join(f"({g.h1_V:g}, {g.h2_V:g})" for g in r.gains)
         yield f"stage relay: {r.cycles} settled cycles at each of (h1, h2) = {pairs} V; their period is not known yet"
+    if r.hysteretic is not None:
+        pairs = ", ".join(f"({h.d_V:+g}, {h.eps_rad:g})" for h in r.hysteretic)
+        widest_rad = max(h.eps_rad for h in r.hysteretic)
+        overshoot = sum(rad for _, rad in _overshoot_terms(e))
+        horizon_s = sum(rad for _, rad in _stopping_terms(e)) / e.limits.max_speed_rad_s
+        yield (
+            f"stage hysteretic: from rest at zero, where the shaft is brought before each, (d, eps) = {pairs} V, rad; "
+            f"at most to {widest_rad + overshoot:.3g} rad; the guard would brake above "
+            f"{(_room_rad(e) - widest_rad) / horizon_s:.3g} rad/s; every d must exceed the breakaway level, which is "
+            "measured first"
+        )
     yield "stage identify: by every method, no motion"
     if e.tracking is None:
         yield "stage verify: left out, there is no section `tracking`"
@@ -482,7 +536,7 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
             f"stage verify: tracking with the models of {', '.join(e.tracking.methods)}, "
             f"{e.tracking.duration_s:g} s each; {verify_s:.0f} s"
         )
-    unknown = "" if r.target is not None else ", and the relay tests"
+    unknown = "" if r.target is not None and r.hysteretic is None else ", and the relay tests"
     clock = " of virtual time" if e.daq.driver == "simulated" else ""
     yield f"together: at most about {total_s:.0f} s{clock}{unknown}, and settling and rests"
 

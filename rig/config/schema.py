@@ -153,6 +153,20 @@ class Gains(_Section):
     h2_V: Positive = Field(description="gain on the sign of its integral; above f_c, else there is no cycle")
 
 
+class Hysteretic(_Section):
+    """One run of the single relay with hysteresis, from rest at zero (theory section 6)."""
+
+    d_V: float = Field(description="drive; its sign is the direction it starts in; above the breakaway level")
+    eps_rad: Positive = Field(description="half width of the hysteresis: it switches beyond this position")
+
+    @field_validator("d_V")
+    @classmethod
+    def _drives(cls, d_V: float) -> float:
+        if d_V == 0.0:
+            raise ValueError("must not be 0: it has to move the shaft from rest")
+        return d_V
+
+
 class RelayTarget(_Section):
     """The limit cycle that the gain search aims for."""
 
@@ -175,7 +189,7 @@ class GainSearch(_Section):
 
 
 class Relay(_Section):
-    """The relay experiment: gains given, or searched for a target."""
+    """The relay experiment: gains given, or searched for a target; or, or besides, runs of a hysteretic relay."""
 
     target: RelayTarget | None = Field(None, description="search gains that give this limit cycle; or give `gains`")
     gains: Annotated[tuple[Gains, ...], Field(min_length=1, max_length=4)] | None = Field(
@@ -186,11 +200,30 @@ class Relay(_Section):
     )
     cycles: Annotated[int, Field(ge=3, le=200)] = Field(12, description="settled cycles recorded in each test")
     search: GainSearch = Field(GainSearch(), description="how the gains are searched, where there is a target")
+    hysteretic: Annotated[tuple[Hysteretic, ...], Field(min_length=2, max_length=8)] | None = Field(
+        None, description="runs of a hysteretic relay for the least-squares method: two or more different d_V each way"
+    )
+
+    @field_validator("hysteretic")
+    @classmethod
+    def _drives_differ(cls, runs: tuple[Hysteretic, ...] | None) -> tuple[Hysteretic, ...] | None:
+        for sign in (1.0, -1.0):
+            drives = sorted(sign * run.d_V for run in runs or () if sign * run.d_V > 0.0)
+            if len(drives) == 1:
+                raise ValueError(f"one run alone with d_V of {sign * drives[0]:g} V: the method takes two of one sign")
+            for a, b in pairwise(drives):
+                if b - a < 0.05 * b:
+                    raise ValueError(
+                        f"d_V of {sign * a:g} and {sign * b:g} V do not differ enough: by 5 % at least, better by 20 %"
+                    )
+        return runs
 
     @model_validator(mode="after")
-    def _target_or_gains(self) -> Self:
-        if (self.target is None) == (self.gains is None):
-            raise ValueError("give either `target` (gains are searched) or `gains`, not both and not neither")
+    def _what_to_run(self) -> Self:
+        if self.target is not None and self.gains is not None:
+            raise ValueError("give either `target` (gains are searched) or `gains`, not both")
+        if self.target is None and self.gains is None and self.hysteretic is None:
+            raise ValueError("give `target` (gains are searched), `gains`, or `hysteretic` (for least squares)")
         return self
 
 

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 METHOD = "least-squares"
 FEWEST_SAMPLES = 8  # from the first drive to the first switching
-START_ROWS = 50  # at rest before the first drive, which show the start
+START_S = 0.4  # of the rows before the first drive, which show the start
 START_MATTERS = 0.05  # error by the starts, relative to the friction, from which on they are not zero
 MOTION_COUNTS = 4.0  # sensor steps, or standard deviations of its noise, that are motion
 DITHERED = 0.4  # noise over the sensor's step from which on a mean is not tied to its steps
@@ -85,7 +85,8 @@ class Transient:
         switched = changed.size > 0 and record.u_V[first + int(changed[0])] * d_V < 0.0
         last = first + int(changed[0]) if changed.size else len(record) - 1
         noise, step = record.noise_rad(), record.resolution_rad()
-        rest = slice(max(0, first + 1 - START_ROWS), first + 1)  # the row of the first drive was sampled before it
+        # the row of the first drive was sampled before it
+        rest = slice(int(np.searchsorted(record.t_s, record.t_s[first] - START_S)), first + 1)
         t, y = record.t_s[rest], record.y_rad[rest]
         error = noise / math.sqrt(y.size)
         if float(np.std(y)) < DITHERED * step:
