@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from paper import surviving
 from paper.drawing import (
     CYCLES,
     EXACT,
-    INK,
     MUTED,
     SINE,
     Array,
@@ -22,14 +20,13 @@ from paper.drawing import (
     shade_stages,
     zero,
 )
-from paper.page import Cell, Comparison, Heading, Paragraph, Remark, Section, Table, fixed, number, significant, words
+from paper.page import Cell, Comparison, Heading, Paragraph, Remark, Section, Table, number, share, significant
 from paper.solver import Cycle as SolverCycle
 from paper.solver import settled_cycle
 from rig.model import describing_function
 from rig.model.describing_function import Oscillation, RelayGains
 from rig.model.limit_cycle import LimitCycle, limit_cycle
 from rig.report.style import Picture
-from rig.report.words import percent
 
 
 @dataclass(frozen=True)
@@ -242,9 +239,9 @@ def _methods_table(result: Result) -> Table:
             (
                 Cell(f"{_named(f.gains)} describing function"),
                 number(d.period_s, 4),
-                Cell(percent(d.period_s / c.period_s - 1.0), d.period_s / c.period_s - 1.0),
+                share(d.period_s / c.period_s - 1.0),
                 number(d.amplitude_rad, 4),
-                Cell(percent(d.amplitude_rad / c.amplitude_rad - 1.0), d.amplitude_rad / c.amplitude_rad - 1.0),
+                share(d.amplitude_rad / c.amplitude_rad - 1.0),
             ),
         ]
     return Table(
@@ -396,6 +393,3 @@ def _properties(result: Result) -> Picture:
         "Properties 3.1 and 3.2: amplitude and frequency over h2 (left) and over h1 (right), the other fixed. Solid: "
         "exact; dashed: describing function. Logarithmic scales.",
     )
-
-
-__all__ = ["Found", "Result", "Sweep", "compute", "fixed", "monotone", "section", "words", "INK", "NDArray"]

@@ -12,6 +12,7 @@ import jinja2
 
 import rig
 from rig.report.style import Picture
+from rig.report.words import percent
 
 TEMPLATE = "report.html.j2"
 BACKEND = "computed on the exact model of the motor, no device"
@@ -133,6 +134,11 @@ def significant(value: float, digits: int = 4) -> str:
 def fixed(value: float, decimals: int, *, whose: Literal["", "paper", "bad"] = "") -> Cell:
     """A number to so many decimals, exact behind it."""
     return Cell(f"{value:.{decimals}f}".replace("-", "−"), value, whose) if math.isfinite(value) else Cell("–")
+
+
+def share(value: float) -> Cell:
+    """A ratio in per cent with its sign; what is below a thousandth of a per cent is 0."""
+    return Cell("0", 0.0) if abs(value) < 1e-5 else Cell(percent(value), value)
 
 
 def words(*texts: str) -> tuple[Cell, ...]:
