@@ -1,36 +1,63 @@
-"""Friction laws that are constant between velocity reversals, so that the motion has a closed form."""
+"""Friction laws: none, Coulomb, with a static level, directional, Tustin's with Stribeck effect and viscous friction.
+
+f(v) = (fc + (fs - fc) exp(-|v|/vs)) sgn(v) + fv v, with a level fc and fs for each direction (theory sections 1, 8, 9).
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Friction:
-    """Friction referred to the drive input, by direction (theory section 1, 8).
+    """Friction referred to the drive input, by direction (theory sections 1, 8, 9).
 
     plus_V, minus_V                level while moving towards +y and -y, V, >= 0
     static_plus_V, static_minus_V  level to break away, V, >= the moving level
+    stribeck_rad_s                 velocity over which the static level gives way to the moving one, rad/s, >= 0;
+                                   0: the static level is there at rest only
+    viscous_V_s_rad                viscous friction, V/(rad/s), >= 0
 
-    With all four equal it is Coulomb friction; with all zero there is none.
-    Raises ValueError if a level is negative, or a static level is below its moving level.
+    With all four levels equal it is Coulomb friction; with all zero there is none.
+    Raises ValueError outside these ranges.
     """
 
     plus_V: float = 0.0
     minus_V: float = 0.0
     static_plus_V: float = 0.0
     static_minus_V: float = 0.0
+    stribeck_rad_s: float = 0.0
+    viscous_V_s_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        if min(self.plus_V, self.minus_V) < 0.0:
+        if not min(self.plus_V, self.minus_V) >= 0.0:
             raise ValueError("friction levels must be >= 0 V")
-        if self.static_plus_V < self.plus_V or self.static_minus_V < self.minus_V:
+        if not (self.static_plus_V >= self.plus_V and self.static_minus_V >= self.minus_V):
             raise ValueError("static friction must be at least the moving friction")
+        if not 0.0 <= self.stribeck_rad_s < math.inf:
+            raise ValueError("the Stribeck velocity must be >= 0 rad/s")
+        if not 0.0 <= self.viscous_V_s_rad < math.inf:
+            raise ValueError("viscous friction must be >= 0 V/(rad/s)")
 
     @property
     def fc_V(self) -> float:
         """Mean Coulomb level of both directions, V: what motion can show (theory section 8)."""
         return 0.5 * (self.plus_V + self.minus_V)
+
+    @property
+    def falls_with_speed(self) -> bool:
+        """Whether there is a Stribeck effect: then the motion has no closed form."""
+        return self.stribeck_rad_s > 0.0 and (self.static_plus_V > self.plus_V or self.static_minus_V > self.minus_V)
+
+    def level(self, v_rad_s: float) -> float:
+        """f(v), V, with the sign of ``v_rad_s``; 0 at rest, where friction is whatever holds the motor."""
+        if v_rad_s == 0.0:
+            return 0.0
+        moving, static = (self.plus_V, self.static_plus_V) if v_rad_s > 0.0 else (self.minus_V, self.static_minus_V)
+        if self.stribeck_rad_s > 0.0:
+            moving += (static - moving) * math.exp(-abs(v_rad_s) / self.stribeck_rad_s)
+        return math.copysign(moving, v_rad_s) + self.viscous_V_s_rad * v_rad_s
 
 
 NONE = Friction()
@@ -45,3 +72,8 @@ def coulomb(fc_V: float, fs_V: float | None = None) -> Friction:
 def directional(plus_V: float, minus_V: float, static_ratio: float = 1.0) -> Friction:
     """Coulomb friction with a level for each direction; static level ``static_ratio`` times it."""
     return Friction(plus_V, minus_V, plus_V * static_ratio, minus_V * static_ratio)
+
+
+def tustin(fc_V: float, fs_V: float, stribeck_rad_s: float, viscous_V_s_rad: float = 0.0) -> Friction:
+    """Tustin's law, the same both ways: ``fs_V`` at rest falls to ``fc_V`` with speed, and viscous friction."""
+    return Friction(fc_V, fc_V, fs_V, fs_V, stribeck_rad_s, viscous_V_s_rad)

@@ -1,20 +1,23 @@
 """The exact event-driven motor: tau dv/dt + v = K (u + b - f(v)), dy/dt = v, dz/dt = y (theory (1)-(5)).
 
-The motion has a closed form between the instants at which the drive changes or the velocity crosses
-zero, so there is no integration step and no integration error.
+Between the instants at which the drive changes or the velocity crosses zero the motion is a formula: an exponential,
+or under Stribeck friction a chain of Taylor polynomials of bounded error (``rig.model.stribeck``). Viscous friction
+needs no formula of its own: it lowers tau and K alike (theory section 9).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.model import friction as friction_laws
+from rig.model import stribeck
 from rig.model.friction import Friction
 
 Array = NDArray[np.float64]
@@ -28,13 +31,62 @@ class State(NamedTuple):
     z: float = 0.0
 
 
+class Glide(NamedTuple):
+    """Motion whose velocity tends exponentially to ``target`` (theory section 1); at rest both are 0.
+
+    start, duration_s   its first state, and how long it lasts (may be inf)
+    target, tau_s       rad/s, s
+    """
+
+    start: State
+    duration_s: float
+    target: float
+    tau_s: float
+
+    def at(self, h_s: float) -> State:
+        """State ``h_s`` after the start."""
+        return State(*_glide(*self.start, self.target, self.tau_s, h_s))
+
+
+class Arc(NamedTuple):
+    """Motion under Stribeck friction, as a polynomial in time (``rig.model.stribeck``).
+
+    start, duration_s   its first state, and how long it lasts
+    coefficients        of the speed in v_unit over time in tau_s
+    v_unit, tau_s       Stribeck velocity with the sign of the motion, rad/s; effective time constant, s
+    rests               it ends with the velocity at zero
+    """
+
+    start: State
+    duration_s: float
+    coefficients: tuple[float, ...]
+    v_unit: float
+    tau_s: float
+    rests: bool
+
+    def at(self, h_s: float) -> State:
+        """State ``h_s`` after the start."""
+        _, y, z = self.start
+        c, h, unit = self.coefficients, h_s / self.tau_s, self.v_unit
+        v = 0.0 if self.rests and h_s >= self.duration_s else unit * stribeck.speed_at(c, h)
+        y_unit = unit * self.tau_s
+        return State(
+            v,
+            y + y_unit * stribeck.path_at(c, h),
+            z + y * h_s + y_unit * self.tau_s * stribeck.integral_at(c, h),
+        )
+
+
+Piece = Glide | Arc
+
+
 @dataclass(frozen=True)
 class Motor:
     """Plant parameters.
 
-    tau_s       velocity time constant, s, > 0
-    K_rad_s_V   velocity gain of the measured shaft, (rad/s)/V, > 0
-    friction    levels by direction, V
+    tau_s       velocity time constant without viscous friction, s, > 0
+    K_rad_s_V   velocity gain of the measured shaft without viscous friction, (rad/s)/V, > 0
+    friction    levels by direction, V, Stribeck velocity and viscous friction
     bias_V      constant added to the drive, V
     Raises ValueError outside these ranges.
     """
@@ -48,6 +100,21 @@ class Motor:
         if not (self.tau_s > 0.0 and self.K_rad_s_V > 0.0):
             raise ValueError("tau_s and K_rad_s_V must be > 0")
 
+    @cached_property
+    def tau_eff_s(self) -> float:
+        """Time constant that the motion shows: tau / (1 + K fv), s."""
+        return self.tau_s / (1.0 + self.K_rad_s_V * self.friction.viscous_V_s_rad)
+
+    @cached_property
+    def K_eff_rad_s_V(self) -> float:
+        """Gain that the motion shows: K / (1 + K fv), (rad/s)/V; tau / K is as without viscous friction."""
+        return self.K_rad_s_V / (1.0 + self.K_rad_s_V * self.friction.viscous_V_s_rad)
+
+    @cached_property
+    def has_closed_form(self) -> bool:
+        """Whether the velocity is exponential between events: there is no Stribeck effect."""
+        return not self.friction.falls_with_speed
+
     @property
     def asym_V(self) -> float:
         """Asymmetry a = b - (f+ - f-)/2 of the effective drive, V: what motion can show of bias."""
@@ -55,13 +122,31 @@ class Motor:
 
     def advance(self, state: State, u_V: float, dt_s: float) -> State:
         """State after ``dt_s`` (>= 0) seconds of constant drive ``u_V``, through every velocity reversal."""
+        if not self.has_closed_form:
+            for piece in self._arcs(state, u_V, dt_s):
+                state = piece.at(piece.duration_s)
+            return state
         v, y, z = state
         segments = self._segments(v, u_V, dt_s)
         for k, (h, target) in enumerate(segments):
-            v, y, z = _glide(v, y, z, target, self.tau_s, h)
+            v, y, z = _glide(v, y, z, target, self.tau_eff_s, h)
             if k + 1 < len(segments):
                 v = 0.0  # exactly at rest where the segments meet
         return State(v, y, z)
+
+    def pieces(self, state: State, u_V: float, dt_s: float) -> Iterator[Piece]:
+        """The motion over ``dt_s`` seconds of constant drive ``u_V``, piece by piece.
+
+        Within a piece the velocity does not change its sign; where two meet with the velocity crossing zero it is
+        exactly 0. A motor that friction holds is a Glide from 0 to 0.
+        """
+        if not self.has_closed_form:
+            yield from self._arcs(state, u_V, dt_s)
+            return
+        for h, target in self._segments(state.v, u_V, dt_s):
+            piece = Glide(state, h, target, self.tau_eff_s)
+            yield piece
+            state = piece.at(h)._replace(v=0.0)  # there is a further segment only from rest
 
     def _segments(self, v: float, u_V: float, dt_s: float) -> list[tuple[float, float]]:
         """Cut ``dt_s`` at the reversal: (duration s, velocity that the segment tends to, rad/s).
@@ -71,25 +156,84 @@ class Motor:
         """
         if dt_s <= 0.0:
             return []
-        target = self.terminal_velocity(v, u_V)
-        stop = reversal_time(v, target, self.tau_s)
+        target = self._target(v, u_V)
+        stop = reversal_time(v, target, self.tau_eff_s)
         if v == 0.0 or stop >= dt_s:
             return [(dt_s, target)]
-        return [(stop, target), (dt_s - stop, self.terminal_velocity(0.0, u_V))]
+        return [(stop, target), (dt_s - stop, self._target(0.0, u_V))]
+
+    def _target(self, v: float, u_V: float) -> float:
+        """Velocity that a closed form tends to from ``v`` until the next reversal, rad/s."""
+        drive = u_V + self.bias_V
+        direction = self._direction(v, drive)
+        if direction > 0.0:
+            return self.K_eff_rad_s_V * (drive - self.friction.plus_V)
+        if direction < 0.0:
+            return self.K_eff_rad_s_V * (drive + self.friction.minus_V)
+        return 0.0
+
+    def _direction(self, v: float, drive_V: float) -> float:
+        """Direction of motion: that of ``v``, or into which the drive breaks away from rest; 0 if friction holds."""
+        if v != 0.0:
+            return math.copysign(1.0, v)
+        if drive_V > self.friction.static_plus_V:
+            return 1.0
+        return -1.0 if drive_V < -self.friction.static_minus_V else 0.0
+
+    def _arcs(self, state: State, u_V: float, dt_s: float) -> Iterator[Piece]:
+        """Pieces under Stribeck friction: polynomials, and exponentials where its effect is below rounding."""
+        f, tau, gain, unit = self.friction, self.tau_eff_s, self.K_eff_rad_s_V, self.friction.stribeck_rad_s
+        drive = u_V + self.bias_V
+        c, w = [0.0] * (stribeck.ORDER + 1), [0.0] * (stribeck.ORDER + 1)
+        while dt_s > 0.0:
+            sign = self._direction(state.v, drive)
+            if sign == 0.0:
+                yield Glide(state, dt_s, 0.0, tau)
+                return
+            moving, static = (f.plus_V, f.static_plus_V) if sign > 0.0 else (f.minus_V, f.static_minus_V)
+            b = gain * (static - moving) / unit
+            e = gain * (sign * drive - static) / unit
+            x, target = abs(state.v) / unit, e + b
+            far = stribeck.far_speed(b) if b > 0.0 else 0.0
+            piece: Piece
+            if b == 0.0 or x > far or (x == far and target >= far):
+                # down to where the Stribeck effect begins, or to rest where this direction has none
+                leaves_s = tau * math.log((x - target) / (far - target)) if target < far < x else math.inf
+                piece = Glide(state, min(leaves_s, dt_s), sign * unit * target, tau)
+                end = piece.at(piece.duration_s)
+                if leaves_s <= dt_s:
+                    end = end._replace(v=sign * unit * far)
+            else:
+                duration_s = min(tau * stribeck.expand(x, e, b, c, w), dt_s)
+                rests = x > 0.0 and stribeck.speed_at(c, duration_s / tau) <= 0.0
+                if rests:
+                    duration_s = tau * stribeck.rest_within(c, duration_s / tau)
+                piece = Arc(state, duration_s, tuple(c), sign * unit, tau, rests)
+                end = piece.at(duration_s)
+            yield piece
+            dt_s -= piece.duration_s
+            state = end
 
     def terminal_velocity(self, v: float, u_V: float) -> float:
-        """Velocity that the motion tends to from ``v`` under ``u_V``, rad/s; 0 from rest if friction holds."""
+        """Velocity in which the motion from ``v`` under constant ``u_V`` ends, rad/s; 0 if friction holds it there."""
         drive = u_V + self.bias_V
-        f = self.friction
-        if v > 0.0:
-            return self.K_rad_s_V * (drive - f.plus_V)
-        if v < 0.0:
-            return self.K_rad_s_V * (drive + f.minus_V)
-        if drive > f.static_plus_V:
-            return self.K_rad_s_V * (drive - f.plus_V)
-        if drive < -f.static_minus_V:
-            return self.K_rad_s_V * (drive + f.minus_V)
-        return 0.0
+        direction = self._direction(v, drive)
+        if direction == 0.0:
+            return 0.0
+        f, gain = self.friction, self.K_eff_rad_s_V
+        moving, static = (f.plus_V, f.static_plus_V) if direction > 0.0 else (f.minus_V, f.static_minus_V)
+        if f.stribeck_rad_s > 0.0 and static > moving:
+            speed = stribeck.terminal_speed(
+                abs(v) / f.stribeck_rad_s,
+                gain * (direction * drive - static) / f.stribeck_rad_s,
+                gain * (static - moving) / f.stribeck_rad_s,
+            )
+            speed *= f.stribeck_rad_s
+        else:
+            speed = max(gain * (direction * drive - moving), 0.0)
+        if speed > 0.0 or v == 0.0:
+            return direction * speed
+        return self.terminal_velocity(0.0, u_V)
 
     def stopping_distance(self, v: float) -> float:
         """Distance still travelled at 0 V from velocity ``v``, rad, with the sign of ``v``."""
@@ -124,13 +268,15 @@ class Motor:
         if np.any(np.diff(t) < 0.0) or np.any(np.diff(edges) < 0.0) or edges[0] > t[0]:
             raise ValueError("times must not decrease, and the drive must be known from the first sample on")
         first = int(np.searchsorted(edges, t[0], side="right")) - 1
+        if not self.has_closed_form:
+            return self._response_by_pieces(start, t, edges, drive, first)
         keep = np.arange(first, edges.size)
         keep = keep[np.concatenate(([True], drive[keep[1:]] != drive[keep[:-1]]))]
         starts = np.maximum(edges[keep], t[0]).tolist()
         ends = [*starts[1:], max(float(t[-1]), starts[-1])]
         rows: list[tuple[float, float, float, float, float]] = []
         v, y, z = start
-        tau = self.tau_s
+        tau = self.tau_eff_s
         for begin, end, u in zip(starts, ends, drive[keep].tolist(), strict=True):
             now = begin
             segments = self._segments(v, u, end - begin)
@@ -153,6 +299,25 @@ class Motor:
         out[:, 0] = row[:, 1] - excess * decay
         out[:, 1] = row[:, 2] + row[:, 4] * h + excess * tau * decay
         out[:, 2] = row[:, 3] + row[:, 2] * h + 0.5 * row[:, 4] * h * h + excess * tau * (h - tau * decay)
+        return out
+
+    def _response_by_pieces(self, start: State, t: Array, edges: Array, drive: Array, first: int) -> Array:
+        out = np.empty((t.size, 3))
+        state, k = start, 0
+        for j in range(first, edges.size):
+            begin = max(float(edges[j]), float(t[0]))
+            end = float(edges[j + 1]) if j + 1 < edges.size else math.inf
+            last = min(end, float(t[-1]))
+            now = begin
+            for piece in self.pieces(state, float(drive[j]), last - begin):
+                until = now + piece.duration_s
+                while k < t.size and t[k] < until:
+                    out[k] = piece.at(float(t[k]) - now)
+                    k += 1
+                state, now = piece.at(piece.duration_s), until
+            if last < end:
+                break
+        out[k:] = state  # samples at the very end
         return out
 
 

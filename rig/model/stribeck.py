@@ -1,0 +1,252 @@
+"""Motion under Stribeck friction by Taylor series, its truncation bounded at every step.
+
+While the motor moves one way, with speed x in units of the Stribeck velocity vs and time in units of tau,
+
+    x' = e - x - b expm1(-x),    e = K (D - fs) / vs,    b = K (fs - fc) / vs,    x >= 0
+
+(D: drive along the motion, V; theory section 9; viscous friction is in tau and K already). The right side is analytic,
+so x is a power series in time, and its integrals, position and integral of position, are too.
+
+The step. With B = b exp(-x0), on the disc |x - x0| <= R the right side is at most M = |x0'| + R + B (exp(R) - 1) and
+its slope at most L = 1 + B exp(R). So the solution is analytic, and stays in the disc, at least for |t| < rho =
+max(R / M, ln(1 + R L / |x0'|) / L) (Picard; Gronwall). By Cauchy's estimate the k-th term at t is at most
+R (t / rho)^k. Steps end at rho / RATIO: what is left off after ORDER is at most R RATIO^-ORDER / (RATIO - 1), 2e-14 R,
+and in practice below rounding, because rho is about half of the true radius.
+
+Where b exp(-x) is below rounding the motion has the closed form of theory section 1, and that is used.
+
+These functions are plain Python; ``rig.model.compiled.stribeck`` is the same, compiled. ``c`` is a list or an array of
+ORDER + 1 coefficients.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import MutableSequence, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.model.sensitivity import Drive
+
+Array = NDArray[np.float64]
+Series = Sequence[float] | Array
+Room = MutableSequence[float] | Array
+
+ORDER = 22
+RATIO = 4.0
+NEGLIGIBLE = 32.0  # exp(-32) = 1.3e-14, against a speed of at least 32: 4e-16 of it
+
+TRUNCATION = RATIO**-ORDER / (RATIO - 1.0)  # bound of a step's truncation, over R
+
+
+def far_speed(b: float) -> float:
+    """Speed, in vs, from which on the Stribeck effect is below rounding."""
+    return NEGLIGIBLE + math.log1p(b)
+
+
+def expand(x: float, e: float, b: float, c: Room, w: Room) -> float:
+    """Fill ``c`` with the coefficients of x(t) about speed ``x``; returns the step, in tau, that they are good for.
+
+    ``w`` is room for as many numbers: the coefficients of exp(-x).
+    """
+    slope = e - x - b * math.expm1(-x)
+    c[0] = x
+    c[1] = slope
+    w[0] = math.exp(-x)
+    steady = b * w[0]
+    for k in range(1, ORDER):
+        total = 0.0
+        for j in range(1, k + 1):
+            total += j * c[j] * w[k - j]
+        w[k] = -total * (1.0 / k)
+        c[k + 1] = -(c[k] + b * w[k]) * (1.0 / (k + 1))
+    if slope == 0.0:
+        return math.inf
+    size = abs(slope)
+    growth = (1.0 + size) / steady  # exp(R) - 1
+    radius = math.log1p(growth)
+    lipschitz = 1.0 + steady * (1.0 + growth)
+    by_size = radius / (size + radius + steady * growth)
+    by_slope = math.log1p(radius * lipschitz / size) / lipschitz
+    return max(by_size, by_slope) / RATIO
+
+
+def speed_at(c: Series, h: float) -> float:
+    """Speed ``h`` after the point of expansion, in vs."""
+    x = 0.0
+    for k in range(ORDER, -1, -1):
+        x = x * h + c[k]
+    return x
+
+
+def path_at(c: Series, h: float) -> float:
+    """Path travelled ``h`` after the point of expansion, in vs tau."""
+    y = 0.0
+    for k in range(ORDER, -1, -1):
+        y = y * h + c[k] / (k + 1)
+    return y * h
+
+
+def integral_at(c: Series, h: float) -> float:
+    """Integral of that path, in vs tau^2."""
+    z = 0.0
+    for k in range(ORDER, -1, -1):
+        z = z * h + c[k] / ((k + 1) * (k + 2))
+    return z * h * h
+
+
+def rest_within(c: Series, h: float) -> float:
+    """When within (0, h] a falling speed is zero, to rounding; it is > 0 at 0 and <= 0 at h. Newton, kept bracketed."""
+    before, after = 0.0, h
+    t = h
+    for _ in range(100):
+        x = 0.0
+        slope = 0.0
+        for k in range(ORDER, -1, -1):
+            slope = slope * t + x
+            x = x * t + c[k]
+        if x > 0.0:
+            before = t
+        else:
+            after = t
+        newton = t - x / slope if slope < 0.0 else before
+        if abs(newton - t) <= 4e-16 * h:
+            return min(max(newton, before), after)
+        t = newton if before < newton < after else 0.5 * (before + after)
+    return t
+
+
+def terminal_speed(x: float, e: float, b: float) -> float:
+    """Speed that the motion from ``x`` tends to, in vs; 0 if it comes to rest, b > 0.
+
+    The right side is concave in x: it has no zero, or an unstable one and, above it, a stable one.
+    """
+    slope = e - x - b * math.expm1(-x)
+    if slope == 0.0:
+        return x
+    top = math.log(b) if b > 1.0 else 0.0  # where the right side is largest
+    if slope < 0.0 and (x <= top or e - top - b * math.expm1(-top) <= 0.0):
+        return 0.0
+    # Newton from above: on a concave function it falls monotonically to the upper zero.
+    root = e + b
+    for _ in range(200):
+        fall = 1.0 - b * math.exp(-root)
+        lower = root + (e - root - b * math.expm1(-root)) / fall
+        if not top <= lower < root:
+            break
+        root = lower
+    return root
+
+
+def position(
+    theta: tuple[float, float, float, float, float, float, float, float, float],
+    edge_s: Array,
+    u_V: Array,
+    t_s: Array,
+    y_rad: Array,
+) -> None:
+    """Fill ``y_rad`` with the positions at the times ``t_s``; ``theta`` as ``StribeckTheta``."""
+    tau, K, fc, asym, delay, v0, y, fs, unit = theta
+    n, edges = t_s.size, edge_s.size
+    c, w = np.zeros(ORDER + 1), np.zeros(ORDER + 1)
+    b = K * (fs - fc) / unit
+    far = far_speed(b)
+    y_unit = unit * tau
+    now = t_s[0]
+    x = abs(v0) / unit
+    sign = 1.0 if v0 > 0.0 else -1.0
+    j = 0
+    while j + 1 < edges and edge_s[j + 1] + delay <= now:
+        j += 1
+    k = 0
+    while True:
+        end = edge_s[j + 1] + delay if j + 1 < edges else math.inf
+        drive = u_V[j] + asym
+        while now < end:
+            if x == 0.0:
+                sign = 1.0 if drive > 0.0 else -1.0
+                if sign * drive <= fs:  # held
+                    while k < n and t_s[k] < end:
+                        y_rad[k] = y
+                        k += 1
+                    if k == n:
+                        return
+                    now = end
+                    break
+            e = K * (sign * drive - fs) / unit
+            target = e + b
+            if b == 0.0 or x > far or (x == far and target >= far):
+                floor = far if b > 0.0 else 0.0
+                leaves = now + tau * math.log((x - target) / (floor - target)) if target < floor < x else math.inf
+                until = min(leaves, end)
+                excess = x - target
+                while k < n and t_s[k] < until:
+                    h = (t_s[k] - now) / tau
+                    y_rad[k] = y + sign * y_unit * (target * h - excess * math.expm1(-h))
+                    k += 1
+                if k == n:
+                    return
+                h = (until - now) / tau
+                y += sign * y_unit * (target * h - excess * math.expm1(-h))
+                x = floor if leaves <= end else x + excess * math.expm1(-h)
+            else:
+                step = expand(x, e, b, c, w)
+                until = min(now + tau * step, end, t_s[n - 1])
+                h = (until - now) / tau
+                end_x = speed_at(c, h)
+                if x > 0.0 and end_x <= 0.0:
+                    h = rest_within(c, h)
+                    until = now + tau * h
+                    end_x = 0.0
+                while k < n and t_s[k] <= until:
+                    y_rad[k] = y + sign * y_unit * path_at(c, (t_s[k] - now) / tau)
+                    k += 1
+                if k == n:
+                    return
+                y += sign * y_unit * path_at(c, h)
+                x = end_x
+            now = until
+        j += 1
+
+
+class StribeckTheta(NamedTuple):
+    """Parameters of a record's motion under Tustin's law: those of ``rig.model.sensitivity.Theta``, and two more.
+
+    tau_s, K_rad_s_V, fc_V   the motor; viscous friction is in tau and K
+    asym_V                   asymmetry a: the effective drive is u + a
+    delay_s                  by which the drive acts later than its edges say
+    v0_rad_per_s, y0_rad     state at the first sample
+    fs_V, stribeck_rad_s     static level, V, >= fc, and the velocity over which it falls to fc, rad/s, > 0
+    """
+
+    tau_s: float
+    K_rad_s_V: float
+    fc_V: float
+    asym_V: float
+    delay_s: float
+    v0_rad_per_s: float
+    y0_rad: float
+    fs_V: float
+    stribeck_rad_s: float
+
+
+def stribeck_response(theta: StribeckTheta, drive: Drive, t_s: Array) -> Array:
+    """Positions at the times ``t_s`` (n, s, non-decreasing, n >= 1), rad; compiled.
+
+    The drive before its first edge is that of its first edge. Raises ValueError on parameters out of range.
+    """
+    from rig.model.compiled import stribeck as compiled
+
+    tau, K, fc, *_, fs, unit = theta
+    if not (all(map(math.isfinite, theta)) and min(tau, K, unit) > 0.0 and 0.0 <= fc <= fs):
+        raise ValueError(f"need tau, K, the Stribeck velocity > 0 and 0 <= fc <= fs, all finite, not {theta}")
+    y = np.empty(t_s.size)
+    compiled.position(_floats(theta), drive.edge_s, drive.u_V, t_s, y)
+    return y
+
+
+def _floats(theta: StribeckTheta) -> tuple[float, float, float, float, float, float, float, float, float]:
+    tau, K, fc, asym, delay, v0, y0, fs, unit = map(float, theta)
+    return tau, K, fc, asym, delay, v0, y0, fs, unit
