@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from paper import example_4_1, example_4_2b, example_4_2c
+from paper import example_4_1, example_4_2b, example_4_2c, noise
 from paper.drawing import style
 from paper.page import Report, Section, render_page
 
@@ -20,6 +20,7 @@ def examples(quick: bool) -> list[tuple[str, Callable[[], Section]]]:
             "Example 4.2 (c), (d): triple relay",
             lambda: example_4_2c.section(example_4_2c.compute(9 if quick else 27)),
         ),
+        ("Noise: Remarks 3.1 and 3.2", lambda: noise.section(noise.compute(3 if quick else 12))),
     ]
 
 

@@ -306,8 +306,8 @@ def _map_figure(result: Result) -> Picture:
     return finish(
         figure,
         "Map of initial guesses: iterations of plain and damped Gauss-Newton.",
-        f"Which initial guesses lead to the solution (star), f<sub>c</sub> of the guess {GUESS_FC_V} V: iterations until "
-        "exact to 10<sup>−6</sup>; grey: not found.",
+        f"Which initial guesses lead to the solution (star), f<sub>c</sub> of the guess {GUESS_FC_V} V: iterations "
+        "until exact to 10<sup>−6</sup>; grey: not found.",
     )
 
 
