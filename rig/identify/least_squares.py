@@ -328,13 +328,12 @@ def _combined(found: Sequence[OneWay], rows: tuple[int, int]) -> Estimate:
     asym = 0.0
     if len(found) == 2:
         up, down = found
-        asym = 0.5 * (down.friction_V - up.friction_V)
-        middle = 0.5 * (down.corrected_V - up.corrected_V)
-        intervals["asym_V"] = (middle - reach, middle + reach)
+        asym = 0.5 * (down.corrected_V - up.corrected_V)  # no quantity of the method: without what bends its values
+        intervals["asym_V"] = (asym - reach, asym + reach)
         covariance[3, 3] = error**2
         covariance[2, 3] = covariance[3, 2] = 0.25 * (down.error_V**2 - up.error_V**2)
-    count = min(way.trace_V.size for way in found)
-    trace = share * np.sum([way.trace_V[:count] for way in found], axis=0)
+    count = max(way.trace_V.size for way in found)
+    trace = share * np.sum([np.pad(way.trace_V, (0, count - way.trace_V.size), "edge") for way in found], axis=0)
     return Estimate(
         METHOD,
         math.nan,

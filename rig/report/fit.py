@@ -156,7 +156,7 @@ def fits_of(run: Run, identification: Identification | None = None) -> tuple[dic
     """
     if run.recording is None:
         return {}, "There are no samples, so there is no residual and no convergence to show."
-    if not run.spans("relay"):
+    if not (run.spans("relay") or run.spans("hysteretic")):
         return {}, "There was no relay test, so there is no residual and no convergence to show."
     if identification is not None:
         return identification.estimates, ""

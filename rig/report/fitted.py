@@ -144,9 +144,9 @@ def autocorrelation(pieces: list[Array], longest: int) -> tuple[Array, Array]:
 
 def convergence(run: Run, fits: Mapping[str, Estimate]) -> Picture:
     """Iterates of each estimator, and their distance from its final value."""
-    iterated = {m: f for m, f in fits.items() if f.iterates.shape[0] >= 2}
+    iterated = {m: f for m, f in fits.items() if f.iterates.shape[0] >= 2 and f.is_motor}
     if not iterated:
-        raise AbsentError("No estimator of this run iterated, so there is no convergence to show.")
+        raise AbsentError("No estimator of a whole motor iterated in this run, so there is no convergence to show.")
     figure = new_figure(3.9)
     panels = figure.subplots(2, 3, sharex=True, height_ratios=(1.3, 1.0))
     for column, key in enumerate(PARAMETERS):

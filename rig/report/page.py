@@ -14,7 +14,7 @@ import jinja2
 import rig
 from rig.identify import Identification, IdentifyError, identify
 from rig.recording.errors import RecordingError
-from rig.report import checked, fitted, measured
+from rig.report import checked, fitted, measured, transient
 from rig.report.fit import fits_of
 from rig.report.source import PREFERRED, Json, Run, load, mappings, number, section, texts
 from rig.report.style import AbsentError, Picture, short, style
@@ -52,7 +52,7 @@ def write_report(run_folder: Path, identification: Identification | None = None)
 
 def _identify_unfinished(run: Run) -> Identification | None:
     """What a run that ended before its result has left, put where the result would be; None if that is nothing."""
-    if run.recording is None or not run.spans("relay"):
+    if run.recording is None or not (run.spans("relay") or run.spans("hysteretic")):
         return None
     try:
         found = identify([run.recording])
@@ -61,6 +61,7 @@ def _identify_unfinished(run: Run) -> Identification | None:
         return None
     run.result["estimates"] = {method: estimate.as_dict() for method, estimate in found.estimates.items()}
     run.result["relays"] = found.relays
+    run.result["hysteretic"] = found.hysteretic
     run.notes.append("The run ended before it had a result: its record was identified for this page.")
     return found
 
@@ -82,6 +83,7 @@ def render_page(run: Run, identification: Identification | None = None) -> str:
         figures=draw(run, identification),
         estimates=_estimates(run),
         relays=_relays(run),
+        hysteretic=_hysteretic(run),
         tracking=_tracking(run),
         loop=_loop(run),
         facts=_facts(run),
@@ -103,6 +105,11 @@ def draw(run: Run, identification: Identification | None = None) -> dict[str, li
                 _figure(lambda: fitted.convergence(run, fits)),
             ]
 
+        def transients() -> list[Figure]:
+            if not run.spans("hysteretic"):
+                return []
+            return [_figure(lambda: transient.first_transients(run)), _figure(lambda: transient.recursion(run, fits))]
+
         cycles = [_figure(lambda span=span: fitted.averaged_cycle(run, span)) for span in relays]  # type: ignore[misc]
         return {
             "whole": [_figure(lambda: measured.whole_run(run))],
@@ -111,6 +118,7 @@ def draw(run: Run, identification: Identification | None = None) -> dict[str, li
             "relays": [_figure(lambda: measured.relay_tests(run))],
             "portraits": [_figure(lambda: measured.portraits(run))],
             "forest": [_figure(lambda: fitted.forest(run))],
+            "transients": transients(),
             "cycles": cycles or [Figure(None, "There was no relay test, so there is no averaged cycle.")],
             "evidence": [Figure(None, trouble)] if trouble else evidence(),
             "tracking": [_figure(lambda: checked.tracking(run))],
@@ -167,6 +175,18 @@ def _relays(run: Run) -> list[Json]:
     return [
         {"stage": str(relay.get("stage", "")).replace("-", " "), "cells": [_cell(relay.get(k)) for k in keys]}
         for relay in mappings(run.result.get("relays"))
+    ]
+
+
+def _hysteretic(run: Run) -> list[Json]:
+    """Hysteretic runs as the result has them, in V, rad, mrad and s."""
+    factors = {"d_V": 1.0, "eps_rad": 1.0, "start_rad": 1e3, "switched_s": 1.0, "switched_rad": 1.0}
+    return [
+        {
+            "stage": str(entry.get("stage", "")).replace("-", " "),
+            "cells": [_cell(entry.get(key), factor) for key, factor in factors.items()],
+        }
+        for entry in mappings(run.result.get("hysteretic"))
     ]
 
 

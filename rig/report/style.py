@@ -36,7 +36,14 @@ METHODS: dict[str, tuple[str, str, str]] = {  # colour, line style, short name
     "least-squares": ("#CC79A7", ":", "LS"),
 }
 RELAY_STAGES = ("#0072B2", "#E69F00", "#CC79A7", "#56B4E9")
-BANDS = {"breakaway": "#eceef1", "search": "#f8efd6", "relay": "#dfecf6", "track": "#e2f1ea"}
+BANDS = {
+    "breakaway": "#eceef1",
+    "search": "#f8efd6",
+    "relay": "#dfecf6",
+    "homing": "#f4f1ec",
+    "hysteretic": "#f6e6f0",
+    "track": "#e2f1ea",
+}
 
 RC: dict[Any, Any] = {
     "font.family": "DejaVu Sans",

@@ -144,12 +144,16 @@ def headline(run: Run) -> Headline:
         )
         next_steps.append(Step("Do not use these values. Follow what each reason says, then run the experiment again."))
     else:
-        title = "The motor is identified" if outcome == "ok" else "Identified, but doubtful"
+        whole = all(q.exact is not None for q in quantities)
+        found = "The motor is identified" if whole else "The friction is identified"
+        title = found if outcome == "ok" else "Identified, but doubtful"
         if run.faults:
             title += ", and the run ended with a fault"
             next_steps.append(Step("Cure the fault above first."))
         sentences.extend(_plain_words(quantities, run))
-        if outcome == "ok":
+        if not whole:
+            next_steps.append(Step("Friction alone drives no bench: record a relay test for the other parameters."))
+        elif outcome == "ok":
             next_steps.append(Step("Drive the bench with this model:", f"rig track CONFIG --model {run.folder}"))
         else:
             next_steps.append(Step("Treat the values as a first guess. Follow what each reason says, then run again."))

@@ -1,0 +1,130 @@
+"""Figures of the hysteretic runs: the motion up to the first switching, and the recursion of least squares."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from rig.identify import least_squares
+from rig.identify.estimate import Estimate
+from rig.identify.least_squares import Transient
+from rig.identify.record import IdentifyError, from_recording
+from rig.report.source import Run, interval, mappings, number
+from rig.report.style import (
+    INK,
+    MUTED,
+    RELAY_STAGES,
+    AbsentError,
+    Picture,
+    colour,
+    line,
+    new_figure,
+    note,
+    render,
+    short,
+    stage_label,
+)
+
+BEFORE_S = 0.1  # of the rest that is drawn
+MARKS = "osD^v<>P"
+NO_RUNS = "There was no hysteretic run."
+
+
+def transients(run: Run) -> list[Transient]:
+    """The hysteretic runs as the estimator reads them; those that it cannot read are left out."""
+    found = []
+    for span in run.spans("hysteretic"):
+        try:
+            record, _ = from_recording(run.rows, slice(span.first, span.last + 1), span.stage)
+            found.append(Transient.of(record))
+        except IdentifyError:
+            continue
+    return found
+
+
+def first_transients(run: Run) -> Picture:
+    """Position of each run around its transient, and all of them divided by d - f: one curve."""
+    found = transients(run)
+    if not found:
+        raise AbsentError(NO_RUNS)
+    estimate = run.estimates.get(least_squares.METHOD, {})
+    fc, asym = number(estimate.get("fc_V")), number(estimate.get("asym_V"))
+    asym = asym if math.isfinite(asym) else 0.0
+    bands = {str(r.get("stage")): number(r.get("eps_rad")) for r in mappings(run.result.get("hysteretic"))}
+    figure = new_figure(3.9)
+    left, right = figure.subplots(1, 2, width_ratios=(1.1, 1.0))
+    for k, transient in enumerate(found):
+        ink, mark = RELAY_STAGES[k % len(RELAY_STAGES)], MARKS[k % len(MARKS)]
+        label = f"{stage_label(transient.name)}: d = {transient.d_V:+.3g} V"
+        rows = run.rows.stage_rows(transient.name)
+        since = run.rows.t_s[rows] - (run.rows.t_s[transient.rows[0]] - transient.t_s[0])
+        end = float(transient.t_s[-1])
+        shown = (since > -BEFORE_S) & (since < 1.25 * end)
+        left.plot(since[shown], run.rows.y_rad[rows][shown], "-", color=ink, lw=0.7)
+        read = transient.t_s <= min(float(t.t_s[-1]) for t in found if t.d_V * transient.d_V > 0.0)
+        left.plot(transient.t_s[read], transient.y_rad[read], mark, color=ink, ms=3.2, mew=0, label=label)
+        eps = bands.get(transient.name, math.nan)
+        if math.isfinite(eps):
+            level = math.copysign(eps, transient.d_V)
+            left.plot((0.75 * end, 1.25 * end), (level, level), color=ink, lw=1.0, ls=(0, (4, 2)))
+        way = math.copysign(1.0, transient.d_V)
+        push = abs(transient.d_V) - (fc - way * asym)
+        if math.isfinite(push) and push > 0.0:
+            right.plot(transient.t_s, way * transient.y_rad / push, mark, color=ink, ms=3.2, mew=0)
+    left.axvline(0.0, color=MUTED, lw=0.7)
+    left.set_xlabel("time since the drive took effect, s")
+    left.set_ylabel("position, rad")
+    left.set_title("from rest to just after the first switching")
+    left.legend(loc="best", markerscale=1.4)
+    right.set_xlabel("time since the drive took effect, s")
+    right.set_ylabel("position / (d − f), rad/V")
+    right.set_title("divided by drive less friction: one curve g(t)")
+    if not math.isfinite(fc):
+        note(right, "no friction was estimated")
+    return render(
+        figure, run.backend, "Hysteretic runs up to the first switching, and the same divided by drive less friction.",
+        "Runs of the hysteretic relay from rest at zero. Marked samples, up to the first switching of the shorter "
+        "run each way (dashed: the edge of the hysteresis), are what least squares reads. Until then the motion is linear: divided by drive less the "
+        "estimated friction, all runs have to fall on one curve.",
+    )  # fmt: skip
+
+
+def recursion(run: Run, fits: Mapping[str, Estimate]) -> Picture:
+    """The friction as the recursion has it after each sample, its final interval, and the truth."""
+    fit = fits.get(least_squares.METHOD)
+    if fit is None or fit.iterates.shape[0] < 2:
+        raise AbsentError("Least squares gave no value here, so there is no recursion to show.")
+    trace = fit.iterates[:, 2]
+    method = least_squares.METHOD
+    figure = new_figure(3.0)
+    axes = figure.subplots()
+    samples = np.arange(1, trace.size + 1)
+    axes.plot(samples, trace, marker="o", ms=3.2, color=colour(method), ls=line(method), label="recursion")
+    bounds = fit.ci95.get("fc_V")
+    half = 0.5 * (bounds[1] - bounds[0]) if bounds else 0.0
+    if bounds:
+        axes.axhspan(*bounds, color=colour(method), alpha=0.15, lw=0, label="95 % interval, all samples")
+    other = run.estimates.get("sampled-data", {})
+    if math.isfinite(number(other.get("fc_V"))):
+        axes.axhline(number(other["fc_V"]), color=colour("sampled-data"), lw=1.2, label=short("sampled-data"))
+        extent = interval(other, "fc_V")
+        if extent is not None:
+            axes.axhspan(*extent, color=colour("sampled-data"), alpha=0.15, lw=0)
+    if "fc_V" in run.truth:
+        axes.axhline(run.truth["fc_V"], color=INK, lw=0.9, ls=":", label="truth")
+    reach = max(4.0 * half, 0.25 * abs(fit.fc_V))
+    axes.set_ylim(fit.fc_V - reach, fit.fc_V + reach)
+    outside = int(np.sum(~(np.abs(trace - fit.fc_V) <= reach)))
+    if outside:
+        note(axes, f"{outside} of the first values lie outside", loc="lower right")
+    axes.set_xlabel("samples of each run")
+    axes.set_ylabel("friction, V")
+    axes.legend(loc="upper right", ncols=4)
+    return render(
+        figure, run.backend, "Recursive least squares: estimated friction after each sample.",
+        "Recursive least squares: the friction after each sample of the runs. The band is the interval that also "
+        "knows the noise on both sides of the equation and the measured starts; where the last value lies outside of "
+        "it, these have bent the method's value.",
+    )  # fmt: skip
