@@ -37,6 +37,7 @@ Room = MutableSequence[float] | Array
 ORDER = 22
 RATIO = 4.0
 NEGLIGIBLE = 32.0  # exp(-32) = 1.3e-14, against a speed of at least 32: 4e-16 of it
+SMALLEST = 1e-18  # b below which there is no Stribeck effect worth the name
 
 TRUNCATION = RATIO**-ORDER / (RATIO - 1.0)  # bound of a step's truncation, over R
 
@@ -177,8 +178,8 @@ def position(
                     break
             e = K * (sign * drive - fs) / unit
             target = e + b
-            if b == 0.0 or x > far or (x == far and target >= far):
-                floor = far if b > 0.0 else 0.0
+            if b < SMALLEST or x > far or (x == far and target >= far):
+                floor = far if b >= SMALLEST else 0.0
                 leaves = now + tau * math.log((x - target) / (floor - target)) if target < floor < x else math.inf
                 until = min(leaves, end)
                 excess = x - target
