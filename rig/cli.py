@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 import click
 from rich.console import Console
@@ -56,16 +57,21 @@ def _fail_input(error: RecordingError | IdentifyError) -> NoReturn:
     _fail(EXIT_BAD_INPUT, place + error.cause, error.cure)
 
 
+def _fail_config(error: config.ConfigError) -> NoReturn:
+    """Bad config: its problems with file, line and key."""
+    if click.get_current_context().params.get("as_json"):
+        click.echo(json.dumps({"ok": False, "problems": str(error).splitlines()}))
+    else:
+        click.echo(str(error), err=True)
+    sys.exit(EXIT_BAD_INPUT)
+
+
 def _load(path: Path) -> config.Experiment:
     """The checked experiment of a config file; exits with 2 and the problems where it is bad."""
     try:
         experiment, _ = config.check(path)
     except config.ConfigError as error:
-        if click.get_current_context().params.get("as_json"):
-            click.echo(json.dumps({"ok": False, "problems": str(error).splitlines()}))
-        else:
-            click.echo(str(error), err=True)
-        sys.exit(EXIT_BAD_INPUT)
+        _fail_config(error)
     return experiment
 
 
@@ -170,17 +176,16 @@ def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool)
 def check(config_path: Path, as_json: bool) -> None:
     """Validate a config offline: keys, units, limits and stopping distance, link budget."""
     try:
-        _, preflight = config.check(config_path)
-    except config.ConfigError as error:
-        if as_json:
-            click.echo(json.dumps({"ok": False, "problems": str(error).splitlines()}))
+        if config.is_campaign(config_path):
+            lines = list(config.campaign_lines(config.load_campaign(config_path)))
         else:
-            click.echo(str(error), err=True)
-        sys.exit(EXIT_BAD_INPUT)
+            lines = list(config.check(config_path)[1].lines)
+    except config.ConfigError as error:
+        _fail_config(error)
     if as_json:
-        click.echo(json.dumps({"ok": True, "lines": list(preflight.lines)}))
+        click.echo(json.dumps({"ok": True, "lines": lines}))
     else:
-        click.echo("\n".join(preflight.lines))
+        click.echo("\n".join(lines))
 
 
 @main.command()
@@ -259,6 +264,69 @@ def report(run_folder: Path) -> None:
 
 @main.command()
 @CONFIG
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("runs"),
+    show_default=True,
+    help="Folder that the campaign's folder is made in; the same campaign goes on there by itself.",
+)
+@click.option(
+    "--resume",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    default=None,
+    help="Go on in this campaign folder.",
+)
+@click.option("--number", type=click.IntRange(1), default=None, help="So many experiments instead of the config's.")
+@click.option("--jobs", type=click.IntRange(1, 1024), default=None, help="Processes; default: all cores.")
+@click.option("--backend", type=click.Choice(["joblib", "dask"]), default="joblib", show_default=True)
+@click.option("--scheduler", metavar="ADDRESS", default=None, help="Dask cluster to join; default: one started here.")
+@JSON
+def campaign(
+    config_path: Path,
+    out: Path,
+    resume: Path | None,
+    number: int | None,
+    jobs: int | None,
+    backend: Literal["joblib", "dask"],
+    scheduler: str | None,
+    as_json: bool,
+) -> None:
+    """Simulate and identify thousands of random experiments: errors against the bound, coverage."""
+    try:
+        asked = config.load_campaign(config_path)
+    except config.ConfigError as error:
+        _fail_config(error)
+    if scheduler is not None and backend != "dask":
+        _fail(EXIT_BAD_INPUT, "--scheduler is an address of dask", "add --backend dask")
+    from rig.campaign import results, session
+    from rig.campaign.grid import CampaignError
+
+    asked = asked if number is None else asked.model_copy(update={"experiments": number})
+    folder = resume or results.folder_for(out, asked)
+    try:
+        with _progress(f"campaign {asked.name}", as_json) as tell:
+            done = session.run(
+                asked, folder, jobs=jobs or os.cpu_count() or 1, backend=backend, scheduler=scheduler, on_progress=tell
+            )
+    except CampaignError as error:
+        _fail(EXIT_BAD_INPUT, error.cause, error.cure)
+    except OSError as error:
+        _fail(EXIT_FAILED, f"{folder}: {error.strerror}", "the rows so far are there; the same command goes on")
+    if done.interrupted:
+        _fail(
+            EXIT_FAILED,
+            f"interrupted: {done.done} of {asked.experiments} experiments are done in {folder}",
+            "the same command goes on where it stopped",
+        )
+    if as_json:
+        click.echo(json_text(done.summary | {"folder": str(folder)}), nl=False)
+    else:
+        _show_campaign(done.summary, folder)
+
+
+@main.command()
+@CONFIG
 @click.option("--link", type=click.Path(path_type=Path), default=None, help="Name to give the port (a symbolic link).")
 @click.option("--trace", type=click.Path(path_type=Path), default=None, help="CSV of the drive at the pin over time.")
 def emulate(config_path: Path, link: Path | None, trace: Path | None) -> None:
@@ -288,6 +356,21 @@ def schema(out: Path | None) -> None:
             out.write_text(text, encoding="utf-8")
         except OSError as error:
             _fail(EXIT_BAD_INPUT, f"{out}: cannot be written: {error.strerror}", "name a file in an existing folder")
+
+
+@contextlib.contextmanager
+def _progress(what: str, as_json: bool) -> Any:
+    """A bar that is told (done, of); nothing in pipes."""
+    console = Console(stderr=True)
+    if as_json or not console.is_terminal:
+        yield None
+        return
+    from rich import progress
+
+    columns = (progress.TextColumn("{task.description}"), progress.BarColumn(), progress.MofNCompleteColumn())
+    with progress.Progress(*columns, progress.TimeRemainingColumn(), console=console, transient=True) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, of: bar.update(task, completed=done, total=of)
 
 
 @contextlib.contextmanager
@@ -421,6 +504,21 @@ def _show_estimates(
     for method, check_run in (tracking or {}).items():
         if "not_run" in check_run:
             click.echo(f"tracking with {method}: not run: {check_run['not_run']}")
+
+
+def _show_campaign(found: dict[str, Any], folder: Path) -> None:
+    from rig.campaign.report import HEADINGS, sentences, table_rows
+
+    console = Console(width=None if sys.stdout.isatty() else 140)
+    table = Table(title=f"campaign {found['campaign']}: {found['ok']['number']} experiments called ok")
+    for heading in HEADINGS:
+        table.add_column(heading, justify="right" if heading else "left")
+    for row in table_rows(found["ok"]):
+        table.add_row(*row)
+    console.print(table)
+    click.echo("\n".join(sentences(found)))
+    click.echo(f"rows:   {folder / 'results.csv'}")
+    click.echo(f"report: {folder / 'report.html'}")
 
 
 def _show_scatter(results: Sequence[dict[str, Any]]) -> None:

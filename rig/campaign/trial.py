@@ -122,7 +122,7 @@ def _bound(campaign: Campaign, one: Draw, test: RelayTest, rows: slice) -> dict[
 def _cycles(test: RelayTest, rows: slice) -> float:
     """Falls of the integral through zero within the rows, less one."""
     z = test.z_rad_s[rows]
-    return float(max(0, np.count_nonzero((z[1:] < 0.0) & (z[:-1] >= 0.0)) - 1))
+    return max(0.0, float(np.count_nonzero((z[1:] < 0.0) & (z[:-1] >= 0.0))) - 1.0)
 
 
 def _columns(estimate: Estimate) -> Row:

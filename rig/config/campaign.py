@@ -123,3 +123,15 @@ class Campaign(_Section):
     sampling: CampaignSampling = Field(CampaignSampling(), description="when samples are taken and the drive acts")
     sensor: CampaignSensor = Field(CampaignSensor(), description="the potentiometer")
     drive_noise: DriveNoise | None = Field(None, description="what disturbs the motor besides the drive")
+
+
+def campaign_lines(campaign: Campaign) -> tuple[str, ...]:
+    """What a campaign would do, in words, a line each."""
+    motor, relay, sampling = campaign.motor, campaign.relay, campaign.sampling
+    times = "all times recorded" if sampling.times_known else "without t_u_s"
+    return (
+        f"campaign {campaign.name}: {campaign.experiments} random experiments, seed {campaign.seed}",
+        f"motors: tau {motor.tau_s[0]:g} to {motor.tau_s[1]:g} s, f_c {motor.fc_V[0]:g} to {motor.fc_V[1]:g} V",
+        f"records: {relay.cycles} cycles after {relay.settling_cycles}, every {1e3 * sampling.period_s:g} ms, {times}",
+        "run it with `rig campaign`",
+    )

@@ -43,15 +43,15 @@ def check(path: str | PathLike[str]) -> tuple[Experiment, Preflight]:
 def load_campaign(path: str | PathLike[str]) -> Campaign:
     """The campaign in a YAML file (UTF-8). Raises ConfigError, and nothing else, if there is none in it."""
     document = _read(path)
-    if not is_campaign(document) and "daq" in document.data:
+    if not _is_campaign(document) and "daq" in document.data:
         problem = Problem(("daq",), "this is one experiment, not a campaign", "run it with `rig run`")
         raise ConfigError([document.located(problem, at_key=True)])
     return _validated(document, Campaign)
 
 
-def is_campaign(document: Document) -> bool:
-    """Whether a file is meant as a campaign: it says how many experiments."""
-    return "experiments" in document.data and "daq" not in document.data
+def is_campaign(path: str | PathLike[str]) -> bool:
+    """Whether a file is meant as a campaign: it says how many experiments. Raises ConfigError for what is no YAML."""
+    return _is_campaign(_read(path))
 
 
 def dump(config: Experiment | Campaign) -> str:
@@ -93,8 +93,12 @@ def _read(path: str | PathLike[str]) -> Document:
     return parse(text, file)
 
 
+def _is_campaign(document: Document) -> bool:
+    return "experiments" in document.data and "daq" not in document.data
+
+
 def _experiment(document: Document) -> Experiment:
-    if is_campaign(document):
+    if _is_campaign(document):
         problem = Problem(("experiments",), "this is a campaign of many experiments", "run it with `rig campaign`")
         raise ConfigError([document.located(problem, at_key=True)])
     return _validated(document, Experiment)

@@ -1,0 +1,203 @@
+"""The picture of a campaign: error and coverage over the grid, standardised errors, error against bound."""
+
+from __future__ import annotations
+
+import io
+import math
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter, ScalarFormatter
+from numpy.typing import NDArray
+
+from rig.campaign.results import Table
+from rig.campaign.summary import MAIN, VERDICTS, covered, error, over_bound, relative_error, rms
+from rig.config import Campaign
+from rig.report.style import INK, LIMIT, MUTED, WIDTH_IN, note, style
+
+Array = NDArray[np.float64]
+
+SYMBOLS = {"tau_s": r"$\tau$", "K_rad_s_V": "$K$", "fc_V": "$f_c$"}
+COLOURS = {"ok": "#0072B2", "doubtful": "#E69F00", "refused": "#D55E00"}
+GOOD, HIGH, LOW = "#f4f5f7", "#D55E00", "#0072B2"
+TOLD = 8  # experiments that a cell needs to show anything
+PER_CELL = 40  # experiments a cell has on average, so that its number means something
+MOST_CELLS = 6
+
+
+def draw(campaign: Campaign, table: Table) -> bytes:
+    """The picture as PNG: a column for each of tau, K and fc, from the experiments that have an estimate."""
+    estimated = np.isfinite(table["tau_s"])
+    ok = estimated & (table["verdict"] == "ok")
+    shown = {name: column[ok] for name, column in table.items()}
+    every = {name: column[estimated] for name, column in table.items()}
+    with style():
+        figure = Figure(figsize=(WIDTH_IN, 12.4), layout="constrained")
+        FigureCanvasAgg(figure)
+        rows = figure.subplots(4, len(MAIN))
+        edges = grid_edges(campaign, int(ok.sum()))
+        for column, name in enumerate(MAIN):
+            _error_map(rows[0, column], shown, name, edges)
+            _coverage_map(rows[1, column], shown, name, edges)
+            _standardised(rows[2, column], shown, name)
+            _against_bound(rows[3, column], every, name)
+        figure.suptitle(
+            f"campaign {campaign.name}: {table['number'].size} experiments, {int(ok.sum())} called ok",
+            x=0.01, ha="left", fontsize=11, fontweight="bold", color=INK,
+        )  # fmt: skip
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def grid_edges(campaign: Campaign, experiments: int) -> tuple[Array, Array]:
+    """Edges of the cells: log tau, s, and fc, V; as many as the experiments fill."""
+    count = int(np.clip(math.isqrt(max(1, experiments // PER_CELL)), 2, MOST_CELLS))
+    low, high = _widened(*(math.log(end) for end in campaign.motor.tau_s))
+    return np.exp(np.linspace(low, high, count + 1)), np.linspace(*_widened(*campaign.motor.fc_V), count + 1)
+
+
+def cells(table: Table, edges: tuple[Array, Array], value: Any) -> tuple[Array, NDArray[np.int_]]:
+    """``value(rows)`` of each cell, nan where it has few experiments, and how many it has; (fc, tau), from low to high.
+
+    value  from a boolean mask of the table's rows to a number
+    """
+    tau, fc = edges
+    column = np.clip(np.searchsorted(tau, table["true_tau_s"], side="right") - 1, 0, tau.size - 2)
+    row = np.clip(np.searchsorted(fc, table["true_fc_V"], side="right") - 1, 0, fc.size - 2)
+    values = np.full((fc.size - 1, tau.size - 1), math.nan)
+    counts = np.zeros(values.shape, dtype=int)
+    for i, j in np.ndindex(values.shape):
+        inside = (row == i) & (column == j)
+        counts[i, j] = int(inside.sum())
+        if counts[i, j] >= TOLD:
+            values[i, j] = value(inside)
+    return values, counts
+
+
+def _error_map(axes: Axes, table: Table, name: str, edges: tuple[Array, Array]) -> None:
+    ratio = over_bound(table, name)
+    kind = "RMS error / bound"
+    if np.isfinite(ratio).any():
+        values, _ = cells(table, edges, lambda inside: rms(ratio[inside]))
+        _map(axes, edges, values, 1.0, 0.5, "{:.2f}")
+    else:  # without noise there is no bound
+        share = 100.0 * relative_error(table, name)
+        kind = "RMS error, %"
+        values, _ = cells(table, edges, lambda inside: rms(share[inside]))
+        finite = values[np.isfinite(values)]
+        _map(axes, edges, values, 0.0, float(finite.max()) if finite.size and finite.max() > 0.0 else 1.0, "{:.2g}")
+    axes.set_title(f"{SYMBOLS[name]}: {kind}")
+
+
+def _coverage_map(axes: Axes, table: Table, name: str, edges: tuple[Array, Array]) -> None:
+    held = covered(table, name)
+    values, counts = cells(table, edges, lambda inside: 100.0 * float(held[inside].mean()))
+    told = counts[counts >= TOLD]
+    scatter = 100.0 * math.sqrt(0.95 * 0.05 / float(np.median(told))) if told.size else math.nan
+    _map(axes, edges, values, 95.0, 10.0, "{:.0f}", upside_down=True)
+    chance = f" (chance: 95 ± {scatter:.1f})" if math.isfinite(scatter) else ""
+    axes.set_title(f"{SYMBOLS[name]}: coverage, %{chance}")
+
+
+def _map(
+    axes: Axes,
+    edges: tuple[Array, Array],
+    values: Array,
+    centre: float,
+    reach: float,
+    text: str,
+    *,
+    upside_down: bool = False,
+) -> None:
+    """Cells coloured by how far they are from ``centre``, their values written in them."""
+    tau, fc = edges
+    colours = _diverging(upside_down)
+    axes.pcolormesh(
+        tau, fc, values, cmap=colours, norm=Normalize(centre - reach, centre + reach), edgecolors="white", linewidth=1.0
+    )
+    for i, j in np.ndindex(values.shape):
+        if math.isfinite(values[i, j]):
+            far = abs(values[i, j] - centre) > 0.6 * reach
+            axes.text(
+                math.sqrt(tau[j] * tau[j + 1]), 0.5 * (fc[i] + fc[i + 1]), text.format(values[i, j]),
+                ha="center", va="center", fontsize=7.5, color="white" if far else INK,
+            )  # fmt: skip
+    axes.set_xscale("log")
+    axes.grid(visible=False)
+    axes.set_xlim(tau[0], tau[-1])
+    axes.set_ylim(fc[0], fc[-1])
+    axes.set_xticks([t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0) if tau[0] <= t <= tau[-1]])
+    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_xlabel(r"$\tau$, s")
+    axes.set_ylabel("$f_c$, V")
+
+
+def _standardised(axes: Axes, table: Table, name: str) -> None:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = error(table, name) / table[f"se_{name}"]
+    z = z[np.isfinite(z)]
+    beyond = int(np.count_nonzero(np.abs(z) > 4.0))
+    bins = np.linspace(-4.0, 4.0, int(np.clip(2 * math.isqrt(max(1, z.size)), 8, 48)) + 1)
+    x = np.linspace(-4.0, 4.0, 200)
+    if z.size:
+        weights = np.full(z.size, 1.0 / (z.size * (bins[1] - bins[0])))
+        axes.hist(z, bins=bins.tolist(), weights=weights, color="#b9d4e8", edgecolor="white", linewidth=0.4)
+        note(axes, f"mean {z.mean():+.2f}\nstd {z.std():.2f}\nbeyond ±4: {beyond}")
+    axes.plot(x, np.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi), color=INK, linewidth=1.2)
+    axes.set_xlim(-4.0, 4.0)
+    axes.set_ylim(bottom=0.0)
+    axes.set_yticks([])
+    axes.grid(visible=False)
+    axes.spines["left"].set_visible(False)
+    axes.set_xlabel("error / its standard error")
+    axes.set_title(f"{SYMBOLS[name]}: standardised errors, normal as line")
+
+
+def _against_bound(axes: Axes, table: Table, name: str) -> None:
+    sizes = 100.0 * relative_error(table, name)
+    with np.errstate(divide="ignore"):
+        bounds = 100.0 * table[f"bound_{name}"] / table[f"true_{name}"]
+    usable = np.isfinite(bounds) & (bounds > 0.0) & np.isfinite(sizes) & (sizes > 0.0)
+    axes.set_title(f"{SYMBOLS[name]}: error against bound, %")
+    axes.set_xlabel("Cramér-Rao bound, %")
+    axes.set_ylabel("error, %")
+    if not usable.any():
+        note(axes, "no bound: there is no noise")
+        return
+    ends = np.array([0.8 * bounds[usable].min(), 1.25 * bounds[usable].max()])
+    for times, words, dash in ((1.0, "bound", "-"), (1.96, "1.96 × bound", "--")):
+        axes.plot(ends, times * ends, color=MUTED, linewidth=0.9, linestyle=dash, label=words, zorder=3)
+    for verdict in VERDICTS:
+        some = usable & (table["verdict"] == verdict)
+        if some.any():
+            axes.plot(
+                bounds[some], sizes[some], ".", color=COLOURS[verdict], markersize=3.0 if verdict == "ok" else 5.0,
+                alpha=0.35 if verdict == "ok" else 0.9, markeredgewidth=0.0, rasterized=True,
+                label=f"{verdict} ({int(some.sum())})", zorder=2 if verdict == "ok" else 2.5,
+            )  # fmt: skip
+    axes.axhline(5.0, color=LIMIT, linewidth=0.8, linestyle=":", label="5 %")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(ends[0], ends[1])
+    axes.set_ylim(bottom=0.02 * float(np.median(sizes[usable])))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+        axis.set_minor_formatter(NullFormatter())
+    axes.legend(loc="lower right", fontsize=6.5, handlelength=1.6, labelspacing=0.25)
+
+
+def _diverging(upside_down: bool) -> Colormap:
+    """From too good to too bad: blue, white, red; upside down where small is bad."""
+    colours = [LOW, GOOD, HIGH]
+    return LinearSegmentedColormap.from_list("off", colours[::-1] if upside_down else colours)
+
+
+def _widened(low: float, high: float) -> tuple[float, float]:
+    """The range, or one around a single value."""
+    return (low, high) if high > low else (low - 0.05, high + 0.05)

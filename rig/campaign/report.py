@@ -1,0 +1,115 @@
+"""The report of a campaign: the picture as PNG, and one self-contained page with it and the table."""
+
+from __future__ import annotations
+
+import base64
+import math
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+import rig
+from rig.campaign import picture
+from rig.campaign.results import Table
+from rig.campaign.summary import MAIN
+from rig.config import Campaign, dump
+
+PICTURE = "campaign.png"
+REPORT = "report.html"
+TEMPLATE = "report.html.j2"
+
+NAMES = {
+    "tau_s": ("tau", "s"),
+    "K_rad_s_V": ("K", "(rad/s)/V"),
+    "fc_V": ("f_c", "V"),
+    "asym_V": ("asymmetry", "V"),
+    "delay_s": ("delay", "s"),
+}
+HEADINGS = ("", "RMS error", "bound", "RMS/bound", "RMS ratio", "median", "95 %", "largest", "coverage, %")
+
+
+def write_report(folder: Path, campaign: Campaign, table: Table, found: dict[str, Any]) -> None:
+    """Write campaign.png and report.html into the campaign's folder. Raises OSError."""
+    image = picture.draw(campaign, table)
+    (folder / PICTURE).write_bytes(image)
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("rig.campaign", "."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    page = environment.get_template(TEMPLATE).render(
+        campaign=campaign,
+        found=found,
+        headings=HEADINGS,
+        tables=[
+            (f"{found['ok']['number']} experiments called ok", table_rows(found["ok"])),
+            (f"all {found['estimated']['number']} that have an estimate", table_rows(found["estimated"])),
+        ],
+        sentences=sentences(found),
+        told=picture.TOLD,
+        picture=base64.b64encode(image).decode("ascii"),
+        config=dump(campaign),
+        version=rig.__version__,
+    )
+    (folder / REPORT).write_text(page, encoding="utf-8")
+
+
+def table_rows(sums: dict[str, Any]) -> list[tuple[str, ...]]:
+    """A row of text for each parameter under ``HEADINGS``; errors in per cent of the truth, or in the unit."""
+    rows = []
+    for name, values in sums["parameters"].items():
+        symbol, unit = NAMES[name]
+        kind = "relative" if name in MAIN else "absolute"
+        sizes = [values[f"{kind}_{q}"] for q in ("median", "p95", "max")]
+        share, scatter = 100.0 * values["coverage"], 100.0 * values["coverage_error"]
+        rows.append(
+            (
+                f"{symbol}, {unit}",
+                *(_number(values[key], "{:.3g}") for key in ("rms_error", "rms_bound")),
+                *(_number(values[key], "{:.3f}") for key in ("rms_over_bound", "rms_ratio")),
+                *(_number(100.0 * s, "{:.2f} %") if name in MAIN else _number(s, "{:.2g}") for s in sizes),
+                f"{share:.1f} ± {scatter:.1f}" if math.isfinite(share) else "–",
+            )
+        )
+    return rows
+
+
+def sentences(found: dict[str, Any]) -> list[str]:
+    """What else there is to say: verdicts, reasons, outliers, the second test, speed."""
+    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in found["verdicts"].items())
+    off = found["ok_but_off"]
+    said = [
+        f"{found['number']} experiments: {verdicts}",
+        f"called ok with an error above 5 % in tau, K or f_c: {len(off)}{_named(off)}",
+    ]
+    if found["far"]:
+        far = found["far"]
+        said.append(f"an error above 5 times its bound, whatever the verdict: {len(far)}{_named(far)}")
+    if "second" in found:
+        second = found["second"]
+        said.append(
+            "second test, never fitted: predicted with "
+            f"{second['median']:.3f} times the true motor's residual (median; 95 %: {second['p95']:.3f}, "
+            f"largest {second['max']:.2f})"
+        )
+    session = found["session"]
+    if session["experiments"]:
+        each_ms = 1e3 * found["seconds"]["median"]
+        said.append(
+            f"{session['experiments']} done now in {session['seconds']:.1f} s: {session['experiments_per_s']:.1f} "
+            f"a second ({session['backend']}, {session['workers']}; median {each_ms:.0f} ms each in its worker)"
+        )
+    return said
+
+
+def _named(numbers: list[int], most: int = 12) -> str:
+    if not numbers:
+        return ""
+    return " (" + ", ".join(map(str, numbers[:most])) + (", ..." if len(numbers) > most else "") + ")"
+
+
+def _number(value: float, text: str) -> str:
+    return text.format(value) if math.isfinite(value) else "–"

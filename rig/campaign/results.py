@@ -1,0 +1,230 @@
+"""The result file of a campaign: rows that are there stay there, whatever ends the program.
+
+A campaign folder holds config.yaml (resolved), meta.json (hashes that say what the rows belong to) and results.csv,
+to which whole chunks are appended. A last line that was torn is cut off; its experiment is done again.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import hashlib
+import io
+import json
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rig
+from rig.campaign.grid import CampaignError
+from rig.campaign.trial import COLUMNS, Row
+from rig.config import Campaign, dump
+from rig.recording.folder import CONFIG, META, write_config, write_meta
+
+RESULTS: Final = "results.csv"
+FREE: Final = ("name", "experiments")  # keys that change no row
+HEADER: Final = ",".join(COLUMNS) + "\n"
+
+Table = Mapping[str, NDArray[Any]]
+
+
+def config_hash(campaign: Campaign) -> str:
+    """Of all keys that a row depends on."""
+    return _sha256(json.dumps(_keys(campaign), sort_keys=True).encode())
+
+
+def program_hash() -> str:
+    """Of the sources that a row depends on: models, identification, and the campaign's own grid and trial."""
+    room = Path(rig.__file__).parent
+    files = [*sorted((room / "model").rglob("*.py")), *sorted((room / "identify").rglob("*.py"))]
+    files += [room / "campaign" / "grid.py", room / "campaign" / "trial.py"]
+    return _sha256(b"\0".join(file.read_bytes() for file in files))
+
+
+def folder_for(parent: Path, campaign: Campaign) -> Path:
+    """Where this campaign, by this version of the program, has its rows: the same again and again."""
+    identity = _sha256((config_hash(campaign) + program_hash()).encode())
+    return parent / f"campaign-{campaign.name}-{identity[:8]}"
+
+
+class ResultFile:
+    """The rows of one campaign folder, and their growing file. Made by ``opened``."""
+
+    def __init__(self, folder: Path, descriptor: int, done: set[int]) -> None:
+        self.folder = folder
+        self.done = done
+        self._descriptor = descriptor
+
+    def append(self, rows: Iterable[Row]) -> None:
+        """Write rows at once. Raises OSError, e.g. where there is no room."""
+        chunk = list(rows)
+        data = "".join(map(_line, chunk)).encode()
+        while data:
+            data = data[os.write(self._descriptor, data) :]
+        os.fdatasync(self._descriptor)
+        self.done.update(int(row["number"]) for row in chunk)
+
+
+@contextmanager
+def opened(folder: Path, campaign: Campaign) -> Iterator[ResultFile]:
+    """The folder's result file, new or as it was left, for this process alone.
+
+    Raises CampaignError where the folder holds another campaign, or another process writes it, or it is broken.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder / RESULTS, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+    except OSError as error:
+        raise CampaignError(f"{folder}: cannot be written: {error.strerror}", "choose another folder") from error
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise CampaignError(f"{folder}: another process runs this campaign", "wait for its end") from error
+        if (folder / META).exists():
+            _same_campaign(folder, campaign)
+        elif os.fstat(descriptor).st_size:
+            raise CampaignError(f"{folder}: holds results without {META}", "choose another folder")
+        else:
+            _begin(folder, campaign)
+        whole = _whole_lines(folder / RESULTS)
+        os.ftruncate(descriptor, len(whole))
+        if not whole:
+            os.write(descriptor, HEADER.encode())
+        done = {int(number) for number in _parse(folder / RESULTS, whole)["number"]} if whole else set()
+        yield ResultFile(folder, descriptor, done)
+    finally:
+        os.close(descriptor)
+
+
+def read(folder: Path, experiments: int | None = None) -> Table:
+    """The rows of a campaign folder by number, as columns; the first ``experiments`` of them, default all.
+
+    Raises CampaignError where there are none, or the file is broken.
+    """
+    path = folder / RESULTS
+    try:
+        whole = _whole_lines(path)
+    except OSError as error:
+        raise CampaignError(f"{path}: cannot be read: {error.strerror}", "give a campaign folder") from error
+    return _table(row for row in _rows(path, whole) if experiments is None or int(row["number"]) < experiments)
+
+
+def table_of(rows: Iterable[Row]) -> Table:
+    """Rows as columns, by number."""
+    return _table(rows)
+
+
+# -- text ------------------------------------------------------------------------------------------------------------
+
+
+def _line(row: Row) -> str:
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerow([_field(row[name]) for name in COLUMNS])
+    return out.getvalue()
+
+
+def _field(value: Any) -> str:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else repr(value)
+    return " ".join(str(value).split())  # one line a row, whatever is said in it
+
+
+def _whole_lines(path: Path) -> bytes:
+    """The content up to its last line end: what comes after was torn."""
+    content = path.read_bytes()
+    return content[: content.rfind(b"\n") + 1]
+
+
+def _rows(path: Path, whole: bytes) -> Iterator[Row]:
+    lines = csv.reader(whole.decode("utf-8", errors="replace").splitlines())
+    if next(lines, None) != list(COLUMNS):
+        raise CampaignError(f"{path}:1: these are not the columns of a campaign", "start a new one in another folder")
+    for number, fields in enumerate(lines, 2):
+        try:
+            yield {
+                name: kind(text) if text or kind is not float else math.nan
+                for (name, kind), text in zip(COLUMNS.items(), fields, strict=True)
+            }
+        except ValueError as error:
+            raise CampaignError(f"{path}:{number}: is broken ({error})", "delete this line, and resume") from error
+
+
+def _parse(path: Path, whole: bytes) -> Table:
+    table = _table(_rows(path, whole))
+    twice = table["number"][1:][np.diff(table["number"]) == 0]
+    if twice.size:
+        raise CampaignError(f"{path}: has experiment {twice[0]} twice", "delete one of the lines, and resume")
+    return table
+
+
+def _table(rows: Iterable[Row]) -> Table:
+    ordered = sorted(rows, key=lambda row: int(row["number"]))
+    return {name: np.array([row[name] for row in ordered], dtype=kind) for name, kind in COLUMNS.items()}
+
+
+# -- what the rows belong to -----------------------------------------------------------------------------------------
+
+
+def _begin(folder: Path, campaign: Campaign) -> None:
+    write_config(folder, dump(campaign))
+    write_meta(
+        folder,
+        {
+            "name": campaign.name,
+            "rig": rig.__version__,
+            "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+            "config_sha256": config_hash(campaign),
+            "program_sha256": program_hash(),
+            "campaign": _keys(campaign),
+        },
+    )
+
+
+def _same_campaign(folder: Path, campaign: Campaign) -> None:
+    path = folder / META
+    try:
+        meta = json.loads(path.read_text(encoding="utf-8"))
+        config, program, there = meta["config_sha256"], meta["program_sha256"], dict(meta["campaign"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CampaignError(f"{path}: does not say which campaign this is", "choose another folder") from error
+    if config != config_hash(campaign):
+        changed = _difference(there, _keys(campaign))
+        raise CampaignError(
+            f"{folder}: belongs to another campaign: {changed}", f"use its own {CONFIG}, or start a new one elsewhere"
+        )
+    if program != program_hash():
+        raise CampaignError(
+            f"{folder}: its rows are of another version of the models or estimators",
+            "start a new one elsewhere: rows of two versions do not mix",
+        )
+
+
+def _keys(campaign: Campaign) -> dict[str, Any]:
+    return campaign.model_dump(mode="json", exclude=set(FREE))
+
+
+def _difference(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
+    """The first key that differs, in words."""
+    old, new = dict(_flat(there)), dict(_flat(here))
+    key = next((k for k in (*new, *old) if old.get(k) != new.get(k)), "its meta.json")
+    return f"{key} is {json.dumps(old.get(key))} there and {json.dumps(new.get(key))} here"
+
+
+def _flat(section: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in section.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}", value
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

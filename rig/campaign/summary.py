@@ -1,0 +1,140 @@
+"""What a campaign shows: errors against the bound and the truth, coverage of the intervals, verdicts.
+
+Errors are estimate minus truth. *RMS/bound* is the RMS error over the RMS of the Cramer-Rao bounds; *RMS ratio* is the
+RMS of each error over its own bound, in which every experiment weighs the same. Both are 1 for an estimator at the
+limit. Coverage is the share of nominal 95 % intervals that hold the truth, with its binomial standard error.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.campaign.results import Table
+from rig.identify.estimate import PARAMETERS
+
+Array = NDArray[np.float64]
+
+MAIN = PARAMETERS[:3]  # whose errors are told relative to the truth; the others may be zero
+OFF = 0.05  # relative error that must not be called ok
+FAR = 5.0  # times the bound, beyond which an error is no matter of chance
+MOST_NAMED = 20
+VERDICTS = ("ok", "doubtful", "refused")
+
+
+def summarise(table: Table) -> dict[str, Any]:
+    """The sums of a campaign, as its summary.json holds them; nan where nothing is to be summed.
+
+    number        experiments; ``seconds``: worker time for one, median and sum
+    verdicts      verdict -> count; ``reasons``: [reason with its numbers left out, count], most frequent first
+    ok, estimated sums over the experiments called ok, and over all that have an estimate: ``parameters`` -> sums
+    ok_but_off    numbers of experiments called ok with an error above 5 % in tau, K or fc
+    far           numbers of experiments with an error above 5 times its bound, whatever their verdict
+    second        residual of the second test as predicted, over that of the true motor; absent without one
+    """
+    ok = table["verdict"] == "ok"
+    estimated = np.isfinite(table["tau_s"])
+    seconds = table["seconds"]
+    found: dict[str, Any] = {
+        "number": int(ok.size),
+        "seconds": {"median": _quantile(seconds, 0.5), "sum": float(seconds.sum())},
+        "verdicts": {verdict: int(np.count_nonzero(table["verdict"] == verdict)) for verdict in VERDICTS},
+        "reasons": reasons(table),
+        "ok": sums(table, ok & estimated),
+        "estimated": sums(table, estimated),
+        "ok_but_off": numbers(table, ok & np.any([relative_error(table, name) > OFF for name in MAIN], axis=0)),
+        "far": numbers(table, np.any([np.abs(over_bound(table, name)) > FAR for name in MAIN], axis=0)),
+    }
+    second = (table["second_rms_rad"] / table["second_own_rms_rad"])[ok]
+    if np.isfinite(second).any():
+        found["second"] = {"median": _quantile(second, 0.5), "p95": _quantile(second, 0.95), "max": float(max(second))}
+    return found
+
+
+def sums(table: Table, chosen: NDArray[np.bool_]) -> dict[str, Any]:
+    """``number`` of chosen experiments, and for each parameter its sums over them."""
+    part = {name: column[chosen] for name, column in table.items()}
+    return {"number": int(chosen.sum()), "parameters": {name: _parameter(part, name) for name in PARAMETERS}}
+
+
+def error(table: Table, name: str) -> Array:
+    """Estimate minus truth, in the parameter's unit; nan where there is no estimate."""
+    return np.asarray(table[name] - table[f"true_{name}"])
+
+
+def relative_error(table: Table, name: str) -> Array:
+    """Size of the error over the truth."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.abs(error(table, name) / table[f"true_{name}"]))
+
+
+def over_bound(table: Table, name: str) -> Array:
+    """Error over its Cramer-Rao bound; nan where there is none."""
+    return np.asarray(error(table, name) / table[f"bound_{name}"])
+
+
+def covered(table: Table, name: str) -> NDArray[np.bool_]:
+    """Whether the nominal 95 % interval holds the truth; a missing interval does not."""
+    truth = table[f"true_{name}"]
+    return np.asarray((table[f"low_{name}"] <= truth) & (truth <= table[f"high_{name}"]))
+
+
+def coverage(held: NDArray[np.bool_]) -> tuple[float, float]:
+    """Share of intervals that hold the truth, and its binomial standard error; nan for none."""
+    if held.size == 0:
+        return math.nan, math.nan
+    share = float(held.mean())
+    return share, math.sqrt(share * (1.0 - share) / held.size)
+
+
+def rms(values: Array) -> float:
+    """Root mean square of the finite values; nan where there are none."""
+    finite = values[np.isfinite(values)]
+    return math.sqrt(float(np.mean(finite**2))) if finite.size else math.nan
+
+
+def numbers(table: Table, chosen: NDArray[np.bool_]) -> list[int]:
+    """The numbers of the chosen experiments."""
+    return [int(number) for number in table["number"][chosen]]
+
+
+def reasons(table: Table) -> list[list[Any]]:
+    """Why experiments were not called ok: each reason with its numbers left out, and how often it was given."""
+    said = Counter(
+        re.sub(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", "#", reason)
+        for row in table["reasons"]
+        for reason in row.split(" | ")
+        if reason
+    )
+    return [[reason, count] for reason, count in said.most_common(MOST_NAMED)]
+
+
+def _parameter(part: Table, name: str) -> dict[str, float]:
+    errors, bounds = error(part, name), part[f"bound_{name}"]
+    share, scatter = coverage(covered(part, name))
+    found = {
+        "rms_error": rms(errors),
+        "rms_bound": rms(bounds),
+        "rms_over_bound": rms(errors) / rms(bounds),
+        "rms_ratio": rms(over_bound(part, name)),
+        "coverage": share,
+        "coverage_error": scatter,
+        "standardised": rms(errors / _positive(part[f"se_{name}"])),
+    }
+    kind, sizes = ("relative", relative_error(part, name)) if name in MAIN else ("absolute", np.abs(errors))
+    found |= {f"{kind}_{q}": _quantile(sizes, p) for q, p in (("median", 0.5), ("p95", 0.95), ("max", 1.0))}
+    return found
+
+
+def _positive(values: Array) -> Array:
+    return np.where(values > 0.0, values, np.nan)
+
+
+def _quantile(values: Array, share: float) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.quantile(finite, share)) if finite.size else math.nan
