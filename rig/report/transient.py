@@ -85,9 +85,9 @@ def first_transients(run: Run) -> Picture:
         note(right, "no friction was estimated")
     return render(
         figure, run.backend, "Hysteretic runs up to the first switching, and the same divided by drive less friction.",
-        "Runs of the hysteretic relay from rest at zero. Marked samples, up to the first switching of the shorter "
-        "run each way (dashed: the edge of the hysteresis), are what least squares reads. Until then the motion is linear: divided by drive less the "
-        "estimated friction, all runs have to fall on one curve.",
+        "Runs of the hysteretic relay from rest at zero. Marked samples are what least squares reads: up to the first "
+        "switching (dashed: the edge of the hysteresis) of the shorter run each way. Until then the motion is linear: "
+        "divided by drive less the estimated friction, all runs have to fall on one curve.",
     )  # fmt: skip
 
 
