@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from paper import example_4_1, example_4_2b, example_4_2c, noise
+from paper import example_4_1, example_4_2a, example_4_2b, example_4_2c, noise
 from paper.drawing import style
 from paper.page import Report, Section, render_page
 
@@ -15,6 +15,7 @@ def examples(quick: bool) -> list[tuple[str, Callable[[], Section]]]:
     """What each step is called and how it is made."""
     return [
         ("Example 4.1: limit cycle", lambda: example_4_1.section(example_4_1.compute(9 if quick else 31))),
+        ("Example 4.2 (a): least squares", lambda: example_4_2a.section(example_4_2a.compute())),
         ("Example 4.2 (b): describing function", lambda: example_4_2b.section(example_4_2b.compute())),
         (
             "Example 4.2 (c), (d): triple relay",

@@ -66,7 +66,7 @@ class Result:
     @property
     def rms(self) -> Array:
         """(PERIODS, 3) RMS over the trials."""
-        return np.sqrt(np.nanmean(self.errors**2, axis=1))
+        return np.asarray(np.sqrt(np.nanmean(self.errors**2, axis=1)))
 
 
 def compute(trials: int = 12) -> Result:
@@ -97,7 +97,7 @@ def _relay_test(noise_rad: float, seed: int) -> RelayTest:
     rows = math.ceil((max(PERIODS) + 8) * cycle.period_s / SAMPLING_S)
     noise = noise_rad * np.random.default_rng(seed).standard_normal(rows)
     start = State(0.0, -0.8 * cycle.amplitude_rad)
-    t_s = SAMPLING_S * np.arange(rows)
+    t_s = np.arange(rows) * np.float64(SAMPLING_S)
     return relay_test(_motor(), gains.h1_V, gains.h2_V, t_s, 0.0, disturbance_rad=noise, start=start)
 
 
@@ -119,7 +119,7 @@ def _errors(cycle: Cycle, periods: int) -> Array:
         found = triple_relay.solve_cycle(part, starts)
     except IdentifyError:
         return np.full(3, np.nan)
-    return np.array(found.theta) / np.array(surviving.MOTOR) - 1.0
+    return np.asarray(np.array(found.theta) / np.array(surviving.MOTOR) - 1.0)
 
 
 def _chatter(test: RelayTest) -> Chatter:
@@ -165,9 +165,9 @@ def section(result: Result) -> Section:
         _chatter_figure(result),
         Paragraph(
             f"Here RB switches {c.switchings:.1f} times at each of its edges instead of once; counted as crossings, "
-            f"they would make {c.switchings:.1f} half periods of each. The equivalent edge lies at {1e3 * c.equivalent_s:.3f} ms after RC's, the "
-            f"exact cycle's at {1e3 * c.crossing_s:.3f} ms. What is left is the sampling: RC and RB both act up to a "
-            "tick late, and the cycle itself grows a little for it; so the estimator uses position and integral as "
+            f"they would make {c.switchings:.1f} half periods of each. The equivalent edge lies "
+            f"{1e3 * c.equivalent_s:.3f} ms after RC's, the exact cycle's {1e3 * c.crossing_s:.3f} ms. "
+            "What is left is the sampling: RC and RB both act up to a tick late, and the cycle itself grows a little for it; so the estimator uses position and integral as "
             "measured at the edges, not zero."
         ),
         _table(result),
