@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter, ScalarFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, ScalarFormatter
 from numpy.typing import NDArray
 
 from rig.campaign.results import Table
@@ -143,7 +143,7 @@ def _standardised(axes: Axes, table: Table, name: str) -> None:
         z = error(table, name) / table[f"se_{name}"]
     z = z[np.isfinite(z)]
     beyond = int(np.count_nonzero(np.abs(z) > 4.0))
-    bins = np.linspace(-4.0, 4.0, int(np.clip(2 * math.isqrt(max(1, z.size)), 8, 48)) + 1)
+    bins = np.linspace(-4.0, 4.0, int(np.clip(math.isqrt(max(1, z.size)), 8, 40)) + 1)
     x = np.linspace(-4.0, 4.0, 200)
     if z.size:
         weights = np.full(z.size, 1.0 / (z.size * (bins[1] - bins[0])))
@@ -187,9 +187,14 @@ def _against_bound(axes: Axes, table: Table, name: str) -> None:
     axes.set_xlim(ends[0], ends[1])
     axes.set_ylim(bottom=0.02 * float(np.median(sizes[usable])))
     for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if axis is axes.xaxis else (1.0,), numticks=12))
         axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         axis.set_minor_formatter(NullFormatter())
-    axes.legend(loc="lower right", fontsize=6.5, handlelength=1.6, labelspacing=0.25)
+    if name == MAIN[0]:
+        axes.legend(
+            loc="lower left", fontsize=6.5, handlelength=1.6, labelspacing=0.25, markerscale=1.6,
+            frameon=True, facecolor="white", edgecolor="none", framealpha=0.85,
+        )  # fmt: skip
 
 
 def _diverging(upside_down: bool) -> Colormap:
