@@ -22,8 +22,8 @@ levels = st.floats(0.0, 0.6)
 drops = st.floats(0.001, 0.5)  # fs - fc
 widths = st.floats(0.01, 2.0)  # vs
 viscous = st.sampled_from([0.0, 0.01, 0.1])
-drives = st.floats(-3.0, 3.0)
-speeds = st.floats(-10.0, 10.0)
+drives = st.integers(-3000, 3000).map(lambda mV: mV / 1e3)
+speeds = st.integers(-10_000, 10_000).map(lambda mrad_s: mrad_s / 1e3)
 spans = st.floats(0.001, 1.0)
 
 
