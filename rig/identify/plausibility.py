@@ -29,12 +29,13 @@ SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
 LONG_TAU_S, LONGEST_TAU_S = 2.0, 20.0
 SHORT_TAU_S, SHORTEST_TAU_S = 2e-3, 0.5e-3
 GAP_PERIODS = 5.0
-LATENCY_PERIODS = 10.0
 JUMP = 0.25  # of all the travel, in one sampling period: no motor does that
 SPIKE = 0.02  # of all the travel, by which one position stands out from its neighbours,
 SPIKE_NOISES = 10.0  # and in standard deviations of the noise
 MOVED_NOISES = 8.0  # standard deviations of the noise beyond which a change of position is motion,
 MOVED_STEPS = 3.0  # and steps of the sensor
+FEWEST_STEPS = 40.0  # of the sensor over all the travel: an amplitude of 20 (theory section 5)
+RAIL_ROWS = 10  # in a row at exactly one end of the travel, in spite of noise
 FEW_LEVELS = 8
 
 
@@ -49,7 +50,9 @@ def judge_records(records: Sequence[Record]) -> list[Objection]:
     """Objections to the records: units, columns that do not belong together, holes, a drive that shows too little."""
     said: list[Objection] = []
     for record in records:
-        said += _columns(record) or [*_units(record), *_holes(record), *_spikes(record), *_information(record)]
+        said += _columns(record) or [
+            objection for look in (_units, _holes, _spikes, _rails, _information) for objection in look(record)
+        ]
     return said
 
 
@@ -135,7 +138,7 @@ def _units(record: Record) -> list[Objection]:
         object_to("refused", f"positions span {span:.3g} rad: is y_rad in degrees or milliradians?")
     elif step > COARSEST_STEP_RAD:
         object_to("refused", f"positions move in steps of {step:.3g} rad: is y_rad in degrees or milliradians?")
-    elif step > COARSE_STEP_RAD or record.noise_rad() > COARSE_STEP_RAD:
+    elif step >= COARSE_STEP_RAD or record.noise_rad() > COARSE_STEP_RAD:
         coarse = max(step, record.noise_rad())
         object_to("doubtful", f"positions are only good to {coarse:.2g} rad: is y_rad in degrees?")
     elif 0.0 < span < SMALLEST_SPAN_RAD:
@@ -153,7 +156,7 @@ def _units(record: Record) -> list[Objection]:
 
 
 def _holes(record: Record) -> list[Objection]:
-    """Holes in the samples, and times of the drive that are not on the samples' clock."""
+    """Holes in the samples."""
     said: list[Objection] = []
     steps = np.diff(record.t_s)
     k = int(np.argmax(steps))
@@ -165,16 +168,6 @@ def _holes(record: Record) -> list[Objection]:
                 "unknown; identify the part before or after it",
             )
         )
-    if record.t_u_s is not None:
-        latency = float(np.median(record.t_u_s - record.t_s))
-        if abs(latency) > LATENCY_PERIODS * record.period_s:
-            said.append(
-                Objection(
-                    "refused",
-                    f"{record.name}: the drive takes effect {latency:.3g} s after its row's sample: are t_u_s and t_s "
-                    "in seconds on one clock? Leave t_u_s out if it is not known",
-                )
-            )
     return said
 
 
@@ -197,6 +190,28 @@ def _spikes(record: Record) -> list[Objection]:
     return []
 
 
+def _rails(record: Record) -> list[Objection]:
+    """Positions that stay exactly at one end of the travel although there is noise: the sensor's rail."""
+    y, step = record.y_rad, record.resolution_rad()
+    if record.noise_rad() <= max(0.3 * step, 1e-6 * float(np.ptp(y))):
+        return []  # without noise beyond the sensor's step, rest is exact too
+    said = []
+    for end in (float(y.min()), float(y.max())):
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], y == end, [False]))))
+        begins, lengths = edges[::2], edges[1::2] - edges[::2]
+        k = int(np.argmax(lengths))
+        if lengths[k] >= RAIL_ROWS:
+            first = record.first_row + int(begins[k])
+            said.append(
+                Objection(
+                    "doubtful",
+                    f"{record.name}: the position stays at exactly {end:.4g} rad from row {first} to row "
+                    f"{first + int(lengths[k]) - 1}: the end of the sensor's range or of the travel? Keep off it",
+                )
+            )
+    return said
+
+
 def _information(record: Record) -> list[Objection]:
     """Motion that cannot tell the parameters apart, whatever is fitted to it."""
     y = record.y_rad
@@ -211,15 +226,26 @@ def _information(record: Record) -> list[Objection]:
                 "record with a larger drive, beyond friction",
             )
         ]
+    step = record.resolution_rad()
+    coarse = []
+    if float(np.ptp(y)) < FEWEST_STEPS * step:
+        coarse = [
+            Objection(
+                "doubtful",
+                f"{record.name}: the position moves over {float(np.ptp(y)) / step:.0f} sensor steps only: record "
+                f"at least {FEWEST_STEPS:.0f}, with larger cycles or a finer sensor",
+            )
+        ]
     if 0.0 < min(forth, back) < motion or min(forth, back) == 0.0 < max(forth, back):
         return [
+            *coarse,
             Objection(
                 "refused",
                 f"{record.name}: the motor moves one way only, which cannot tell K, fc and asymmetry apart: record a "
                 "drive that moves it both ways",
-            )
+            ),
         ]
-    return []
+    return coarse
 
 
 def _motion(record: Record) -> float:

@@ -12,6 +12,8 @@ from rig.recording.reader import Recording
 
 Array = NDArray[np.float64]
 
+LATENCY_PERIODS = 10.0  # between a sample and its row's drive, at most
+
 
 class IdentifyError(Exception):
     """A recording that cannot be identified: one line of cause, one of cure."""
@@ -33,8 +35,8 @@ class Record:
     u_V        n drives, V, after saturation and quantisation
     first_row  index of row 0 in the file it comes from
     name       what to call it in a message
-    Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite, or times
-    that do not increase.
+    Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite, times that do
+    not increase, or drives that act ten periods before or after their samples.
     """
 
     t_s: Array
@@ -75,6 +77,12 @@ class Record:
                 raise IdentifyError(
                     f"{self.name}: t_u_s decreases at row {self.first_row + int(back[0]) + 1}",
                     "t_u_s must be the time at which each row's drive took effect; leave the column out if unknown",
+                )
+            latency = float(np.median(self.t_u_s - self.t_s))
+            if abs(latency) > LATENCY_PERIODS * self.period_s:
+                raise IdentifyError(
+                    f"{self.name}: t_u_s is {latency:.3g} s beyond t_s, where samples are {self.period_s:.3g} s apart",
+                    "give both in seconds on one clock, or leave t_u_s out",
                 )
 
     def __len__(self) -> int:
