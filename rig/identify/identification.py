@@ -103,6 +103,8 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
                 estimate = verdict.judge_reference(describing_function.fit(cycles), records, cycles)
             else:
                 estimate = least_squares.fit(hysteretic)
+                if sampled_data.METHOD in found.estimates:
+                    estimate = least_squares.held_to(estimate, found.estimates[sampled_data.METHOD], hysteretic)
                 found.hysteretic = [least_squares.Transient.of(record).as_dict() for record in hysteretic]
         except IdentifyError as error:
             if methods or len(wanted) == 1:
