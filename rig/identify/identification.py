@@ -67,6 +67,7 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
     records: list[Record] = []
     hysteretic: list[Record] = []
     cycles: list[Cycle] = []
+    periods_s: dict[int, float] = {}  # index of a record -> period of its cycle
     complaints: list[IdentifyError] = []
     for recording in recordings:
         guarded += _guarded(recording)
@@ -74,8 +75,10 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
         if least_squares.METHOD in (methods or ()) and not recording.stages():
             runs = relay_tests
         hysteretic += runs
-        records += relay_tests
-        for record in relay_tests if wanted != (least_squares.METHOD,) else ():
+        for record in relay_tests:
+            records.append(record)
+            if wanted == (least_squares.METHOD,):
+                continue
             try:
                 cycle = find_cycle(record)
             except IdentifyError as error:
@@ -85,18 +88,23 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
                     unsettled.append(record.name)
                 continue
             cycles.append(cycle)
+            periods_s[len(records) - 1] = cycle.period_s
             found.cycles[record.name] = cycle
             found.relays.append(_relay(record.name, cycle))
             found.notes += [f"{record.name}: {note}" for note in cycle.notes]
-    records = records or hysteretic
-    blocks = [cycle.period_s for cycle in cycles]
+    found.hysteretic = [least_squares.Transient.of(record).as_dict() for record in hysteretic]
+    if not records:  # from its first drive to its first switching is a quarter of a hysteretic relay's period
+        records = hysteretic
+        blocks = [4.0 * run["switched_s"] for run in found.hysteretic if run["switched_s"] is not None]
+    if not records:
+        raise IdentifyError("no hysteretic run got as far as its first drive", "run the experiment again")
     for method in METHODS:
         if method not in wanted or (method == least_squares.METHOD and not hysteretic and not methods):
             continue
         used = hysteretic if method == least_squares.METHOD else records
         try:
             if method == sampled_data.METHOD:
-                estimate = _sampled_data(records, cycles, max(blocks, default=None))
+                estimate = _sampled_data(records, cycles, [periods_s.get(k) for k in range(len(records))])
             elif method == triple_relay.METHOD:
                 estimate = _triple_relay(records, cycles, complaints)
             elif method == describing_function.METHOD:
@@ -105,7 +113,6 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
                 estimate = least_squares.fit(hysteretic)
                 if sampled_data.METHOD in found.estimates:
                     estimate = least_squares.held_to(estimate, found.estimates[sampled_data.METHOD], hysteretic)
-                found.hysteretic = [least_squares.Transient.of(record).as_dict() for record in hysteretic]
         except IdentifyError as error:
             if methods or len(wanted) == 1:
                 raise
@@ -163,8 +170,12 @@ def _records(recording: Recording, several: bool, notes: list[str]) -> tuple[lis
     runs: list[Record] = []
     for rows, label in chosen:
         record, remarks = from_recording(recording, rows, label)
-        hysteretic = str(recording.stage[rows][0]).startswith("hysteretic-")
-        (runs if hysteretic else tests).append(record)
+        if not str(recording.stage[rows][0]).startswith("hysteretic-"):
+            tests.append(record)
+        elif record.u_V.any():
+            runs.append(record)
+        else:
+            notes.append(f"{label}: left out, it ended before its first drive")
         notes += [remark for remark in remarks if remark not in notes]
         saturated = int(np.count_nonzero(recording.flags[rows] & FLAG_SATURATED))
         if saturated:
@@ -183,13 +194,13 @@ def _relay(stage: str, cycle: Cycle) -> dict[str, Any]:
     }
 
 
-def _sampled_data(records: Sequence[Record], cycles: Sequence[Cycle], block_s: float | None) -> Estimate:
+def _sampled_data(records: Sequence[Record], cycles: Sequence[Cycle], periods_s: Sequence[float | None]) -> Estimate:
     starts = [
         start
         for cycle in cycles[:1]
         for start in sampled_data.ridge_starts(cycle.omega_rad_s, cycle.amplitude_rad, cycle.h1_V, cycle.h2_V)
     ]
-    estimate = sampled_data.fit(records, starts or None, block_s=block_s)
+    estimate = sampled_data.fit(records, starts or None, periods_s=periods_s)
     return verdict.judge_sampled_data(estimate, records, cycles)
 
 

@@ -48,7 +48,7 @@ def test_predict_refuses_senseless_numbers() -> None:
     assert len(result.stderr.splitlines()) == 2
 
 
-@pytest.mark.parametrize("name", ["demo", "simulated", "uno"])
+@pytest.mark.parametrize("name", ["demo", "simulated", "least-squares", "uno"])
 def test_check_passes_every_config_of_the_project(name: str) -> None:
     result = rig("check", ROOT / f"config/{name}.yaml")
     assert result.exit_code == 0, result.output

@@ -30,7 +30,7 @@ def test_the_checked_in_schema_is_current() -> None:
 
 
 def test_the_ready_configs_are_there() -> None:
-    assert {"demo.yaml", "simulated.yaml", "uno.yaml"} <= set(NAMES)
+    assert {"demo.yaml", "simulated.yaml", "least-squares.yaml", "uno.yaml"} <= set(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)
