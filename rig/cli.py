@@ -299,12 +299,14 @@ def campaign(
         _fail_config(error)
     if scheduler is not None and backend != "dask":
         _fail(EXIT_BAD_INPUT, "--scheduler is an address of dask", "add --backend dask")
-    from rig.campaign import results, session
+    asked = asked if number is None else asked.model_copy(update={"experiments": number})
+    folder = resume or out
     from rig.campaign.grid import CampaignError
 
-    asked = asked if number is None else asked.model_copy(update={"experiments": number})
-    folder = resume or results.folder_for(out, asked)
     try:
+        from rig.campaign import results, session
+
+        folder = resume or results.folder_for(out, asked)
         with _progress(f"campaign {asked.name}", as_json) as tell:
             done = session.run(
                 asked, folder, jobs=jobs or os.cpu_count() or 1, backend=backend, scheduler=scheduler, on_progress=tell
@@ -313,6 +315,8 @@ def campaign(
         _fail(EXIT_BAD_INPUT, error.cause, error.cure)
     except OSError as error:
         _fail(EXIT_FAILED, f"{folder}: {error.strerror}", "the rows so far are there; the same command goes on")
+    except KeyboardInterrupt:
+        _fail(EXIT_FAILED, "interrupted before or after the experiments", "the same command goes on")
     if done.interrupted:
         _fail(
             EXIT_FAILED,

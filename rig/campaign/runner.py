@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
+import os
 import signal
 import threading
+import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from functools import cache
+from multiprocessing import resource_tracker
 from typing import Any, Literal
 
 import joblib
@@ -23,8 +28,8 @@ JOIN_S = 15.0  # longest wait for a cluster
 
 def run_chunk(campaign: Campaign, numbers: Sequence[int]) -> list[Row]:
     """The rows of these experiments, one after the other."""
-    if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C on the terminal is for the parent, which ends us
+    if multiprocessing.parent_process() is not None:
+        _end_with_parent()
     return [_run(campaign, number) for number in numbers]
 
 
@@ -34,6 +39,30 @@ def _run(campaign: Campaign, number: int) -> Row:
     except Exception as error:
         error.add_note(f"in experiment {number} of campaign {campaign.name}, seed {campaign.seed}")
         raise
+
+
+@cache
+def _end_with_parent() -> None:
+    """End this worker when its parent has been killed: joblib's would wait for work for five minutes."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold a Ctrl-C until the end of the block. Processes that start in it never get one: it is for their parent."""
+    resource_tracker.ensure_running()  # while it starts it lets signals through
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
@@ -56,9 +85,15 @@ def workers(backend: Backend, jobs: int, scheduler: str | None = None) -> Iterat
     cluster: Any
     if scheduler is None:
         # its workers get OMP_NUM_THREADS=1 and the like from dask itself
-        cluster = LocalCluster(  # type: ignore[no-untyped-call]
-            n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
-        )
+        with _interrupts_held():
+            cluster = LocalCluster(  # type: ignore[no-untyped-call]
+                n_workers=jobs,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+            )
     else:
         cluster = nullcontext(scheduler)
     with cluster as where:
@@ -75,9 +110,11 @@ def workers(backend: Backend, jobs: int, scheduler: str | None = None) -> Iterat
 def stream_trials(campaign: Campaign, numbers: Sequence[int]) -> Generator[list[Row]]:
     """Rows of the experiments, a chunk at a time, in whatever order the chunks get ready; on the ``workers``."""
     chunks = [list(numbers[k : k + CHUNK]) for k in range(0, len(numbers), CHUNK)]
-    yield from joblib.Parallel(return_as="generator_unordered")(
-        joblib.delayed(run_chunk)(campaign, chunk) for chunk in chunks
-    )
+    with _interrupts_held():
+        rows = joblib.Parallel(return_as="generator_unordered")(
+            joblib.delayed(run_chunk)(campaign, chunk) for chunk in chunks
+        )
+    yield from rows
 
 
 def run_trials(campaign: Campaign, numbers: Sequence[int], jobs: int = 2) -> list[Row]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -50,28 +51,25 @@ def run(
     on_progress  told after each chunk: experiments done, of how many
     Raises CampaignError as ``results.opened`` and ``runner.workers``, OSError where the folder cannot be written.
     """
-    wanted = range(campaign.experiments)
     tell = on_progress or (lambda done, of: None)
     began = time.perf_counter()
-    interrupted = False
     with results.opened(folder, campaign) as file:
-        missing = [number for number in wanted if number not in file.done]
-        before = len(wanted) - len(missing)
-        tell(before, len(wanted))
-        added = 0
+        missing = [number for number in range(campaign.experiments) if number not in file.done]
+        before = campaign.experiments - len(missing)
+        interrupted = False
+        tell(before, campaign.experiments)
         try:
             if missing:
-                with runner.workers(backend, jobs, scheduler), closing(runner.stream_trials(campaign, missing)) as rows:
-                    for chunk in rows:
-                        file.append(chunk)
-                        added += len(chunk)
-                        tell(before + added, len(wanted))
+                with runner.workers(backend, jobs, scheduler):
+                    _fill(file, campaign, missing, tell)
         except KeyboardInterrupt:
             interrupted = True
         seconds = time.perf_counter() - began
-        if interrupted:
-            return Session(folder, before + added, added, seconds, True, {})
         table = results.read(folder, campaign.experiments)
+        done = int(table["number"].size)
+        added = done - before
+        if interrupted:
+            return Session(folder, done, added, seconds, True, {})
         found = {
             "campaign": campaign.name,
             "session": {
@@ -85,4 +83,16 @@ def run(
         }
         (folder / SUMMARY).write_text(json_text(found), encoding="utf-8")
         write_report(folder, campaign, table, found)
-    return Session(folder, before + added, added, seconds, False, found)
+    return Session(folder, done, added, seconds, False, found)
+
+
+def _fill(file: results.ResultFile, campaign: Campaign, missing: list[int], tell: Callable[[int, int], None]) -> None:
+    """Append the rows of the missing experiments as they come."""
+    with warnings.catch_warnings(), closing(runner.stream_trials(campaign, missing)) as chunks:
+        # joblib says so after a Ctrl-C, where it is what was asked for
+        warnings.filterwarnings("ignore", ".*have been cancelled", UserWarning)
+        left = len(missing)
+        for rows in chunks:
+            file.append(rows)
+            left -= len(rows)
+            tell(campaign.experiments - left, campaign.experiments)
