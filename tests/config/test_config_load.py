@@ -133,7 +133,7 @@ BROKEN = {
     ),
     "rails upside down": ("[5, 1018]", "[1018, 5]", "[1018", "sensor.rail_counts", "0 <= low < high <= 1023", ""),
     "neither target nor gains": (
-        "  target: {amplitude_rad: 0.5, period_s: 1.0}\n", "", "cycles: 12", "relay", "give either `target`", ""
+        "  target: {amplitude_rad: 0.5, period_s: 1.0}\n", "", "cycles: 12", "relay", "give `target` (gains", ""
     ),
     "key twice": (
         "supply_V: 12.0", "supply_V: 12.0\n  supply_V: 24.0", "supply_V: 24.0", "drive.supply_V",

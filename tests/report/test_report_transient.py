@@ -1,0 +1,50 @@
+"""Friction alone on the report's page: no motor is claimed, and nothing is to be driven with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.identify.estimate import Estimate
+from rig.report import fitted, transient
+from rig.report.source import Run
+from rig.report.style import AbsentError, style
+from rig.report.words import headline
+
+
+def run_with(estimate: dict[str, Any]) -> Run:
+    return Run(Path("run"), None, {"backend": "here"}, {"estimates": {"least-squares": estimate}}, {}, "", [])
+
+
+def friction(**changes: Any) -> Estimate:
+    trace = np.column_stack((np.full((20, 2), np.nan), 0.5 + 1.0 / np.arange(1.0, 21.0) ** 2))
+    values = {"fc_V": 0.5025, "ci95": {"fc_V": (0.49, 0.51)}, "iterates": trace} | changes
+    return Estimate("least-squares", np.nan, np.nan, **values)
+
+
+def test_the_headline_speaks_of_friction_and_not_of_a_motor() -> None:
+    shown = headline(run_with(friction().as_dict()))
+    assert shown.title == "The friction is identified"
+    assert [q.text for q in shown.quantities[:2]] == ["–", "–"]
+    assert shown.quantities[2].text.startswith("0.50")
+    assert not any("rig track" in step.command for step in shown.next_steps)
+    assert not any("nan" in sentence for sentence in shown.sentences)
+
+
+def test_the_recursion_is_drawn_and_is_no_convergence_of_a_motor() -> None:
+    estimate = friction()
+    run = run_with(estimate.as_dict())
+    with style():
+        picture = transient.recursion(run, {"least-squares": estimate})
+        assert picture.uri.startswith("data:image/svg+xml")
+        with pytest.raises(AbsentError, match="whole motor"):
+            fitted.convergence(run, {"least-squares": estimate})
+        refused = friction(fc_V=np.nan, ci95={}, iterates=np.empty((0, 3)))
+        with pytest.raises(AbsentError, match="no recursion"):
+            transient.recursion(run, {"least-squares": refused})
+        with pytest.raises(AbsentError, match="no hysteretic run"):
+            transient.first_transients(run)
+        assert fitted.forest(run).uri.startswith("data:")
