@@ -30,7 +30,6 @@ from scipy.special import stdtrit
 
 from rig.identify.estimate import Estimate
 from rig.identify.record import IdentifyError, Record
-from rig.identify.verdict import NEGLIGIBLE, NOISY, TOO_WIDE, WIDE
 
 Array = NDArray[np.float64]
 
@@ -39,6 +38,9 @@ FEWEST_SAMPLES = 8  # from the first drive to the first switching
 START_S = 0.4  # of the rows before the first drive, which show the start
 START_MATTERS = 0.05  # error by the starts, relative to the friction, from which on they are not zero
 MOTION_COUNTS = 4.0  # sensor steps, or standard deviations of its noise, that are motion
+WIDE, TOO_WIDE = 0.1, 0.5  # half width of the interval, relative to the friction
+NOISY = 2.0  # residual over the sensor's noise
+NEGLIGIBLE = 0.003  # residual over the spread of positions, below which it is no objection
 CORRELATED = 4.0  # neighbours in the residual, in standard deviations of white noise
 DITHERED = 0.4  # noise over the sensor's step from which on a mean is not tied to its steps
 
