@@ -73,19 +73,15 @@ def cramer_rao(theta: Theta, drive: Drive, t_s: Array, noise: PositionNoise, *, 
     Returns (7,); inf where the experiment does not tell a parameter from the others.
     """
     jacobian = noise.whitened(position_and_jacobian(theta, drive, t_s)[1])
-    free = np.array([not (delay_known and k == DELAY) for k in range(len(theta))])
-    part = jacobian[:, free]
-    size = np.linalg.norm(part, axis=0)
-    bound = np.zeros(len(theta))
-    if np.any(size == 0.0):
-        bound[free] = math.inf
-        return bound
-    _, singular, directions = np.linalg.svd(part / size, full_matrices=False)
-    told = singular > singular[0] * part.shape[0] * np.finfo(float).eps
-    scale = np.divide(1.0, singular, out=np.full(singular.size, math.inf), where=told)
+    size = np.linalg.norm(jacobian, axis=0)
+    bound = np.where(size > 0.0, 0.0, math.inf)
+    free = size > 0.0
+    if delay_known:
+        free[DELAY], bound[DELAY] = False, 0.0
+    _, singular, directions = np.linalg.svd(jacobian[:, free] / size[free], full_matrices=False)
+    told = singular > singular[0] * t_s.size * np.finfo(float).eps
     # a direction that the data does not tell spoils the parameters that it touches, and only these
-    weights = np.where(np.abs(directions) < 1e-12, 0.0, directions)
-    with np.errstate(invalid="ignore"):
-        shares = np.where(weights == 0.0, 0.0, (weights * scale[:, None]) ** 2)
-    bound[free] = np.sqrt(shares.sum(axis=0)) / size
+    untold = np.any(np.abs(directions[~told]) > 1e-6, axis=0)
+    deviation = np.linalg.norm(directions[told] / singular[told, None], axis=0) / size[free]
+    bound[free] = np.where(untold, math.inf, deviation)
     return bound
