@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ Array = NDArray[np.float64]
 SETTLED = 0.05  # three periods in a row within this show that the oscillation has settled;
 ARRIVED = 0.005  # their mean lies this near the period at which the recording ends
 KEPT = 0.15  # cycles after them belong to it while within this of the median
+STEADY = 0.002  # of period and amplitude: what is still settling beyond the late cycles' scatter is not averaged
+SPARSE = 0.01  # of the rows: values of the drive that are rarer are no level of the relay
+CHATTER = 0.25  # of the median half period: shorter ones are chatter
 FEWEST_CYCLES = 3
 SHORTEST_PERIODS = 30  # a cycle lasts at least this many sampling periods,
 SMALLEST_LSB = 20  # and is at least this many steps of the sensor in amplitude; else it is delay hunting
@@ -40,7 +43,7 @@ class Half:
     """One half period, folded by odd symmetry so that the drive starts at +(h1 + h2).
 
     tau_s, y_rad  its samples: time since the RC edge (from before it, to after the next), and position
-    inner_s       equivalent time of the RB edge after the RC edge, s (t1 + t2)
+    inner_s       time of the RB edge after the RC edge, s (t1 + t2). Edges are the equivalent ones of Remark 3.2
     length_s      to the next RC edge, s
     """
 
@@ -69,6 +72,20 @@ class Wave:
 
 
 @dataclass(frozen=True)
+class MeanHalf:
+    """The average of the halves that start one way, aligned at their RC edges, folded like them.
+
+    at_s, y_rad        n times since the RC edge, s, and positions, rad
+    inner_s, length_s  mean times of the RB edge and of the next RC edge
+    """
+
+    at_s: Array
+    y_rad: Array
+    inner_s: float
+    length_s: float
+
+
+@dataclass(frozen=True)
 class Cycle:
     """The settled limit cycle of a relay test, averaged over its periods.
 
@@ -85,7 +102,9 @@ class Cycle:
     scatter          standard deviation between periods of "period_s", "amplitude_rad", "inner_s" (t1 + t2), "t3_s"
     rows             first and last row of the settled cycles in the file
     waves            what was averaged
+    halves           the halves that start upwards and those that start downwards, averaged apart
     period_sampling_s, resolution_rad   of the record
+    drive_times_known   whether edges are where the drive acted (t_u_s); else it acted an unknown delay later
     notes            which rows, and how the gains were found
     """
 
@@ -108,8 +127,10 @@ class Cycle:
     scatter: dict[str, float]
     rows: tuple[int, int]
     waves: tuple[Wave, ...]
+    halves: tuple[MeanHalf, MeanHalf]
     period_sampling_s: float
     resolution_rad: float
+    drive_times_known: bool = True
     notes: tuple[str, ...] = ()
 
     @property
@@ -131,8 +152,11 @@ def relay_gains(record: Record) -> Gains:
     if largest == 0.0:
         raise IdentifyError(f"{record.name}: the drive is zero throughout", "record a relay test")
     order = np.sort(u)
+    # An averaged relay signal has steps between its levels (Remark 3.2); they are rare.
+    near = np.searchsorted(order, order + 0.03 * largest, "right") - np.searchsorted(order, order - 0.03 * largest)
+    order = order[near >= max(3, SPARSE * u.size)]
     cuts = np.flatnonzero(np.diff(order) > 0.06 * largest)
-    groups = [g for g in np.split(order, cuts + 1) if g.size >= max(3, 0.01 * u.size)]
+    groups = np.split(order, cuts + 1)
     covered = sum(g.size for g in groups) / u.size
     levels = [float(np.median(g)) for g in groups]
     shown = ", ".join(f"{level:.3g}" for level in levels)
@@ -199,7 +223,7 @@ def find_cycle(record: Record) -> Cycle:
     used = tuple(waves[first:stop])
     rows = (record.first_row + starts[first], record.first_row + stops[stop - 1] - 1)
     notes = (gains.note, f"{len(used)} settled cycles of {len(waves)}, rows {rows[0]} to {rows[1]}")
-    cycle = average(used, gains.h1_V, gains.h2_V, record.period_s, resolution, rows, notes)
+    cycle = average(used, gains.h1_V, gains.h2_V, record.period_s, resolution, rows, notes, record.t_u_s is not None)
     _accept(record, cycle)
     return cycle
 
@@ -210,24 +234,69 @@ class _Halves:
     rows: list[int]
 
 
+def equivalent_edge(begin_s: Array, lasting_s: Array, done: Array) -> float:
+    """When a single step has the area of a staircase (Remark 3.2), s.
+
+    begin_s, lasting_s   n rows: since when each one's drive acts, and for how long
+    done                 n shares of the step that it has taken: 0 before, 1 after, anything between in the chatter
+    """
+    return float(begin_s[0] + lasting_s @ (1.0 - done))
+
+
 def _halves(record: Record, gains: Gains) -> _Halves:
-    """Complete half periods between RC edges; chatter of RB inside them is merged into an equivalent edge."""
-    state = _held(gains.side)
-    edges = [int(k) for k in np.flatnonzero(state[1:] * state[:-1] == -1.0) + 1]
+    """Complete half periods between RC edges; chatter of either relay is merged into an equivalent edge.
+
+    Before the middle of the time that the drive spends at its outer level, lower levels are chatter of RC; after it,
+    outer ones are chatter of RB.
+    """
     acts = record.edge_s
+    side, u = gains.side, record.u_V
+    lasting = np.diff(acts, append=acts[-1])
+    flips = _flips(gains.side, acts)
+    odd = np.isnan(side)
+    begins = []
+    for row in flips:  # steps on the way to the outer level belong to the edge
+        while row > 0 and odd[row - 1]:
+            row -= 1
+        begins.append(row)
+    rc: list[float] = []
+    rb: list[float] = []
+    signs: list[float] = []
+    for flip, begin, stop in zip(flips, begins, [*begins[1:], acts.size], strict=True):
+        sign = float(side[flip])
+        rows = slice(begin, stop)
+        outer = side[rows] == sign
+        spent = np.cumsum(lasting[rows] * outer)
+        centre = begin + int(np.searchsorted(spent, 0.5 * spent[-1]))
+        rising, falling = slice(begin, max(centre, begin + 1)), slice(max(centre, begin + 1), stop)
+        up = np.where(side[rising] == sign, 1.0, (sign * u[rising] + gains.h2_V - gains.h1_V) / (2.0 * gains.h2_V))
+        down = np.where(side[falling] == sign, 1.0, (sign * u[falling] + gains.h1_V - gains.h2_V) / (2.0 * gains.h1_V))
+        up[side[rising] == 0.0] = down[side[falling] == 0.0] = 0.0
+        rc.append(equivalent_edge(acts[rising], lasting[rising], np.clip(up, 0.0, 1.0)))
+        last = acts[falling] if stop > falling.start else acts[-1:]
+        rb.append(equivalent_edge(last, lasting[falling], 1.0 - np.clip(down, 0.0, 1.0)))
+        signs.append(sign)
     margin = 3.0 * record.period_s
     found = []
-    for begin, end in pairwise(edges):
-        sign = float(state[begin])
-        t0 = float(acts[begin])
-        length = float(acts[end]) - t0
-        # Remark 3.2: a single step with the area of the staircase.
-        lasting = np.diff(acts[begin : end + 1])
-        inner = float(lasting[gains.side[begin:end] == sign].sum())
-        lo, hi = np.searchsorted(record.t_s, [t0 - margin, t0 + length + margin])
-        half = Half(record.t_s[lo:hi] - t0, sign * record.y_rad[lo:hi], inner, length)
-        found.append((half, sign))
-    return _Halves(found, edges)
+    for k in range(len(flips) - 1):
+        length = rc[k + 1] - rc[k]
+        lo, hi = np.searchsorted(record.t_s, [rc[k] - margin, rc[k] + length + margin])
+        half = Half(record.t_s[lo:hi] - rc[k], signs[k] * record.y_rad[lo:hi], rb[k] - rc[k], length)
+        found.append((half, signs[k]))
+    return _Halves(found, flips)
+
+
+def _flips(side: Array, acts_s: Array) -> list[int]:
+    """Rows at which the drive's outer level changes its sign, without those that it takes back at once."""
+    state = _held(side)
+    rows = np.flatnonzero(state[1:] * state[:-1] == -1.0) + 1
+    while rows.size > 3:
+        lasting = np.diff(acts_s[rows])
+        shortest = int(np.argmin(lasting))
+        if lasting[shortest] >= CHATTER * float(np.median(lasting)):
+            break
+        rows = np.delete(rows, [shortest, shortest + 1])
+    return [int(row) for row in rows]
 
 
 def _settled(record: Record, waves: list[Wave], resolution_rad: float) -> tuple[int, int]:
@@ -252,7 +321,7 @@ def _settled(record: Record, waves: list[Wave], resolution_rad: float) -> tuple[
         if np.ptp(periods[k : k + 3]) <= SETTLED * period + tick
         and np.abs(periods[k : k + 3].mean() - period) <= ARRIVED * period + tick
     ]
-    first, stop = (begins[0], stop) if begins else (0, 0)
+    first, stop = (_steady(periods, amplitudes, begins[0], stop, record.period_s), stop) if begins else (0, 0)
     if stop - first < FEWEST_CYCLES:
         raise IdentifyError(
             f"{record.name}: no {FEWEST_CYCLES} cycles in a row are settled (periods {periods.min():.3g} to "
@@ -269,6 +338,25 @@ def _settled(record: Record, waves: list[Wave], resolution_rad: float) -> tuple[
     return first, stop
 
 
+def _steady(periods: Array, amplitudes: Array, first: int, stop: int, tick_s: float) -> int:
+    """First of three settled cycles whose period and amplitude differ from the late ones' by scatter alone.
+
+    The estimators of section 7 take the cycle for periodic, and magnify what is still settling tenfold. At most half of
+    the settled cycles are left out.
+    """
+    latest = first + (stop - first) // 2
+    late = slice(latest, stop)
+    # edges at the ticks make periods scatter by a few of these for ever, and amplitudes by twice their share
+    share = max(STEADY, 4.0 * tick_s / float(np.median(periods[late])))
+    still = np.zeros(stop, dtype=bool)
+    for values, tolerance in ((periods, share), (amplitudes, 2.0 * share)):
+        centre = float(np.median(values[late]))
+        allowed = max(tolerance * centre, 3.0 * float(np.std(values[late])))
+        still |= np.abs(values[:stop] - centre) > allowed
+    begin = next((k for k in range(first, latest) if not still[k : k + 3].any()), latest)
+    return begin if stop - begin >= FEWEST_CYCLES else first
+
+
 def _accept(record: Record, cycle: Cycle) -> None:
     """Theory section 5: what is the limit cycle and what is the loop's delay hunting by itself."""
     cure = "raise h2 (or lower h1): a slower and larger cycle; or sample faster"
@@ -281,7 +369,9 @@ def _accept(record: Record, cycle: Cycle) -> None:
             f"{record.name}: the amplitude {cycle.amplitude_rad:.3g} rad is below {SMALLEST_LSB} steps of the sensor",
             cure,
         )
-    if not (0.0 < cycle.t1_s < cycle.t1_s + cycle.t2_s < 0.5 * cycle.period_s):
+    # Where stage 3 does not drive it back, the motor may stop before a sampled relay's late RC edge.
+    earliest = -3.0 * record.period_s if cycle.h1_V <= cycle.h2_V else 0.0
+    if not (earliest < cycle.t1_s < cycle.t1_s + cycle.t2_s < 0.5 * cycle.period_s):
         raise IdentifyError(
             f"{record.name}: extremum, RB and RC do not follow in this order: not a simple oscillation", cure
         )
@@ -295,6 +385,7 @@ def average(
     resolution_rad: float,
     rows: tuple[int, int],
     notes: tuple[str, ...] = (),
+    drive_times_known: bool = True,
 ) -> Cycle:
     """Average full periods point by point, aligned at their RC edges, halves folded by odd symmetry (Remark 3.1).
 
@@ -304,7 +395,8 @@ def average(
     halves = [half for wave in waves for half in (wave.up, wave.down)]
     inner = float(np.mean([half.inner_s for half in halves]))
     length = float(np.mean([half.length_s for half in halves]))
-    tau, y, spread = _bins(halves, sampling_s, length)
+    bins = Bins.of(waves, sampling_s)
+    tau, y, spread = bins.folded()
     right = (tau >= 0.0) & (tau < inner)
     if not right.any():
         raise IdentifyError("the relay's RB and RC edges coincide: not a simple oscillation", "raise h2 or lower h1")
@@ -341,29 +433,92 @@ def average(
         scatter=scatter,
         rows=rows,
         waves=waves,
+        halves=bins.halves(),
+        drive_times_known=drive_times_known,
         period_sampling_s=sampling_s,
         resolution_rad=resolution_rad,
         notes=notes,
     )
 
 
-def _bins(halves: list[Half], sampling_s: float, length_s: float) -> tuple[Array, Array, Array]:
-    """Mean time, mean position and its spread for each sample after the edge, up and down halves weighing the same."""
-    tau = np.concatenate([half.tau_s for half in halves])
-    y = np.concatenate([half.y_rad for half in halves])
-    # Samples lie at one phase of the grid; centre the bins on it (circular mean).
-    angle = 2.0 * math.pi * tau / sampling_s
-    shift = sampling_s / (2.0 * math.pi) * math.atan2(float(np.sin(angle).mean()), float(np.cos(angle).mean()))
-    index = np.round((tau - shift) / sampling_s).astype(int)
-    index -= index.min()
-    count = np.bincount(index)
-    enough = count >= max(1, len(halves) // 2)
-    safe = np.maximum(count, 1)
-    mean_tau = np.bincount(index, tau) / safe
-    mean_y = np.bincount(index, y) / safe
-    spread = np.sqrt(np.bincount(index, (y - mean_y[index]) ** 2) / np.maximum(count - 1, 1))
-    enough &= mean_tau <= length_s + 3.0 * sampling_s
-    return mean_tau[enough], mean_y[enough], spread[enough]
+@dataclass(frozen=True)
+class Bins:
+    """Sums over samples that lie equally far behind their RC edges: (2, waves, bins), of halves up and halves down.
+
+    count, time_s, y_rad, square   how many samples, sums of their times, positions and squared positions
+    inner_s, length_s              (2, waves)
+    sampling_s                     width of a bin
+    """
+
+    count: Array
+    time_s: Array
+    y_rad: Array
+    square: Array
+    inner_s: Array
+    length_s: Array
+    sampling_s: float
+
+    @classmethod
+    def of(cls, waves: tuple[Wave, ...], sampling_s: float) -> Bins:
+        """Sort the samples of the waves into bins."""
+        halves = [wave.up for wave in waves] + [wave.down for wave in waves]
+        tau = np.concatenate([half.tau_s for half in halves])
+        y = np.concatenate([half.y_rad for half in halves])
+        # Samples lie at one phase of the grid; centre the bins on it (circular mean).
+        angle = 2.0 * math.pi * tau / sampling_s
+        shift = sampling_s / (2.0 * math.pi) * math.atan2(float(np.sin(angle).mean()), float(np.cos(angle).mean()))
+        index = np.round((tau - shift) / sampling_s).astype(int)
+        index -= index.min()
+        width = int(index.max()) + 1
+        place = np.repeat(np.arange(len(halves)), [half.tau_s.size for half in halves]) * width + index
+
+        def total(values: Array | None) -> Array:
+            sums = np.bincount(place, values, minlength=len(halves) * width)
+            return sums.astype(float).reshape(2, len(waves), width)
+
+        def of_halves(values: list[float]) -> Array:
+            return np.array(values).reshape(2, len(waves))
+
+        return cls(
+            total(None),
+            total(tau),
+            total(y),
+            total(y * y),
+            of_halves([half.inner_s for half in halves]),
+            of_halves([half.length_s for half in halves]),
+            sampling_s,
+        )
+
+    def folded(self) -> tuple[Array, Array, Array]:
+        """Mean time, mean position and its spread in each bin, up and down halves weighing the same."""
+        count, time, y, square = (x.sum(axis=(0, 1)) for x in (self.count, self.time_s, self.y_rad, self.square))
+        enough = count >= max(1, self.inner_s.size // 2)
+        count, time, y, square = count[enough], time[enough], y[enough], square[enough]
+        spread = np.sqrt(np.maximum(square - y * y / count, 0.0) / np.maximum(count - 1.0, 1.0))
+        inside = time / count <= float(self.length_s.mean()) + 3.0 * self.sampling_s
+        return (time / count)[inside], (y / count)[inside], spread[inside]
+
+    @cached_property
+    def _totals(self) -> tuple[Array, Array, Array]:
+        return self.count.sum(axis=1), self.time_s.sum(axis=1), self.y_rad.sum(axis=1)
+
+    def halves(self, without: int | None = None) -> tuple[MeanHalf, MeanHalf]:
+        """The mean halves of all waves, or of all but one."""
+        kept = np.ones(self.inner_s.shape[1], dtype=bool)
+        count, time, y = self._totals
+        if without is not None:
+            kept[without] = False
+            count, time = count - self.count[:, without], time - self.time_s[:, without]
+            y = y - self.y_rad[:, without]
+        means = []
+        for k in range(2):
+            length = float(self.length_s[k, kept].mean())
+            enough = count[k] >= max(1, int(kept.sum()) // 2)
+            at = time[k, enough] / count[k, enough]
+            inside = (at >= 0.0) & (at <= length)
+            mean_y = y[k, enough] / count[k, enough]
+            means.append(MeanHalf(at[inside], mean_y[inside], float(self.inner_s[k, kept].mean()), length))
+        return means[0], means[1]
 
 
 def _extremum(tau: Array, y: Array, inner_s: float) -> tuple[float, float]:

@@ -1,33 +1,37 @@
 """The triple-relay estimator (theory section 7, (24)-(29)): Theorem 2.1 turned round.
 
-Friction is the third relay, so one cycle's three durations and two positions determine tau, K and fc. Five residuals in
-three parameters, solved by damped Gauss-Newton from several starts.
+Friction is the third relay, so one steady cycle determines tau, K and fc: in the paper's form by three durations and
+two positions, five equations (``solve``). A sampled relay switches late, so that its edges are no zero crossings. For a
+recorded cycle (``solve_cycle``) its planes are therefore the positions measured at the edges, and the extremum follows
+from the motor that is sought: one fit, to the averaged curve, of the steady motion under the recorded edges. Damped
+Gauss-Newton from several starts in either case.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
-from rig.identify.cycles import Cycle, average
+from rig.identify.cycles import Bins, Cycle, MeanHalf
 from rig.identify.estimate import Estimate, student_intervals
 from rig.identify.record import IdentifyError
 from rig.identify.sampled_data import Start, ridge_starts
-from rig.model.limit_cycle import effective_inputs, stage_states
 
 Array = NDArray[np.float64]
 
 METHOD = "triple-relay"
 MAX_ITERATIONS = 60
-DIFFERENCE = 1e-6  # half step of the central differences, of the scaled parameters
-FARTHEST = 12.0  # bound on them
-WINDOW = 0.6  # of the time from RC to RB: samples that locate the extremum
+FARTHEST = 12.0  # of the logarithms of tau and K from the cycle's own
+LEAST_FRICTION = -0.1  # in units of h2: a motor without friction may seem to have a little less
+SAME = 1e-3  # relative difference in tau and K, and of fc to h2, of starts that lead to one solution
+EXACT, ROUGH = 1e-9, 1e-4  # last step in log tau, log K, and the others relative to their size
+FEW_SAMPLES = 60  # of each half: enough to tell which start leads to the best solution
+LONGEST_DELAY = 2.0  # sampling periods, where t_u_s is not known
 
 
 class Features(NamedTuple):
@@ -51,21 +55,24 @@ class Features(NamedTuple):
 
 @dataclass(frozen=True)
 class Fit:
-    """Solution of the five equations.
+    """A solution.
 
     theta     tau, s, K, (rad/s)/V, and fc, V
-    residual  the five residuals, relative to the cycle's size
-    iterates  (n, 3): theta at each iteration of the winning start, the start first
+    cost      sum of squared residuals: of the five equations relative to the cycle's size, or of the curve, rad^2
+    iterates  (n, 3): theta at each iteration from the start that won, the start first
+    converged the last step was negligible
+    asym_V    asymmetry of the drive
+    delay_s   from the recorded edges to the drive's; nan if these are known to be the same
+    y0_rad    position at the RC edge where the drive steps up
     """
 
     theta: Start
-    residual: Array
+    cost: float
     iterates: Array
-
-    @property
-    def cost(self) -> float:
-        """Sum of squared relative residuals."""
-        return float(self.residual @ self.residual)
+    converged: bool
+    asym_V: float = 0.0
+    delay_s: float = math.nan
+    y0_rad: float = math.nan
 
 
 def residuals(theta: Start, features: Features, h1_V: float, h2_V: float) -> Array:
@@ -73,163 +80,134 @@ def residuals(theta: Start, features: Features, h1_V: float, h2_V: float) -> Arr
 
     In this order: z at RC, v at RA, y at RB, y at the extremum, y at RC.
     """
-    durations = (features.t1_s, features.t2_s, features.t3_s)
-    states = stage_states(theta.tau_s, theta.K_rad_s_V, durations, effective_inputs(theta.fc_V, h1_V, h2_V))
-    return _relative(states, features, abs(features.y_extremum_rad), math.pi / sum(durations))
+    from rig.model.compiled import steady_cycle as compiled
+
+    values, jacobian = np.empty(5), np.empty((5, 3))
+    compiled.switching_conditions(_logarithmic(theta), (h1_V, h2_V), features[:3], values, jacobian)
+    measured, weight = _conditions(features)
+    return np.asarray(weight * (values - measured))
 
 
-def _relative(states: Array, features: Features, amplitude: float, omega: float) -> Array:
-    return np.array(
-        [
-            (states[0, 2] - features.z_rc_rad_s) * omega / amplitude,
-            states[1, 0] / (omega * amplitude),
-            (states[2, 1] - features.y_rb_rad) / amplitude,
-            (states[1, 1] - features.y_extremum_rad) / amplitude,
-            (states[0, 1] - features.y_rc_rad) / amplitude,
-        ]
-    )
+def _logarithmic(theta: Start) -> Array:
+    return np.array([math.log(theta.tau_s), math.log(theta.K_rad_s_V), theta.fc_V])
 
 
-@dataclass(frozen=True)
-class _Scale:
-    """Unknowns of order one: logarithms of tau and K in units of the cycle's, and fc over h2."""
+def _conditions(features: Features) -> tuple[Array, Array]:
+    """What the five conditions have to be, and one over their size."""
+    amplitude = abs(features.y_extremum_rad)
+    omega = math.pi / sum(features[:3])
+    measured = [features.z_rc_rad_s, 0.0, features.y_rb_rad, features.y_extremum_rad, features.y_rc_rad]
+    return np.array(measured), np.array([omega, 1.0 / omega, 1.0, 1.0, 1.0]) / amplitude
 
-    tau_s: float
-    K_rad_s_V: float
-    fc_V: float
 
-    @classmethod
-    def of(cls, features: Features, h2_V: float) -> _Scale:
-        omega = math.pi / (features.t1_s + features.t2_s + features.t3_s)
-        return cls(1.0 / omega, abs(features.y_extremum_rad) * omega / h2_V, h2_V)
+def _reach(amplitude_rad: float, half_s: float, h2_V: float) -> tuple[Array, Array]:
+    """Where log tau, log K and fc are looked for.
 
-    def theta(self, x: Array) -> Start:
-        return Start(self.tau_s * math.exp(x[0]), self.K_rad_s_V * math.exp(x[1]), self.fc_V * float(x[2]))
-
-    def unknowns(self, theta: Start) -> Array:
-        return np.array(
-            [math.log(theta.tau_s / self.tau_s), math.log(theta.K_rad_s_V / self.K_rad_s_V), theta.fc_V / self.fc_V]
-        )
+    Far below zero friction there is a minimum that is no motor's; from h2 on there is no cycle (Property 3.1).
+    """
+    omega = math.pi / half_s
+    centre = np.array([-math.log(omega), math.log(amplitude_rad * omega / h2_V)])
+    return np.array([*(centre - FARTHEST), LEAST_FRICTION * h2_V]), np.array([*(centre + FARTHEST), h2_V])
 
 
 def solve(features: Features, h1_V: float, h2_V: float, starts: Sequence[Start]) -> Fit:
-    """Best solution of the five equations from the given starts, t1 being known.
+    """Best solution of the five equations (24)-(29) from the given starts, t1 being known.
 
     Raises IdentifyError if no start leads anywhere.
     """
-    _check_order(features)
+    from rig.model.compiled import steady_cycle as compiled
 
-    scale = _Scale.of(features, h2_V)
-
-    def evaluate(x: Array) -> Array:
-        return residuals(scale.theta(x), features, h1_V, h2_V)
-
-    return _best([_gauss_newton(evaluate, scale.unknowns(start)) for start in starts], scale.theta)
-
-
-def solve_cycle(cycle: Cycle, starts: Sequence[Start]) -> Fit:
-    """The same for an averaged, sampled cycle: t1 follows from v(t1) = 0, and samples about the extremum locate it.
-
-    The curve about the extremum comes from the motor that is sought, so that its jumps of acceleration at RA and RC are
-    in it. The samples together weigh as much as one position read off the curve. Raises IdentifyError.
-    """
-    h1, h2 = cycle.h1_V, cycle.h2_V
-    features = features_of(cycle)
-    _check_order(features)
-    inner = features.t1_s + features.t2_s
-    at_s = cycle.phase * cycle.period_s
-    window = at_s <= WINDOW * inner
-    at_s, y_rad = at_s[window], cycle.curve_rad[window]
-    weight = 1.0 / (cycle.amplitude_rad * math.sqrt(at_s.size))
-
-    scale = _Scale.of(features, h2)
-
-    def evaluate(x: Array) -> Array:
-        theta = scale.theta(x)
-        inputs = effective_inputs(theta.fc_V, h1, h2)
-        t1 = _reversal(theta.tau_s, inputs, inner, features.t3_s)
-        states = stage_states(theta.tau_s, theta.K_rad_s_V, (t1, inner - t1, features.t3_s), inputs)
-        planes = _relative(states, features, cycle.amplitude_rad, cycle.omega_rad_s)
-        curve = _curve(theta, states, t1, inputs, at_s)
-        return np.concatenate((planes[[0, 2, 4]], weight * (curve - y_rad)))
-
-    return _best([_gauss_newton(evaluate, scale.unknowns(start)) for start in starts], scale.theta)
-
-
-def _reversal(tau_s: float, inputs: tuple[float, float, float], inner_s: float, t3_s: float) -> float:
-    """t1 for which v(t1) = 0 and v(T/2) = -v(0), s; 0 or ``inner_s`` where there is none between them."""
-    keep = math.exp(-t3_s / tau_s)
-
-    def excess(t1: float) -> float:
-        inner_speed = -inputs[1] * math.expm1((t1 - inner_s) / tau_s)
-        return inputs[0] * math.expm1(min(t1 / tau_s, 500.0)) - inputs[2] - (inner_speed - inputs[2]) * keep
-
-    if excess(0.0) >= 0.0:
-        return 0.0
-    if excess(inner_s) <= 0.0:
-        return inner_s
-    return float(brentq(excess, 0.0, inner_s, xtol=1e-13))
-
-
-def _curve(theta: Start, states: Array, t1: float, inputs: tuple[float, float, float], at_s: Array) -> Array:
-    """Position in the first two stages, at times after RC."""
-    early = at_s < t1
-    h = np.where(early, at_s, at_s - t1)
-    target = theta.K_rad_s_V * np.where(early, inputs[0], inputs[1])
-    v = np.where(early, states[0, 0], states[1, 0])
-    y = np.where(early, states[0, 1], states[1, 1])
-    return np.asarray(y + target * h - (v - target) * theta.tau_s * np.expm1(-h / theta.tau_s))
-
-
-def _check_order(features: Features) -> None:
-    if min(features.t1_s, features.t2_s, features.t3_s) <= 0.0:
+    if min(features[:3]) <= 0.0:
         raise IdentifyError(
             "the relays' edges are not in the order RA, RB, RC", "record a settled cycle of the relay test"
         )
-
-
-@dataclass(frozen=True)
-class _Path:
-    iterates: list[Array]
-    residual: Array
-
-
-def _best(paths: list[_Path], unscaled: Callable[[Array], Start]) -> Fit:
-    finite = [path for path in paths if np.isfinite(path.residual).all()]
-    if not finite:
-        raise IdentifyError("no start of the triple-relay equations converges", "record a longer, settled relay test")
-    best = min(finite, key=lambda path: float(path.residual @ path.residual))
-    return Fit(unscaled(best.iterates[-1]), best.residual, np.array([unscaled(x) for x in best.iterates]))
-
-
-def _gauss_newton(evaluate: Callable[[Array], Array], x: Array) -> _Path:
-    """Damped Gauss-Newton: the damping grows until a step lowers the cost, and falls after one that does."""
-    r = evaluate(x)
-    iterates = [x]
-    damping = 1e-3
-    for _ in range(MAX_ITERATIONS):
-        jacobian = np.column_stack(
-            [(evaluate(x + e) - evaluate(x - e)) / (2.0 * DIFFERENCE) for e in DIFFERENCE * np.eye(x.size)]
+    measured, weight = _conditions(features)
+    low, high = _reach(abs(features.y_extremum_rad), sum(features[:3]), h2_V)
+    fits = []
+    for start in starts:
+        theta, iterates = _logarithmic(start), np.empty((MAX_ITERATIONS + 1, 3))
+        count, cost = compiled.solve_conditions(
+            theta, (h1_V, h2_V), features[:3], measured, weight, low, high, 1e-11, iterates
         )
-        normal, gradient = jacobian.T @ jacobian, jacobian.T @ r
-        scale = np.diag(np.maximum(np.diag(normal), 1e-12))
-        step = trial = None
-        while damping < 1e9:
-            step = -np.linalg.solve(normal + damping * scale, gradient)
-            if np.abs(x + step).max() < FARTHEST:
-                trial = evaluate(x + step)
-                if trial @ trial <= r @ r:
-                    break
-            step = None
-            damping = max(10.0 * damping, 1e-10)
-        if step is None or trial is None:
-            break
-        x, r = x + step, trial
-        iterates.append(x)
-        damping *= 0.1
-        if np.abs(step).max() < 1e-11:
-            break
-    return _Path(iterates, r)
+        if math.isfinite(cost):
+            fits.append(Fit(_natural(theta), cost, _all_natural(iterates[:count]), count <= MAX_ITERATIONS))
+    return _best(fits, h2_V)
+
+
+def solve_cycle(cycle: Cycle, starts: Sequence[Start], halves: tuple[MeanHalf, MeanHalf] | None = None) -> Fit:
+    """The same for an averaged, recorded cycle: its curve under its edges, t1 following from v(t1) = 0.
+
+    halves   what to fit in place of the cycle's own: averages over some of its waves
+    Beside tau, K and fc it leaves free what the paper's symmetric cycle has not: the asymmetry of the drive, which
+    makes the halves differ, an offset of position, and, without t_u_s, the delay of the drive. All samples weigh the
+    same. A motor that stops before a late RC edge and waits for it is included.
+    Raises IdentifyError if no start leads anywhere.
+    """
+    halves = halves or cycle.halves
+    few = max(1, *(half.at_s.size // FEW_SAMPLES for half in halves))
+    found = _descend(cycle, halves, [_full(start, cycle) for start in starts], few, ROUGH)
+    rough = _best([fit for fit, _ in found], cycle.h2_V)
+    arrived = next(x for fit, x in found if fit is rough)
+    fine = _best([fit for fit, _ in _descend(cycle, halves, [arrived], 1, EXACT)], cycle.h2_V)
+    return replace(fine, iterates=np.concatenate([rough.iterates, fine.iterates[1:]]))
+
+
+def _full(start: Start, cycle: Cycle) -> Array:
+    """Unknowns of the curve: log tau, log K, fc, asym, position at the RC edge, delay."""
+    delay = 0.0 if cycle.drive_times_known else 0.25 * LONGEST_DELAY * cycle.period_sampling_s
+    return np.array([*_logarithmic(start), 0.0, cycle.y_rc_rad, delay])
+
+
+def _descend(
+    cycle: Cycle, halves: tuple[MeanHalf, MeanHalf], starts: Sequence[Array], stride: int, tolerance: float
+) -> list[tuple[Fit, Array]]:
+    """Solutions from each start, on every ``stride``-th sample; starts without a finite one are left out."""
+    from rig.model.compiled import steady_cycle as compiled
+
+    up, down = halves
+    at_s = np.concatenate([up.at_s[::stride], down.at_s[::stride]])
+    y_rad = np.concatenate([up.y_rad[::stride], down.y_rad[::stride]])
+    counts = up.at_s[::stride].size, down.at_s[::stride].size
+    edges = np.array([up.inner_s, up.length_s, down.inner_s, down.length_s])
+    h2, amplitude, tick = cycle.h2_V, cycle.amplitude_rad, cycle.period_sampling_s
+    low, high = _reach(amplitude, 0.5 * cycle.period_s, h2)
+    low = np.array([*low, -h2, -math.inf, 0.0])
+    high = np.array([*high, h2, math.inf, LONGEST_DELAY * tick])
+    free = np.array([True, True, True, True, True, not cycle.drive_times_known])
+    smallest = tolerance * np.array([1.0, 1.0, h2, h2, amplitude, tick])
+    fits = []
+    for start in starts:
+        x, iterates = start.copy(), np.empty((MAX_ITERATIONS + 1, 6))
+        count, cost = compiled.solve_curve(
+            x, free, (cycle.h1_V, h2), edges, counts, at_s, y_rad, low, high, smallest, iterates
+        )
+        if math.isfinite(cost):
+            path = _all_natural(iterates[:count])
+            delay = math.nan if cycle.drive_times_known else float(x[5])
+            fit = Fit(_natural(x), cost, path, count <= MAX_ITERATIONS, float(x[3]), delay, float(x[4]))
+            fits.append((fit, x))
+    return fits
+
+
+def _natural(x: Array) -> Start:
+    return Start(math.exp(x[0]), math.exp(x[1]), float(x[2]))
+
+
+def _all_natural(iterates: Array) -> Array:
+    return np.column_stack([np.exp(iterates[:, :2]), iterates[:, 2]])
+
+
+def _best(fits: Sequence[Fit], h2_V: float) -> Fit:
+    """The first that leads to the solution of least cost."""
+    if not fits:
+        raise IdentifyError("no start of the triple-relay equations converges", "record a longer, settled relay test")
+    best = min(fits, key=lambda fit: fit.cost).theta
+
+    def near(theta: Start) -> bool:
+        ratios = abs(math.log(theta.tau_s / best.tau_s)), abs(math.log(theta.K_rad_s_V / best.K_rad_s_V))
+        return max(*ratios, abs(theta.fc_V - best.fc_V) / h2_V) <= SAME
+
+    return next(fit for fit in fits if near(fit.theta))
 
 
 def features_of(cycle: Cycle) -> Features:
@@ -246,46 +224,46 @@ def features_of(cycle: Cycle) -> Features:
 
 
 def fit(cycle: Cycle, start: Start | None = None) -> Estimate:
-    """Estimate tau, K and fc from one averaged cycle.
+    """Estimate tau, K and fc, and the asymmetry and an unknown delay, from one averaged cycle.
 
-    start   a first guess, e.g. the describing function's (the two-stage method, Remark 3.3), tried beside the others
+    start   a first guess, e.g. the describing function's: the two-stage method (Remark 3.3). It goes first, so that its
+            iterates are reported if it leads where the others do
     Intervals are a jackknife over periods. rms_rad is left to the caller. Raises IdentifyError if nothing converges.
     """
     starts = ridge_starts(cycle.omega_rad_s, cycle.amplitude_rad, cycle.h1_V, cycle.h2_V)
-    starts = ([start] if start is not None else []) + starts
-    found = solve_cycle(cycle, starts)
-    covariance = np.full((5, 5), np.nan)
+    found = solve_cycle(cycle, ([start] if start is not None else []) + starts)
+    covariance = _jackknife(cycle, found)
     intervals: dict[str, tuple[float, float]] = {}
-    spread = _jackknife(cycle, found.theta)
-    if spread is not None:
-        covariance[:3, :3] = spread
-        intervals = student_intervals(found.theta, spread, cycle.cycles - 1)
+    if covariance is not None:
+        intervals = student_intervals(found.theta, covariance[:3, :3], cycle.cycles - 1)
     estimate = Estimate(
         METHOD,
         *found.theta,
+        asym_V=found.asym_V,
+        delay_s=found.delay_s,
         ci95=intervals,
-        covariance=covariance,
+        covariance=np.full((5, 5), np.nan) if covariance is None else covariance,
         iterations=len(found.iterates) - 1,
         rows=cycle.rows,
         iterates=found.iterates,
     )
-    if spread is None:
+    if covariance is None:
         return estimate.judged(
             "doubtful", "its interval could not be had from the cycles: record at least ten settled ones"
         )
     return estimate
 
 
-def _jackknife(cycle: Cycle, theta: Start) -> Array | None:
-    """Covariance over periods, each left out in turn; None if one of these does not converge."""
-    n = len(cycle.waves)
-    solutions = []
+def _jackknife(cycle: Cycle, found: Fit) -> Array | None:
+    """(5, 5) covariance over periods, each left out in turn; None if one of these does not converge."""
+    bins = Bins.of(cycle.waves, cycle.period_sampling_s)
+    n = cycle.cycles
+    solutions = np.empty((n, 5))
     for k in range(n):
-        rest = cycle.waves[:k] + cycle.waves[k + 1 :]
         try:
-            part = average(rest, cycle.h1_V, cycle.h2_V, cycle.period_sampling_s, cycle.resolution_rad, cycle.rows)
-            solutions.append(solve_cycle(part, [theta]).theta)
+            part = solve_cycle(cycle, [found.theta], bins.halves(without=k))
         except IdentifyError:
             return None
-    deviation = np.array(solutions) - np.mean(solutions, axis=0)
+        solutions[k] = (*part.theta, part.asym_V, part.delay_s)
+    deviation = solutions - solutions.mean(axis=0)
     return np.asarray((n - 1) / n * deviation.T @ deviation)
