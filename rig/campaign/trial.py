@@ -35,7 +35,7 @@ COLUMNS: dict[str, type] = {
     **{f"bound_{name}": float for name in PARAMETERS},  # Cramer-Rao; nan where noise is none or the delay is known
     "samples": int,
     "cycles": float,  # true ones, recorded
-    "segments": int,
+    "repeated": float,
     "iterations": int,
     "rms_rad": float,
     "second_rms_rad": float,  # of the second test, predicted; nan without one
@@ -132,7 +132,7 @@ def _columns(estimate: Estimate) -> Row:
         low, high = estimate.ci95.get(name, (math.nan, math.nan))
         row |= {f"se_{name}": error, f"low_{name}": low, f"high_{name}": high}
     return row | {
-        "segments": estimate.segments,
+        "repeated": estimate.repeated,
         "iterations": estimate.iterations,
         "rms_rad": float(estimate.rms_rad),
         "verdict": estimate.verdict,
@@ -144,7 +144,7 @@ def _no_estimate(reason: str) -> Row:
     kinds = ("", "se_", "low_", "high_")
     row: Row = {f"{kind}{name}": math.nan for kind in kinds for name in PARAMETERS}
     return row | {
-        "segments": 0,
+        "repeated": math.nan,
         "iterations": 0,
         "rms_rad": math.nan,
         "second_rms_rad": math.nan,

@@ -36,7 +36,9 @@ class Estimate:
     rows            first and last row used
     iterates        (n, 3): tau_s, K_rad_s_V, fc_V at each iteration, for a convergence figure
     residual_rad, residual_t_s  series of the residual, and its times
-    segments        stretches of the record that have an initial state of their own
+    repeated        share of the residual's power that comes again in each cycle, 0 to 1
+    wander          (memory s, size): noise that wanders beside the white one, and its standard deviation over that of
+                    the white one; None if there is none
     """
 
     method: str
@@ -58,14 +60,16 @@ class Estimate:
     iterates: Array = field(default_factory=lambda: np.empty((0, 3)))
     residual_rad: Array = field(default_factory=lambda: np.empty(0))
     residual_t_s: Array = field(default_factory=lambda: np.empty(0))
-    segments: int = 1
+    repeated: float = 0.0
+    wander: tuple[float, float] | None = None
 
     @property
     def correlation(self) -> Array:
         """(5, 5) correlation of ``PARAMETERS``; nan where a parameter was not estimated."""
         spread = np.sqrt(np.diag(self.covariance))
         outer = np.outer(spread, spread)
-        return np.asarray(np.divide(self.covariance, outer, out=np.full((5, 5), np.nan), where=outer > 0.0))
+        known = np.isfinite(outer) & (outer > 0.0)
+        return np.asarray(np.divide(self.covariance, outer, out=np.full((5, 5), np.nan), where=known))
 
     @property
     def is_motor(self) -> bool:
@@ -92,7 +96,13 @@ class Estimate:
             **{name: _number(getattr(self, name)) for name in scalars},
             "ci95": {name: [_number(low), _number(high)] for name, (low, high) in self.ci95.items()},
             "covariance": [[_number(value) for value in row] for row in self.covariance.tolist()],
+            "correlation": [[_number(value) for value in row] for row in self.correlation.tolist()],
             "rms_rad": _number(self.rms_rad),
+            "residual": {
+                "repeated": _number(self.repeated),
+                "wander_memory_s": None if self.wander is None else _number(self.wander[0]),
+                "wander_over_white": None if self.wander is None else _number(self.wander[1]),
+            },
             "iterations": self.iterations,
             "verdict": self.verdict,
             "reasons": list(self.reasons),

@@ -93,9 +93,7 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
             found.relays.append(_relay(record.name, cycle))
             found.notes += [f"{record.name}: {note}" for note in cycle.notes]
     found.hysteretic = [least_squares.Transient.of(record).as_dict() for record in hysteretic]
-    if not records:  # from its first drive to its first switching is a quarter of a hysteretic relay's period
-        records = hysteretic
-        blocks = [4.0 * run["switched_s"] for run in found.hysteretic if run["switched_s"] is not None]
+    records = records or hysteretic
     if not records:
         raise IdentifyError("no hysteretic run got as far as its first drive", "run the experiment again")
     for method in METHODS:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,18 +18,19 @@ from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
 from rig.identify.estimate import PARAMETERS, Estimate
+from rig.identify.noise import WHITE, Noise, noise_of
 from rig.identify.record import IdentifyError, Record
 from rig.model.sensitivity import Drive, Theta, position, position_and_jacobian
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
 
 METHOD = "sampled-data"
 SHARED = 5  # tau, K, fc, asym, delay: what all records have in common
 POLISHED = 3  # starts that are iterated
-FIRST_BLOCKS = 2.5  # length of the part of the record on which they compete, in cycles
+FIRST_CYCLES = 2.5  # length of the part of the record on which they compete, in cycles
 MAX_ITERATIONS = 100
-FEWEST_CLUSTERS = 8  # pieces from which on the scatter between them shows the error
-MOST_SEGMENTS = 24  # initial states for one record
+NOISE_ROUNDS = 3  # times that the noise is estimated from the residual, and the fit repeated
 EXACT = 1e-7  # residual over the spread of positions that is rounding
 LARGEST_LOG_K = 40.0  # keeps exp(log K) finite
 SINGULAR = 1e10  # condition of the scaled Jacobian beyond which parameters cannot be told apart
@@ -72,22 +72,11 @@ class Piece:
         )
 
     def until(self, length_s: float) -> Piece:
-        """The first part of it, of this length, s, and of 20 samples at least."""
-        stop = max(20, int(np.searchsorted(self.t_s, self.t_s[0] + length_s)))
+        """The first part of it, of this length, s, and of 60 samples at least."""
+        stop = max(60, int(np.searchsorted(self.t_s, self.t_s[0] + length_s, side="right")))
         if stop >= self.t_s.size:
             return self
         return replace(self, t_s=self.t_s[:stop], y_rad=self.y_rad[:stop], rows=(self.rows[0], self.rows[0] + stop - 1))
-
-    def split(self, length_s: float) -> list[Piece]:
-        """Consecutive parts of about this length, each to get an initial state of its own."""
-        count = min(MOST_SEGMENTS, round(float(self.t_s[-1] - self.t_s[0]) / length_s))
-        if count < 2 or self.t_s.size < 20 * count:
-            return [self]
-        cuts = np.linspace(0, self.t_s.size, count + 1).astype(int).tolist()
-        return [
-            Piece(self.t_s[a:b], self.y_rad[a:b], self.drive, self.period_s, (self.rows[0] + a, self.rows[0] + b - 1))
-            for a, b in pairwise(cuts)
-        ]
 
 
 @dataclass(frozen=True)
@@ -95,12 +84,13 @@ class Problem:
     """Least squares over pieces with tau, K, fc, asym and delay in common, and a v0 and y0 for each piece.
 
     Internally tau and K are logarithms. ``free`` says which of the shared five are fitted; the others keep the value of
-    the start.
+    the start. ``noise`` is that of the residual, whose whitened squares are minimised.
     """
 
     pieces: tuple[Piece, ...]
     delay_bounds_s: tuple[float, float]
     free: tuple[bool, bool, bool, bool, bool]
+    noise: Noise = WHITE
 
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of the full vector."""
@@ -111,6 +101,15 @@ class Problem:
         high = [math.log(10.0 * duration), LARGEST_LOG_K, largest, largest, self.delay_bounds_s[1]]
         nuisance = 2 * len(self.pieces)
         return np.array(low + [-math.inf] * nuisance), np.array(high + [math.inf] * nuisance)
+
+    def lengths(self) -> list[int]:
+        """Number of rows of each piece."""
+        return [piece.t_s.size for piece in self.pieces]
+
+    def whiten(self, rows: Array) -> Array:
+        """Rows of all pieces, filtered so that the noise on them is white."""
+        t_s = np.concatenate([piece.t_s for piece in self.pieces])
+        return self.noise.whiten(rows, t_s, self.lengths())
 
     def mask(self) -> NDArray[np.bool_]:
         """Which entries of the full vector are fitted."""
@@ -147,7 +146,7 @@ class Problem:
                 cached.clear()
                 full[mask] = part
                 values, derivatives = self.residual_and_jacobian(full)
-                cached[key] = values, derivatives[:, mask]
+                cached[key] = self.whiten(values), self.whiten(derivatives[:, mask])
             return cached[key]
 
         def jacobian(part: Array) -> Array:
@@ -195,17 +194,16 @@ def fit(
     starts: Sequence[Start] | None = None,
     *,
     free_delay: bool | None = None,
-    block_s: float | None = None,
+    periods_s: Sequence[float | None] | None = None,
 ) -> Estimate:
     """Fit one motor to all records.
 
-    Position integrates whatever disturbs the motor, or the times of its drive, so that one initial state cannot hold
-    for long: where the residual is correlated, every ``block_s`` gets an initial state of its own.
+    The noise is first taken for white; where the residual wanders, it is fitted again by the noise found in it.
 
     records     each with its own initial state
     starts      first guesses; default: a coarse grid scored by simulation
     free_delay  fit a constant delay between 0 and 2 periods; default: only where a record has no t_u_s
-    block_s     time over which residuals may be correlated, s (a cycle's period); default: a tenth of the longest one
+    periods_s   for each record the period of its limit cycle, s, or None where it has none; default: none have
     Returns an ``Estimate`` with verdict "ok" unless the fit itself failed; judging it is `verdict.py`'s part.
     Raises IdentifyError if there is nothing to fit.
     """
@@ -223,17 +221,19 @@ def fit(
     guesses = list(starts) if starts else grid_starts(pieces)
     candidates = sorted((_score(pieces, guess, 0.5 * (bounds[0] + bounds[1])) for guess in guesses), key=lambda c: c[0])
     durations = [float(piece.t_s[-1] - piece.t_s[0]) for piece in pieces]
-    block = block_s or 0.1 * max(durations)
-    best = _extended(problem, [x0 for _, x0 in candidates], FIRST_BLOCKS * block, max(durations))
-    rows = max(2, round(block / period))
-    if _disturbed(best, pieces, rows):
-        parts = tuple(part for piece in pieces for part in piece.split(block))
-        if len(parts) > len(pieces):
-            problem = replace(problem, pieces=parts)
-            states = [value for part in parts for value in _initial_state(part)]
-            again = problem.solve(np.concatenate((best.x[:SHARED], states)))
-            best = replace(again, iterates=np.concatenate((best.iterates, again.iterates)))
-    return _estimate(problem, best, records, rows)
+    periods = list(periods_s or [None] * len(pieces))
+    first_s = FIRST_CYCLES * max((period for period in periods if period is not None), default=0.1 * max(durations))
+    best = _extended(problem, [x0 for _, x0 in candidates], first_s, max(durations))
+    for _ in range(NOISE_ROUNDS):
+        if _exact(best, pieces):
+            break
+        noise = noise_of(best.residual, np.concatenate([piece.t_s for piece in pieces]), problem.lengths())
+        if noise.white:
+            break
+        problem = replace(problem, noise=noise)
+        again = problem.solve(best.x)
+        best = replace(again, iterates=np.concatenate((best.iterates, again.iterates)))
+    return _estimate(problem, best, records, periods)
 
 
 def _extended(problem: Problem, candidates: Sequence[Array], first_s: float, last_s: float) -> Solution:
@@ -244,7 +244,7 @@ def _extended(problem: Problem, candidates: Sequence[Array], first_s: float, las
     """
     horizon_s = first_s
     best: Solution | None = None
-    while best is None or horizon_s < 2.0 * last_s:
+    while True:
         part = replace(problem, pieces=tuple(piece.until(horizon_s) for piece in problem.pieces))
         x0s = candidates[:POLISHED] if best is None else [best.x]
         solutions = [part.solve(x0) for x0 in x0s]
@@ -252,16 +252,15 @@ def _extended(problem: Problem, candidates: Sequence[Array], first_s: float, las
         if best is not None:
             found = replace(found, iterates=np.concatenate((best.iterates, found.iterates)))
         best = found
-        horizon_s *= 2.0
-    return best
+        if horizon_s >= last_s:
+            return best
+        horizon_s = min(2.0 * horizon_s, last_s + problem.pieces[0].period_s)
 
 
-def _disturbed(solution: Solution, pieces: Sequence[Piece], block: int) -> bool:
-    """Whether the residual is more than white noise: the position integrates every disturbance and timing error."""
+def _exact(solution: Solution, pieces: Sequence[Piece]) -> bool:
+    """Whether what is left is rounding."""
     spread = float(np.std(np.concatenate([piece.y_rad - piece.y_rad.mean() for piece in pieces])))
-    if math.sqrt(solution.cost / solution.residual.size) < EXACT * spread:
-        return False
-    return correlated(solution.residual, [piece.t_s.size for piece in pieces], block)
+    return math.sqrt(solution.cost / solution.residual.size) < EXACT * spread
 
 
 def refit(
@@ -354,14 +353,19 @@ def _without_line(t_s: Array, y: Array) -> Array:
     return np.asarray(y - y.mean() - x * (x @ y) / (x @ x))
 
 
-def _estimate(problem: Problem, best: Solution, records: Sequence[Record], block: int) -> Estimate:
+def _estimate(
+    problem: Problem, best: Solution, records: Sequence[Record], periods_s: Sequence[float | None]
+) -> Estimate:
     mask = problem.mask()
     scale = np.ones(mask.size)
     tau, K = math.exp(best.x[0]), math.exp(best.x[1])
     scale[:2] = tau, K
-    jacobian = best.jacobian[:, mask] / scale[mask]
-    lengths = [piece.t_s.size for piece in problem.pieces]
-    covariance, freedom = covariance_of(jacobian, best.residual, lengths, block)
+    jacobian = problem.whiten(best.jacobian[:, mask] / scale[mask])
+    residual = problem.whiten(best.residual)
+    covariance, freedom = covariance_of(jacobian, residual)
+    pairs = repetitions(problem.pieces, periods_s)
+    share = repeated_share(residual, pairs)
+    covariance = with_repetition(covariance, jacobian, pairs, share)
     full = np.zeros((mask.size, mask.size))
     full[np.ix_(mask, mask)] = covariance
     shared = full[:SHARED, :SHARED]
@@ -387,72 +391,70 @@ def _estimate(problem: Problem, best: Solution, records: Sequence[Record], block
         iterates=best.iterates,
         residual_rad=-best.residual,
         residual_t_s=np.concatenate([piece.t_s for piece in problem.pieces]),
-        segments=len(problem.pieces),
+        repeated=share,
+        wander=None if problem.noise.white else (problem.noise.memory_s, math.sqrt(problem.noise.ratio)),
     )
     if not best.converged:
         return estimate.judged("refused", "the fit did not converge: record more cycles, or with less noise")
     return estimate
 
 
-def covariance_of(jacobian: Array, residual: Array, lengths: Sequence[int], block: int) -> tuple[Array, float]:
-    """Covariance of a least-squares solution, and the degrees of freedom behind it.
+def covariance_of(jacobian: Array, residual: Array) -> tuple[Array, float]:
+    """Covariance of a least-squares solution, (J^T J)^-1 s^2, and the degrees of freedom behind it.
 
-    jacobian, residual  of all pieces, one after the other, ``lengths`` rows each
-    block               rows over which residuals may be correlated
-
-    (J^T J)^-1 s^2 for white residuals. Where the autocorrelation over a block says otherwise, each standard error
-    grows, and never shrinks, by what the scores say: summed over each piece where there are many, else
-    Bartlett-weighted (Newey-West). Infinite where parameters cannot be told apart.
+    jacobian, residual  (n, p) and (n,), whitened. Infinite where parameters cannot be told apart.
     """
     n, p = jacobian.shape
     columns = np.linalg.norm(jacobian, axis=0)
     columns[columns == 0.0] = 1.0
-    q, r = np.linalg.qr(jacobian / columns)
+    r = np.linalg.qr(jacobian / columns, mode="r")
     freedom = max(1, n - p)
     if np.linalg.cond(r) > SINGULAR:
         return np.full((p, p), np.inf), float(freedom)
     inverse = np.linalg.inv(r) / columns[:, None]
-    variance = float(residual @ residual) / freedom
-    white = inverse @ inverse.T * variance
-    if variance == 0.0 or not correlated(residual, lengths, block):
-        return white, float(freedom)
-    scores = q * residual[:, None]
-    starts = np.concatenate(([0], np.cumsum(lengths)[:-1]))
-    if len(lengths) >= FEWEST_CLUSTERS:
-        sums = np.add.reduceat(scores, starts)
-        middle = sums.T @ sums * len(lengths) / (len(lengths) - 1)
-        groups = len(lengths)
-    else:
-        middle = scores.T @ scores
-        for start, length in zip(starts, lengths, strict=True):
-            part = scores[start : start + length]
-            for lag in range(1, min(block, length - 1)):
-                cross = part[lag:].T @ part[:-lag]
-                middle += (1.0 - lag / block) * (cross + cross.T)
-        groups = n // block
-    robust = inverse @ middle @ inverse.T
-    grow = np.sqrt(
-        np.maximum(1.0, np.divide(np.diag(robust), np.diag(white), out=np.ones(p), where=np.diag(white) > 0))
+    return inverse @ inverse.T * (float(residual @ residual) / freedom), float(freedom)
+
+
+def repetitions(pieces: Sequence[Piece], periods_s: Sequence[float | None]) -> list[tuple[Rows, Rows]]:
+    """Pairs of rows one, two, ... whole cycles apart, as far as the pieces go; none where there is no cycle."""
+    pairs = []
+    at = 0
+    for piece, period in zip(pieces, periods_s, strict=True):
+        n = piece.t_s.size
+        lag = 0.0 if period is None else period
+        count = int((piece.t_s[-1] - piece.t_s[0]) / lag) if lag > 2.0 * piece.period_s else 0
+        for cycles in range(1, count + 1):
+            later = np.searchsorted(piece.t_s, piece.t_s + cycles * lag - 0.5 * piece.period_s)
+            first = np.flatnonzero(later < n)
+            pairs.append((at + first, at + later[first]))
+        at += n
+    return pairs
+
+
+def repeated_share(residual: Array, pairs: Sequence[tuple[Rows, Rows]]) -> float:
+    """Share of a residual's power that comes again in each cycle, 0 to 1; 0 where chance explains it.
+
+    What repeats does not average out over the cycles: the steps of a coarse sensor, or what the model leaves out.
+    """
+    power = float(residual @ residual) / residual.size
+    count = sum(first.size for first, _ in pairs)
+    if power == 0.0 or count == 0:
+        return 0.0
+    share = sum(float(residual[first] @ residual[later]) for first, later in pairs) / (count * power)
+    return min(1.0, max(0.0, share))
+
+
+def with_repetition(covariance: Array, jacobian: Array, pairs: Sequence[tuple[Rows, Rows]], share: float) -> Array:
+    """The covariance of a fit of which ``share`` of the residual's power repeats in each cycle.
+
+    jacobian   (n, p), whitened. Standard errors grow, correlations stay.
+    """
+    if share == 0.0 or not np.all(np.isfinite(covariance)):
+        return covariance
+    influence = covariance @ jacobian.T  # (p, n), up to the variance of the residual
+    own = np.sum(influence * influence, axis=1)
+    again = sum(
+        (2.0 * np.sum(influence[:, first] * influence[:, later], axis=1) for first, later in pairs), np.zeros_like(own)
     )
-    return white * np.outer(grow, grow), float(max(3, min(freedom, groups - 1)))
-
-
-def correlated(residual: Array, lengths: Sequence[int], block: int) -> bool:
-    """Whether residuals are far from white: the Ljung-Box sum over ``block`` lags (at most 20), at 0.1 %."""
-    n = residual.size
-    lags = max(1, min(block, 20, min(lengths) - 1))
-    power = float(residual @ residual)
-    if power == 0.0:
-        return False
-    total = 0.0
-    for lag in range(1, lags + 1):
-        at, product = 0, 0.0
-        for length in lengths:
-            part = residual[at : at + length]
-            product += float(part[lag:] @ part[:-lag])
-            at += length
-        total += (product / power) ** 2 / (n - lag)
-    statistic = n * (n + 2) * total
-    # Wilson and Hilferty: the cube root of chi-squared over its degrees is nearly normal.
-    normal = ((statistic / lags) ** (1 / 3) - (1 - 2 / (9 * lags))) / math.sqrt(2 / (9 * lags))
-    return bool(normal > 3.09)
+    grow = np.sqrt(np.maximum(1.0, 1.0 + share * again / np.where(own > 0.0, own, 1.0)))
+    return np.asarray(covariance * np.outer(grow, grow))

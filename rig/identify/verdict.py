@@ -15,8 +15,11 @@ from rig.identify.record import IdentifyError, Record
 from rig.model.motor import State
 from rig.model.sensitivity import Theta
 
-WIDE, TOO_WIDE = 0.1, 0.5  # half width of an interval, relative to its parameter
-NOISY, TOO_NOISY = 2.0, 8.0  # residual over the sensor's noise
+PROMISE = 0.05  # ok means that every parameter is at most this far off,
+SURE = 1.75  # which 95 % intervals this many times narrower promise but for one record in two thousand
+TOO_WIDE = 0.5  # half width of an interval, relative to its parameter
+NOISY, TOO_NOISY = 4.0, 8.0  # residual over the sensor's noise
+REPEATED = 0.3  # share of the residual's power that comes again in each cycle
 NEGLIGIBLE = 0.003  # residual over the spread of positions, below which it is no objection
 POOR, TOO_POOR = 0.1, 0.4  # residual of a reference method over the spread of positions
 SLIPPED = 0.3  # of a period, by which the drive seems to act beside its recorded times
@@ -117,11 +120,11 @@ def _intervals(estimate: Estimate, records: Sequence[Record]) -> Estimate:
                 "refused",
                 f"the record cannot tell {name} from the others: record a drive that moves the motor both ways",
             )
-        if share > WIDE:
-            cure = "record more cycles, or slower and larger ones"
+        if SURE * share > PROMISE:
             estimate = estimate.judged(
                 "refused" if share > TOO_WIDE else "doubtful",
-                f"{name} is only known to {100 * share:.0f} % (95 % interval): {cure}",
+                f"{name} is only known to {100 * share:.2g} % (95 % interval), too little to promise "
+                f"{100 * PROMISE:.0f} %: record more cycles, or slower and larger ones",
             )
     return estimate
 
@@ -155,6 +158,13 @@ def _residual(estimate: Estimate, records: Sequence[Record]) -> Estimate:
             f"the model leaves {100 * share:.0f} % of the position unexplained: check that u and y belong together, "
             "their signs and units",
         )
+    if share > NEGLIGIBLE and estimate.repeated > REPEATED:
+        estimate = estimate.judged(
+            "doubtful",
+            f"{100 * estimate.repeated:.0f} % of the residual ({1e3 * estimate.rms_rad:.2g} mrad) comes again in each "
+            "cycle: the motor is not tau, K and Coulomb friction alone (Stribeck effect, backlash, stops?), or its "
+            "sensor is too coarse for this amplitude",
+        )
     if share > NEGLIGIBLE and estimate.rms_rad > NOISY * noise:
         ratio = estimate.rms_rad / noise if noise > 0.0 else math.inf
         return estimate.judged(
@@ -179,7 +189,8 @@ def _row_convention(estimate: Estimate, records: Sequence[Record]) -> Estimate:
     period = max(record.period_s for record in records)
     reach = 2.5 * period
     theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, 0.0)
-    moved = sampled_data.refit(records, theta, PARAMETERS, (-reach, reach))
+    tried = (theta._replace(delay_s=rows * period) for rows in (-1.0, 0.0, 1.0))
+    moved = min((sampled_data.refit(records, start, PARAMETERS, (-reach, reach)) for start in tried), key=_cost)
     slip = float(moved.x[4])
     gain = estimate.rms_rad**2 * moved.residual.size / moved.cost if moved.cost > 0.0 else math.inf
     if abs(slip) > SLIPPED * period and gain > 1.02:
@@ -190,6 +201,10 @@ def _row_convention(estimate: Estimate, records: Sequence[Record]) -> Estimate:
             "row (y_k, then u_k, which acts from t_u_s of row k)",
         )
     return estimate
+
+
+def _cost(solution: sampled_data.Solution) -> float:
+    return solution.cost
 
 
 def _sticking(estimate: Estimate, records: Sequence[Record]) -> Estimate:

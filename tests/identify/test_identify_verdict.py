@@ -20,14 +20,14 @@ NOISY = {"noise_rad": 0.003, "lsb_rad": LSB_RAD}
 
 
 def judged(*records: Record) -> Estimate:
-    cycles = []
+    cycles, periods_s = [], []
     for one in records:
         try:
             cycles.append(find_cycle(one))
+            periods_s.append(cycles[-1].period_s)
         except IdentifyError:
-            continue
-    block = cycles[0].period_s if cycles else None
-    return verdict.judge_sampled_data(sampled_data.fit(records, block_s=block), records, cycles)
+            periods_s.append(None)
+    return verdict.judge_sampled_data(sampled_data.fit(records, periods_s=periods_s), records, cycles)
 
 
 def relay(

@@ -1,0 +1,72 @@
+"""Prediction of noise that is partly white and partly wanders (see ``rig.identify.noise``), sample by sample."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+@njit(cache=True)
+def innovations(t_s: Array, starts: Rows, memory_s: float, ratio: float, columns: Array, out: Array) -> float:
+    """Fill ``out`` (n, p) with the innovations of ``columns`` in units of the white part; returns sum of log F.
+
+    starts   first rows of the pieces, each with a wander of its own
+    F is the variance of each innovation over that of the white part: those of ``out`` all have the same variance.
+    """
+    n, p = columns.shape
+    state = np.zeros(p)
+    variance = ratio
+    logs = 0.0
+    piece = 0
+    for k in range(n):
+        if piece < starts.size and k == starts[piece]:
+            state[:] = 0.0
+            variance = ratio
+            piece += 1
+        else:
+            keep = math.exp(-(t_s[k] - t_s[k - 1]) / memory_s)
+            for c in range(p):
+                state[c] *= keep
+            variance = ratio + (variance - ratio) * keep * keep
+        spread = variance + 1.0
+        gain = variance / spread
+        scale = 1.0 / math.sqrt(spread)
+        logs += math.log(spread)
+        for c in range(p):
+            surprise = columns[k, c] - state[c]
+            out[k, c] = surprise * scale
+            state[c] += gain * surprise
+        variance *= 1.0 - gain
+    return logs
+
+
+@njit(cache=True)
+def deviance(t_s: Array, starts: Rows, memory_s: float, ratio: float, residual: Array) -> float:
+    """-2 log likelihood of the residual (n,), its scale profiled out, up to a constant."""
+    n = residual.size
+    total = logs = state = 0.0
+    variance = ratio
+    piece = 0
+    for k in range(n):
+        if piece < starts.size and k == starts[piece]:
+            state = 0.0
+            variance = ratio
+            piece += 1
+        else:
+            keep = math.exp(-(t_s[k] - t_s[k - 1]) / memory_s)
+            state *= keep
+            variance = ratio + (variance - ratio) * keep * keep
+        spread = variance + 1.0
+        surprise = residual[k] - state
+        total += surprise * surprise / spread
+        logs += math.log(spread)
+        gain = variance / spread
+        state += gain * surprise
+        variance *= 1.0 - gain
+    return n * math.log(total / n) + logs
