@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from synthetic import Bench, dcr, motor, record, simulate
 
-from rig.identify.cycles import find_cycle, relay_gains
+from rig.identify.cycles import Bins, Cycle, average, equivalent_edge, find_cycle, relay_gains
 from rig.identify.record import IdentifyError, Record
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import limit_cycle
@@ -123,17 +125,96 @@ def test_an_offset_of_position_does_not_reach_the_average():
     assert other.t1_s == pytest.approx(one.t1_s)
 
 
-def test_chatter_at_the_rb_edge_is_merged_into_one_edge_of_the_same_area():
+def edges_of(u_V: np.ndarray, before, after) -> np.ndarray:
+    """Rows at which the drive steps from a level to another, with room on both sides."""
+    rows = np.flatnonzero(before(u_V[:-1]) & after(u_V[1:])) + 1
+    return rows[(rows > 30) & (rows < u_V.size - 30)]
+
+
+def chattering(base: Record, rows: np.ndarray, reach: int, rng: np.random.Generator) -> Record:
+    """The record with a chatter of the same area within ``reach`` rows of each of these edges.
+
+    As many rows before the edge are switched early as rows after it are switched late.
+    """
+    u = base.u_V.copy()
+    for k in rows.tolist():
+        count = int(rng.integers(1, reach))
+        early, late = k - 1 - rng.permutation(reach)[:count], k + rng.permutation(reach)[:count]
+        u[early], u[late] = base.u_V[k], base.u_V[k - 1]
+    return redriven(base, u)
+
+
+def shape(cycle: Cycle) -> tuple[float, ...]:
+    return cycle.period_s, cycle.t1_s + cycle.t2_s, cycle.t3_s
+
+
+@pytest.mark.parametrize("relay", ["RB", "RC", "both"])
+@pytest.mark.parametrize(("period_s", "reach"), [(0.01, 2), (0.0002, 20)])
+def test_chatter_is_merged_into_one_edge_of_the_same_area(relay, period_s, reach):
+    base = relay_record(rows=round(9.0 / period_s), period_s=period_s, delay_s=0.3 * period_s)
+    clean = find_cycle(base)
+    rb = edges_of(base.u_V, lambda u: np.abs(u) > 1.0, lambda u: np.abs(u) < 1.0)
+    rc = edges_of(base.u_V, lambda u: np.abs(u) < 1.0, lambda u: np.abs(u) > 1.0)
+    rows = {"RB": rb, "RC": rc, "both": np.concatenate([rb, rc])}[relay]
+    found = find_cycle(chattering(base, rows, reach, np.random.default_rng(3)))
+    assert found.cycles == clean.cycles
+    assert shape(found) == pytest.approx(shape(clean), abs=1e-9)
+    assert (found.h1_V, found.h2_V) == (clean.h1_V, clean.h2_V)
+
+
+def test_a_moment_of_the_opposite_level_is_no_cycle():
     base = relay_record(rows=900)
     clean = find_cycle(base)
     u = base.u_V.copy()
-    edges = np.flatnonzero((np.abs(u[1:]) < 1.0) & (np.abs(u[:-1]) > 1.0)) + 1
-    for k in edges[edges < u.size - 3]:
-        u[k], u[k - 1] = u[k - 1], u[k]  # on, off, on, off: one row early, one late
-    chattering = find_cycle(redriven(base, u))
-    assert chattering.cycles == clean.cycles
-    assert chattering.t1_s + chattering.t2_s == pytest.approx(clean.t1_s + clean.t2_s, abs=1e-9)
-    assert chattering.period_s == pytest.approx(clean.period_s)
+    edges = edges_of(u, lambda u: np.abs(u) < 1.0, lambda u: u > 1.0)
+    u[edges + 3] = -1.8
+    assert find_cycle(redriven(base, u)).cycles == clean.cycles
+
+
+def test_noise_makes_a_sampled_relay_chatter_and_cycles_are_counted_all_the_same():
+    fine = {"rows": 40_000, "period_s": 0.0002, "delay_s": 0.0001}
+    clean, noisy = relay_record(**fine), relay_record(noise_rad=0.003, **fine)
+    exact = limit_cycle(0.17, 6.5, 0.5, 0.8, 1.0)
+    assert np.count_nonzero(np.diff(noisy.u_V)) > 2 * np.count_nonzero(np.diff(clean.u_V))
+    one, other = find_cycle(clean), find_cycle(noisy)
+    assert abs(one.cycles - other.cycles) <= 1
+    assert shape(other) == pytest.approx(shape(one), rel=0.01)
+    assert other.period_s == pytest.approx(exact.period_s, rel=0.01)
+
+
+def test_the_averaged_relay_signal_has_the_mean_of_its_cycles_edges():
+    base = relay_record(rows=60_000, period_s=0.0002, delay_s=0.0001, noise_rad=0.003)
+    cycle = find_cycle(base)
+    begins = edges_of(base.u_V, lambda u: np.abs(u) < 1.0, lambda u: u > 1.0)
+    begins = begins[np.r_[True, np.diff(begins) > 1000]]  # RC does not chatter, RB does
+    begins = begins[(begins >= cycle.rows[0]) & (begins < cycle.rows[1] - 3100)]
+    length = round(cycle.period_s / 0.0002)
+    u, y = (np.mean([values[k : k + length] for k in begins], axis=0) for values in (base.u_V, base.y_rad))
+    assert np.unique(np.round(u, 6)).size > 8  # a staircase
+    t = 0.0002 * np.arange(5 * length)
+    found = find_cycle(Record(t, np.tile(y, 5), t + 0.0001, np.tile(u, 5)))
+    assert (found.h1_V, found.h2_V) == pytest.approx((0.8, 1.0), abs=0.01)
+    assert shape(found) == pytest.approx(shape(cycle), rel=0.005)
+
+
+@given(st.lists(st.tuples(st.floats(0.01, 1.0), st.floats(0.0, 1.0)), min_size=1, max_size=20), st.floats(-5.0, 5.0))
+def test_an_equivalent_edge_has_the_area_of_its_staircase(stairs, first):
+    lasting, done = (np.array(column) for column in zip(*stairs, strict=True))
+    begin = first + np.concatenate([[0.0], np.cumsum(lasting)[:-1]])
+    edge = equivalent_edge(begin, lasting, done)
+    assert first - 1e-9 <= edge <= first + lasting.sum() + 1e-9
+    assert first + lasting.sum() - edge == pytest.approx(lasting @ done)
+
+
+def test_means_without_one_cycle_are_those_of_the_others():
+    cycle = find_cycle(relay_record(rows=900, noise_rad=0.003))
+    bins = Bins.of(cycle.waves, cycle.period_sampling_s)
+    for k in (0, cycle.cycles - 1):
+        rest = average(cycle.waves[:k] + cycle.waves[k + 1 :], 0.8, 1.0, 0.01, 0.0, cycle.rows)
+        for one, other in zip(bins.halves(without=k), rest.halves, strict=True):
+            assert (one.inner_s, one.length_s) == pytest.approx((other.inner_s, other.length_s), abs=1e-12)
+            assert one.y_rad == pytest.approx(other.y_rad, abs=1e-12)
+            assert one.at_s == pytest.approx(other.at_s, abs=1e-12)
 
 
 def test_cycles_before_it_has_settled_are_left_out():
