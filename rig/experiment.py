@@ -44,7 +44,6 @@ FADE_S = 1.5  # of the tracking reference; errors count after it
 REST_S = 0.7
 RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
 HOMING_TIMEOUT_S = 40.0
-HOMING_LSB = 0.6  # the mean reading at rest that is zero: a step of the sensor may have its edge there
 START_REST_S = 0.5  # recorded before a hysteretic relay's first drive
 HYSTERETIC_SWITCHINGS = 6  # least squares takes the motion up to the first, the sampled-data estimator all of it
 HYSTERETIC_TIMEOUT_S = 10.0  # for each
@@ -242,12 +241,15 @@ def bring_home(session: Session) -> None:
     e, breakaway = session.experiment, session.breakaway
     if breakaway is None:
         raise ValueError("homing needs a breakaway check")
-    tolerance_rad = max(HOMING_LSB * calibration_of(e).lsb_rad, 0.8 * breakaway.noise_rad)
+    lsb_rad, noise_rad = calibration_of(e).lsb_rad, breakaway.noise_rad
+    # without noise a mean reading is no better than the sensor's steps, one of which may have its edge at zero
+    dithered = noise_rad > 0.4 * lsb_rad
+    tolerance_rad = max(0.3 * lsb_rad, 0.45 * noise_rad) if dithered else 0.6 * lsb_rad
     homing = Homing(
         breakaway.plus_V,
         breakaway.minus_V,
         e.drive.max_V,
-        breakaway.noise_rad,
+        noise_rad,
         tolerance_rad,
         e.period_s,
         HOMING_TIMEOUT_S,
