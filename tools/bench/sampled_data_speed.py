@@ -1,0 +1,101 @@
+"""One sampled-data fit of ten cycles, all starts included, against the same fit by `solve_ivp` and `least_squares`.
+
+The peer has the same record, starts and unknowns; it predicts with a solver that is restarted at every
+event, and has its Jacobian by differences. Both must come to the same motor.
+
+    python tools/bench/sampled_data_speed.py [--motors 40] [--peers 1] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+
+import numpy as np
+from scipy.optimize import least_squares
+from solver_peer import positions
+
+from rig.campaign.grid import draw, simulate
+from rig.config.campaign import Campaign
+from rig.identify import sampled_data
+from rig.identify.cycles import Cycle, find_cycle
+from rig.identify.record import Record
+
+STARTS = 3  # that are iterated, as our own fit does
+
+
+def record_of(campaign: Campaign, number: int) -> tuple[Record, Cycle, list[sampled_data.Start]]:
+    """One experiment of the grid as a plain CSV would hold it, its cycle, and the starts from it."""
+    test, rows = simulate(campaign, draw(campaign, number))
+    record = Record(test.t_s[rows], test.y_rad[rows], None, test.u_V[rows], name=f"experiment {number}")
+    cycle = find_cycle(record)
+    return record, cycle, sampled_data.ridge_starts(cycle.omega_rad_s, cycle.amplitude_rad, cycle.h1_V, cycle.h2_V)
+
+
+def peer(record: Record, starts: list[sampled_data.Start]) -> np.ndarray:
+    """tau, K, fc of the best of the starts, by the solver."""
+    longest = 2.0 * record.period_s
+    first = int(np.searchsorted(record.t_s, record.t_s[0] + longest))
+    t_s, y_rad = record.t_s[first:], record.y_rad[first:]
+    keep = np.concatenate(([True], np.diff(record.u_V) != 0.0))
+    edge_s, u_V = record.t_s[keep], record.u_V[keep]
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        return positions(np.array([np.exp(x[0]), np.exp(x[1]), *x[2:]]), edge_s, u_V, t_s) - y_rad
+
+    slope, offset = np.polyfit(t_s[:4] - t_s[0], y_rad[:4], 1)
+    guesses = [
+        np.array([np.log(s.tau_s), np.log(s.K_rad_s_V), s.fc_V, 0.0, 0.5 * longest, slope, offset]) for s in starts
+    ]
+    guesses.sort(key=lambda x: float(np.sum((residual(x) - residual(x).mean()) ** 2)))
+    largest = float(np.abs(u_V).max())
+    bounds = (
+        [np.log(1e-3), -40.0, 0.0, -largest, 0.0, -np.inf, -np.inf],
+        [np.log(1e2), 40.0, largest, largest, longest, np.inf, np.inf],
+    )
+    found = [least_squares(residual, x, bounds=bounds, x_scale="jac", max_nfev=100) for x in guesses[:STARTS]]
+    best = min(found, key=lambda f: f.cost).x
+    return np.array([np.exp(best[0]), np.exp(best[1]), best[2]])
+
+
+def main() -> int:
+    """Print the median time of a fit over many motors, and its ratio to the peer's on the first."""
+    parser = argparse.ArgumentParser(description="One sampled-data fit against solve_ivp and least_squares.")
+    parser.add_argument("--motors", type=int, default=40)
+    parser.add_argument("--peers", type=int, default=1, help="motors that the peer fits too (about a minute each)")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    campaign = Campaign(name="speed", experiments=arguments.motors)
+    cases = [record_of(campaign, number) for number in range(arguments.motors)]
+
+    def own(record: Record, cycle: Cycle, starts: list[sampled_data.Start]) -> tuple[float, np.ndarray]:
+        begin = time.perf_counter()
+        found = sampled_data.fit([record], starts, periods_s=[cycle.period_s])
+        return time.perf_counter() - begin, np.array([found.tau_s, found.K_rad_s_V, found.fc_V])
+
+    own(*cases[0])  # compiles
+    times = [own(*case)[0] for case in cases]
+    ratios, differences = [], []
+    for record, cycle, starts in cases[: arguments.peers]:
+        begin = time.perf_counter()
+        theirs = peer(record, starts)
+        peer_s = time.perf_counter() - begin
+        again = [own(record, cycle, starts) for _ in range(7)]
+        ratios.append(peer_s / float(np.median([seconds for seconds, _ in again])))
+        differences.append(float(np.abs(again[0][1] / theirs - 1.0).max()))
+    result = {
+        "motors": arguments.motors,
+        "rows_median": float(np.median([len(record) for record, _, _ in cases])),
+        "fit_median_ms": 1e3 * float(np.median(times)),
+        "fit_p95_ms": 1e3 * float(np.percentile(times, 95)),
+        "ratio": min(ratios),
+        "largest_relative_difference": max(differences),
+    }
+    print(json.dumps(result) if arguments.json else "\n".join(f"{k}: {v:.6g}" for k, v in result.items()))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
