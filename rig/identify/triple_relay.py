@@ -126,8 +126,19 @@ def solve(features: Features, h1_V: float, h2_V: float, starts: Sequence[Start])
     fits = []
     for start in starts:
         theta, iterates = _logarithmic(start), np.empty((MAX_ITERATIONS + 1, 3))
-        count, cost = compiled.solve_conditions(
-            theta, (h1_V, h2_V), features[:3], measured, weight, low, high, 1e-11, iterates
+        count, cost = compiled.solve(
+            theta,
+            np.ones(3, dtype=bool),
+            (h1_V, h2_V),
+            np.array(features[:3]),
+            (0, 0),
+            np.empty(0),
+            measured,
+            weight,
+            low,
+            high,
+            np.full(3, EXACT),
+            iterates,
         )
         if math.isfinite(cost):
             fits.append(Fit(_natural(theta), cost, _all_natural(iterates[:count]), count <= MAX_ITERATIONS))
@@ -167,6 +178,7 @@ def _descend(
     up, down = halves
     at_s = np.concatenate([up.at_s[::stride], down.at_s[::stride]])
     y_rad = np.concatenate([up.y_rad[::stride], down.y_rad[::stride]])
+    weight = np.ones(y_rad.size)
     counts = up.at_s[::stride].size, down.at_s[::stride].size
     edges = np.array([up.inner_s, up.length_s, down.inner_s, down.length_s])
     h2, amplitude, tick = cycle.h2_V, cycle.amplitude_rad, cycle.period_sampling_s
@@ -178,8 +190,8 @@ def _descend(
     fits = []
     for start in starts:
         x, iterates = start.copy(), np.empty((MAX_ITERATIONS + 1, 6))
-        count, cost = compiled.solve_curve(
-            x, free, (cycle.h1_V, h2), edges, counts, at_s, y_rad, low, high, smallest, iterates
+        count, cost = compiled.solve(
+            x, free, (cycle.h1_V, h2), edges, counts, at_s, y_rad, weight, low, high, smallest, iterates
         )
         if math.isfinite(cost):
             path = _all_natural(iterates[:count])

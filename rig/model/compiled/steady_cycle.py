@@ -309,129 +309,110 @@ def _damped_step(normal: Array, gradient: Array, damping: float, step: Array) ->
 
 
 @njit(cache=True)
-def solve_conditions(
+def _misfit(
     theta: Array,
     gains: tuple[float, float],
-    durations: tuple[float, float, float],
+    edges: Array,
+    halves: tuple[int, int],
+    t_s: Array,
     measured: Array,
     weight: Array,
-    low: Array,
-    high: Array,
-    tolerance: float,
-    iterates: Array,
-) -> tuple[int, float]:
-    """Damped Gauss-Newton on the five switching conditions; changes ``theta`` (3,).
+    residual: Array,
+    jacobian: Array,
+) -> float:
+    """Fill weighted residuals and their Jacobian: the curve's, or where there are no samples the five conditions'.
 
-    measured, weight   (5,): what the conditions have to be, and one over their size
-    low, high          (3,): where theta is looked for
-    iterates           (m, 3): filled with theta at each iteration, the start first
-    Returns the number of iterates and the sum of squares.
+    Returns the sum of squares.
     """
-    residual, jacobian = np.empty(5), np.empty((5, 3))
-    trial, trial_jacobian = np.empty(5), np.empty((5, 3))
-    normal, gradient, step = np.empty((3, 3)), np.empty(3), np.empty(3)
-    free = np.ones(3, dtype=np.bool_)
-    switching_conditions(theta, gains, durations, residual, jacobian)
-    cost = _weighted(residual, measured, weight, jacobian)
-    iterates[0] = theta
-    count, damping = 1, FIRST_DAMPING
-    while count < iterates.shape[0] and cost > 0.0:
-        _normal_equations(residual, jacobian, free, normal, gradient)
-        taken = False
-        while damping < LARGEST_DAMPING:
-            if _damped_step(normal, gradient, damping, step):
-                moved = theta + step
-                if np.all(moved > low) and np.all(moved < high):
-                    switching_conditions(moved, gains, durations, trial, trial_jacobian)
-                    new = _weighted(trial, measured, weight, trial_jacobian)
-                    if new <= cost:
-                        taken = True
-                        break
-            damping = max(10.0 * damping, 1e-10)
-        if not taken:
-            break
-        theta[:] = moved
-        residual[:] = trial
-        jacobian[:] = trial_jacobian
-        cost = new
-        iterates[count] = theta
-        count += 1
-        damping *= 0.1
-        if np.abs(step).max() < tolerance:
-            break
-    return count, cost
-
-
-@njit(cache=True)
-def _weighted(values: Array, measured: Array, weight: Array, jacobian: Array) -> float:
-    """Make residuals of values, and weight them and their Jacobian; their sum of squares."""
+    if t_s.size > 0:
+        curve(theta, gains, edges, halves, t_s, residual, jacobian)
+    else:
+        switching_conditions(theta, gains, (edges[0], edges[1], edges[2]), residual, jacobian)
     cost = 0.0
-    for k in range(values.size):
-        values[k] = weight[k] * (values[k] - measured[k])
-        jacobian[k] *= weight[k]
-        cost += values[k] * values[k]
+    for k in range(residual.size):
+        residual[k] = weight[k] * (residual[k] - measured[k])
+        for i in range(theta.size):
+            jacobian[k, i] *= weight[k]
+        cost += residual[k] * residual[k]
     return cost
 
 
 @njit(cache=True)
-def solve_curve(
+def _move(theta: Array, step: Array, low: Array, high: Array, walls: int, moved: Array) -> bool:
+    """Fill ``moved``; False where it is out of reach. From ``walls`` on, parameters stop at their bounds instead."""
+    for i in range(theta.size):
+        moved[i] = theta[i] + step[i]
+        if i >= walls:
+            moved[i] = min(max(moved[i], low[i]), high[i])
+        elif not low[i] < moved[i] < high[i]:
+            return False
+    return True
+
+
+@njit(cache=True)
+def solve(
     theta: Array,
     free: NDArray[np.bool_],
     gains: tuple[float, float],
     edges: Array,
     halves: tuple[int, int],
     t_s: Array,
-    y_rad: Array,
+    measured: Array,
+    weight: Array,
     low: Array,
     high: Array,
     tolerance: Array,
     iterates: Array,
 ) -> tuple[int, float]:
-    """Damped Gauss-Newton on the curve of a cycle; changes ``theta`` (6,) where ``free``.
+    """Damped Gauss-Newton; changes ``theta`` where ``free``.
 
-    low, high, tolerance   (6,): where theta is looked for, and steps that end the search. The delay goes up to its
-                           bounds and stays there; other parameters stay within theirs
-    iterates, result       as for ``solve_conditions``
+    theta             (6,) as for ``curve``, or (3,) as for ``switching_conditions``
+    edges             (4,) as for ``curve``, or (3,): the durations
+    halves, t_s       as for ``curve``; no samples for the five conditions
+    measured, weight  what the curve or the conditions have to be, and one over the size of an error
+    low, high         where theta is looked for. The delay goes up to its bounds and stays there
+    tolerance         steps that end the search
+    iterates          (m, 3) or (m, 6): filled with theta at each iteration, the start first
+    Returns the number of iterates and the sum of squares. The damping grows until a step lowers that, and falls after
+    one that does.
     """
-    n = t_s.size
-    residual, jacobian = np.empty(n), np.empty((n, 6))
-    trial, trial_jacobian = np.empty(n), np.empty((n, 6))
-    normal, gradient, step = np.empty((6, 6)), np.empty(6), np.empty(6)
-    moving = free.copy()
-    curve(theta, gains, edges, halves, t_s, residual, jacobian)
-    residual -= y_rad
-    cost = float(residual @ residual)
-    iterates[0] = theta
+    n, p = measured.size, theta.size
+    walls = 5
+    residual, jacobian = np.empty(n), np.empty((n, p))
+    trial, trial_jacobian = np.empty(n), np.empty((n, p))
+    normal, gradient, step, moved = np.empty((p, p)), np.empty(p), np.empty(p), np.empty(p)
+    moving = np.empty(p, dtype=np.bool_)
+    for i in range(p):
+        moving[i], iterates[0, i] = free[i], theta[i]
+    cost = _misfit(theta, gains, edges, halves, t_s, measured, weight, residual, jacobian)
     count, damping = 1, FIRST_DAMPING
     while count < iterates.shape[0] and cost > 0.0:
-        uphill = 0.0
-        for k in range(n):
-            uphill += jacobian[k, 5] * residual[k]
-        moving[5] = free[5] and not ((theta[5] <= low[5] and uphill > 0.0) or (theta[5] >= high[5] and uphill < 0.0))
+        for i in range(walls, p):
+            uphill = 0.0
+            for k in range(n):
+                uphill += jacobian[k, i] * residual[k]
+            outwards = (theta[i] <= low[i] and uphill > 0.0) or (theta[i] >= high[i] and uphill < 0.0)
+            moving[i] = free[i] and not outwards
         _normal_equations(residual, jacobian, moving, normal, gradient)
         taken = False
-        while damping < LARGEST_DAMPING:
-            if _damped_step(normal, gradient, damping, step):
-                moved = theta + step
-                moved[5] = min(max(moved[5], low[5]), high[5])
-                if np.all(moved[:5] > low[:5]) and np.all(moved[:5] < high[:5]):
-                    curve(moved, gains, edges, halves, t_s, trial, trial_jacobian)
-                    trial -= y_rad
-                    new = float(trial @ trial)
-                    if new <= cost:
-                        taken = True
-                        break
-            damping = max(10.0 * damping, 1e-10)
+        while not taken and damping < LARGEST_DAMPING:
+            if _damped_step(normal, gradient, damping, step) and _move(theta, step, low, high, walls, moved):
+                new = _misfit(moved, gains, edges, halves, t_s, measured, weight, trial, trial_jacobian)
+                taken = new <= cost
+            if not taken:
+                damping = max(10.0 * damping, 1e-10)
         if not taken:
             break
-        residual[:] = trial
-        jacobian[:] = trial_jacobian
+        arrived = True
+        for i in range(p):
+            arrived = arrived and abs(moved[i] - theta[i]) <= tolerance[i]
+            theta[i] = moved[i]
+            iterates[count, i] = moved[i]
+        residual, trial = trial, residual
+        jacobian, trial_jacobian = trial_jacobian, jacobian
         cost = new
-        small = np.all(np.abs(moved - theta) <= tolerance)
-        theta[:] = moved
-        iterates[count] = theta
         count += 1
         damping *= 0.1
-        if small:
+        if arrived:
             break
     return count, cost
