@@ -13,7 +13,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from rig.config.campaign import Campaign
 from rig.model.describing_function import predict
@@ -153,6 +152,8 @@ def recorded_rows(test: RelayTest, settling_cycles: int, cycles: int) -> slice:
 
 def autoregressive(white: Array, coefficient: float) -> Array:
     """Stationary x_k = c x_(k-1) + sqrt(1 - c^2) w_k of unit variance from unit white noise w, the first as it is."""
-    driven = math.sqrt(1.0 - coefficient**2) * white
-    driven[0] = white[0]
-    return np.asarray(lfilter([1.0], [1.0, -coefficient], driven))
+    share = math.sqrt(1.0 - coefficient**2)
+    values = white.tolist()
+    for k in range(1, len(values)):
+        values[k] = coefficient * values[k - 1] + share * values[k]
+    return np.array(values)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from rig.campaign import results, runner, summary
-from rig.campaign.report import write_report
 from rig.config import Campaign
 from rig.recording.folder import json_text
 
@@ -81,6 +80,8 @@ def run(
             },
             **summary.summarise(table),
         }
+        from rig.campaign.report import write_report  # matplotlib takes its time to load
+
         (folder / SUMMARY).write_text(json_text(found), encoding="utf-8")
         write_report(folder, campaign, table, found)
     return Session(folder, done, added, seconds, False, found)

@@ -1,0 +1,143 @@
+"""Sessions: the same rows whoever does them, in however many goes, whatever ended them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_campaign import small
+
+from rig.campaign import results, runner, session
+from rig.campaign.grid import CampaignError
+from rig.campaign.trial import COLUMNS, UNREPEATABLE, run_trial
+from rig.config import dump
+
+COUNT = 24
+EXPECTED = results.table_of([run_trial(small(), k) for k in range(COUNT)])
+
+
+def assert_rows(folder: Path, count: int = COUNT) -> None:
+    table = results.read(folder)
+    assert table["number"].tolist() == list(range(count))
+    for name in COLUMNS:
+        if name not in UNREPEATABLE:
+            np.testing.assert_array_equal(table[name], EXPECTED[name][:count], err_msg=name)
+
+
+def test_processes_give_the_rows_of_none(tmp_path):
+    told = []
+    done = session.run(small(COUNT), tmp_path, jobs=2, on_progress=lambda *count: told.append(count))
+    assert_rows(tmp_path)
+    assert (done.done, done.added, done.interrupted) == (COUNT, COUNT, False)
+    assert told[0] == (0, COUNT)
+    assert told[-1] == (COUNT, COUNT)
+    assert json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["number"] == COUNT
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "campaign.png", "config.yaml", "meta.json", "report.html", "results.csv", "summary.json",
+    }  # fmt: skip
+
+
+def test_what_is_there_is_not_done_again(tmp_path, monkeypatch):
+    session.run(small(10), tmp_path, jobs=1)
+    asked = []
+    stream = runner.stream_trials
+    monkeypatch.setattr(runner, "stream_trials", lambda c, numbers: asked.append(list(numbers)) or stream(c, numbers))
+    more = session.run(small(14), tmp_path, jobs=1)
+    again = session.run(small(14), tmp_path, jobs=1)
+    assert asked == [[10, 11, 12, 13]]
+    assert (more.added, again.added) == (4, 0)
+    assert again.summary["number"] == 14
+    assert_rows(tmp_path, 14)
+    assert session.run(small(5), tmp_path, jobs=1).summary["number"] == 5
+
+
+def test_ctrl_c_keeps_the_rows_so_far(tmp_path):
+    def interrupt(done: int, of: int) -> None:
+        if done:
+            raise KeyboardInterrupt
+
+    done = session.run(small(COUNT), tmp_path, jobs=1, on_progress=interrupt)
+    assert done.interrupted
+    assert done.done == done.added == runner.CHUNK
+    assert session.run(small(COUNT), tmp_path, jobs=1).added == COUNT - runner.CHUNK
+    assert_rows(tmp_path)
+
+
+def started(tmp_path: Path, *options: str) -> subprocess.Popen[str]:
+    """`rig campaign` in a process group of its own, once its first rows are there."""
+    config = tmp_path / "small.yaml"
+    config.write_text(dump(small(400)), encoding="utf-8")
+    command = [sys.executable, "-c", "from rig.__main__ import run; run()", "campaign", str(config)]
+    process = subprocess.Popen(
+        [*command, "--out", str(tmp_path), "--jobs", "2", *options],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    while len(rows_of(tmp_path)) < 9:
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.02)
+    return process
+
+
+def rows_of(tmp_path: Path) -> list[str]:
+    files = list(tmp_path.glob("campaign-*/results.csv"))
+    return files[0].read_text(encoding="utf-8").splitlines() if files else []
+
+
+def test_a_killed_campaign_goes_on_where_it_was_and_leaves_no_worker(tmp_path):
+    process = started(tmp_path)
+    process.kill()
+    process.communicate(timeout=60)  # the end of its output: no worker holds it any more
+    folder = results.folder_for(tmp_path, small(400))
+    killed = len(rows_of(tmp_path)) - 1
+    assert 8 <= killed < 400
+    path = folder / results.RESULTS
+    path.write_bytes(path.read_bytes()[:-25])  # and the disk tore its last line
+    count = killed + 3
+    done = session.run(small(count), folder, jobs=2)
+    assert done.added == 4
+    table = results.read(folder)
+    assert table["number"].tolist() == list(range(count)) or set(table["number"]) > set(range(count))
+    for name in COLUMNS:
+        if name not in UNREPEATABLE:
+            known = table["number"] < COUNT
+            np.testing.assert_array_equal(table[name][known], EXPECTED[name][table["number"][known]], err_msg=name)
+
+
+def test_ctrl_c_on_the_terminal_is_two_lines_that_say_how_to_go_on(tmp_path):
+    process = started(tmp_path)
+    os.killpg(process.pid, signal.SIGINT)
+    output, error = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert output == ""
+    lines = error.splitlines()
+    assert len(lines) == 2, error
+    assert f"interrupted: {len(rows_of(tmp_path)) - 1} of 400" in lines[0]
+    assert "goes on" in lines[1]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:distributed")
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_a_dask_cluster_gives_the_same_rows(tmp_path):
+    done = session.run(small(COUNT), tmp_path, jobs=2, backend="dask")
+    assert done.added == COUNT
+    assert_rows(tmp_path)
+
+
+def test_no_cluster_at_an_address_is_said(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "JOIN_S", 0.5)
+    with pytest.raises(CampaignError, match="no dask scheduler at tcp://127"):
+        session.run(small(1), tmp_path, jobs=1, backend="dask", scheduler="tcp://127.0.0.1:9")
+
+
+def test_a_defect_names_its_experiment(monkeypatch):
+    monkeypatch.setattr(runner, "run_trial", lambda campaign, number: 1 / 0)
+    with pytest.raises(ZeroDivisionError) as caught:
+        runner.run_trials(small(), [17], jobs=1)
+    assert "experiment 17 of campaign small" in caught.value.__notes__[0]
