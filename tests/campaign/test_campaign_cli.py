@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 from small_campaign import small
 
+from rig.campaign import report
 from rig.cli import main
 from rig.config import ConfigError, dump, load_campaign
 
@@ -18,6 +19,12 @@ READY = sorted((ROOT / "config").glob("campaign*.yaml"))
 
 def rig(*arguments: object) -> Result:
     return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+@pytest.fixture
+def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page takes a second to draw; it is tested elsewhere."""
+    monkeypatch.setattr(report, "write_report", lambda *_: None)
 
 
 @pytest.fixture
@@ -38,6 +45,7 @@ def test_json_is_one_object_and_pipes_see_no_progress(tmp_path, config):
     assert (Path(found["folder"]) / "report.html").is_file()
 
 
+@pytest.mark.usefixtures("no_report")
 def test_the_table_goes_to_stdout_and_nothing_to_stderr(tmp_path, config):
     result = rig("campaign", config, "--out", tmp_path, "--jobs", 1, "--number", 2)
     assert result.exit_code == 0, result.output
@@ -48,6 +56,7 @@ def test_the_table_goes_to_stdout_and_nothing_to_stderr(tmp_path, config):
     assert "done now" not in again.stdout
 
 
+@pytest.mark.usefixtures("no_report")
 def test_resuming_with_another_config_is_refused_in_two_lines(tmp_path, config):
     folder = tmp_path / "mine"
     folder.mkdir()

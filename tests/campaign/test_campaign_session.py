@@ -14,13 +14,19 @@ import numpy as np
 import pytest
 from small_campaign import small
 
-from rig.campaign import results, runner, session
+from rig.campaign import report, results, runner, session
 from rig.campaign.grid import CampaignError
 from rig.campaign.trial import COLUMNS, UNREPEATABLE, run_trial
 from rig.config import dump
 
 COUNT = 24
 EXPECTED = results.table_of([run_trial(small(), k) for k in range(COUNT)])
+
+
+@pytest.fixture
+def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page takes a second to draw; it is tested elsewhere."""
+    monkeypatch.setattr(report, "write_report", lambda *_: None)
 
 
 def assert_rows(folder: Path, count: int = COUNT) -> None:
@@ -44,6 +50,7 @@ def test_processes_give_the_rows_of_none(tmp_path):
     }  # fmt: skip
 
 
+@pytest.mark.usefixtures("no_report")
 def test_what_is_there_is_not_done_again(tmp_path, monkeypatch):
     session.run(small(10), tmp_path, jobs=1)
     asked = []
@@ -58,6 +65,7 @@ def test_what_is_there_is_not_done_again(tmp_path, monkeypatch):
     assert session.run(small(5), tmp_path, jobs=1).summary["number"] == 5
 
 
+@pytest.mark.usefixtures("no_report")
 def test_ctrl_c_keeps_the_rows_so_far(tmp_path):
     def interrupt(done: int, of: int) -> None:
         if done:
@@ -90,6 +98,7 @@ def rows_of(tmp_path: Path) -> list[str]:
     return files[0].read_text(encoding="utf-8").splitlines() if files else []
 
 
+@pytest.mark.usefixtures("no_report")
 def test_a_killed_campaign_goes_on_where_it_was_and_leaves_no_worker(tmp_path):
     process = started(tmp_path)
     process.kill()
@@ -122,6 +131,7 @@ def test_ctrl_c_on_the_terminal_is_two_lines_that_say_how_to_go_on(tmp_path):
     assert "goes on" in lines[1]
 
 
+@pytest.mark.usefixtures("no_report")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:distributed")
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_a_dask_cluster_gives_the_same_rows(tmp_path):
