@@ -280,7 +280,7 @@ def refit(
     tau, K, fc, asym, delay = (name in free for name in PARAMETERS)
     problem = Problem(pieces, reach, (tau, K, fc, asym, delay))
     shared = [math.log(theta.tau_s), math.log(theta.K_rad_s_V), theta.fc_V, theta.asym_V, theta.delay_s]
-    return problem.solve(np.array(shared + [value for piece in pieces for value in _initial_state(piece)]))
+    return problem.solve(np.array(shared + [value for piece in pieces for value in initial_state(piece)]))
 
 
 def ridge_starts(omega_rad_s: float, amplitude_rad: float, h1_V: float, h2_V: float) -> list[Start]:
@@ -309,7 +309,7 @@ def grid_starts(pieces: Sequence[Piece]) -> list[Start]:
     ]
 
 
-def _initial_state(piece: Piece) -> tuple[float, float]:
+def initial_state(piece: Piece) -> tuple[float, float]:
     """Velocity and position at the first sample, from a line through the first few."""
     n = 4
     slope, offset = np.polyfit(piece.t_s[:n] - piece.t_s[0], piece.y_rad[:n], 1)
@@ -319,7 +319,7 @@ def _initial_state(piece: Piece) -> tuple[float, float]:
 def _score(pieces: Sequence[Piece], start: Start, delay_s: float) -> tuple[float, Array]:
     """Sum of squares of a start after its linear part (gain, offset, drift) is solved, and the full vector it gives."""
     gain = start.K_rad_s_V
-    states = [_initial_state(piece) for piece in pieces]
+    states = [initial_state(piece) for piece in pieces]
     cost = math.inf
     asym = 0.0
     for _ in range(1 if math.isfinite(gain) else 3):
