@@ -195,7 +195,8 @@ def settled_cycle(
             continue
         if events[0].kind == "integral" and len(events) > 1:
             half = _half_period(tuple(events))
-            if last is not None and half.kinds == last.kinds and _change(half, last) <= tolerance:
+            slow = half.duration_s > CHATTER * motor.tau_eff_s
+            if last is not None and slow and half.kinds == last.kinds and _change(half, last) <= tolerance:
                 return half
             last = half
             number += 1
@@ -311,9 +312,9 @@ def _is_rest(piece: Piece) -> bool:
 def _zero(function: Callable[[float], float], a: float, b: float) -> float:
     """The zero of a monotone function between a and b, to rounding."""
     at_a = function(a)
-    if at_a == 0.0 or at_a * function(b) > 0.0:
+    if at_a == 0.0 or (at_a > 0.0) == (function(b) > 0.0):
         return a
-    return float(brentq(function, a, b, xtol=1e-300, rtol=1e-15))
+    return float(brentq(function, a, b, xtol=1e-17 * b, rtol=1e-15, maxiter=500))
 
 
 def _half_period(events: tuple[Event, ...]) -> HalfPeriod:
