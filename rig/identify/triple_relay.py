@@ -259,6 +259,10 @@ def fit(cycle: Cycle, start: Start | None = None) -> Estimate:
         rows=cycle.rows,
         iterates=found.iterates,
     )
+    if not found.converged:
+        estimate = estimate.judged(
+            "doubtful", f"it has not converged in {MAX_ITERATIONS} iterations: record more settled cycles"
+        )
     if covariance is None:
         return estimate.judged(
             "doubtful", "its interval could not be had from the cycles: record at least ten settled ones"
