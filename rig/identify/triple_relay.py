@@ -30,6 +30,7 @@ FARTHEST = 12.0  # of the logarithms of tau and K from the cycle's own
 LEAST_FRICTION = -0.1  # in units of h2: a motor without friction may seem to have a little less
 SAME = 1e-3  # relative difference in tau and K, and of fc to h2, of starts that lead to one solution
 EXACT, ROUGH = 1e-9, 1e-4  # last step in log tau, log K, and the others relative to their size
+FAR, NEAR = 1e-3, 1e-8  # first damping from a guess, and from a solution
 FEW_SAMPLES = 60  # of each half: enough to tell which start leads to the best solution
 LONGEST_DELAY = 2.0  # sampling periods, where t_u_s is not known
 
@@ -138,6 +139,7 @@ def solve(features: Features, h1_V: float, h2_V: float, starts: Sequence[Start])
             low,
             high,
             np.full(3, EXACT),
+            FAR,
             iterates,
         )
         if math.isfinite(cost):
@@ -156,10 +158,10 @@ def solve_cycle(cycle: Cycle, starts: Sequence[Start], halves: tuple[MeanHalf, M
     """
     halves = halves or cycle.halves
     few = max(1, *(half.at_s.size // FEW_SAMPLES for half in halves))
-    found = _descend(cycle, halves, [_full(start, cycle) for start in starts], few, ROUGH)
+    found = _descend(cycle, halves, [_full(start, cycle) for start in starts], few, ROUGH, FAR)
     rough = _best([fit for fit, _ in found], cycle.h2_V)
     arrived = next(x for fit, x in found if fit is rough)
-    fine = _best([fit for fit, _ in _descend(cycle, halves, [arrived], 1, EXACT)], cycle.h2_V)
+    fine = _best([fit for fit, _ in _descend(cycle, halves, [arrived], 1, EXACT, NEAR)], cycle.h2_V)
     return replace(fine, iterates=np.concatenate([rough.iterates, fine.iterates[1:]]))
 
 
@@ -170,7 +172,12 @@ def _full(start: Start, cycle: Cycle) -> Array:
 
 
 def _descend(
-    cycle: Cycle, halves: tuple[MeanHalf, MeanHalf], starts: Sequence[Array], stride: int, tolerance: float
+    cycle: Cycle,
+    halves: tuple[MeanHalf, MeanHalf],
+    starts: Sequence[Array],
+    stride: int,
+    tolerance: float,
+    damping: float,
 ) -> list[tuple[Fit, Array]]:
     """Solutions from each start, on every ``stride``-th sample; starts without a finite one are left out."""
     from rig.model.compiled import steady_cycle as compiled
@@ -191,7 +198,7 @@ def _descend(
     for start in starts:
         x, iterates = start.copy(), np.empty((MAX_ITERATIONS + 1, 6))
         count, cost = compiled.solve(
-            x, free, (cycle.h1_V, h2), edges, counts, at_s, y_rad, weight, low, high, smallest, iterates
+            x, free, (cycle.h1_V, h2), edges, counts, at_s, y_rad, weight, low, high, smallest, damping, iterates
         )
         if math.isfinite(cost):
             path = _all_natural(iterates[:count])

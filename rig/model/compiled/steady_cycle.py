@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e9
 
 
@@ -362,6 +361,7 @@ def solve(
     low: Array,
     high: Array,
     tolerance: Array,
+    damping: float,
     iterates: Array,
 ) -> tuple[int, float]:
     """Damped Gauss-Newton; changes ``theta`` where ``free``.
@@ -372,6 +372,7 @@ def solve(
     measured, weight  what the curve or the conditions have to be, and one over the size of an error
     low, high         where theta is looked for. The delay goes up to its bounds and stays there
     tolerance         steps that end the search
+    damping           of the first step
     iterates          (m, 3) or (m, 6): filled with theta at each iteration, the start first
     Returns the number of iterates and the sum of squares. The damping grows until a step lowers that, and falls after
     one that does.
@@ -385,7 +386,7 @@ def solve(
     for i in range(p):
         moving[i], iterates[0, i] = free[i], theta[i]
     cost = _misfit(theta, gains, edges, halves, t_s, measured, weight, residual, jacobian)
-    count, damping = 1, FIRST_DAMPING
+    count = 1
     while count < iterates.shape[0] and cost > 0.0:
         for i in range(walls, p):
             uphill = 0.0
