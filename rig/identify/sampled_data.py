@@ -245,16 +245,17 @@ def _extended(problem: Problem, candidates: Sequence[Array], first_s: float, las
     horizon_s = first_s
     best: Solution | None = None
     while True:
-        part = replace(problem, pieces=tuple(piece.until(horizon_s) for piece in problem.pieces))
+        whole = horizon_s >= last_s
+        pieces = problem.pieces if whole else tuple(piece.until(horizon_s) for piece in problem.pieces)
+        part = replace(problem, pieces=pieces)
         x0s = candidates[:POLISHED] if best is None else [best.x]
-        solutions = [part.solve(x0) for x0 in x0s]
-        found = min(solutions, key=lambda s: s.cost)
+        found = min((part.solve(x0) for x0 in x0s), key=lambda solution: solution.cost)
         if best is not None:
             found = replace(found, iterates=np.concatenate((best.iterates, found.iterates)))
+        if whole:
+            return found
         best = found
-        if horizon_s >= last_s:
-            return best
-        horizon_s = min(2.0 * horizon_s, last_s + problem.pieces[0].period_s)
+        horizon_s *= 2.0
 
 
 def _exact(solution: Solution, pieces: Sequence[Piece]) -> bool:
