@@ -16,7 +16,7 @@ from rig.model.motor import State
 from rig.model.sensitivity import Theta
 
 PROMISE = 0.05  # ok means that every parameter is at most this far off,
-SURE = 1.75  # which 95 % intervals this many times narrower promise but for one record in two thousand
+SURE = 2.0  # which 95 % intervals so many times narrower promise but for one record in ten thousand
 TOO_WIDE = 0.5  # half width of an interval, relative to its parameter
 NOISY, TOO_NOISY = 4.0, 8.0  # residual over the sensor's noise
 REPEATED = 0.3  # share of the residual's power that comes again in each cycle
