@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from paper import example_4_1, example_4_2a, example_4_2b, example_4_2c, noise
+from paper import example_4_1, example_4_2a, example_4_2b, example_4_2c, example_4_3, noise, sampling, section_5
 from paper.drawing import style
 from paper.page import Report, Section, render_page
 
@@ -22,6 +22,15 @@ def examples(quick: bool) -> list[tuple[str, Callable[[], Section]]]:
             lambda: example_4_2c.section(example_4_2c.compute(9 if quick else 27)),
         ),
         ("Noise: Remarks 3.1 and 3.2", lambda: noise.section(noise.compute(3 if quick else 12))),
+        ("Example 4.3: Tustin's friction", lambda: example_4_3.section(example_4_3.compute(3 if quick else 7))),
+        (
+            "Section V: the bench",
+            lambda: section_5.section(section_5.compute(2, 5.0) if quick else section_5.compute()),
+        ),
+        (
+            "What sampling does",
+            lambda: sampling.section(sampling.compute(1, (0.002, 0.01)) if quick else sampling.compute()),
+        ),
     ]
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from paper import surviving
 from paper.drawing import (
     CYCLES,
     EXACT,
+    INK,
     MUTED,
     SINE,
     Array,
@@ -20,13 +22,18 @@ from paper.drawing import (
     shade_stages,
     zero,
 )
-from paper.page import Cell, Comparison, Heading, Paragraph, Remark, Section, Table, number, share, significant
+from paper.page import Cell, Comparison, Heading, Paragraph, Remark, Section, Table, listed, number, share, significant
 from paper.solver import Cycle as SolverCycle
 from paper.solver import settled_cycle
 from rig.model import describing_function
 from rig.model.describing_function import Oscillation, RelayGains
+from rig.model.friction import coulomb
+from rig.model.ideal_relay import Relay, half_periods, ideal_relay
 from rig.model.limit_cycle import LimitCycle, limit_cycle
+from rig.model.motor import Motor, State
 from rig.report.style import Picture
+
+STARTS = (State(0.0, -0.9, 0.0), State(0.0, 0.1, 0.0), State(5.0, -0.5, 0.02), State(-7.0, 0.3, -0.05))
 
 
 @dataclass(frozen=True)
@@ -52,6 +59,38 @@ class Found:
 
 
 @dataclass(frozen=True)
+class Transient:
+    """A run of the first pair of gains from some state, in continuous time.
+
+    t_s, v_rad_s, y_rad   its course
+    distance              from the cycle at each switching of RC: the larger of those in v and in y, relative to the
+                          largest in the cycle
+    """
+
+    start: State
+    t_s: Array
+    v_rad_s: Array
+    y_rad: Array
+    distance: Array
+
+    @property
+    def rate(self) -> float:
+        """By how much the distance shrinks in a half period, once it is small."""
+        small = self.distance[(self.distance < 0.02) & (self.distance > 1e-9)]
+        return float((small[-1] / small[0]) ** (1.0 / (small.size - 1)))
+
+
+@dataclass(frozen=True)
+class Decay:
+    """A run with h2 below or above fc: time, position, and whether it ends at rest."""
+
+    h2_V: float
+    t_s: Array
+    y_rad: Array
+    at_rest: bool
+
+
+@dataclass(frozen=True)
 class Sweep:
     """Amplitude and period over one gain: exact and by describing function, the other gain fixed."""
 
@@ -68,6 +107,8 @@ class Result:
     """Numbers of Example 4.1."""
 
     found: tuple[Found, ...]
+    transients: tuple[Transient, ...]
+    decays: tuple[Decay, ...]
     over_h2: tuple[Sweep, ...]
     over_h1: tuple[Sweep, ...]
 
@@ -83,7 +124,33 @@ def compute(points: int = 31) -> Result:
         found.append(Found(RelayGains(h1, h2), cycle, settled_cycle(tau, K, fc, h1, h2, far), sine))
     over_h2 = tuple(_sweep("h2", h1, np.linspace(fc + 0.06, 1.5, points)) for h1 in (0.5, 0.8, 1.1))
     over_h1 = tuple(_sweep("h1", h2, np.linspace(0.25, 1.5, points)) for h2 in (0.8, 1.0, 1.2))
-    return Result(tuple(found), over_h2, over_h1)
+    transients = tuple(_transient(start, found[0].cycle) for start in STARTS)
+    return Result(tuple(found), transients, tuple(_decay(h2) for h2 in (0.9 * fc, 1.3 * fc)), over_h2, over_h1)
+
+
+def _motor() -> Motor:
+    tau, K, fc = surviving.MOTOR
+    return Motor(tau, K, coulomb(fc))
+
+
+def _transient(start: State, cycle: LimitCycle) -> Transient:
+    run = ideal_relay(_motor(), Relay(*surviving.GAINS[0]), start, 11.0 * cycle.period_s)
+    v, y, _ = cycle.states[0]
+    distance = [
+        max(abs(half.start.v - v) / cycle.speed_rad_s, abs(half.start.y - y) / cycle.amplitude_rad)
+        for half in half_periods(run.events)
+    ]
+    t = np.linspace(0.0, 4.0 * cycle.period_s, 1600)
+    states = run.states(t)
+    return Transient(start, t, states[:, 0], states[:, 1], np.array(distance))
+
+
+def _decay(h2_V: float) -> Decay:
+    run = ideal_relay(_motor(), Relay(surviving.GAINS[0].h1_V, h2_V), State(0.0, -0.3, 0.0), 3.0)
+    t = np.linspace(0.0, run.duration_s, 1200)
+    y = run.states(t)[:, 1]
+    # at rest it stays where it is
+    return Decay(h2_V, np.append(t, 3.0), np.append(y, y[-1]), run.end != "time")
 
 
 def _sweep(along: str, fixed_V: float, gain_V: Array) -> Sweep:
@@ -129,6 +196,13 @@ def section(result: Result) -> Section:
         ),
         _courses(result),
         _portraits(result),
+        Heading("Convergence to the cycle"),
+        Paragraph(
+            f"From any of {len(result.transients)} initial states the loop comes to the cycle. Near it the distance "
+            "shrinks in every half period by the factor "
+            f"{listed([f'{t.rate:.4f}' for t in result.transients])}; the largest eigenvalue of J says {largest:.4f}."
+        ),
+        _convergence(result),
         Heading("Exact, by an ODE solver, and by describing function"),
         _methods_table(result),
         _overlay(result),
@@ -139,6 +213,7 @@ def section(result: Result) -> Section:
             f"{_property_words(result)}"
         ),
         _properties(result),
+        _decays(result),
     )
     return Section("example-4-1", "4.1", "Example 4.1: the limit cycle and its stability", blocks, _comparisons(result))
 
@@ -163,14 +238,14 @@ def _comparisons(result: Result) -> tuple[Comparison, ...]:
             "stable",
             f"{'stable' if first.cycle.stable else 'unstable'}: |λ| = {significant(spectral, 4)}",
             "agrees" if first.cycle.stable and eigenvalue > 1.0 else "differs",
-            "Theorem 2.2, and every transient of the figure shrinks so",
+            "Theorem 2.2; transients from four states shrink at this rate",
         ),
         Comparison(
             "4.1",
             "Properties 3.1, 3.2: no cycle for h<sub>2</sub> ≤ f<sub>c</sub>; which way amplitude and frequency go",
             "as stated",
             "exact cycle: same",
-            "agrees" if monotone(result) else "differs",
+            "agrees" if monotone(result) and below_rests(result) else "differs",
             "the describing function says so by formula, the exact cycle by computation",
         ),
     )
@@ -185,6 +260,11 @@ def monotone(result: Result) -> bool:
         (np.diff(s.exact_amplitude_rad) < 0).all() and (np.diff(s.exact_period_s) < 0).all() for s in result.over_h1
     )
     return h2 and h1
+
+
+def below_rests(result: Result) -> bool:
+    """Whether the loop comes to rest where h2 <= fc, and only there (Property 3.1)."""
+    return all(run.at_rest == (run.h2_V <= surviving.FC_V) for run in result.decays)
 
 
 def _named(gains: RelayGains) -> str:
@@ -327,11 +407,66 @@ def _portraits(result: Result) -> Picture:
     right.set_ylabel("integral z, rad s")
     left.set_title("velocity over position")
     right.set_title("integral over position")
-    left.legend(loc="center")
+    right.legend(*left.get_legend_handles_labels(), loc="upper left", ncols=1, fontsize=7.5)
+    low, high = right.get_xlim()
+    right.set_xlim(low - 0.55 * (high - low), high)
     return finish(
         figure,
         "Phase planes of both cycles with the switching points.",
         "Phase planes of both cycles with the points at which relays switch: RA on v = 0, RB on y = 0, RC on z = 0.",
+    )
+
+
+def _convergence(result: Result) -> Picture:
+    figure = new_figure(3.9)
+    left, right = figure.subplots(1, 2)
+    inks = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
+    cycle = result.found[0].cycle
+    curve = course(cycle, 900)
+    for k, (run, ink) in enumerate(zip(result.transients, inks, strict=True)):
+        name = f"v = {run.start.v:g}, y = {run.start.y:g}, z = {run.start.z:g}".replace("-", "−")
+        left.plot(run.y_rad, run.v_rad_s, color=ink, lw=0.8)
+        left.plot(run.start.y, run.start.v, "o", ms=5.0, color=ink, label=name)
+        seen = run.distance > 1e-7
+        right.semilogy(np.arange(1, seen.sum() + 1), run.distance[seen], "o-", ms=3.0, lw=0.8, color=ink)
+        if k == 0:
+            size = float(np.abs(cycle.eigenvalues()).max())
+            halves = np.arange(1, 20)
+            right.semilogy(halves, run.distance[5] * size ** (halves - 6.0), "k--", lw=1.2, label=f"{size:.4f} each")
+    left.plot(curve["y"], curve["v"], color=EXACT, lw=2.0, label="limit cycle")
+    zero(left)
+    left.set_xlabel("position y, rad")
+    left.set_ylabel("velocity v, rad/s")
+    left.set_ylim(top=15.5)
+    left.legend(loc="upper right", title="from", fontsize=7.5)
+    right.set_xlabel("switching of RC")
+    right.set_ylabel("distance from the cycle")
+    right.set_xlim(0.0, 20.0)
+    right.xaxis.set_major_locator(MaxNLocator(integer=True))
+    right.legend(loc="upper right")
+    return finish(
+        figure,
+        "Transients from four initial states into the limit cycle, and how fast they approach it.",
+        "Left: transients in the phase plane, from four initial states (dots), switching at the very instants of the "
+        "crossings. Right: distance from the cycle at each switching of RC, relative to the cycle's size; dashed: the "
+        "rate of Theorem 2.2.",
+    )
+
+
+def _decays(result: Result) -> Picture:
+    figure = new_figure(2.3)
+    panels = figure.subplots(1, len(result.decays), sharey=True)
+    for axes, run in zip(panels, result.decays, strict=True):
+        axes.plot(run.t_s, run.y_rad, color=INK)
+        zero(axes)
+        axes.set_title(f"h2 = {run.h2_V:g} V: {'comes to rest' if run.at_rest else 'a cycle'}")
+        axes.set_xlabel("time, s")
+    panels[0].set_ylabel("position y, rad")
+    return finish(
+        figure,
+        "The loop below and above the limit of Property 3.1.",
+        f"Property 3.1 in the loop itself, h1 = {surviving.GAINS[0].h1_V:g} V, f<sub>c</sub> = {surviving.FC_V:g} V: "
+        "below the limit the relays switch ever faster until the shaft stands at the centre; above it, a cycle.",
     )
 
 

@@ -167,8 +167,8 @@ def section(result: Result) -> Section:
             f"Here RB switches {c.switchings:.1f} times at each of its edges instead of once; counted as crossings, "
             f"they would make {c.switchings:.1f} half periods of each. The equivalent edge lies "
             f"{1e3 * c.equivalent_s:.3f} ms after RC's, the exact cycle's {1e3 * c.crossing_s:.3f} ms. "
-            "What is left is the sampling: RC and RB both act up to a tick late, and the cycle itself grows a little for it; so the estimator uses position and integral as "
-            "measured at the edges, not zero."
+            "What is left is the sampling: RC and RB both act up to a tick late, and the cycle grows a little. So "
+            "the estimator uses position and integral as measured at the edges, not zero."
         ),
         _table(result),
         _figure(result),
