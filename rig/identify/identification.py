@@ -103,6 +103,7 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
         try:
             if method == sampled_data.METHOD:
                 estimate = _sampled_data(records, cycles, [periods_s.get(k) for k in range(len(records))])
+                found.notes += filter(None, [verdict.confounding(estimate)])
             elif method == triple_relay.METHOD:
                 estimate = _triple_relay(records, cycles, complaints)
             elif method == describing_function.METHOD:

@@ -35,6 +35,7 @@ def judge_sampled_data(estimate: Estimate, records: Sequence[Record], cycles: Se
     estimate = _bounds(estimate, records)
     estimate = _residual(estimate, records)
     estimate = _enough(estimate, cycles)
+    estimate = _asymmetry(estimate)
     if estimate.verdict == "refused":
         return estimate
     estimate = _row_convention(estimate, records)
@@ -180,6 +181,31 @@ def _enough(estimate: Estimate, cycles: Sequence[Cycle]) -> Estimate:
     if few:
         return estimate.judged("doubtful", f"only {min(few)} settled cycles: record ten")
     return estimate
+
+
+def _asymmetry(estimate: Estimate) -> Estimate:
+    """The asymmetry is clearly beyond the friction: one direction would be driven by it, which no friction does."""
+    beyond = abs(estimate.asym_V) - estimate.fc_V
+    error = math.sqrt(max(0.0, float(estimate.covariance[2, 2] + estimate.covariance[3, 3])))
+    if beyond > 3.0 * error and beyond > 0.01 * abs(estimate.asym_V):
+        return estimate.judged(
+            "doubtful",
+            f"the asymmetry, {estimate.asym_V:+.3g} V, is larger than the friction, {estimate.fc_V:.3g} V: the shaft "
+            "turns by itself at 0 V; look for a load that pulls one way, or an offset of the drive",
+        )
+    return estimate
+
+
+def confounding(estimate: Estimate) -> str | None:
+    """How much of tau's error is due to an unknown delay, in words; None where the delay was known."""
+    shared = float(estimate.correlation[0, 4])
+    if not math.isfinite(shared):
+        return None
+    gain = 1.0 / math.sqrt(max(1e-12, 1.0 - shared * shared))
+    return (
+        f"the unknown delay and tau are correlated by {shared:+.2f}: with the times at which the drive acts "
+        f"(t_u_s) tau would be known {gain:.1f} times better"
+    )
 
 
 def _row_convention(estimate: Estimate, records: Sequence[Record]) -> Estimate:

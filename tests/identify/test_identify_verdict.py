@@ -157,3 +157,26 @@ def test_a_reference_method_is_judged_by_what_its_model_leaves(known):
 def test_a_verdict_never_improves_and_reasons_do_not_repeat():
     one = Estimate("sampled-data", 0.1, 1.0, 0.1).judged("refused", "a").judged("doubtful", "b", "a")
     assert (one.verdict, one.reasons) == ("refused", ("a", "b"))
+
+
+def test_an_asymmetry_beyond_the_friction_is_doubtful():
+    """A weight on the shaft pulls harder than friction holds."""
+    pulled = judged(relay(plant=Motor(0.17, 6.5, Friction(0.1, 0.1, 0.1, 0.1), 0.2)))
+    assert pulled.asym_V == pytest.approx(0.2, abs=0.01)
+    assert pulled.verdict == "doubtful"
+    assert any("turns by itself at 0 V" in reason for reason in pulled.reasons)
+    held = judged(relay(plant=Motor(0.17, 6.5, Friction(0.3, 0.3, 0.3, 0.3), 0.2)))
+    assert not any("turns by itself" in reason for reason in held.reasons)
+
+
+def test_what_an_unknown_delay_costs_is_said():
+    unknown, known = judged(relay(known=False)), judged(relay(known=True))
+    words = verdict.confounding(unknown)
+    assert words is not None
+    shared = float(unknown.correlation[0, 4])
+    assert f"{shared:+.2f}" in words
+    assert 0.3 < abs(shared) < 1.0
+    # the promise, held to the record with known times
+    gain = unknown.covariance[0, 0] ** 0.5 / known.covariance[0, 0] ** 0.5
+    assert gain == pytest.approx(1.0 / (1.0 - shared**2) ** 0.5, rel=0.25)
+    assert verdict.confounding(known) is None
