@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from distributed import LocalCluster
 from small_campaign import small
 
 from rig.campaign import report, results, runner, session
@@ -138,6 +139,17 @@ def test_a_dask_cluster_gives_the_same_rows(tmp_path):
     done = session.run(small(COUNT), tmp_path, jobs=2, backend="dask")
     assert done.added == COUNT
     assert_rows(tmp_path)
+
+
+@pytest.mark.usefixtures("no_report")
+def test_a_cluster_that_is_there_is_joined_and_left_running(tmp_path):
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, host="127.0.0.1", protocol="tcp", dashboard_address=None
+    ) as cluster:
+        address = cluster.scheduler_address
+        assert session.run(small(9), tmp_path, jobs=1, backend="dask", scheduler=address).added == 9
+        assert session.run(small(10), tmp_path, jobs=1, backend="dask", scheduler=address).added == 1
+    assert_rows(tmp_path, 10)
 
 
 def test_no_cluster_at_an_address_is_said(tmp_path, monkeypatch):
