@@ -422,6 +422,16 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
                 f"static friction {static_V:g} V is less than the moving friction fc_{side}_V {moving_V:g} V",
                 "raise it, or leave it out: as the moving friction",
             )
+    falls = any(
+        static_V is not None and static_V > moving_V
+        for static_V, moving_V in ((m.fs_plus_V, m.fc_plus_V), (m.fs_minus_V, m.fc_minus_V))
+    )
+    if m.stribeck_rad_s > 0.0 and not falls:
+        yield _problem(
+            "emulated.motor.stribeck_rad_s",
+            "has no effect: static friction is nowhere above moving friction",
+            "raise fs_plus_V and fs_minus_V, or leave it out",
+        )
     for name, (low, high) in (("mechanical stops", m.stop_rad), ("hard limits", e.limits.hard_rad)):
         if not low <= m.start_rad <= high:
             yield _problem(

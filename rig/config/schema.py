@@ -261,6 +261,10 @@ class EmulatedMotor(_Section):
     fc_minus_V: NonNegative = Field(description="moving friction towards negative positions")
     fs_plus_V: NonNegative | None = Field(None, description="static friction; default: as the moving friction")
     fs_minus_V: NonNegative | None = Field(None, description="static friction; default: as the moving friction")
+    stribeck_rad_s: NonNegative = Field(
+        0.0, description="speed over which static friction falls to moving friction; 0: it is there at rest only"
+    )
+    viscous_V_s_rad: NonNegative = Field(0.0, description="viscous friction; it shows as a smaller tau and K")
     bias_V: float = Field(0.0, description="constant added to the drive")
     start_rad: float = Field(0.0, description="position at the start")
     stop_rad: Interval = Field((-2.6, 2.6), description="mechanical stops, where the shaft is stopped dead")

@@ -25,6 +25,8 @@ def device_options(
         "fc-minus-V": friction.minus_V,
         "fs-plus-V": friction.static_plus_V,
         "fs-minus-V": friction.static_minus_V,
+        "stribeck-rad-s": friction.stribeck_rad_s,
+        "viscous-V-s-rad": friction.viscous_V_s_rad,
         "bias-V": bench.motor.bias_V,
         "start-rad": bench.start_rad,
         "stop-low-rad": bench.stop_rad[0],

@@ -54,7 +54,9 @@ class BenchParameters:
         m, p, w = emulated["motor"], emulated["potentiometer"], emulated["wiring"]
         static_plus = m["fc_plus_V"] if m["fs_plus_V"] is None else m["fs_plus_V"]
         static_minus = m["fc_minus_V"] if m["fs_minus_V"] is None else m["fs_minus_V"]
-        friction = Friction(m["fc_plus_V"], m["fc_minus_V"], static_plus, static_minus)
+        friction = Friction(
+            m["fc_plus_V"], m["fc_minus_V"], static_plus, static_minus, m["stribeck_rad_s"], m["viscous_V_s_rad"]
+        )
         has_tachometer = emulated["tachometer"] and tachometer is not None
         return cls(
             motor=Motor(m["tau_s"], m["K_rad_s_V"], friction, m["bias_V"]),

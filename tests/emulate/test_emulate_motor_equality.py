@@ -26,7 +26,9 @@ NO_STOPS = (-1e6, 1e6)
 def motors(draw: st.DrawFn) -> Motor:
     plus, minus = draw(st.floats(0.0, 2.0)), draw(st.floats(0.0, 2.0))
     ratio = draw(st.floats(1.0, 2.0))
-    friction = Friction(plus, minus, plus * ratio, minus * ratio)
+    stribeck = draw(st.sampled_from([0.0, 0.0, 0.03, 0.3, 3.0]))
+    viscous = draw(st.sampled_from([0.0, 0.02, 0.3]))
+    friction = Friction(plus, minus, plus * ratio, minus * ratio, stribeck, viscous)
     return Motor(draw(st.floats(0.02, 2.0)), draw(st.floats(0.1, 50.0)), friction, draw(st.floats(-0.5, 0.5)))
 
 

@@ -5,7 +5,8 @@
  *     tau dv/dt + v = K (u + b - f(v)),   dy/dt = v
  *
  * has a closed form between the instants at which the drive changes, the velocity crosses zero or the shaft meets
- * a stop, so there is no integration step and no integration error.
+ * a stop, so there is no integration step and no integration error; under Stribeck friction it is a chain of Taylor
+ * polynomials, whose step and error bound are derived in rig/model/stribeck.py.
  */
 #ifndef RIG_BENCH_H
 #define RIG_BENCH_H
@@ -27,6 +28,8 @@ typedef struct {
     double tau_s, K_rad_s_V;
     double fc_plus_V, fc_minus_V; /* friction while moving towards +y and -y, >= 0 */
     double fs_plus_V, fs_minus_V; /* level to break away, >= the moving level */
+    double stribeck_rad_s;        /* speed over which static friction falls to moving friction; 0: at rest only */
+    double viscous_V_s_rad;       /* >= 0 */
     double bias_V;
     double start_rad, stop_low_rad, stop_high_rad;
     double rad_per_count, centre_counts, noise_rad, offset_rad; /* potentiometer; negative: readings fall */
