@@ -67,9 +67,8 @@ class Estimate:
     def correlation(self) -> Array:
         """(5, 5) correlation of ``PARAMETERS``; nan where a parameter was not estimated."""
         spread = np.sqrt(np.diag(self.covariance))
-        outer = np.outer(spread, spread)
-        known = np.isfinite(outer) & (outer > 0.0)
-        return np.asarray(np.divide(self.covariance, outer, out=np.full((5, 5), np.nan), where=known))
+        spread = np.where(np.isfinite(spread) & (spread > 0.0), spread, np.nan)
+        return np.asarray(self.covariance / np.outer(spread, spread))
 
     @property
     def is_motor(self) -> bool:
