@@ -12,7 +12,7 @@ from rig.recording.reader import Recording
 
 Array = NDArray[np.float64]
 
-LATENCY_PERIODS = 10.0  # between a sample and its row's drive, at most
+LATENCY_PERIODS, LATENCY_S = 10.0, 0.1  # between a sample and its row's drive, at most the longer of both
 
 
 class IdentifyError(Exception):
@@ -36,7 +36,7 @@ class Record:
     first_row  index of row 0 in the file it comes from
     name       what to call it in a message
     Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite, times that do
-    not increase, or drives that act ten periods before or after their samples.
+    not increase, or drives that act far before or after their samples.
     """
 
     t_s: Array
@@ -79,7 +79,7 @@ class Record:
                     "t_u_s must be the time at which each row's drive took effect; leave the column out if unknown",
                 )
             latency = float(np.median(self.t_u_s - self.t_s))
-            if abs(latency) > LATENCY_PERIODS * self.period_s:
+            if abs(latency) > max(LATENCY_PERIODS * self.period_s, LATENCY_S):
                 raise IdentifyError(
                     f"{self.name}: t_u_s is {latency:.3g} s beyond t_s, where samples are {self.period_s:.3g} s apart",
                     "give both in seconds on one clock, or leave t_u_s out",
