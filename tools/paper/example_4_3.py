@@ -127,8 +127,9 @@ def section(result: Result) -> Section:
             f"The check holds: the identified τ/K is {significant(float(case.theta[0] / case.theta[1]), 5)} V s²/rad, "
             f"the motor's own {significant(case.motor.tau_s / case.motor.K_rad_s_V, 5)} "
             f"({100 * case.ratio_error:+.2f} %), though τ itself is "
-            f"{100 * (float(case.theta[0]) / case.motor.tau_s - 1.0):+.1f} % off the motor's. With viscous friction alone the absorption is exact: τ<sub>eff</sub> = {significant(tau, 6)} s and "
-            f"K<sub>eff</sub> = {significant(K, 6)} (rad/s)/V are found to "
+            f"{100 * (float(case.theta[0]) / case.motor.tau_s - 1.0):+.1f} % off the motor's. With viscous friction "
+            f"alone the absorption is exact: τ<sub>eff</sub> = {significant(tau, 6)} s and K<sub>eff</sub> = "
+            f"{significant(K, 6)} (rad/s)/V are found to "
             f"{significant(float(np.abs(_errors(viscous)).max()), 1)}.".replace("-", "−"),
         ),
         _law_figure(result),

@@ -37,6 +37,12 @@ class Path:
         """Last iterate: tau, s, K, (rad/s)/V, fc, V."""
         return np.asarray(self.iterates[-1])
 
+    def steps_to_rest(self, relative: float) -> int | None:
+        """Steps until one changes no part of theta by more than this, relative to it; None if none is so small."""
+        steps = np.abs(np.diff(self.iterates, axis=0) / self.iterates[1:]).max(axis=1)
+        small = np.flatnonzero(steps < relative)
+        return int(small[0]) + 1 if small.size else None
+
     def steps_until(self, truth: Array, relative: float = 1e-8) -> int | None:
         """Steps after which all of theta stays within ``relative`` of the truth; None if it never does."""
         error = np.abs(self.iterates / truth - 1.0).max(axis=1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -103,7 +103,16 @@ class Report:
     """All of the report."""
 
     sections: tuple[Section, ...]
-    chosen: tuple[str, ...] = field(default=())
+
+    @property
+    def chosen(self) -> list[tuple[str, str]]:
+        """What was chosen because it did not survive: (section, sentence)."""
+        return [
+            (section.short, block.text)
+            for section in self.sections
+            for block in section.blocks
+            if isinstance(block, Remark) and block.kind == "chosen"
+        ]
 
     @property
     def comparisons(self) -> list[Comparison]:

@@ -9,7 +9,7 @@ import numpy as np
 from paper import surviving
 from paper.drawing import Array, finish, new_figure
 from paper.page import Cell, Comparison, Paragraph, Remark, Section, Table, number
-from paper.section_5 import CONFIG, DF, PLAIN, SD, TR, motor_of, plain_iteration, theta
+from paper.section_5 import CONFIG, DF, NAMES, PLAIN, SD, TR, motor_of, plain_iteration, theta
 from rig.config import Experiment, load
 from rig.identify import IdentifyError, describing_function, sampled_data, triple_relay
 from rig.identify.cycles import find_cycle
@@ -129,21 +129,13 @@ def section(result: Result) -> Section:
 
 def _table(result: Result) -> Table:
     rows = []
-    for method, name in NAMES.items():
-        rows.append((Cell(name), *(number(float(v), 2) for v in result.median(method))))
+    for method in (DF, PLAIN, TR, SD):
+        rows.append((Cell(NAMES[method]), *(number(float(v), 2) for v in result.median(method))))
     return Table(
         ("method", *(f"{1e3 * period:g} ms" for period in result.period_s)),
         tuple(rows),
         f"Error of the worst of τ, K and f<sub>c</sub>, %, median of {result.trials} trials, over the sampling period.",
     )
-
-
-NAMES = {
-    PLAIN: "triple relay as it stands: edges taken for crossings",
-    DF: "describing function",
-    TR: "triple relay of the program",
-    SD: "sampled data (ours)",
-}
 
 
 def _figure(result: Result) -> Picture:
