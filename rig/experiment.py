@@ -525,6 +525,8 @@ def _result(session: Session, fault: Fault | None) -> dict[str, Any]:
         result["breakaway"] = {"seen_plus_V": check.plus_V, "seen_minus_V": check.minus_V, "noise_rad": check.noise_rad}
         if identification is not None and identification.breakaway is not None and session.models_from is None:
             result["breakaway"] |= identification.breakaway
+    if identification is not None and identification.friction_law is not None and session.models_from is None:
+        result["friction_law"] = identification.friction_law.as_dict()
     if session.jog is not None and "to_rad" in session.jog:
         result["jog"] = session.jog
     if search is not None:
@@ -536,18 +538,28 @@ def _result(session: Session, fault: Fault | None) -> dict[str, Any]:
 
 
 def _truth(bench: Bench) -> dict[str, float] | None:
-    """The emulated motor's parameters, as an estimate would name them."""
+    """The emulated motor's parameters, as an estimate would name them.
+
+    With viscous friction tau_s and K_rad_s_V are those that the motion shows; what they are without it is beside them.
+    """
     if bench.truth is None:
         return None
     motor = bench.truth.motor
-    return {
-        "tau_s": motor.tau_s,
-        "K_rad_s_V": motor.K_rad_s_V,
+    truth = {
+        "tau_s": motor.tau_eff_s,
+        "K_rad_s_V": motor.K_eff_rad_s_V,
         "fc_V": motor.friction.fc_V,
         "asym_V": motor.asym_V,
         "static_plus_V": motor.friction.static_plus_V - motor.bias_V,
         "static_minus_V": motor.friction.static_minus_V + motor.bias_V,
     }
+    if motor.friction.stribeck_rad_s > 0.0:
+        truth["stribeck_rad_s"] = motor.friction.stribeck_rad_s
+    if motor.friction.viscous_V_s_rad > 0.0:
+        truth["viscous_V_s_rad"] = motor.friction.viscous_V_s_rad
+        truth["tau_without_viscous_s"] = motor.tau_s
+        truth["K_without_viscous_rad_s_V"] = motor.K_rad_s_V
+    return truth
 
 
 def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, Any]:

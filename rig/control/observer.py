@@ -38,9 +38,9 @@ class MotorObserver:
         self._last_t_s = math.nan
         self._acting_V = 0.0
         self._asked_V = 0.0
-        decay = math.exp(-period_s / motor.tau_s)
-        A = np.array([[decay, 0.0], [motor.tau_s * (1.0 - decay), 1.0]])
-        B = motor.K_rad_s_V * np.array([[1.0 - decay], [period_s - motor.tau_s * (1.0 - decay)]])
+        decay = math.exp(-period_s / motor.tau_eff_s)
+        A = np.array([[decay, 0.0], [motor.tau_eff_s * (1.0 - decay), 1.0]])
+        B = motor.K_eff_rad_s_V * np.array([[1.0 - decay], [period_s - motor.tau_eff_s * (1.0 - decay)]])
         if tachometer_noise_rad_s is None:
             C, R = np.array([[0.0, 1.0]]), np.array([[noise_rad**2]])
         else:

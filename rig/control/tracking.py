@@ -44,7 +44,7 @@ def linearising_drive(
         compensation = f.plus_V
     elif sign_velocity_rad_s < 0.0:
         compensation = -f.minus_V
-    return (motor.tau_s * r + state.v) / motor.K_rad_s_V + compensation - motor.bias_V
+    return (motor.tau_eff_s * r + state.v) / motor.K_eff_rad_s_V + compensation - motor.bias_V
 
 
 class Tracking:

@@ -50,7 +50,8 @@ def relay_test(
     disturbance_rad  n values added to the position before it is read: noise and offset, rad
     disturbance_V    n values added to the drive at the motor during the tick, not recorded, V
     lsb_rad          step of the reading, rad; 0 for none
-    The law is that of ``rig.control.relay.DualChannelRelay``. Raises ValueError outside these ranges.
+    The law is that of ``rig.control.relay.DualChannelRelay``. Raises ValueError outside these ranges, and for a motor
+    with Stribeck effect, which has no closed form.
     """
     from rig.model.compiled import sampled_relay as compiled
 
@@ -60,13 +61,15 @@ def relay_test(
         raise ValueError("t_s must be one-dimensional and increase")
     if np.any(t_u < t) or np.any(np.diff(t_u) < 0.0):
         raise ValueError("latencies must be >= 0 s, and drives must take effect in their order")
+    if not motor.has_closed_form:
+        raise ValueError("the compiled relay test needs a motor without Stribeck effect")
     zeros = np.zeros(t.size)
     f = motor.friction
     levels = (f.plus_V, f.minus_V, f.static_plus_V, f.static_minus_V)
     first = start or State()
     out = np.empty((t.size, 5))
     compiled.relay_test(
-        (motor.tau_s, motor.K_rad_s_V, *levels, motor.bias_V),
+        (motor.tau_eff_s, motor.K_eff_rad_s_V, *levels, motor.bias_V),
         float(h1_V),
         float(h2_V),
         t,

@@ -163,6 +163,15 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "emulated.motor.fs_plus_V",
         "static friction 0.4 V is less than the moving friction fc_plus_V 0.5 V",
     ),
+    "Stribeck velocity without static friction": (
+        {
+            "emulated__motor__stribeck_rad_s": 0.1,
+            "emulated__motor__fs_plus_V": None,
+            "emulated__motor__fs_minus_V": None,
+        },
+        "emulated.motor.stribeck_rad_s",
+        "has no effect: static friction is nowhere above moving friction",
+    ),
     "starts outside": ({"emulated__motor__start_rad": -2.0}, "emulated.motor.start_rad", "outside the hard limits"),
     "starts beyond the stops": (
         {"emulated__motor__start_rad": 0.5, "emulated__motor__stop_rad": [-0.4, 0.4]},

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig.control.relay import DualChannelRelay
-from rig.model.friction import Friction
+from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Motor, State
 from rig.model.sampled_relay import relay_test
 from rig.signals import Sample
@@ -67,3 +67,15 @@ def test_what_cannot_be_is_refused():
         relay_test(motor, 0.8, 1.0, t, -0.001)
     with pytest.raises(ValueError, match="order"):
         relay_test(motor, 0.8, 1.0, t, np.where(np.arange(10) == 3, 0.03, 0.0))
+    with pytest.raises(ValueError, match="Stribeck"):
+        relay_test(Motor(0.2, 5.0, tustin(0.4, 0.5, 0.1)), 0.8, 1.0, t, 0.001)
+
+
+def test_viscous_friction_shows_as_a_smaller_tau_and_gain():
+    t = np.arange(200) * 0.01
+    tests = [
+        relay_test(motor, 0.8, 1.0, t, 0.001, start=State(y=-0.2))
+        for motor in (Motor(0.2, 5.0, tustin(0.4, 0.4, 0.0, 0.1)), Motor(0.2 / 1.5, 5.0 / 1.5, coulomb(0.4)))
+    ]
+    assert np.allclose(tests[0].true_y_rad, tests[1].true_y_rad, rtol=0.0, atol=1e-12)
+    assert np.ptp(tests[0].true_y_rad) > 0.1

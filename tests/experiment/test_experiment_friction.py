@@ -1,0 +1,43 @@
+"""Friction beyond Coulomb's on the emulated bench: what a run says is true of it, and what it finds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from rig.cli import main
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def truth_of(folder: Path, **motor: float) -> dict[str, float]:
+    """The truth in the result of a jog with config/simulated.yaml, its true motor changed."""
+    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    config["emulated"]["motor"] |= motor
+    path = folder / "friction.yaml"
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    result = CliRunner().invoke(main, ["jog", str(path), "--u-V", "1.2", "--out", str(folder / "runs")])
+    assert result.exit_code == 0, result.output
+    (written,) = (folder / "runs").glob("*/result.json")
+    outcome = json.loads(written.read_text(encoding="utf-8"))
+    assert outcome["jog"]["to_rad"] > outcome["jog"]["from_rad"] + 0.1
+    return outcome["truth"]
+
+
+def test_the_truth_of_a_motor_with_viscous_friction_is_what_its_motion_shows(tmp_path):
+    truth = truth_of(tmp_path, tau_s=0.204, K_rad_s_V=7.8, viscous_V_s_rad=0.2 / 7.8)
+    assert (truth["tau_s"], truth["K_rad_s_V"]) == pytest.approx((0.17, 6.5))
+    assert (truth["tau_without_viscous_s"], truth["K_without_viscous_rad_s_V"]) == (0.204, 7.8)
+    assert truth["viscous_V_s_rad"] == 0.2 / 7.8
+    assert "stribeck_rad_s" not in truth
+
+
+def test_a_motor_with_stribeck_effect_says_so(tmp_path):
+    truth = truth_of(tmp_path, fc_plus_V=0.5, fc_minus_V=0.5, fs_plus_V=0.7, fs_minus_V=0.7, stribeck_rad_s=0.4)
+    assert truth["stribeck_rad_s"] == 0.4
+    assert (truth["tau_s"], truth["K_rad_s_V"], truth["fc_V"]) == (0.17, 6.5, 0.5)
+    assert "viscous_V_s_rad" not in truth and "tau_without_viscous_s" not in truth
