@@ -350,9 +350,10 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None) -> None:
 
 @main.command()
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="File; default: stdout.")
-def schema(out: Path | None) -> None:
+@click.option("--campaign", "of_campaign", is_flag=True, help="Of the configs of `rig campaign`.")
+def schema(out: Path | None, of_campaign: bool) -> None:
     """Write the JSON Schema of the config, for editors."""
-    text = json.dumps(config.json_schema(), indent=2) + "\n"
+    text = config.schema_text(config.Campaign if of_campaign else config.Experiment)
     if out is None:
         click.echo(text, nl=False)
     else:

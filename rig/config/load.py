@@ -59,18 +59,18 @@ def dump(config: Experiment | Campaign) -> str:
     return emit(config.model_dump(mode="json", exclude_none=True))
 
 
-def json_schema() -> dict[str, Any]:
-    """JSON Schema (draft 2020-12) of an experiment, for editors."""
+def json_schema(of: type[Experiment] | type[Campaign] = Experiment) -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of an experiment or a campaign, for editors."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **Experiment.model_json_schema(),
-        "title": "rig experiment",
+        **of.model_json_schema(),
+        "title": f"rig {of.__name__.lower()}",
     }
 
 
-def schema_text() -> str:
-    """``json_schema`` as the text of config/schema.json."""
-    return json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"
+def schema_text(of: type[Experiment] | type[Campaign] = Experiment) -> str:
+    """``json_schema`` as the text of config/schema.json, or of config/campaign-schema.json."""
+    return json.dumps(json_schema(of), indent=2, ensure_ascii=False) + "\n"
 
 
 def _read(path: str | PathLike[str]) -> Document:

@@ -11,22 +11,26 @@ import jsonschema
 import pytest
 import yaml
 
-from rig.config import json_schema, schema_text
+from rig.config import Campaign, Experiment, json_schema, schema_text
 
 CONFIGS = Path(__file__).parents[2] / "config"
 NAMES = sorted(path.name for path in CONFIGS.glob("*.yaml"))
 
 
-def validator() -> jsonschema.Draft202012Validator:
-    schema = json_schema()
+FILES = {Experiment: "schema.json", Campaign: "campaign-schema.json"}
+
+
+def validator(of: type[Experiment] | type[Campaign] = Experiment) -> jsonschema.Draft202012Validator:
+    schema = json_schema(of)
     jsonschema.Draft202012Validator.check_schema(schema)
     return jsonschema.Draft202012Validator(schema)
 
 
-def test_the_checked_in_schema_is_current() -> None:
-    """If this fails: `rig schema --out config/schema.json`."""
-    assert (CONFIGS / "schema.json").read_text(encoding="utf-8") == schema_text()
-    assert json.loads(schema_text()) == json_schema()
+@pytest.mark.parametrize("of", FILES)
+def test_the_checked_in_schema_is_current(of: type[Experiment] | type[Campaign]) -> None:
+    """If this fails: `rig schema --out config/schema.json`, and with `--campaign` config/campaign-schema.json."""
+    assert (CONFIGS / FILES[of]).read_text(encoding="utf-8") == schema_text(of)
+    assert json.loads(schema_text(of)) == json_schema(of)
 
 
 def test_the_ready_configs_are_there() -> None:
@@ -36,8 +40,9 @@ def test_the_ready_configs_are_there() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_ready_configs_are_valid_and_name_the_schema(name: str) -> None:
     text = (CONFIGS / name).read_text(encoding="utf-8")
-    assert text.splitlines()[0] == "# yaml-language-server: $schema=schema.json"
-    validator().validate(yaml.safe_load(text))
+    of = Campaign if name.startswith("campaign") else Experiment
+    assert text.splitlines()[0] == f"# yaml-language-server: $schema={FILES[of]}"
+    validator(of).validate(yaml.safe_load(text))
 
 
 @pytest.mark.parametrize("section", [None, "daq", "sensor", "drive", "limits", "relay", "tracking", "emulated"])
@@ -53,10 +58,11 @@ def properties(schema: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
         yield from section["properties"].items()
 
 
-def test_every_key_is_described() -> None:
-    schema = json_schema()
+@pytest.mark.parametrize("of", FILES)
+def test_every_key_is_described(of: type[Experiment] | type[Campaign]) -> None:
+    schema = json_schema(of)
     assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
-    assert schema["title"] == "rig experiment"
+    assert schema["title"] == f"rig {of.__name__.lower()}"
     undescribed = [key for key, described in properties(schema) if not described.get("description")]
     assert undescribed == []
     assert all(section["additionalProperties"] is False for section in [schema, *schema["$defs"].values()])
