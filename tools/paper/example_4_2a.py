@@ -251,17 +251,23 @@ def _runs_figure(result: Result) -> Picture:
 
 def _recursion_figure(result: Result) -> Picture:
     figure = new_figure(2.8)
-    axes = figure.subplots()
+    panels = figure.subplots(1, 2, width_ratios=(1.6, 1.0))
     low, high = surviving.LEAST_SQUARES_FC_V
-    axes.axhspan(low, high, color=PAPER, alpha=0.18, lw=0, label=f"paper: {low} … {high}")
-    axes.axhline(surviving.FC_V, color="#1f2328", lw=0.8, ls=":")
+    for axes in panels:
+        axes.axhspan(low, high, color=PAPER, alpha=0.18, lw=0, label=f"paper: {low} … {high}")
+        axes.axhline(surviving.FC_V, color="#1f2328", lw=0.8, ls=":")
+        axes.set_xlabel("sample")
     for (p, trace), ink in zip(result.by_covariance.items(), ("#56B4E9", "#0072B2", "#1f2d5c", "#009E73"), strict=True):
         name = "nothing assumed" if np.isinf(p) else f"from 0, P = {p:g}"
-        axes.plot(np.arange(1, trace.size + 1), trace, color=ink, label=name)
-    axes.set_xlabel("sample")
-    axes.set_ylabel("estimate of fc, V")
-    axes.set_ylim(0.0, 0.56)
-    axes.legend(loc="center left")
+        for axes in panels:
+            axes.plot(np.arange(1, trace.size + 1), trace, color=ink, label=name)
+    whole, end = panels
+    whole.set_ylabel("estimate of fc, V")
+    whole.set_ylim(0.0, 0.56)
+    whole.legend(loc="lower right")
+    end.set_xlim(0.7 * surviving.LEAST_SQUARES_SAMPLES, surviving.LEAST_SQUARES_SAMPLES)
+    end.set_ylim(0.475, 0.505)
+    end.set_title("the end of it")
     return finish(
         figure,
         "The recursive estimate of friction over 1000 samples.",
