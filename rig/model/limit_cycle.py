@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 # The plane that ends each stage: RA (velocity), RB (position), RC (integral).
 PLANES = np.eye(3)
 
+# Of h1 / (h2 - fc), which sets the period in tau. Beyond, double precision does not tell the stages apart.
+COMPUTED = (1e-4, 1.1e3)
+
 
 class NoLimitCycle(Exception):
     """There is no simple oscillation; the message says why."""
@@ -143,8 +146,12 @@ def limit_cycle(
         raise NoLimitCycle(
             f"the motor sticks: h1 + h2 = {h1_V + h2_V:g} V does not exceed static friction, {static:g} V"
         )
+    ratio = h1_V / (h2_V - fc_V)
+    if not COMPUTED[0] <= ratio <= COMPUTED[1]:
+        within = f"only between {COMPUTED[0]:g} and {COMPUTED[1]:g}"
+        raise NoLimitCycle(f"no cycle can be computed at h1 / (h2 - fc) = {ratio:.3g}: {within}")
     inputs = effective_inputs(fc_V, h1_V, h2_V)
-    normal = _durations(inputs, h1_V / (h2_V - fc_V))
+    normal = _durations(inputs, ratio)
     durations = (normal[0] * tau_s, normal[1] * tau_s, normal[2] * tau_s)
     cycle = LimitCycle(durations, inputs, stage_states(tau_s, K_rad_s_V, durations, inputs), tau_s, K_rad_s_V)
     _check_no_additional_switching(cycle)
