@@ -59,9 +59,8 @@ def run_trial(campaign: Campaign, number: int) -> Row:
     row |= {f"bound_{name}": bound[name] for name in PARAMETERS}
     row |= {"samples": rows.stop - rows.start, "cycles": _cycles(test, rows)}
     try:
-        estimate = identify([_recording(campaign, one, test, rows)], (sampled_data.METHOD,)).estimates[
-            sampled_data.METHOD
-        ]
+        recording = _recording(campaign, one, test, rows)
+        estimate = identify([recording], (sampled_data.METHOD,), ladder=False).estimates[sampled_data.METHOD]
     except (IdentifyError, RecordingError) as error:
         row |= _no_estimate(error.cause)
     else:

@@ -6,6 +6,7 @@ cycles                gains, edges, settled cycles, their average
 sampled_data          the estimator to use: exact prediction under the recorded drive
 triple_relay, describing_function   the references
 breakaway             static friction both ways
+friction_law, friction_fit   which friction law the data ask for
 verdict               ok, doubtful or refused
 """
 

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,13 +42,6 @@ STATIC_RANGE = 2.0  # up to so many times the moving one
 MAX_ITERATIONS = 40
 VISIBLE = 1.0  # change of the sum of squares, over the noise's variance, that shows
 ROUNDING = 1e-7  # residual over the spread of positions that is rounding
-
-
-class StaticLevel(NamedTuple):
-    """Static friction as a breakaway record shows it: level, V, and its standard error, V."""
-
-    fs_V: float
-    error_V: float
 
 
 @dataclass(frozen=True)
@@ -90,11 +83,11 @@ class Tests:
     """The tests that laws are fitted to.
 
     problem   their pieces, bounds and noise; its fifth entry of ``free`` says whether the delay is fitted
-    static    what a breakaway record adds
+    fs_V      static level as a breakaway record shows it, V; None without one
     """
 
     problem: Problem
-    static: StaticLevel | None = None
+    fs_V: float | None = None
 
     @property
     def pieces(self) -> tuple[Piece, ...]:
@@ -142,8 +135,8 @@ class Tests:
     def _static(self, asymmetric: Fit) -> Fit:
         """The static level that a breakaway record gives, or else that explains the motion best."""
         x = asymmetric.x.copy()
-        if self.static is not None:
-            x[EXCESS] = max(0.0, self.static.fs_V - x[FC])
+        if self.fs_V is not None:
+            x[EXCESS] = max(0.0, self.fs_V - x[FC])
             return self._solve("static", x)
         # between two drives that occur, nothing depends on the level
         levels = np.unique(np.abs(np.concatenate([piece.drive.u_V for piece in self.pieces]) + x[ASYM]))
@@ -167,47 +160,29 @@ class Tests:
         """The best of a few starts; the fit without Stribeck friction where a little of it makes all of them worse."""
         x = asymmetric.x
         plain, jacobian = self._residual_and_jacobian(x, "asymmetric", self._free("asymmetric"))
-        speeds = [float(np.abs(np.diff(y) / np.diff(p.t_s)).max()) for p, y in self._positions(x)]
-        top = max(speeds)
-        weight = self._static_weight(asymmetric)
-        found: list[tuple[float, Array]] = []
+        top_rad_s = max(float(np.abs(np.diff(y) / np.diff(piece.t_s)).max()) for piece, y in self._positions(x))
         fitted = np.flatnonzero(self._mask("asymmetric"))
-        for share in SPEEDS:
+        found: list[tuple[float, Array]] = []
+        for share in SPEEDS if top_rad_s > 0.0 else ():
             trial = x.copy()
-            trial[SPEED] = math.log(share * top)
+            trial[SPEED] = math.log(share * top_rad_s)
             trial[EXCESS] = STEPS[EXCESS]
             by_excess = (self._residual(trial, "stribeck") - plain) / STEPS[EXCESS]
             columns = self.problem.whiten(np.column_stack((jacobian[:, fitted], by_excess)))
-            residual = self.problem.whiten(plain)
-            if self.static is not None:
-                row = np.zeros(columns.shape[1])
-                row[np.flatnonzero(fitted == FC)[0]] = row[-1] = weight
-                columns = np.vstack((columns, row))
-                residual = np.append(residual, weight * (x[FC] - self.static.fs_V))
             sizes = np.linalg.norm(columns, axis=0)
             sizes[sizes == 0.0] = 1.0
-            step = -np.linalg.lstsq(columns / sizes, residual, rcond=1e-12)[0] / sizes
-            left = residual + columns @ step
+            step = -np.linalg.lstsq(columns / sizes, asymmetric.residual, rcond=1e-12)[0] / sizes
+            left = asymmetric.residual + columns @ step
             if step[-1] > 0.0:
                 trial[fitted] += step[:-1]
                 trial[EXCESS] = step[-1]
                 found.append((float(left @ left), trial))
-        if not found:
-            return replace(asymmetric, law="stribeck")
         found.sort(key=lambda entry: entry[0])
-        fits = [self._solve("stribeck", trial, weight=weight, top_rad_s=top) for _, trial in found[:STARTS]]
-        return min(fits, key=lambda fit: fit.squares + self._static_squares(fit, weight))
+        fits = [self._solve("stribeck", trial, top_rad_s=top_rad_s) for _, trial in found[:STARTS]]
+        return min([*fits, replace(asymmetric, law="stribeck")], key=lambda fit: fit.squares)
 
     def _positions(self, x: Array) -> list[tuple[Piece, Array]]:
         return [(piece, position(_theta(x, k), piece.drive, piece.t_s)) for k, piece in enumerate(self.pieces)]
-
-    def _static_weight(self, fit: Fit) -> float:
-        """What an error of the breakaway record's level, V, counts in the least squares, rad/V."""
-        rms = max(fit.rms_rad, ROUNDING * self.spread_rad)
-        return 0.0 if self.static is None else rms / self.static.error_V
-
-    def _static_squares(self, fit: Fit, weight: float) -> float:
-        return 0.0 if self.static is None else (weight * (fit.x[FC] + fit.x[EXCESS] - self.static.fs_V)) ** 2
 
     def _free(self, law: Law, given: bool = False) -> tuple[bool, ...]:
         delay = self.problem.free[DELAY]
@@ -254,27 +229,20 @@ class Tests:
             blocks.append(block)
         return np.concatenate(residuals), np.concatenate(blocks)
 
-    def _solve(
-        self, law: Law, x0: Array, given: bool = False, weight: float = 0.0, top_rad_s: float | None = None
-    ) -> Fit:
-        """Local solution from ``x0``; with ``given`` the law stays; ``weight`` is that of the breakaway record."""
+    def _solve(self, law: Law, x0: Array, given: bool = False, top_rad_s: float = 1.0) -> Fit:
+        """Local solution from ``x0``; with ``given`` the law's parameters stay. ``top_rad_s`` bounds vs."""
         free, mask = self._free(law, given), self._mask(law, given)
-        low, high = (bound[mask] for bound in self._bounds(math.exp(x0[SPEED]) if top_rad_s is None else top_rad_s))
+        low, high = (bound[mask] for bound in self._bounds(top_rad_s))
         margin = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
         full = x0.copy()
-        row = np.zeros(x0.size)
-        row[[FC, EXCESS]] = weight
-        level = 0.0 if self.static is None else self.static.fs_V
 
         def residual(part: Array) -> Array:
             full[mask] = part
-            own = self.problem.whiten(self._residual(full, law))
-            return np.append(own, weight * (full[FC] + full[EXCESS] - level)) if weight else own
+            return self.problem.whiten(self._residual(full, law))
 
         def jacobian(part: Array) -> Array:
             full[mask] = part
-            own = self.problem.whiten(self._residual_and_jacobian(full, law, free)[1][:, mask])
-            return np.vstack((own, row[mask])) if weight else own
+            return self.problem.whiten(self._residual_and_jacobian(full, law, free)[1][:, mask])
 
         found = least_squares(
             residual,
@@ -295,7 +263,7 @@ class Tests:
         if "excess_V" in names:
             both = [names.index("fc_V"), names.index("excess_V")]
             errors["fs_V"] = math.sqrt(max(0.0, float(covariance[np.ix_(both, both)].sum())))
-        return Fit(law, full.copy(), found.fun[:-1] if weight else found.fun, names, errors)
+        return Fit(law, full.copy(), found.fun, names, errors)
 
 
 def _theta(x: Array, k: int) -> Theta:

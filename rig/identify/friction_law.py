@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from rig.identify.breakaway import Breakaway
 from rig.identify.estimate import PARAMETERS, Estimate
-from rig.identify.friction_fit import LAWS, ROUNDING, Fit, Law, StaticLevel, Tests
+from rig.identify.friction_fit import LAWS, ROUNDING, Fit, Law, Tests
 from rig.identify.noise import noise_of
 from rig.identify.record import Record
 from rig.identify.sampled_data import Piece, Problem, repeated_share, repetitions
@@ -43,10 +43,10 @@ CLEAR = 10.0  # difference of criterion that decides ("very strong", Kass & Raft
 BETTER = 1.1  # ratio of prediction errors of the held-out test that decides
 MUCH_BETTER = 1.5  # the same, that keeps a law open which the criterion does not ask for
 OTHER_AMPLITUDE = 0.1  # relative difference of amplitude that makes a test a second one
-SEEN = 2.0  # standard errors by which each breakaway ramp alone has to show a static level
 
 SECOND_AMPLITUDE = "record a second relay test of another amplitude"
 RAMPS = "record breakaway ramps both ways"
+SLOW_RAMPS = "record breakaway ramps again, slower"
 SLOW = "record longer tests, and smaller and slower ones"
 
 
@@ -186,7 +186,7 @@ def friction_law(
     pieces = [Piece.of(record, reach[1]) for record in records]
     problem = Problem(tuple(pieces[k] for k in fitted), reach, (True, True, True, True, unknown))
     ramps = _Ramps.of(breakaway, estimate)
-    tests = Tests(problem, None if ramps is None else StaticLevel(ramps.fs_V, ramps.error_V))
+    tests = Tests(problem, None if ramps is None else ramps.fs_V)
     fits = tests.fit(tests.start(estimate))
     floor = ROUNDING * tests.spread_rad
     times = np.concatenate([piece.t_s for piece in tests.pieces])
@@ -206,32 +206,26 @@ def friction_law(
 
 
 class _Ramps(NamedTuple):
-    """Static level from ramps both ways, V, its error, and how far each way alone is above moving friction, V."""
+    """Static level from ramps both ways, V; its standard error, V; and whether each way alone shows one (95 %).
+
+    They take friction for fc as soon as the motor moves: with Stribeck friction it seems to break away later.
+    """
 
     fs_V: float
     error_V: float
-    excess_V: tuple[float, float]
-    errors_V: tuple[float, float]
+    shown: tuple[bool, bool]
 
     @classmethod
     def of(cls, breakaway: Breakaway | None, estimate: Estimate) -> _Ramps | None:
         if breakaway is None or breakaway.plus is None or breakaway.minus is None:
             return None
         plus, minus = breakaway.plus, breakaway.minus
-        if min(plus.error_V, minus.error_V) <= 0.0:
-            return None
         moving = estimate.fc_V - estimate.asym_V, estimate.fc_V + estimate.asym_V
         return cls(
             0.5 * (plus.static_V + minus.static_V),
             0.5 * math.hypot(plus.error_V, minus.error_V),
-            (plus.static_V - moving[0], minus.static_V - moving[1]),
-            (plus.error_V, minus.error_V),
+            (plus.low_V > moving[0], minus.low_V > moving[1]),
         )
-
-    @property
-    def agree(self) -> bool:
-        """Whether each way alone shows a static level above moving friction."""
-        return all(x > SEEN * e for x, e in zip(self.excess_V, self.errors_V, strict=True))
 
 
 def _second_amplitude(records: Sequence[Record]) -> int | None:
@@ -256,11 +250,9 @@ def _rung(fit: Fit, second: Tests | None, samples: float, floor_rad: float, ramp
     elif fit.law == "static" and (ramps is not None or fit.value("excess_V") > 0.0):
         parameters["fs_V"] = fs_V
         errors["fs_V"] = math.nan if ramps is None else ramps.error_V
-    ramps_squared = 0.0  # what the breakaway record's level adds to twice the negative log likelihood
-    if ramps is not None and fit.law in ("coulomb", "asymmetric"):
+    ramps_squared = 0.0  # what the breakaway record adds to twice the negative log likelihood
+    if ramps is not None and all(ramps.shown) and fit.law in ("coulomb", "asymmetric"):
         ramps_squared = max(0.0, ramps.fs_V - fs_V) ** 2 / (ramps.error_V**2 + errors["fc_V"] ** 2)
-    elif ramps is not None:
-        ramps_squared = ((ramps.fs_V - fs_V) / ramps.error_V) ** 2
     rows = fit.residual.size
     squares = max(fit.squares, rows * floor_rad**2)  # below rounding there is nothing to explain
     count = 3 + LAWS.index(fit.law) + ("delay_s" in fit.fitted)
@@ -321,12 +313,12 @@ def _judge(rung: Rung, chosen: Rung, held_out: str | None, ramps: _Ramps | None)
     gain = chosen.criterion - rung.criterion
     better = _better(rung, chosen)
     title, simpler = TITLES[rung.law], TITLES[chosen.law]
-    gained = f"its criterion is better by {gain:.0f} than that of {simpler}"
+    gained = f"the criterion gains {gain:.0f} over {simpler}"
     if rung.law == "static":
-        if ramps is not None and gain > CLEAR:
-            if not ramps.agree:
-                return _Doubt("one breakaway ramp shows it and the other does not", "record slower breakaway ramps")
-            return f"{title}: both breakaway ramps show it, and {gained}"
+        if ramps is not None and any(ramps.shown):
+            if all(ramps.shown) and gain > CLEAR:
+                return f"{title}: both breakaway ramps show it, and {gained}"
+            return _Doubt("the breakaway ramps do not show it clearly both ways", SLOW_RAMPS)
         if ramps is None and not rung.seen:
             return _Doubt("the motor never stands still under a drive that could hold it", RAMPS)
     if better is None:
@@ -336,15 +328,15 @@ def _judge(rung: Rung, chosen: Rung, held_out: str | None, ramps: _Ramps | None)
             wants = f"{gained}, but " if gain > CLEAR else ""
             return _Doubt(f"{wants}at one amplitude it looks like another tau, K and fc", SECOND_AMPLITUDE)
         return _Doubt(f"{gained}, without a second amplitude", SECOND_AMPLITUDE) if gain > CLEAR else None
-    predicted = f"it predicts {held_out} {better:.2g} times better"
+    predicted = f"{held_out} is predicted {better:.2g} times better"
     if gain > CLEAR and better > BETTER:
         return f"{title}: {gained}, and {predicted}"
     if gain > CLEAR:
-        return _Doubt(f"{gained}, but {held_out} is not predicted clearly better ({better:.2g} times)", SLOW)
+        return _Doubt(f"{gained}, but {held_out} is predicted no better ({better:.2g} times)", SLOW)
     if gain > 0.0:
         return _Doubt(f"{gained}, too little to decide", SLOW)
     if better > MUCH_BETTER:
-        return _Doubt(f"{predicted}, but its criterion is no better than that of {simpler}", SLOW)
+        return _Doubt(f"{predicted}, but the criterion gains nothing over {simpler}", SLOW)
     return None
 
 

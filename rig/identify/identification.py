@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from rig.identify import describing_function, least_squares, sampled_data, triple_relay, verdict
-from rig.identify.breakaway import breakaway
+from rig.identify.breakaway import Breakaway, breakaway
 from rig.identify.cycles import Cycle, find_cycle
 from rig.identify.estimate import Estimate
+from rig.identify.friction_law import Ladder, friction_law
 from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.record import IdentifyError, Record, from_recording
 from rig.identify.verdict import FEW_CYCLES
@@ -30,6 +31,7 @@ class Identification:
     hysteretic  for each run of a hysteretic relay: stage, d_V, start_rad, switched_s, switched_rad, rows
     cycles      stage -> averaged cycle
     breakaway   drives at break-away both ways, None without a breakaway record
+    friction_law    the ladder of friction laws, None where it was not asked for or sampled-data gave no estimate
     notes       which rows were used, how the gains were found, what was left out and why
     """
 
@@ -38,6 +40,7 @@ class Identification:
     hysteretic: list[dict[str, Any]] = field(default_factory=list)
     cycles: dict[str, Cycle] = field(default_factory=dict)
     breakaway: dict[str, Any] | None = None
+    friction_law: Ladder | None = None
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -47,10 +50,13 @@ class Identification:
         return next((estimate for estimate in usable if estimate.verdict != "refused" and estimate.is_motor), None)
 
 
-def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = None) -> Identification:
+def identify(
+    recordings: Sequence[Recording], methods: Sequence[str] | None = None, *, ladder: bool = True
+) -> Identification:
     """Identify one motor from run folders or CSV files.
 
     methods   of ``METHODS``; default: all that the data allows
+    ladder    whether to look for the friction law, with the sampled-data estimate
     A run's relay tests are used, or its hysteretic runs if it has no others; least squares takes the hysteretic runs
     alone. A CSV file without stages is used whole; it is taken for a hysteretic run only where least squares is asked
     for. Raises IdentifyError if a wanted method cannot work on the data, or none can.
@@ -131,7 +137,9 @@ def identify(recordings: Sequence[Recording], methods: Sequence[str] | None = No
         found.estimates[method] = estimate
     if not found.estimates:
         raise complaints[0]
-    _add_breakaway(recordings, found)
+    shown = _add_breakaway(recordings, found)
+    if ladder:
+        _add_friction_law(records, [periods_s.get(k) for k in range(len(records))], shown, found)
     return found
 
 
@@ -225,11 +233,11 @@ def _parameters(estimate: Estimate) -> tuple[float, float, float]:
     return estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V
 
 
-def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> None:
+def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> Breakaway | None:
     """Static friction, from the first recording that has a breakaway stage, on the sampled-data model."""
     estimate = found.estimates.get(sampled_data.METHOD)
     if estimate is None or estimate.verdict == "refused":
-        return
+        return None
     for recording in recordings:
         if "breakaway" not in recording.stages():
             continue
@@ -244,4 +252,28 @@ def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> No
         if shown.friction_V is not None:
             plus, minus, bias = shown.friction_V
             found.estimates[sampled_data.METHOD] = replace(estimate, fc_plus_V=plus, fc_minus_V=minus, bias_V=bias)
+        return shown
+    return None
+
+
+def _add_friction_law(
+    records: Sequence[Record], periods_s: Sequence[float | None], shown: Breakaway | None, found: Identification
+) -> None:
+    """The ladder of friction laws; the sampled-data estimate is doubtful where Stribeck friction is chosen."""
+    estimate = found.estimates.get(sampled_data.METHOD)
+    if estimate is None or estimate.verdict == "refused":
         return
+    try:
+        laws = friction_law(records, estimate, periods_s, shown)
+    except IdentifyError as error:
+        found.notes.append(f"friction law: {error.cause}")
+        return
+    found.friction_law = laws
+    found.notes += laws.notes()
+    better = laws.better("stribeck", "asymmetric")
+    if laws.chosen.law == "stribeck" and better is not None:
+        found.estimates[sampled_data.METHOD] = estimate.judged(
+            "doubtful",
+            f"Stribeck friction: with it {laws.held_out} is predicted {better:.1f} times better than with Coulomb "
+            "friction; tau, K and fc are good for motion like the recorded one only",
+        )

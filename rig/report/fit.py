@@ -161,7 +161,7 @@ def fits_of(run: Run, identification: Identification | None = None) -> tuple[dic
     if identification is not None:
         return identification.estimates, ""
     try:
-        return identify([run.recording]).estimates, ""
+        return identify([run.recording], ladder=False).estimates, ""
     except IdentifyError as error:
         return {}, f"The estimators refuse this recording: {error.cause}. What to do: {error.cure}."
     except RecordingError as error:

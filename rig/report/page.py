@@ -22,6 +22,7 @@ from rig.report.words import PARAMETERS, Quantity, headline, quantity, rounded
 
 REPORT = "report.html"
 TEMPLATE = "report.html.j2"
+LAWS = {"coulomb": "Coulomb", "asymmetric": "+ asymmetry", "static": "+ static level", "stribeck": "+ Stribeck effect"}
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ def _identify_unfinished(run: Run) -> Identification | None:
     run.result["estimates"] = {method: estimate.as_dict() for method, estimate in found.estimates.items()}
     run.result["relays"] = found.relays
     run.result["hysteretic"] = found.hysteretic
+    run.result["friction_law"] = None if found.friction_law is None else found.friction_law.as_dict()
     run.notes.append("The run ended before it had a result: its record was identified for this page.")
     return found
 
@@ -83,6 +85,7 @@ def render_page(run: Run, identification: Identification | None = None) -> str:
         figures=draw(run, identification),
         estimates=_estimates(run),
         relays=_relays(run),
+        friction_law=_friction_law(run),
         hysteretic=_hysteretic(run),
         tracking=_tracking(run),
         loop=_loop(run),
@@ -176,6 +179,29 @@ def _relays(run: Run) -> list[Json]:
         {"stage": str(relay.get("stage", "")).replace("-", " "), "cells": [_cell(relay.get(k)) for k in keys]}
         for relay in mappings(run.result.get("relays"))
     ]
+
+
+def _friction_law(run: Run) -> Json | None:
+    """The ladder of friction laws: a line for each, and its reason; None without one."""
+    found = section(run.result, "friction_law")
+    rungs = mappings(found.get("rungs"))
+    if not rungs:
+        return None
+    keys = ("fc_V", "asym_V", "fs_V", "stribeck_rad_s")
+    lines = []
+    for rung in rungs:
+        parameters = section(rung, "parameters")
+        cells = [_cell(parameters.get(key)) for key in keys]
+        cells += [_cell(rung.get("criterion")), _cell(rung.get("held_out_rms_rad"), 1e3)]
+        law = str(rung.get("law", ""))
+        lines.append({"law": LAWS.get(law, law), "cells": cells, "standing": str(rung.get("standing", ""))})
+    words = [str(found[key]) for key in ("reason", "viscous") if found.get(key)]
+    held_out = found.get("held_out")
+    return {
+        "lines": lines,
+        "words": [*words, *texts(found.get("record"))],
+        "held_out": str(held_out).replace("-", " ") if held_out else "",
+    }
 
 
 def _hysteretic(run: Run) -> list[Json]:
