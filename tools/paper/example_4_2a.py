@@ -230,11 +230,11 @@ def _runs_figure(result: Result) -> Picture:
     panels = figure.subplots(2, 2, sharex="col", height_ratios=(2.0, 1.0))
     for column, (run, ink) in enumerate(zip(result.runs, CYCLES, strict=True)):
         top, bottom = panels[:, column]
-        top.plot(run.t_s, run.y_rad, color=ink)
+        top.plot(run.t_s[::10], run.y_rad[::10], color=ink)
         zero(top)
         for side in (1.0, -1.0):
             top.axhline(side * run.eps_rad, color="#b9bfc7", lw=0.9, ls="--")
-        bottom.step(run.t_s, run.u_V, where="post", color=ink)
+        bottom.step(run.t_s[::10], run.u_V[::10], where="post", color=ink)
         for axes in (top, bottom):
             axes.axvspan(0.0, surviving.LEAST_SQUARES_SAMPLES * SAMPLING_S, color="#eef3f8", lw=0)
         top.set_title(f"ε = {run.eps_rad:g} rad,  d = {run.d_V:g} V")
