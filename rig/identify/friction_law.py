@@ -115,6 +115,18 @@ class Ladder:
         own, other = self.rungs[LAWS.index(law)], self.rungs[LAWS.index(than)]
         return _better(own, other)
 
+    @property
+    def beyond_coulomb(self) -> str | None:
+        """Why an estimate with Coulomb friction and asymmetry is not enough, as a sentence; None if it is."""
+        law = self.chosen.law
+        better = self.better(law, "asymmetric") if law in ("static", "stribeck") else None
+        if better is None or better <= BETTER:
+            return None
+        return (
+            f"{TITLES[law]}: with it {self.held_out} is predicted {better:.1f} times better than without; tau, K and fc "
+            "are good for motion like the recorded one only"
+        )
+
     def as_dict(self) -> dict[str, Any]:
         """As result.json holds it; a number that is not finite becomes null."""
         return {

@@ -259,7 +259,7 @@ def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> Br
 def _add_friction_law(
     records: Sequence[Record], periods_s: Sequence[float | None], shown: Breakaway | None, found: Identification
 ) -> None:
-    """The ladder of friction laws; the sampled-data estimate is doubtful where Stribeck friction is chosen."""
+    """The ladder of friction laws; the sampled-data estimate is doubtful where a law beyond its own predicts better."""
     estimate = found.estimates.get(sampled_data.METHOD)
     if estimate is None or estimate.verdict == "refused":
         return
@@ -270,10 +270,6 @@ def _add_friction_law(
         return
     found.friction_law = laws
     found.notes += laws.notes()
-    better = laws.better("stribeck", "asymmetric")
-    if laws.chosen.law == "stribeck" and better is not None:
-        found.estimates[sampled_data.METHOD] = estimate.judged(
-            "doubtful",
-            f"Stribeck friction: with it {laws.held_out} is predicted {better:.1f} times better than with Coulomb "
-            "friction; tau, K and fc are good for motion like the recorded one only",
-        )
+    richer = laws.beyond_coulomb
+    if richer is not None:
+        found.estimates[sampled_data.METHOD] = estimate.judged("doubtful", richer)
