@@ -11,7 +11,7 @@ demo: .venv/.ready firmware  ## the whole experiment in real time, on the emulat
 	$(RIG) run $(CONFIG)
 
 test: check firmware  ## check, then every test, the firmware's own included
-	.venv/bin/pytest
+	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest
 
 check: .venv/.ready  ## format, lint, types, import contract, docs
 	.venv/bin/ruff format --check .
