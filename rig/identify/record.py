@@ -12,6 +12,7 @@ from rig.recording.reader import Recording
 
 Array = NDArray[np.float64]
 
+FEWEST_ROWS = 20  # that anything can be read from
 LATENCY_PERIODS, LATENCY_S = 10.0, 0.1  # between a sample and its row's drive, at most the longer of both
 
 
@@ -174,8 +175,14 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[Record
     """Rows of a recording as a ``Record``, and notes on what was done to the times.
 
     Times are divided by the clock ratio over the whole run where that is significant. Rows before the first known t_u_s
-    are dropped; a t_u_s missing between others is filled in with the median latency. Raises IdentifyError.
+    are dropped; a t_u_s missing between others is filled in with the median latency. Raises IdentifyError,
+    also for fewer than twenty rows.
     """
+    first, stop, _ = rows.indices(len(recording))
+    if stop - first < FEWEST_ROWS:
+        raise IdentifyError(
+            f"{name}: {max(0, stop - first)} rows are too few to fit", "record at least three cycles, better ten"
+        )
     notes: list[str] = []
     scale = 1.0
     clock = clock_ratio(recording)
@@ -190,7 +197,6 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[Record
     t_s = recording.t_s[rows] / scale
     t_u_s = recording.t_u_s[rows] / scale
     y_rad, u_V = recording.y_rad[rows], recording.u_V[rows]
-    first = rows.indices(len(recording))[0]
     known = np.isfinite(t_u_s)
     if not known.any():
         return Record(t_s, y_rad, None, u_V, first, name), notes

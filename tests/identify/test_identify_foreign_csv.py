@@ -257,6 +257,13 @@ def test_all_methods_take_what_the_others_refuse_without_a_traceback(tmp_path, r
         assert believed == ([] if change else ["sampled-data"])
 
 
+@pytest.mark.parametrize("rows", [3, 10, 19])
+def test_a_handful_of_rows_is_one_clear_line(tmp_path, relay_test, rows):
+    short = {name: column[:rows] for name, column in relay_test.items()}
+    with pytest.raises(IdentifyError, match=f"{rows} rows are too few"):
+        identify([read(plain_csv(tmp_path / "a.csv", short))])
+
+
 # -- anything else ----------------------------------------------------------------------------------------------------
 
 
