@@ -18,7 +18,7 @@ CYCLES = (FIRST, SECOND)
 EXACT, SINE, PEER = INK, "#009E73", "#E69F00"
 PARAMETERS = (("τ", "#0072B2", "o"), ("K", "#D55E00", "s"), ("fc", "#009E73", "D"))
 STAGES = ("#eef3f8", "#ffffff", "#f8f1e6")
-PAPER = "#9a1b1b"
+PAPER = "#7b2a8c"
 
 
 def finish(figure: Figure, alt: str, caption: str, backend: str = BACKEND) -> Picture:

@@ -160,7 +160,7 @@ def section(result: Result) -> Section:
         ),
         _trials_table(result),
         Remark(
-            "agrees",
+            "agrees" if diverged.plain.steps_until(result.truth, EXACT) is None else "differs",
             "The paper asks for different initial guesses, and so it must: plain Gauss-Newton "
             f"{'diverges' if diverged.plain.steps_until(result.truth, EXACT) is None else 'converges'} from "
             f"(0.3, 4, 0.3), which is less than a factor of two from the truth. Of the {result.starts.plain.size} "

@@ -194,9 +194,8 @@ def section(result: Result) -> Section:
         Remark(
             "chosen",
             "The paper's motor, sensor noise, delay, trajectory, k<sub>1</sub> and k<sub>2</sub> did not survive. "
-            f"Here τ = {tau:g} s, K = {K:g} (rad/s)/V, f<sub>c</sub> = {fc:g} V, with static friction a tenth larger, "
-            "3 mrad of noise, 10 bits, 3 ms delay; y<sub>d</sub> = 0.5 sin 1.5t + 0.2 sin 3.1t, k<sub>1</sub> = 12, "
-            "k<sub>2</sub> = 36. So tracking errors compare in order and ratio only.",
+            f"Here τ = {tau:g} s, K = {K:g} (rad/s)/V, f<sub>c</sub> = {fc:g} V, {_chosen_words(result.config)}. So "
+            "tracking errors compare in order and ratio only.",
         ),
         Heading("Estimates"),
         _estimate_table(result),
@@ -244,6 +243,20 @@ def section(result: Result) -> Section:
     )
     return Section("section-5", "Section V", "Section V: the bench, on the emulated motor", blocks,
                    _comparisons(result, rms))  # fmt: skip
+
+
+def _chosen_words(config: Experiment) -> str:
+    """The rest of what was chosen, as bench.yaml has it."""
+    emulated, tracking = config.emulated, config.tracking
+    if emulated is None or tracking is None:
+        raise ValueError(f"{CONFIG.name} needs the sections `emulated` and `tracking`")
+    pot = emulated.potentiometer
+    sines = " + ".join(f"{c.amplitude_rad:g} sin {c.omega_rad_s:g}t" for c in tracking.trajectory)
+    return (
+        f"static friction {emulated.motor.fs_plus_V:g} V, {1e3 * pot.noise_rad:g} mrad of noise, "
+        f"{pot.counts_max + 1} steps of {1e3 * pot.rad_per_count:.1f} mrad, {1e3 * emulated.latency_s:g} ms delay; "
+        f"y<sub>d</sub> = {sines}, k<sub>1</sub> = {tracking.k1_1_s:g}, k<sub>2</sub> = {tracking.k2_1_s2:g}"
+    )
 
 
 def _iterations(result: Result, relative: float) -> list[int | None]:
