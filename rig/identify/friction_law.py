@@ -41,7 +41,7 @@ TITLES: dict[Law, str] = {
 }
 CLEAR = 10.0  # difference of criterion that decides ("very strong", Kass & Raftery, J. Am. Stat. Assoc. 90, 1995)
 BETTER = 1.1  # ratio of prediction errors of the held-out test that decides
-MUCH_BETTER = 1.5  # the same, that keeps a law open which the criterion does not ask for
+MUCH_BETTER = 1.2  # the same, that keeps a law open which the criterion does not ask for
 OTHER_AMPLITUDE = 0.1  # relative difference of amplitude that makes a test a second one
 
 SECOND_AMPLITUDE = "record a second relay test of another amplitude"
@@ -123,8 +123,8 @@ class Ladder:
         if better is None or better <= BETTER:
             return None
         return (
-            f"{TITLES[law]}: with it {self.held_out} is predicted {better:.1f} times better than without; tau, K and fc "
-            "are good for motion like the recorded one only"
+            f"{TITLES[law]}: {self.held_out} is predicted {better:.1f} times better than without; "
+            "tau, K and fc are good for motion like the recorded one only"
         )
 
     def as_dict(self) -> dict[str, Any]:
