@@ -179,7 +179,7 @@ def test_weak_stribeck_friction_is_denied_only_where_the_chosen_law_predicts_as_
     if "stribeck" not in (found.chosen.law, *found.open):
         better = found.better("stribeck", found.chosen.law)
         assert better is not None
-        assert better < 1.5
+        assert better < 1.3
 
 
 # Static friction
