@@ -4,11 +4,11 @@ uint16_t frame_crc16(const uint8_t *bytes, uint8_t n)
 {
     uint16_t crc = 0xFFFFu;
     for (uint8_t i = 0; i < n; i++) {
-        crc = (uint16_t)(crc ^ ((uint16_t)bytes[i] << 8));
-        for (uint8_t bit = 0; bit < 8u; bit++) {
-            const uint16_t shifted = (uint16_t)(crc << 1);
-            crc = (crc & 0x8000u) ? (uint16_t)(shifted ^ 0x1021u) : shifted;
-        }
+        /* eight steps of the division by 0x1021 at once */
+        uint8_t x = (uint8_t)((crc >> 8) ^ bytes[i]);
+        x = (uint8_t)(x ^ (x >> 4));
+        const uint16_t wide = x;
+        crc = (uint16_t)((crc << 8) ^ (wide << 12) ^ (wide << 5) ^ wide);
     }
     return crc;
 }

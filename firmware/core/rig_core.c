@@ -1,15 +1,22 @@
 #include "rig_core.h"
 
+#include <stddef.h>
+
 #define US_PER_MS 1000ul
 #define SETUP_LENGTH 16u
 #define STATE_LENGTH 18u
 #define HELLO_LENGTH (12u + RIG_BUILD_LENGTH)
 #define DRIVE_LENGTH 2u
+#define RELAY_LENGTH 18u
+#define BLOCK_HEAD_LENGTH 10u
+#define BLOCK_ROW_LENGTH 4u
 
 /* Recovered means farther inside than this, so that noise on the limit does not latch a fault at once. */
 #define RECOVERED_COUNTS 3u
 /* Under inward drive the shaft may lie this part of the hard range farther out before it counts as polarity. */
 #define POLARITY_DIVISOR 32u
+
+#define ENDS ((unsigned)RIG_INPUT_END_LOW | (unsigned)RIG_INPUT_END_HIGH)
 
 /* ---- little-endian fields ---- */
 
@@ -23,6 +30,11 @@ static int16_t get_i16(const uint8_t *at)
 {
     const uint16_t raw = get_u16(at);
     return raw < 0x8000u ? (int16_t)raw : (int16_t)(-(int16_t)(0xFFFFu - raw) - 1);
+}
+
+static uint32_t get_u32(const uint8_t *at)
+{
+    return get_u16(at) | ((uint32_t)get_u16(at + 2) << 16);
 }
 
 static uint8_t *put_u8(uint8_t *at, uint8_t value)
@@ -93,16 +105,21 @@ static void reply_setup(rig_core *core, uint16_t seq)
     reply(core, RIG_SETUP | RIG_REPLY, seq, body, sizeof body);
 }
 
+static uint8_t status_of(const rig_core *core)
+{
+    return (uint8_t)((core->armed ? (unsigned)RIG_STATUS_ARMED : 0u) |
+                     (core->latched ? (unsigned)RIG_STATUS_FAULT : 0u) |
+                     (core->recovering != 0 ? (unsigned)RIG_STATUS_RECOVERING : 0u) |
+                     (core->relaying ? (unsigned)RIG_STATUS_RELAY : 0u));
+}
+
 static void reply_state(rig_core *core, uint8_t type, uint16_t seq)
 {
-    const unsigned status = (core->armed ? (unsigned)RIG_STATUS_ARMED : 0u) |
-                            (core->latched ? (unsigned)RIG_STATUS_FAULT : 0u) |
-                            (core->recovering != 0 ? (unsigned)RIG_STATUS_RECOVERING : 0u);
     uint8_t body[STATE_LENGTH];
     uint8_t *at = put_u16(put_u32(body, core->t_sample_us), core->counts);
     at = put_u32(put_u16(at, core->tach), core->t_drive_us);
     at = put_u16(put_u16(at, (uint16_t)core->drive), core->drive_seq);
-    (void)put_u8(put_u8(at, (uint8_t)status), core->fault);
+    (void)put_u8(put_u8(at, status_of(core)), core->fault);
     reply(core, type, seq, body, sizeof body);
 }
 
@@ -142,9 +159,9 @@ static void clear_fault(rig_core *core)
 static void read_sensors(rig_core *core)
 {
     const rig_board *board = core->board;
-    core->t_sample_us = board->micros(board->context);
-    core->counts = board->adc_counts(board->context);
+    core->counts = board->adc_counts(board->context, &core->t_sample_us);
     core->tach = board->tach_counts(board->context);
+    core->inputs = board->inputs != NULL ? board->inputs(board->context) : 0u;
 }
 
 static bool at_rail(const rig_core *core)
@@ -152,13 +169,30 @@ static bool at_rail(const rig_core *core)
     return core->counts <= core->setup.rail_lo || core->counts >= core->setup.rail_hi;
 }
 
-/* 0 inside the hard limits, +1 above, -1 below. */
+static bool at_both_ends(const rig_core *core)
+{
+    return (core->inputs & ENDS) == ENDS;
+}
+
+/* 0 inside the hard limits and off the end switches, +1 above, -1 below. */
 static int8_t side(const rig_core *core)
 {
-    if (core->counts > core->setup.hard_hi) {
+    if (core->counts > core->setup.hard_hi || (core->inputs & RIG_INPUT_END_HIGH) != 0u) {
         return 1;
     }
-    return core->counts < core->setup.hard_lo ? -1 : 0;
+    return core->counts < core->setup.hard_lo || (core->inputs & RIG_INPUT_END_LOW) != 0u ? -1 : 0;
+}
+
+/* What forbids any drive, wherever the shaft is; RIG_OK if nothing does. */
+static uint8_t obstacle(const rig_core *core)
+{
+    if ((core->inputs & RIG_INPUT_ESTOP) != 0u) {
+        return RIG_E_ESTOP; /* P9 */
+    }
+    if (at_rail(core)) {
+        return RIG_E_SENSOR; /* P5 */
+    }
+    return at_both_ends(core) ? RIG_E_END_SWITCH : RIG_OK; /* P9: no shaft is at both ends; a wire is broken */
 }
 
 static bool exceeds(uint16_t greater, uint16_t less, uint16_t by)
@@ -168,6 +202,9 @@ static bool exceeds(uint16_t greater, uint16_t less, uint16_t by)
 
 static bool is_recovered(const rig_core *core)
 {
+    if (side(core) != 0) {
+        return false;
+    }
     return core->recovering > 0 ? exceeds(core->setup.hard_hi, core->counts, RECOVERED_COUNTS)
                                 : exceeds(core->counts, core->setup.hard_lo, RECOVERED_COUNTS);
 }
@@ -190,11 +227,12 @@ static void sample(rig_core *core)
     if (!core->armed) {
         return;
     }
-    if (at_rail(core)) {
-        latch(core, RIG_E_SENSOR); /* P5 */
+    const uint8_t wrong = obstacle(core);
+    if (wrong != RIG_OK) {
+        latch(core, wrong);
         return;
     }
-    if (core->recovering != 0) {
+    if (core->recovering != 0 && side(core) != -core->recovering) {
         if (!is_recovered(core)) {
             if (moves_outward(core)) {
                 latch(core, RIG_E_POLARITY);
@@ -204,8 +242,50 @@ static void sample(rig_core *core)
         core->recovering = 0;
     }
     if (side(core) != 0) {
-        latch(core, RIG_E_TRAVEL); /* P4 */
+        latch(core, (core->inputs & ENDS) != 0u ? RIG_E_END_SWITCH : RIG_E_TRAVEL); /* P9, P4 */
     }
+}
+
+/* ---- relay ---- */
+
+static void close_block(rig_core *core)
+{
+    block *now = blocks_filling(&core->blocks);
+    now->status = status_of(core);
+    now->fault = core->fault;
+    now->delay_us = core->delay_us;
+    blocks_close(&core->blocks);
+}
+
+/* One tick of the relay: its drive, unless the tick has already disarmed, and its row. */
+static void relay_tick(rig_core *core)
+{
+    if (core->armed) {
+        const int16_t units = relay_step(&core->relay, core->counts);
+        if (units != core->drive || !core->relay_acted) {
+            act(core, units);
+            core->relay_acted = true;
+            core->delay_us = (uint16_t)(core->t_drive_us - core->t_sample_us);
+        }
+    }
+    if (blocks_breaks_grid(&core->blocks, core->t_sample_us)) {
+        close_block(core);
+    }
+    const bool full = blocks_add(&core->blocks, core->t_sample_us, core->counts, core->drive);
+    if (!core->armed) {
+        core->relaying = false;
+        close_block(core);
+    } else if (full) {
+        close_block(core);
+    }
+}
+
+/* Ends the relay between two ticks, after the drive has been set: the rows so far go out with the last block. */
+static void end_relay(rig_core *core)
+{
+    rig_stream(core); /* room for it */
+    core->relaying = false;
+    close_block(core);
 }
 
 /* ---- requests ---- */
@@ -239,6 +319,68 @@ static void on_setup(rig_core *core, uint16_t seq, const uint8_t *body)
     reply_setup(core, seq);
 }
 
+static void heard(rig_core *core)
+{
+    core->t_heard_us = core->board->micros(core->board->context);
+}
+
+/* The drive of a state in which both relays push inward must not push outward. */
+static bool is_inward(const rig_core *core, const relay_setup *wanted)
+{
+    const bool lowers = core->setup.polarity == wanted->direction; /* does negative drive lower the position? */
+    const int16_t above = wanted->drive[RELAY_ABOVE_POSITIVE];
+    const int16_t below = wanted->drive[RELAY_BELOW_NEGATIVE];
+    return lowers ? above <= 0 && below >= 0 : above >= 0 && below <= 0;
+}
+
+static uint8_t start_relay(rig_core *core, const relay_setup *wanted, uint8_t rows)
+{
+    if (!core->armed) {
+        return core->latched ? core->fault : RIG_E_NOT_ARMED; /* P1, P7 */
+    }
+    if (core->recovering != 0) {
+        return RIG_E_TRAVEL; /* P6: its drive would go either way */
+    }
+    if (core->relaying || !relay_is_valid(wanted) || rows < 1u || rows > BLOCK_ROWS_MAX) {
+        return RIG_E_SETUP; /* gains do not change while it runs: DRIVE ends it first */
+    }
+    const int16_t most = (int16_t)core->setup.max_drive;
+    for (uint8_t i = 0; i < 4u; i++) {
+        if (wanted->drive[i] > most || wanted->drive[i] < -most) {
+            return RIG_E_DRIVE_RANGE; /* P2 */
+        }
+    }
+    if (!is_inward(core, wanted)) {
+        return RIG_E_POLARITY;
+    }
+    relay_init(&core->relay, wanted);
+    blocks_init(&core->blocks, rows, RIG_TICK_US);
+    core->relay_acted = false;
+    core->delay_us = 0;
+    core->relaying = true; /* from the next tick on */
+    return RIG_OK;
+}
+
+static void on_relay(rig_core *core, uint16_t seq, const uint8_t *body)
+{
+    relay_setup wanted;
+    for (uint8_t i = 0; i < 4u; i++) {
+        wanted.drive[i] = get_i16(body + 2u * i);
+    }
+    const uint32_t centre = get_u32(body + 8);
+    const uint32_t z_bound = get_u32(body + 12);
+    wanted.centre = centre <= (uint32_t)RELAY_CENTRE_MAX ? (int32_t)centre : -1;
+    wanted.z_bound = z_bound <= (uint32_t)RELAY_Z_MAX ? (int32_t)z_bound : -1;
+    wanted.direction = (int8_t)(body[16] == 1u ? 1 : body[16] == 0xFFu ? -1 : 0);
+    const uint8_t code = start_relay(core, &wanted, body[17]);
+    if (code != RIG_OK) {
+        refuse(core, RIG_RELAY, seq, code);
+        return;
+    }
+    heard(core);
+    reply(core, RIG_RELAY | RIG_REPLY, seq, body, (uint8_t)RELAY_LENGTH); /* in range, so stored as it came */
+}
+
 static uint8_t arm(rig_core *core)
 {
     if (!core->has_setup) {
@@ -247,9 +389,10 @@ static uint8_t arm(rig_core *core)
     disarm(core); /* arming starts from drive 0, also when already armed */
     read_sensors(core);
     clear_fault(core);
-    if (at_rail(core)) {
-        latch(core, RIG_E_SENSOR); /* P5 */
-        return RIG_E_SENSOR;
+    const uint8_t wrong = obstacle(core);
+    if (wrong != RIG_OK) {
+        latch(core, wrong);
+        return wrong;
     }
     core->recovering = side(core); /* P6 */
     core->farthest = core->counts;
@@ -279,6 +422,9 @@ static void on_drive(rig_core *core, uint16_t seq, int16_t units)
     }
     act(core, units);
     core->drive_seq = seq;
+    if (core->relaying) {
+        end_relay(core); /* the host takes over, without a gap in the drive */
+    }
 }
 
 static void on_stop(rig_core *core, uint16_t seq)
@@ -289,11 +435,6 @@ static void on_stop(rig_core *core, uint16_t seq)
     clear_fault(core);
 }
 
-static void heard(rig_core *core)
-{
-    core->t_heard_us = core->board->micros(core->board->context);
-}
-
 /* Length of the body of a request, or -1 for an unknown type. */
 static int8_t body_length(uint8_t type)
 {
@@ -302,7 +443,10 @@ static int8_t body_length(uint8_t type)
     case RIG_ARM:
     case RIG_READ:
     case RIG_STOP:
+    case RIG_KEEP:
         return 0;
+    case RIG_RELAY:
+        return (int8_t)RELAY_LENGTH;
     case RIG_SETUP:
         return (int8_t)SETUP_LENGTH;
     case RIG_DRIVE:
@@ -344,7 +488,7 @@ static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
         break;
     }
     case RIG_READ:
-        if (core->drive == 0) {
+        if (core->drive == 0 && !core->relaying) {
             heard(core); /* P3: what drives is kept up by DRIVE alone: one that got lost must not stay on */
         }
         sample(core);
@@ -353,6 +497,14 @@ static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
     case RIG_DRIVE:
         heard(core);
         on_drive(core, seq, get_i16(body));
+        break;
+    case RIG_RELAY:
+        on_relay(core, seq, body);
+        break;
+    case RIG_KEEP:
+        if (core->relaying) {
+            heard(core); /* P3: it keeps nothing else alive */
+        }
         break;
     default: /* RIG_STOP: body_length knows no other */
         on_stop(core, seq);
@@ -372,6 +524,10 @@ void rig_init(rig_core *core, const rig_board *board, uint8_t reset_cause)
     core->reset_cause = reset_cause;
     core->drive_seq = 0;
     core->farthest = 0;
+    core->relaying = false;
+    core->relay_acted = false;
+    core->delay_us = 0;
+    blocks_init(&core->blocks, BLOCK_ROWS_MAX, RIG_TICK_US);
     clear_fault(core);
     disarm(core); /* P1 */
     core->t_heard_us = core->t_drive_us;
@@ -383,17 +539,39 @@ void rig_byte(rig_core *core, uint8_t byte)
     const uint8_t n = frame_receive(&core->rx, byte); /* P8 */
     if (n != 0u) {
         on_request(core, core->rx.buffer, n);
+        if (core->relaying && !core->armed) {
+            end_relay(core); /* STOP, ARM, or what a READ has seen */
+        }
     }
 }
 
 void rig_tick(rig_core *core)
 {
     sample(core); /* P4, P5 */
-    if (!core->armed) {
+    if (core->armed) {
+        const uint32_t silent_us = core->board->micros(core->board->context) - core->t_heard_us;
+        if (silent_us >= core->setup.watchdog_ms * US_PER_MS) {
+            latch(core, RIG_E_WATCHDOG); /* P3 */
+        }
+    }
+    if (core->relaying) {
+        relay_tick(core);
+    }
+}
+
+void rig_stream(rig_core *core)
+{
+    const block *full = blocks_waiting(&core->blocks);
+    if (full == NULL) {
         return;
     }
-    const uint32_t silent_us = core->board->micros(core->board->context) - core->t_heard_us;
-    if (silent_us >= core->setup.watchdog_ms * US_PER_MS) {
-        latch(core, RIG_E_WATCHDOG); /* P3 */
+    uint8_t body[BLOCK_HEAD_LENGTH + BLOCK_ROWS_MAX * BLOCK_ROW_LENGTH];
+    uint8_t *at = put_u16(put_u32(body, full->t_first_us), RIG_TICK_US);
+    at = put_u16(at, full->delay_us);
+    at = put_u8(put_u8(at, full->status), full->fault);
+    for (uint8_t i = 0; i < full->n; i++) {
+        at = put_u16(put_u16(at, full->counts[i]), (uint16_t)full->drive[i]);
     }
+    reply(core, RIG_BLOCK, full->number, body, (uint8_t)(BLOCK_HEAD_LENGTH + full->n * BLOCK_ROW_LENGTH));
+    blocks_sent(&core->blocks);
 }

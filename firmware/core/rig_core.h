@@ -5,7 +5,8 @@
  *
  *     rig_init   once after a reset
  *     rig_byte   for each byte received
- *     rig_tick   every millisecond
+ *     rig_tick   every RIG_TICK_US
+ *     rig_stream whenever there is time, at least every few ms while a relay runs: sends the block that is full
  *
  * None of them waits. A hung main loop is the business of the board's hardware watchdog.
  *
@@ -13,12 +14,17 @@
  *     P1 after a reset the drive is 0, and stays 0 until SETUP and ARM
  *     P2 more drive than max_drive never reaches the pin
  *     P3 host silence longer than watchdog_ms sets the drive to 0, at most one tick later;
- *        while something drives, only DRIVE counts as the host's voice
+ *        while something drives, only DRIVE counts as the host's voice; while the relay runs, only KEEP
  *     P4 a position outside the hard limits sets the drive to 0, at most one tick later
  *     P5 a sensor at its rail sets the drive to 0, at most one tick later
  *     P6 armed outside a hard limit, only drive inward reaches the pin
  *     P7 a fault latches: the drive stays 0 until an explicit ARM
  *     P8 only a whole frame with a valid CRC can change anything
+ *     P9 the e-stop or an end switch sets the drive to 0, at most one tick later (a board may do it sooner)
+ *
+ * The relay (relay.h) is started by RELAY and drives at each tick, after P3, P4, P5 and P9 have been looked at. Whatever
+ * disarms ends it; so does DRIVE, which takes over. Each of its ticks is a row that goes to the host unasked, in blocks
+ * (blocks.h); the last block says by its status that the relay has ended.
  */
 #ifndef RIG_CORE_H
 #define RIG_CORE_H
@@ -26,9 +32,12 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "blocks.h"
 #include "frames.h"
+#include "relay.h"
 
 #define RIG_PROTOCOL 1u
+#define RIG_TICK_US 1000u
 #define RIG_TACH_NONE 0xFFFFu
 #define RIG_BUILD_LENGTH 16u
 #define RIG_WATCHDOG_MAX_MS 1000u
@@ -39,7 +48,7 @@ enum rig_reset_cause { RIG_RESET_POWER_ON = 1, RIG_RESET_EXTERNAL = 2, RIG_RESET
 
 enum rig_feature { RIG_FEATURE_TACHOMETER = 1 };
 
-enum rig_status { RIG_STATUS_ARMED = 1, RIG_STATUS_FAULT = 2, RIG_STATUS_RECOVERING = 4 };
+enum rig_status { RIG_STATUS_ARMED = 1, RIG_STATUS_FAULT = 2, RIG_STATUS_RECOVERING = 4, RIG_STATUS_RELAY = 8 };
 
 enum rig_type {
     RIG_HELLO = 0x01,
@@ -48,6 +57,9 @@ enum rig_type {
     RIG_READ = 0x04,
     RIG_DRIVE = 0x05,
     RIG_STOP = 0x06,
+    RIG_RELAY = 0x07,
+    RIG_KEEP = 0x08,
+    RIG_BLOCK = 0x89, /* unasked, while the relay runs */
     RIG_REPLY = 0x80, /* set in the type of a reply */
     RIG_NACK = 0xFF
 };
@@ -64,17 +76,23 @@ enum rig_code {
     RIG_E_DRIVE_RANGE = 8,
     RIG_E_SETUP = 9,
     RIG_E_NO_SETUP = 10,
-    RIG_E_POLARITY = 11
+    RIG_E_POLARITY = 11,
+    RIG_E_ESTOP = 12,
+    RIG_E_END_SWITCH = 13
 };
+
+/* Contacts that a board may have; a set bit is a contact that asks for a stop. */
+enum rig_input { RIG_INPUT_ESTOP = 1, RIG_INPUT_END_LOW = 2, RIG_INPUT_END_HIGH = 4 }; /* low, high: of the counts */
 
 /* What the core needs of a board. */
 typedef struct {
     void *context;                                                      /* handed to every function below */
     uint32_t (*micros)(void *context);                                  /* device clock, us, modulo 2^32 */
-    uint16_t (*adc_counts)(void *context);                              /* position now */
+    uint16_t (*adc_counts)(void *context, uint32_t *t_us);              /* newest position, and when it was sampled */
     uint16_t (*tach_counts)(void *context);                             /* velocity now, or RIG_TACH_NONE */
     void (*set_drive)(void *context, int16_t units);                    /* to the pins, at once */
     void (*transmit)(void *context, const uint8_t *bytes, uint8_t n);   /* queues; must not wait */
+    uint8_t (*inputs)(void *context);                                   /* RIG_INPUT_*; NULL: the board has none */
     const char *build;                                                  /* shown in HELLO, first 16 characters */
     uint16_t adc_max;                                                   /* largest reading */
     uint16_t drive_full;                                                /* units at full duty, 1 to 32767 */
@@ -107,15 +125,22 @@ typedef struct {
     int16_t drive;       /* units now at the pin */
     uint16_t drive_seq;  /* of the DRIVE last accepted */
     uint32_t t_drive_us; /* when `drive` took effect */
-    uint32_t t_heard_us; /* of the last READ, DRIVE or ARM */
+    uint32_t t_heard_us; /* of the last frame that counts for P3 */
     uint32_t t_sample_us;
     uint16_t counts;
     uint16_t tach;
+    uint8_t inputs;
+    bool relaying;       /* the relay drives */
+    bool relay_acted;    /* since it was started */
+    uint16_t delay_us;   /* from the sample to the drive, at the relay's last switching */
+    relay relay;
+    blocks blocks;
 } rig_core;
 
 /* `board` must outlive the core. */
 void rig_init(rig_core *core, const rig_board *board, uint8_t reset_cause);
 void rig_byte(rig_core *core, uint8_t byte);
 void rig_tick(rig_core *core);
+void rig_stream(rig_core *core);
 
 #endif

@@ -10,6 +10,7 @@ static struct {
     uint32_t now_us;
     uint16_t counts;
     uint16_t tach;
+    uint8_t inputs;
     int16_t pin;
     unsigned drives;     /* calls of set_drive */
     frame_receiver host; /* what comes back */
@@ -27,9 +28,10 @@ static uint32_t fake_micros(void *context)
     return board.now_us;
 }
 
-static uint16_t fake_adc(void *context)
+static uint16_t fake_adc(void *context, uint32_t *t_us)
 {
     (void)context;
+    *t_us = board.now_us;
     return board.counts;
 }
 
@@ -59,7 +61,13 @@ static void fake_transmit(void *context, const uint8_t *bytes, uint8_t n)
     }
 }
 
-static const rig_board BOARD = {NULL, fake_micros, fake_adc, fake_tach, fake_drive, fake_transmit,
+static uint8_t fake_inputs(void *context)
+{
+    (void)context;
+    return board.inputs;
+}
+
+static const rig_board BOARD = {NULL, fake_micros, fake_adc, fake_tach, fake_drive, fake_transmit, fake_inputs,
                                 "build 12345678901234567890", 1023, FULL, RIG_BOARD_HOST, RIG_FEATURE_TACHOMETER};
 
 static void power_on(void)
@@ -542,6 +550,81 @@ static void test_recovering_polarity(void)
     check_latched(RIG_E_POLARITY);
 }
 
+static void test_estop(void)
+{
+    armed();
+    send_drive(80);
+    board.inputs = RIG_INPUT_ESTOP;
+    tick();
+    check_latched(RIG_E_ESTOP);
+    CHECK(send_arm() == RIG_E_ESTOP); /* as long as it is pressed */
+    board.inputs = 0;
+    tick();
+    check_latched(RIG_E_ESTOP); /* released, but latched */
+    CHECK(send_arm() == RIG_OK && board.pin == 0);
+    board.inputs = RIG_INPUT_ESTOP; /* a READ sees it, too */
+    send_read();
+    check_latched(RIG_E_ESTOP);
+
+    power_on(); /* pressed before anything is armed: no fault, but no arming either */
+    board.inputs = RIG_INPUT_ESTOP;
+    tick();
+    send_read();
+    CHECK(state_status() == 0 && state_fault() == 0);
+    send_setup(FIELDS, 0);
+    CHECK(send_arm() == RIG_E_ESTOP);
+}
+
+static void test_end_switches(void)
+{
+    static const uint8_t ends[] = {RIG_INPUT_END_HIGH, RIG_INPUT_END_LOW};
+    for (int which = 0; which < 2; which++) {
+        const int outward = which == 0 ? 1 : -1;
+        armed();
+        send_drive(80 * outward);
+        board.inputs = ends[which]; /* the counts are well inside */
+        tick();
+        check_latched(RIG_E_END_SWITCH);
+        CHECK(send_arm() == RIG_OK);
+        send_read();
+        CHECK(state_status() == (RIG_STATUS_ARMED | RIG_STATUS_RECOVERING));
+        send_drive(-80 * outward);
+        tick();
+        CHECK(board.pin == -80 * outward); /* on the way in */
+        send_drive(outward);
+        check_latched(RIG_E_TRAVEL);
+        CHECK(send_arm() == RIG_OK);
+        send_drive(-80 * outward);
+        board.inputs = ends[1 - which]; /* out at the other end */
+        tick();
+        check_latched(RIG_E_END_SWITCH);
+        CHECK(send_arm() == RIG_OK);
+        board.inputs = 0;
+        tick();
+        send_drive(80);
+        send_drive(-80);
+        CHECK(board.pin == -80 && core.recovering == 0);
+        board.inputs = RIG_INPUT_END_LOW | RIG_INPUT_END_HIGH; /* a broken wire */
+        tick();
+        check_latched(RIG_E_END_SWITCH);
+        CHECK(send_arm() == RIG_E_END_SWITCH);
+    }
+}
+
+static void test_a_board_without_inputs(void)
+{
+    rig_board plain = BOARD;
+    plain.inputs = NULL;
+    power_on();
+    rig_init(&core, &plain, RIG_RESET_POWER_ON);
+    board.inputs = RIG_INPUT_ESTOP;
+    send_setup(FIELDS, 0);
+    CHECK(send_arm() == RIG_OK);
+    send_drive(80);
+    tick();
+    CHECK(board.pin == 80);
+}
+
 static void test_refusals(void)
 {
     uint8_t body[17] = {0};
@@ -550,7 +633,7 @@ static void test_refusals(void)
     send_raw(2, RIG_STOP, NULL, 0);
     CHECK(refused(RIG_STOP, RIG_E_VERSION) && core.rx.dropped == 1);
     send_raw(1, 0x07, NULL, 0);
-    CHECK(refused(0x07, RIG_E_TYPE));
+    CHECK(refused(0x09, RIG_E_TYPE));
     send_raw(1, RIG_READ | RIG_REPLY, body, 17);
     CHECK(refused(RIG_READ | RIG_REPLY, RIG_E_TYPE));
     send_raw(1, RIG_SETUP, body, 15);
@@ -602,6 +685,9 @@ int main(void)
     test_recovering();
     test_recovering_at_the_edge();
     test_recovering_polarity();
+    test_estop();
+    test_end_switches();
+    test_a_board_without_inputs();
     test_refusals();
     test_damaged_drive();
     return report("rig_core");

@@ -22,9 +22,10 @@ static uint32_t micros(void *context)
     return d->bench.p.clock_start_us + (uint32_t)(uint64_t)(since_reset_us + 1e-3);
 }
 
-static uint16_t adc_counts(void *context)
+static uint16_t adc_counts(void *context, uint32_t *t_us)
 {
     device *d = context;
+    *t_us = micros(context);
     return (uint16_t)bench_position_counts(&d->bench);
 }
 
@@ -65,6 +66,7 @@ void device_init(device *d, const bench_params *p, void (*send)(void *, const ui
     d->board.tach_counts = tach_counts;
     d->board.set_drive = set_drive;
     d->board.transmit = transmit;
+    d->board.inputs = NULL;
     d->board.build = RIG_BUILD;
     d->board.adc_max = (uint16_t)p->counts_max;
     d->board.drive_full = (uint16_t)p->drive_counts;
@@ -89,6 +91,7 @@ double device_next_tick_s(const device *d)
 void device_tick(device *d)
 {
     rig_tick(&d->core);
+    rig_stream(&d->core);
     const double due = (d->bench.t_s - d->reset_t_s) * (clock_rate(d) / TICK_S);
     const double done = floor(due + 1e-6); /* a tick run on time has not missed the next */
     d->ticks = done > d->ticks + 1.0 ? (uint32_t)done : d->ticks + 1u;
@@ -97,6 +100,7 @@ void device_tick(device *d)
 void device_byte(device *d, uint8_t byte)
 {
     rig_byte(&d->core, byte);
+    rig_stream(&d->core);
     if (d->core.armed) {
         bench_arm(&d->bench);
     }

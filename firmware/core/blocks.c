@@ -1,0 +1,70 @@
+#include "blocks.h"
+
+#include <stddef.h>
+
+static void begin(block *next, uint16_t number)
+{
+    next->t_first_us = 0;
+    next->number = number;
+    next->delay_us = 0;
+    next->status = 0;
+    next->fault = 0;
+    next->n = 0;
+}
+
+void blocks_init(blocks *b, uint8_t rows, uint16_t period_us)
+{
+    b->filling = 0;
+    b->waiting = false;
+    b->rows = rows;
+    b->period_us = period_us;
+    begin(&b->pair[0], 0);
+}
+
+block *blocks_filling(blocks *b)
+{
+    return &b->pair[b->filling];
+}
+
+bool blocks_breaks_grid(const blocks *b, uint32_t t_us)
+{
+    const block *now = &b->pair[b->filling];
+    if (now->n == 0u) {
+        return false;
+    }
+    const uint32_t due_us = now->t_first_us + (uint32_t)now->n * b->period_us;
+    const uint32_t off_us = t_us - due_us; /* modulo 2^32: early is a very large number */
+    return off_us > BLOCK_JITTER_US && off_us < (uint32_t)0u - BLOCK_JITTER_US;
+}
+
+bool blocks_add(blocks *b, uint32_t t_us, uint16_t counts, int16_t drive)
+{
+    block *now = &b->pair[b->filling];
+    if (now->n == 0u) {
+        now->t_first_us = t_us;
+    }
+    now->counts[now->n] = counts;
+    now->drive[now->n] = drive;
+    now->n++;
+    return now->n >= b->rows;
+}
+
+void blocks_close(blocks *b)
+{
+    const uint16_t next = (uint16_t)(b->pair[b->filling].number + 1u);
+    if (!b->waiting) {
+        b->filling ^= 1u;
+        b->waiting = true;
+    } /* else nobody has sent the other one: this one is lost */
+    begin(&b->pair[b->filling], next);
+}
+
+const block *blocks_waiting(const blocks *b)
+{
+    return b->waiting ? &b->pair[b->filling ^ 1u] : NULL;
+}
+
+void blocks_sent(blocks *b)
+{
+    b->waiting = false;
+}
