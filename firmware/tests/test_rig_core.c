@@ -632,7 +632,7 @@ static void test_refusals(void)
     send_drive(100);
     send_raw(2, RIG_STOP, NULL, 0);
     CHECK(refused(RIG_STOP, RIG_E_VERSION) && core.rx.dropped == 1);
-    send_raw(1, 0x07, NULL, 0);
+    send_raw(1, 0x09, NULL, 0);
     CHECK(refused(0x09, RIG_E_TYPE));
     send_raw(1, RIG_READ | RIG_REPLY, body, 17);
     CHECK(refused(RIG_READ | RIG_REPLY, RIG_E_TYPE));
