@@ -78,6 +78,14 @@ FAULTS: dict[str, FaultEntry] = {
         "the device was commanded more drive than it was armed for",
         "lower the drive or raise drive.max_V",
     ),
+    "DEVICE_ESTOP": FaultEntry(
+        "the device's e-stop input is open, and it set 0 V",
+        "release the e-stop, then start the run again; without one, the input must be wired to ground",
+    ),
+    "DEVICE_END_SWITCH": FaultEntry(
+        "the shaft is at an end switch, or a switch's wire is broken, and the device set 0 V",
+        "bring the shaft inside with `rig jog`, then lower relay.target.amplitude_rad; at both ends, check the wires",
+    ),
     # guard
     "TRAVEL_HARD": FaultEntry(
         "the position is beyond the hard travel limit",

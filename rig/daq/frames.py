@@ -69,6 +69,8 @@ class Code(IntEnum):
     SETUP_INVALID = 9
     NO_SETUP = 10
     POLARITY = 11
+    E_STOP = 12
+    END_SWITCH = 13
 
 
 def code_name(code: int) -> str:

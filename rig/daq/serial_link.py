@@ -45,6 +45,8 @@ _FAULT_OF_CODE: dict[int, str] = {
     Code.SENSOR_RAIL: "DEVICE_SENSOR",
     Code.DRIVE_RANGE: "DEVICE_DRIVE_RANGE",
     Code.POLARITY: "POLARITY",
+    Code.E_STOP: "DEVICE_ESTOP",
+    Code.END_SWITCH: "DEVICE_END_SWITCH",
 }
 
 
