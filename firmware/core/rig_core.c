@@ -387,6 +387,9 @@ static uint8_t arm(rig_core *core)
         return RIG_E_NO_SETUP; /* P1 */
     }
     disarm(core); /* arming starts from drive 0, also when already armed */
+    if (core->relaying) {
+        end_relay(core);
+    }
     read_sensors(core);
     clear_fault(core);
     const uint8_t wrong = obstacle(core);
@@ -540,7 +543,7 @@ void rig_byte(rig_core *core, uint8_t byte)
     if (n != 0u) {
         on_request(core, core->rx.buffer, n);
         if (core->relaying && !core->armed) {
-            end_relay(core); /* STOP, ARM, or what a READ has seen */
+            end_relay(core); /* STOP, or what a READ has seen */
         }
     }
 }

@@ -13,6 +13,8 @@ enum { ORDER = 22 };
 static const double RATIO = 4.0;
 static const double NEGLIGIBLE = 32.0;
 static const double SMALLEST = 1e-18;
+static const double LARGEST = 1e12;
+static const double JUST_ABOVE = 1.0 + 1e-9;
 
 /* Viscous friction lowers gain and time constant alike. */
 static double viscous_share(const bench_params *p)
@@ -122,7 +124,7 @@ static void next_piece(const bench_params *p, piece *m, double v, double sign, d
     const double static_V = sign > 0.0 ? p->fs_plus_V : p->fs_minus_V;
     const double unit = p->stribeck_rad_s > 0.0 ? p->stribeck_rad_s : 1.0;
     const double b = p->stribeck_rad_s > 0.0 ? gain * (static_V - moving_V) / unit : 0.0;
-    const bool falls = b >= SMALLEST;
+    const bool falls = b >= SMALLEST && b <= LARGEST;
     const double far = falls ? NEGLIGIBLE + log1p(b) : 0.0;
     const double x = fabs(v) / unit;
     const double target = gain * (sign * drive_V - moving_V) / unit;
@@ -133,7 +135,7 @@ static void next_piece(const bench_params *p, piece *m, double v, double sign, d
     m->v = v;
     m->target = m->unit * target;
     m->duration_s = dt_s;
-    if (!falls || x > far || (x == far && target >= far)) {
+    if (!falls || x > JUST_ABOVE * far || (x >= far && target >= far)) {
         /* down to where the Stribeck effect begins, or to rest where there is none */
         const double leaves_s = target < far && far < x ? m->tau_s * log1p((x - far) / (far - target)) : INFINITY;
         if (leaves_s <= dt_s) {

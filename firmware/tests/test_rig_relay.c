@@ -1,0 +1,531 @@
+/* The relay in the device: when it may start, what it drives, what ends it, and what the host is told of it. */
+#include <string.h>
+
+#include "check.h"
+#include "rig_core.h"
+
+#define LIMIT_LO 100
+#define LIMIT_HI 900
+#define MOST 200
+#define WATCHDOG_TICKS 100
+
+typedef struct {
+    uint16_t number, delay_us, period_us;
+    uint32_t t_us;
+    uint8_t status, fault, n;
+    uint16_t counts[BLOCK_ROWS_MAX];
+    int16_t drive[BLOCK_ROWS_MAX];
+} told_block;
+
+static struct {
+    uint32_t now_us;
+    uint16_t counts;
+    uint8_t inputs;
+    int16_t pin;
+    frame_receiver host;
+    uint8_t reply[FRAME_CONTENT_MAX]; /* last frame that was no block */
+    uint8_t reply_length;
+    told_block block[64];
+    unsigned blocks;
+} board;
+
+static rig_core core;
+static uint16_t seq;
+
+static uint32_t fake_micros(void *context)
+{
+    (void)context;
+    return board.now_us;
+}
+
+static uint16_t fake_adc(void *context, uint32_t *t_us)
+{
+    (void)context;
+    *t_us = board.now_us;
+    return board.counts;
+}
+
+static uint16_t fake_tach(void *context)
+{
+    (void)context;
+    return RIG_TACH_NONE;
+}
+
+static void fake_drive(void *context, int16_t units)
+{
+    (void)context;
+    board.now_us += 7; /* it takes a while */
+    board.pin = units;
+}
+
+static uint8_t fake_inputs(void *context)
+{
+    (void)context;
+    return board.inputs;
+}
+
+static uint16_t u16(const uint8_t *at)
+{
+    return (uint16_t)(at[0] | (at[1] << 8));
+}
+
+static void keep_block(const uint8_t *content, uint8_t length)
+{
+    told_block *b = &board.block[board.blocks++ % 64u];
+    const uint8_t *body = content + FRAME_HEADER;
+    b->number = u16(content + 2);
+    b->t_us = u16(body) | ((uint32_t)u16(body + 2) << 16);
+    b->period_us = u16(body + 4);
+    b->delay_us = u16(body + 6);
+    b->status = body[8];
+    b->fault = body[9];
+    b->n = (uint8_t)((length - FRAME_HEADER - 10u) / 4u);
+    CHECK(length == FRAME_HEADER + 10u + 4u * b->n && b->n <= BLOCK_ROWS_MAX);
+    for (uint8_t i = 0; i < b->n; i++) {
+        b->counts[i] = u16(body + 10 + 4 * i);
+        b->drive[i] = (int16_t)u16(body + 12 + 4 * i);
+    }
+}
+
+static void fake_transmit(void *context, const uint8_t *bytes, uint8_t n)
+{
+    (void)context;
+    for (uint8_t i = 0; i < n; i++) {
+        const uint8_t length = frame_receive(&board.host, bytes[i]);
+        if (length != 0u && board.host.buffer[1] == RIG_BLOCK) {
+            keep_block(board.host.buffer, length);
+        } else if (length != 0u) {
+            memcpy(board.reply, board.host.buffer, length);
+            board.reply_length = length;
+        }
+    }
+}
+
+static const rig_board BOARD = {NULL, fake_micros, fake_adc, fake_tach, fake_drive, fake_transmit, fake_inputs,
+                                "build", 1023, 799, RIG_BOARD_HOST, 0};
+
+static void send(uint8_t type, const uint8_t *body, uint8_t n)
+{
+    uint8_t content[FRAME_CONTENT_MAX], wire[FRAME_WIRE_MAX];
+    seq++;
+    content[0] = RIG_PROTOCOL;
+    content[1] = type;
+    content[2] = (uint8_t)(seq & 0xFF);
+    content[3] = (uint8_t)(seq >> 8);
+    if (n > 0) {
+        memcpy(content + 4, body, n);
+    }
+    const uint8_t length = frame_encode(content, (uint8_t)(FRAME_HEADER + n), wire);
+    board.reply_length = 0;
+    for (uint8_t i = 0; i < length; i++) {
+        rig_byte(&core, wire[i]);
+        rig_stream(&core);
+    }
+}
+
+static int refused(uint8_t type, uint8_t code)
+{
+    return board.reply_length == 6 && board.reply[1] == RIG_NACK && board.reply[4] == code && board.reply[5] == type;
+}
+
+static uint8_t *put16(uint8_t *at, int value)
+{
+    at[0] = (uint8_t)((unsigned)value & 0xFFu);
+    at[1] = (uint8_t)(((unsigned)value >> 8) & 0xFFu);
+    return at + 2;
+}
+
+static uint8_t *put32(uint8_t *at, uint32_t value)
+{
+    return put16(put16(at, (int)(value & 0xFFFFu)), (int)(value >> 16));
+}
+
+static void send_drive(int units)
+{
+    uint8_t body[2];
+    (void)put16(body, units);
+    send(RIG_DRIVE, body, 2);
+}
+
+/* An armed device at counts 520, centre of the relay's 512. */
+static void armed(int polarity)
+{
+    const int fields[] = {LIMIT_LO, LIMIT_HI, 5, 1018, 512, MOST, WATCHDOG_TICKS};
+    uint8_t body[16];
+    uint8_t *at = body;
+    memset(&board, 0, sizeof board);
+    frame_receiver_init(&board.host);
+    board.counts = 520;
+    rig_init(&core, &BOARD, RIG_RESET_POWER_ON);
+    for (int i = 0; i < 7; i++) {
+        at = put16(at, fields[i]);
+    }
+    body[14] = (uint8_t)polarity;
+    body[15] = 0;
+    send(RIG_SETUP, body, 16);
+    send(RIG_ARM, NULL, 0);
+    CHECK(board.reply[1] == (RIG_ARM | RIG_REPLY) && board.reply[4] == RIG_OK);
+}
+
+/* Drives of the four states by sign of h2 - h1 = 40; polarity and direction as given. */
+static void fill(uint8_t body[18], int direction, int polarity)
+{
+    const int sign = direction * polarity;
+    uint8_t *at = put16(body, -160 * sign);
+    at = put16(at, 40 * sign);
+    at = put16(at, -40 * sign);
+    at = put16(at, 160 * sign);
+    at = put32(put32(at, 512u * RELAY_COUNT), 100000u);
+    at[0] = (uint8_t)direction;
+    at[1] = BLOCK_ROWS_MAX;
+}
+
+static void start_as(int direction, int polarity)
+{
+    uint8_t body[18];
+    fill(body, direction, polarity);
+    send(RIG_RELAY, body, 18);
+}
+
+static int started(void)
+{
+    return board.reply_length == 22 && board.reply[1] == (RIG_RELAY | RIG_REPLY) && core.relaying;
+}
+
+static void tick(void)
+{
+    board.now_us += RIG_TICK_US - board.now_us % RIG_TICK_US;
+    rig_tick(&core);
+    rig_stream(&core);
+}
+
+static void ticks(unsigned n)
+{
+    while (n-- > 0u) {
+        tick();
+    }
+}
+
+static void running(void)
+{
+    armed(1);
+    start_as(1, 1);
+    CHECK(started());
+}
+
+static const told_block *last(void)
+{
+    return &board.block[(board.blocks - 1u) % 64u];
+}
+
+static void test_it_drives_at_each_tick(void)
+{
+    running();
+    CHECK(board.pin == 0); /* from the next tick on */
+    tick();
+    CHECK(board.pin == -160);
+    board.counts = 511;
+    tick();
+    CHECK(board.pin == -40); /* z is still positive */
+    board.counts = 400;
+    tick();
+    CHECK(board.pin == 160);
+    board.counts = 513;
+    ticks(1);
+    CHECK(board.pin == 40);
+    CHECK(core.armed && core.relaying && core.fault == 0);
+}
+
+static void test_either_direction_and_polarity(void)
+{
+    for (int polarity = -1; polarity <= 1; polarity += 2) {
+        for (int direction = -1; direction <= 1; direction += 2) {
+            armed(polarity);
+            start_as(direction, polarity);
+            CHECK(started());
+            tick();
+            /* the counts are above the centre: the drive must lower them */
+            CHECK(board.pin == -160 * polarity);
+            armed(polarity);
+            start_as(direction, -polarity);
+            CHECK(refused(RIG_RELAY, RIG_E_POLARITY) && !core.relaying);
+        }
+    }
+}
+
+static void test_rows_in_blocks(void)
+{
+    running();
+    uint16_t sent[25];
+    int16_t driven[25];
+    for (unsigned k = 0; k < 25u; k++) {
+        board.counts = (uint16_t)(505u + (k * 7u) % 16u);
+        sent[k] = board.counts;
+        tick();
+        driven[k] = board.pin;
+    }
+    CHECK(board.blocks == 2);
+    send_drive(0);
+    CHECK(board.pin == 0 && board.blocks == 3 && !core.relaying && core.armed);
+    unsigned row = 0;
+    for (unsigned b = 0; b < 3u; b++) {
+        const told_block *told = &board.block[b];
+        CHECK(told->number == b && told->period_us == RIG_TICK_US && told->fault == 0);
+        CHECK(told->t_us == (1u + row) * RIG_TICK_US);
+        CHECK(told->n == (b < 2u ? 10 : 5));
+        CHECK(told->status == (b < 2u ? (RIG_STATUS_ARMED | RIG_STATUS_RELAY) : RIG_STATUS_ARMED));
+        CHECK(told->delay_us == 7);
+        for (unsigned i = 0; i < told->n; i++, row++) {
+            CHECK(told->counts[i] == sent[row] && told->drive[i] == driven[row]);
+        }
+    }
+    CHECK(row == 25);
+    ticks(30);
+    CHECK(board.blocks == 3); /* nothing more */
+}
+
+static void test_late_and_skipped_ticks_begin_a_block(void)
+{
+    running();
+    ticks(3);
+    board.now_us += 4000;
+    ticks(4);
+    board.now_us += 150; /* a row off the grid, by more than the jitter that is allowed */
+    rig_tick(&core);
+    rig_stream(&core);
+    ticks(2);
+    send(RIG_STOP, NULL, 0);
+    CHECK(board.blocks == 4);
+    CHECK(board.block[0].n == 3 && board.block[1].n == 4 && board.block[2].n == 1 && board.block[3].n == 2);
+    CHECK(board.block[0].t_us == 1000 && board.block[1].t_us == 8000);
+    CHECK(board.block[2].t_us % 1000u != 0u && board.block[3].number == 3);
+}
+
+static void test_a_block_that_nobody_sends_is_missed(void)
+{
+    running();
+    for (int k = 0; k < 35; k++) {
+        board.now_us += RIG_TICK_US;
+        rig_tick(&core); /* and no rig_stream */
+    }
+    rig_stream(&core);
+    ticks(15);
+    CHECK(board.blocks == 3);
+    CHECK(board.block[0].number == 0 && board.block[1].number == 3 && board.block[2].number == 4);
+}
+
+static void test_keep_alone_keeps_it_running(void)
+{
+    running();
+    for (int k = 0; k < 30; k++) {
+        ticks(WATCHDOG_TICKS - 1);
+        CHECK(board.pin != 0);
+        send(RIG_KEEP, NULL, 0);
+        CHECK(board.reply_length == 0);
+    }
+    for (int k = 0; k < WATCHDOG_TICKS; k++) { /* READ, HELLO and what is refused do not count */
+        send(RIG_READ, NULL, 0);
+        send(RIG_HELLO, NULL, 0);
+        start_as(1, 1);
+        CHECK(refused(RIG_RELAY, RIG_E_SETUP));
+        tick();
+    }
+    tick();
+    CHECK(board.pin == 0 && core.latched && core.fault == RIG_E_WATCHDOG && !core.relaying);
+    CHECK(last()->status == RIG_STATUS_FAULT && last()->fault == RIG_E_WATCHDOG && last()->drive[last()->n - 1] == 0);
+    const unsigned told = board.blocks;
+    send(RIG_KEEP, NULL, 0);
+    ticks(20);
+    CHECK(board.pin == 0 && board.blocks == told);
+}
+
+static void test_keep_keeps_nothing_else(void)
+{
+    armed(1);
+    send_drive(50);
+    for (int k = 0; k <= WATCHDOG_TICKS; k++) {
+        send(RIG_KEEP, NULL, 0);
+        tick();
+    }
+    CHECK(board.pin == 0 && core.fault == RIG_E_WATCHDOG);
+}
+
+/* Whatever stops the drive stops the relay, in the same tick; the row of that tick and the reason are told. */
+static void test_faults_end_it(void)
+{
+    static const struct {
+        uint16_t counts;
+        uint8_t inputs, code;
+    } cases[] = {{LIMIT_HI + 1, 0, RIG_E_TRAVEL},  {LIMIT_LO - 1, 0, RIG_E_TRAVEL},
+                 {1018, 0, RIG_E_SENSOR},          {5, 0, RIG_E_SENSOR},
+                 {512, RIG_INPUT_ESTOP, RIG_E_ESTOP}, {512, RIG_INPUT_END_LOW, RIG_E_END_SWITCH}};
+    for (unsigned c = 0; c < sizeof cases / sizeof cases[0]; c++) {
+        for (unsigned phase = 0; phase < 12u; phase++) {
+            running();
+            ticks(phase + 1u);
+            CHECK(board.pin != 0);
+            board.counts = cases[c].counts;
+            board.inputs = cases[c].inputs;
+            tick();
+            CHECK(board.pin == 0 && core.latched && core.fault == cases[c].code && !core.relaying && !core.armed);
+            const told_block *told = last();
+            CHECK(told->status == RIG_STATUS_FAULT && told->fault == cases[c].code);
+            CHECK(told->n >= 1 && told->counts[told->n - 1] == cases[c].counts && told->drive[told->n - 1] == 0);
+            unsigned rows = 0;
+            for (unsigned b = 0; b < board.blocks; b++) {
+                CHECK(board.block[b].number == b);
+                rows += board.block[b].n;
+            }
+            CHECK(rows == phase + 2u);
+            board.counts = 520;
+            board.inputs = 0;
+            ticks(30);
+            CHECK(board.pin == 0);
+            start_as(1, 1);
+            CHECK(refused(RIG_RELAY, cases[c].code)); /* P7 */
+        }
+    }
+}
+
+static void test_a_read_sees_the_limit_too(void)
+{
+    running();
+    ticks(4);
+    board.counts = LIMIT_HI + 1;
+    send(RIG_READ, NULL, 0);
+    CHECK(board.pin == 0 && !core.relaying && last()->n == 4 && last()->fault == RIG_E_TRAVEL);
+}
+
+static void test_stop_and_arm_end_it(void)
+{
+    for (int which = 0; which < 2; which++) {
+        running();
+        ticks(13);
+        send(which == 0 ? RIG_STOP : RIG_ARM, NULL, 0);
+        CHECK(board.pin == 0 && !core.relaying && core.armed == (which == 1));
+        CHECK(board.blocks == 2 && last()->n == 3 && (last()->status & RIG_STATUS_RELAY) == 0);
+        ticks(30);
+        CHECK(board.pin == 0 && board.blocks == 2);
+    }
+}
+
+static void test_drive_takes_over(void)
+{
+    running();
+    ticks(10);
+    send_drive(-70);
+    CHECK(board.pin == -70 && core.armed && !core.relaying);
+    CHECK(last()->number == 1 && last()->n == 0 && last()->status == RIG_STATUS_ARMED); /* the end is told, empty */
+    ticks(3);
+    CHECK(board.pin == -70);
+    start_as(1, 1); /* and it can be started again */
+    CHECK(started());
+    tick();
+    CHECK(board.pin == -160);
+    send_drive(MOST + 1);
+    CHECK(board.pin == 0 && core.fault == RIG_E_DRIVE_RANGE && !core.relaying);
+    CHECK(last()->number == 0 && last()->n == 1 && last()->fault == RIG_E_DRIVE_RANGE);
+}
+
+static void test_when_it_may_not_start(void)
+{
+    uint8_t body[18];
+    armed(1);
+    send(RIG_STOP, NULL, 0);
+    start_as(1, 1);
+    CHECK(refused(RIG_RELAY, RIG_E_NOT_ARMED));
+
+    armed(1);
+    board.counts = LIMIT_HI + 5;
+    send(RIG_ARM, NULL, 0);
+    CHECK(core.recovering == 1);
+    start_as(1, 1);
+    CHECK(refused(RIG_RELAY, RIG_E_TRAVEL)); /* P6 */
+
+    static const struct {
+        uint8_t at;
+        uint32_t value;
+        uint8_t bytes, code;
+    } cases[] = {
+        {0, (uint16_t)-(MOST + 1), 2, RIG_E_DRIVE_RANGE}, {2, MOST + 1, 2, RIG_E_DRIVE_RANGE},
+        {4, 0x8000u, 2, RIG_E_DRIVE_RANGE},               {6, MOST + 1, 2, RIG_E_DRIVE_RANGE},
+        {0, 1, 2, RIG_E_POLARITY},                        {6, 0xFFFFu, 2, RIG_E_POLARITY},
+        {8, RELAY_CENTRE_MAX + 1, 4, RIG_E_SETUP},        {8, 0xFFFFFFFFu, 4, RIG_E_SETUP},
+        {12, 0, 4, RIG_E_SETUP},                          {12, RELAY_Z_MAX + 1, 4, RIG_E_SETUP},
+        {12, 0xFFFFFFFFu, 4, RIG_E_SETUP},                {16, 0, 1, RIG_E_SETUP},
+        {16, 2, 1, RIG_E_SETUP},                          {17, 0, 1, RIG_E_SETUP},
+        {17, BLOCK_ROWS_MAX + 1, 1, RIG_E_SETUP},
+    };
+    for (unsigned c = 0; c < sizeof cases / sizeof cases[0]; c++) {
+        armed(1);
+        fill(body, 1, 1);
+        for (uint8_t i = 0; i < cases[c].bytes; i++) {
+            body[cases[c].at + i] = (uint8_t)((cases[c].value >> (8 * i)) & 0xFFu);
+        }
+        send(RIG_RELAY, body, 18);
+        CHECK(refused(RIG_RELAY, cases[c].code));
+        ticks(3);
+        CHECK(board.pin == 0 && core.armed && board.blocks == 0); /* refused, no more */
+    }
+    armed(1);
+    fill(body, 1, 1);
+    send(RIG_RELAY, body, 17);
+    CHECK(refused(RIG_RELAY, RIG_E_LENGTH));
+}
+
+static void test_gains_do_not_change_while_it_runs(void)
+{
+    running();
+    tick();
+    start_as(1, 1);
+    CHECK(refused(RIG_RELAY, RIG_E_SETUP) && core.relaying);
+    uint8_t body[16] = {0};
+    send(RIG_SETUP, body, 16);
+    CHECK(refused(RIG_SETUP, RIG_E_SETUP) && core.relaying);
+}
+
+static void test_a_reset_forgets_it(void)
+{
+    running();
+    ticks(3);
+    rig_init(&core, &BOARD, RIG_RESET_WATCHDOG);
+    CHECK(board.pin == 0 && !core.relaying);
+    ticks(30);
+    CHECK(board.pin == 0 && board.blocks == 0);
+}
+
+/* The numbers of blocks and the device's clock both wrap. */
+static void test_wraps(void)
+{
+    running();
+    board.now_us = 0u - 5u * RIG_TICK_US;
+    send(RIG_KEEP, NULL, 0);
+    core.blocks.pair[core.blocks.filling].number = 0xFFFFu;
+    for (int k = 0; k < 20; k++) {
+        board.now_us += RIG_TICK_US;
+        rig_tick(&core);
+        rig_stream(&core);
+    }
+    CHECK(board.blocks == 2 && board.block[0].number == 0xFFFFu && board.block[1].number == 0);
+    CHECK(board.block[0].n == 10 && board.block[1].t_us - board.block[0].t_us == 10u * RIG_TICK_US + 7u);
+}
+
+int main(void)
+{
+    test_it_drives_at_each_tick();
+    test_either_direction_and_polarity();
+    test_rows_in_blocks();
+    test_late_and_skipped_ticks_begin_a_block();
+    test_a_block_that_nobody_sends_is_missed();
+    test_keep_alone_keeps_it_running();
+    test_keep_keeps_nothing_else();
+    test_faults_end_it();
+    test_a_read_sees_the_limit_too();
+    test_stop_and_arm_end_it();
+    test_drive_takes_over();
+    test_when_it_may_not_start();
+    test_gains_do_not_change_while_it_runs();
+    test_a_reset_forgets_it();
+    test_wraps();
+    return report("rig_relay");
+}
