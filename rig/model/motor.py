@@ -194,9 +194,9 @@ class Motor:
             b = gain * (static - moving) / unit
             e = gain * (sign * drive - static) / unit
             x, target = abs(state.v) / unit, e + b
-            far = stribeck.far_speed(b) if b >= stribeck.SMALLEST else 0.0
+            far = stribeck.far_speed(b)
             piece: Piece
-            if b < stribeck.SMALLEST or x > far or (x == far and target >= far):
+            if stribeck.is_exponential(x, target, b):
                 # down to where the Stribeck effect begins, or to rest where this direction has none
                 leaves_s = tau * math.log((x - target) / (far - target)) if target < far < x else math.inf
                 piece = Glide(state, min(leaves_s, dt_s), sign * unit * target, tau)

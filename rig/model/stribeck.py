@@ -37,14 +37,24 @@ Room = MutableSequence[float] | Array
 ORDER = 22
 RATIO = 4.0
 NEGLIGIBLE = 32.0  # exp(-32) = 1.3e-14, against a speed of at least 32: 4e-16 of it
-SMALLEST = 1e-18  # b below which there is no Stribeck effect worth the name
+# Of b: below, friction falls by nothing; above, it does so within 1e-12 tau, and the static level is one of rest only.
+SMALLEST, LARGEST = 1e-200, 1e12
+JUST_ABOVE = 1.0 + 1e-9  # a glide down to the far speed ends on it, give or take rounding
 
 TRUNCATION = RATIO**-ORDER / (RATIO - 1.0)  # bound of a step's truncation, over R
 
 
 def far_speed(b: float) -> float:
-    """Speed, in vs, from which on the Stribeck effect is below rounding."""
-    return NEGLIGIBLE + math.log1p(b)
+    """Speed, in vs, from which on the Stribeck effect is below rounding; 0 where there is none."""
+    return NEGLIGIBLE + math.log1p(b) if SMALLEST <= b <= LARGEST else 0.0
+
+
+def is_exponential(x: float, target: float, b: float) -> bool:
+    """Whether the motion from speed ``x``, which would tend to ``target`` = e + b, is exponential for a while."""
+    if not SMALLEST <= b <= LARGEST:
+        return True
+    far = far_speed(b)
+    return x > JUST_ABOVE * far or x >= far <= target
 
 
 def expand(x: float, e: float, b: float, c: Room, w: Room) -> float:
@@ -178,9 +188,8 @@ def position(
                     break
             e = K * (sign * drive - fs) / unit
             target = e + b
-            if b < SMALLEST or x > far or (x == far and target >= far):
-                floor = far if b >= SMALLEST else 0.0
-                leaves = now + tau * math.log((x - target) / (floor - target)) if target < floor < x else math.inf
+            if is_exponential(x, target, b):
+                leaves = now + tau * math.log((x - target) / (far - target)) if target < far < x else math.inf
                 until = min(leaves, end)
                 excess = x - target
                 while k < n and t_s[k] < until:
@@ -191,7 +200,7 @@ def position(
                     return
                 h = (until - now) / tau
                 y += sign * y_unit * (target * h - excess * math.expm1(-h))
-                x = floor if leaves <= end else x + excess * math.expm1(-h)
+                x = far if leaves <= end else x + excess * math.expm1(-h)
             else:
                 step = expand(x, e, b, c, w)
                 until = min(now + tau * step, end, t_s[n - 1])

@@ -61,7 +61,7 @@ def test_motion_with_stops_equals_small_steps_of_the_python_bench(
     bench.state = State(v0, y0)
     v, y = v0, y0
     total_s = sum(dt_s for _, dt_s in sequence)
-    n = 200
+    n = 100
     fastest = abs(v0) + motor.K_rad_s_V * 15.0
     for u_V, dt_s in sequence:
         bench.pin_counts = round(u_V / 12.0 * 32767)

@@ -295,6 +295,24 @@ def test_far_from_rest_it_uses_the_closed_form():
     assert kinds[0] is Glide and Arc in kinds and kinds[-1] is Glide
 
 
+def test_a_glide_that_ends_where_the_effect_begins_is_followed_by_it_whatever_the_rounding():
+    rng = np.random.default_rng(1)
+    for width in rng.uniform(0.001, 0.1, 300).tolist():
+        motor = Motor(0.17, 6.5, tustin(0.4, 0.6, width))
+        pieces = list(motor.pieces(State(60.0 * width), -3.0, 0.3))
+        assert [type(piece) for piece in pieces[:2]] == [Glide, Arc]
+        assert len(pieces) < 100 and motor.advance(State(60.0 * width), -3.0, 0.3).v < 0.0
+
+
+@pytest.mark.parametrize("width", [1e-300, 1e-14, 1e30])
+def test_a_stribeck_velocity_beyond_all_measure_is_static_friction_at_rest_or_at_every_speed(width):
+    motor, limit = Motor(0.17, 6.5, tustin(0.4, 0.6, width)), Motor(0.17, 6.5, coulomb(0.6 if width > 1 else 0.4, 0.6))
+    for u_V in (-1.5, 0.5, 2.0):
+        assert np.array(motor.advance(State(3.0), u_V, 0.5)) == pytest.approx(
+            np.array(limit.advance(State(3.0), u_V, 0.5)), abs=1e-9
+        )
+
+
 def test_the_law_is_that_of_the_theory():
     f = Friction(0.4, 0.5, 0.6, 0.8, 0.1, 0.02)
     assert f.level(0.1) == pytest.approx(0.4 + 0.2 / math.e + 0.002)

@@ -12,7 +12,7 @@
 enum { ORDER = 22 };
 static const double RATIO = 4.0;
 static const double NEGLIGIBLE = 32.0;
-static const double SMALLEST = 1e-18;
+static const double SMALLEST = 1e-200;
 static const double LARGEST = 1e12;
 static const double JUST_ABOVE = 1.0 + 1e-9;
 

@@ -10,7 +10,14 @@ from numba.extending import register_jitable
 
 from rig.model import stribeck
 
-for function in (stribeck.far_speed, stribeck.expand, stribeck.speed_at, stribeck.path_at, stribeck.rest_within):
+for function in (
+    stribeck.far_speed,
+    stribeck.is_exponential,
+    stribeck.expand,
+    stribeck.speed_at,
+    stribeck.path_at,
+    stribeck.rest_within,
+):
     register_jitable(function)
 
 position = njit(cache=True)(stribeck.position)
