@@ -24,6 +24,7 @@ NO_TACHOMETER = 0xFFFF
 STATUS_ARMED = 1
 STATUS_FAULT = 2  # a fault is latched
 STATUS_RECOVERING = 4  # armed outside a hard limit: only inward drive passes
+STATUS_RELAY = 8  # the relay in the device drives
 
 FEATURE_TACHOMETER = 1
 
@@ -46,11 +47,15 @@ class Kind(IntEnum):
     READ = 0x04
     DRIVE = 0x05
     STOP = 0x06
+    RELAY = 0x07
+    KEEP = 0x08
     HELLO_REPLY = 0x81
     SETUP_REPLY = 0x82
     ARM_REPLY = 0x83
     STATE = 0x84
     STOP_REPLY = 0x86
+    RELAY_REPLY = 0x87
+    BLOCK = 0x89
     NACK = 0xFF
 
 
@@ -196,6 +201,62 @@ class State(NamedTuple):
         return cls(*_STATE.unpack(body))
 
 
+class RelaySetup(NamedTuple):
+    """Body of RELAY and of its read-back RELAY_REPLY: the dual-channel relay in the device (firmware/core/relay.h).
+
+    drive      drive units of its four states: y >= 0 and z >= 0, y >= 0 > z, y < 0 <= z, both < 0
+    centre     reading at y = 0, in 1/16 count
+    z_bound    bound on the integral, in 1/32 count tick, 1 to 2**30
+    direction  +1: positions rise with the counts; -1: they fall
+    rows       of a block, 1 to 10
+    """
+
+    drive: tuple[int, int, int, int]
+    centre: int
+    z_bound: int
+    direction: int
+    rows: int
+
+    def pack(self) -> bytes:
+        """The body's bytes; struct.error outside a field's range."""
+        return _RELAY.pack(*self.drive, self.centre, self.z_bound, self.direction, self.rows)
+
+    @classmethod
+    def unpack(cls, body: bytes) -> Self:
+        """From a body of the right length (struct.error otherwise)."""
+        a, b, c, d, centre, z_bound, direction, rows = _RELAY.unpack(body)
+        return cls((a, b, c, d), centre, z_bound, direction, rows)
+
+
+class Block(NamedTuple):
+    """Body of BLOCK: ticks of the relay in the device, sent unasked. The packet's seq counts blocks from 0.
+
+    t_first_us  device time of the first row's sample, us; the others follow every ``period_us``
+    delay_us    from a row's sample until its drive acts
+    status      STATUS_* bits when the block was closed; without STATUS_RELAY it is the last one
+    fault       as in State
+    rows        (position reading, drive units from then on) of each tick; the last block may have none
+    """
+
+    t_first_us: int
+    period_us: int
+    delay_us: int
+    status: int
+    fault: int
+    rows: tuple[tuple[int, int], ...]
+
+    def pack(self) -> bytes:
+        """The body's bytes; struct.error outside a field's range."""
+        return _BLOCK.pack(*self[:5]) + b"".join(_ROW.pack(*row) for row in self.rows)
+
+    @classmethod
+    def unpack(cls, body: bytes) -> Self:
+        """From a body of a length that a block can have (struct.error otherwise)."""
+        rows = tuple(_ROW.iter_unpack(body[_BLOCK.size :]))
+        t_first_us, period_us, delay_us, status, fault = _BLOCK.unpack_from(body)
+        return cls(t_first_us, period_us, delay_us, status, fault, rows)
+
+
 class Nack(NamedTuple):
     """Body of NACK: why, and the kind of the refused request."""
 
@@ -217,6 +278,10 @@ _SETUP = struct.Struct("<HHHHHHHbB")
 _STATE = struct.Struct("<IHHIhHBB")
 _NACK = struct.Struct("<BB")
 _DRIVE = struct.Struct("<h")
+_RELAY = struct.Struct("<hhhhIIbB")
+_BLOCK = struct.Struct("<IHHBB")
+_ROW = struct.Struct("<Hh")
+BLOCK_ROWS = 10  # in a block, at most
 
 BODY_LENGTH: dict[int, int] = {
     Kind.HELLO: 0,
@@ -225,11 +290,14 @@ BODY_LENGTH: dict[int, int] = {
     Kind.READ: 0,
     Kind.DRIVE: _DRIVE.size,
     Kind.STOP: 0,
+    Kind.RELAY: _RELAY.size,
+    Kind.KEEP: 0,
     Kind.HELLO_REPLY: _HELLO.size,
     Kind.SETUP_REPLY: _SETUP.size,
     Kind.ARM_REPLY: 1,
     Kind.STATE: _STATE.size,
     Kind.STOP_REPLY: _STATE.size,
+    Kind.RELAY_REPLY: _RELAY.size,
     Kind.NACK: _NACK.size,
 }
 
@@ -311,6 +379,14 @@ def _decode(frame: bytes) -> Packet | None:
         return None
     version, kind, seq = _HEAD.unpack_from(packet)
     body = packet[4:-2]
-    if version == VERSION and len(body) != BODY_LENGTH.get(kind, len(body)):
+    if version == VERSION and not _may_be(kind, len(body)):
         return None
     return Packet(kind, seq, body, version)
+
+
+def _may_be(kind: int, length: int) -> bool:
+    """Whether a body of this kind can have this length; of an unknown kind, any."""
+    if kind == Kind.BLOCK:
+        rows, rest = divmod(length - _BLOCK.size, _ROW.size)
+        return rest == 0 and 0 <= rows <= BLOCK_ROWS
+    return length == BODY_LENGTH.get(kind, length)

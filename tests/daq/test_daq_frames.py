@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.daq import frames
-from rig.daq.frames import Code, FrameReader, Hello, Kind, Nack, Packet, Setup, State, crc16, encode
+from rig.daq.frames import Block, Code, FrameReader, Hello, Kind, Nack, Packet, RelaySetup, Setup, State, crc16, encode
 
 u8, u16, u32 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32))
 i16 = st.integers(-(2**15), 2**15 - 1)
@@ -18,8 +18,17 @@ bodies = st.one_of(
     st.builds(Setup, u16, u16, u16, u16, u16, u16, u16, st.sampled_from((-1, 1)), u8),
     st.builds(Hello, u8, u8, u16, u16, u32, u8, u8, st.binary(min_size=16, max_size=16)),
     st.builds(Nack, u8, u8),
+    st.builds(RelaySetup, st.tuples(i16, i16, i16, i16), u32, u32, st.sampled_from((-1, 1)), u8),
+    st.builds(Block, u32, u16, u16, u8, u8, st.lists(st.tuples(u16, i16), max_size=frames.BLOCK_ROWS).map(tuple)),
 )
-KIND_OF = {State: Kind.STATE, Setup: Kind.SETUP_REPLY, Hello: Kind.HELLO_REPLY, Nack: Kind.NACK}
+KIND_OF = {
+    State: Kind.STATE,
+    Setup: Kind.SETUP_REPLY,
+    Hello: Kind.HELLO_REPLY,
+    Nack: Kind.NACK,
+    RelaySetup: Kind.RELAY_REPLY,
+    Block: Kind.BLOCK,
+}
 
 # One message of each kind, with zeros, ones and ordinary bytes in them.
 MESSAGES = [
@@ -37,6 +46,11 @@ MESSAGES = [
     Packet(Kind.STATE, 12, State(2**32 - 1, 0xFFFF, 0xFFFF, 2**32 - 1, -1, 0xFFFF, 0xFF, 0xFF).pack()),
     Packet(Kind.STOP_REPLY, 13, State(1, 512, 0xFFFF, 1, 0, 9, 2, Code.TRAVEL).pack()),
     Packet(Kind.NACK, 14, Nack(Code.NO_SETUP, Kind.ARM).pack()),
+    Packet(Kind.RELAY, 15, RelaySetup((-213, 53, -53, 213), 512 * 16, 5_000_000, 1, 10).pack()),
+    Packet(Kind.KEEP, 16, b""),
+    Packet(Kind.RELAY_REPLY, 15, RelaySetup((-213, 53, -53, 213), 512 * 16, 5_000_000, -1, 10).pack()),
+    Packet(Kind.BLOCK, 0, Block(1_000_000, 1000, 24, 9, 0, ((512, -213), (0, 53), (1023, 0)) * 3 + ((1, 1),)).pack()),
+    Packet(Kind.BLOCK, 0xFFFF, Block(0, 1000, 0, 2, Code.TRAVEL, ()).pack()),
 ]
 FIRST, LAST = Packet(Kind.READ, 41, b""), Packet(Kind.STOP, 43, b"")
 
@@ -62,7 +76,17 @@ def test_body_sizes_are_those_of_the_protocol():
     assert sizes == {
         "HELLO": 0, "SETUP": 16, "ARM": 0, "READ": 0, "DRIVE": 2, "STOP": 0,
         "HELLO_REPLY": 28, "SETUP_REPLY": 16, "ARM_REPLY": 1, "STATE": 18, "STOP_REPLY": 18, "NACK": 2,
+        "RELAY": 18, "KEEP": 0, "RELAY_REPLY": 18,
     }  # fmt: skip
+    full = Block(0, 0, 0, 0, 0, ((0, 0),) * frames.BLOCK_ROWS)
+    assert len(full.pack()) == 50 and len(encode(Kind.BLOCK, 0, full.pack())) == 58
+
+
+@pytest.mark.parametrize("length", [0, 9, 11, 12, 13, 51, 52, 53, 54])
+def test_a_block_of_an_impossible_length_is_damaged(length):
+    reader = FrameReader()
+    assert reader.feed(encode(Kind.BLOCK, 3, bytes(length))) == []
+    assert reader.bad_frames == 1
 
 
 @given(body=bodies, seq=u16)
