@@ -1,0 +1,141 @@
+#include "adc.h"
+
+#include <avr/interrupt.h>
+#include <util/atomic.h>
+
+#include "clock.h"
+#include "wiring.h"
+
+#define REFERENCE BIT(REFS0)                                        /* AVcc, which feeds the potentiometer, too */
+#define PRESCALER ((uint8_t)(BIT(ADPS2) | BIT(ADPS1) | BIT(ADPS0))) /* 125 kHz: 104 us a conversion */
+#define IDLE ((uint8_t)(BIT(ADEN) | BIT(ADIE) | PRESCALER))
+#define SAMPLE_AFTER_US 12u /* from the start to the hold: 1.5 clocks of the converter */
+#define ROUND 8u            /* conversions; they and their interrupts take 0.9 ms */
+
+/* 0 counts are a rail: nothing arms before the first conversion. */
+static volatile adc_sample tick_sample, newest_sample;
+static volatile uint16_t tachometer, supply;
+static volatile bool tick_is_due;
+
+/* Of the interrupts alone. */
+static uint8_t turn = ROUND; /* of the conversion that runs; ROUND: none does */
+static bool begin_again;
+static uint32_t started_us;
+
+static uint8_t channel_of(uint8_t which)
+{
+    if (RIG_SUPPLY && which == ROUND - 1u) {
+        return CHANNEL_SUPPLY;
+    }
+    return RIG_TACHOMETER && (which & 1u) != 0u ? CHANNEL_TACHOMETER : CHANNEL_POSITION;
+}
+
+static void start(uint8_t which)
+{
+    turn = which;
+    ADMUX = (uint8_t)(REFERENCE | channel_of(which));
+    started_us = clock_us_masked();
+    ADCSRA = (uint8_t)(IDLE | BIT(ADSC));
+}
+
+void adc_begin_round(void)
+{
+    if (turn < ROUND) {
+        begin_again = true; /* interrupts were masked for long: the last conversion still runs */
+    } else {
+        start(0);
+    }
+}
+
+static void keep_position(uint16_t counts)
+{
+    newest_sample.counts = counts;
+    newest_sample.t_us = started_us + SAMPLE_AFTER_US;
+    if (turn == 0u) {
+        tick_sample.counts = counts;
+        tick_sample.t_us = started_us + SAMPLE_AFTER_US;
+        tick_is_due = true;
+    }
+}
+
+ISR(ADC_vect)
+{
+    const uint16_t counts = ADC;
+    const uint8_t channel = channel_of(turn);
+    if (channel == CHANNEL_POSITION) {
+        keep_position(counts);
+    } else if (channel == CHANNEL_TACHOMETER) {
+        tachometer = counts;
+    } else {
+        supply = counts;
+    }
+    if (begin_again) {
+        begin_again = false;
+        start(0);
+    } else if (turn + 1u < ROUND) {
+        start((uint8_t)(turn + 1u));
+    } else {
+        turn = ROUND;
+    }
+}
+
+void adc_init(void)
+{
+    DIDR0 = (uint8_t)(BIT(ADC0D) | BIT(ADC1D) | BIT(ADC2D)); /* no digital inputs at analogue pins */
+    ADCSRA = IDLE;
+}
+
+static uint16_t newest(const volatile uint16_t *reading)
+{
+    uint16_t counts;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        counts = *reading;
+    }
+    return counts;
+}
+
+static adc_sample copy(const volatile adc_sample *from)
+{
+    adc_sample sample;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        sample.counts = from->counts;
+        sample.t_us = from->t_us;
+    }
+    return sample;
+}
+
+adc_sample adc_tick_sample(void)
+{
+    return copy(&tick_sample);
+}
+
+adc_sample adc_newest_sample(void)
+{
+    return copy(&newest_sample);
+}
+
+uint16_t adc_tachometer(void)
+{
+    return newest(&tachometer);
+}
+
+uint16_t adc_supply(void)
+{
+    return newest(&supply);
+}
+
+bool adc_tick_is_due(void)
+{
+    return tick_is_due;
+}
+
+bool adc_take_tick(void)
+{
+    if (!tick_is_due) {
+        return false;
+    }
+    tick_is_due = false;
+    return true;
+}

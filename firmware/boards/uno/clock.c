@@ -1,0 +1,47 @@
+#include "clock.h"
+
+#include <avr/interrupt.h>
+#include <util/atomic.h>
+
+#include "adc.h"
+#include "wiring.h"
+
+#define COUNTS_PER_TICK 250u /* 16 MHz / 64 / 250 = 1 kHz */
+#define US_PER_COUNT 4u
+#define US_PER_TICK 1000u
+
+static volatile uint32_t tick_us; /* device time of the last tick */
+
+void clock_init(void)
+{
+    OCR2A = (uint8_t)(COUNTS_PER_TICK - 1u);
+    TCCR2A = BIT(WGM21);
+    TCCR2B = BIT(CS22);
+    TIMSK2 = BIT(OCIE2A);
+}
+
+ISR(TIMER2_COMPA_vect)
+{
+    tick_us += US_PER_TICK;
+    adc_begin_round();
+}
+
+uint32_t clock_us_masked(void)
+{
+    const uint8_t count = TCNT2;
+    uint32_t us = tick_us;
+    if ((TIFR2 & BIT(OCF2A)) != 0u && count < COUNTS_PER_TICK / 2u) {
+        us += US_PER_TICK; /* this tick's interrupt still waits */
+    }
+    return us + (uint32_t)((uint16_t)count * US_PER_COUNT);
+}
+
+uint32_t clock_us(void)
+{
+    uint32_t us;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        us = clock_us_masked();
+    }
+    return us;
+}

@@ -1,0 +1,146 @@
+/* The core on an Arduino Uno (ATmega328P, 16 MHz). Wiring: wiring.h.
+ *
+ * Interrupts fill queues and flags; the core runs in the main loop alone, which sleeps when it has nothing to do. The
+ * hardware watchdog is fed by the tick, which takes the clock's interrupt, the converter's and the main loop.
+ */
+#include <avr/interrupt.h>
+#include <avr/sleep.h>
+#include <avr/wdt.h>
+#include <stddef.h>
+#include <util/atomic.h>
+
+#include "adc.h"
+#include "bridge.h"
+#include "clock.h"
+#include "inputs.h"
+#include "rig_core.h"
+#include "uart.h"
+#include "wiring.h"
+
+#define BLINK_TICKS 128u
+
+static uint8_t reset_flags __attribute__((section(".noinit")));
+static rig_core core;
+static bool in_tick; /* the core asks for the position on the grid of the ticks */
+
+/* Before anything else: after its own reset the hardware watchdog runs on, at 16 ms. */
+void early(void) __attribute__((naked, used, section(".init3")));
+void early(void)
+{
+    reset_flags = MCUSR;
+    MCUSR = 0;
+    wdt_disable();
+}
+
+static uint32_t micros(void *context)
+{
+    (void)context;
+    return clock_us();
+}
+
+static uint16_t adc_counts(void *context, uint32_t *t_us)
+{
+    (void)context;
+    const adc_sample sample = in_tick ? adc_tick_sample() : adc_newest_sample();
+    *t_us = sample.t_us;
+    return sample.counts;
+}
+
+static uint16_t tach_counts(void *context)
+{
+    (void)context;
+    return RIG_TACHOMETER ? adc_tachometer() : (uint16_t)RIG_TACH_NONE;
+}
+
+static void set_drive(void *context, int16_t units)
+{
+    (void)context;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        bridge_drive(inputs_have_stopped() ? 0 : units);
+    }
+}
+
+static void transmit(void *context, const uint8_t *bytes, uint8_t n)
+{
+    (void)context;
+    uart_send(bytes, n);
+}
+
+static uint8_t inputs(void *context)
+{
+    (void)context;
+    return inputs_take();
+}
+
+static const rig_board BOARD = {
+    .context = NULL,
+    .micros = micros,
+    .adc_counts = adc_counts,
+    .tach_counts = tach_counts,
+    .set_drive = set_drive,
+    .transmit = transmit,
+    .inputs = inputs,
+    .build = RIG_BUILD,
+    .adc_max = ADC_MAX,
+    .drive_full = BRIDGE_FULL,
+    .board_id = RIG_BOARD_UNO,
+    .features = RIG_TACHOMETER ? RIG_FEATURE_TACHOMETER : 0,
+};
+
+static void show(void)
+{
+    static uint8_t ticks;
+    ticks++;
+    if (core.armed || (core.latched && (ticks & BLINK_TICKS) != 0u)) {
+        set_bits(&PORTB, PIN_LED);
+    } else {
+        clear_bits(&PORTB, PIN_LED);
+    }
+}
+
+static void tick(void)
+{
+    wdt_reset();
+    in_tick = true;
+    rig_tick(&core);
+    in_tick = false;
+    show();
+}
+
+static void sleep_unless_busy(void)
+{
+    cli();
+    if (!uart_has_byte() && !adc_tick_is_due()) {
+        sleep_enable();
+        sei(); /* the instruction after it still runs: no interrupt comes between */
+        sleep_cpu();
+        sleep_disable();
+    }
+    sei();
+}
+
+int main(void)
+{
+    bridge_init();
+    inputs_init();
+    set_bits(&DDRB, PIN_LED);
+    clock_init();
+    adc_init();
+    uart_init();
+    SMCR = 0; /* sleep is idle: timers, converter and serial port run on */
+    rig_init(&core, &BOARD, reset_flags);
+    wdt_enable(WDTO_120MS);
+    sei();
+    for (;;) {
+        uint8_t byte;
+        if (uart_take(&byte)) {
+            rig_byte(&core, byte);
+        }
+        if (adc_take_tick()) {
+            tick();
+        }
+        rig_stream(&core);
+        sleep_unless_busy();
+    }
+}

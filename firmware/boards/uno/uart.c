@@ -1,0 +1,85 @@
+#include "uart.h"
+
+#include <avr/interrupt.h>
+
+#include "wiring.h"
+
+#define DIVISOR (((F_CPU) / 8u + (RIG_BAUD) / 2u) / (RIG_BAUD)) /* at double speed: 8 clocks a bit */
+#if (F_CPU) / 8u * 1000u / DIVISOR > (RIG_BAUD) * 1025ul || (F_CPU) / 8u * 1000u / DIVISOR < (RIG_BAUD) * 975ul
+#error "this baud rate cannot be made from 16 MHz to 2.5 %: take 115200 or 1000000"
+#endif
+
+#define QUEUE 128u /* a power of two; a frame has at most 66 bytes */
+
+/* One side only writes `in`, the other only `out`, each a single byte: nothing to mask. */
+typedef struct {
+    volatile uint8_t in, out;
+    volatile uint8_t byte[QUEUE];
+} queue;
+
+static queue received, to_send;
+
+static uint8_t after(uint8_t at)
+{
+    return (uint8_t)((at + 1u) % QUEUE);
+}
+
+void uart_init(void)
+{
+    UCSR0A = BIT(U2X0);
+    UBRR0H = (uint8_t)((DIVISOR - 1u) >> 8);
+    UBRR0L = (uint8_t)((DIVISOR - 1u) & 0xFFu);
+    UCSR0C = (uint8_t)(BIT(UCSZ01) | BIT(UCSZ00)); /* 8 bits, no parity, 1 stop bit */
+    UCSR0B = (uint8_t)(BIT(RXCIE0) | BIT(RXEN0) | BIT(TXEN0));
+}
+
+ISR(USART_RX_vect)
+{
+    const uint8_t byte = UDR0;
+    const uint8_t next = after(received.in);
+    if (next != received.out) { /* else it is lost, and the frame's CRC tells */
+        received.byte[received.in] = byte;
+        received.in = next;
+    }
+}
+
+bool uart_has_byte(void)
+{
+    return received.in != received.out;
+}
+
+bool uart_take(uint8_t *byte)
+{
+    const uint8_t out = received.out;
+    if (out == received.in) {
+        return false;
+    }
+    *byte = received.byte[out];
+    received.out = after(out);
+    return true;
+}
+
+ISR(USART_UDRE_vect)
+{
+    const uint8_t out = to_send.out;
+    UDR0 = to_send.byte[out];
+    to_send.out = after(out);
+    if (to_send.out == to_send.in) {
+        UCSR0B = (uint8_t)(BIT(RXCIE0) | BIT(RXEN0) | BIT(TXEN0));
+    }
+}
+
+void uart_send(const uint8_t *bytes, uint8_t n)
+{
+    uint8_t in = to_send.in;
+    const uint8_t free = (uint8_t)((unsigned)(to_send.out + QUEUE - in - 1u) % QUEUE);
+    if (n == 0u || n > free) {
+        return;
+    }
+    for (uint8_t i = 0; i < n; i++) {
+        to_send.byte[in] = bytes[i];
+        in = after(in);
+    }
+    to_send.in = in; /* whole frames only */
+    UCSR0B = (uint8_t)(BIT(RXCIE0) | BIT(UDRIE0) | BIT(RXEN0) | BIT(TXEN0));
+}

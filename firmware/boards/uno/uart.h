@@ -1,0 +1,19 @@
+/* The serial port, both ways by interrupts and queues. */
+#ifndef RIG_UNO_UART_H
+#define RIG_UNO_UART_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+void uart_init(void);
+
+/* Whether a received byte waits. */
+bool uart_has_byte(void);
+
+/* Takes the oldest received byte; false if there is none. */
+bool uart_take(uint8_t *byte);
+
+/* Queues all bytes; none, if they do not fit: a host that asks faster than the wire can answer loses replies. */
+void uart_send(const uint8_t *bytes, uint8_t n);
+
+#endif

@@ -1,0 +1,44 @@
+/* Which pin of the Uno is what. All outputs are inputs while the chip is in reset: pull-downs at the bridge hold it off.
+ *
+ *     A0  PC0  potentiometer              D2  PD2  e-stop, closed to ground; open stops
+ *     A1  PC1  tachometer (TACHOMETER=1)  D3  PD3  end switch at falling counts, closed to ground (END_SWITCHES=1)
+ *     A2  PC2  motor supply / 4           D4  PD4  end switch at rising counts, closed to ground (END_SWITCHES=1)
+ *              (SUPPLY=1)                 D13 PB5  LED: lit while armed, blinks while a fault is latched
+ *
+ *     BRIDGE=PWM_DIR                      BRIDGE=IN1_IN2
+ *     D9  PB1  PWM (OC1A)                 D9  PB1  IN1 (OC1A)
+ *     D8  PB0  direction                  D10 PB2  IN2 (OC1B)
+ */
+#ifndef RIG_UNO_WIRING_H
+#define RIG_UNO_WIRING_H
+
+#include <avr/io.h>
+#include <stdint.h>
+
+#define BIT(n) ((uint8_t)(1u << (n)))
+
+#define PIN_DIRECTION BIT(PB0)
+#define PIN_OC1A BIT(PB1)
+#define PIN_OC1B BIT(PB2)
+#define PIN_LED BIT(PB5)
+
+#define PIN_ESTOP BIT(PD2)
+#define PIN_END_LOW BIT(PD3)
+#define PIN_END_HIGH BIT(PD4)
+
+#define CHANNEL_POSITION 0u
+#define CHANNEL_TACHOMETER 1u
+#define CHANNEL_SUPPLY 2u
+
+/* One bit of a low port is one instruction, which no interrupt can split. */
+static inline void set_bits(volatile uint8_t *port, uint8_t bits)
+{
+    *port = (uint8_t)(*port | bits);
+}
+
+static inline void clear_bits(volatile uint8_t *port, uint8_t bits)
+{
+    *port = (uint8_t)(*port & (uint8_t)~bits);
+}
+
+#endif

@@ -1,0 +1,734 @@
+/* The Uno's chip, emulated to the register by libsimavr, with the same exact bench around it as the host board's: in
+ * lock step, in virtual time, as a shared library (librig_chip.so; rig/emulate/virtual_chip.py). It runs the very .hex
+ * that is flashed. The functions named virtual_... are those of boards/host/virtual.c.
+ *
+ * For tests only: libsimavr is under the GPL 3, so nothing of this is part of what is installed.
+ *
+ * What libsimavr 1.6 does not do as the chip does, and what is done about it here:
+ *   - its receiver holds 64 bytes: it gets one at a time, when the last bit has arrived; two wait here, as in the chip,
+ *     and one more is an overrun;
+ *   - a byte takes it 11 bit times: it is told 10;
+ *   - a pin set from outside is forgotten when the firmware writes the port: it is told of it as an external pull;
+ *   - it converts what stands in a register when the result is read: that is set at the sample's instant;
+ *   - its sleep waits for real time: not here.
+ */
+#include <math.h>
+#include <stdbool.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <simavr/avr_adc.h>
+#include <simavr/avr_ioport.h>
+#include <simavr/avr_uart.h>
+#include <simavr/sim_avr.h>
+#include <simavr/sim_core_config.h>
+#include <simavr/sim_cycle_timers.h>
+#include <simavr/sim_hex.h>
+#include <simavr/sim_io.h>
+
+#include "bench.h"
+
+#define LIBRARY_VERSION "1.6" /* of the structures that are looked into here */
+#define CHIP_HZ 16000000.0
+#define CHIP_ADC_MAX 1023
+#define QUEUE 4096u /* power of two */
+#define RECEIVER 2u /* bytes that wait in the chip */
+#define DRIVE_STEPS 32000 /* of the bridge's duty, as the bench counts it */
+#define SUPPLY_FULL_V 20.0 /* motor supply that reads full scale at A2: a divider by 4 */
+#define RUN_CYCLES 200u /* instructions of about so many cycles run without a look at the timers: none is due then */
+#define PAINT 0xA7u /* of memory that nobody has written */
+
+/* Addresses in data space, and bits, of the registers that make up the drive, and of some more. */
+enum {
+    PIND = 0x29, DDRB = 0x24, PORTB = 0x25, MCUSR = 0x54, TIMSK2 = 0x70, ADCSRA = 0x7A, TCCR1A = 0x80, TCCR1B = 0x81,
+    ICR1L = 0x86, ICR1H = 0x87, OCR1AL = 0x88, OCR1AH = 0x89, OCR1BL = 0x8A, OCR1BH = 0x8B, UCSR0A = 0xC0,
+    UCSR0B = 0xC1, UBRR0L = 0xC4, UBRR0H = 0xC5, RAM = 0x100
+};
+enum { PB_DIRECTION = 0, PB_OC1A = 1, PB_OC1B = 2, PB_LED = 5 };
+enum { U2X0 = 1, RXEN0 = 4, OCIE2A = 1, ADIE = 3 };
+
+enum bridge_style { PWM_DIR, IN1_IN2 };
+
+enum hang { HANG_MAIN, HANG_ALL, HANG_CLOCK, HANG_CONVERTER };
+
+typedef struct {
+    uint8_t byte[QUEUE];
+    int64_t arrives_ns[QUEUE];
+    uint32_t head, count;
+    int64_t last_ns; /* arrival of the byte last queued */
+} wire;
+
+typedef struct {
+    bench_params params;
+    bench bench;
+    char *hex;
+    enum bridge_style style;
+    double dead_time_s;
+    double hz;
+    avr_t *avr;
+    avr_uart_t *uart;
+    avr_irq_t *uart_in, *adc_in, *port_d;
+    void (*chip_reset)(avr_t *);
+    wire to_device, to_host;
+    uint8_t waiting[RECEIVER]; /* bytes in the chip's receiver that libsimavr has not got yet */
+    uint32_t waiting_count;
+    int64_t now_ns, byte_ns, boot_until_ns;
+    int64_t pin_changed_ns; /* negative: never */
+    avr_cycle_count_t stop;
+    uint32_t sampled_channel;
+    uint8_t open_pins;       /* of port D */
+    bool look_again;         /* a byte for the host, or a reset: what the run waits for may have changed */
+    bool measures;
+    uint32_t resets, overruns, crashed;
+    uint64_t awake_cycles, masked_now, masked_most, interrupt_now, interrupt_most;
+    avr_cycle_count_t tick_from;
+} virtual_board;
+
+/* What a test may look at besides the wire. */
+typedef struct {
+    double t_s, pin_V, motor_V, y_rad, v_rad_per_s, pin_changed_s;
+    double awake_share, masked_us, interrupt_share; /* the last two only where it measures, else 0 */
+    int32_t led, resets, overruns, crashed, stack_bytes;
+} virtual_view;
+
+/* ---- time ---- */
+
+static int64_t ns_of(const virtual_board *b, avr_cycle_count_t cycle)
+{
+    return (int64_t)((double)cycle * (1e9 / b->hz) + 0.5);
+}
+
+static avr_cycle_count_t cycle_of(const virtual_board *b, int64_t t_ns)
+{
+    return (avr_cycle_count_t)ceil((double)t_ns * (b->hz * 1e-9) - 1e-6);
+}
+
+static void advance_bench(virtual_board *b)
+{
+    bench_advance_to(&b->bench, (double)b->avr->cycle / b->hz);
+}
+
+/* ---- wire ---- */
+
+static bool put(wire *w, int64_t now_ns, int64_t byte_ns, uint8_t byte)
+{
+    if (w->count == QUEUE) {
+        return false;
+    }
+    const uint32_t at = (w->head + w->count) % QUEUE;
+    w->last_ns = (w->last_ns > now_ns ? w->last_ns : now_ns) + byte_ns;
+    w->byte[at] = byte;
+    w->arrives_ns[at] = w->last_ns;
+    w->count++;
+    return true;
+}
+
+static uint8_t take(wire *w)
+{
+    const uint8_t byte = w->byte[w->head];
+    w->head = (w->head + 1u) % QUEUE;
+    w->count--;
+    return byte;
+}
+
+static avr_cycle_count_t cycles_per_byte(const virtual_board *b)
+{
+    const uint8_t *data = b->avr->data;
+    const unsigned divisor = (data[UBRR0L] | ((unsigned)data[UBRR0H] << 8)) + 1u;
+    return 10u * divisor * ((data[UCSR0A] >> U2X0) & 1u ? 8u : 16u);
+}
+
+static bool chip_has_unread_byte(const virtual_board *b)
+{
+    return b->uart->input.read != b->uart->input.write;
+}
+
+/* The next byte that waits becomes the one that the program reads. */
+static void feed_uart(virtual_board *b)
+{
+    if (b->waiting_count == 0u || chip_has_unread_byte(b)) {
+        return;
+    }
+    const uint8_t byte = b->waiting[0];
+    b->waiting_count--;
+    memmove(b->waiting, b->waiting + 1, b->waiting_count);
+    b->uart->cycles_per_byte = 1; /* it has arrived already */
+    avr_raise_irq(b->uart_in, byte);
+    b->uart->cycles_per_byte = cycles_per_byte(b);
+}
+
+static void uart_byte_was_read(avr_irq_t *irq, uint32_t value, void *context)
+{
+    (void)irq;
+    (void)value;
+    feed_uart(context);
+}
+
+static avr_cycle_count_t byte_arrives(avr_t *avr, avr_cycle_count_t when, void *context)
+{
+    virtual_board *b = context;
+    (void)when;
+    while (b->to_device.count > 0u) {
+        const avr_cycle_count_t due = cycle_of(b, b->to_device.arrives_ns[b->to_device.head]);
+        if (due > avr->cycle) {
+            return due;
+        }
+        const uint8_t byte = take(&b->to_device);
+        if (((avr->data[UCSR0B] >> RXEN0) & 1u) == 0u) {
+            b->waiting_count = 0;
+        } else if (b->waiting_count + (chip_has_unread_byte(b) ? 1u : 0u) >= RECEIVER) {
+            b->overruns++;
+        } else {
+            b->waiting[b->waiting_count++] = byte;
+            feed_uart(b);
+        }
+    }
+    return 0;
+}
+
+static void expect_byte(virtual_board *b)
+{
+    if (b->to_device.count > 0u) {
+        const avr_cycle_count_t due = cycle_of(b, b->to_device.arrives_ns[b->to_device.head]);
+        const avr_cycle_count_t now = b->avr->cycle;
+        avr_cycle_timer_register(b->avr, due > now ? due - now : 0u, byte_arrives, b);
+    }
+}
+
+static void chip_sends(avr_irq_t *irq, uint32_t value, void *context)
+{
+    virtual_board *b = context;
+    (void)irq;
+    b->uart->cycles_per_byte = cycles_per_byte(b);
+    const int64_t byte_ns = ns_of(b, b->uart->cycles_per_byte);
+    (void)put(&b->to_host, ns_of(b, b->avr->cycle), byte_ns, (uint8_t)value); /* a host that never reads loses bytes */
+    b->look_again = true;
+}
+
+/* ---- converter ---- */
+
+static int32_t channel_counts(virtual_board *b, uint32_t channel)
+{
+    if (channel == 0u) {
+        return bench_position_counts(&b->bench);
+    }
+    if (channel == 1u) {
+        const int32_t counts = bench_tachometer_counts(&b->bench);
+        return counts < 0 ? 0 : counts;
+    }
+    if (channel == 2u) {
+        const double counts = b->bench.p.supply_V / SUPPLY_FULL_V * CHIP_ADC_MAX;
+        return counts > CHIP_ADC_MAX ? CHIP_ADC_MAX : (int32_t)counts;
+    }
+    return 0;
+}
+
+static avr_cycle_count_t adc_holds(avr_t *avr, avr_cycle_count_t when, void *context)
+{
+    virtual_board *b = context;
+    (void)avr;
+    (void)when;
+    advance_bench(b);
+    const int32_t counts = channel_counts(b, b->sampled_channel);
+    avr_raise_irq(b->adc_in + b->sampled_channel, (uint32_t)counts * 64u + 32u); /* exact with avcc = 1023 * 64 */
+    return 0;
+}
+
+static void adc_starts(avr_irq_t *irq, uint32_t value, void *context)
+{
+    virtual_board *b = context;
+    (void)irq;
+    union {
+        avr_adc_mux_t mux;
+        uint32_t value;
+    } is;
+    is.value = value;
+    if (is.mux.kind != ADC_MUX_SINGLE || is.mux.src > 7u) {
+        return;
+    }
+    b->sampled_channel = is.mux.src;
+    const unsigned divisor = 1u << (b->avr->data[ADCSRA] & 7u);
+    avr_cycle_timer_register(b->avr, divisor + divisor / 2u, adc_holds, b);
+}
+
+/* ---- bridge ---- */
+
+static unsigned pair_of(const uint8_t *data, unsigned low)
+{
+    return data[low] | ((unsigned)data[low + 1u] << 8);
+}
+
+/* Share of the time for which an output is high: 0 where it is no output (pull-downs), the timer's where it is on it. */
+static double pin_duty(const uint8_t *data, unsigned bit, unsigned mode, unsigned compare)
+{
+    if (((data[DDRB] >> bit) & 1u) == 0u) {
+        return 0.0;
+    }
+    const unsigned top = pair_of(data, ICR1L);
+    if (mode < 2u || top == 0u) {
+        return (double)((data[PORTB] >> bit) & 1u);
+    }
+    const double high = fmin((double)pair_of(data, compare) / (double)top, 1.0);
+    return mode == 2u ? high : 1.0 - high;
+}
+
+/* What dead time leaves of a share of the time that the bridge conducts. */
+static double conducted(const virtual_board *b, double duty)
+{
+    const double top = (double)pair_of(b->avr->data, ICR1L);
+    const double size = fabs(duty);
+    if (b->dead_time_s == 0.0 || size == 0.0 || size == 1.0 || top == 0.0) {
+        return duty;
+    }
+    return copysign(fmax(size - b->dead_time_s * b->hz / (2.0 * top), 0.0), duty);
+}
+
+static double bridge_duty(const virtual_board *b)
+{
+    const uint8_t *data = b->avr->data;
+    const double a = pin_duty(data, PB_OC1A, data[TCCR1A] >> 6, OCR1AL);
+    if (b->style == PWM_DIR) {
+        return pin_duty(data, PB_DIRECTION, 0, 0) > 0.0 ? -a : a;
+    }
+    return a - pin_duty(data, PB_OC1B, (data[TCCR1A] >> 4) & 3u, OCR1BL);
+}
+
+static void pins_may_have_changed(virtual_board *b)
+{
+    const int32_t units = (int32_t)lround(conducted(b, bridge_duty(b)) * DRIVE_STEPS);
+    if (units != b->bench.pin_units) {
+        advance_bench(b);
+        bench_set_drive(&b->bench, units);
+        b->pin_changed_ns = ns_of(b, b->avr->cycle);
+    }
+    if ((b->avr->data[DDRB] & b->avr->data[PORTB] & (1u << PB_LED)) != 0u) {
+        advance_bench(b);
+        bench_arm(&b->bench); /* lit: armed */
+    }
+}
+
+static void register_written(avr_irq_t *irq, uint32_t value, void *context)
+{
+    (void)irq;
+    (void)value;
+    pins_may_have_changed(context);
+}
+
+/* ---- the chip as a whole ---- */
+
+static void quiet(avr_t *avr, const int level, const char *format, va_list arguments)
+{
+    (void)avr;
+    (void)level;
+    (void)format;
+    (void)arguments;
+}
+
+static void sleep_takes_no_time(avr_t *avr, avr_cycle_count_t how_long)
+{
+    (void)avr;
+    (void)how_long;
+}
+
+/* libsimavr resets a chip by itself, too: the watchdog. All its timers are gone then, ours among them. */
+static void after_reset(avr_t *avr)
+{
+    virtual_board *b = avr->custom.data;
+    b->chip_reset(avr);
+    avr->data[PIND] = b->open_pins;
+    b->waiting_count = 0;
+    b->resets++;
+    b->look_again = true;
+    b->stop = 0;
+    expect_byte(b);
+    pins_may_have_changed(b);
+}
+
+static avr_io_t *module(avr_t *avr, const char *kind)
+{
+    for (avr_io_t *io = avr->io_port; io != NULL; io = io->next) {
+        if (strcmp(io->kind, kind) == 0) {
+            return io;
+        }
+    }
+    return NULL;
+}
+
+static const char *load(virtual_board *b)
+{
+    uint32_t size = 0, start = 0;
+    uint8_t *code = read_ihex_file(b->hex, &size, &start);
+    if (code == NULL || size + start > b->avr->flashend + 1u) {
+        return "the .hex file cannot be read";
+    }
+    avr_loadcode(b->avr, code, size, start);
+    free(code);
+    return NULL;
+}
+
+static void connect(virtual_board *b)
+{
+    static const avr_io_addr_t WATCHED[] = {DDRB, PORTB, TCCR1A, OCR1AL, OCR1BL, ICR1L};
+    avr_t *avr = b->avr;
+    for (unsigned i = 0; i < sizeof WATCHED / sizeof WATCHED[0]; i++) {
+        avr_irq_register_notify(avr_iomem_getirq(avr, WATCHED[i], NULL, AVR_IOMEM_IRQ_ALL), register_written, b);
+    }
+    uint32_t flags = 0;
+    avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
+    b->uart_in = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), chip_sends, b);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUT_XON), uart_byte_was_read, b);
+    b->adc_in = avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_OUT_TRIGGER), adc_starts, b);
+    b->port_d = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), IOPORT_IRQ_PIN0);
+}
+
+static void tell_pulls(virtual_board *b)
+{
+    avr_ioport_external_t pulls = {.name = 'D', .mask = 0xFF, .value = b->open_pins};
+    avr_ioctl(b->avr, AVR_IOCTL_IOPORT_SET_EXTERNAL('D'), &pulls);
+}
+
+virtual_board *virtual_new(void)
+{
+    virtual_board *b = calloc(1, sizeof *b);
+    if (b != NULL) {
+        bench_defaults(&b->params);
+    }
+    return b;
+}
+
+void virtual_free(virtual_board *b)
+{
+    if (b->avr != NULL) {
+        avr_terminate(b->avr);
+        free(b->avr);
+    }
+    free(b->hex);
+    free(b);
+}
+
+/* As of the bench, and: hex (path), bridge (pwm_dir, in1_in2), dead-time-s, measure (0, 1). */
+const char *virtual_option(virtual_board *b, const char *name, const char *value)
+{
+    if (strcmp(name, "hex") == 0) {
+        free(b->hex);
+        b->hex = strdup(value);
+        return NULL;
+    }
+    if (strcmp(name, "bridge") == 0) {
+        b->style = strcmp(value, "in1_in2") == 0 ? IN1_IN2 : PWM_DIR;
+        return b->style == IN1_IN2 || strcmp(value, "pwm_dir") == 0 ? NULL : "no such bridge";
+    }
+    if (strcmp(name, "dead-time-s") == 0) {
+        char *end;
+        b->dead_time_s = strtod(value, &end);
+        return end != value && *end == '\0' && b->dead_time_s >= 0.0 && b->dead_time_s < 1e-3 ? NULL : "0 to 1e-3";
+    }
+    if (strcmp(name, "measure") == 0) {
+        b->measures = strcmp(value, "1") == 0;
+        return NULL;
+    }
+    return bench_option(&b->params, name, value);
+}
+
+/* Powers the chip on at time 0. NULL, or what is wrong. */
+const char *virtual_start(virtual_board *b, int64_t byte_ns)
+{
+    if (strcmp(CONFIG_SIMAVR_VERSION, LIBRARY_VERSION) != 0) {
+        return "this is made for libsimavr " LIBRARY_VERSION ", not " CONFIG_SIMAVR_VERSION;
+    }
+    const char *wrong = bench_check(&b->params);
+    if (wrong != NULL) {
+        return wrong;
+    }
+    if (b->params.counts_max != CHIP_ADC_MAX) {
+        return "the chip's converter reads 0 to 1023";
+    }
+    if (b->params.clock_start_us != 0u) {
+        return "the chip's clock starts at 0";
+    }
+    avr_global_logger_set(quiet);
+    b->avr = avr_make_mcu_by_name("atmega328p");
+    if (b->avr == NULL || b->hex == NULL) {
+        return "no such chip, or no hex";
+    }
+    b->hz = CHIP_HZ * (1.0 + 1e-6 * b->params.clock_error_ppm);
+    b->byte_ns = byte_ns;
+    b->pin_changed_ns = -1;
+    b->params.drive_counts = DRIVE_STEPS;
+    bench_init(&b->bench, &b->params);
+    avr_init(b->avr);
+    b->avr->frequency = (uint32_t)CHIP_HZ;
+    b->avr->vcc = b->avr->avcc = b->avr->aref = CHIP_ADC_MAX * 64u;
+    b->avr->sleep = sleep_takes_no_time;
+    b->uart = (avr_uart_t *)module(b->avr, "uart");
+    if (b->uart == NULL || b->uart->name != '0') {
+        return "libsimavr's serial port is not where it should be";
+    }
+    connect(b);
+    tell_pulls(b);
+    memset(b->avr->data + RAM, PAINT, b->avr->ramend + 1u - RAM);
+    b->avr->custom.data = b;
+    b->chip_reset = b->avr->reset;
+    b->avr->reset = after_reset;
+    return load(b);
+}
+
+/* ---- running ---- */
+
+static avr_cycle_count_t stop_here(avr_t *avr, avr_cycle_count_t when, void *context)
+{
+    (void)avr;
+    (void)when;
+    (void)context;
+    return 0;
+}
+
+/* How long interrupts stay masked, and which share of a tick they take. */
+static void measure(virtual_board *b, avr_cycle_count_t cycles)
+{
+    if (b->avr->sreg[S_I]) {
+        b->masked_now = 0;
+    } else {
+        b->masked_now += cycles;
+        b->masked_most = b->masked_now > b->masked_most ? b->masked_now : b->masked_most;
+    }
+    if (b->avr->interrupts.running_ptr > 0) {
+        b->interrupt_now += cycles;
+    }
+    if (b->avr->cycle - b->tick_from >= (avr_cycle_count_t)(CHIP_HZ / 1000.0)) {
+        b->tick_from = b->avr->cycle;
+        b->interrupt_most = b->interrupt_now > b->interrupt_most ? b->interrupt_now : b->interrupt_most;
+        b->interrupt_now = 0;
+    }
+}
+
+static void step(virtual_board *b)
+{
+    avr_t *avr = b->avr;
+    const avr_cycle_count_t from = avr->cycle;
+    const bool was_asleep = avr->state == cpu_Sleeping;
+    const avr_cycle_count_t most = b->measures ? 1u : RUN_CYCLES;
+    avr->run_cycle_limit = most; /* a reset sets it to 1 */
+    if (avr->run_cycle_count > most) {
+        avr->run_cycle_count = most;
+    }
+    const int state = avr_run(avr);
+    if (state == cpu_Crashed || state == cpu_Done || state == cpu_Stopped) {
+        b->crashed++;
+        avr->cycle = b->stop;
+        return;
+    }
+    if (!was_asleep) {
+        b->awake_cycles += avr->cycle - from;
+        if (b->measures) {
+            measure(b, avr->cycle - from);
+        }
+    }
+}
+
+static void stop_at(virtual_board *b, int64_t t_ns)
+{
+    const avr_cycle_count_t stop = cycle_of(b, t_ns);
+    if (stop != b->stop && stop > b->avr->cycle) {
+        avr_cycle_timer_register(b->avr, stop - b->avr->cycle, stop_here, b);
+        b->stop = stop;
+    }
+}
+
+/* In the boot loader: pins float, bytes are lost. */
+static void boot(virtual_board *b, int64_t until_ns)
+{
+    const int64_t end_ns = until_ns < b->boot_until_ns ? until_ns : b->boot_until_ns;
+    while (b->to_device.count > 0u && b->to_device.arrives_ns[b->to_device.head] <= end_ns) {
+        (void)take(&b->to_device);
+    }
+    const avr_cycle_count_t end = cycle_of(b, end_ns);
+    if (end > b->avr->cycle) {
+        b->avr->cycle = end;
+    }
+}
+
+/* Runs to `until_ns`, or to the arrival of the next byte at the host if `until_byte` and that is sooner. */
+void virtual_run(virtual_board *b, int64_t until_ns, int32_t until_byte)
+{
+    for (;;) {
+        int64_t next_ns = until_ns;
+        if (until_byte && b->to_host.count > 0u && b->to_host.arrives_ns[b->to_host.head] < next_ns) {
+            next_ns = b->to_host.arrives_ns[b->to_host.head];
+        }
+        if (b->now_ns < b->boot_until_ns) {
+            boot(b, next_ns);
+            if (next_ns < b->boot_until_ns) {
+                b->now_ns = next_ns > b->now_ns ? next_ns : b->now_ns;
+                return;
+            }
+            b->now_ns = b->boot_until_ns;
+            expect_byte(b);
+        }
+        b->look_again = false;
+        stop_at(b, next_ns);
+        const avr_cycle_count_t stop = cycle_of(b, next_ns);
+        while (b->avr->cycle < stop && !b->look_again) {
+            step(b);
+        }
+        if (b->avr->cycle >= stop) {
+            b->now_ns = next_ns > b->now_ns ? next_ns : b->now_ns;
+            advance_bench(b);
+            return;
+        }
+    }
+}
+
+int64_t virtual_now_ns(const virtual_board *b)
+{
+    return b->now_ns;
+}
+
+/* The host sends bytes from now on. Returns how many the wire took. */
+uint32_t virtual_write(virtual_board *b, const uint8_t *bytes, uint32_t n)
+{
+    uint32_t taken = 0;
+    const bool was_empty = b->to_device.count == 0u;
+    while (taken < n && put(&b->to_device, b->now_ns, b->byte_ns, bytes[taken])) {
+        taken++;
+    }
+    if (was_empty && b->now_ns >= b->boot_until_ns) {
+        expect_byte(b);
+    }
+    return taken;
+}
+
+/* Bytes that have arrived at the host by now. */
+uint32_t virtual_read(virtual_board *b, uint8_t *bytes, uint32_t n)
+{
+    uint32_t taken = 0;
+    wire *w = &b->to_host;
+    while (taken < n && w->count > 0u && w->arrives_ns[w->head] <= b->now_ns) {
+        bytes[taken++] = take(w);
+    }
+    return taken;
+}
+
+/* ---- what may happen to it, and what is true of it ---- */
+
+/* A reset by anything but the watchdog, which needs no help: then `boot_s` in the boot loader. */
+void virtual_reset(virtual_board *b, uint8_t cause)
+{
+    avr_reset(b->avr);
+    b->avr->data[MCUSR] = cause;
+}
+
+void virtual_boot(virtual_board *b, uint8_t cause, double boot_s)
+{
+    virtual_reset(b, cause);
+    b->boot_until_ns = b->now_ns + (int64_t)(1e9 * boot_s);
+}
+
+/* Opens or closes a contact at a pin of port D. */
+void virtual_contact(virtual_board *b, int32_t pin, int32_t is_open)
+{
+    const uint8_t bit = (uint8_t)(1u << pin);
+    b->open_pins = (uint8_t)(is_open ? b->open_pins | bit : b->open_pins & ~bit);
+    tell_pulls(b);
+    avr_raise_irq(b->port_d + pin, is_open ? 1u : 0u);
+}
+
+/* An instruction that jumps to itself: where a program without an end is sent when it ends. */
+static bool find_trap(const avr_t *avr, avr_flashaddr_t *at)
+{
+    for (avr_flashaddr_t i = 0; i + 1u <= avr->flashend; i += 2u) {
+        if (avr->flash[i] == 0xFFu && avr->flash[i + 1u] == 0xCFu) {
+            *at = i;
+            return true;
+        }
+    }
+    return false;
+}
+
+/* The main loop stops, with interrupts or without; or an interrupt that it lives by. False if that cannot be done. */
+int32_t virtual_hang(virtual_board *b, int32_t how)
+{
+    avr_t *avr = b->avr;
+    if (how == HANG_CLOCK) {
+        avr->data[TIMSK2] = (uint8_t)(avr->data[TIMSK2] & ~(1u << OCIE2A));
+        return 1;
+    }
+    if (how == HANG_CONVERTER) {
+        avr->data[ADCSRA] = (uint8_t)(avr->data[ADCSRA] & ~(1u << ADIE));
+        return 1;
+    }
+    for (unsigned i = 0; i < 100000u && (avr->interrupts.running_ptr > 0 || !avr->sreg[S_I]); i++) {
+        step(b); /* out of an interrupt */
+    }
+    avr_flashaddr_t trap;
+    if (!find_trap(avr, &trap)) {
+        return 0;
+    }
+    avr->pc = trap;
+    avr->state = cpu_Running;
+    if (how == HANG_ALL) {
+        avr->sreg[S_I] = 0;
+        avr->interrupt_state = 0;
+    }
+    return 1;
+}
+
+/* Bytes of memory above the longest stretch that nobody has written: the deepest that the stack has been. */
+static int32_t stack_bytes(const avr_t *avr)
+{
+    unsigned longest = 0, length = 0;
+    unsigned end = avr->ramend + 1u;
+    for (unsigned at = RAM; at <= avr->ramend; at++) {
+        length = avr->data[at] == PAINT ? length + 1u : 0u;
+        if (length > longest) {
+            longest = length;
+            end = at + 1u;
+        }
+    }
+    return (int32_t)(avr->ramend + 1u - end);
+}
+
+void virtual_look(const virtual_board *b, virtual_view *view)
+{
+    const avr_t *avr = b->avr;
+    view->t_s = 1e-9 * (double)b->now_ns;
+    view->pin_V = bench_pin_V(&b->bench);
+    view->motor_V = bench_motor_V(&b->bench);
+    view->y_rad = b->bench.y_rad;
+    view->v_rad_per_s = b->bench.v_rad_per_s;
+    view->pin_changed_s = 1e-9 * (double)b->pin_changed_ns;
+    view->awake_share = avr->cycle > 0u ? (double)b->awake_cycles / (double)avr->cycle : 0.0;
+    view->masked_us = 1e6 * (double)b->masked_most / CHIP_HZ;
+    view->interrupt_share = (double)b->interrupt_most / (CHIP_HZ / 1000.0);
+    view->led = (avr->data[DDRB] & avr->data[PORTB] & (1u << PB_LED)) != 0u;
+    view->resets = (int32_t)b->resets;
+    view->overruns = (int32_t)b->overruns;
+    view->crashed = (int32_t)b->crashed;
+    view->stack_bytes = stack_bytes(avr);
+}
+
+/* Wiring faults from now on. NULL, or what is wrong with the names. */
+const char *virtual_rewire(virtual_board *b, const char *drive, const char *sensor)
+{
+    bench_params wanted = b->bench.p;
+    const char *wrong = bench_option(&wanted, "drive", drive);
+    if (wrong == NULL) {
+        wrong = bench_option(&wanted, "sensor", sensor);
+    }
+    if (wrong == NULL) {
+        advance_bench(b);
+        bench_rewire(&b->bench, wanted.drive_wiring, wanted.sensor_wiring);
+    }
+    return wrong;
+}
+
+/* Puts the shaft somewhere, as a hand would. */
+void virtual_place(virtual_board *b, double y_rad, double v_rad_per_s)
+{
+    advance_bench(b);
+    b->bench.y_rad = y_rad;
+    b->bench.v_rad_per_s = v_rad_per_s;
+}
