@@ -1,4 +1,4 @@
-"""Builds the emulated board from the firmware's sources with the machine's own compiler."""
+"""Builds the firmware from its sources: the emulated board with the machine's own compiler, the Uno's with avr-gcc."""
 
 from __future__ import annotations
 
@@ -26,6 +26,47 @@ class HostFirmware(NamedTuple):
     library: Path
 
 
+class UnoOptions(NamedTuple):
+    """What the Uno's firmware is built with (firmware/boards/uno/uno.mk); the defaults are the plain ``rig_uno.hex``.
+
+    bridge  "PWM_DIR" or "IN1_IN2"
+    baud    115200 or 1000000
+    tachometer, supply, end_switches  whether they are wired
+    """
+
+    bridge: str = "PWM_DIR"
+    baud: int = 115200
+    tachometer: bool = False
+    supply: bool = False
+    end_switches: bool = False
+
+    @property
+    def name(self) -> str:
+        """Of the file, without its ending."""
+        parts = ["rig_uno"]
+        if self.bridge != "PWM_DIR":
+            parts.append(self.bridge.lower())
+        if self.baud != 115200:
+            parts.append(str(self.baud))
+        words = {"tachometer": self.tachometer, "supply": self.supply, "ends": self.end_switches}
+        return "-".join(parts + [word for word, wired in words.items() if wired])
+
+    def variables(self) -> list[str]:
+        """For make."""
+        flags = f"TACHOMETER={self.tachometer:d}", f"SUPPLY={self.supply:d}", f"END_SWITCHES={self.end_switches:d}"
+        return [f"BRIDGE={self.bridge}", f"BAUD={self.baud}", *flags]
+
+
+PLAIN_UNO = UnoOptions()
+
+
+class ChipFirmware(NamedTuple):
+    """What the build gives: the very .hex that is flashed, and the shared library of the emulated chip."""
+
+    hex: Path
+    library: Path
+
+
 def source_folder() -> Path:
     """Folder of the firmware's sources: in the repository, else as packaged with rig.
 
@@ -45,18 +86,37 @@ def build(build_folder: Path | None = None) -> HostFirmware:
                   installed rig
     Raises EmulationError if make or the C compiler is missing, or the build fails.
     """
+    folder = _make(build_folder, ["host"], {}) / "host"
+    return HostFirmware(folder / "rig_host_board", folder / "librig_host.so")
+
+
+def build_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None) -> ChipFirmware:
+    """Build the Uno's firmware and its emulated chip, as ``build`` does.
+
+    Raises EmulationError also where avr-gcc is missing, or the repository: what is installed has no emulated chip.
+    """
+    if not (source_folder() / "emulator" / "chip.c").is_file():
+        raise EmulationError("the emulated chip is in rig's repository only: run from there")
+    tools = {"avr-gcc": "apt-get install gcc-avr avr-libc binutils-avr libsimavr-dev"}
+    folder = _make(build_folder, ["chip", *options.variables()], tools)
+    return ChipFirmware(folder / "uno" / f"{options.name}.hex", folder / "chip" / "librig_chip.so")
+
+
+def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) -> Path:
+    """Make the targets; the folder that they are in. ``tools``: what they need besides a C compiler, and its cure."""
     sources = source_folder()
     folder = (_default_build_folder(sources) if build_folder is None else build_folder).absolute()
     compiler = os.environ.get("CC", "cc")
-    for tool in ("make", compiler.split()[0]):
+    cure = "apt-get install make gcc libc6-dev"
+    for tool, package in ({"make": cure, compiler.split()[0]: cure} | tools).items():
         if shutil.which(tool) is None:
             raise EmulationError(
-                f"the emulated board is compiled on this machine, and `{tool}` is missing: install make and a C "
-                "compiler (Debian: apt-get install make gcc libc6-dev)"
+                f"the emulated board is compiled on this machine, and `{tool}` is missing: install it "
+                f"(Debian: {package})"
             )
     # an outer make's job server and flags are none of this build's business
     environment = {key: value for key, value in os.environ.items() if key not in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")}
-    command = ["make", "-s", "-C", str(sources), "host", f"BUILD={folder}", f"CC={compiler}"]
+    command = ["make", "-s", "-C", str(sources), *targets, f"BUILD={folder}", f"CC={compiler}"]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / ".lock").open("w") as lock:
@@ -66,7 +126,7 @@ def build(build_folder: Path | None = None) -> HostFirmware:
         raise EmulationError(f"the firmware cannot be built in {folder}: {error}") from error
     if made.returncode != 0:
         raise EmulationError(f"building the emulated board failed: `{' '.join(command)}`\n{made.stderr.strip()}")
-    return HostFirmware(folder / "host" / "rig_host_board", folder / "host" / "librig_host.so")
+    return folder
 
 
 def _default_build_folder(sources: Path) -> Path:

@@ -1,0 +1,156 @@
+"""The Uno's emulated chip in virtual time: the very .hex that is flashed, on libsimavr."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Self
+
+from rig.emulate import firmware_build
+from rig.emulate.device_options import device_options
+from rig.emulate.firmware_build import PLAIN_UNO, EmulationError, UnoOptions
+from rig.emulate.virtual_device import VirtualDevice, load
+from rig.model.bench import BenchParameters
+
+_BITS_PER_BYTE = 10
+_CONTACT_PIN = {"e_stop": 2, "end_low": 3, "end_high": 4}  # of port D: firmware/boards/uno/wiring.h
+_HANG = {"main loop": 0, "everything": 1, "clock": 2, "converter": 3}
+
+Contact = Literal["e_stop", "end_low", "end_high"]
+Hang = Literal["main loop", "everything", "clock", "converter"]
+
+
+class _View(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_double) for name in ("t_s", "pin_V", "motor_V", "y_rad", "v_rad_per_s", "pin_changed_s")),
+        *((name, ctypes.c_double) for name in ("awake_share", "masked_us", "interrupt_share")),
+        *((name, ctypes.c_int32) for name in ("led", "resets", "overruns", "crashed", "stack_bytes")),
+    )
+
+
+class ChipTruth(NamedTuple):
+    """What is really the case on the chip's pins and on the bench, besides what it says on the wire.
+
+    t_s            virtual time, s
+    pin_V          mean voltage that the bridge makes of the pins; motor_V: what the wiring makes of it
+    y_rad, v_rad_per_s   of the measured shaft
+    pin_changed_s  time at which the drive at the pins changed last; negative: never
+    awake_share    share of the time in which the program did not sleep
+    masked_us, interrupt_share  longest time with interrupts masked, and most of a tick spent in interrupts: only
+                   where the chip was made to ``measure``, else 0
+    led            is lit: armed, or blinking
+    resets         by whatever, since power on
+    overruns       bytes that the chip's receiver had no room for
+    crashed        the program ended or ran into what is no program
+    stack_bytes    deepest that the stack has been
+    """
+
+    t_s: float
+    pin_V: float
+    motor_V: float
+    y_rad: float
+    v_rad_per_s: float
+    pin_changed_s: float
+    awake_share: float
+    masked_us: float
+    interrupt_share: float
+    led: bool
+    resets: int
+    overruns: int
+    crashed: bool
+    stack_bytes: int
+
+
+class VirtualChip(VirtualDevice):
+    """One emulated Uno, powered on at virtual time 0. Any number may live side by side.
+
+    bench            what is behind the board; its ``drive_counts`` is the chip's own business
+    seed             of the noise, 0 to 2**32 - 1
+    clock_error_ppm  of the chip's clock against virtual time
+    options          that the firmware is built with
+    dead_time_s      for which the bridge does not conduct, once in a PWM period, 0 to 1e-3
+    measure          count masked interrupts and time spent in them: 3 to 10 times as slow
+    build_folder     of the firmware; None: the default one
+    Raises EmulationError if firmware or emulator cannot be built, or a parameter is out of range.
+    """
+
+    def __init__(
+        self,
+        bench: BenchParameters,
+        seed: int = 1,
+        *,
+        clock_error_ppm: float = 0.0,
+        options: UnoOptions = PLAIN_UNO,
+        dead_time_s: float = 0.0,
+        measure: bool = False,
+        build_folder: Path | None = None,
+    ) -> None:
+        firmware = firmware_build.build_chip(options, build_folder)
+        chip_options = {
+            **device_options(bench, seed, clock_error_ppm),
+            "hex": str(firmware.hex),
+            "bridge": options.bridge.lower(),
+            "dead-time-s": repr(dead_time_s),
+            "measure": f"{measure:d}",
+        }
+        super().__init__(_load(str(firmware.library)), chip_options, round(1e9 * _BITS_PER_BYTE / options.baud))
+
+    @classmethod
+    def from_mapping(
+        cls, emulated: Mapping[str, Any], seed: int, tachometer: Mapping[str, Any] | None = None, baud: int = 115200
+    ) -> Self:
+        """From the plain values of a config's sections ``emulated`` and ``tachometer``."""
+        bench = BenchParameters.from_mapping(emulated, tachometer)
+        options = UnoOptions(baud=baud, tachometer=bench.tachometer_rad_s_per_count is not None)
+        return cls(bench, seed, clock_error_ppm=emulated["clock_error_ppm"], options=options)
+
+    def truth(self) -> ChipTruth:
+        """What is really the case now."""
+        view = _View()
+        self._library.virtual_look(self._board, ctypes.byref(view))
+        return ChipTruth(
+            view.t_s,
+            view.pin_V,
+            view.motor_V,
+            view.y_rad,
+            view.v_rad_per_s,
+            view.pin_changed_s,
+            view.awake_share,
+            view.masked_us,
+            view.interrupt_share,
+            bool(view.led),
+            view.resets,
+            view.overruns,
+            bool(view.crashed),
+            view.stack_bytes,
+        )
+
+    def reset(self, cause: int, boot_s: float = 0.0) -> None:
+        """Reset the chip: 1 power-on, 2 external, 4 brown-out; then stay in the boot loader, pins floating."""
+        self._library.virtual_boot(self._board, cause, boot_s)
+
+    def contact(self, which: Contact, is_open: bool) -> None:
+        """Open or close a contact; all are closed at power on."""
+        self._library.virtual_contact(self._board, _CONTACT_PIN[which], is_open)
+
+    def hang(self, what: Hang = "main loop") -> None:
+        """Stop the main loop, that and all interrupts, the clock's interrupt, or the converter's."""
+        if not self._library.virtual_hang(self._board, _HANG[what]):
+            raise EmulationError("the firmware has no endless loop to hang it in")
+
+
+@lru_cache
+def _load(path: str) -> ctypes.CDLL:
+    """The library with its signatures (firmware/emulator/chip.c)."""
+    integer = ctypes.c_int32
+    return load(
+        path,
+        {
+            "virtual_look": (None, [ctypes.POINTER(_View)]),
+            "virtual_boot": (None, [ctypes.c_uint8, ctypes.c_double]),
+            "virtual_contact": (None, [integer, integer]),
+            "virtual_hang": (integer, [integer]),
+        },
+    )
