@@ -157,6 +157,9 @@ class TestExample42:
 
 
 class TestExample43:
+    def test_a_law_gives_all_the_surviving_digits(self) -> None:
+        assert build.example_4_3.reproduced(build.example_4_3.compute(2))
+
     def test_viscous_friction_is_absorbed_exactly(self, sections: dict[str, Section]) -> None:
         identified = sections["example-4-3"].tables()[1]
         motor, absorbed, found, errors = identified.rows[:4]
