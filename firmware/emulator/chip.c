@@ -37,6 +37,7 @@
 #define DRIVE_STEPS 32000 /* of the bridge's duty, as the bench counts it */
 #define SUPPLY_FULL_V 20.0 /* motor supply that reads full scale at A2: a divider by 4 */
 #define RUN_CYCLES 200u /* instructions of about so many cycles run without a look at the timers: none is due then */
+#define CONTACTS 0x70u /* of port D; at D2 and D3 libsimavr would look for low levels at each cycle */
 #define PAINT 0xA7u /* of memory that nobody has written */
 
 /* Addresses in data space, and bits, of the registers that make up the drive, and of some more. */
@@ -386,7 +387,7 @@ static void connect(virtual_board *b)
 
 static void tell_pulls(virtual_board *b)
 {
-    avr_ioport_external_t pulls = {.name = 'D', .mask = 0xFF, .value = b->open_pins};
+    avr_ioport_external_t pulls = {.name = 'D', .mask = CONTACTS, .value = b->open_pins};
     avr_ioctl(b->avr, AVR_IOCTL_IOPORT_SET_EXTERNAL('D'), &pulls);
 }
 

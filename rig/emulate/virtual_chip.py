@@ -15,7 +15,7 @@ from rig.emulate.virtual_device import VirtualDevice, load
 from rig.model.bench import BenchParameters
 
 _BITS_PER_BYTE = 10
-_CONTACT_PIN = {"e_stop": 2, "end_low": 3, "end_high": 4}  # of port D: firmware/boards/uno/wiring.h
+_CONTACT_PIN = {"e_stop": 4, "end_low": 5, "end_high": 6}  # of port D: firmware/boards/uno/wiring.h
 _HANG = {"main loop": 0, "everything": 1, "clock": 2, "converter": 3}
 
 Contact = Literal["e_stop", "end_low", "end_high"]

@@ -17,7 +17,7 @@ static bool estop_is_open(void)
 void inputs_init(void)
 {
     set_bits(&PORTD, (uint8_t)(PIN_ESTOP | (RIG_END_SWITCHES ? PIN_END_LOW | PIN_END_HIGH : 0u))); /* pull-ups */
-    PCMSK2 = BIT(PCINT18);
+    PCMSK2 = BIT(PCINT20);
     PCICR = BIT(PCIE2);
 }
 
