@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from rig.config.preflight import REACTION_PERIODS
+from rig.config.preflight import reaction_periods
 from rig.config.schema import Experiment
 from rig.control.guard import GuardSettings
 from rig.daq import registry
@@ -58,13 +58,14 @@ def guard_settings_of(experiment: Experiment, noise_rad: float | None = None) ->
     """The guard's knowledge; ``noise_rad`` once it was measured, before that two LSB are assumed."""
     lsb_rad = calibration_of(experiment).lsb_rad
     t = experiment.limits
+    loop_s = reaction_periods(experiment) * experiment.period_s
     return GuardSettings(
         limits=limits_of(experiment),
         rail_counts=experiment.sensor.rail_counts,
         max_speed_rad_s=t.max_speed_rad_s,
         coast_tau_s=t.coast_tau_s,
         # as in `rig check`: the loop's own reaction, one reply that never comes, then the device's watchdog
-        reaction_s=REACTION_PERIODS * experiment.period_s + experiment.daq.timeout_s + experiment.daq.watchdog_s,
+        reaction_s=loop_s + experiment.daq.timeout_s + experiment.daq.watchdog_s,
         noise_rad=2.0 * lsb_rad if noise_rad is None else max(noise_rad, lsb_rad),
         motion_rad=experiment.breakaway.motion_rad,
     )

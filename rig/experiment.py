@@ -23,9 +23,10 @@ from rig.control.homing import Homing
 from rig.control.hysteretic import HystereticRun
 from rig.control.law import Constant, Rest
 from rig.control.observer import MotorObserver
-from rig.control.relay import DualChannelRelay, HystereticRelay
+from rig.control.relay import DualChannelRelay, HystereticRelay, RelayOnCounts
 from rig.control.tracking import Tracking, tracking_error
 from rig.control.trajectory import SumOfSines
+from rig.daq.driver import RelayDriver
 from rig.faults import Fault
 from rig.identify import Identification, IdentifyError, identify
 from rig.loop.clock import VirtualClock
@@ -207,13 +208,44 @@ def test_relays(session: Session) -> None:
         expected_period_s = detector.mean()[0]
     for number, pair_V in enumerate(gains_V, start=1):
         cycle_s = expected_period_s if expected_period_s is not None else 2.0
-        test = RelayTest(relay, detector, pair_V, e.relay.cycles, RELAY_TIMEOUT_PERIODS * e.relay.cycles * cycle_s)
+        timeout_s = RELAY_TIMEOUT_PERIODS * e.relay.cycles * cycle_s
         stage = f"relay-{number}"
         session.note("gains", stage=stage, h1_V=pair_V[0], h2_V=pair_V[1], cycles=e.relay.cycles)
-        session.loop.run(test, stage, _watch_cycles(session, detector, stage))
+        watch = _watch_cycles(session, detector, stage)
+        if e.relay.where == "device":
+            run_in_device(session, pair_V, detector, timeout_s, stage, watch)
+        else:
+            session.loop.run(RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s), stage, watch)
     if relay.bound_reached:
         session.notes.append("the relay's integral reached its bound: the first cycles are shorter than they would be")
     session.loop.run(Rest(REST_S), "rest")
+
+
+def run_in_device(
+    session: Session,
+    gains_V: tuple[float, float],
+    detector: CycleDetector,
+    timeout_s: float,
+    stage: str,
+    watch: Callable[[float], None],
+) -> None:
+    """One relay test in which the device's own relay drives."""
+    e, driver = session.experiment, session.bench.driver
+    if not isinstance(driver, RelayDriver):
+        raise Fault("CONFIG_MISMATCH", f"relay.where is device, but {driver.backend} has no relay")
+    command = driver.relay_command(*gains_V, _integral_bound_rad_s(e))
+    relay = RelayOnCounts(
+        command.centre_counts,
+        command.setup.direction,
+        command.z_bound_count_ticks,
+        command.drives_V,
+        command.count_tick_rad_s,
+        gains_V,
+    )
+    test = RelayTest(relay, detector, gains_V, e.relay.cycles, timeout_s)
+    session.loop.run_in_device(test, command, stage, watch)
+    if relay.bound_reached:
+        session.notes.append(f"{stage}: the relay's integral reached its bound in the device")
 
 
 def test_hysteretic(session: Session) -> None:

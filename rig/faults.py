@@ -29,6 +29,10 @@ FAULTS: dict[str, FaultEntry] = {
         "no valid reply within the time-out",
         "check baud rate, cable and interference; `rig check` prints what the link needs",
     ),
+    "LINK_GAP": FaultEntry(
+        "samples of the relay in the device got lost on the way",
+        "check cable and plug, close what else reads the port, or set relay.where to host",
+    ),
     "LINK_HELLO": FaultEntry(
         "the device did not introduce itself",
         "flash the firmware, check daq.port and daq.baud; an Arduino needs two seconds after the port opens",
@@ -85,6 +89,14 @@ FAULTS: dict[str, FaultEntry] = {
     "DEVICE_END_SWITCH": FaultEntry(
         "the shaft is at an end switch, or a switch's wire is broken, and the device set 0 V",
         "bring the shaft inside with `rig jog`, then lower relay.target.amplitude_rad; at both ends, check the wires",
+    ),
+    "DEVICE_RELAY": FaultEntry(
+        "the relay in the device decided otherwise than the law does on the same counts",
+        "flash the firmware of this rig; if it is that, report this run, and set relay.where to host meanwhile",
+    ),
+    "RELAY_STOPPED": FaultEntry(
+        "the relay in the device drove where the guard does not let it",
+        "lower the relay's amplitude, or widen the limits",
     ),
     # guard
     "TRAVEL_HARD": FaultEntry(

@@ -25,8 +25,14 @@ _TURNAROUND_S = 0.001  # the device's 1 ms tick and USB, together
 _LINK_SHARE = 0.8  # of the period that the exchange may take
 _BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000, 921600, 1_000_000, 2_000_000)
 
+# A relay in the device: every 10 of its 1 ms ticks a BLOCK of 10 (reading, drive) comes unasked
+_BLOCK_BODY_BYTES = 10 + 10 * 4
+_BLOCK_S = 0.010
+_DRIVE_UNITS = 799  # at full duty
+
 _WATCHDOG_PERIODS = (3, 10)
-REACTION_PERIODS = 3  # of the loop: one until the next tick, two by which the guard's velocity lags
+_REACTION_PERIODS = 3  # of the loop: one until the next tick, two by which the guard's velocity lags
+_BLOCK_AGE_PERIODS = 2  # of the loop: the rows of a device's block are older than a reply, by its length and its way
 _SHORTEST_CYCLE_PERIODS = 30  # theory section 5: a shorter cycle is delay hunting
 _SMALLEST_CYCLE_COUNTS = 20  # theory section 5
 _MOTION_COUNTS = 3  # below this the sensor's last digit would pass for motion
@@ -45,6 +51,11 @@ def preflight(experiment: Experiment) -> Preflight:
     """Check an experiment offline. The problems have paths but no places: ``rig.config.check`` adds these."""
     problems = tuple(problem for rule in _RULES for problem in rule(experiment))
     return Preflight(tuple(_lines(experiment)), problems)
+
+
+def reaction_periods(experiment: Experiment) -> int:
+    """Periods of the loop until it can have reacted to what the shaft does."""
+    return _REACTION_PERIODS + (_BLOCK_AGE_PERIODS if experiment.relay.where == "device" else 0)
 
 
 # ---------------------------------------------------------------------- the link
@@ -89,6 +100,54 @@ def _link_budget(e: Experiment) -> Iterator[Problem]:
     period_s = whole_s / _LINK_SHARE
     hint = f"{way_out}period_s of {period_s:.2g} and more" if period_s <= 0.1 else way_out.removesuffix(", or ")
     yield _problem("daq.baud", f"too slow for the period: {_link_sum(e)}", hint)
+
+
+def _stream_sum(e: Experiment) -> str:
+    count = _BLOCK_BODY_BYTES + _FRAME_BYTES
+    wire_s = count * _BITS_PER_BYTE / e.daq.baud
+    return (
+        f"BLOCK {count} bytes x {_BITS_PER_BYTE} bits / {e.daq.baud} baud = {wire_s * 1e3:.2f} ms "
+        f"of every {_BLOCK_S * 1e3:g} ms"
+    )
+
+
+def _device_relay(e: Experiment) -> Iterator[Problem]:
+    if e.relay.where != "device":
+        return
+    if e.daq.driver == "simulated":
+        yield _problem(
+            "relay.where", "`driver: simulated` has no device", "set it to host, or daq.driver to serial with a port"
+        )
+        return
+    bits = (_BLOCK_BODY_BYTES + _FRAME_BYTES) * _BITS_PER_BYTE
+    if bits > _LINK_SHARE * _BLOCK_S * e.daq.baud:
+        fitting = next(baud for baud in _BAUD_RATES if bits <= _LINK_SHARE * _BLOCK_S * baud)
+        yield _problem(
+            "daq.baud",
+            f"too slow for the samples of a relay in the device: {_stream_sum(e)}; {_LINK_SHARE:.0%} may be used",
+            f"daq.baud {fitting} fits, or relay.where: host",
+        )
+    points = sorted((p.counts, p.rad) for p in e.sensor.calibration)
+    (c0, r0), (c1, r1) = points[0], points[-1]
+    bend_rad = max(abs(r - r0 - (c - c0) * (r1 - r0) / (c1 - c0)) for c, r in points)
+    if bend_rad > 0.5 * _count_rad(e):
+        yield _problem(
+            "sensor.calibration",
+            f"bends by {bend_rad / _count_rad(e):.1f} counts, but a relay in the device integrates counts",
+            "a straight line within half a count, or relay.where: host",
+        )
+
+
+def _device_drives(e: Experiment) -> Iterator[str]:
+    """What the gains become in whole units of the drive, for a relay in the device."""
+    if e.relay.where != "device":
+        return
+    d = e.drive
+    unit_V = (d.supply_V - d.bridge_drop_V) / _DRIVE_UNITS
+    yield (
+        f"relay in the device: every ms, drives in whole units of {unit_V * 1e3:.1f} mV; {_stream_sum(e)}; "
+        f"the search runs in the host"
+    )
 
 
 def _watchdog(e: Experiment) -> Iterator[Problem]:
@@ -169,7 +228,7 @@ def _stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
     """
     v = e.limits.max_speed_rad_s
     return (
-        (f"{REACTION_PERIODS} periods", v * REACTION_PERIODS * e.period_s),
+        (f"{reaction_periods(e)} periods", v * reaction_periods(e) * e.period_s),
         ("reply time-out", v * e.daq.timeout_s),
         ("watchdog", v * e.daq.watchdog_s),
         ("coasting", v * e.limits.coast_tau_s),
@@ -447,6 +506,7 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
 _RULES: tuple[Rule, ...] = (
     _backend,
     _link_budget,
+    _device_relay,
     _watchdog,
     _limits,
     _room_to_stop,
@@ -475,6 +535,7 @@ def _lines(e: Experiment) -> Iterator[str]:
     yield f"stopping {_stopping_sum(e)}; room from the centre of travel: {_room_rad(e):.3f} rad"
     if e.daq.driver == "serial":
         yield f"link: {_link_sum(e)}"
+    yield from _device_drives(e)
     yield (
         f"failsafe: the device sets 0 V after {e.daq.watchdog_s * 1e3:g} ms of silence "
         f"({e.daq.watchdog_s / e.period_s:.3g} periods), latched until it is armed again"

@@ -195,6 +195,10 @@ class Relay(_Section):
     gains: Annotated[tuple[Gains, ...], Field(min_length=1, max_length=4)] | None = Field(
         None, description="one relay test for each pair; without it the gains are searched"
     )
+    where: Literal["host", "device"] = Field(
+        "host",
+        description="where the relay tests decide: in the host every period_s, or in the device every millisecond",
+    )
     second_ratio: Annotated[float, Field(gt=0.3, lt=3.0)] = Field(
         0.75, description="searched gains: the second test's amplitude over the first's, period kept"
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from rig.control.guard import VelocityWindow
 from rig.control.relay import DualChannelRelay
@@ -47,12 +47,31 @@ class SearchStep(NamedTuple):
     outcome: str
 
 
-class _RelayLaw:
+class Relay(Protocol):
+    """A dual-channel relay: ``DualChannelRelay``, or one that runs in a device."""
+
+    h1_V: float
+    h2_V: float
+
+    @property
+    def z_rad_s(self) -> float:
+        """Integral of the position."""
+        ...
+
+    def step(self, sample: Sample) -> float:
+        """Drive for this sample, V."""
+        ...
+
+
+R = TypeVar("R", bound=Relay)
+
+
+class _RelayLaw(Generic[R]):
     """A law that runs the shared relay and watches its cycle."""
 
     yd_rad = math.nan
 
-    def __init__(self, relay: DualChannelRelay, detector: CycleDetector) -> None:
+    def __init__(self, relay: R, detector: CycleDetector) -> None:
         self.relay = relay
         self.detector = detector
         self.finished = False
@@ -69,7 +88,7 @@ class _RelayLaw:
         return u_V, cycle is not None
 
 
-class GainSearch(_RelayLaw):
+class GainSearch(_RelayLaw[DualChannelRelay]):
     """Raise h2 until a cycle is accepted, then trim h1 and h2 to an amplitude and a period (theory section 5).
 
     relay, detector  shared with the tests that follow, so that the cycle runs on
@@ -259,7 +278,7 @@ class GainSearch(_RelayLaw):
         return h1, h2
 
 
-class RelayTest(_RelayLaw):
+class RelayTest(_RelayLaw[Relay]):
     """Run the relay at fixed gains until ``cycles`` settled periods have passed.
 
     settled_start_s and settled_end_s frame them once finished. Raises Fault NO_CYCLE where ``timeout_s`` passes first.
@@ -267,7 +286,7 @@ class RelayTest(_RelayLaw):
 
     def __init__(
         self,
-        relay: DualChannelRelay,
+        relay: Relay,
         detector: CycleDetector,
         gains_V: tuple[float, float],
         cycles: int,

@@ -81,9 +81,12 @@ class Guard:
         self._push_sign = 0
         self._inward_since: tuple[float, float] | None = None
 
-    def rearm(self) -> None:
-        """Forget the motion seen before a pause: time has passed unseen since."""
-        self._velocity = VelocityWindow()
+    def rearm(self, samples: int = 5) -> None:
+        """Forget the motion seen before a pause: time has passed unseen since.
+
+        ``samples`` is how many the velocity is taken from: five at the loop's period, more where they come faster.
+        """
+        self._velocity = VelocityWindow(samples)
         self._last = None
         self._pushing.clear()
         self._inward_since = None

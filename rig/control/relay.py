@@ -61,6 +61,53 @@ class DualChannelRelay:
         return -self.h1_V * self._sign_y - self.h2_V * self._sign_z
 
 
+class RelayOnCounts:
+    """The dual-channel relay as a device runs it, in whole counts and ticks (firmware/core/relay.h).
+
+    The law is ``DualChannelRelay``, with counts for rad and ticks for s: binary fractions, so that no decision
+    is rounded.
+    centre_counts       reading at y = 0; direction: +1 where positions rise with the counts, else -1
+    z_bound_count_ticks bound on the integral
+    drives_V            drive of each state: y >= 0 and z >= 0, y >= 0 > z, y < 0 <= z, both < 0
+    count_tick_rad_s    integral of one count for one tick
+    h1_V, h2_V          gains that these drives come from
+    """
+
+    def __init__(
+        self,
+        centre_counts: float,
+        direction: int,
+        z_bound_count_ticks: float,
+        drives_V: tuple[float, float, float, float],
+        count_tick_rad_s: float,
+        gains_V: tuple[float, float],
+    ) -> None:
+        self.h1_V, self.h2_V = gains_V
+        self.centre_counts = centre_counts
+        self.direction = direction
+        self.count_tick_rad_s = count_tick_rad_s
+        self._law = DualChannelRelay(1.0, 2.0, z_bound_count_ticks)
+        self._drives_V = dict(zip((-3.0, 1.0, -1.0, 3.0), drives_V, strict=True))  # by -1 sgn(y) - 2 sgn(z)
+        self._ticks = 0
+
+    @property
+    def z_rad_s(self) -> float:
+        """Integral of the position."""
+        return self._law.z_rad_s * self.count_tick_rad_s
+
+    @property
+    def bound_reached(self) -> bool:
+        """Whether the integral has reached its bound."""
+        return self._law.bound_reached
+
+    def step(self, sample: Sample) -> float:
+        """Drive for this tick's sample, V."""
+        y_counts = self.direction * (sample.y_counts - self.centre_counts)
+        state = self._law.step(Sample(float(self._ticks), y_counts, sample.y_counts))
+        self._ticks += 1
+        return self._drives_V[state]
+
+
 class HystereticRelay:
     """u = -|d| sgn(y) with hysteresis: the sign changes only once y is beyond eps on the other side (theory section 6).
 

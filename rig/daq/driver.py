@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
+from rig.daq.relay_stream import RelayCommand, RelayRow
 from rig.signals import Limits, Order, Sample
 
 
@@ -125,4 +126,34 @@ class Driver(Protocol):
 
     def close(self) -> None:
         """Give the link back, stopped. May be called twice."""
+        ...
+
+
+@runtime_checkable
+class RelayDriver(Driver, Protocol):
+    """A driver whose device can run the dual-channel relay by itself, at each of its ticks."""
+
+    @property
+    def tick_s(self) -> float:
+        """The device's tick in host time, s."""
+        ...
+
+    def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
+        """What the device is to be told for these gains. Raises Fault or ValueError where it could not run them."""
+        ...
+
+    def start_relay(self, command: RelayCommand) -> None:
+        """Let the relay drive. Raises Fault where the device refuses, or on any fault of the link."""
+        ...
+
+    def keep(self) -> None:
+        """Tell the device that the host lives; the relay ends when the watchdog time has passed without."""
+        ...
+
+    def read_rows(self) -> list[RelayRow]:
+        """The ticks that have come since the last call; does not wait. Raises Fault on any fault of link or device."""
+        ...
+
+    def stop_relay(self) -> list[RelayRow]:
+        """End the relay with 0 V, still armed; returns its last ticks. Raises Fault on any fault of the link."""
         ...

@@ -19,7 +19,8 @@ from rig.daq import frames
 from rig.daq.calibration import Calibration, DriveMap, TachometerScale, polarity
 from rig.daq.device_clock import DeviceClock, TimedExchange, fit_device_clock
 from rig.daq.driver import DeviceInfo, DeviceWatchdog, Transport
-from rig.daq.frames import Code, Hello, Kind, Packet, Setup, State
+from rig.daq.frames import Code, Hello, Kind, Packet, RelaySetup, Setup, State
+from rig.daq.relay_stream import TICK_S, RelayCommand, RelayRow, RelayStream, relay_command
 from rig.faults import Fault
 from rig.signals import Limits, Order, Sample
 
@@ -196,6 +197,8 @@ class SerialDriver:
         self._timeouts = 0
         self._drives_lost = 0
         self._lost_in_a_row = 0
+        self._stream: RelayStream | None = None  # while the relay in the device runs
+        self._blocks: list[Packet] = []  # that came while something else was waited for
 
     @property
     def link_statistics(self) -> Mapping[str, int]:
@@ -260,6 +263,8 @@ class SerialDriver:
         self._unconfirmed = None
         self._lost_in_a_row = 0
         self._driven = False
+        self._stream = None
+        self._blocks.clear()
         self._armed = True
 
     def read(self) -> Sample:
@@ -323,6 +328,7 @@ class SerialDriver:
         """
         self._armed = False
         self._unconfirmed = None
+        self._stream = None
         try:
             for _ in range(_ATTEMPTS):
                 packet = self._await(self._send(Kind.STOP), Kind.STOP_REPLY)
@@ -339,6 +345,110 @@ class SerialDriver:
         if self._armed:
             self.safe_stop()
         self._transport.close()
+
+    # ------------------------------------------------------------------ the relay in the device
+
+    @property
+    def tick_s(self) -> float:
+        """The device's tick in host time, s."""
+        return TICK_S / self._clock.ratio
+
+    def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
+        """What the device is to be told for these gains; raises as ``relay_stream.relay_command``."""
+        return relay_command(h1_V, h2_V, z_bound_rad_s, self.calibration, self.drive_map, self.tick_s)
+
+    def start_relay(self, command: RelayCommand) -> None:
+        """Let the device's relay drive from its next tick on, from 0 V. It needs ``keep`` from then on.
+
+        Raises Fault ARM_READBACK, LINK_TIMEOUT, or what the device refuses with.
+        """
+        setup = command.setup
+        self._unconfirmed = None
+        self._stream = None
+        for _ in range(_ATTEMPTS):
+            # a relay whose confirmation was lost runs already: this ends it
+            self._send(Kind.DRIVE, frames.pack_drive(0))
+            packet = self._await(self._send(Kind.RELAY, setup.pack()), Kind.RELAY_REPLY)
+            if packet is None:
+                continue
+            if packet.kind == Kind.NACK:
+                raise _refusal(packet)
+            if RelaySetup.unpack(packet.body) != setup:
+                raise Fault("ARM_READBACK", f"sent {setup}, stored {RelaySetup.unpack(packet.body)}")
+            self._stream = RelayStream(self.calibration, self.drive_map, self._clock, self._transport.now_s())
+            return
+        raise self._timeout(Kind.RELAY)
+
+    def keep(self) -> None:
+        """Tell the device that the host lives: without this its relay ends when the watchdog time is over."""
+        self._send(Kind.KEEP)
+
+    def read_rows(self) -> list[RelayRow]:
+        """The relay's ticks that have come since the last call; does not wait. Once there are no more:
+
+        Raises Fault LINK_GAP, LINK_LOST, LINK_TIMEOUT where blocks stay away, DEVICE_RESET, or what the device latched.
+        """
+        stream = self._running_stream()
+        while data := self._transport.read(0.0):
+            self._sort(self._reader.feed(data))
+        self._take_blocks(stream)
+        rows = stream.rows()
+        if rows:
+            return rows
+        if stream.ended:
+            raise self._relay_fault(stream)
+        silent_s = self._transport.now_s() - stream.heard_s
+        if silent_s > frames.BLOCK_ROWS * TICK_S + self._timeout_s:
+            self.read()  # the device may say why
+            raise Fault("LINK_TIMEOUT", f"the relay runs, but no block came for {1e3 * silent_s:.0f} ms")
+        return rows
+
+    def stop_relay(self) -> list[RelayRow]:
+        """End the device's relay with 0 V; still armed. Returns its last ticks.
+
+        What the device may have latched meanwhile, the next ``read`` raises. Raises Fault LINK_GAP, LINK_LOST,
+        LINK_TIMEOUT.
+        """
+        stream = self._running_stream()
+        for _ in range(_ATTEMPTS):
+            self._send(Kind.DRIVE, frames.pack_drive(0))
+            until_s = self._transport.now_s() + self._timeout_s
+            while not stream.ended and (left_s := until_s - self._transport.now_s()) > 0.0:
+                self._sort(self._reader.feed(self._transport.read(left_s)))
+                self._take_blocks(stream)
+            if stream.ended:
+                self._stream = None
+                return stream.rows()
+        raise self._timeout(Kind.DRIVE)
+
+    def _running_stream(self) -> RelayStream:
+        if self._stream is None:
+            raise ValueError("no relay runs in the device")
+        return self._stream
+
+    def _sort(self, packets: list[Packet]) -> None:
+        """Keep blocks; nothing else is waited for."""
+        for packet in packets:
+            if packet.kind == Kind.BLOCK and packet.version == frames.VERSION:
+                self._blocks.append(packet)
+            else:
+                self._stale_replies += 1
+
+    def _take_blocks(self, stream: RelayStream) -> None:
+        blocks, self._blocks = self._blocks, []
+        now_s = self._transport.now_s()
+        for packet in blocks:
+            stream.take(packet, now_s)
+
+    def _relay_fault(self, stream: RelayStream) -> Fault:
+        """Why the relay ended without being told to."""
+        block = stream.last
+        if block is None:
+            raise ValueError("the relay has not ended")
+        counts, drive = block.rows[-1] if block.rows else (0, 0)
+        return self._device_fault(
+            State(block.t_first_us, counts, frames.NO_TACHOMETER, 0, drive, 0, block.status, block.fault)
+        )
 
     # ------------------------------------------------------------------ meeting the device
 
@@ -431,8 +541,10 @@ class SerialDriver:
                     and packet.version == frames.VERSION
                 ):
                     reply = packet
+                    if kind == Kind.RELAY_REPLY:
+                        self._blocks.clear()  # of an earlier run
                 else:
-                    self._stale_replies += 1
+                    self._sort([packet])
             if reply is not None:
                 return reply
             left_s = until_s - transport.now_s()

@@ -10,7 +10,8 @@ from typing import Protocol
 
 from rig.control.guard import Guard
 from rig.control.law import Law
-from rig.daq.driver import Clock, Driver
+from rig.daq.driver import Clock, Driver, RelayDriver
+from rig.daq.relay_stream import RelayCommand, RelayRow
 from rig.faults import Fault
 from rig.loop.statistics import LoopStatistics
 from rig.loop.stop_request import StopRequest
@@ -93,6 +94,7 @@ class Loop:
         self._skipped = 0  # ticks skipped just before the next one
         self.last_y_rad = math.nan  # position at the last tick
         self._last_t_s = math.nan
+        self._last_row_s = math.nan  # of the relay in the device
         self.unconfirmed_stops = 0  # stops that the device did not answer: its watchdog has to do them
         self.latency_s = 0.0  # from sample to effect of the drive, smoothed
 
@@ -149,14 +151,71 @@ class Loop:
             if watch is not None:
                 watch(sample.t_s)
 
+    def run_in_device(
+        self, law: Law, command: RelayCommand, stage: str, watch: Callable[[float], None] | None = None
+    ) -> None:
+        """Let the relay in the device drive until ``law`` has ended; inside ``armed``, from rest or nearly so.
+
+        ``law`` runs along: it takes each tick of the device, and what it decides must be what the device did. The guard
+        judges each tick, too; a drive that it would not let out ends the run, since only the device could change it.
+        Each of the loop's own ticks keeps the device's watchdog quiet and takes what has come.
+        Raises Fault as ``run``, and DEVICE_RELAY, RELAY_STOPPED, LINK_GAP.
+        """
+        driver = self._driver
+        if not isinstance(driver, RelayDriver):
+            raise ValueError(f"no relay in the device behind {self._driver.backend}")
+        self._record.event(self.now_s, "stage", name=stage)
+        self._finish_row()
+        # the velocity over the same time as at the loop's own pace
+        self.guard.rearm(1 + round(4.0 * self._period_s / driver.tick_s))
+        driver.start_relay(command)
+        self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
+        self._last_row_s = math.nan
+        while not law.finished:
+            due_s, woke_s = self._await_tick()
+            driver.keep()
+            for row in driver.read_rows():
+                self._take_row(row, driver, law, stage, watch)
+            self.statistics.tick((woke_s - due_s) * 1e6, (self._clock.now_s() - woke_s) * 1e6)
+            self._end_tick(due_s)
+        for row in driver.stop_relay():
+            self._take_row(row, driver, law, stage, watch)
+        self.guard.rearm()
+        self._last_t_s = math.nan
+        self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
+
+    def _take_row(
+        self, row: RelayRow, driver: RelayDriver, law: Law, stage: str, watch: Callable[[float], None] | None
+    ) -> None:
+        """Record one tick of the device, then judge it."""
+        tick_s = driver.tick_s
+        sample = Sample(row.t_s - self._t0_s, row.y_rad, row.y_counts, seq=row.block)
+        since_s = sample.t_s - self._last_row_s
+        missed = max(round(since_s / tick_s) - 1, 0) if math.isfinite(since_s) else 0
+        self._last_row_s = sample.t_s
+        self.last_y_rad = sample.y_rad
+        self.statistics.device_tick(tick_s, missed)
+        try:
+            decided_V = law.step(sample)
+        finally:
+            flags = FLAG_SKIPPED if missed else 0
+            self._record.sample(self._tick, sample, stage, law.z_rad_s, law.yd_rad, row.u_V, math.nan, math.nan, flags)
+            self._record.complete(row.t_u_s - self._t0_s, row.u_V)
+        if row.u_V != decided_V:
+            driver.read_rows()  # where the device has stopped it by itself, it says why
+            raise Fault("DEVICE_RELAY", f"{row.u_V:+.3f} V at {row.y_counts} counts, not {decided_V:+.3f} V")
+        passed_V, _ = self.guard.allow(sample, row.u_V)
+        if passed_V != row.u_V:
+            raise Fault(
+                "RELAY_STOPPED",
+                f"{row.u_V:+.2f} V at {sample.y_rad:.3f} rad, {self.guard.velocity_rad_s:+.2f} rad/s, "
+                f"predicted stop {self.guard.predicted_stop_rad:.3f} rad",
+            )
+        if watch is not None:
+            watch(sample.t_s)
+
     def _run_tick(self, law: Law, stage: str) -> Sample:
-        due_s = self._t0_s + self._tick * self._period_s
-        self._clock.sleep_until(due_s)
-        woke_s = self._clock.now_s()
-        while woke_s < due_s and self._stop.reason is None:
-            self._clock.sleep_until(due_s)  # a signal that is none of ours ended the sleep
-            woke_s = self._clock.now_s()
-        self.check_stop()
+        due_s, woke_s = self._await_tick()
         sample = self._driver.read()
         io_s = self._clock.now_s() - woke_s
         sample = sample._replace(t_s=sample.t_s - self._t0_s, t_u_s=sample.t_u_s - self._t0_s)
@@ -177,13 +236,27 @@ class Loop:
         )
         self._row_open = True
         self._asked_V = u_V
+        self._end_tick(due_s)
+        return sample
+
+    def _await_tick(self) -> tuple[float, float]:
+        """Sleep until the next tick is due; when that was, and when it was over."""
+        due_s = self._t0_s + self._tick * self._period_s
+        self._clock.sleep_until(due_s)
+        woke_s = self._clock.now_s()
+        while woke_s < due_s and self._stop.reason is None:
+            self._clock.sleep_until(due_s)  # a signal that is none of ours ended the sleep
+            woke_s = self._clock.now_s()
+        self.check_stop()
+        return due_s, woke_s
+
+    def _end_tick(self, due_s: float) -> None:
+        """On to the next tick of the grid that is still to come."""
         if self.statistics.ticks % _CHECK_EVERY_TICKS == 0:
             self._record.check()
-        # the next tick of the grid that is still to come
         self._skipped = max(int((self._clock.now_s() - due_s) / self._period_s), 0)
         self.statistics.skipped += self._skipped
         self._tick += 1 + self._skipped
-        return sample
 
     def check_stop(self) -> None:
         """Raise Fault INTERRUPTED if a signal has asked for a stop."""

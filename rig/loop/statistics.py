@@ -15,6 +15,9 @@ class LoopStatistics:
     def __init__(self, period_s: float) -> None:
         self.period_s = period_s
         self.skipped = 0
+        self.device_ticks = 0  # of a relay in the device, as far as they were recorded
+        self.device_missed = 0  # that it did not run
+        self.device_tick_s = 0.0
         self._late_us = array("d")
         self._io_us = array("d")
 
@@ -28,14 +31,25 @@ class LoopStatistics:
         self._late_us.append(late_us)
         self._io_us.append(io_us)
 
+    def device_tick(self, tick_s: float, missed: int) -> None:
+        """Count one tick of a relay in the device, every ``tick_s``, and those missed before it."""
+        self.device_ticks += 1
+        self.device_missed += missed
+        self.device_tick_s = tick_s
+
     def summary(self) -> dict[str, object]:
-        """The ``loop`` object of result.json; quantiles are null where no tick ran."""
+        """The ``loop`` object of result.json; quantiles are null where no tick ran.
+
+        ``device`` is there where a relay in the device has run.
+        """
+        device = {"period_s": self.device_tick_s, "ticks": self.device_ticks, "missed": self.device_missed}
         return {
             "period_s": self.period_s,
             "ticks": self.ticks,
             "skipped": self.skipped,
             "late_us": quantiles(self._late_us),
             "io_us": quantiles(self._io_us),
+            **({"device": device} if self.device_ticks else {}),
         }
 
 
