@@ -12,10 +12,11 @@ from rig.config.schema import Experiment
 from rig.control.guard import GuardSettings
 from rig.daq import registry
 from rig.daq.calibration import Calibration, DriveMap, TachometerScale
-from rig.daq.driver import Clock, DeviceInfo, Driver
-from rig.daq.serial_link import open_serial
+from rig.daq.driver import Clock, DeviceInfo, Driver, Transport
+from rig.daq.serial_link import PySerialTransport, SerialDriver
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.emulate.host_board import HostBoard
+from rig.emulate.virtual_chip import VirtualChip
 from rig.faults import Fault
 from rig.loop.clock import MonotonicClock, VirtualClock
 from rig.model.bench import BenchParameters
@@ -109,6 +110,11 @@ def connect(experiment: Experiment) -> Iterator[Bench]:
                 raise ValueError("port `emulated` needs the section `emulated`")
             with emulated_board(experiment) as port:
                 yield from _serial(experiment, port, truth)
+        elif daq.port == "emulated-chip":
+            if truth is None:
+                raise ValueError("port `emulated-chip` needs the section `emulated`")
+            chip = emulated_chip(experiment)
+            yield from _opened(_driver(experiment, chip, daq.port, emulated=True), chip, truth, daq.accept_no_watchdog)
         elif daq.port is not None:
             yield from _serial(experiment, daq.port, truth)
         else:
@@ -130,20 +136,38 @@ def emulated_board(experiment: Experiment, link: Path | None = None, trace: Path
         yield board.start(experiment.emulated.model_dump(), experiment.seed, link, trace, tachometer)
 
 
+def emulated_chip(experiment: Experiment) -> VirtualChip:
+    """The Uno's emulated chip with the config's bench behind it: port and clock in one, in virtual time.
+
+    Raises EmulationError where it cannot be built.
+    """
+    if experiment.emulated is None:
+        raise ValueError("the config has no section `emulated`")
+    tachometer = None if experiment.tachometer is None else experiment.tachometer.model_dump()
+    return VirtualChip.from_mapping(
+        experiment.emulated.model_dump(), experiment.seed, tachometer, baud=experiment.daq.baud
+    )
+
+
 def _serial(experiment: Experiment, port: str, truth: BenchParameters | None) -> Iterator[Bench]:
+    driver = _driver(experiment, PySerialTransport(port, experiment.daq.baud), f"serial:{port}")
+    yield from _opened(driver, MonotonicClock(), truth, experiment.daq.accept_no_watchdog)
+
+
+def _driver(experiment: Experiment, transport: Transport, name: str, *, emulated: bool = False) -> SerialDriver:
     t = experiment.tachometer
-    driver = open_serial(
-        port,
+    return SerialDriver(
+        transport,
         calibration_of(experiment),
         drive_map_of(experiment),
         experiment.sensor.rail_counts,
-        baud=experiment.daq.baud,
-        timeout_s=experiment.daq.timeout_s,
-        open_timeout_s=experiment.daq.open_timeout_s,
-        tachometer=None if t is None else TachometerScale(t.rad_s_per_count, t.zero_counts, t.gear_ratio),
+        experiment.daq.timeout_s,
+        experiment.daq.open_timeout_s,
+        None if t is None else TachometerScale(t.rad_s_per_count, t.zero_counts, t.gear_ratio),
         counts_max=experiment.sensor.counts_max,
+        name=name,
+        emulated=emulated,
     )
-    yield from _opened(driver, MonotonicClock(), truth, experiment.daq.accept_no_watchdog)
 
 
 def _opened(driver: Driver, clock: Clock, truth: BenchParameters | None, accept_no_watchdog: bool) -> Iterator[Bench]:

@@ -39,6 +39,10 @@ _MOTION_COUNTS = 3  # below this the sensor's last digit would pass for motion
 _SLACK = 1e-9  # relative: 0.1 s is ten periods of 0.01 s, whatever the binary fractions say
 
 
+EMULATED_PORTS = ("emulated", "emulated-chip")
+CHIP_BAUDS = (115200, 1_000_000)  # that the Uno's firmware is built for
+
+
 @dataclass(frozen=True)
 class Preflight:
     """``lines``: what the experiment would do, for people; ``problems``: why it must not, empty if it may."""
@@ -69,8 +73,10 @@ def _backend(e: Experiment) -> Iterator[Problem]:
         yield _problem("daq.port", "`driver: serial` needs a port", "e.g. port: /dev/ttyACM0, or port: emulated")
     if e.emulated is None and d.driver == "simulated":
         yield _problem("emulated", "`driver: simulated` needs this section", "describe the bench: see config/demo.yaml")
-    if e.emulated is None and d.driver == "serial" and d.port == "emulated":
-        yield _problem("emulated", "`port: emulated` needs this section", "describe the bench: see config/demo.yaml")
+    if e.emulated is None and d.driver == "serial" and d.port in EMULATED_PORTS:
+        yield _problem("emulated", f"`port: {d.port}` needs this section", "describe the bench: see config/demo.yaml")
+    if d.port == "emulated-chip" and d.baud not in CHIP_BAUDS:
+        yield _problem("daq.baud", f"the Uno's firmware does not speak {d.baud} baud", "115200 or 1000000")
 
 
 def _link_terms(e: Experiment) -> tuple[int, float, float]:
@@ -553,12 +559,14 @@ def _lines(e: Experiment) -> Iterator[str]:
 
 
 def _is_emulated(e: Experiment) -> bool:
-    return e.daq.driver == "simulated" or e.daq.port == "emulated"
+    return e.daq.driver == "simulated" or e.daq.port in EMULATED_PORTS
 
 
 def _backend_words(e: Experiment) -> str:
     if e.daq.driver == "simulated":
         return "a simulation in virtual time, no device, nothing moves"
+    if e.daq.port == "emulated-chip":
+        return f"the Uno's emulated chip with its firmware, {e.daq.baud} baud, virtual time, nothing moves"
     if e.daq.port == "emulated":
         return f"an emulated device behind a pseudo-terminal, {e.daq.baud} baud, real time, nothing moves"
     return f"a REAL MOTOR behind the serial port {e.daq.port}, {e.daq.baud} baud"
