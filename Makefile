@@ -30,8 +30,8 @@ bench: .venv/.ready firmware  ## timing ratios, written to bench.json
 paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/report.html
 	PYTHONPATH=tools .venv/bin/python -m paper
 
-firmware:  ## the emulated host board
-	@$(MAKE) --no-print-directory -C firmware host
+firmware: .venv/.ready  ## the Uno's firmware (build/firmware/uno/rig_uno.hex), and the emulated board and chip
+	@$(MAKE) --no-print-directory -C firmware host uno chip
 
 lock: .venv/.ready  ## lock the packages anew
 	.venv/bin/uv pip compile --quiet pyproject.toml --group dev --generate-hashes --universal \

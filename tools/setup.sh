@@ -4,22 +4,37 @@ set -eu
 cd "$(dirname "$0")/.."
 PYTHON=${PYTHON:-python3}
 
-need() { # need COMMAND PACKAGE: install a Debian package where a command is missing
-    command -v "$1" >/dev/null 2>&1 && return
+missing=""
+need() { # need COMMAND-OR-FILE PACKAGE...: Debian packages to install where a command or a file is missing
+    command -v "$1" >/dev/null 2>&1 || [ -e "$1" ] && return
     echo "setup: $1 is missing; installing the Debian package $2"
+    missing="$missing $2"
+}
+install_missing() {
+    [ -n "$missing" ] || return 0
     as_root=""
     [ "$(id -u)" = 0 ] || as_root="sudo"
-    $as_root apt-get update -qq && $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq "$2" >/dev/null
+    # shellcheck disable=SC2086  # one word a package
+    $as_root apt-get update -qq && $as_root env DEBIAN_FRONTEND=noninteractive \
+        apt-get install -y -qq $missing >/dev/null
+    missing=""
 }
 
 need cc gcc
 need make make
+# the Uno's firmware, and the chip that tests run it on
+need avr-gcc gcc-avr
+need avr-objcopy binutils-avr
+need /usr/lib/avr/include/avr/io.h avr-libc
+need /usr/include/simavr/sim_avr.h libsimavr-dev
+install_missing
 if ! "$PYTHON" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
     echo "setup: $PYTHON is older than 3.11; set PYTHON=/path/to/python3.11 or newer" >&2
     exit 1
 fi
 # Debian splits venv from Python
 "$PYTHON" -c 'import ensurepip, venv' 2>/dev/null || need no-such-command python3-venv
+install_missing
 
 [ -x .venv/bin/python ] || "$PYTHON" -m venv .venv
 [ -x .venv/bin/uv ] || .venv/bin/python -m pip install --quiet --disable-pip-version-check "uv>=0.5,<1"
