@@ -1,0 +1,453 @@
+"""The relay in the device, in virtual time: at the pin of the compiled firmware, through the driver, in the loop."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListRecord
+from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, VirtualHost, armed_host
+
+import rig.experiment
+from rig.bench import Bench, calibration_of, drive_map_of
+from rig.config import load
+from rig.config.schema import Experiment, Gains, Relay
+from rig.control.excitation import RelayTest
+from rig.control.guard import Guard
+from rig.control.relay import RelayOnCounts
+from rig.daq.calibration import DriveMap
+from rig.daq.driver import RelayDriver
+from rig.daq.frames import STATUS_RELAY, Block, Code, FrameReader, Kind, Nack, RelaySetup, encode
+from rig.daq.relay_stream import RelayCommand
+from rig.daq.serial_link import SerialDriver
+from rig.emulate.virtual_board import VirtualBoard
+from rig.faults import Fault
+from rig.loop.runner import Loop
+from rig.loop.stop_request import StopRequest
+from rig.model.cycle_detector import CycleDetector
+from rig.model.friction import coulomb
+from rig.model.motor import Motor
+from rig.recording.reader import read_run
+
+GAINS_V = (0.4, 0.85)
+RELAY = RelaySetup((-80, 30, -30, 80), 512 * 16, 5_000_000, 1, 10)
+
+
+def running_host(bench=BENCH, setup=SETUP, relay: RelaySetup = RELAY, **board: float) -> VirtualHost:
+    host = armed_host(bench, setup, **board)
+    packet = host.ask(Kind.RELAY, relay.pack())
+    assert packet.kind == Kind.RELAY_REPLY and RelaySetup.unpack(packet.body) == relay
+    return host
+
+
+def told_blocks(host: VirtualHost, reader: FrameReader | None = None) -> list[tuple[int, Block]]:
+    """Every block that has arrived by now, and not been read before."""
+    reader = reader or FrameReader()
+    packets = []
+    while data := host.board.read(0.0):
+        packets += reader.feed(data)
+    return [(p.seq, Block.unpack(p.body)) for p in packets if p.kind == Kind.BLOCK]
+
+
+# ---------------------------------------------------------------------- at the pin
+
+
+@pytest.mark.parametrize("watchdog_ms", [30, 100, 1000])
+@pytest.mark.parametrize("clock_error_ppm", [0.0, 5000.0, -5000.0])
+def test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick(watchdog_ms: int, clock_error_ppm: float) -> None:
+    rng = random.Random(watchdog_ms)
+    rate = 1.0 + 1e-6 * clock_error_ppm
+    for _ in range(20):
+        host = running_host(
+            HELD,
+            SETUP._replace(watchdog_ms=watchdog_ms),
+            clock_error_ppm=clock_error_ppm,
+            clock_start_us=rng.getrandbits(32),
+        )
+        for _ in range(5):
+            host.wait(rng.uniform(0.0, 0.9e-3 * watchdog_ms))
+            host.send(Kind.KEEP)
+            host.board.sleep_until(host.heard_s)
+            kept_s = host.heard_s
+        host.send(Kind.READ)  # which does not count, nor does anything else
+        host.send(Kind.HELLO)
+        host.send(Kind.RELAY, RELAY.pack())
+        early_s, latest_s = kept_s + 1e-3 * watchdog_ms / rate, kept_s + (1e-3 * watchdog_ms + TICK_S) / rate
+        host.board.sleep_until(early_s - 2e-6)
+        assert host.pin_V() != 0.0
+        host.board.sleep_until(latest_s + 2e-6)
+        assert host.pin_V() == 0.0
+        assert early_s - 2e-6 <= host.board.truth().pin_changed_s <= latest_s + 2e-6
+        for _ in range(3):
+            host.send(Kind.KEEP)
+            host.wait(0.1)
+            assert host.pin_V() == 0.0
+        assert host.board.truth().fault == Code.WATCHDOG
+
+
+@pytest.mark.parametrize(
+    ("happens", "code"),
+    [("limit", Code.TRAVEL), ("broken_low", Code.SENSOR_RAIL), ("broken_high", Code.SENSOR_RAIL)],
+)
+def test_what_stops_a_drive_stops_the_relay_within_two_ticks(happens: str, code: Code) -> None:
+    rng = random.Random(happens)
+    for _ in range(40):
+        host = running_host()
+        host.wait(rng.uniform(0.02, 0.05))
+        assert host.pin_V() != 0.0
+        if happens == "limit":
+            host.board.place((SETUP.hard_hi + 6 - 512) * LSB_RAD)
+        else:
+            host.board.rewire(sensor=happens)
+        happened_s = host.board.now_s()
+        host.board.sleep_until(happened_s + 2 * TICK_S)
+        assert host.pin_V() == 0.0
+        host.wait(0.05)
+        numbers, blocks = zip(*told_blocks(host), strict=True)
+        assert list(numbers) == list(range(len(numbers)))
+        assert blocks[-1].fault == code and not blocks[-1].status & STATUS_RELAY
+        assert blocks[-1].rows[-1][1] == 0  # the row of the tick that stopped it
+        assert all(b.status & STATUS_RELAY and b.fault == 0 for b in blocks[:-1])
+        assert host.pin_V() == 0.0
+
+
+def test_garbage_on_the_line_neither_stops_nor_moves_it() -> None:
+    """No byte of it makes a frame: the decisions are those of an undisturbed twin, to the last row."""
+    rng = random.Random(5)
+    told = []
+    for disturbed in (False, True):
+        host, reader, blocks = running_host(seed=3), FrameReader(), []
+        for _ in range(60):
+            host.send(Kind.KEEP)
+            if disturbed:
+                junk = rng.randbytes(rng.randint(1, 30))
+                damaged = bytearray(encode(Kind.DRIVE, 9, b"\x50\x00"))
+                damaged[rng.randrange(len(damaged) - 1)] ^= 1 << rng.randrange(8)
+                host.board.write(b"\0" + junk + b"\0" + bytes(damaged) + b"\0")
+            host.wait(0.02)
+            blocks += told_blocks(host, reader)
+        told.append(blocks)
+        assert host.board.truth().dropped == 0 if not disturbed else host.board.truth().dropped > 60
+    assert told[0] == told[1] and len(told[0]) >= 118
+
+
+def test_it_is_refused_before_arming_beyond_a_limit_and_with_wrong_numbers() -> None:
+    def refusal(host: VirtualHost, relay: RelaySetup = RELAY) -> Code:
+        packet = host.ask(Kind.RELAY, relay.pack())
+        assert packet.kind == Kind.NACK
+        host.wait(0.01)
+        assert host.pin_V() == 0.0
+        return Code(Nack.unpack(packet.body).code)
+
+    assert refusal(VirtualHost(VirtualBoard(BENCH))) == Code.NOT_ARMED
+    host = armed_host(replace(BENCH, start_rad=1.95))
+    assert refusal(host) == Code.TRAVEL
+    host = armed_host()
+    assert refusal(host, RELAY._replace(drive=(-201, 30, -30, 80))) == Code.DRIVE_RANGE
+    assert refusal(host, RELAY._replace(drive=(80, -30, 30, -80))) == Code.POLARITY
+    assert refusal(host, RELAY._replace(z_bound=0)) == Code.SETUP_INVALID
+    assert refusal(host, RELAY._replace(rows=11)) == Code.SETUP_INVALID
+
+
+def test_the_pin_does_what_the_rows_say() -> None:
+    """Drive and position of each row against the truth; a clock that is off and wraps meanwhile."""
+    quiet = replace(BENCH, noise_rad=0.0)
+    host = running_host(quiet, clock_error_ppm=4000.0, clock_start_us=2**32 - 300_000)
+    truths = []
+    for k in range(600):
+        host.board.sleep_until((int(host.board.now_s() * 1004) + 1) / 1004 + 1e-5)  # just after the device's tick
+        truths.append(host.board.truth())
+        if k % 10 == 0:
+            host.send(Kind.KEEP)
+    blocks = told_blocks(host)
+    rows = [
+        ((block.t_first_us + i * block.period_us - 2**32 + 300_000) % 2**32, *row)
+        for _, block in blocks
+        for i, row in enumerate(block.rows)
+    ]
+    assert len(rows) > 580
+    by_ms = {round(t.t_s * 1004): t for t in truths}
+    matched = 0
+    for t_us, counts, drive in rows:
+        truth = by_ms.get(round(t_us / 1000))
+        if truth is not None:
+            matched += 1
+            assert 12.0 * drive / 799 == pytest.approx(truth.pin_V)
+            assert counts == pytest.approx(512 + truth.y_rad / LSB_RAD, abs=0.6)
+    assert matched > 550
+    assert {drive for _, _, drive in rows} == {-80, 30, -30, 80}
+
+
+# ---------------------------------------------------------------------- through the driver
+
+
+def armed_driver(**bench) -> tuple[VirtualBoard, SerialDriver]:
+    board = VirtualBoard(replace(DEMO, **bench), clock_error_ppm=4000)
+    driver = SerialDriver(board, CALIBRATION, DriveMap(12.0), RAILS)
+    driver.open()
+    driver.arm(LIMITS)
+    return board, driver
+
+
+def run_for(board: VirtualBoard, driver: SerialDriver, time_s: float):
+    rows = []
+    until_s = board.now_s() + time_s
+    while board.now_s() < until_s:
+        board.sleep_until(board.now_s() + PERIOD_S)
+        driver.keep()
+        rows += driver.read_rows()
+    return rows
+
+
+def start(board: VirtualBoard, driver: SerialDriver) -> RelayCommand:
+    command = driver.relay_command(*GAINS_V, 0.7)
+    driver.start_relay(command)
+    return command
+
+
+def test_every_tick_comes_once_until_the_relay_is_stopped() -> None:
+    board, driver = armed_driver()
+    assert isinstance(driver, RelayDriver)
+    start(board, driver)
+    rows = run_for(board, driver, 2.0)
+    rows += driver.stop_relay()
+    assert board.truth().pin_V == 0.0 and board.truth().armed
+    assert np.diff([row.t_s for row in rows]) == pytest.approx(driver.tick_s, abs=3e-6)
+    assert rows[-1].t_s == pytest.approx(board.now_s(), abs=0.01) and len(rows) > 1990
+    assert all(row.t_u_s == row.t_s for row in rows)  # the emulated device decides in no time
+    assert driver.link_statistics["bad_frames"] == driver.link_statistics["stale_replies"] == 0
+    start(board, driver)  # and again
+    assert run_for(board, driver, 0.5)[0].block == 0
+    assert driver.safe_stop() and board.truth().pin_V == 0.0
+
+
+def test_a_start_whose_confirmation_gets_lost_is_repeated() -> None:
+    board, driver = armed_driver()
+    read, lost = board.read, []
+
+    def lossy(timeout_s: float) -> bytes:
+        data = read(timeout_s)
+        if not lost and data:
+            lost.append(data)
+            return b""
+        return data
+
+    board.read = lossy  # type: ignore[method-assign]
+    start(board, driver)
+    assert lost
+    rows = run_for(board, driver, 0.3)
+    assert rows[0].block == 0 and np.diff([row.t_s for row in rows]) == pytest.approx(driver.tick_s, abs=3e-6)
+
+
+def fault_of(call: Callable[[], object]) -> Fault:
+    with pytest.raises(Fault) as caught:
+        call()
+    return caught.value
+
+
+@pytest.mark.parametrize("damage", ["lost", "a bit"])
+def test_a_block_that_is_missing_is_a_fault(damage: str) -> None:
+    board, driver = armed_driver()
+    start(board, driver)
+    run_for(board, driver, 0.3)
+    read, seen = board.read, []
+
+    def damaging(timeout_s: float) -> bytes:
+        data = read(timeout_s)
+        if data and not seen:
+            seen.append(data)
+            return b"" if damage == "lost" else data[:20] + bytes([data[20] ^ 4]) + data[21:]
+        return data
+
+    board.read = damaging  # type: ignore[method-assign]
+    assert fault_of(lambda: run_for(board, driver, 0.3)).code == "LINK_GAP"
+    assert driver.safe_stop()
+
+
+def test_what_the_device_latches_is_told_after_its_last_row() -> None:
+    board, driver = armed_driver()
+    start(board, driver)
+    run_for(board, driver, 0.105)
+    board.place(1.93)
+    board.sleep_until(board.now_s() + 0.02)
+    rows = driver.read_rows()
+    assert rows[-1].y_rad > 1.9 and rows[-1].u_V == 0.0 and rows[-2].u_V != 0.0
+    fault = fault_of(driver.read_rows)
+    assert fault.code == "DEVICE_TRAVEL" and "limits" in fault.detail
+
+
+def test_keeps_that_do_not_arrive_end_in_the_watchdog() -> None:
+    board, driver = armed_driver()
+    start(board, driver)
+    run_for(board, driver, 0.3)
+    lost_s = board.now_s()
+    write = board.write
+    board.write = lambda data: None if len(data) == 8 else write(data)  # type: ignore[method-assign, assignment]
+    assert fault_of(lambda: run_for(board, driver, 0.3)).code == "DEVICE_WATCHDOG"
+    on_the_wire_s = 8 * 11 / 115200  # the last one that did arrive
+    assert board.truth().pin_changed_s - lost_s < on_the_wire_s + LIMITS.watchdog_s + TICK_S
+
+
+def test_a_reset_a_hang_and_a_cable_while_it_runs() -> None:
+    board, driver = armed_driver()
+    start(board, driver)
+    run_for(board, driver, 0.3)
+    board.reset(4)
+    assert board.truth().pin_V == 0.0
+    assert fault_of(lambda: run_for(board, driver, 0.3)).code == "DEVICE_RESET"
+
+    board, driver = armed_driver()
+    start(board, driver)
+    run_for(board, driver, 0.3)
+    board.hang()
+    assert fault_of(lambda: run_for(board, driver, 0.3)).code == "LINK_TIMEOUT"
+    board.sleep_until(board.now_s() + 0.12)
+    assert board.truth().pin_V == 0.0
+
+    board, driver = armed_driver()
+    start(board, driver)
+    run_for(board, driver, 0.3)
+    board.unplug()
+    assert fault_of(lambda: run_for(board, driver, 0.3)).code == "LINK_LOST"
+    board.sleep_until(board.now_s() + LIMITS.watchdog_s + TICK_S)
+    assert board.truth().pin_V == 0.0
+
+
+def test_an_integral_that_does_not_fit_is_refused_in_words() -> None:
+    _, driver = armed_driver()
+    assert "use a shorter cycle" in fault_of(lambda: driver.relay_command(*GAINS_V, 1e6)).detail
+
+
+# ---------------------------------------------------------------------- in the loop
+
+
+class DeviceBench:
+    """The loop on the compiled firmware, and a relay test for its own relay."""
+
+    def __init__(self, cycles: int = 3, gains_V: tuple[float, float] = GAINS_V, guard=GUARD, **bench) -> None:
+        self.board = VirtualBoard(replace(DEMO, **bench), clock_error_ppm=4000)
+        self.driver = SerialDriver(self.board, CALIBRATION, DriveMap(12.0), RAILS)
+        self.driver.open()
+        self.guard, self.record, self.stop = Guard(guard), ListRecord(), StopRequest()
+        self.guard.sign_proven = True
+        self.loop = Loop(self.driver, self.board, self.guard, self.record, PERIOD_S, self.stop)
+        self.command = c = self.driver.relay_command(*gains_V, 0.7)
+        self.detector = CycleDetector(30 * PERIOD_S, 20 * CALIBRATION.lsb_rad)
+        self.relay = RelayOnCounts(
+            c.centre_counts, c.setup.direction, c.z_bound_count_ticks, c.drives_V, c.count_tick_rad_s, gains_V
+        )
+        self.test = RelayTest(self.relay, self.detector, gains_V, cycles, 30.0)
+
+    def run(self, watch: Callable[[float], None] | None = None) -> None:
+        with self.loop.armed(LIMITS):
+            self.loop.run_in_device(self.test, self.command, "relay-1", watch)
+
+
+def test_the_loop_records_every_tick_with_the_laws_own_integral() -> None:
+    bench = DeviceBench()
+    bench.run()
+    rows = bench.record.rows
+    t_s, y_rad = np.array([row["t_s"] for row in rows]), np.array([row["y_rad"] for row in rows])
+    assert np.diff(t_s) == pytest.approx(bench.driver.tick_s, abs=3e-6)
+    assert all(row["flags"] == 0 for row in rows)
+    z_rad_s = np.concatenate([[0.0], np.cumsum(0.5 * (y_rad[1:] + y_rad[:-1]) * np.diff(t_s))])
+    # the device's centre is a sixteenth of a count off at most
+    drift = CALIBRATION.lsb_rad / 32 * (t_s[-1] - t_s[0])
+    assert [row["z_rad_s"] for row in rows] == pytest.approx(z_rad_s, abs=drift + 1e-4)
+    assert bench.detector.settled and bench.detector.mean()[1] == pytest.approx(0.43, rel=0.1)
+    assert {round(abs(row["u_V"]), 3) for row in rows} == {1.247, 0.451}
+    summary = bench.loop.statistics.summary()
+    assert summary["skipped"] == 0
+    assert summary["device"] == {"period_s": bench.driver.tick_s, "ticks": len(rows), "missed": 0}
+    assert bench.board.truth().pin_V == 0.0
+    assert bench.record.events[-1]["confirmed"] is True
+
+
+def test_the_guard_stops_what_it_would_not_let_out() -> None:
+    """A motor too strong for its gains: stopped by the host before the device's own limit."""
+    bench = DeviceBench(motor=Motor(0.17, 14.0, coulomb(0.3)), gains_V=(0.4, 1.2))
+    fault = fault_of(bench.run)
+    assert fault.code in ("RELAY_STOPPED", "OVERSPEED")
+    truth = bench.board.truth()
+    assert truth.pin_V == 0.0 and truth.fault == 0
+    bench.board.sleep_until(bench.board.now_s() + 1.0)
+    assert abs(bench.board.truth().y_rad) < LIMITS.hard_rad[1]
+    assert bench.record.rows[-1]["t_s"] == pytest.approx(bench.loop.now_s, abs=1.06)
+
+
+def test_a_device_that_decides_otherwise_is_found_out() -> None:
+    bench = DeviceBench()
+    setup = bench.command.setup
+    bench.command = replace(bench.command, setup=setup._replace(centre=setup.centre + 40))
+    fault = fault_of(bench.run)
+    assert fault.code == "DEVICE_RELAY"
+    assert bench.board.truth().pin_V == 0.0
+
+
+@pytest.mark.parametrize("end", ["signal", "exception", "broken wire"])
+def test_however_it_ends_the_pin_is_at_zero(end: str) -> None:
+    bench = DeviceBench()
+
+    def watch(t_s: float) -> None:
+        if t_s > 0.5:
+            assert bench.board.truth().pin_V != 0.0 or end == "broken wire"
+            if end == "signal":
+                bench.stop.reason = "SIGTERM"
+            elif end == "exception":
+                raise ZeroDivisionError
+            else:
+                bench.board.rewire(sensor="broken_low")
+
+    with pytest.raises((Fault, ZeroDivisionError)) as caught:
+        bench.run(watch)
+    assert getattr(caught.value, "code", "") == {
+        "signal": "INTERRUPTED", "exception": "", "broken wire": "DEVICE_SENSOR"
+    }[end]  # fmt: skip
+    assert bench.board.truth().pin_V == 0.0 and not bench.board.truth().armed
+
+
+def test_a_test_that_never_settles_ends_and_keeps_its_rows() -> None:
+    bench = DeviceBench(motor=Motor(0.17, 6.5, coulomb(5.0)), guard=replace(GUARD, stuck_s=99.0))
+    bench.test.timeout_s = 1.0
+    assert fault_of(bench.run).code == "NO_CYCLE"
+    assert bench.record.rows[-1]["t_s"] - bench.record.rows[0]["t_s"] > 1.0
+
+
+# ---------------------------------------------------------------------- the whole experiment, by one key
+
+
+@contextmanager
+def virtual_bench(experiment: Experiment) -> Iterator[Bench]:
+    """What `rig.bench.connect` gives, with the emulated board in virtual time."""
+    assert experiment.emulated is not None
+    board = VirtualBoard.from_mapping(experiment.emulated.model_dump(), experiment.seed)
+    driver = SerialDriver(
+        board, calibration_of(experiment), drive_map_of(experiment), experiment.sensor.rail_counts, emulated=True
+    )
+    info = driver.open()
+    yield Bench(driver, board, info, rig.bench.truth_of(experiment))
+    driver.close()
+
+
+@pytest.mark.parametrize("where", ["host", "device"])
+def test_the_experiment_runs_either_way_by_one_key(where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rig.experiment, "connect", virtual_bench)
+    experiment = load(Path(__file__).parents[2] / "config" / "device-relay.yaml")
+    relay = Relay(where=where, gains=(Gains(h1_V=0.4, h2_V=0.85),), cycles=5)  # type: ignore[arg-type]
+    outcome = rig.experiment.run_relay(experiment.model_copy(update={"relay": relay}), tmp_path)
+    assert outcome.failure == ""
+    recording = read_run(outcome.folder)
+    rows = recording.stage_rows("relay-1")
+    step_s = float(np.median(np.diff(recording.t_s[rows])))
+    assert step_s == pytest.approx(0.01 if where == "host" else 0.001 / 1.004, rel=1e-3)
+    estimate = outcome.result["estimates"]["sampled-data"]
+    for name, truth in (("tau_s", 0.17), ("K_rad_s_V", 6.5), ("fc_V", 0.48)):
+        assert estimate[name] == pytest.approx(truth, rel=0.02)
+    assert math.isfinite(outcome.result["relays"][0]["period_s"])
+    assert ("device" in outcome.result["loop"]) == (where == "device")
