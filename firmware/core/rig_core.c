@@ -553,7 +553,7 @@ void rig_tick(rig_core *core)
     sample(core); /* P4, P5 */
     if (core->armed) {
         const uint32_t silent_us = core->board->micros(core->board->context) - core->t_heard_us;
-        if (silent_us >= core->setup.watchdog_ms * US_PER_MS) {
+        if (silent_us + core->board->lag_us >= core->setup.watchdog_ms * US_PER_MS) {
             latch(core, RIG_E_WATCHDOG); /* P3 */
         }
     }

@@ -98,6 +98,7 @@ typedef struct {
     uint16_t drive_full;                                                /* units at full duty, 1 to 32767 */
     uint8_t board_id;
     uint8_t features;
+    uint16_t lag_us; /* that a frame may have waited before the core saw it: P3 counts from its arrival */
 } rig_board;
 
 typedef struct {

@@ -81,6 +81,7 @@ typedef struct {
     uint8_t open_pins;       /* of port D */
     bool look_again;         /* a byte for the host, or a reset: what the run waits for may have changed */
     bool measures;
+    bool has_started;        /* has unmasked interrupts since the reset */
     uint32_t resets, overruns, crashed;
     uint64_t awake_cycles, masked_now, masked_most, interrupt_now, interrupt_most;
     avr_cycle_count_t tick_from;
@@ -339,6 +340,8 @@ static void after_reset(avr_t *avr)
     b->chip_reset(avr);
     avr->data[PIND] = b->open_pins;
     b->waiting_count = 0;
+    b->has_started = false;
+    b->masked_now = 0;
     b->resets++;
     b->look_again = true;
     b->stop = 0;
@@ -492,7 +495,8 @@ static void measure(virtual_board *b, avr_cycle_count_t cycles)
 {
     if (b->avr->sreg[S_I]) {
         b->masked_now = 0;
-    } else {
+        b->has_started = true;
+    } else if (b->has_started) {
         b->masked_now += cycles;
         b->masked_most = b->masked_now > b->masked_most ? b->masked_now : b->masked_most;
     }
@@ -653,6 +657,9 @@ static bool find_trap(const avr_t *avr, avr_flashaddr_t *at)
 int32_t virtual_hang(virtual_board *b, int32_t how)
 {
     avr_t *avr = b->avr;
+    for (unsigned i = 0; i < 100000u && (avr->interrupts.running_ptr > 0 || !avr->sreg[S_I]); i++) {
+        step(b); /* out of an interrupt */
+    }
     if (how == HANG_CLOCK) {
         avr->data[TIMSK2] = (uint8_t)(avr->data[TIMSK2] & ~(1u << OCIE2A));
         return 1;
@@ -660,9 +667,6 @@ int32_t virtual_hang(virtual_board *b, int32_t how)
     if (how == HANG_CONVERTER) {
         avr->data[ADCSRA] = (uint8_t)(avr->data[ADCSRA] & ~(1u << ADIE));
         return 1;
-    }
-    for (unsigned i = 0; i < 100000u && (avr->interrupts.running_ptr > 0 || !avr->sreg[S_I]); i++) {
-        step(b); /* out of an interrupt */
     }
     avr_flashaddr_t trap;
     if (!find_trap(avr, &trap)) {

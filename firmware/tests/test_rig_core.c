@@ -68,7 +68,7 @@ static uint8_t fake_inputs(void *context)
 }
 
 static const rig_board BOARD = {NULL, fake_micros, fake_adc, fake_tach, fake_drive, fake_transmit, fake_inputs,
-                                "build 12345678901234567890", 1023, FULL, RIG_BOARD_HOST, RIG_FEATURE_TACHOMETER};
+                                "build 12345678901234567890", 1023, FULL, RIG_BOARD_HOST, RIG_FEATURE_TACHOMETER, 0};
 
 static void power_on(void)
 {
@@ -390,6 +390,21 @@ static void test_watchdog_is_fed(void)
 }
 
 /* The clock wraps at 2^32 us, after 71.6 min. */
+static void test_watchdog_counts_from_the_arrival(void)
+{
+    rig_board slow = BOARD;
+    slow.lag_us = 400;
+    armed();
+    core.board = &slow;
+    send_drive(50);
+    board.now_us += 99599;
+    rig_tick(&core);
+    CHECK(board.pin == 50);
+    board.now_us += 1;
+    rig_tick(&core);
+    CHECK(board.pin == 0 && core.fault == RIG_E_WATCHDOG);
+}
+
 static void test_watchdog_over_wrap(void)
 {
     armed();
@@ -678,6 +693,7 @@ int main(void)
     test_stop();
     test_watchdog();
     test_watchdog_is_fed();
+    test_watchdog_counts_from_the_arrival();
     test_watchdog_over_wrap();
     test_travel();
     test_sensor();

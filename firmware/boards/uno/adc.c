@@ -12,15 +12,19 @@
 #define SAMPLE_AFTER_US 12u /* from the start to the hold: 1.5 clocks of the converter */
 #define ROUND 8u            /* conversions; they and their interrupts take 0.9 ms */
 
-/* 0 counts are a rail: nothing arms before the first conversion. */
-static volatile adc_sample tick_sample, newest_sample;
+typedef struct {
+    uint16_t counts; /* 0 is a rail: nothing arms before the first conversion */
+    clock_stamp started;
+} conversion;
+
+static volatile conversion of_tick, newest;
 static volatile uint16_t tachometer, supply;
 static volatile bool tick_is_due;
 
 /* Of the interrupts alone. */
 static uint8_t turn = ROUND; /* of the conversion that runs; ROUND: none does */
 static bool begin_again;
-static uint32_t started_us;
+static clock_stamp started;
 
 static uint8_t channel_of(uint8_t which)
 {
@@ -34,7 +38,7 @@ static void start(uint8_t which)
 {
     turn = which;
     ADMUX = (uint8_t)(REFERENCE | channel_of(which));
-    started_us = clock_us_masked();
+    started = clock_now();
     ADCSRA = (uint8_t)(IDLE | BIT(ADSC));
 }
 
@@ -47,15 +51,11 @@ void adc_begin_round(void)
     }
 }
 
-static void keep_position(uint16_t counts)
+static inline void keep(volatile conversion *where, uint16_t counts)
 {
-    newest_sample.counts = counts;
-    newest_sample.t_us = started_us + SAMPLE_AFTER_US;
-    if (turn == 0u) {
-        tick_sample.counts = counts;
-        tick_sample.t_us = started_us + SAMPLE_AFTER_US;
-        tick_is_due = true;
-    }
+    where->counts = counts;
+    where->started.tick = started.tick;
+    where->started.count = started.count;
 }
 
 ISR(ADC_vect)
@@ -63,7 +63,11 @@ ISR(ADC_vect)
     const uint16_t counts = ADC;
     const uint8_t channel = channel_of(turn);
     if (channel == CHANNEL_POSITION) {
-        keep_position(counts);
+        keep(&newest, counts);
+        if (turn == 0u) {
+            keep(&of_tick, counts);
+            tick_is_due = true;
+        }
     } else if (channel == CHANNEL_TACHOMETER) {
         tachometer = counts;
     } else {
@@ -85,45 +89,48 @@ void adc_init(void)
     ADCSRA = IDLE;
 }
 
-static uint16_t newest(const volatile uint16_t *reading)
+static adc_sample sample_of(const volatile conversion *from)
 {
-    uint16_t counts;
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
-    {
-        counts = *reading;
-    }
-    return counts;
-}
-
-static adc_sample copy(const volatile adc_sample *from)
-{
+    clock_stamp at;
     adc_sample sample;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
         sample.counts = from->counts;
-        sample.t_us = from->t_us;
+        at.tick = from->started.tick;
+        at.count = from->started.count;
     }
+    sample.t_us = clock_us_of(at) + SAMPLE_AFTER_US;
     return sample;
 }
 
 adc_sample adc_tick_sample(void)
 {
-    return copy(&tick_sample);
+    return sample_of(&of_tick);
 }
 
 adc_sample adc_newest_sample(void)
 {
-    return copy(&newest_sample);
+    return sample_of(&newest);
+}
+
+static uint16_t reading_of(const volatile uint16_t *from)
+{
+    uint16_t counts;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        counts = *from;
+    }
+    return counts;
 }
 
 uint16_t adc_tachometer(void)
 {
-    return newest(&tachometer);
+    return reading_of(&tachometer);
 }
 
 uint16_t adc_supply(void)
 {
-    return newest(&supply);
+    return reading_of(&supply);
 }
 
 bool adc_tick_is_due(void)

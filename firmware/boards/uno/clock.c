@@ -11,6 +11,7 @@
 #define US_PER_TICK 1000u
 
 static volatile uint32_t tick_us; /* device time of the last tick */
+static volatile uint8_t ticks;
 
 void clock_init(void)
 {
@@ -23,25 +24,44 @@ void clock_init(void)
 ISR(TIMER2_COMPA_vect)
 {
     tick_us += US_PER_TICK;
+    ticks++;
     adc_begin_round();
 }
 
-uint32_t clock_us_masked(void)
+static uint32_t since_tick_us(uint8_t count)
 {
-    const uint8_t count = TCNT2;
-    uint32_t us = tick_us;
-    if ((TIFR2 & BIT(OCF2A)) != 0u && count < COUNTS_PER_TICK / 2u) {
-        us += US_PER_TICK; /* this tick's interrupt still waits */
-    }
-    return us + (uint32_t)((uint16_t)count * US_PER_COUNT);
+    return (uint32_t)((uint16_t)count * US_PER_COUNT);
 }
 
 uint32_t clock_us(void)
 {
     uint32_t us;
+    uint8_t count;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
-        us = clock_us_masked();
+        count = TCNT2;
+        us = tick_us;
+        if ((TIFR2 & BIT(OCF2A)) != 0u && count < COUNTS_PER_TICK / 2u) {
+            us += US_PER_TICK; /* this tick's interrupt still waits */
+        }
     }
-    return us;
+    return us + since_tick_us(count);
+}
+
+clock_stamp clock_now(void)
+{
+    const clock_stamp now = {ticks, TCNT2};
+    return now;
+}
+
+uint32_t clock_us_of(clock_stamp stamp)
+{
+    uint32_t us;
+    uint8_t age;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        us = tick_us;
+        age = (uint8_t)(ticks - stamp.tick);
+    }
+    return us - (uint32_t)age * US_PER_TICK + since_tick_us(stamp.count);
 }

@@ -4,12 +4,21 @@
 
 #include <stdint.h>
 
+/* A moment of the last 255 ms, quick to take in an interrupt. */
+typedef struct {
+    uint8_t tick;  /* ticks since the reset, modulo 256 */
+    uint8_t count; /* of the timer since the tick */
+} clock_stamp;
+
 void clock_init(void);
 
 /* Microseconds since the reset, modulo 2^32, in steps of 4. */
 uint32_t clock_us(void);
 
-/* The same with interrupts masked. */
-uint32_t clock_us_masked(void);
+/* Now, from an interrupt that does not wait for the tick's. */
+clock_stamp clock_now(void);
+
+/* The time of a stamp. */
+uint32_t clock_us_of(clock_stamp stamp);
 
 #endif

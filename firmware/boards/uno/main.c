@@ -18,6 +18,7 @@
 #include "wiring.h"
 
 #define BLINK_TICKS 128u
+#define LAG_US 500u /* the main loop may be in a tick and a reply when a frame arrives: 0.4 ms */
 
 static uint8_t reset_flags __attribute__((section(".noinit")));
 static rig_core core;
@@ -86,6 +87,7 @@ static const rig_board BOARD = {
     .drive_full = BRIDGE_FULL,
     .board_id = RIG_BOARD_UNO,
     .features = RIG_TACHOMETER ? RIG_FEATURE_TACHOMETER : 0,
+    .lag_us = LAG_US,
 };
 
 static void show(void)

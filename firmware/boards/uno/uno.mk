@@ -18,7 +18,7 @@ UNO_SOURCES := $(wildcard boards/uno/*.c) $(CORE)
 UNO_HEADERS := $(wildcard boards/uno/*.h core/*.h)
 UNO_CPPFLAGS := -Icore -Iboards/uno -DF_CPU=16000000UL -DRIG_BUILD='"uno $(VERSION)"' -DRIG_BAUD=$(BAUD)UL \
 	-DRIG_BRIDGE=BRIDGE_$(BRIDGE) -DRIG_TACHOMETER=$(TACHOMETER) -DRIG_SUPPLY=$(SUPPLY) -DRIG_END_SWITCHES=$(END_SWITCHES)
-UNO_CFLAGS := -mmcu=atmega328p -std=c99 -Os -flto -fuse-linker-plugin -fno-fat-lto-objects -ffunction-sections \
+UNO_CFLAGS := -mmcu=atmega328p -std=c99 -O2 -flto -fuse-linker-plugin -fno-fat-lto-objects -ffunction-sections \
 	-fdata-sections -Wl,--gc-sections $(WARNINGS)
 
 .PHONY: uno size
