@@ -145,15 +145,17 @@ def _device_relay(e: Experiment) -> Iterator[Problem]:
 
 
 def _device_drives(e: Experiment) -> Iterator[str]:
-    """What the gains become in whole units of the drive, for a relay in the device."""
+    """How a relay in the device is fed, and what given gains become in whole units of the drive."""
     if e.relay.where != "device":
         return
-    d = e.drive
-    unit_V = (d.supply_V - d.bridge_drop_V) / _DRIVE_UNITS
-    yield (
-        f"relay in the device: every ms, drives in whole units of {unit_V * 1e3:.1f} mV; {_stream_sum(e)}; "
-        f"the search runs in the host"
-    )
+    yield f"relay in the device: decides every ms; {_stream_sum(e)}; a search runs in the host"
+    full_V, dead = e.drive.supply_V - e.drive.bridge_drop_V, e.drive.dead_band_duty.plus
+    for g in e.relay.gains or ():
+        outer, inner = (
+            round(_DRIVE_UNITS * (dead + (1.0 - dead) * u_V / full_V))
+            for u_V in (g.h1_V + g.h2_V, abs(g.h2_V - g.h1_V))
+        )
+        yield f"  at ({g.h1_V:g}, {g.h2_V:g}) V it drives +-{outer} and +-{inner} of {_DRIVE_UNITS} units"
 
 
 def _watchdog(e: Experiment) -> Iterator[Problem]:

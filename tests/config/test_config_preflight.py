@@ -178,6 +178,40 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "emulated.motor.start_rad",
         "outside the mechanical stops",
     ),
+    "relay in no device": (
+        {"daq__driver": "simulated", "daq__port": None, "relay__where": "device", "limits__max_speed_rad_s": 4.5},
+        "relay.where",
+        "`driver: simulated` has no device",
+    ),
+    "too slow for the device's samples": (
+        {
+            "daq__baud": 57600,
+            "period_s": 0.02,
+            "relay__where": "device",
+            "limits__max_speed_rad_s": 4.2,
+            "relay__target__period_s": 1.5,
+        },
+        "daq.baud",
+        "BLOCK 58 bytes x 11 bits / 57600 baud = 11.08 ms of every 10 ms",
+    ),
+    "a bent sensor": (
+        {
+            "relay__where": "device",
+            "limits__max_speed_rad_s": 4.5,
+            "sensor__calibration": [
+                {"counts": 24, "rad": -2.0015625},
+                {"counts": 512, "rad": 0.0082},
+                {"counts": 1000, "rad": 2.0015625},
+            ],
+        },
+        "sensor.calibration",
+        "bends by 2.0 counts",
+    ),
+    "the device's samples are older": (
+        {"relay__where": "device"},
+        "limits.max_speed_rad_s",
+        "0.245 5 periods + 0.294 reply time-out",
+    ),
     "tachometer without scale": ({"emulated__tachometer": True}, "emulated.tachometer", "needs the section"),
 }
 
@@ -196,7 +230,7 @@ def test_each_rule_refuses_with_one_line_at_its_key(case: str, tmp_path: Path) -
     line = path.read_text(encoding="utf-8").splitlines()[problem.line - 1].strip()
     if case in ("emulated without section", "simulated without section"):
         assert problem.line == 1
-    elif key in ("relay.gains[1]", "tracking.trajectory"):
+    elif key in ("relay.gains[1]", "tracking.trajectory", "sensor.calibration"):
         assert line.startswith("- {")
     elif key == "relay.gains[0].h2_V":
         assert line[problem.column - 1 - 2 :].startswith("1.0}")  # two spaces of indentation were stripped
@@ -209,7 +243,7 @@ def test_each_rule_refuses_with_one_line_at_its_key(case: str, tmp_path: Path) -
     assert preflight(experiment(**changes)).lines
 
 
-@pytest.mark.parametrize("name", ["demo", "simulated", "uno"])
+@pytest.mark.parametrize("name", ["demo", "simulated", "uno", "device-relay"])
 def test_the_ready_configs_pass_and_say_what_would_happen(name: str) -> None:
     loaded, found = check(CONFIGS / f"{name}.yaml")
     assert loaded.name == name
@@ -227,6 +261,8 @@ def test_lines_name_given_gains_a_left_out_check_and_an_unused_section() -> None
     text = "\n".join(lines)
     assert "(0.8, 1) V; their period is not known yet" in text
     assert "verify: left out" in text
+    in_device = preflight(experiment(relay__target=None, relay__gains=gains, relay__where="device"))
+    assert "  at (0.8, 1) V it drives +-120 and +-13 of 799 units" in in_device.lines
     assert "`emulated` is not used with port /dev/ttyACM0" in text
     assert "K and f_c will come out scaled" in "\n".join(preflight(experiment(emulated__supply_V=11.0)).lines)
     assert "rig jog" in "\n".join(preflight(experiment(emulated__motor__start_rad=1.5)).lines)
@@ -241,6 +277,9 @@ def test_frames_are_as_long_as_the_link_budget_says() -> None:
     text = "\n".join(preflight(experiment()).lines)
     assert "READ {} + STATE {} + DRIVE {}".format(*lengths) in text
     assert f"= {sum(lengths)} bytes" in text
+    block = frames.Block(0, 0, 0, 0, 0, ((0, 0),) * frames.BLOCK_ROWS).pack()
+    in_device = experiment(relay__where="device", limits__max_speed_rad_s=4.5)
+    assert f"BLOCK {len(frames.encode(frames.Kind.BLOCK, 7, block))} bytes" in "\n".join(preflight(in_device).lines)
 
 
 def test_sensor_range_is_that_of_the_calibration_used_by_the_driver(tmp_path: Path) -> None:
