@@ -80,6 +80,7 @@ typedef struct {
     uint32_t sampled_channel;
     uint8_t open_pins;       /* of port D */
     bool look_again;         /* a byte for the host, or a reset: what the run waits for may have changed */
+    bool converter_is_dead;  /* until the next reset */
     bool measures;
     bool has_started;        /* has unmasked interrupts since the reset */
     uint32_t resets, overruns, crashed;
@@ -340,6 +341,7 @@ static void after_reset(avr_t *avr)
     b->chip_reset(avr);
     avr->data[PIND] = b->open_pins;
     b->waiting_count = 0;
+    b->converter_is_dead = false;
     b->has_started = false;
     b->masked_now = 0;
     b->resets++;
@@ -520,6 +522,9 @@ static void step(virtual_board *b)
     if (avr->run_cycle_count > most) {
         avr->run_cycle_count = most;
     }
+    if (b->converter_is_dead) {
+        avr->data[ADCSRA] = (uint8_t)(avr->data[ADCSRA] & ~(1u << ADIE)); /* its interrupt never comes */
+    }
     const int state = avr_run(avr);
     if (state == cpu_Crashed || state == cpu_Done || state == cpu_Stopped) {
         b->crashed++;
@@ -665,7 +670,7 @@ int32_t virtual_hang(virtual_board *b, int32_t how)
         return 1;
     }
     if (how == HANG_CONVERTER) {
-        avr->data[ADCSRA] = (uint8_t)(avr->data[ADCSRA] & ~(1u << ADIE));
+        b->converter_is_dead = true;
         return 1;
     }
     avr_flashaddr_t trap;

@@ -1,0 +1,53 @@
+"""A host for tests of the Uno's emulated chip: as ``virtual_host``, with a wire of 10 bits a byte."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from virtual_host import BENCH, HELD, SETUP, VirtualHost
+
+from rig.daq.frames import Code, Kind, Setup, pack_drive
+from rig.emulate.firmware_build import PLAIN_UNO, UnoOptions
+from rig.emulate.virtual_chip import ChipTruth, VirtualChip
+from rig.model.bench import BenchParameters
+
+SETUP = SETUP._replace(max_drive=200)  # of 400
+QUIET = replace(BENCH, noise_rad=0.0)
+SETTLE_S = 0.4e-3  # from a frame's last bit until the program has acted on it, at most
+START_S = 2e-3  # from power on until the program listens
+
+
+class ChipHost(VirtualHost):
+    """Frames to and from one emulated chip."""
+
+    board: VirtualChip
+
+    def __init__(self, board: VirtualChip, baud: int = 115200) -> None:
+        super().__init__(board)  # type: ignore[arg-type]
+        self._byte_s = round(10e9 / baud) * 1e-9
+        self.wait(START_S)
+
+    def send_raw(self, data: bytes) -> None:
+        self.heard_s = max(self.heard_s, self.board.now_s()) + len(data) * self._byte_s
+        self.board.write(data)
+
+    def drive(self, units: int) -> None:
+        """Send a drive, and wait until the program has acted on it."""
+        self.send(Kind.DRIVE, pack_drive(units))
+        self.board.sleep_until(self.heard_s + SETTLE_S)
+
+    def truth(self) -> ChipTruth:
+        return self.board.truth()
+
+
+def armed_chip(
+    bench: BenchParameters = BENCH, setup: Setup = SETUP, options: UnoOptions = PLAIN_UNO, **board: Any
+) -> ChipHost:
+    host = ChipHost(VirtualChip(bench, options=options, **board), options.baud)
+    host.setup(setup)
+    assert host.arm() == Code.NONE
+    return host
+
+
+__all__ = ["BENCH", "HELD", "QUIET", "SETTLE_S", "SETUP", "ChipHost", "armed_chip"]

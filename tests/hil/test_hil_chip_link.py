@@ -1,0 +1,263 @@
+"""The Uno's firmware on its emulated chip, through frames and through the driver, in virtual time."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import random
+from dataclasses import replace
+
+import pytest
+from chip_host import BENCH, HELD, QUIET, SETTLE_S, SETUP, ChipHost, armed_chip
+from simulated_bench import CALIBRATION, LIMITS, RAILS
+from virtual_host import LSB_RAD
+
+from rig.daq.calibration import DriveMap, TachometerScale
+from rig.daq.frames import STATUS_ARMED, Code, Kind, Nack, encode
+from rig.daq.serial_link import SerialDriver
+from rig.emulate.firmware_build import EmulationError, UnoOptions
+from rig.emulate.virtual_chip import VirtualChip
+from rig.faults import Fault
+
+FULL = 400
+SUPPLY_V = 12.0
+BRIDGES = [UnoOptions(), UnoOptions(bridge="IN1_IN2")]
+FAST = UnoOptions(baud=1_000_000)
+WIRED = UnoOptions(tachometer=True, supply=True, end_switches=True)
+
+
+def driver_on(board: VirtualChip, **options: object) -> SerialDriver:
+    return SerialDriver(board, CALIBRATION, DriveMap(SUPPLY_V), RAILS, emulated=True, **options)  # type: ignore[arg-type]
+
+
+def test_it_introduces_itself() -> None:
+    hello = ChipHost(VirtualChip(BENCH)).hello()
+    assert (hello.board, hello.reset_words, hello.adc_max, hello.drive_full) == (2, "power-on", 1023, FULL)
+    assert hello.build_text.startswith("uno ") and hello.features == 0
+
+
+@pytest.mark.parametrize("ppm", [-5000, 0, 4000])
+def test_the_driver_opens_arms_reads_drives_and_stops(ppm: int) -> None:
+    board = VirtualChip(QUIET, clock_error_ppm=ppm)
+    driver = driver_on(board)
+    info = driver.open()
+    assert (info.board, info.emulated, info.reset_cause) == ("uno", True, "power-on")
+    assert info.clock_ratio == pytest.approx(1.0 + 1e-6 * ppm, abs=20e-6)  # its clock counts in 4 us
+    driver.arm(LIMITS)
+    for u_V in (1.5, 1.8, 1.2, -1.5, -2.1, 0.0):
+        driver.write(u_V)
+        board.sleep_until(board.now_s() + 0.01)
+        assert board.truth().pin_V == pytest.approx(u_V)
+        sample = driver.read()
+        truth = board.truth()
+        assert sample.u_V == pytest.approx(u_V)
+        then_rad = truth.y_rad - truth.v_rad_per_s * (truth.t_s - sample.t_s)
+        assert sample.y_rad == pytest.approx(then_rad, abs=0.51 * LSB_RAD + 1e-3)
+        if u_V:
+            assert sample.t_u_s == pytest.approx(truth.pin_changed_s, abs=30e-6)
+    assert driver.safe_stop()
+    assert board.truth().pin_V == 0.0 and not board.truth().led
+    assert driver.link_statistics["bad_frames"] == driver.link_statistics["drives_lost"] == 0
+    assert not board.truth().overruns
+
+
+def test_what_the_state_says_is_what_is_at_the_pins() -> None:
+    """Times, drive and position against the truth, at random phases."""
+    rng = random.Random(5)
+    host = armed_chip(QUIET, clock_error_ppm=3000)
+    host.drive(1)
+    start_s = host.truth().pin_changed_s - host.state().t_drive_us / 1e6 / 1.003  # the program's, after power on
+    assert 0.0 < start_s < 0.3e-3
+    for k in range(100):
+        host.drive((-1) ** k * rng.randint(1, 50))
+        host.wait(rng.uniform(0.0, 0.008))
+        asked_s = host.board.now_s()
+        state = host.state()
+        truth = host.truth()
+        assert state.drive / FULL * SUPPLY_V == pytest.approx(truth.pin_V)
+        assert start_s + state.t_drive_us / 1e6 / 1.003 == pytest.approx(truth.pin_changed_s, abs=10e-6)
+        sampled_s = start_s + state.t_sample_us / 1e6 / 1.003
+        assert asked_s - 0.5e-3 < sampled_s < truth.t_s
+        then_rad = truth.y_rad - truth.v_rad_per_s * (truth.t_s - sampled_s)
+        assert state.counts == pytest.approx(512 + then_rad / LSB_RAD, abs=0.8)
+        host.board.place(0.0)
+
+
+@pytest.mark.parametrize("options", BRIDGES, ids=lambda o: o.bridge)
+def test_the_bridge_gives_what_was_asked_for_both_ways(options: UnoOptions) -> None:
+    host = armed_chip(HELD, SETUP._replace(max_drive=FULL), options)
+    for units in (1, -1, 200, -200, 0, FULL, -FULL, 399, 0, -3, 5, 0):
+        host.drive(units)
+        assert host.pin_V() == pytest.approx(units / FULL * SUPPLY_V, abs=1e-12)
+    host.drive(FULL)
+    host.board.reset(2)
+    assert host.pin_V() == 0.0  # pins float, pull-downs hold the bridge off
+
+
+def test_dead_time_takes_its_share_of_what_is_switched() -> None:
+    host = armed_chip(HELD, SETUP._replace(max_drive=FULL), dead_time_s=1e-6)
+    for units, loss in ((200, 1e-6 * 20e3), (-200, -1e-6 * 20e3), (FULL, 0.0), (0, 0.0)):
+        host.drive(units)
+        assert host.pin_V() == pytest.approx(SUPPLY_V * (units / FULL - loss))
+    host.drive(2)
+    assert host.pin_V() == 0.0
+
+
+@pytest.mark.parametrize("options", [UnoOptions(), FAST], ids=lambda o: str(o.baud))
+def test_no_byte_is_lost_however_dense_the_requests(options: UnoOptions) -> None:
+    """The chip holds two bytes; a longest frame at full speed and answers at the same time."""
+    host = ChipHost(VirtualChip(BENCH, options=options, measure=True), options.baud)
+    for _ in range(30):
+        host.send_raw(b"".join(encode(Kind.SETUP, k, SETUP.pack()) + encode(Kind.READ, k) for k in range(2)))
+        host.send_raw(b"\x01" * 66 + b"\0")
+        host.wait(0.02)
+        host.board.read(0.0)
+        host.hello()
+    truth = host.truth()
+    assert truth.overruns == 0
+    assert truth.masked_us < 15.0  # one and a half bytes at 1 Mbaud
+    if options.baud == 115200:
+        assert truth.interrupt_share < 0.30
+
+
+def test_the_emulated_receiver_holds_two_bytes() -> None:
+    host = ChipHost(VirtualChip(BENCH))
+    host.board.hang("everything")
+    host.board.write(b"\x01\x02")
+    host.wait(0.001)
+    assert host.truth().overruns == 0
+    host.board.write(b"\x03\x04")
+    host.wait(0.001)
+    assert host.truth().overruns == 2
+
+
+def test_one_megabaud_answers_in_under_a_millisecond() -> None:
+    host = armed_chip(BENCH, options=FAST)
+    from_s = host.board.now_s()
+    for _ in range(10):
+        host.state()
+    assert (host.board.now_s() - from_s) / 10 < 1e-3
+
+
+def test_a_tachometer_where_it_is_wired() -> None:
+    scale = TachometerScale(0.05, 512.0)
+    bench = replace(QUIET, tachometer_rad_s_per_count=0.05, tachometer_zero_counts=512.0)
+    board = VirtualChip(bench, options=WIRED)
+    driver = driver_on(board, tachometer=scale)
+    driver.open()
+    driver.arm(LIMITS)
+    driver.write(1.5)
+    board.sleep_until(board.now_s() + 0.09)
+    sample = driver.read()
+    truth = board.truth()
+    assert truth.v_rad_per_s > 1.0
+    assert sample.v_rad_per_s == pytest.approx(truth.v_rad_per_s, abs=0.1)
+
+    plain = driver_on(VirtualChip(bench), tachometer=scale)
+    with pytest.raises(Fault) as caught:
+        plain.open()
+    assert caught.value.code == "CONFIG_MISMATCH"
+    without = driver_on(VirtualChip(bench))
+    without.open()
+    without.arm(LIMITS)
+    assert math.isnan(without.read().v_rad_per_s)
+
+
+class Booting:
+    """A port whose opening resets the chip, as an Uno's does: the boot loader is silent, or says what nobody asked."""
+
+    def __init__(self, board: VirtualChip, boot_s: float, garbage: bool) -> None:
+        self._board = board
+        self._until_s = board.now_s() + boot_s
+        self._rng = random.Random(3) if garbage else None
+        board.reset(2, boot_s)
+
+    def read(self, timeout_s: float) -> bytes:
+        data = self._board.read(timeout_s)
+        if self._rng is not None and self._board.now_s() < self._until_s:
+            data += self._rng.randbytes(self._rng.randint(0, 40))
+            self._board.sleep_until(self._board.now_s() + 0.003)
+        return data
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._board, name)
+
+
+@pytest.mark.parametrize("garbage", [False, True])
+@pytest.mark.parametrize("boot_s", [0.5, 2.0])
+def test_opening_survives_the_boot_loader(boot_s: float, garbage: bool) -> None:
+    board = VirtualChip(BENCH)
+    board.sleep_until(0.3)
+    driver = driver_on(Booting(board, boot_s, garbage))  # type: ignore[arg-type]
+    assert driver.open().reset_cause == "external"
+    assert 0.3 + boot_s < board.now_s() < 0.3 + boot_s + 1.6  # its clock is measured for a second
+    driver.arm(LIMITS)
+
+
+@pytest.mark.parametrize(("cause", "words"), [(1, "power-on"), (2, "external"), (4, "brown-out")])
+def test_the_cause_of_a_reset_is_told_and_nothing_else_survives_it(cause: int, words: str) -> None:
+    host = armed_chip()
+    host.drive(100)
+    host.board.reset(cause)
+    assert host.pin_V() == 0.0
+    host.wait(2e-3)
+    assert host.hello().reset_words == words
+    assert host.state().status == 0 and host.arm() == Code.NO_SETUP
+
+
+def test_the_led_is_lit_while_armed_and_blinks_on_a_fault() -> None:
+    host = ChipHost(VirtualChip(HELD))
+    host.setup()
+    host.wait(2e-3)
+    assert not host.truth().led
+    assert host.arm() == Code.NONE
+    host.wait(2e-3)
+    assert host.truth().led
+    host.wait(0.2)  # the watchdog
+    lit = []
+    for _ in range(100):
+        host.wait(0.01)
+        lit.append(host.truth().led)
+    assert 40 <= sum(lit) <= 60 and 6 <= sum(a != b for a, b in itertools.pairwise(lit)) <= 9
+
+
+def test_the_same_run_twice_is_the_same_to_the_last_bit() -> None:
+    def run() -> list[object]:
+        host = armed_chip(BENCH, seed=7, clock_error_ppm=1234)
+        log: list[object] = []
+        for k in range(60):
+            host.drive((-1) ** (k // 7) * 60)
+            log += [host.state(), host.truth()]
+        return log
+
+    assert run() == run()
+
+
+def test_chips_in_one_process_are_independent() -> None:
+    one, other = armed_chip(HELD), armed_chip(HELD, options=BRIDGES[1])
+    one.drive(100)
+    assert one.pin_V() > 0.0 and other.pin_V() == 0.0
+    other.wait(1.0)
+    assert one.pin_V() > 0.0 and one.board.now_s() < 0.1
+
+
+def test_what_is_wrong_is_said() -> None:
+    with pytest.raises(EmulationError, match="0 to 1023"):
+        VirtualChip(replace(BENCH, counts_max=4095))
+    with pytest.raises(EmulationError, match="dead-time-s"):
+        VirtualChip(BENCH, dead_time_s=0.1)
+    with pytest.raises(EmulationError, match="baud rate"):
+        VirtualChip(BENCH, options=UnoOptions(baud=3_000_000))
+    host = ChipHost(VirtualChip(BENCH))
+    packet = host.ask(Kind.SETUP, SETUP._replace(max_drive=FULL + 1).pack())
+    assert packet.kind == Kind.NACK and Nack.unpack(packet.body).code == Code.SETUP_INVALID
+
+
+def test_the_stack_is_far_from_the_data() -> None:
+    host = armed_chip(BENCH, options=WIRED)
+    for _ in range(5):
+        host.hello()
+        host.drive(60)
+        host.wait(5 * SETTLE_S)
+        assert host.state().status == STATUS_ARMED
+    assert 100 < host.truth().stack_bytes < 400  # of the 1400 bytes that data leaves
