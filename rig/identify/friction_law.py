@@ -42,7 +42,7 @@ TITLES: dict[Law, str] = {
 CLEAR = 10.0  # difference of criterion that decides ("very strong", Kass & Raftery, J. Am. Stat. Assoc. 90, 1995)
 BETTER = 1.1  # ratio of prediction errors of the held-out test that decides
 MUCH_BETTER = 1.2  # the same, that keeps a law open which the criterion does not ask for
-OTHER_AMPLITUDE = 0.1  # relative difference of amplitude that makes a test a second one
+OTHER_AMPLITUDE = 0.05  # relative difference of position or drive that makes a test one of another amplitude
 
 SECOND_AMPLITUDE = "record a second relay test of another amplitude"
 RAMPS = "record breakaway ramps both ways"
@@ -187,14 +187,14 @@ def friction_law(
     estimate   the sampled-data estimate of these records: where the fits start
     periods_s  for each record the period of its limit cycle, s, or None; default: none have
     breakaway  static levels from slow ramps, where there are any
-    The test held out is the last record whose amplitude differs from the first's by a tenth.
+    The test held out is the last record in which position or drive swings 5 % more or less than in the first.
     Raises IdentifyError if a record is too short to be fitted.
     """
     periods = list(periods_s or [None] * len(records))
     held = _second_amplitude(records)
     fitted = [k for k in range(len(records)) if k != held]
     unknown = any(record.t_u_s is None for record in records)
-    reach = (0.0, 2.0 * max(record.period_s for record in records)) if unknown else (0.0, 0.0)
+    reach = (0.0, max(record.longest_delay_s for record in records)) if unknown else (0.0, 0.0)
     pieces = [Piece.of(record, reach[1]) for record in records]
     problem = Problem(tuple(pieces[k] for k in fitted), reach, (True, True, True, True, unknown))
     ramps = _Ramps.of(breakaway, estimate)
@@ -241,14 +241,16 @@ class _Ramps(NamedTuple):
 
 
 def _second_amplitude(records: Sequence[Record]) -> int | None:
-    amplitudes = []
+    """The last record whose position or drive swings clearly more or less than the first's."""
+    swings = []
     for record in records:
-        slope, offset = np.polyfit(record.t_s - record.t_s[0], record.y_rad, 1)
-        amplitudes.append(float(np.std(record.y_rad - slope * (record.t_s - record.t_s[0]) - offset)))
-    others = [
-        k for k, amplitude in enumerate(amplitudes) if abs(amplitude - amplitudes[0]) > OTHER_AMPLITUDE * amplitudes[0]
-    ]
-    return others[-1] if others else None
+        line = np.polynomial.Polynomial.fit(record.t_s, record.y_rad, 1)
+        swings.append((float(np.std(record.y_rad - line(record.t_s))), float(np.std(record.u_V))))
+    first = swings[0]
+    for k in range(len(records) - 1, 0, -1):
+        if any(abs(own - other) > OTHER_AMPLITUDE * other for own, other in zip(swings[k], first, strict=True)):
+            return k
+    return None
 
 
 def _rung(fit: Fit, second: Tests | None, samples: float, floor_rad: float, ramps: _Ramps | None) -> Rung:
