@@ -1,0 +1,116 @@
+"""The whole experiment on the Uno's emulated chip, in virtual time, as a user runs it; and beside the host board."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, RAILS, ListRecord
+
+from rig.cli import main
+from rig.control.breakaway import BreakawayCheck
+from rig.control.excitation import RelayTest
+from rig.control.guard import Guard
+from rig.control.relay import DualChannelRelay
+from rig.daq.calibration import DriveMap
+from rig.daq.serial_link import SerialDriver
+from rig.emulate.firmware_build import UnoOptions
+from rig.emulate.virtual_board import VirtualBoard
+from rig.emulate.virtual_chip import VirtualChip
+from rig.loop.runner import Loop
+from rig.loop.stop_request import StopRequest
+from rig.model.cycle_detector import CycleDetector
+
+ROOT = Path(__file__).resolve().parents[2]
+UNO_FULL = 400
+
+
+def run_on_chip(folder: Path, **relay: object) -> dict:
+    """config/demo.yaml on the chip; changes of its section ``relay``."""
+    config = yaml.safe_load((ROOT / "config/demo.yaml").read_text(encoding="utf-8"))
+    config["daq"]["port"] = "emulated-chip"
+    config["limits"]["max_speed_rad_s"] = 4.7
+    config["relay"] |= relay
+    if relay:
+        del config["tracking"]
+    path = folder / "chip.yaml"
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    result = CliRunner().invoke(main, ["run", str(path), "--out", str(folder / "runs"), "--json"])
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def within_2_percent_of_the_truth(outcome: dict) -> None:
+    estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
+    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+        assert estimate[name] == pytest.approx(truth[name], rel=0.02)
+
+
+def test_the_whole_experiment_on_the_chip_finds_the_truth(tmp_path: Path) -> None:
+    outcome = run_on_chip(tmp_path)
+    assert outcome["backend"].startswith("emulated-chip (emulated uno board, build uno ")
+    within_2_percent_of_the_truth(outcome)
+    assert outcome["estimates"]["sampled-data"]["verdict"] == "ok", outcome["estimates"]["sampled-data"]["reasons"]
+    assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.01
+    assert set(outcome["estimates"]) == {"sampled-data", "triple-relay", "describing-function"}
+    link = outcome["link"]
+    assert link["timeouts"] == link["bad_frames"] == link["drives_lost"] == link["stale_replies"] == 0
+    assert outcome["loop"]["skipped"] == 0 and not outcome["faults"]
+
+
+def test_the_relay_in_the_chip_finds_the_truth(tmp_path: Path) -> None:
+    gains = [{"h1_V": 0.42, "h2_V": 0.84}]
+    outcome = run_on_chip(tmp_path, where="device", target=None, gains=gains, cycles=7)
+    within_2_percent_of_the_truth(outcome)
+    assert outcome["link"]["bad_frames"] == 0 and not outcome["faults"]
+
+
+def cycle(board: VirtualBoard | VirtualChip, period_s: float) -> tuple[float, float]:
+    """Mean period and amplitude of twenty cycles of the host's relay."""
+    driver = SerialDriver(board, CALIBRATION, DriveMap(12.0), RAILS, emulated=True)
+    driver.open()
+    record = ListRecord()
+    loop = Loop(driver, board, Guard(GUARD), record, period_s, StopRequest())
+    detector = CycleDetector(0.2, 20 * CALIBRATION.lsb_rad)
+    relay = DualChannelRelay(0.0, 0.0, 0.7)
+    with loop.armed(LIMITS):
+        check = BreakawayCheck(0.4, 1.2, 0.02, 0.4)
+        loop.run(check, "breakaway")
+        loop.guard.sign_proven = True
+        loop.guard.static_V = max(check.plus_V, check.minus_V)
+        loop.run(RelayTest(relay, detector, (0.6, 0.9), 20, 60.0), "relay-1")
+    rows = [row for row in record.rows if row["stage"] == "relay-1"]
+    t_s = np.array([row["t_s"] for row in rows])
+    y_rad = np.array([row["y_rad"] for row in rows])
+    tail = t_s > t_s[-1] - 15.0  # 20 cycles or so, settled
+    t_s, y_rad = t_s[tail], y_rad[tail] - y_rad[tail].mean()
+    spectrum = np.fft.rfft(y_rad * np.hanning(len(y_rad)), 16 * len(y_rad))
+    line = int(np.argmax(np.abs(spectrum)))
+    return 16 * len(y_rad) * period_s / line, float(np.sqrt(2.0) * y_rad.std())
+
+
+def test_the_chips_limit_cycle_is_the_host_boards() -> None:
+    """At 500 Hz, so that where a sample falls in the cycle matters little; drives alike to the unit."""
+    period_s = 0.002
+    bench = replace(DEMO, drive_counts=UNO_FULL, noise_rad=0.0)
+    host_period_s, host_rad = cycle(VirtualBoard(bench, 1, baud=1_000_000, bits_per_byte=10), period_s)
+    chip_period_s, chip_rad = cycle(VirtualChip(bench, 1, options=UnoOptions(baud=1_000_000)), period_s)
+    assert chip_period_s == pytest.approx(host_period_s, rel=0.02)
+    assert chip_rad == pytest.approx(host_rad, rel=0.02)
+
+
+def test_virtual_time_is_ten_times_as_fast_as_real_time() -> None:
+    """In the processor's own seconds, the best of a few: the machine may be busy with something else."""
+    board = VirtualChip(DEMO)
+    spent_s = []
+    for k in range(5):
+        began_s = time.process_time()
+        board.sleep_until(2.0 * (k + 1))
+        spent_s.append(time.process_time() - began_s)
+    assert min(spent_s) < 0.1 * 2.0
