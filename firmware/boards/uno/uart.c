@@ -9,7 +9,7 @@
 #error "this baud rate cannot be made from 16 MHz to 2.5 %: take 115200 or 1000000"
 #endif
 
-#define QUEUE 128u /* a power of two; a frame has at most 66 bytes */
+#define QUEUE 256u /* so that indices wrap by themselves; a relay's end sends two blocks of 66 bytes and a reply */
 
 /* One side only writes `in`, the other only `out`, each a single byte: nothing to mask. */
 typedef struct {
@@ -18,11 +18,6 @@ typedef struct {
 } queue;
 
 static queue received, to_send;
-
-static uint8_t after(uint8_t at)
-{
-    return (uint8_t)((at + 1u) % QUEUE);
-}
 
 void uart_init(void)
 {
@@ -36,7 +31,7 @@ void uart_init(void)
 ISR(USART_RX_vect)
 {
     const uint8_t byte = UDR0;
-    const uint8_t next = after(received.in);
+    const uint8_t next = (uint8_t)(received.in + 1u);
     if (next != received.out) { /* else it is lost, and the frame's CRC tells */
         received.byte[received.in] = byte;
         received.in = next;
@@ -55,7 +50,7 @@ bool uart_take(uint8_t *byte)
         return false;
     }
     *byte = received.byte[out];
-    received.out = after(out);
+    received.out = (uint8_t)(out + 1u);
     return true;
 }
 
@@ -63,8 +58,9 @@ ISR(USART_UDRE_vect)
 {
     const uint8_t out = to_send.out;
     UDR0 = to_send.byte[out];
-    to_send.out = after(out);
-    if (to_send.out == to_send.in) {
+    const uint8_t next = (uint8_t)(out + 1u);
+    to_send.out = next;
+    if (next == to_send.in) {
         UCSR0B = (uint8_t)(BIT(RXCIE0) | BIT(RXEN0) | BIT(TXEN0));
     }
 }
@@ -72,13 +68,13 @@ ISR(USART_UDRE_vect)
 void uart_send(const uint8_t *bytes, uint8_t n)
 {
     uint8_t in = to_send.in;
-    const uint8_t free = (uint8_t)((unsigned)(to_send.out + QUEUE - in - 1u) % QUEUE);
+    const uint8_t free = (uint8_t)(to_send.out - (unsigned)in - 1u);
     if (n == 0u || n > free) {
         return;
     }
     for (uint8_t i = 0; i < n; i++) {
         to_send.byte[in] = bytes[i];
-        in = after(in);
+        in++;
     }
     to_send.in = in; /* whole frames only */
     UCSR0B = (uint8_t)(BIT(RXCIE0) | BIT(UDRIE0) | BIT(RXEN0) | BIT(TXEN0));

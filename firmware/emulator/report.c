@@ -1,0 +1,125 @@
+/* What the firmware takes of the chip, measured on the emulated one: stack, time asleep, in interrupts, with interrupts
+ * masked, and bytes lost, while the host asks for everything as fast as the wire carries it and a relay runs.
+ *
+ *     report HEX [BAUD]
+ */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "rig_core.h"
+
+typedef struct virtual_board virtual_board;
+
+typedef struct {
+    double t_s, pin_V, motor_V, y_rad, v_rad_per_s, pin_changed_s;
+    double awake_share, masked_us, interrupt_share;
+    int32_t led, resets, overruns, crashed, stack_bytes;
+} virtual_view;
+
+virtual_board *virtual_new(void);
+void virtual_free(virtual_board *b);
+const char *virtual_option(virtual_board *b, const char *name, const char *value);
+const char *virtual_start(virtual_board *b, int64_t byte_ns);
+uint32_t virtual_write(virtual_board *b, const uint8_t *bytes, uint32_t n);
+uint32_t virtual_read(virtual_board *b, uint8_t *bytes, uint32_t n);
+void virtual_run(virtual_board *b, int64_t until_ns, int32_t until_byte);
+int64_t virtual_now_ns(const virtual_board *b);
+void virtual_look(const virtual_board *b, virtual_view *view);
+
+static const uint8_t SETUP[16] = {49, 0, 0xCF, 3, 5, 0, 0xFA, 3, 0, 2, 200, 0, 100, 0, 1, 0};
+/* +-60 and +-20 units about 512 counts, blocks of ten rows */
+static const uint8_t RELAY[18] = {0xC4, 0xFF, 0xEC, 0xFF, 20, 0, 60, 0, 0, 32, 0, 0, 0, 0, 0, 16, 1, 10};
+static const uint8_t DRIVE[2] = {10, 0}; /* 0.3 V: the shaft stays */
+
+static int64_t byte_ns;
+
+static void ask(virtual_board *b, uint8_t type, const uint8_t *body, uint8_t n)
+{
+    uint8_t content[FRAME_CONTENT_MAX] = {RIG_PROTOCOL, type, 1, 0};
+    uint8_t wire[FRAME_WIRE_MAX];
+    if (n > 0u) {
+        memcpy(content + FRAME_HEADER, body, n);
+    }
+    const uint8_t length = frame_encode(content, (uint8_t)(FRAME_HEADER + n), wire);
+    (void)virtual_write(b, wire, length);
+    virtual_run(b, virtual_now_ns(b) + length * byte_ns, 0);
+}
+
+/* Returns the bytes that came. */
+static uint32_t pause(virtual_board *b, int64_t ns)
+{
+    uint8_t bytes[4096];
+    virtual_run(b, virtual_now_ns(b) + ns, 0);
+    return virtual_read(b, bytes, sizeof bytes);
+}
+
+static void arm(virtual_board *b)
+{
+    ask(b, RIG_STOP, NULL, 0);
+    ask(b, RIG_SETUP, SETUP, sizeof SETUP);
+    ask(b, RIG_ARM, NULL, 0);
+    (void)pause(b, 10000000);
+}
+
+int main(int argc, char **argv)
+{
+    const long baud = argc > 2 ? strtol(argv[2], NULL, 10) : 115200;
+    virtual_board *b = virtual_new();
+    if (argc < 2 || b == NULL || baud < 1) {
+        fprintf(stderr, "usage: report HEX [BAUD]\n");
+        return 2;
+    }
+    byte_ns = 10000000000 / baud;
+    const char *const options[][2] = {{"hex", argv[1]},     {"measure", "1"},     {"fc-plus-V", "0.5"},
+                                      {"fc-minus-V", "0.5"}, {"fs-plus-V", "0.5"}, {"fs-minus-V", "0.5"}};
+    const char *wrong = NULL;
+    for (unsigned i = 0; i < sizeof options / sizeof options[0] && wrong == NULL; i++) {
+        wrong = virtual_option(b, options[i][0], options[i][1]);
+    }
+    wrong = wrong != NULL ? wrong : virtual_start(b, byte_ns);
+    if (wrong != NULL) {
+        fprintf(stderr, "report: %s: %s\n", argv[1], wrong);
+        return 2;
+    }
+    virtual_view idle, before, view;
+    (void)pause(b, 1000000000);
+    virtual_look(b, &idle);
+
+    arm(b);
+    for (unsigned i = 0; i < 200u; i++) { /* everything there is, without a pause on the host's wire */
+        ask(b, RIG_DRIVE, DRIVE, sizeof DRIVE);
+        ask(b, RIG_READ, NULL, 0);
+        ask(b, RIG_HELLO, NULL, 0);
+        (void)pause(b, 40 * byte_ns); /* the longer answers need longer */
+    }
+    arm(b);
+    virtual_look(b, &before);
+    ask(b, RIG_RELAY, RELAY, sizeof RELAY);
+    uint32_t bytes = 0;
+    for (unsigned i = 0; i < 200u; i++) {
+        ask(b, RIG_KEEP, NULL, 0);
+        bytes += pause(b, 10000000);
+    }
+    virtual_look(b, &view);
+    const double relay_awake =
+        (view.awake_share * view.t_s - before.awake_share * before.t_s) / (view.t_s - before.t_s);
+    ask(b, RIG_READ, NULL, 0);
+    ask(b, RIG_STOP, NULL, 0);
+    bytes += pause(b, 100000000);
+    virtual_look(b, &view);
+    printf("stack     %4ld bytes at most\n", (long)view.stack_bytes);
+    printf("awake     %4.1f %% of the time when idle, %.1f %% while the relay runs\n", 100.0 * idle.awake_share,
+           100.0 * relay_awake);
+    printf("interrupts %3.1f %% of a tick at most when idle, %.1f %% under load\n", 100.0 * idle.interrupt_share,
+           100.0 * view.interrupt_share);
+    printf("masked    %4.1f us at most\n", view.masked_us);
+    printf("lost      %4ld bytes received, of the relay's 2 s %lu bytes came\n", (long)view.overruns,
+           (unsigned long)bytes);
+    const bool is_well = view.overruns == 0 && view.resets == 0 && !view.crashed && bytes > 200u * 50u;
+    virtual_free(b);
+    if (!is_well) {
+        fprintf(stderr, "report: bytes or blocks were lost, or the chip was reset\n");
+    }
+    return is_well ? 0 : 1;
+}
