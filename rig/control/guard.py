@@ -35,18 +35,24 @@ class GuardSettings:
 
 
 class VelocityWindow:
-    """Velocity as the slope of the last few positions, by least squares: no model, so none can mislead it."""
+    """Velocity as the slope of the last few positions, by least squares: no model, so none can mislead it.
 
-    def __init__(self, samples: int = 5) -> None:
+    samples       in the window: five at the loop's pace, more where they come faster, for the same time
+    before_rad_s  what it is taken for until half of them are there
+    """
+
+    def __init__(self, samples: int = 5, before_rad_s: float = 0.0) -> None:
         self._window: deque[tuple[float, float]] = deque(maxlen=samples)
+        self._fewest = samples // 2 + 1
+        self._before_rad_s = before_rad_s
 
     def step(self, t_s: float, y_rad: float) -> float:
-        """Slope after this sample, rad/s; 0 until there are three."""
+        """Slope after this sample, rad/s."""
         window = self._window
         window.append((t_s, y_rad))
         n = len(window)
-        if n < 3:
-            return 0.0
+        if n < self._fewest:
+            return self._before_rad_s
         t_mean = sum(t for t, _ in window) / n
         y_mean = sum(y for _, y in window) / n
         spread = sum((t - t_mean) ** 2 for t, _ in window)
@@ -81,15 +87,16 @@ class Guard:
         self._push_sign = 0
         self._inward_since: tuple[float, float] | None = None
 
-    def rearm(self, samples: int = 5) -> None:
-        """Forget the motion seen before a pause: time has passed unseen since.
-
-        ``samples`` is how many the velocity is taken from: five at the loop's period, more where they come faster.
-        """
-        self._velocity = VelocityWindow(samples)
+    def rearm(self) -> None:
+        """Forget the motion seen before a pause: time has passed unseen since."""
+        self._velocity = VelocityWindow()
         self._last = None
         self._pushing.clear()
         self._inward_since = None
+
+    def pace(self, samples: int = 5) -> None:
+        """Samples come at another pace from now on: take the velocity from this many, for the same time as before."""
+        self._velocity = VelocityWindow(samples, self.velocity_rad_s)
 
     def allow(self, sample: Sample, asked_V: float) -> tuple[float, int]:
         """Drive that may go out for what a law asked, V, and the record's flags for it."""

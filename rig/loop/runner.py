@@ -166,8 +166,7 @@ class Loop:
             raise ValueError(f"no relay in the device behind {self._driver.backend}")
         self._record.event(self.now_s, "stage", name=stage)
         self._finish_row()
-        # the velocity over the same time as at the loop's own pace
-        self.guard.rearm(1 + round(4.0 * self._period_s / driver.tick_s))
+        self.guard.pace(1 + round(4.0 * self._period_s / driver.tick_s))
         driver.start_relay(command)
         self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
         self._last_row_s = math.nan
@@ -180,7 +179,7 @@ class Loop:
             self._end_tick(due_s)
         for row in driver.stop_relay():
             self._take_row(row, driver, law, stage, watch)
-        self.guard.rearm()
+        self.guard.pace()
         self._last_t_s = math.nan
         self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
 

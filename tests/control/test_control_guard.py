@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -53,6 +54,19 @@ def test_it_stops_inside_the_hard_limit_even_if_the_host_dies_at_any_instant(die
     assert bench.driver.bench.pin_counts == 0
     assert bench.driver.bench.state.y < LIMITS.hard_rad[1]
     assert abs(bench.driver.bench.state.v) < 1e-3
+
+
+@given(st.integers(0, 10**6), st.floats(-4.0, 4.0))
+def test_samples_at_another_pace_do_not_jolt_the_velocity(seed: int, v_rad_s: float) -> None:
+    """Ten times as many samples, each as noisy: over the same time the slope is no worse, from the first on."""
+    guard, noise = Guard(GUARD), np.random.default_rng(seed).normal(0.0, 0.003, 200)
+    for k in range(5):
+        guard.allow(reading(k * PERIOD_S, -0.5 + v_rad_s * k * PERIOD_S), 0.0)
+    guard.pace(41)
+    for k in range(1, 160):
+        t_s = 0.04 + 1e-3 * k
+        guard.allow(reading(t_s, -0.5 + v_rad_s * t_s + noise[k]), 0.0)
+        assert guard.velocity_rad_s == pytest.approx(v_rad_s, abs=0.7)
 
 
 def test_between_soft_and_hard_only_inward_drive_passes() -> None:

@@ -20,6 +20,7 @@ from rig.config import load
 from rig.config.schema import Experiment, Gains, Relay
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
+from rig.control.law import Constant
 from rig.control.relay import RelayOnCounts
 from rig.daq.calibration import DriveMap
 from rig.daq.driver import RelayDriver
@@ -367,6 +368,22 @@ def test_the_loop_records_every_tick_with_the_laws_own_integral() -> None:
     assert summary["device"] == {"period_s": bench.driver.tick_s, "ticks": len(rows), "missed": 0}
     assert bench.board.truth().pin_V == 0.0
     assert bench.record.events[-1]["confirmed"] is True
+
+
+def test_one_test_follows_the_other_in_motion() -> None:
+    bench = DeviceBench()
+    other = DeviceBench(gains_V=(0.3, 0.75))
+    with bench.loop.armed(LIMITS):
+        bench.loop.run_in_device(bench.test, bench.command, "relay-1")
+        bench.loop.run_in_device(other.test, other.command, "relay-2")
+        bench.loop.run(Constant(0.0, 0.7), "rest")
+    assert bench.board.truth().v_rad_per_s == 0.0
+    stages = [row["stage"] for row in bench.record.rows]
+    between_s = (
+        bench.record.rows[stages.index("relay-2")]["t_s"] - bench.record.rows[stages.index("relay-2") - 1]["t_s"]
+    )
+    assert between_s < 0.02
+    assert bench.loop.statistics.skipped <= 2
 
 
 def test_the_guard_stops_what_it_would_not_let_out() -> None:
