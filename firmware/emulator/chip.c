@@ -1,10 +1,4 @@
-/* The Uno's chip, emulated to the register by libsimavr, with the same exact bench around it as the host board's: in
- * lock step, in virtual time, as a shared library (librig_chip.so; rig/emulate/virtual_chip.py). It runs the very .hex
- * that is flashed. The functions named virtual_... are those of boards/host/virtual.c.
- *
- * For tests only: libsimavr is under the GPL 3, so nothing of this is part of what is installed.
- *
- * What libsimavr 1.6 does not do as the chip does, and what is done about it here:
+/* What libsimavr 1.6 does not do as the chip does, and what is done about it here:
  *   - its receiver holds 64 bytes: it gets one at a time, when the last bit has arrived; two wait here, as in the chip,
  *     and one more is an overrun;
  *   - a byte takes it 11 bit times: it is told 10;
@@ -12,9 +6,10 @@
  *   - it converts what stands in a register when the result is read: that is set at the sample's instant;
  *   - its sleep waits for real time: not here.
  */
+#include "chip.h"
+
 #include <math.h>
 #include <stdbool.h>
-#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -51,8 +46,6 @@ enum { U2X0 = 1, RXEN0 = 4, OCIE2A = 1, ADIE = 3 };
 
 enum bridge_style { PWM_DIR, IN1_IN2 };
 
-enum hang { HANG_MAIN, HANG_ALL, HANG_CLOCK, HANG_CONVERTER };
-
 typedef struct {
     uint8_t byte[QUEUE];
     int64_t arrives_ns[QUEUE];
@@ -60,7 +53,7 @@ typedef struct {
     int64_t last_ns; /* arrival of the byte last queued */
 } wire;
 
-typedef struct {
+struct virtual_board {
     bench_params params;
     bench bench;
     char *hex;
@@ -86,14 +79,7 @@ typedef struct {
     uint32_t resets, overruns, crashed;
     uint64_t awake_cycles, masked_now, masked_most, interrupt_now, interrupt_most;
     avr_cycle_count_t tick_from;
-} virtual_board;
-
-/* What a test may look at besides the wire. */
-typedef struct {
-    double t_s, pin_V, motor_V, y_rad, v_rad_per_s, pin_changed_s;
-    double awake_share, masked_us, interrupt_share; /* the last two only where it measures, else 0 */
-    int32_t led, resets, overruns, crashed, stack_bytes;
-} virtual_view;
+};
 
 /* ---- time ---- */
 
@@ -415,7 +401,6 @@ void virtual_free(virtual_board *b)
     free(b);
 }
 
-/* As of the bench, and: hex (path), bridge (pwm_dir, in1_in2), dead-time-s, measure (0, 1). */
 const char *virtual_option(virtual_board *b, const char *name, const char *value)
 {
     if (strcmp(name, "hex") == 0) {
@@ -439,7 +424,6 @@ const char *virtual_option(virtual_board *b, const char *name, const char *value
     return bench_option(&b->params, name, value);
 }
 
-/* Powers the chip on at time 0. NULL, or what is wrong. */
 const char *virtual_start(virtual_board *b, int64_t byte_ns)
 {
     if (strcmp(CONFIG_SIMAVR_VERSION, LIBRARY_VERSION) != 0) {
@@ -561,7 +545,6 @@ static void boot(virtual_board *b, int64_t until_ns)
     }
 }
 
-/* Runs to `until_ns`, or to the arrival of the next byte at the host if `until_byte` and that is sooner. */
 void virtual_run(virtual_board *b, int64_t until_ns, int32_t until_byte)
 {
     for (;;) {
@@ -597,7 +580,6 @@ int64_t virtual_now_ns(const virtual_board *b)
     return b->now_ns;
 }
 
-/* The host sends bytes from now on. Returns how many the wire took. */
 uint32_t virtual_write(virtual_board *b, const uint8_t *bytes, uint32_t n)
 {
     uint32_t taken = 0;
@@ -611,7 +593,6 @@ uint32_t virtual_write(virtual_board *b, const uint8_t *bytes, uint32_t n)
     return taken;
 }
 
-/* Bytes that have arrived at the host by now. */
 uint32_t virtual_read(virtual_board *b, uint8_t *bytes, uint32_t n)
 {
     uint32_t taken = 0;
@@ -624,20 +605,13 @@ uint32_t virtual_read(virtual_board *b, uint8_t *bytes, uint32_t n)
 
 /* ---- what may happen to it, and what is true of it ---- */
 
-/* A reset by anything but the watchdog, which needs no help: then `boot_s` in the boot loader. */
-void virtual_reset(virtual_board *b, uint8_t cause)
+void virtual_boot(virtual_board *b, uint8_t cause, double boot_s)
 {
     avr_reset(b->avr);
     b->avr->data[MCUSR] = cause;
-}
-
-void virtual_boot(virtual_board *b, uint8_t cause, double boot_s)
-{
-    virtual_reset(b, cause);
     b->boot_until_ns = b->now_ns + (int64_t)(1e9 * boot_s);
 }
 
-/* Opens or closes a contact at a pin of port D. */
 void virtual_contact(virtual_board *b, int32_t pin, int32_t is_open)
 {
     const uint8_t bit = (uint8_t)(1u << pin);
@@ -658,7 +632,6 @@ static bool find_trap(const avr_t *avr, avr_flashaddr_t *at)
     return false;
 }
 
-/* The main loop stops, with interrupts or without; or an interrupt that it lives by. False if that cannot be done. */
 int32_t virtual_hang(virtual_board *b, int32_t how)
 {
     avr_t *avr = b->avr;
@@ -720,7 +693,6 @@ void virtual_look(const virtual_board *b, virtual_view *view)
     view->stack_bytes = stack_bytes(avr);
 }
 
-/* Wiring faults from now on. NULL, or what is wrong with the names. */
 const char *virtual_rewire(virtual_board *b, const char *drive, const char *sensor)
 {
     bench_params wanted = b->bench.p;
@@ -735,7 +707,6 @@ const char *virtual_rewire(virtual_board *b, const char *drive, const char *sens
     return wrong;
 }
 
-/* Puts the shaft somewhere, as a hand would. */
 void virtual_place(virtual_board *b, double y_rad, double v_rad_per_s)
 {
     advance_bench(b);

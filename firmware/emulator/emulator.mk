@@ -3,7 +3,7 @@
 #   make load    what the firmware takes of the chip: stack, interrupts; part of `make size`
 CHIP := $(BUILD)/chip
 CHIP_SOURCES := emulator/chip.c boards/host/bench.c
-CHIP_HEADERS := boards/host/bench.h Makefile emulator/emulator.mk
+CHIP_HEADERS := emulator/chip.h boards/host/bench.h Makefile emulator/emulator.mk
 CHIP_CC = $(CC) $(CPPFLAGS) $(CFLAGS) -Wno-pedantic -isystem /usr/include/simavr
 
 .PHONY: chip load

@@ -7,25 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "chip.h"
 #include "rig_core.h"
-
-typedef struct virtual_board virtual_board;
-
-typedef struct {
-    double t_s, pin_V, motor_V, y_rad, v_rad_per_s, pin_changed_s;
-    double awake_share, masked_us, interrupt_share;
-    int32_t led, resets, overruns, crashed, stack_bytes;
-} virtual_view;
-
-virtual_board *virtual_new(void);
-void virtual_free(virtual_board *b);
-const char *virtual_option(virtual_board *b, const char *name, const char *value);
-const char *virtual_start(virtual_board *b, int64_t byte_ns);
-uint32_t virtual_write(virtual_board *b, const uint8_t *bytes, uint32_t n);
-uint32_t virtual_read(virtual_board *b, uint8_t *bytes, uint32_t n);
-void virtual_run(virtual_board *b, int64_t until_ns, int32_t until_byte);
-int64_t virtual_now_ns(const virtual_board *b);
-void virtual_look(const virtual_board *b, virtual_view *view);
 
 static const uint8_t SETUP[16] = {49, 0, 0xCF, 3, 5, 0, 0xFA, 3, 0, 2, 200, 0, 100, 0, 1, 0};
 /* +-60 and +-20 units about 512 counts, blocks of ten rows */

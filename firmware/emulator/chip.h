@@ -1,0 +1,59 @@
+/* The Uno's chip, emulated to the register by libsimavr, with the same exact bench around it as the host board's: in
+ * lock step, in virtual time, as a shared library (librig_chip.so; rig/emulate/virtual_chip.py). It runs the very .hex
+ * that is flashed. The functions named as in boards/host/virtual.c do the same.
+ *
+ * For tests only: libsimavr is under the GPL 3, so nothing of this is part of what is installed.
+ */
+#ifndef RIG_CHIP_H
+#define RIG_CHIP_H
+
+#include <stdint.h>
+
+typedef struct virtual_board virtual_board;
+
+/* What a test may look at besides the wire. */
+typedef struct {
+    double t_s, pin_V, motor_V, y_rad, v_rad_per_s, pin_changed_s;
+    double awake_share, masked_us, interrupt_share; /* the last two only where it measures, else 0 */
+    int32_t led, resets, overruns, crashed, stack_bytes;
+} virtual_view;
+
+enum virtual_hang { HANG_MAIN, HANG_ALL, HANG_CLOCK, HANG_CONVERTER };
+
+virtual_board *virtual_new(void);
+void virtual_free(virtual_board *b);
+
+/* As of the bench, and: hex (path), bridge (pwm_dir, in1_in2), dead-time-s, measure (0, 1). NULL, or what is wrong. */
+const char *virtual_option(virtual_board *b, const char *name, const char *value);
+
+/* Powers the chip on at time 0; a byte takes the host `byte_ns`. NULL, or what is wrong. */
+const char *virtual_start(virtual_board *b, int64_t byte_ns);
+
+/* Runs to `until_ns`, or to the arrival of the next byte at the host if `until_byte` and that is sooner. */
+void virtual_run(virtual_board *b, int64_t until_ns, int32_t until_byte);
+int64_t virtual_now_ns(const virtual_board *b);
+
+/* The host sends bytes from now on. Returns how many the wire took. */
+uint32_t virtual_write(virtual_board *b, const uint8_t *bytes, uint32_t n);
+
+/* Bytes that have arrived at the host by now. */
+uint32_t virtual_read(virtual_board *b, uint8_t *bytes, uint32_t n);
+
+void virtual_look(const virtual_board *b, virtual_view *view);
+
+/* A reset by anything but the watchdog, which needs no help; then `boot_s` in the boot loader, where pins float. */
+void virtual_boot(virtual_board *b, uint8_t cause, double boot_s);
+
+/* Opens or closes a contact at a pin of port D. */
+void virtual_contact(virtual_board *b, int32_t pin, int32_t is_open);
+
+/* The main loop stops, with interrupts or without, or an interrupt that it lives by. 0 if that cannot be done. */
+int32_t virtual_hang(virtual_board *b, int32_t how);
+
+/* Wiring faults from now on. NULL, or what is wrong with the names. */
+const char *virtual_rewire(virtual_board *b, const char *drive, const char *sensor);
+
+/* Puts the shaft somewhere, as a hand would. */
+void virtual_place(virtual_board *b, double y_rad, double v_rad_per_s);
+
+#endif
