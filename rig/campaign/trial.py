@@ -15,7 +15,7 @@ from rig.config.campaign import Campaign
 from rig.identify import IdentifyError, identify, sampled_data
 from rig.identify.cramer_rao import PositionNoise, cramer_rao
 from rig.identify.estimate import PARAMETERS, Estimate
-from rig.identify.record import Record
+from rig.identify.record import LEAST_DELAY_S, Record
 from rig.model.sampled_relay import RelayTest
 from rig.model.sensitivity import Drive, Theta
 from rig.recording.reader import Recording, RecordingError, from_columns
@@ -94,7 +94,7 @@ def _bound(campaign: Campaign, one: Draw, test: RelayTest, rows: slice) -> dict[
         return dict.fromkeys(PARAMETERS, math.nan)
     known = sampling.times_known
     edges = test.t_u_s[rows] if known else test.t_s[rows]
-    longest_s = 0.0 if known else 2.0 * sampling.period_s
+    longest_s = 0.0 if known else max(2.0 * sampling.period_s, LEAST_DELAY_S)
     first = rows.start + int(np.searchsorted(test.t_s[rows], edges[0] + longest_s))
     theta = Theta(
         one.tau_s,

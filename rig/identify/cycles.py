@@ -156,7 +156,7 @@ def relay_gains(record: Record) -> Gains:
     near = np.searchsorted(order, order + 0.03 * largest, "right") - np.searchsorted(order, order - 0.03 * largest)
     order = order[near >= max(3, SPARSE * u.size)]
     cuts = np.flatnonzero(np.diff(order) > 0.06 * largest)
-    groups = np.split(order, cuts + 1)
+    groups = [group for group in np.split(order, cuts + 1) if group.size]
     covered = sum(g.size for g in groups) / u.size
     levels = [float(np.median(g)) for g in groups]
     shown = ", ".join(f"{level:.3g}" for level in levels)

@@ -15,6 +15,11 @@ Array = NDArray[np.float64]
 FEWEST_ROWS = 20  # that anything can be read from
 LATENCY_PERIODS, LATENCY_S = 10.0, 0.1  # between a sample and its row's drive, at most the longer of both
 
+LEAST_DELAY_S = (
+    0.01  # a serial link and a driver take as much, however fast the samples (of a record 100 times as long)
+)
+ALIKE = 0.8  # correlation of a drive with itself, later, that makes it periodic
+
 
 class IdentifyError(Exception):
     """A recording that cannot be identified: one line of cause, one of cure."""
@@ -95,9 +100,35 @@ class Record:
         return float(np.median(np.diff(self.t_s)))
 
     @property
+    def longest_delay_s(self) -> float:
+        """Longest constant delay looked for where t_u_s is unknown, s: two periods, or 10 ms if that is more."""
+        return max(2.0 * self.period_s, min(LEAST_DELAY_S, 0.01 * float(self.t_s[-1] - self.t_s[0])))
+
+    @property
     def edge_s(self) -> Array:
         """Times from which each row's drive acts, as far as they are known: t_u_s, else t_s."""
         return self.t_s if self.t_u_s is None else self.t_u_s
+
+    def drive_period_s(self) -> float | None:
+        """Period with which the drive repeats itself, s: the first lag at which it is like itself again; else None."""
+        count = min(8192, 4 * self.t_s.size)
+        even = np.linspace(self.t_s[0], self.t_s[-1], count)
+        u = self.u_V[np.searchsorted(self.t_s, even, side="right") - 1]
+        u = u - u.mean()
+        power = np.abs(np.fft.rfft(u, 2 * count)) ** 2
+        alike = np.fft.irfft(power)[:count] * (count / np.arange(count, 0, -1))
+        if alike[0] <= 0.0:
+            return None
+        alike = alike[: count // 2] / alike[0]
+        apart = np.flatnonzero(alike < 0.0)
+        if apart.size == 0:
+            return None
+        again = np.flatnonzero(alike[apart[0] :] > ALIKE) + apart[0]
+        if again.size == 0:
+            return None
+        first_run = again[: int(np.argmax(np.append(np.diff(again), 2) > 1)) + 1]
+        lag = int(first_run[np.argmax(alike[first_run])])
+        return float(even[lag] - even[0])
 
     def part(self, first: int, stop: int) -> Record:
         """Rows ``first`` to ``stop`` (exclusive)."""

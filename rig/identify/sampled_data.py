@@ -170,7 +170,15 @@ class Problem:
         )
         full[mask] = found.x
         left, full_jacobian = self.residual_and_jacobian(full)
-        return Solution(full.copy(), left, full_jacobian, np.array(iterates), found.status > 0)
+        arrived = found.status > 0 or _arrived(np.asarray(found.jac), found.fun)
+        return Solution(full.copy(), left, full_jacobian, np.array(iterates), arrived)
+
+
+def _arrived(jacobian: Array, residual: Array) -> bool:
+    """Whether the next Gauss-Newton step is small beside the standard errors, though the iterations ran out."""
+    step = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
+    covariance, _ = covariance_of(jacobian, residual)
+    return bool(np.all(np.abs(step) < 0.05 * np.sqrt(np.diag(covariance))))
 
 
 @dataclass(frozen=True)
@@ -203,13 +211,12 @@ def fit(
     records     each with its own initial state
     starts      first guesses; default: a coarse grid scored by simulation
     free_delay  fit a constant delay between 0 and 2 periods; default: only where a record has no t_u_s
-    periods_s   for each record the period of its limit cycle, s, or None where it has none; default: none have
+    periods_s   for each record the period of its limit cycle, s, or None where it has none; default: that of its drive
     Returns an ``Estimate`` with verdict "ok" unless the fit itself failed; judging it is `verdict.py`'s part.
     Raises IdentifyError if there is nothing to fit.
     """
     free = any(record.t_u_s is None for record in records) if free_delay is None else free_delay
-    period = max(record.period_s for record in records)
-    bounds = (0.0, 2.0 * period) if free else (0.0, 0.0)
+    bounds = (0.0, max(record.longest_delay_s for record in records)) if free else (0.0, 0.0)
     pieces = tuple(Piece.of(record, bounds[1]) for record in records)
     for record, piece in zip(records, pieces, strict=True):
         if np.ptp(piece.y_rad) == 0.0 or piece.drive.u_V.size < 2:
@@ -221,7 +228,8 @@ def fit(
     guesses = list(starts) if starts else grid_starts(pieces)
     candidates = sorted((_score(pieces, guess, 0.5 * (bounds[0] + bounds[1])) for guess in guesses), key=lambda c: c[0])
     durations = [float(piece.t_s[-1] - piece.t_s[0]) for piece in pieces]
-    periods = list(periods_s or [None] * len(pieces))
+    given = periods_s or [None] * len(pieces)
+    periods = [record.drive_period_s() if p is None else p for record, p in zip(records, given, strict=True)]
     first_s = FIRST_CYCLES * max((period for period in periods if period is not None), default=0.1 * max(durations))
     best = _extended(problem, [x0 for _, x0 in candidates], first_s, max(durations))
     for _ in range(NOISE_ROUNDS):

@@ -18,7 +18,7 @@ from rig.model.sensitivity import Theta
 PROMISE = 0.05  # ok means that every parameter is at most this far off,
 SURE = 2.0  # which 95 % intervals so many times narrower promise but for one record in ten thousand
 TOO_WIDE = 0.5  # half width of an interval, relative to its parameter
-NOISY, TOO_NOISY = 4.0, 8.0  # residual over the sensor's noise
+NOISY, TOO_NOISY = 3.0, 8.0  # residual over the sensor's noise
 REPEATED = 0.3  # share of the residual's power that comes again in each cycle
 NEGLIGIBLE = 0.003  # residual over the spread of positions, below which it is no objection
 POOR, TOO_POOR = 0.1, 0.4  # residual of a reference method over the spread of positions
@@ -60,10 +60,10 @@ def judge_reference(estimate: Estimate, records: Sequence[Record], cycles: Seque
     bounds = None
     delay = 0.0
     if any(record.t_u_s is None for record in records):
-        period = max(record.period_s for record in records)
+        longest = max(record.longest_delay_s for record in records)
         free.append("delay_s")
-        bounds, delay = (0.0, 2.0 * period), 0.5 * period
-        if 0.0 < estimate.delay_s < 2.0 * period:  # nan where the method knows nothing of it
+        bounds, delay = (0.0, longest), 0.25 * longest
+        if 0.0 < estimate.delay_s < longest:  # nan where the method knows nothing of it
             delay = estimate.delay_s
     theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, delay)
     solution = sampled_data.refit(records, theta, free, bounds)
@@ -143,10 +143,11 @@ def _bounds(estimate: Estimate, records: Sequence[Record]) -> Estimate:
         return estimate.judged(
             "refused", f"tau = {estimate.tau_s:.3g} s is longer than the record of {duration:.3g} s: record longer"
         )
-    if any(record.t_u_s is None for record in records) and not 1e-3 < estimate.delay_s / period < 1.999:
+    longest = max(record.longest_delay_s for record in records)
+    if any(record.t_u_s is None for record in records) and not 5e-4 < estimate.delay_s / longest < 0.9995:
         return estimate.judged(
             "doubtful",
-            f"the delay is at its bound ({1e3 * estimate.delay_s:.1f} ms; 0 to 2 periods are looked at): "
+            f"the delay is at its bound ({1e3 * estimate.delay_s:.1f} ms; 0 to {1e3 * longest:.0f} ms are looked at): "
             "check that u of a row is the drive set after that row's y was read",
         )
     return estimate
@@ -228,7 +229,22 @@ def _row_convention(estimate: Estimate, records: Sequence[Record]) -> Estimate:
             f"the drive seems to act {1e3 * abs(slip):.1f} ms {way} than t_u_s says: check that u stands in its own "
             "row (y_k, then u_k, which acts from t_u_s of row k)",
         )
+    free = (math.exp(moved.x[0]), math.exp(moved.x[1]), float(moved.x[2]))
+    shifted = [name for name, value in zip(PARAMETERS, free, strict=False) if not _holds(estimate, name, value)]
+    if shifted and gain > 1.0 + max(0.02, 15.0 / moved.residual.size):
+        return estimate.judged(
+            "doubtful",
+            f"with the drive {1e3 * abs(slip):.2g} ms {'later' if slip > 0.0 else 'earlier'} the fit is better and "
+            f"{' and '.join(shifted)} out of the interval: t_u_s is not when the drive acted, or rows between these "
+            "were left out; record every tick",
+        )
     return estimate
+
+
+def _holds(estimate: Estimate, name: str, value: float) -> bool:
+    """Whether the estimate's interval of this parameter holds the value."""
+    low, high = estimate.ci95[name]
+    return low <= value <= high
 
 
 def _cost(solution: sampled_data.Solution) -> float:
@@ -256,7 +272,7 @@ def _transfer(estimate: Estimate, records: Sequence[Record]) -> Estimate:
     theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, estimate.delay_s)
     unknown = any(record.t_u_s is None for record in records)
     free = PARAMETERS if unknown else PARAMETERS[:4]
-    bounds = (0.0, 2.0 * max(record.period_s for record in records)) if unknown else None
+    bounds = (0.0, max(record.longest_delay_s for record in records)) if unknown else None
     theta = theta if unknown else theta._replace(delay_s=0.0)
     try:
         first = sampled_data.refit(records[:1], theta, free, bounds)

@@ -105,3 +105,17 @@ def test_times_of_the_drive_that_are_missing_are_filled_in_and_noted(tmp_path):
     one, notes = from_recording(read_csv(path), slice(0, 200), "a.csv")
     assert one.t_u_s is None
     assert "not used" in notes[0]
+
+
+def test_a_drives_own_period_is_found_and_a_delay_of_a_link_is_looked_for():
+    t = np.arange(4000) * 0.005
+    square = np.where(t % 1.3 < 0.65, 1.0, -1.0)
+    chirp = np.sin(2 * np.pi * (0.3 + 0.1 * t) * t)
+    still = np.ones_like(t)
+    assert Record(t, t, None, square).drive_period_s() == pytest.approx(1.3, abs=0.01)
+    assert Record(t, t, None, np.sin(2 * np.pi * t / 0.7)).drive_period_s() == pytest.approx(0.7, abs=0.01)
+    assert Record(t, t, None, chirp).drive_period_s() is None
+    assert Record(t, t, None, still).drive_period_s() is None
+    assert Record(t, t, None, square).longest_delay_s == pytest.approx(0.01)
+    assert Record(t * 0.1, t, None, square).longest_delay_s == pytest.approx(0.01)
+    assert Record(t * 4.0, t, None, square).longest_delay_s == pytest.approx(0.04)

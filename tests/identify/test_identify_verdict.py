@@ -14,7 +14,7 @@ from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
 from rig.identify.record import IdentifyError, Record
 from rig.model.friction import Friction
-from rig.model.motor import Motor
+from rig.model.motor import Motor, State
 
 NOISY = {"noise_rad": 0.003, "lsb_rad": LSB_RAD}
 
@@ -180,3 +180,17 @@ def test_what_an_unknown_delay_costs_is_said():
     gain = unknown.covariance[0, 0] ** 0.5 / known.covariance[0, 0] ** 0.5
     assert gain == pytest.approx(1.0 / (1.0 - shared**2) ** 0.5, rel=0.25)
     assert verdict.confounding(known) is None
+
+
+def test_rows_left_out_of_a_record_with_times_are_not_believed():
+    """Logged every few ticks only: the drives between the rows are missing, and t_u_s cannot say so."""
+    t = np.arange(1500) * 0.01
+    u = 1.2 * (2.0 * np.abs((t / 1.5 + 0.25) % 1.0 - 0.5) * 2.0 - 1.0)
+    y = Motor(0.17, 6.5, Friction(0.5, 0.5, 0.5, 0.5)).response(State(), t, np.r_[-1.0, t + 0.004], np.r_[0.0, u])[:, 1]
+    y = y + 0.003 * np.random.default_rng(3).standard_normal(t.size)
+    whole = judged(Record(t, y, t + 0.004, u))
+    assert whole.tau_s == pytest.approx(0.17, rel=0.05)
+    assert whole.verdict == "ok", whole.reasons
+    thinned = judged(Record(t[::3], y[::3], t[::3] + 0.004, u[::3]))
+    assert abs(thinned.tau_s / 0.17 - 1.0) > 0.05
+    assert thinned.verdict != "ok"
