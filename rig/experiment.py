@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 import sys
 import traceback
@@ -607,6 +608,7 @@ def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, 
             "build": bench.info.build,
             "reset_cause": bench.info.reset_cause,
             "clock_ratio": bench.info.clock_ratio,
+            **({} if math.isnan(bench.info.supply_V) else {"supply_V": bench.info.supply_V}),
         },
         "failsafe": f"device watchdog, {experiment.daq.watchdog_s * 1e3:.0f} ms",
         "started_utc": started.isoformat(timespec="milliseconds"),

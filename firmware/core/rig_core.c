@@ -82,7 +82,7 @@ static void reply_hello(rig_core *core, uint16_t seq)
     uint8_t *at = put_u8(put_u8(body, board->board_id), core->reset_cause);
     at = put_u16(put_u16(at, board->adc_max), board->drive_full);
     at = put_u32(at, board->micros(board->context));
-    at = put_u8(put_u8(at, board->features), 0);
+    at = put_u8(put_u8(at, board->features), board->supply != NULL ? board->supply(board->context) : 0u);
     const char *text = board->build;
     for (uint8_t i = 0; i < RIG_BUILD_LENGTH; i++) {
         at = put_u8(at, (uint8_t)*text);

@@ -46,7 +46,7 @@ enum rig_board_id { RIG_BOARD_HOST = 1, RIG_BOARD_UNO = 2 };
 
 enum rig_reset_cause { RIG_RESET_POWER_ON = 1, RIG_RESET_EXTERNAL = 2, RIG_RESET_BROWN_OUT = 4, RIG_RESET_WATCHDOG = 8 };
 
-enum rig_feature { RIG_FEATURE_TACHOMETER = 1 };
+enum rig_feature { RIG_FEATURE_TACHOMETER = 1, RIG_FEATURE_SUPPLY = 2 };
 
 enum rig_status { RIG_STATUS_ARMED = 1, RIG_STATUS_FAULT = 2, RIG_STATUS_RECOVERING = 4, RIG_STATUS_RELAY = 8 };
 
@@ -99,6 +99,7 @@ typedef struct {
     uint8_t board_id;
     uint8_t features;
     uint16_t lag_us; /* that a frame may have waited before the core saw it: P3 counts from its arrival */
+    uint8_t (*supply)(void *context); /* motor supply, 255 for 20 V; NULL: not measured */
 } rig_board;
 
 typedef struct {

@@ -24,6 +24,7 @@ class DeviceInfo:
     emulated     True where no real motor can be behind it
     clock_ratio  device seconds for one second of the host; fixed for the run
     round_trip_s fastest exchange seen while opening, s; nan where it means nothing
+    supply_V     motor supply as the device measures it, V; nan where it does not
     """
 
     build: str
@@ -32,6 +33,7 @@ class DeviceInfo:
     emulated: bool
     clock_ratio: float = 1.0
     round_trip_s: float = math.nan
+    supply_V: float = math.nan
 
 
 class DeviceWatchdog(NamedTuple):

@@ -27,6 +27,8 @@ STATUS_RECOVERING = 4  # armed outside a hard limit: only inward drive passes
 STATUS_RELAY = 8  # the relay in the device drives
 
 FEATURE_TACHOMETER = 1
+FEATURE_SUPPLY = 2
+SUPPLY_UNIT_V = 20.0 / 255.0  # of the motor supply in HELLO
 
 RESET_CAUSES = {1: "power-on", 2: "external", 4: "brown-out", 8: "watchdog"}
 BOARDS = {1: "host", 2: "uno"}
@@ -104,8 +106,8 @@ class Hello(NamedTuple):
     adc_max      largest reading of the position sensor, counts
     drive_full   drive units at full duty
     now_us       device clock, us, wraps at 2**32
-    features     bit 0: has a tachometer channel
-    zero         reserved
+    features     bit 0: has a tachometer channel; bit 1: measures the motor supply
+    supply       the motor supply in SUPPLY_UNIT_V, where it is measured
     build        16 bytes of ASCII, zero padded
     """
 
@@ -115,7 +117,7 @@ class Hello(NamedTuple):
     drive_full: int
     now_us: int
     features: int
-    zero: int
+    supply: int
     build: bytes
 
     def pack(self) -> bytes:

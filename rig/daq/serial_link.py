@@ -31,6 +31,7 @@ _PAUSE_S = 0.002  # between two of the exchanges that measure the clock
 _ATTEMPTS = 3  # of a request outside the loop
 _LOST_DRIVES = 3  # in a row: the drive that acts is no longer the host's
 _READ_BYTES = 512
+_SUPPLY_TOLERANCE = 0.15  # of the divider in front of the converter, and of a loaded supply
 
 # Share of the wire time of a HELLO exchange that passes before the device reads its clock.
 _REQUEST_SHARE = len(frames.encode(Kind.HELLO, 1)) / (
@@ -242,6 +243,7 @@ class SerialDriver:
             emulated=emulated,
             clock_ratio=self._clock.ratio,
             round_trip_s=min(e.received_s - e.sent_s for e in exchanges),
+            supply_V=self._measured_supply_V(hello),
         )
 
     def arm(self, limits: Limits) -> None:
@@ -496,6 +498,20 @@ class SerialDriver:
             )
         if self.tachometer is not None and not hello.features & frames.FEATURE_TACHOMETER:
             raise Fault("CONFIG_MISMATCH", "the config has a section `tachometer`, but the device has no such channel")
+
+    def _measured_supply_V(self, hello: Hello) -> float:
+        """The motor supply as the device measures it now, not in its first millisecond; nan if it does not."""
+        if not hello.features & frames.FEATURE_SUPPLY:
+            return math.nan
+        now = Hello.unpack(self._request(Kind.HELLO, b"", Kind.HELLO_REPLY).body)
+        measured_V, believed_V = frames.SUPPLY_UNIT_V * now.supply, self.drive_map.supply_V
+        if abs(measured_V - believed_V) > _SUPPLY_TOLERANCE * believed_V:
+            raise Fault(
+                "CONFIG_MISMATCH",
+                f"the device measures a motor supply of {measured_V:.1f} V, drive.supply_V is {believed_V:g} V: "
+                "switch it on, or correct the config",
+            )
+        return measured_V
 
     def _time_exchanges(self) -> list[TimedExchange]:
         """Ask for the device's time again and again, for about a second.

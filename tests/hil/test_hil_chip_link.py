@@ -163,6 +163,15 @@ def test_a_tachometer_where_it_is_wired() -> None:
     assert math.isnan(without.read().v_rad_per_s)
 
 
+def test_the_motor_supply_where_it_is_wired() -> None:
+    assert driver_on(VirtualChip(QUIET, options=WIRED)).open().supply_V == pytest.approx(12.0, abs=0.1)
+    assert math.isnan(driver_on(VirtualChip(QUIET)).open().supply_V)
+    low = VirtualChip(replace(QUIET, supply_V=7.0), options=WIRED)
+    with pytest.raises(Fault, match=r"7\.0 V, drive\.supply_V is 12 V") as caught:
+        driver_on(low).open()
+    assert caught.value.code == "CONFIG_MISMATCH"
+
+
 class Booting:
     """A port whose opening resets the chip, as an Uno's does: the boot loader is silent, or says what nobody asked."""
 

@@ -74,6 +74,13 @@ static uint8_t inputs(void *context)
     return inputs_take();
 }
 
+/* Behind a divider by 4 the converter's 5 V are 20 V. */
+static uint8_t supply(void *context)
+{
+    (void)context;
+    return (uint8_t)(adc_supply() >> 2);
+}
+
 static const rig_board BOARD = {
     .context = NULL,
     .micros = micros,
@@ -86,8 +93,9 @@ static const rig_board BOARD = {
     .adc_max = ADC_MAX,
     .drive_full = BRIDGE_FULL,
     .board_id = RIG_BOARD_UNO,
-    .features = RIG_TACHOMETER ? RIG_FEATURE_TACHOMETER : 0,
+    .features = (RIG_TACHOMETER ? RIG_FEATURE_TACHOMETER : 0) | (RIG_SUPPLY ? RIG_FEATURE_SUPPLY : 0),
     .lag_us = LAG_US,
+    .supply = RIG_SUPPLY ? supply : NULL,
 };
 
 static void show(void)
