@@ -29,6 +29,7 @@ SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
 LONG_TAU_S, LONGEST_TAU_S = 2.0, 20.0
 SHORT_TAU_S, SHORTEST_TAU_S = 2e-3, 0.5e-3
 GAP_PERIODS = 5.0
+TIMED_GAP_S = 0.05  # where the times of the drive were recorded, it was held until the next one
 JUMP = 0.25  # of all the travel, in one sampling period: no motor does that
 SPIKE = 0.02  # of all the travel, by which one position stands out from its neighbours,
 SPIKE_NOISES = 10.0  # and in standard deviations of the noise
@@ -160,7 +161,10 @@ def _holes(record: Record) -> list[Objection]:
     said: list[Objection] = []
     steps = np.diff(record.t_s)
     k = int(np.argmax(steps))
-    if steps[k] > GAP_PERIODS * record.period_s:
+    allowed_s = GAP_PERIODS * record.period_s
+    if record.t_u_s is not None:
+        allowed_s = max(allowed_s, TIMED_GAP_S)
+    if steps[k] > allowed_s:
         said.append(
             Objection(
                 "doubtful",
