@@ -12,6 +12,7 @@ import select
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import serial
 
@@ -102,6 +103,42 @@ class PySerialTransport:
         """Give the port back. May be called twice."""
         self._fd = -1  # the number may soon be another file's
         self._serial.close()
+
+
+class Introduction(NamedTuple):
+    """What a device said of itself, after ``requests`` HELLOs of seq 1, 2, ..., and other replies meanwhile."""
+
+    hello: Hello
+    requests: int
+    stale_replies: int
+
+
+def await_introduction(transport: Transport, reader: frames.FrameReader, timeout_s: float) -> Introduction:
+    """Ask until the device introduces itself: it may be restarting, or in its boot loader.
+
+    Raises Fault LINK_HELLO after ``timeout_s``, LINK_VERSION, LINK_REJECTED or LINK_LOST.
+    """
+    while transport.read(0.0):
+        pass  # what an earlier run left behind
+    started_s = transport.now_s()
+    requests = stale_replies = 0
+    while transport.now_s() - started_s < timeout_s:
+        requests += 1
+        transport.write(frames.encode(Kind.HELLO, requests))
+        again_s = transport.now_s() + _HELLO_INTERVAL_S
+        while (left_s := again_s - transport.now_s()) > 0.0:
+            for packet in reader.feed(transport.read(left_s)):
+                if packet.version != frames.VERSION:
+                    raise Fault(
+                        "LINK_VERSION", f"the device speaks version {packet.version}, this rig version {frames.VERSION}"
+                    )
+                asked = 1 <= packet.seq <= requests
+                if asked and packet.kind == Kind.NACK:
+                    raise _refusal(packet)
+                if asked and packet.kind == Kind.HELLO_REPLY:
+                    return Introduction(Hello.unpack(packet.body), requests, stale_replies)
+                stale_replies += 1
+    raise Fault("LINK_HELLO", f"{requests} requests in {timeout_s:g} s, {reader.bad_frames} damaged frames came back")
 
 
 def setup_for(limits: Limits, calibration: Calibration, drive_map: DriveMap, rail_counts: tuple[int, int]) -> Setup:
@@ -455,31 +492,10 @@ class SerialDriver:
     # ------------------------------------------------------------------ meeting the device
 
     def _meet(self) -> Hello:
-        """Ask until the device answers: it may be restarting, or in its boot loader."""
-        transport = self._transport
-        while transport.read(0.0):
-            pass  # what an earlier run left behind
-        started_s = transport.now_s()
-        asked: set[int] = set()
-        while transport.now_s() - started_s < self._open_timeout_s:
-            asked.add(self._send(Kind.HELLO))
-            again_s = transport.now_s() + _HELLO_INTERVAL_S
-            while (left_s := again_s - transport.now_s()) > 0.0:
-                for packet in self._reader.feed(transport.read(left_s)):
-                    if packet.version != frames.VERSION:
-                        raise Fault(
-                            "LINK_VERSION",
-                            f"the device speaks version {packet.version}, this rig version {frames.VERSION}",
-                        )
-                    if packet.seq in asked and packet.kind == Kind.NACK:
-                        raise _refusal(packet)
-                    if packet.seq in asked and packet.kind == Kind.HELLO_REPLY:
-                        return Hello.unpack(packet.body)
-                    self._stale_replies += 1
-        raise Fault(
-            "LINK_HELLO",
-            f"{len(asked)} requests in {self._open_timeout_s:g} s, {self._reader.bad_frames} damaged frames came back",
-        )
+        introduction = await_introduction(self._transport, self._reader, self._open_timeout_s)
+        self._seq = introduction.requests
+        self._stale_replies += introduction.stale_replies
+        return introduction.hello
 
     def _check(self, hello: Hello) -> None:
         """Raise where config and device do not fit."""

@@ -13,10 +13,11 @@ from typing import NamedTuple
 import rig
 
 _PACKAGE = Path(rig.__file__).parent
+_AVR_PACKAGES = "gcc-avr avr-libc binutils-avr"
 
 
 class EmulationError(Exception):
-    """The emulated board could not be built or started; the text says why and what to do."""
+    """Firmware or emulated board could not be built or started; the text says why and what to do."""
 
 
 class HostFirmware(NamedTuple):
@@ -90,6 +91,15 @@ def build(build_folder: Path | None = None) -> HostFirmware:
     return HostFirmware(folder / "rig_host_board", folder / "librig_host.so")
 
 
+def build_uno(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None) -> Path:
+    """Build the Uno's firmware, as ``build`` does; the .hex to flash.
+
+    Raises EmulationError also where avr-gcc or its library is missing.
+    """
+    folder = _make(build_folder, ["uno", *options.variables()], {"avr-gcc": f"apt-get install {_AVR_PACKAGES}"})
+    return folder / "uno" / f"{options.name}.hex"
+
+
 def build_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None) -> ChipFirmware:
     """Build the Uno's firmware and its emulated chip, as ``build`` does.
 
@@ -97,7 +107,7 @@ def build_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None
     """
     if not (source_folder() / "emulator" / "chip.c").is_file():
         raise EmulationError("the emulated chip is in rig's repository only: run from there")
-    tools = {"avr-gcc": "apt-get install gcc-avr avr-libc binutils-avr libsimavr-dev"}
+    tools = {"avr-gcc": f"apt-get install {_AVR_PACKAGES} libsimavr-dev"}
     folder = _make(build_folder, ["chip", *options.variables()], tools)
     return ChipFirmware(folder / "uno" / f"{options.name}.hex", folder / "chip" / "librig_chip.so")
 
@@ -111,8 +121,7 @@ def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) 
     for tool, package in ({"make": cure, compiler.split()[0]: cure} | tools).items():
         if shutil.which(tool) is None:
             raise EmulationError(
-                f"the emulated board is compiled on this machine, and `{tool}` is missing: install it "
-                f"(Debian: {package})"
+                f"the firmware is compiled on this machine, and `{tool}` is missing: install it (Debian: {package})"
             )
     # an outer make's job server and flags are none of this build's business
     environment = {key: value for key, value in os.environ.items() if key not in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")}
@@ -124,8 +133,10 @@ def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) 
             made = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     except OSError as error:
         raise EmulationError(f"the firmware cannot be built in {folder}: {error}") from error
+    if "avr/io.h: No such file" in made.stderr:  # Debian's avr-gcc comes without its library
+        raise EmulationError(f"avr-gcc has no C library: install it (Debian: apt-get install {_AVR_PACKAGES})")
     if made.returncode != 0:
-        raise EmulationError(f"building the emulated board failed: `{' '.join(command)}`\n{made.stderr.strip()}")
+        raise EmulationError(f"building the firmware failed: `{' '.join(command)}`\n{made.stderr.strip()}")
     return folder
 
 
