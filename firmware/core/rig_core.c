@@ -169,18 +169,24 @@ static bool at_rail(const rig_core *core)
     return core->counts <= core->setup.rail_lo || core->counts >= core->setup.rail_hi;
 }
 
-static bool at_both_ends(const rig_core *core)
+/* Past the hard limit there, or on its end switch. */
+static bool is_high(const rig_core *core)
 {
-    return (core->inputs & ENDS) == ENDS;
+    return core->counts > core->setup.hard_hi || (core->inputs & RIG_INPUT_END_HIGH) != 0u;
 }
 
-/* 0 inside the hard limits and off the end switches, +1 above, -1 below. */
+static bool is_low(const rig_core *core)
+{
+    return core->counts < core->setup.hard_lo || (core->inputs & RIG_INPUT_END_LOW) != 0u;
+}
+
+/* Where the shaft is: 0 inside, +1 at the high end, -1 at the low end. */
 static int8_t side(const rig_core *core)
 {
-    if (core->counts > core->setup.hard_hi || (core->inputs & RIG_INPUT_END_HIGH) != 0u) {
+    if (is_high(core)) {
         return 1;
     }
-    return core->counts < core->setup.hard_lo || (core->inputs & RIG_INPUT_END_LOW) != 0u ? -1 : 0;
+    return is_low(core) ? -1 : 0;
 }
 
 /* What forbids any drive, wherever the shaft is; RIG_OK if nothing does. */
@@ -192,7 +198,8 @@ static uint8_t obstacle(const rig_core *core)
     if (at_rail(core)) {
         return RIG_E_SENSOR; /* P5 */
     }
-    return at_both_ends(core) ? RIG_E_END_SWITCH : RIG_OK; /* P9: no shaft is at both ends; a wire is broken */
+    /* P9: no shaft is at both ends. A wire is broken, or the switches are swapped, and no way is inward. */
+    return is_high(core) && is_low(core) ? RIG_E_END_SWITCH : RIG_OK;
 }
 
 static bool exceeds(uint16_t greater, uint16_t less, uint16_t by)

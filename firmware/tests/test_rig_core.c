@@ -626,6 +626,30 @@ static void test_end_switches(void)
     }
 }
 
+/* A switch that says the other end than the position does: swapped, and inward of one is outward of the other. */
+static void test_end_switch_against_the_position(void)
+{
+    static const struct {
+        uint16_t counts;
+        uint8_t contact;
+    } cases[] = {{950, RIG_INPUT_END_LOW}, {50, RIG_INPUT_END_HIGH}};
+    for (unsigned i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        armed();
+        board.counts = cases[i].counts;
+        board.inputs = cases[i].contact;
+        CHECK(send_arm() == RIG_E_END_SWITCH);
+        send_drive(50);
+        send_drive(-50);
+        CHECK(board.pin == 0);
+        board.inputs = 0;
+        CHECK(send_arm() == RIG_OK);
+        send_drive(cases[i].counts > 512 ? -50 : 50);
+        board.inputs = cases[i].contact; /* on the way in from the position's side */
+        tick();
+        check_latched(RIG_E_END_SWITCH);
+    }
+}
+
 static void test_a_board_without_inputs(void)
 {
     rig_board plain = BOARD;
@@ -703,6 +727,7 @@ int main(void)
     test_recovering_polarity();
     test_estop();
     test_end_switches();
+    test_end_switch_against_the_position();
     test_a_board_without_inputs();
     test_refusals();
     test_damaged_drive();
