@@ -1,0 +1,406 @@
+/* Any bytes, ticks, readings and contacts in any order into the whole core. A witness, which sees only what goes over
+ * the wire and what the board measures, holds it to the promises of rig_core.h after every call.
+ *
+ * An input is the board's byte (see `power_on`), then steps: the lower three bits of a step's first byte say which of
+ * `enum step`, the upper five are its `n`. tools/fuzz_corpus.py writes the same.
+ */
+#include "reference.h"
+#include "rig_core.h"
+
+enum step {
+    STEP_TICKS,    /* n + 1 ticks of 1 ms */
+    STEP_WAIT,     /* u8: 16 us each, no tick */
+    STEP_READING,  /* u16 counts, cut to the board's range */
+    STEP_CONTACTS, /* n: RIG_INPUT_* */
+    STEP_FRAME,    /* n bytes of content; its CRC and stuffing are put in */
+    STEP_DAMAGED,  /* u8 where, u8 which bits change, then as STEP_FRAME */
+    STEP_RAW,      /* n bytes as they are */
+    STEP_BOARD     /* n & 1: the board has time to stream from now on; n & 2: it is reset */
+};
+
+#define RECOVERED_COUNTS 3u
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+static struct {
+    uint32_t now_us;
+    uint16_t counts;
+    uint8_t inputs;
+    bool streams;
+    int16_t pin;
+    unsigned drives, replies, blocks; /* since the last call into the core */
+    reference_line to_host, to_device;
+    uint8_t reply[FRAME_CONTENT_MAX]; /* the last that was no block */
+    size_t reply_length;
+} board;
+
+/* What may be, from what the device was told and said. */
+static struct {
+    bool set_up;
+    bool permitted;  /* armed, and nothing since that ends it */
+    bool recovering; /* armed at an end */
+    uint16_t hard_lo, hard_hi, rail_lo, rail_hi, max_drive, watchdog_ms;
+    bool positive_raises;
+    uint32_t t_voice_us; /* of the last frame that may keep up a drive */
+} witness;
+
+static rig_core core;
+static rig_board hardware;
+
+static uint16_t u16(const uint8_t *at)
+{
+    return (uint16_t)(at[0] | ((unsigned)at[1] << 8));
+}
+
+static unsigned size_of(int units)
+{
+    return (unsigned)(units < 0 ? -units : units);
+}
+
+/* ---- the board ---- */
+
+static uint32_t give_micros(void *context)
+{
+    (void)context;
+    return board.now_us;
+}
+
+static uint16_t give_counts(void *context, uint32_t *t_us)
+{
+    (void)context;
+    *t_us = board.now_us - 60u;
+    return board.counts;
+}
+
+static uint16_t give_tachometer(void *context)
+{
+    (void)context;
+    return RIG_TACH_NONE;
+}
+
+static uint8_t give_inputs(void *context)
+{
+    (void)context;
+    return board.inputs;
+}
+
+static uint8_t give_supply(void *context)
+{
+    (void)context;
+    return 153;
+}
+
+static void take_drive(void *context, int16_t units)
+{
+    (void)context;
+    REQUIRE(size_of(units) <= hardware.drive_full);
+    board.pin = units;
+    board.drives++;
+}
+
+/* A block's rows tell drives that were allowed. */
+static void look_at_block(const uint8_t *content, size_t n)
+{
+    REQUIRE(n >= FRAME_HEADER + 10u && (n - FRAME_HEADER - 10u) % 4u == 0u);
+    for (size_t at = FRAME_HEADER + 10u; at < n; at += 4u) {
+        REQUIRE(size_of((int16_t)u16(content + at + 2)) <= witness.max_drive);
+    }
+    board.blocks++;
+}
+
+static void take_bytes(void *context, const uint8_t *bytes, uint8_t n)
+{
+    uint8_t content[FRAME_CONTENT_MAX];
+    (void)context;
+    REQUIRE(n > 0u && n <= FRAME_WIRE_MAX);
+    for (uint8_t i = 0; i < n; i++) {
+        const size_t length = reference_receive(&board.to_host, bytes[i], content);
+        REQUIRE((length != 0u) == (i + 1u == n)); /* one whole frame a call */
+        if (length != 0u && content[1] == RIG_BLOCK) {
+            look_at_block(content, length);
+        } else if (length != 0u) {
+            memcpy(board.reply, content, length);
+            board.reply_length = length;
+            board.replies++;
+        }
+    }
+}
+
+/* ---- the promises ---- */
+
+static bool is_high(void)
+{
+    return board.counts > witness.hard_hi || (board.inputs & RIG_INPUT_END_HIGH) != 0u;
+}
+
+static bool is_low(void)
+{
+    return board.counts < witness.hard_lo || (board.inputs & RIG_INPUT_END_LOW) != 0u;
+}
+
+/* After any call. */
+static void hold(void)
+{
+    if (core.latched) {
+        witness.permitted = false; /* P7: until ARM */
+    }
+    REQUIRE(board.pin == core.drive);
+    REQUIRE(!core.armed || witness.permitted);
+    REQUIRE(!core.relaying || core.armed);
+    if (board.pin != 0) {
+        REQUIRE(witness.set_up && witness.permitted && core.armed); /* P1, P7 */
+        REQUIRE(size_of(board.pin) <= witness.max_drive);           /* P2 */
+    }
+    if (core.relaying) {
+        REQUIRE(core.relay.z <= core.relay.setup.z_bound && core.relay.z >= -core.relay.setup.z_bound);
+        REQUIRE(core.blocks.pair[core.blocks.filling].n < core.blocks.rows && core.blocks.rows <= BLOCK_ROWS_MAX);
+    }
+}
+
+/* After a tick: what it has sampled ends a drive that it forbids. */
+static void hold_after_tick(void)
+{
+    hold();
+    if (witness.recovering && !is_high() && !is_low() && board.counts > witness.hard_lo + RECOVERED_COUNTS &&
+        board.counts + RECOVERED_COUNTS < witness.hard_hi) {
+        witness.recovering = false;
+    }
+    if (board.pin == 0) {
+        return;
+    }
+    REQUIRE(board.now_us - witness.t_voice_us + hardware.lag_us < witness.watchdog_ms * 1000u); /* P3 */
+    REQUIRE(board.counts > witness.rail_lo && board.counts < witness.rail_hi);                 /* P5 */
+    REQUIRE((board.inputs & RIG_INPUT_ESTOP) == 0u);                                           /* P9 */
+    REQUIRE(witness.recovering || (!is_high() && !is_low()));                                  /* P4, P9 */
+    const bool raises = (board.pin > 0) == witness.positive_raises;
+    REQUIRE(raises ? !is_high() : !is_low()); /* P6: never further out */
+}
+
+/* ---- requests and their answers ---- */
+
+static void note_setup(const uint8_t *body)
+{
+    witness.set_up = true;
+    witness.hard_lo = u16(body);
+    witness.hard_hi = u16(body + 2);
+    witness.rail_lo = u16(body + 4);
+    witness.rail_hi = u16(body + 6);
+    witness.max_drive = u16(body + 10);
+    witness.watchdog_ms = u16(body + 12);
+    witness.positive_raises = body[14] == 1u;
+    REQUIRE(memcmp(board.reply + FRAME_HEADER, body, 15) == 0); /* what is stored is what was sent */
+    REQUIRE(witness.hard_lo < witness.hard_hi && witness.rail_hi <= hardware.adc_max);
+    REQUIRE(witness.max_drive >= 1u && witness.max_drive <= hardware.drive_full);
+    REQUIRE(witness.watchdog_ms >= 1u && witness.watchdog_ms <= RIG_WATCHDOG_MAX_MS);
+}
+
+static void note_state(void)
+{
+    const uint8_t *body = board.reply + FRAME_HEADER;
+    REQUIRE(board.reply_length == FRAME_HEADER + 18u);
+    REQUIRE(u16(body + 4) == board.counts && (int16_t)u16(body + 12) == board.pin);
+    REQUIRE(((body[16] & RIG_STATUS_ARMED) != 0u) == core.armed);
+}
+
+/* A valid frame went in: what it was, what came back, and what that permits. */
+static void note_request(const uint8_t *content, size_t n, bool was_armed, bool was_relaying)
+{
+    const uint8_t type = content[1];
+    const bool whole = content[0] == RIG_PROTOCOL;
+    const bool is_silent = whole && ((type == RIG_DRIVE && n == FRAME_HEADER + 2u) || (type == RIG_KEEP && n == FRAME_HEADER));
+    REQUIRE(board.replies == (is_silent ? 0u : 1u));
+    if (is_silent) {
+        if (type == RIG_DRIVE || was_relaying) {
+            witness.t_voice_us = board.now_us;
+        }
+        return;
+    }
+    REQUIRE(memcmp(board.reply + 2, content + 2, 2) == 0); /* its seq */
+    switch (board.reply[1]) {
+    case RIG_NACK:
+        REQUIRE(board.reply[FRAME_HEADER + 1u] == type && board.drives == 0u);
+        return;
+    case RIG_SETUP | RIG_REPLY:
+        REQUIRE(!was_armed);
+        note_setup(content + FRAME_HEADER);
+        break;
+    case RIG_ARM | RIG_REPLY:
+        witness.permitted = board.reply[FRAME_HEADER] == RIG_OK && witness.set_up;
+        witness.recovering = is_high() || is_low();
+        witness.t_voice_us = board.now_us;
+        REQUIRE(board.pin == 0);
+        break;
+    case RIG_RELAY | RIG_REPLY:
+        REQUIRE(was_armed && !was_relaying && core.relaying);
+        witness.t_voice_us = board.now_us;
+        break;
+    case RIG_STOP | RIG_REPLY:
+        witness.permitted = false;
+        REQUIRE(board.pin == 0);
+        note_state();
+        break;
+    case RIG_READ | RIG_REPLY:
+        note_state();
+        break;
+    default:
+        REQUIRE(board.reply[1] == (RIG_HELLO | RIG_REPLY));
+        break;
+    }
+    REQUIRE(whole && board.reply[1] == (type | RIG_REPLY));
+}
+
+/* ---- steps ---- */
+
+static void before_call(void)
+{
+    board.drives = 0;
+    board.replies = 0;
+    board.blocks = 0;
+}
+
+static void let_stream(void)
+{
+    if (board.streams) {
+        before_call();
+        rig_stream(&core);
+        REQUIRE(board.drives == 0u && board.replies == 0u && board.blocks <= 1u);
+    }
+}
+
+static void send_byte(uint8_t byte)
+{
+    static rig_core before;
+    uint8_t content[FRAME_CONTENT_MAX];
+    memcpy(&before, &core, sizeof core);
+    before_call();
+    const size_t n = reference_receive(&board.to_device, byte, content);
+    rig_byte(&core, byte);
+    if (n != 0u) {
+        note_request(content, n, before.armed, before.relaying);
+    } else {
+        memcpy(&before.rx, &core.rx, sizeof core.rx);
+        REQUIRE(memcmp(&before, &core, sizeof core) == 0); /* P8 */
+        REQUIRE(board.drives == 0u && board.replies == 0u && board.blocks == 0u);
+    }
+    hold();
+    let_stream();
+}
+
+static void send_frame(const uint8_t *content, size_t n, size_t damage_at, uint8_t damage)
+{
+    uint8_t wire[FRAME_WIRE_MAX];
+    const uint8_t length = frame_encode(content, (uint8_t)n, wire);
+    if (length == 0u) {
+        return;
+    }
+    wire[damage_at % length] ^= damage;
+    for (uint8_t i = 0; i < length; i++) {
+        send_byte(wire[i]);
+    }
+}
+
+static void tick(void)
+{
+    board.now_us += RIG_TICK_US;
+    before_call();
+    rig_tick(&core);
+    REQUIRE(board.replies == 0u && board.blocks == 0u);
+    hold_after_tick();
+    let_stream();
+}
+
+static void reset(void)
+{
+    memset(&witness, 0, sizeof witness);
+    board.pin = 77; /* whatever the pin was */
+    board.to_device.n = 0;
+    rig_init(&core, &hardware, RIG_RESET_EXTERNAL);
+    REQUIRE(board.pin == 0); /* P1 */
+    hold();
+}
+
+static void power_on(uint8_t choice)
+{
+    static const uint16_t adc_max[4] = {1023, 4095, 65535, 255};
+    static const uint16_t drive_full[2] = {799, 32767};
+    memset(&board, 0, sizeof board);
+    memset(&core, 0, sizeof core); /* so that padding compares */
+    hardware.micros = give_micros;
+    hardware.adc_counts = give_counts;
+    hardware.tach_counts = give_tachometer;
+    hardware.set_drive = take_drive;
+    hardware.transmit = take_bytes;
+    hardware.build = "fuzz";
+    hardware.board_id = RIG_BOARD_HOST;
+    hardware.adc_max = adc_max[choice & 3u];
+    hardware.inputs = (choice & 4u) != 0u ? give_inputs : NULL;
+    hardware.supply = (choice & 8u) != 0u ? give_supply : NULL;
+    board.now_us = (choice & 16u) != 0u ? 0xFFFFFFFFu - 20000u : 5000u;
+    hardware.lag_us = (choice & 32u) != 0u ? 500u : 0u;
+    hardware.drive_full = drive_full[(choice >> 6) & 1u];
+    board.counts = hardware.adc_max / 2u;
+    board.streams = true;
+    reset();
+}
+
+/* The next `n` bytes of the input, or as many as are left; `*data` goes behind them. */
+static size_t take(const uint8_t **data, size_t *left, size_t n, const uint8_t **taken)
+{
+    const size_t got = n < *left ? n : *left;
+    *taken = *data;
+    *data += got;
+    *left -= got;
+    return got;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    static const uint8_t arguments[] = {0, 1, 2, 0, 0, 2, 0, 0}; /* bytes after the first, by step */
+    const uint8_t *first, *argument, *bytes;
+    if (take(&data, &size, 1, &first) == 0u) {
+        return 0;
+    }
+    power_on(*first);
+    while (take(&data, &size, 1, &first) == 1u) {
+        const unsigned step = *first & 7u;
+        const unsigned n = (unsigned)*first >> 3;
+        size_t length;
+        if (take(&data, &size, arguments[step], &argument) < arguments[step]) {
+            return 0;
+        }
+        switch (step) {
+        case STEP_TICKS:
+            for (unsigned i = 0; i <= n; i++) {
+                tick();
+            }
+            break;
+        case STEP_WAIT:
+            board.now_us += 16u * argument[0];
+            break;
+        case STEP_READING:
+            board.counts = (uint16_t)(u16(argument) & hardware.adc_max);
+            break;
+        case STEP_CONTACTS:
+            board.inputs = hardware.inputs != NULL ? (uint8_t)n : 0u;
+            break;
+        case STEP_FRAME:
+        case STEP_DAMAGED:
+            length = take(&data, &size, n, &bytes);
+            send_frame(bytes, length, step == STEP_DAMAGED ? argument[0] : 0u, step == STEP_DAMAGED ? argument[1] : 0u);
+            break;
+        case STEP_RAW:
+            length = take(&data, &size, n, &bytes);
+            for (size_t i = 0; i < length; i++) {
+                send_byte(bytes[i]);
+            }
+            break;
+        default: /* STEP_BOARD */
+            board.streams = (n & 1u) != 0u;
+            if ((n & 2u) != 0u) {
+                reset();
+            }
+            break;
+        }
+    }
+    return 0;
+}

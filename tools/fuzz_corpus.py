@@ -1,0 +1,197 @@
+"""The corpus that the firmware's fuzzers start from, made of frames as the host's driver sends them.
+
+    python tools/fuzz_corpus.py [FOLDER]    default: firmware/tests/corpus
+
+Writes FOLDER/core (scripts of steps for firmware/tests/fuzz_core.c) and FOLDER/frames (bytes for fuzz_frames.c), one
+file a situation. A byte for byte equal corpus comes out each time; a test holds the repository's to it.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from rig.daq.frames import Kind, RelaySetup, Setup, encode, pack_drive
+
+CORPUS = Path(__file__).resolve().parent.parent / "firmware" / "tests" / "corpus"
+
+SETUP = Setup(hard_lo=100, hard_hi=900, rail_lo=5, rail_hi=1018, centre=512, max_drive=200, watchdog_ms=20, polarity=1)
+RELAY = RelaySetup(drive=(-160, 40, -40, 160), centre=512 * 16, z_bound=30000, direction=1, rows=10)
+
+# the board's byte: 10-bit converter with contacts and supply; + what a situation changes
+BOARD = 4 | 8
+NO_CONTACTS, TWELVE_BITS, BEFORE_WRAP, LAGGING, FINE_DRIVE = -4, 1, 16, 32, 64
+ESTOP, END_LOW, END_HIGH = 1, 2, 4  # of a step `contacts`
+
+
+def step(code: int, n: int = 0, argument: bytes = b"") -> bytes:
+    """One step of fuzz_core.c's script: its code, 5 bits of `n`, and what follows."""
+    return bytes([code | n << 3]) + argument
+
+
+def ticks(count: int) -> bytes:
+    """So many ticks of 1 ms."""
+    whole, rest = divmod(count, 32)
+    return step(0, 31) * whole + (step(0, rest - 1) if rest else b"")
+
+
+def wait(us: int) -> bytes:
+    """Time that passes without a tick."""
+    return step(1, 0, bytes([us // 16]))
+
+
+def reading(counts: int) -> bytes:
+    """The position sensor's counts from now on."""
+    return step(2, 0, counts.to_bytes(2, "little"))
+
+
+def contacts(bits: int) -> bytes:
+    """The contacts that ask for a stop from now on."""
+    return step(3, bits)
+
+
+def content(kind: int, body: bytes = b"", seq: int = 7, version: int = 1) -> bytes:
+    """A packet without its CRC."""
+    return bytes([version, kind]) + seq.to_bytes(2, "little") + body
+
+
+def frame(kind: int, body: bytes = b"", seq: int = 7, version: int = 1) -> bytes:
+    """A frame whose CRC the harness puts in, so that what changes in it still counts."""
+    packet = content(kind, body, seq, version)
+    return step(4, len(packet), packet)
+
+
+def damaged(kind: int, body: bytes = b"", where: int = 3, bits: int = 0x10) -> bytes:
+    """The same with some bits of one byte on the wire changed."""
+    packet = content(kind, body)
+    return step(5, len(packet), bytes([where, bits]) + packet)
+
+
+def raw(data: bytes) -> bytes:
+    """Bytes as they are."""
+    return b"".join(step(6, len(part), part) for at in range(0, len(data), 31) for part in [data[at : at + 31]])
+
+
+def board(streams: bool = True, reset: bool = False) -> bytes:
+    """Whether the board has time to send blocks, and whether it starts anew."""
+    return step(7, streams | reset << 1)
+
+
+def drive(units: int) -> bytes:
+    """A DRIVE frame."""
+    return frame(Kind.DRIVE, pack_drive(units))
+
+
+READ, ARM, STOP, KEEP, HELLO = (frame(k) for k in (Kind.READ, Kind.ARM, Kind.STOP, Kind.KEEP, Kind.HELLO))
+
+
+def armed(setup: Setup = SETUP) -> bytes:
+    """Set up and armed."""
+    return frame(Kind.SETUP, setup.pack()) + ARM
+
+
+def relay(setup: RelaySetup = RELAY) -> bytes:
+    """A RELAY frame."""
+    return frame(Kind.RELAY, setup.pack())
+
+
+def kept(rounds: int) -> bytes:
+    """A relay that swings, kept alive."""
+    return b"".join(reading(520 - 16 * (i % 2)) + ticks(12) + KEEP for i in range(rounds))
+
+
+def core_corpus() -> dict[str, bytes]:
+    """Scripts by situation."""
+    swapped = RELAY._replace(drive=(160, -40, 40, -160))
+    falling = SETUP._replace(polarity=-1)
+    on_the_wire = encode(Kind.SETUP, 1, SETUP.pack()) + encode(Kind.ARM, 2) + encode(Kind.DRIVE, 3, pack_drive(120))
+    scripts = {
+        "hello": HELLO + READ + frame(Kind.HELLO, version=2) + frame(0x55) + frame(Kind.READ, b"\0"),
+        "drive": armed() + drive(150) + ticks(5) + READ + drive(-200) + ticks(5) + STOP + ticks(2) + drive(50) + READ,
+        "not_armed": drive(100) + READ + frame(Kind.SETUP, SETUP.pack()) + drive(100) + ticks(1) + relay() + KEEP,
+        "no_setup": ARM + drive(100) + ticks(2) + READ,
+        "beyond_range": armed() + drive(200) + ticks(1) + drive(201) + ticks(1) + drive(100) + ticks(1) + ARM
+        + drive(-201),
+        "silent": armed() + drive(100) + ticks(25) + drive(100) + ticks(2) + READ + ARM + drive(60) + ticks(3),
+        "silent_phase": armed() + wait(700) + drive(100) + wait(320) + ticks(25),
+        "read_keeps_no_drive": armed() + drive(100) + (ticks(8) + READ + KEEP) * 4,
+        "travel": armed() + drive(100) + reading(901) + ticks(1) + reading(512) + drive(90) + ticks(1) + READ,
+        "travel_low": armed() + drive(-100) + reading(99) + ticks(1) + READ + reading(512) + drive(90) + ticks(1),
+        "rail": armed() + drive(100) + reading(1018) + ticks(1) + ARM + reading(0) + ARM + reading(512)
+        + ARM + drive(5),
+        "recover": reading(950) + armed() + drive(-80) + ticks(3) + reading(905) + ticks(2) + reading(880) + ticks(2)
+        + drive(80) + ticks(2) + reading(910) + ticks(1) + READ,
+        "recover_outward": reading(950) + armed() + drive(80) + ticks(1) + ARM + drive(-80) + reading(990) + ticks(2),
+        "recover_low": reading(60) + armed(falling) + drive(-80) + ticks(3) + reading(120) + ticks(1)
+        + drive(80) + ticks(1),
+        "end_switch": armed() + drive(100) + contacts(END_HIGH) + ticks(1) + ARM + drive(-50) + ticks(2) + contacts(0)
+        + ticks(2) + drive(50) + ticks(1) + contacts(END_LOW) + ticks(1),
+        "end_switch_outward": contacts(END_LOW) + armed() + drive(-50) + ticks(2),
+        "both_ends": contacts(END_LOW | END_HIGH) + armed() + drive(10) + ticks(1),
+        "switch_against_position": reading(950) + contacts(END_LOW) + armed() + drive(-50) + ticks(3),
+        "position_against_switch": contacts(END_HIGH) + armed() + drive(-50) + ticks(1) + reading(60) + ticks(2),
+        "estop": armed() + drive(100) + ticks(1) + contacts(ESTOP) + ticks(1) + ARM + contacts(0) + drive(60)
+        + ticks(1) + ARM,
+        "setup_while_armed": armed() + drive(100) + frame(Kind.SETUP, SETUP._replace(max_drive=700).pack())
+        + drive(300),
+        "setup_refused": frame(Kind.SETUP, SETUP._replace(rail_hi=2000).pack())
+        + frame(Kind.SETUP, SETUP._replace(watchdog_ms=0).pack()) + ARM + drive(100),
+        "relay": armed() + relay() + kept(6) + STOP + READ,
+        "relay_silent": armed() + relay() + ticks(30) + READ,
+        "relay_read_keeps_nothing": armed() + relay() + (ticks(8) + READ) * 4,
+        "relay_then_drive": armed() + relay() + kept(2) + drive(70) + ticks(4) + relay() + kept(1) + ARM
+        + relay() + kept(1),
+        "relay_refused": armed() + relay(RELAY._replace(drive=(-300, 0, 0, 160))) + relay(swapped)
+        + relay(RELAY._replace(rows=11)) + relay(RELAY._replace(centre=2**31)) + relay(RELAY._replace(z_bound=0)),
+        "relay_limit": armed() + relay() + kept(1) + reading(950) + ticks(2) + ARM + relay() + drive(-50) + ticks(1),
+        "relay_bound": armed() + relay(RELAY._replace(z_bound=500)) + kept(2) + STOP,
+        "relay_falling": armed(falling) + relay(swapped) + kept(2) + contacts(ESTOP) + READ,
+        "relay_not_streamed": armed() + relay() + board(streams=False) + kept(3) + board() + ticks(1) + STOP,
+        "relay_off_grid": armed() + relay() + ticks(4) + wait(300) + ticks(4) + KEEP + wait(160) + ticks(11),
+        "reset": armed() + drive(100) + board(reset=True) + drive(100) + ticks(1) + ARM,
+        "damaged": damaged(Kind.SETUP, SETUP.pack()) + armed() + damaged(Kind.DRIVE, pack_drive(90)) + ticks(1)
+        + damaged(Kind.DRIVE, pack_drive(90), where=9, bits=0) + ticks(1),
+        "on_the_wire": raw(on_the_wire) + ticks(2) + raw(on_the_wire[:20] + on_the_wire) + ticks(2),
+        "too_long": raw(b"\x41" * 70 + b"\0" + on_the_wire) + ticks(1),
+    }  # fmt: skip
+    twelve = SETUP._replace(hard_lo=400, hard_hi=3600, rail_lo=20, rail_hi=4075, centre=2048)
+    fine = SETUP._replace(max_drive=32767)
+    on_boards = {
+        "no_contacts": (NO_CONTACTS, armed() + contacts(ESTOP) + drive(100) + ticks(3)),
+        "twelve_bits": (TWELVE_BITS, armed(twelve) + drive(100) + reading(3601) + ticks(2)),
+        "clock_wraps": (BEFORE_WRAP, armed() + ticks(10) + drive(100) + ticks(15) + drive(90) + ticks(25)),
+        "lagging": (LAGGING, armed() + drive(100) + ticks(25)),
+        "fine_drive": (FINE_DRIVE, armed(fine) + drive(-32767) + ticks(1) + drive(-32768) + ticks(1)),
+    }
+    plain = {name: (0, script) for name, script in scripts.items()}
+    return {name: bytes([BOARD + change]) + script for name, (change, script) in (plain | on_boards).items()}
+
+
+def frames_corpus() -> dict[str, bytes]:
+    """Bytes on the wire, and contents behind two bytes that say where the encoded frame is damaged and how."""
+    setup, relay_frame = encode(Kind.SETUP, 1, SETUP.pack()), encode(Kind.RELAY, 9, RELAY.pack())
+    return {
+        "read": encode(Kind.READ, 1),
+        "run_in": setup + encode(Kind.ARM, 2) + encode(Kind.DRIVE, 3, pack_drive(-120)) + encode(Kind.READ, 4),
+        "relay": b"\0" + relay_frame + encode(Kind.KEEP, 10),
+        "cut": setup[9:] + setup[:7] + setup,
+        "longest": encode(0x55, 1, b"\x55" * 58) + b"\x41" * 70 + b"\0" + setup,
+        "past_end": b"\x09\x01\x02\0" + b"\x04\x01\x04\x03\0" + encode(Kind.READ, 1),
+        "content": b"\x03\x10" + content(Kind.SETUP, SETUP.pack()),
+        "zeros": b"\x02\x01" + b"\0" * 62,
+    }
+
+
+def write(folder: Path) -> None:
+    """Write both, and remove files that are no longer of them."""
+    for name, files in (("core", core_corpus()), ("frames", frames_corpus())):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        for old in (folder / name).iterdir():
+            if old.name not in files:
+                old.unlink()
+        for file, data in files.items():
+            (folder / name / file).write_bytes(data)
+
+
+if __name__ == "__main__":
+    write(Path(sys.argv[1]) if len(sys.argv) > 1 else CORPUS)
