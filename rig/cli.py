@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -346,6 +347,64 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None) -> None:
         click.echo(f"emulated device on {link or port}; set daq.port to it in another terminal. Ctrl-C ends it.")
         while stop.reason is None:
             time.sleep(0.1)
+
+
+@main.command()
+@click.option("--port", default=None, help="Serial port; default: the one Uno or clone that is plugged in.")
+@click.option(
+    "--baud", type=click.Choice(["115200", "1000000"]), default="115200", show_default=True,
+    help="That the firmware speaks; daq.baud in the config.",
+)  # fmt: skip
+@click.option(
+    "--bridge", type=click.Choice(["pwm-dir", "in1-in2"]), default="pwm-dir", show_default=True,
+    help="Inputs of the H-bridge: docs/real-bench.md.",
+)  # fmt: skip
+@click.option("--tachometer", is_flag=True, help="A tachometer is wired to A1.")
+@click.option("--supply", is_flag=True, help="The motor supply is wired to A2, through a divider by 4.")
+@click.option("--end-switches", is_flag=True, help="End switches are wired to D5 and D6.")
+@click.option(
+    "--hex", "hex_file", type=click.Path(path_type=Path, exists=True, dir_okay=False), default=None,
+    help="Built already; default: built here, for the options above.",
+)  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Build, and say what would be run; touch no board.")
+def flash(
+    port: str | None,
+    baud: str,
+    bridge: str,
+    tachometer: bool,
+    supply: bool,
+    end_switches: bool,
+    hex_file: Path | None,
+    dry_run: bool,
+) -> None:
+    """Build the Arduino Uno's firmware, write it to the board with avrdude, and ask the board who it is.
+
+    Switch the motor's supply off before: while a board is written, its pins float.
+    """
+    from rig import flash as uno
+    from rig.emulate.firmware_build import UnoOptions, build_uno
+
+    options = UnoOptions(bridge.upper().replace("-", "_"), int(baud), tachometer, supply, end_switches)
+    if hex_file is not None and options != UnoOptions(baud=int(baud)):
+        _fail(EXIT_BAD_INPUT, "a .hex that is built already takes no options but --baud", "leave them out, or --hex")
+    try:
+        with _faults():
+            avrdude = uno.find_avrdude()
+            if port is None:
+                found = uno.only_candidate(uno.serial_ports())
+                click.echo(f"found: {found}")
+                port = found.device
+            command = uno.avrdude_command(avrdude, port, hex_file or build_uno(options))
+            if dry_run:
+                click.echo(f"would run: {shlex.join(command)}")
+                return
+            uno.check_port(port)
+            click.echo(f"running: {shlex.join(command)}")
+            uno.write(command, port, partial(click.echo, nl=False, err=True))
+            click.echo("written; waiting for the board to answer ...")
+            click.echo(f"{port}: {uno.in_words(uno.meet(port, int(baud)))}")
+    except uno.FlashError as error:
+        _fail(error.status, error.cause, error.cure)
 
 
 @main.command()
