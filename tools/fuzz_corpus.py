@@ -119,6 +119,7 @@ def core_corpus() -> dict[str, bytes]:
         "travel_low": armed() + drive(-100) + reading(99) + ticks(1) + READ + reading(512) + drive(90) + ticks(1),
         "rail": armed() + drive(100) + reading(1018) + ticks(1) + ARM + reading(0) + ARM + reading(512)
         + ARM + drive(5),
+        "rail_within_limits": armed(SETUP._replace(hard_hi=1021)) + drive(100) + reading(1019) + ticks(1),
         "recover": reading(950) + armed() + drive(-80) + ticks(3) + reading(905) + ticks(2) + reading(880) + ticks(2)
         + drive(80) + ticks(2) + reading(910) + ticks(1) + READ,
         "recover_outward": reading(950) + armed() + drive(80) + ticks(1) + ARM + drive(-80) + reading(990) + ticks(2),
@@ -141,8 +142,9 @@ def core_corpus() -> dict[str, bytes]:
         "relay_read_keeps_nothing": armed() + relay() + (ticks(8) + READ) * 4,
         "relay_then_drive": armed() + relay() + kept(2) + drive(70) + ticks(4) + relay() + kept(1) + ARM
         + relay() + kept(1),
-        "relay_refused": armed() + relay(RELAY._replace(drive=(-300, 0, 0, 160))) + relay(swapped)
-        + relay(RELAY._replace(rows=11)) + relay(RELAY._replace(centre=2**31)) + relay(RELAY._replace(z_bound=0)),
+        "relay_refused": reading(520) + armed() + relay(RELAY._replace(drive=(-300, 0, 0, 160))) + relay(swapped)
+        + relay(RELAY._replace(rows=11)) + relay(RELAY._replace(centre=2**31)) + relay(RELAY._replace(z_bound=0))
+        + ticks(2),
         "relay_limit": armed() + relay() + kept(1) + reading(950) + ticks(2) + ARM + relay() + drive(-50) + ticks(1),
         "relay_bound": armed() + relay(RELAY._replace(z_bound=500)) + kept(2) + STOP,
         "relay_falling": armed(falling) + relay(swapped) + kept(2) + contacts(ESTOP) + READ,
@@ -160,7 +162,7 @@ def core_corpus() -> dict[str, bytes]:
         "no_contacts": (NO_CONTACTS, armed() + contacts(ESTOP) + drive(100) + ticks(3)),
         "twelve_bits": (TWELVE_BITS, armed(twelve) + drive(100) + reading(3601) + ticks(2)),
         "clock_wraps": (BEFORE_WRAP, armed() + ticks(10) + drive(100) + ticks(15) + drive(90) + ticks(25)),
-        "lagging": (LAGGING, armed() + drive(100) + ticks(25)),
+        "lagging": (LAGGING, armed() + drive(100) + wait(704) + ticks(25)),
         "fine_drive": (FINE_DRIVE, armed(fine) + drive(-32767) + ticks(1) + drive(-32768) + ticks(1)),
     }
     plain = {name: (0, script) for name, script in scripts.items()}
@@ -170,12 +172,13 @@ def core_corpus() -> dict[str, bytes]:
 def frames_corpus() -> dict[str, bytes]:
     """Bytes on the wire, and contents behind two bytes that say where the encoded frame is damaged and how."""
     setup, relay_frame = encode(Kind.SETUP, 1, SETUP.pack()), encode(Kind.RELAY, 9, RELAY.pack())
+    longest = encode(0x55, 1, b"\x55" * 58)
     return {
         "read": encode(Kind.READ, 1),
         "run_in": setup + encode(Kind.ARM, 2) + encode(Kind.DRIVE, 3, pack_drive(-120)) + encode(Kind.READ, 4),
         "relay": b"\0" + relay_frame + encode(Kind.KEEP, 10),
         "cut": setup[9:] + setup[:7] + setup,
-        "longest": encode(0x55, 1, b"\x55" * 58) + b"\x41" * 70 + b"\0" + setup,
+        "longest": longest + longest[:-1] + b"\x41\0" + b"\x41" * 70 + b"\0" + setup,
         "past_end": b"\x09\x01\x02\0" + b"\x04\x01\x04\x03\0" + encode(Kind.READ, 1),
         "content": b"\x03\x10" + content(Kind.SETUP, SETUP.pack()),
         "zeros": b"\x02\x01" + b"\0" * 62,

@@ -27,6 +27,10 @@ need avr-gcc gcc-avr
 need avr-objcopy binutils-avr
 need /usr/lib/avr/include/avr/io.h avr-libc
 need /usr/include/simavr/sim_avr.h libsimavr-dev
+# static analysis and fuzzing of the firmware
+need cppcheck cppcheck
+need clang clang
+need "$(clang -print-resource-dir 2>/dev/null)/lib/linux/libclang_rt.fuzzer-$(uname -m).a" libclang-rt-dev
 install_missing
 if ! "$PYTHON" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
     echo "setup: $PYTHON is older than 3.11; set PYTHON=/path/to/python3.11 or newer" >&2

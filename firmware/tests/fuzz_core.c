@@ -19,6 +19,7 @@ enum step {
 };
 
 #define RECOVERED_COUNTS 3u
+#define OUTWARD_DIVISOR 32 /* of the hard range: so far out is a wrong polarity */
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
@@ -38,7 +39,8 @@ static struct {
 static struct {
     bool set_up;
     bool permitted;  /* armed, and nothing since that ends it */
-    bool recovering; /* armed at an end */
+    int recovering;  /* the end at which it was armed, +1 or -1, or 0 */
+    uint16_t outmost; /* counts, while recovering: as far out as it was without a drive */
     uint16_t hard_lo, hard_hi, rail_lo, rail_hi, max_drive, watchdog_ms;
     bool positive_raises;
     uint32_t t_voice_us; /* of the last frame that may keep up a drive */
@@ -138,6 +140,23 @@ static bool is_low(void)
     return board.counts < witness.hard_lo || (board.inputs & RIG_INPUT_END_LOW) != 0u;
 }
 
+static int end(void)
+{
+    if (is_high()) {
+        return 1;
+    }
+    return is_low() ? -1 : 0;
+}
+
+/* A sample was taken: without a drive the shaft may still coast outward. */
+static void note_sample(void)
+{
+    const bool out = witness.recovering > 0 ? board.counts > witness.outmost : board.counts < witness.outmost;
+    if (board.pin == 0 && out) {
+        witness.outmost = board.counts;
+    }
+}
+
 /* After any call. */
 static void hold(void)
 {
@@ -161,19 +180,24 @@ static void hold(void)
 static void hold_after_tick(void)
 {
     hold();
-    if (witness.recovering && !is_high() && !is_low() && board.counts > witness.hard_lo + RECOVERED_COUNTS &&
+    if (end() == 0 && board.counts > witness.hard_lo + RECOVERED_COUNTS &&
         board.counts + RECOVERED_COUNTS < witness.hard_hi) {
-        witness.recovering = false;
+        witness.recovering = 0;
     }
+    note_sample();
     if (board.pin == 0) {
         return;
     }
     REQUIRE(board.now_us - witness.t_voice_us + hardware.lag_us < witness.watchdog_ms * 1000u); /* P3 */
     REQUIRE(board.counts > witness.rail_lo && board.counts < witness.rail_hi);                 /* P5 */
     REQUIRE((board.inputs & RIG_INPUT_ESTOP) == 0u);                                           /* P9 */
-    REQUIRE(witness.recovering || (!is_high() && !is_low()));                                  /* P4, P9 */
+    REQUIRE(end() == witness.recovering || end() == 0);                                        /* P4, P9 */
     const bool raises = (board.pin > 0) == witness.positive_raises;
-    REQUIRE(raises ? !is_high() : !is_low()); /* P6: never further out */
+    REQUIRE(raises ? !is_high() : !is_low()); /* P6: never further out, nor does the shaft go there */
+    if (witness.recovering != 0) {
+        const int outward = witness.recovering * ((int)board.counts - (int)witness.outmost);
+        REQUIRE(outward <= (witness.hard_hi - witness.hard_lo) / OUTWARD_DIVISOR);
+    }
 }
 
 /* ---- requests and their answers ---- */
@@ -225,8 +249,10 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
         note_setup(content + FRAME_HEADER);
         break;
     case RIG_ARM | RIG_REPLY:
-        witness.permitted = board.reply[FRAME_HEADER] == RIG_OK && witness.set_up;
-        witness.recovering = is_high() || is_low();
+        REQUIRE((board.reply[FRAME_HEADER] == RIG_E_NO_SETUP) == !witness.set_up);
+        witness.permitted = board.reply[FRAME_HEADER] == RIG_OK;
+        witness.recovering = end();
+        witness.outmost = board.counts;
         witness.t_voice_us = board.now_us;
         REQUIRE(board.pin == 0);
         break;
@@ -241,6 +267,7 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
         break;
     case RIG_READ | RIG_REPLY:
         note_state();
+        note_sample();
         break;
     default:
         REQUIRE(board.reply[1] == (RIG_HELLO | RIG_REPLY));

@@ -1,0 +1,93 @@
+"""The firmware's core under any bytes, ticks, readings and contacts; and that the harness notices broken promises."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import fuzz_corpus
+from rig.emulate.firmware_build import source_folder
+
+# What the device promises (rig_core.h), each taken out of the source at one place: file, text, and what stands there
+# instead.
+DEFECTS = {
+    "CRC not looked at": ("frames.c", "sent == frame_crc16(bytes, content) ? content : 0", "content"),
+    "too long a frame taken": ("frames.c", "rx->overflow ? 0u : check(", "check("),
+    "code that points past the end": ("frames.c", "code - 1u > (uint8_t)(n - in)", "false"),
+    "P1 armed without set-up": ("rig_core.c", "if (!core->has_setup)", "if (false)"),
+    "P1 drives without being armed": ("rig_core.c", "core->fault = RIG_E_NOT_ARMED;", "act(core, units);"),
+    "P2 any negative drive": ("rig_core.c", "if (units > most || units < -most)", "if (units > most)"),
+    "P2 any drive of the relay": ("rig_core.c", "wanted->drive[i] < -most", "false"),
+    "P3 no watchdog": ("rig_core.c", "latch(core, RIG_E_WATCHDOG);", ""),
+    "P3 counts from when the core looks": ("rig_core.c", "silent_us + core->board->lag_us", "silent_us"),
+    "P3 kept up by READ": ("rig_core.c", "if (core->drive == 0 && !core->relaying)", "if (true)"),
+    "P4 no limits": ("rig_core.c", "    if (side(core) != 0) {\n        latch", "    if (false) {\n        latch"),
+    "P5 no upper rail": ("rig_core.c", "core->counts >= core->setup.rail_hi", "false"),
+    "P6 outward drive": ("rig_core.c", "raises == (core->recovering > 0)", "false"),
+    "P6 outward under inward drive": ("rig_core.c", "if (moves_outward(core))", "if (false)"),
+    "P7 a fault leaves it armed": (
+        "rig_core.c",
+        "    disarm(core);\n    core->latched = true;",
+        "    core->latched = true;",
+    ),
+    "P9 no e-stop": ("rig_core.c", "(core->inputs & RIG_INPUT_ESTOP) != 0u", "false"),
+    "P9 swapped end switches": ("rig_core.c", "is_high(core) && is_low(core)", "false"),
+    "limits changed under drive": ("rig_core.c", "core->armed || !is_valid", "!is_valid"),
+    "STOP leaves it armed": ("rig_core.c", "    disarm(core);\n    read_sensors", "    read_sensors"),
+    "relay without a bound": ("relay.c", "if (z > bound)", "if (false)"),
+    "one row too many": ("blocks.c", "now->n >= b->rows", "now->n > b->rows"),
+}
+
+
+def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    environment = {key: value for key, value in os.environ.items() if key not in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")}
+    command = ["make", "-s", "-C", str(folder), *words]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_the_corpus_is_what_the_drivers_frames_make_of_it(tmp_path: Path) -> None:
+    fuzz_corpus.write(tmp_path)
+    fresh = {path.relative_to(tmp_path): path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    kept = fuzz_corpus.CORPUS
+    assert {path.relative_to(kept): path.read_bytes() for path in kept.rglob("*") if path.is_file()} == fresh
+
+
+def test_a_short_run_breaks_nothing(tmp_path: Path) -> None:
+    made = make(source_folder(), "fuzz", "SECONDS=3", f"BUILD={tmp_path}")
+    assert made.returncode == 0, made.stdout + made.stderr
+    inputs = dict(
+        re.findall(r"^fuzz_(\w+): (\d+) inputs in \d+ s, \d+ edges, nothing broken$", made.stdout, re.MULTILINE)
+    )
+    assert set(inputs) == {"frames", "core"}
+    assert all(int(count) > 1000 for count in inputs.values()), inputs
+
+
+@pytest.fixture(scope="module")
+def firmware(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the sources, to put a defect in."""
+    folder = tmp_path_factory.mktemp("sources") / "firmware"
+    shutil.copytree(source_folder(), folder)
+    made = make(folder, "replay", f"BUILD={folder / 'build'}", "CFLAGS=-O0")
+    assert made.returncode == 0, made.stdout + made.stderr  # as it is, the corpus breaks nothing
+    return folder
+
+
+@pytest.mark.parametrize("name", DEFECTS)
+def test_the_corpus_alone_finds(name: str, firmware: Path) -> None:
+    file, text, instead = DEFECTS[name]
+    source = firmware / "core" / file
+    sound = source.read_text()
+    assert sound.count(text) == 1, f"{text!r} is not (only) at one place of {file} any more"
+    try:
+        source.write_text(sound.replace(text, instead))
+        harness = "frames" if file == "frames.c" else "core"
+        quick = "CFLAGS=-O0", "WARNINGS=-w", f"HARNESSES={harness}"
+        made = make(firmware, "replay", f"BUILD={firmware / 'build'}", *quick)
+        assert made.returncode != 0 and ": broken: " in made.stderr, made.stderr
+    finally:
+        source.write_text(sound)
