@@ -1,5 +1,5 @@
 # `make help` lists the targets. Everything is installed into .venv.
-CONFIG ?= config/demo.yaml
+CONFIG ?= config/demo$(if $(CHIP),-chip).yaml
 RIG := .venv/bin/rig
 
 .PHONY: help demo test check format bench paper firmware lock clean
@@ -7,7 +7,7 @@ RIG := .venv/bin/rig
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
 
-demo: .venv/.ready firmware  ## the whole experiment in real time, on the emulated serial device
+demo: .venv/.ready firmware  ## the whole experiment in real time, on the emulated serial device; CHIP=1: on the Uno's emulated chip
 	$(RIG) run $(CONFIG)
 
 test: check firmware  ## check, then every test, the firmware's own included

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from rig.config.preflight import reaction_periods
+from rig.config.preflight import CHIP_PORTS, reaction_periods
 from rig.config.schema import Experiment
 from rig.control.guard import GuardSettings
 from rig.daq import registry
@@ -15,6 +15,7 @@ from rig.daq.calibration import Calibration, DriveMap, TachometerScale
 from rig.daq.driver import Clock, DeviceInfo, Driver, Transport
 from rig.daq.serial_link import PySerialTransport, SerialDriver
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
+from rig.emulate.chip_board import ChipBoard
 from rig.emulate.host_board import HostBoard
 from rig.emulate.virtual_chip import VirtualChip
 from rig.faults import Fault
@@ -110,6 +111,11 @@ def connect(experiment: Experiment) -> Iterator[Bench]:
                 raise ValueError("port `emulated` needs the section `emulated`")
             with emulated_board(experiment) as port:
                 yield from _serial(experiment, port, truth)
+        elif daq.port == "emulated-chip-realtime":
+            if truth is None:
+                raise ValueError("port `emulated-chip-realtime` needs the section `emulated`")
+            with emulated_board(experiment) as port:
+                yield from _serial(experiment, port, truth, emulated=True)
         elif daq.port == "emulated-chip":
             if truth is None:
                 raise ValueError("port `emulated-chip` needs the section `emulated`")
@@ -124,16 +130,25 @@ def connect(experiment: Experiment) -> Iterator[Bench]:
 
 
 @contextmanager
-def emulated_board(experiment: Experiment, link: Path | None = None, trace: Path | None = None) -> Iterator[str]:
+def emulated_board(
+    experiment: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+) -> Iterator[str]:
     """The emulated serial device of the config, running for the block; yields the path of its port.
 
+    chip  the Uno's firmware on its emulated chip, as where the config's port asks for that; else the firmware's core
+          on this machine
     Raises EmulationError where it cannot be built or started.
     """
     if experiment.emulated is None:
         raise ValueError("the config has no section `emulated`")
     tachometer = None if experiment.tachometer is None else experiment.tachometer.model_dump()
-    with HostBoard() as board:
-        yield board.start(experiment.emulated.model_dump(), experiment.seed, link, trace, tachometer)
+    emulated, seed = experiment.emulated.model_dump(), experiment.seed
+    if chip or experiment.daq.port in CHIP_PORTS:
+        with ChipBoard() as uno:
+            yield uno.start(emulated, seed, link, trace, tachometer, experiment.daq.baud)
+    else:
+        with HostBoard() as board:
+            yield board.start(emulated, seed, link, trace, tachometer)
 
 
 def emulated_chip(experiment: Experiment) -> VirtualChip:
@@ -149,8 +164,11 @@ def emulated_chip(experiment: Experiment) -> VirtualChip:
     )
 
 
-def _serial(experiment: Experiment, port: str, truth: BenchParameters | None) -> Iterator[Bench]:
-    driver = _driver(experiment, PySerialTransport(port, experiment.daq.baud), f"serial:{port}")
+def _serial(
+    experiment: Experiment, port: str, truth: BenchParameters | None, *, emulated: bool = False
+) -> Iterator[Bench]:
+    transport = PySerialTransport(port, experiment.daq.baud)
+    driver = _driver(experiment, transport, f"serial:{port}", emulated=emulated)
     yield from _opened(driver, MonotonicClock(), truth, experiment.daq.accept_no_watchdog)
 
 

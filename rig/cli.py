@@ -334,7 +334,8 @@ def campaign(
 @CONFIG
 @click.option("--link", type=click.Path(path_type=Path), default=None, help="Name to give the port (a symbolic link).")
 @click.option("--trace", type=click.Path(path_type=Path), default=None, help="CSV of the drive at the pin over time.")
-def emulate(config_path: Path, link: Path | None, trace: Path | None) -> None:
+@click.option("--chip", is_flag=True, help="The Uno's firmware on its emulated chip; it takes daq.baud.")
+def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool) -> None:
     """Run the emulated device of a config until Ctrl-C."""
     from rig.bench import emulated_board
 
@@ -343,7 +344,7 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None) -> None:
         _fail(EXIT_BAD_INPUT, f"{config_path}: no section emulated", "add one; config/demo.yaml shows how")
     from rig.loop.stop_request import stop_on_signals
 
-    with stop_on_signals() as stop, _faults(), emulated_board(experiment, link, trace) as port:
+    with stop_on_signals() as stop, _faults(), emulated_board(experiment, link, trace, chip=chip) as port:
         click.echo(f"emulated device on {link or port}; set daq.port to it in another terminal. Ctrl-C ends it.")
         while stop.reason is None:
             time.sleep(0.1)

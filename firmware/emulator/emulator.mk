@@ -1,27 +1,27 @@
 # The Uno's chip with the bench around it; needs libsimavr-dev. For tests only (libsimavr is GPL 3).
 #   make chip    in virtual time a shared library, in real time a process
 #   make load    what the firmware takes of the chip: stack, interrupts; part of `make size`
-CHIP := $(BUILD)/chip
+CHIP_OUT := $(BUILD)/chip
 CHIP_SOURCES := emulator/chip.c boards/host/bench.c
 CHIP_HEADERS := emulator/chip.h boards/host/bench.h boards/host/process.h Makefile emulator/emulator.mk
 CHIP_CC = $(CC) $(CPPFLAGS) $(CFLAGS) -Wno-pedantic -isystem /usr/include/simavr
 
 .PHONY: chip load
-chip: $(CHIP)/librig_chip.so $(CHIP)/rig_chip_board $(UNO).hex
+chip: $(CHIP_OUT)/librig_chip.so $(CHIP_OUT)/rig_chip_board $(UNO).hex
 
-$(CHIP)/librig_chip.so: $(CHIP_SOURCES) $(CHIP_HEADERS) | $(CHIP)
+$(CHIP_OUT)/librig_chip.so: $(CHIP_SOURCES) $(CHIP_HEADERS) | $(CHIP_OUT)
 	$(CHIP_CC) -shared -o $@ $(CHIP_SOURCES) $(LDFLAGS) -lsimavr -lm
 
-$(CHIP)/rig_chip_board: emulator/main.c $(CHIP_SOURCES) $(PROCESS) $(CHIP_HEADERS) | $(CHIP)
+$(CHIP_OUT)/rig_chip_board: emulator/main.c $(CHIP_SOURCES) $(PROCESS) $(CHIP_HEADERS) | $(CHIP_OUT)
 	$(CHIP_CC) -o $@ emulator/main.c $(CHIP_SOURCES) $(PROCESS) $(LDFLAGS) -lsimavr -lm
 
-$(CHIP)/report: emulator/report.c $(CHIP_SOURCES) $(CORE) $(CHIP_HEADERS) $(HEADERS) | $(CHIP)
+$(CHIP_OUT)/report: emulator/report.c $(CHIP_SOURCES) $(CORE) $(CHIP_HEADERS) $(HEADERS) | $(CHIP_OUT)
 	$(CHIP_CC) -o $@ emulator/report.c $(CHIP_SOURCES) core/frames.c $(LDFLAGS) -lsimavr -lm
 
-$(CHIP):
+$(CHIP_OUT):
 	mkdir -p $@
 
-load: $(CHIP)/report $(UNO).hex
-	@$(CHIP)/report $(UNO).hex $(BAUD)
+load: $(CHIP_OUT)/report $(UNO).hex
+	@$(CHIP_OUT)/report $(UNO).hex $(BAUD)
 
 size: load

@@ -39,7 +39,8 @@ _MOTION_COUNTS = 3  # below this the sensor's last digit would pass for motion
 _SLACK = 1e-9  # relative: 0.1 s is ten periods of 0.01 s, whatever the binary fractions say
 
 
-EMULATED_PORTS = ("emulated", "emulated-chip")
+CHIP_PORTS = ("emulated-chip", "emulated-chip-realtime")
+EMULATED_PORTS = ("emulated", *CHIP_PORTS)
 CHIP_BAUDS = (115200, 1_000_000)  # that the Uno's firmware is built for
 
 
@@ -75,7 +76,7 @@ def _backend(e: Experiment) -> Iterator[Problem]:
         yield _problem("emulated", "`driver: simulated` needs this section", "describe the bench: see config/demo.yaml")
     if e.emulated is None and d.driver == "serial" and d.port in EMULATED_PORTS:
         yield _problem("emulated", f"`port: {d.port}` needs this section", "describe the bench: see config/demo.yaml")
-    if d.port == "emulated-chip" and d.baud not in CHIP_BAUDS:
+    if d.port in CHIP_PORTS and d.baud not in CHIP_BAUDS:
         yield _problem("daq.baud", f"the Uno's firmware does not speak {d.baud} baud", "115200 or 1000000")
 
 
@@ -569,6 +570,8 @@ def _backend_words(e: Experiment) -> str:
         return "a simulation in virtual time, no device, nothing moves"
     if e.daq.port == "emulated-chip":
         return f"the Uno's emulated chip with its firmware, {e.daq.baud} baud, virtual time, nothing moves"
+    if e.daq.port == "emulated-chip-realtime":
+        return f"the Uno's emulated chip with its firmware, {e.daq.baud} baud, real time, nothing moves"
     if e.daq.port == "emulated":
         return f"an emulated device behind a pseudo-terminal, {e.daq.baud} baud, real time, nothing moves"
     return f"a REAL MOTOR behind the serial port {e.daq.port}, {e.daq.baud} baud"

@@ -38,7 +38,8 @@ class Daq(_Section):
     port: str | None = Field(
         None,
         description="serial port such as /dev/ttyACM0; or `emulated`: start the device of section `emulated`; "
-        "or `emulated-chip`: the Uno's firmware on its emulated chip, in virtual time, with that bench behind it",
+        "or, with that bench behind it, the Uno's firmware on its emulated chip: `emulated-chip` in virtual time, "
+        "`emulated-chip-realtime` in real time",
     )
     baud: Annotated[int, Field(ge=9600, le=4_000_000)] = Field(
         115200, description="bits per second of the serial link, as the firmware was built"

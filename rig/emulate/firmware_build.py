@@ -62,10 +62,11 @@ PLAIN_UNO = UnoOptions()
 
 
 class ChipFirmware(NamedTuple):
-    """What the build gives: the very .hex that is flashed, and the shared library of the emulated chip."""
+    """What the build gives: the very .hex that is flashed, and the emulated chip, for virtual time and as a process."""
 
     hex: Path
     library: Path
+    program: Path
 
 
 def source_folder() -> Path:
@@ -109,7 +110,8 @@ def build_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None
         raise EmulationError("the emulated chip is in rig's repository only: run from there")
     tools = {"avr-gcc": f"apt-get install {_AVR_PACKAGES} libsimavr-dev"}
     folder = _make(build_folder, ["chip", *options.variables()], tools)
-    return ChipFirmware(folder / "uno" / f"{options.name}.hex", folder / "chip" / "librig_chip.so")
+    chip = folder / "chip"
+    return ChipFirmware(folder / "uno" / f"{options.name}.hex", chip / "librig_chip.so", chip / "rig_chip_board")
 
 
 def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) -> Path:

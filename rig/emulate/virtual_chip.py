@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, Self
 
 from rig.emulate import firmware_build
 from rig.emulate.device_options import device_options
-from rig.emulate.firmware_build import PLAIN_UNO, EmulationError, UnoOptions
+from rig.emulate.firmware_build import PLAIN_UNO, ChipFirmware, EmulationError, UnoOptions
 from rig.emulate.virtual_device import VirtualDevice, load
 from rig.model.bench import BenchParameters
 
@@ -20,6 +20,22 @@ _HANG = {"main loop": 0, "everything": 1, "clock": 2, "converter": 3}
 
 Contact = Literal["e_stop", "end_low", "end_high"]
 Hang = Literal["main loop", "everything", "clock", "converter"]
+
+
+def uno_options(bench: BenchParameters, baud: int) -> UnoOptions:
+    """What the firmware is built with for a bench."""
+    return UnoOptions(baud=baud, tachometer=bench.tachometer_rad_s_per_count is not None)
+
+
+def chip_options(
+    firmware: ChipFirmware, bench: BenchParameters, seed: int, clock_error_ppm: float, options: UnoOptions
+) -> dict[str, str]:
+    """Names and values of the emulated chip's options: of the bench, and which program runs behind which bridge."""
+    return {
+        **device_options(bench, seed, clock_error_ppm),
+        "hex": str(firmware.hex),
+        "bridge": options.bridge.lower(),
+    }
 
 
 class _View(ctypes.Structure):
@@ -88,14 +104,9 @@ class VirtualChip(VirtualDevice):
         build_folder: Path | None = None,
     ) -> None:
         firmware = firmware_build.build_chip(options, build_folder)
-        chip_options = {
-            **device_options(bench, seed, clock_error_ppm),
-            "hex": str(firmware.hex),
-            "bridge": options.bridge.lower(),
-            "dead-time-s": repr(dead_time_s),
-            "measure": f"{measure:d}",
-        }
-        super().__init__(_load(str(firmware.library)), chip_options, round(1e9 * _BITS_PER_BYTE / options.baud))
+        wanted = chip_options(firmware, bench, seed, clock_error_ppm, options)
+        wanted |= {"dead-time-s": repr(dead_time_s), "measure": f"{measure:d}"}
+        super().__init__(_load(str(firmware.library)), wanted, round(1e9 * _BITS_PER_BYTE / options.baud))
 
     @classmethod
     def from_mapping(
@@ -103,8 +114,7 @@ class VirtualChip(VirtualDevice):
     ) -> Self:
         """From the plain values of a config's sections ``emulated`` and ``tachometer``."""
         bench = BenchParameters.from_mapping(emulated, tachometer)
-        options = UnoOptions(baud=baud, tachometer=bench.tachometer_rad_s_per_count is not None)
-        return cls(bench, seed, clock_error_ppm=emulated["clock_error_ppm"], options=options)
+        return cls(bench, seed, clock_error_ppm=emulated["clock_error_ppm"], options=uno_options(bench, baud))
 
     def truth(self) -> ChipTruth:
         """What is really the case now."""
