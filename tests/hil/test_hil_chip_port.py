@@ -1,0 +1,102 @@
+"""The Uno's emulated chip in real time behind a pseudo-terminal, as `rig emulate --chip` starts it: a smoke test."""
+
+from __future__ import annotations
+
+import csv
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from rig.bench import calibration_of, drive_map_of, limits_of
+from rig.config import check
+from rig.config.schema import Experiment
+from rig.daq.serial_link import PySerialTransport, SerialDriver
+from rig.emulate.chip_board import ChipBoard
+from rig.emulate.firmware_build import EmulationError
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+PATIENCE_S = 60.0
+
+
+def wait_until(true: Callable[[], bool]) -> None:
+    until_s = time.monotonic() + PATIENCE_S
+    while not true():
+        assert time.monotonic() < until_s, "it never happened"
+        time.sleep(0.02)
+
+
+def rows(trace: Path) -> list[dict[str, float]]:
+    """Whole rows of the trace so far."""
+    lines = trace.read_text().splitlines(keepends=True)
+    return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(lines) if len(row) == 5]
+
+
+def drive_until_it_moves(port: str, experiment: Experiment) -> float:
+    """Through the driver that a run uses; how far it says that the shaft has moved, rad."""
+    transport = PySerialTransport(port)
+    rails = experiment.sensor.rail_counts
+    # a shared machine may hold a process up for long
+    driver = SerialDriver(
+        transport, calibration_of(experiment), drive_map_of(experiment), rails, timeout_s=2.0, emulated=True
+    )
+    info = driver.open()
+    assert (info.board, info.emulated, info.reset_cause) == ("uno", True, "power-on")
+    driver.arm(replace(limits_of(experiment), watchdog_s=1.0))
+    start_rad = y_rad = driver.read().y_rad
+    until_s = time.monotonic() + PATIENCE_S
+    while abs(y_rad - start_rad) < 0.2:
+        assert time.monotonic() < until_s, "the shaft does not move"
+        driver.write(0.7)
+        time.sleep(0.005)
+        y_rad = driver.read().y_rad
+    assert driver.safe_stop()
+    assert driver.link_statistics["bad_frames"] == 0
+    driver.close()
+    return y_rad - start_rad
+
+
+@pytest.mark.realtime
+def test_it_is_driven_as_a_board_would_be(tmp_path: Path) -> None:
+    link, trace = tmp_path / "uno", tmp_path / "trace.csv"
+    experiment, _ = check(CONFIG / "demo.yaml")
+    command = [sys.executable, "-m", "rig", "emulate", str(CONFIG / "demo.yaml"), "--chip"]
+    with subprocess.Popen(
+        [*command, "--link", str(link), "--trace", str(trace)], stdout=subprocess.DEVNULL
+    ) as emulated:
+        try:
+            wait_until(link.is_symlink)
+            moved_rad = drive_until_it_moves(str(link), experiment)
+            wait_until(lambda: rows(trace)[-1]["drive_V"] == 0.0 and rows(trace)[-1]["led"] == 0.0)
+        finally:
+            emulated.send_signal(signal.SIGINT)
+    assert emulated.returncode == 0 and not link.is_symlink()
+    seen = rows(trace)
+    driven = [row for row in seen if row["drive_V"] != 0.0]
+    assert {round(row["drive_V"], 6) for row in driven} == {0.69}  # 23 of 400 units of 12 V
+    assert all(row["led"] == 1.0 for row in driven)
+    assert seen[-1]["y_rad"] - seen[0]["y_rad"] > 0.9 * moved_rad > 0.0
+    assert seen[-1]["t_s"] == max(row["t_s"] for row in seen)
+
+
+def test_the_demo_on_the_chip_is_the_demo_behind_another_port() -> None:
+    demo, chip = (yaml.safe_load((CONFIG / f"{name}.yaml").read_text("utf-8")) for name in ("demo", "demo-chip"))
+    assert chip["daq"].pop("port") == "emulated-chip-realtime" and demo["daq"].pop("port") == "emulated"
+    assert chip.pop("name") == "demo-chip" and demo.pop("name") == "demo"
+    assert chip == demo
+
+
+def test_what_is_not_possible_is_said() -> None:
+    experiment, _ = check(CONFIG / "demo.yaml")
+    assert experiment.emulated is not None
+    whole = experiment.emulated.model_dump()
+    with pytest.raises(EmulationError, match="0 to 1023"):
+        ChipBoard().start({**whole, "potentiometer": {**whole["potentiometer"], "counts_max": 4095}}, 1)
+    with pytest.raises(EmulationError, match="baud rate"):
+        ChipBoard().start(whole, 1, baud=3_000_000)
