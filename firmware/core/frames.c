@@ -75,7 +75,7 @@ static uint8_t check(uint8_t *bytes, uint8_t n)
     }
     const uint8_t content = (uint8_t)(length - FRAME_CRC);
     const uint16_t sent = (uint16_t)(bytes[content] | ((uint16_t)bytes[content + 1u] << 8));
-    return sent == frame_crc16(bytes, content) ? content : 0;
+    return sent == frame_crc16(bytes, content) ? content : 0u;
 }
 
 uint8_t frame_receive(frame_receiver *rx, uint8_t byte)

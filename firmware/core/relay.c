@@ -24,19 +24,22 @@ static int8_t keep_sign(int32_t value, int8_t before)
     return value < 0 ? (int8_t)-1 : before;
 }
 
+static int32_t within(int32_t value, int32_t bound)
+{
+    if (value > bound) {
+        return bound;
+    }
+    return value < -bound ? -bound : value;
+}
+
 /* |y| < 2^20 for any reading and centre, so |z + y + y| < 2^30 + 2^21. */
 static void integrate(relay *r, int32_t y)
 {
-    const int32_t bound = r->setup.z_bound;
-    int32_t z = r->z + r->y + y;
-    if (z > bound) {
-        z = bound;
-        r->bound_reached = true;
-    } else if (z < -bound) {
-        z = -bound;
+    const int32_t sum = r->z + r->y + y;
+    r->z = within(sum, r->setup.z_bound);
+    if (r->z != sum) {
         r->bound_reached = true;
     }
-    r->z = z;
 }
 
 int16_t relay_step(relay *r, uint16_t counts)

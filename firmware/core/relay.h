@@ -13,8 +13,8 @@
 
 #define RELAY_COUNT 16      /* y of one count */
 #define RELAY_COUNT_TICK 32 /* z of one count for one tick */
-#define RELAY_Z_MAX 0x40000000l
-#define RELAY_CENTRE_MAX (0xFFFFl * RELAY_COUNT)
+#define RELAY_Z_MAX 0x40000000L
+#define RELAY_CENTRE_MAX (0xFFFFL * RELAY_COUNT)
 
 /* Index of a state's drive: 2 if y is below the centre, + 1 if z is negative. */
 enum relay_state { RELAY_ABOVE_POSITIVE, RELAY_ABOVE_NEGATIVE, RELAY_BELOW_POSITIVE, RELAY_BELOW_NEGATIVE };

@@ -2,7 +2,7 @@
 
 #include <stddef.h>
 
-#define US_PER_MS 1000ul
+#define US_PER_MS 1000UL
 #define SETUP_LENGTH 16u
 #define STATE_LENGTH 18u
 #define HELLO_LENGTH (12u + RIG_BUILD_LENGTH)
@@ -16,8 +16,6 @@
 /* Under inward drive the shaft may lie this part of the hard range farther out before it counts as polarity. */
 #define POLARITY_DIVISOR 32u
 
-#define ENDS ((unsigned)RIG_INPUT_END_LOW | (unsigned)RIG_INPUT_END_HIGH)
-
 /* ---- little-endian fields ---- */
 
 static uint16_t get_u16(const uint8_t *at)
@@ -28,26 +26,33 @@ static uint16_t get_u16(const uint8_t *at)
 /* Two's complement without the implementation-defined cast. */
 static int16_t get_i16(const uint8_t *at)
 {
-    const uint16_t raw = get_u16(at);
-    return raw < 0x8000u ? (int16_t)raw : (int16_t)(-(int16_t)(0xFFFFu - raw) - 1);
+    const int32_t raw = (int32_t)get_u16(at);
+    return (int16_t)(raw < 0x8000L ? raw : raw - 0x10000L);
 }
 
 static uint32_t get_u32(const uint8_t *at)
 {
-    return get_u16(at) | ((uint32_t)get_u16(at + 2) << 16);
+    return get_u16(at) | ((uint32_t)get_u16(&at[2]) << 16);
+}
+
+/* A number from 0 to `most`; -1 for any other. */
+static int32_t get_up_to(const uint8_t *at, int32_t most)
+{
+    const uint32_t value = get_u32(at);
+    return value <= (uint32_t)most ? (int32_t)value : -1;
 }
 
 static uint8_t *put_u8(uint8_t *at, uint8_t value)
 {
     at[0] = value;
-    return at + 1;
+    return &at[1];
 }
 
 static uint8_t *put_u16(uint8_t *at, uint16_t value)
 {
     at[0] = (uint8_t)(value & 0xFFu);
     at[1] = (uint8_t)(value >> 8);
-    return at + 2;
+    return &at[2];
 }
 
 static uint8_t *put_u32(uint8_t *at, uint32_t value)
@@ -69,9 +74,9 @@ static void reply(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bod
     core->board->transmit(core->board->context, wire, length);
 }
 
-static void refuse(rig_core *core, uint8_t type, uint16_t seq, uint8_t code)
+static void refuse(rig_core *core, uint8_t type, uint16_t seq, enum rig_code code)
 {
-    const uint8_t body[2] = {code, type};
+    const uint8_t body[2] = {(uint8_t)code, type};
     reply(core, RIG_NACK, seq, body, sizeof body);
 }
 
@@ -119,7 +124,7 @@ static void reply_state(rig_core *core, uint8_t type, uint16_t seq)
     uint8_t *at = put_u16(put_u32(body, core->t_sample_us), core->counts);
     at = put_u32(put_u16(at, core->tach), core->t_drive_us);
     at = put_u16(put_u16(at, (uint16_t)core->drive), core->drive_seq);
-    (void)put_u8(put_u8(at, status_of(core)), core->fault);
+    (void)put_u8(put_u8(at, status_of(core)), (uint8_t)core->fault);
     reply(core, type, seq, body, sizeof body);
 }
 
@@ -141,7 +146,7 @@ static void disarm(rig_core *core)
 
 /* P7: the armed flag goes with the drive, and only ARM sets it again. Faults are looked for only while armed, so
  * the first one is the one kept. */
-static void latch(rig_core *core, uint8_t code)
+static void latch(rig_core *core, enum rig_code code)
 {
     disarm(core);
     core->latched = true;
@@ -164,6 +169,11 @@ static void read_sensors(rig_core *core)
     core->inputs = board->inputs != NULL ? board->inputs(board->context) : 0u;
 }
 
+static bool is_set(const rig_core *core, enum rig_input contact)
+{
+    return (core->inputs & (unsigned)contact) != 0u;
+}
+
 static bool at_rail(const rig_core *core)
 {
     return core->counts <= core->setup.rail_lo || core->counts >= core->setup.rail_hi;
@@ -172,12 +182,12 @@ static bool at_rail(const rig_core *core)
 /* Past the hard limit there, or on its end switch. */
 static bool is_high(const rig_core *core)
 {
-    return core->counts > core->setup.hard_hi || (core->inputs & RIG_INPUT_END_HIGH) != 0u;
+    return core->counts > core->setup.hard_hi || is_set(core, RIG_INPUT_END_HIGH);
 }
 
 static bool is_low(const rig_core *core)
 {
-    return core->counts < core->setup.hard_lo || (core->inputs & RIG_INPUT_END_LOW) != 0u;
+    return core->counts < core->setup.hard_lo || is_set(core, RIG_INPUT_END_LOW);
 }
 
 /* Where the shaft is: 0 inside, +1 at the high end, -1 at the low end. */
@@ -190,9 +200,9 @@ static int8_t side(const rig_core *core)
 }
 
 /* What forbids any drive, wherever the shaft is; RIG_OK if nothing does. */
-static uint8_t obstacle(const rig_core *core)
+static enum rig_code obstacle(const rig_core *core)
 {
-    if ((core->inputs & RIG_INPUT_ESTOP) != 0u) {
+    if (is_set(core, RIG_INPUT_ESTOP)) {
         return RIG_E_ESTOP; /* P9 */
     }
     if (at_rail(core)) {
@@ -234,7 +244,7 @@ static void sample(rig_core *core)
     if (!core->armed) {
         return;
     }
-    const uint8_t wrong = obstacle(core);
+    const enum rig_code wrong = obstacle(core);
     if (wrong != RIG_OK) {
         latch(core, wrong);
         return;
@@ -249,7 +259,8 @@ static void sample(rig_core *core)
         core->recovering = 0;
     }
     if (side(core) != 0) {
-        latch(core, (core->inputs & ENDS) != 0u ? RIG_E_END_SWITCH : RIG_E_TRAVEL); /* P9, P4 */
+        const bool by_switch = is_set(core, RIG_INPUT_END_LOW) || is_set(core, RIG_INPUT_END_HIGH);
+        latch(core, by_switch ? RIG_E_END_SWITCH : RIG_E_TRAVEL); /* P9, P4 */
     }
 }
 
@@ -259,7 +270,7 @@ static void close_block(rig_core *core)
 {
     block *now = blocks_filling(&core->blocks);
     now->status = status_of(core);
-    now->fault = core->fault;
+    now->fault = (uint8_t)core->fault;
     now->delay_us = core->delay_us;
     blocks_close(&core->blocks);
 }
@@ -279,10 +290,8 @@ static void relay_tick(rig_core *core)
         close_block(core);
     }
     const bool full = blocks_add(&core->blocks, core->t_sample_us, core->counts, core->drive);
-    if (!core->armed) {
-        core->relaying = false;
-        close_block(core);
-    } else if (full) {
+    core->relaying = core->armed; /* or it ends with this row */
+    if (full || !core->armed) {
         close_block(core);
     }
 }
@@ -310,12 +319,12 @@ static void on_setup(rig_core *core, uint16_t seq, const uint8_t *body)
 {
     rig_setup wanted;
     wanted.hard_lo = get_u16(body);
-    wanted.hard_hi = get_u16(body + 2);
-    wanted.rail_lo = get_u16(body + 4);
-    wanted.rail_hi = get_u16(body + 6);
-    wanted.centre = get_u16(body + 8);
-    wanted.max_drive = get_u16(body + 10);
-    wanted.watchdog_ms = get_u16(body + 12);
+    wanted.hard_hi = get_u16(&body[2]);
+    wanted.rail_lo = get_u16(&body[4]);
+    wanted.rail_hi = get_u16(&body[6]);
+    wanted.centre = get_u16(&body[8]);
+    wanted.max_drive = get_u16(&body[10]);
+    wanted.watchdog_ms = get_u16(&body[12]);
     wanted.polarity = (int8_t)(body[14] == 1u ? 1 : body[14] == 0xFFu ? -1 : 0);
     if (core->armed || !is_valid(&wanted, core->board)) {
         refuse(core, RIG_SETUP, seq, RIG_E_SETUP); /* limits never change under drive */
@@ -340,7 +349,7 @@ static bool is_inward(const rig_core *core, const relay_setup *wanted)
     return lowers ? above <= 0 && below >= 0 : above >= 0 && below <= 0;
 }
 
-static uint8_t start_relay(rig_core *core, const relay_setup *wanted, uint8_t rows)
+static enum rig_code start_relay(rig_core *core, const relay_setup *wanted, uint8_t rows)
 {
     if (!core->armed) {
         return core->latched ? core->fault : RIG_E_NOT_ARMED; /* P1, P7 */
@@ -372,14 +381,12 @@ static void on_relay(rig_core *core, uint16_t seq, const uint8_t *body)
 {
     relay_setup wanted;
     for (uint8_t i = 0; i < 4u; i++) {
-        wanted.drive[i] = get_i16(body + 2u * i);
+        wanted.drive[i] = get_i16(&body[2u * i]);
     }
-    const uint32_t centre = get_u32(body + 8);
-    const uint32_t z_bound = get_u32(body + 12);
-    wanted.centre = centre <= (uint32_t)RELAY_CENTRE_MAX ? (int32_t)centre : -1;
-    wanted.z_bound = z_bound <= (uint32_t)RELAY_Z_MAX ? (int32_t)z_bound : -1;
+    wanted.centre = get_up_to(&body[8], RELAY_CENTRE_MAX);
+    wanted.z_bound = get_up_to(&body[12], RELAY_Z_MAX);
     wanted.direction = (int8_t)(body[16] == 1u ? 1 : body[16] == 0xFFu ? -1 : 0);
-    const uint8_t code = start_relay(core, &wanted, body[17]);
+    const enum rig_code code = start_relay(core, &wanted, body[17]);
     if (code != RIG_OK) {
         refuse(core, RIG_RELAY, seq, code);
         return;
@@ -388,7 +395,7 @@ static void on_relay(rig_core *core, uint16_t seq, const uint8_t *body)
     reply(core, RIG_RELAY | RIG_REPLY, seq, body, (uint8_t)RELAY_LENGTH); /* in range, so stored as it came */
 }
 
-static uint8_t arm(rig_core *core)
+static enum rig_code arm(rig_core *core)
 {
     if (!core->has_setup) {
         return RIG_E_NO_SETUP; /* P1 */
@@ -399,7 +406,7 @@ static uint8_t arm(rig_core *core)
     }
     read_sensors(core);
     clear_fault(core);
-    const uint8_t wrong = obstacle(core);
+    const enum rig_code wrong = obstacle(core);
     if (wrong != RIG_OK) {
         latch(core, wrong);
         return wrong;
@@ -426,7 +433,8 @@ static void on_drive(rig_core *core, uint16_t seq, int16_t units)
         return;
     }
     const bool raises = (units > 0) == (core->setup.polarity > 0);
-    if (core->recovering != 0 && units != 0 && raises == (core->recovering > 0)) {
+    const bool is_above = core->recovering > 0;
+    if (core->recovering != 0 && units != 0 && raises == is_above) {
         latch(core, RIG_E_TRAVEL); /* P6 */
         return;
     }
@@ -469,8 +477,8 @@ static int8_t body_length(uint8_t type)
 static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
 {
     const uint8_t type = content[1];
-    const uint16_t seq = get_u16(content + 2);
-    const uint8_t *body = content + FRAME_HEADER;
+    const uint16_t seq = get_u16(&content[2]);
+    const uint8_t *body = &content[FRAME_HEADER];
     const int8_t expected = body_length(type);
     if (content[0] != RIG_PROTOCOL) {
         core->rx.dropped++;
@@ -493,7 +501,7 @@ static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
         on_setup(core, seq, body);
         break;
     case RIG_ARM: {
-        const uint8_t code = arm(core);
+        const uint8_t code = (uint8_t)arm(core);
         reply(core, RIG_ARM | RIG_REPLY, seq, &code, 1);
         break;
     }

@@ -120,7 +120,7 @@ typedef struct {
     bool has_setup;
     bool armed;
     bool latched;        /* `fault` holds the drive at 0 */
-    uint8_t fault;       /* rig_code; RIG_E_NOT_ARMED is reported but does not latch */
+    enum rig_code fault; /* RIG_E_NOT_ARMED is reported but does not latch */
     int8_t recovering;   /* 0, or the side of the hard limits we were armed on: +1 above, -1 below */
     uint16_t farthest;   /* counts, while recovering: where inward drive began */
     uint8_t reset_cause;

@@ -16,7 +16,7 @@ from rig.emulate.firmware_build import source_folder
 # What the device promises (rig_core.h), each taken out of the source at one place: file, text, and what stands there
 # instead.
 DEFECTS = {
-    "CRC not looked at": ("frames.c", "sent == frame_crc16(bytes, content) ? content : 0", "content"),
+    "CRC not looked at": ("frames.c", "sent == frame_crc16(bytes, content) ? content : 0u", "content"),
     "too long a frame taken": ("frames.c", "rx->overflow ? 0u : check(", "check("),
     "code that points past the end": ("frames.c", "code - 1u > (uint8_t)(n - in)", "false"),
     "P1 armed without set-up": ("rig_core.c", "if (!core->has_setup)", "if (false)"),
@@ -26,20 +26,24 @@ DEFECTS = {
     "P3 no watchdog": ("rig_core.c", "latch(core, RIG_E_WATCHDOG);", ""),
     "P3 counts from when the core looks": ("rig_core.c", "silent_us + core->board->lag_us", "silent_us"),
     "P3 kept up by READ": ("rig_core.c", "if (core->drive == 0 && !core->relaying)", "if (true)"),
-    "P4 no limits": ("rig_core.c", "    if (side(core) != 0) {\n        latch", "    if (false) {\n        latch"),
+    "P4 no limits": (
+        "rig_core.c",
+        "    if (side(core) != 0) {\n        const bool",
+        "    if (false) {\n        const bool",
+    ),
     "P5 no upper rail": ("rig_core.c", "core->counts >= core->setup.rail_hi", "false"),
-    "P6 outward drive": ("rig_core.c", "raises == (core->recovering > 0)", "false"),
+    "P6 outward drive": ("rig_core.c", "raises == is_above", "false"),
     "P6 outward under inward drive": ("rig_core.c", "if (moves_outward(core))", "if (false)"),
     "P7 a fault leaves it armed": (
         "rig_core.c",
         "    disarm(core);\n    core->latched = true;",
         "    core->latched = true;",
     ),
-    "P9 no e-stop": ("rig_core.c", "(core->inputs & RIG_INPUT_ESTOP) != 0u", "false"),
+    "P9 no e-stop": ("rig_core.c", "is_set(core, RIG_INPUT_ESTOP)", "false"),
     "P9 swapped end switches": ("rig_core.c", "is_high(core) && is_low(core)", "false"),
     "limits changed under drive": ("rig_core.c", "core->armed || !is_valid", "!is_valid"),
     "STOP leaves it armed": ("rig_core.c", "    disarm(core);\n    read_sensors", "    read_sensors"),
-    "relay without a bound": ("relay.c", "if (z > bound)", "if (false)"),
+    "relay without a bound": ("relay.c", "if (value > bound)", "if (false)"),
     "one row too many": ("blocks.c", "now->n >= b->rows", "now->n > b->rows"),
 }
 

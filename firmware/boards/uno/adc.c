@@ -17,8 +17,10 @@ typedef struct {
     clock_stamp started;
 } conversion;
 
-static volatile conversion of_tick, newest;
-static volatile uint16_t tachometer, supply;
+static volatile conversion of_tick;
+static volatile conversion newest;
+static volatile uint16_t tachometer;
+static volatile uint16_t motor_supply;
 static volatile bool tick_is_due;
 
 /* Of the interrupts alone. */
@@ -71,7 +73,7 @@ ISR(ADC_vect)
     } else if (channel == CHANNEL_TACHOMETER) {
         tachometer = counts;
     } else {
-        supply = counts;
+        motor_supply = counts;
     }
     if (begin_again) {
         begin_again = false;
@@ -130,7 +132,7 @@ uint16_t adc_tachometer(void)
 
 uint16_t adc_supply(void)
 {
-    return reading_of(&supply);
+    return reading_of(&motor_supply);
 }
 
 bool adc_tick_is_due(void)

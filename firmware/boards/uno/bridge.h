@@ -7,7 +7,7 @@
 
 #include <stdint.h>
 
-#define BRIDGE_FULL 400 /* units at full duty: 16 MHz / (2 * 400) = 20 kHz */
+#define BRIDGE_FULL 400u /* units at full duty: 16 MHz / (2 * 400) = 20 kHz */
 
 void bridge_init(void);
 

@@ -30,7 +30,7 @@ ISR(TIMER2_COMPA_vect)
 
 static uint32_t since_tick_us(uint8_t count)
 {
-    return (uint32_t)((uint16_t)count * US_PER_COUNT);
+    return (uint32_t)count * US_PER_COUNT;
 }
 
 uint32_t clock_us(void)

@@ -93,7 +93,7 @@ static const rig_board BOARD = {
     .adc_max = ADC_MAX,
     .drive_full = BRIDGE_FULL,
     .board_id = RIG_BOARD_UNO,
-    .features = (RIG_TACHOMETER ? RIG_FEATURE_TACHOMETER : 0) | (RIG_SUPPLY ? RIG_FEATURE_SUPPLY : 0),
+    .features = (RIG_TACHOMETER ? (uint8_t)RIG_FEATURE_TACHOMETER : 0u) | (RIG_SUPPLY ? (uint8_t)RIG_FEATURE_SUPPLY : 0u),
     .lag_us = LAG_US,
     .supply = RIG_SUPPLY ? supply : NULL,
 };

@@ -5,7 +5,7 @@
 #include "wiring.h"
 
 #define DIVISOR (((F_CPU) / 8u + (RIG_BAUD) / 2u) / (RIG_BAUD)) /* at double speed: 8 clocks a bit */
-#if (F_CPU) / 8u * 1000u / DIVISOR > (RIG_BAUD) * 1025ul || (F_CPU) / 8u * 1000u / DIVISOR < (RIG_BAUD) * 975ul
+#if (F_CPU) / 8u * 1000u / DIVISOR > (RIG_BAUD) * 1025UL || (F_CPU) / 8u * 1000u / DIVISOR < (RIG_BAUD) * 975UL
 #error "this baud rate cannot be made from 16 MHz to 2.5 %: take 115200 or 1000000"
 #endif
 
@@ -13,17 +13,20 @@
 
 /* One side only writes `in`, the other only `out`, each a single byte: nothing to mask. */
 typedef struct {
-    volatile uint8_t in, out;
+    volatile uint8_t in;
+    volatile uint8_t out;
     volatile uint8_t byte[QUEUE];
 } queue;
 
-static queue received, to_send;
+static queue received;
+static queue to_send;
 
 void uart_init(void)
 {
+    const uint16_t divisor = DIVISOR - 1u;
     UCSR0A = BIT(U2X0);
-    UBRR0H = (uint8_t)((DIVISOR - 1u) >> 8);
-    UBRR0L = (uint8_t)((DIVISOR - 1u) & 0xFFu);
+    UBRR0H = (uint8_t)(divisor >> 8);
+    UBRR0L = (uint8_t)(divisor & 0xFFu);
     UCSR0C = (uint8_t)(BIT(UCSZ01) | BIT(UCSZ00)); /* 8 bits, no parity, 1 stop bit */
     UCSR0B = (uint8_t)(BIT(RXCIE0) | BIT(RXEN0) | BIT(TXEN0));
 }
