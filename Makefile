@@ -13,12 +13,13 @@ demo: .venv/.ready firmware  ## the whole experiment in real time, on the emulat
 test: check firmware  ## check, then every test, the firmware's own included
 	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest
 
-check: .venv/.ready  ## format, lint, types, import contract, docs
+check: .venv/.ready  ## format, lint, types, import contract, docs; the firmware's C by cppcheck and MISRA
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 	.venv/bin/python tools/check_docs.py
+	@$(MAKE) --no-print-directory -s -C firmware cppcheck
 
 format: .venv/.ready  ## format the Python code
 	.venv/bin/ruff check --fix --quiet . || true
