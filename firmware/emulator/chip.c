@@ -33,6 +33,7 @@
 #define SUPPLY_FULL_V 20.0 /* motor supply that reads full scale at A2: a divider by 4 */
 #define RUN_CYCLES 200u /* instructions of about so many cycles run without a look at the timers: none is due then */
 #define CONTACTS 0x70u /* of port D; at D2 and D3 libsimavr would look for low levels at each cycle */
+#define ENTRY_CYCLES 4u /* of an interrupt: data sheet, section 7.7.1 */
 #define PAINT 0xA7u /* of memory that nobody has written */
 
 /* Addresses in data space, and bits, of the registers that make up the drive, and of some more. */
@@ -42,6 +43,8 @@ enum {
     UCSR0B = 0xC1, UBRR0L = 0xC4, UBRR0H = 0xC5, RAM = 0x100
 };
 enum { PB_DIRECTION = 0, PB_OC1A = 1, PB_OC1B = 2, PB_LED = 5 };
+enum { USART_RX = 18, USART_UDRE = 19 };                  /* numbers of interrupts */
+enum { WDR = 0x95A8, LED_ON = 0x9A2D, LED_OFF = 0x982D }; /* instructions: the latter two SBI, CBI PORTB, 5 */
 enum { U2X0 = 1, RXEN0 = 4, OCIE2A = 1, ADIE = 3 };
 
 enum bridge_style { PWM_DIR, IN1_IN2 };
@@ -74,10 +77,11 @@ struct virtual_board {
     uint8_t open_pins;       /* of port D */
     bool look_again;         /* a byte for the host, or a reset: what the run waits for may have changed */
     bool converter_is_dead;  /* until the next reset */
-    bool measures;
+    bool measures, in_tick;
     bool has_started;        /* has unmasked interrupts since the reset */
     uint32_t resets, overruns, crashed;
     uint64_t awake_cycles, masked_now, masked_most, interrupt_now, interrupt_most;
+    uint64_t timed_now, timed_most, tick_now, tick_most;
     avr_cycle_count_t tick_from;
 };
 
@@ -476,23 +480,57 @@ static avr_cycle_count_t stop_here(avr_t *avr, avr_cycle_count_t when, void *con
     return 0;
 }
 
-/* How long interrupts stay masked, and which share of a tick they take. */
-static void measure(virtual_board *b, avr_cycle_count_t cycles)
+static void keep_most(uint64_t *most, uint64_t value)
 {
+    *most = value > *most ? value : *most;
+}
+
+static uint16_t opcode(const avr_t *avr)
+{
+    const uint8_t *at = avr->flash + avr->pc;
+    return (uint16_t)(at[0] | ((unsigned)at[1] << 8));
+}
+
+/* Cycles of the interrupt that an instruction belonged to; none: the main program. */
+static void count_interrupt(virtual_board *b, uint8_t vector, uint64_t cycles)
+{
+    b->interrupt_now += cycles;
+    if (vector != USART_RX && vector != USART_UDRE) {
+        b->timed_now += cycles;
+    }
+}
+
+/* How long interrupts stay masked, what they take of a millisecond, and how long the main program's tick is: in
+ * boards/uno/main.c it begins with WDR and ends with the LED. `cycles`: of one instruction, which was `code`, in the
+ * interrupt `vector` (0: none). What libsimavr leaves out, the cycles of entering an interrupt, is added. */
+static void measure(virtual_board *b, uint16_t code, uint8_t vector, uint8_t depth, uint64_t cycles)
+{
+    const avr_int_table_t *interrupts = &b->avr->interrupts;
+    const uint64_t entry = interrupts->running_ptr > depth ? ENTRY_CYCLES : 0u;
+    if (vector != 0u) {
+        count_interrupt(b, vector, cycles);
+    } else if (code == WDR || b->in_tick) {
+        b->tick_now = (code == WDR ? 0u : b->tick_now) + cycles;
+        b->in_tick = code != LED_ON && code != LED_OFF;
+        if (!b->in_tick) {
+            keep_most(&b->tick_most, b->tick_now);
+        }
+    }
+    if (entry > 0u) {
+        count_interrupt(b, interrupts->running[interrupts->running_ptr - 1]->vector, entry);
+    }
     if (b->avr->sreg[S_I]) {
         b->masked_now = 0;
         b->has_started = true;
     } else if (b->has_started) {
-        b->masked_now += cycles;
-        b->masked_most = b->masked_now > b->masked_most ? b->masked_now : b->masked_most;
-    }
-    if (b->avr->interrupts.running_ptr > 0) {
-        b->interrupt_now += cycles;
+        b->masked_now += entry > 0u ? entry : cycles;
+        keep_most(&b->masked_most, b->masked_now);
     }
     if (b->avr->cycle - b->tick_from >= (avr_cycle_count_t)(CHIP_HZ / 1000.0)) {
         b->tick_from = b->avr->cycle;
-        b->interrupt_most = b->interrupt_now > b->interrupt_most ? b->interrupt_now : b->interrupt_most;
-        b->interrupt_now = 0;
+        keep_most(&b->interrupt_most, b->interrupt_now);
+        keep_most(&b->timed_most, b->timed_now);
+        b->interrupt_now = b->timed_now = 0;
     }
 }
 
@@ -502,6 +540,9 @@ static void step(virtual_board *b)
     const avr_cycle_count_t from = avr->cycle;
     const bool was_asleep = avr->state == cpu_Sleeping;
     const avr_cycle_count_t most = b->measures ? 1u : RUN_CYCLES;
+    const uint8_t depth = avr->interrupts.running_ptr;
+    const uint8_t vector = depth > 0u ? avr->interrupts.running[depth - 1u]->vector : 0u;
+    const uint16_t code = opcode(avr);
     avr->run_cycle_limit = most; /* a reset sets it to 1 */
     if (avr->run_cycle_count > most) {
         avr->run_cycle_count = most;
@@ -517,9 +558,9 @@ static void step(virtual_board *b)
     }
     if (!was_asleep) {
         b->awake_cycles += avr->cycle - from;
-        if (b->measures) {
-            measure(b, avr->cycle - from);
-        }
+    }
+    if (b->measures) {
+        measure(b, code, vector, depth, was_asleep ? 0u : avr->cycle - from);
     }
 }
 
@@ -686,6 +727,8 @@ void virtual_look(const virtual_board *b, virtual_view *view)
     view->awake_share = avr->cycle > 0u ? (double)b->awake_cycles / (double)avr->cycle : 0.0;
     view->masked_us = 1e6 * (double)b->masked_most / CHIP_HZ;
     view->interrupt_share = (double)b->interrupt_most / (CHIP_HZ / 1000.0);
+    view->timed_share = (double)b->timed_most / (CHIP_HZ / 1000.0);
+    view->tick_us = 1e6 * (double)b->tick_most / CHIP_HZ;
     view->led = (avr->data[DDRB] & avr->data[PORTB] & (1u << PB_LED)) != 0u;
     view->resets = (int32_t)b->resets;
     view->overruns = (int32_t)b->overruns;

@@ -1,6 +1,7 @@
 /* The Uno's chip, emulated to the register by libsimavr, with the same exact bench around it as the host board's: in
- * lock step, in virtual time, as a shared library (librig_chip.so; rig/emulate/virtual_chip.py). It runs the very .hex
- * that is flashed. The functions named as in boards/host/virtual.c do the same.
+ * lock step, in virtual time, as a shared library (librig_chip.so; rig/emulate/virtual_chip.py); in real time main.c is
+ * a process around it. It runs the very .hex that is flashed. The functions named as in boards/host/virtual.c do the
+ * same.
  *
  * For tests only: libsimavr is under the GPL 3, so nothing of this is part of what is installed.
  */
@@ -14,7 +15,10 @@ typedef struct virtual_board virtual_board;
 /* What a test may look at besides the wire. */
 typedef struct {
     double t_s, pin_V, motor_V, y_rad, v_rad_per_s, pin_changed_s;
-    double awake_share, masked_us, interrupt_share; /* the last two only where it measures, else 0 */
+    double awake_share;
+    /* Only where it measures, else 0. Shares are the most of any millisecond; timed: of clock, converter and contacts,
+     * without the serial port; tick_us: of the main program's tick, without the interrupts that come between. */
+    double masked_us, interrupt_share, timed_share, tick_us;
     int32_t led, resets, overruns, crashed, stack_bytes;
 } virtual_view;
 

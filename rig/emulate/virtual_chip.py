@@ -42,6 +42,7 @@ class _View(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_double) for name in ("t_s", "pin_V", "motor_V", "y_rad", "v_rad_per_s", "pin_changed_s")),
         *((name, ctypes.c_double) for name in ("awake_share", "masked_us", "interrupt_share")),
+        *((name, ctypes.c_double) for name in ("timed_share", "tick_us")),
         *((name, ctypes.c_int32) for name in ("led", "resets", "overruns", "crashed", "stack_bytes")),
     )
 
@@ -54,8 +55,10 @@ class ChipTruth(NamedTuple):
     y_rad, v_rad_per_s   of the measured shaft
     pin_changed_s  time at which the drive at the pins changed last; negative: never
     awake_share    share of the time in which the program did not sleep
-    masked_us, interrupt_share  longest time with interrupts masked, and most of a tick spent in interrupts: only
-                   where the chip was made to ``measure``, else 0
+    masked_us      longest time with interrupts masked; this and the next three only where it was made to
+                   ``measure``, else 0
+    interrupt_share  most of a tick spent in interrupts; timed_share: in those of clock, converter and contacts alone
+    tick_us        longest tick of the main program, without the interrupts that come between
     led            is lit: armed, or blinking
     resets         by whatever, since power on
     overruns       bytes that the chip's receiver had no room for
@@ -72,6 +75,8 @@ class ChipTruth(NamedTuple):
     awake_share: float
     masked_us: float
     interrupt_share: float
+    timed_share: float
+    tick_us: float
     led: bool
     resets: int
     overruns: int
@@ -130,6 +135,8 @@ class VirtualChip(VirtualDevice):
             view.awake_share,
             view.masked_us,
             view.interrupt_share,
+            view.timed_share,
+            view.tick_us,
             bool(view.led),
             view.resets,
             view.overruns,
