@@ -251,6 +251,8 @@ def report(run_folder: Path) -> None:
 
     if not (run_folder / "meta.json").is_file() and not (run_folder / "samples.csv").is_file():
         _fail(EXIT_BAD_INPUT, f"{run_folder}: is not a run folder", "give the path that `rig run` printed")
+    if (run_folder / "results.csv").is_file() and not (run_folder / "samples.csv").is_file():
+        _fail(EXIT_BAD_INPUT, f"{run_folder}: is a campaign's folder", "the same `rig campaign` writes its report anew")
     try:
         with _patience("drawing the report"):
             path = write_report(run_folder)
@@ -404,6 +406,8 @@ def flash(
             uno.write(command, port, partial(click.echo, nl=False, err=True))
             click.echo("written; waiting for the board to answer ...")
             click.echo(f"{port}: {uno.in_words(uno.meet(port, int(baud)))}")
+            if hex_file is None:
+                click.echo(f"before the motor's supply is on: {uno.AT_REST[bridge]}")
     except uno.FlashError as error:
         _fail(error.status, error.cause, error.cure)
 
@@ -554,7 +558,8 @@ def _show_estimates(
     if tracking:
         table.add_column("tracking RMS, rad")
     for method, estimate in estimates.items():
-        cells = [_interval(estimate, name, truth) for name in ("tau_s", "K_rad_s_V", "fc_V")]
+        refused = estimate["verdict"] == "refused"  # a refusal gives no number
+        cells = ["-" if refused else _interval(estimate, name, truth) for name in ("tau_s", "K_rad_s_V", "fc_V")]
         row = [method, *cells, estimate["verdict"]]
         if tracking:
             check_run = tracking.get(method, {"not_run": "not asked for"})

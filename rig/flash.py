@@ -35,6 +35,12 @@ USB_CHIPS = {
 ANSWER_S = 8.0  # for the boot loader, about 1.5 s, and the firmware's first answer
 INTERRUPTED = 130  # exit status, as a shell has it
 
+# What a voltmeter must show at 0 V drive: the wrong choice of the two can be full drive.
+AT_REST = {
+    "pwm-dir": "PWM (D9) must be at 0 V",
+    "in1-in2": "IN1 (D9) and IN2 (D10) must be at 5 V; with a bridge that has PWM and DIR inputs this is full drive",
+}
+
 _BUSY = ("is held by another program", "end the other rig, serial monitor or modem manager: `fuser {port}` names it")
 _ABSENT = ("is not there", "plug the board in; `ls /dev/serial/by-id/` shows which ports there are")
 # Reasons for which a port cannot be opened, in the words of the C library.
