@@ -122,7 +122,8 @@ def core_corpus() -> dict[str, bytes]:
         "rail_within_limits": armed(SETUP._replace(hard_hi=1021)) + drive(100) + reading(1019) + ticks(1),
         "recover": reading(950) + armed() + drive(-80) + ticks(3) + reading(905) + ticks(2) + reading(880) + ticks(2)
         + drive(80) + ticks(2) + reading(910) + ticks(1) + READ,
-        "recover_outward": reading(950) + armed() + drive(80) + ticks(1) + ARM + drive(-80) + reading(990) + ticks(2),
+        "recover_outward": reading(950) + armed() + drive(80) + ticks(1) + ARM + reading(960) + ticks(1) + drive(-80)
+        + reading(995) + ticks(2),
         "recover_low": reading(60) + armed(falling) + drive(-80) + ticks(3) + reading(120) + ticks(1)
         + drive(80) + ticks(1),
         "end_switch": armed() + drive(100) + contacts(END_HIGH) + ticks(1) + ARM + drive(-50) + ticks(2) + contacts(0)
