@@ -10,13 +10,13 @@ need() { # need COMMAND-OR-FILE PACKAGE...: Debian packages to install where a c
     echo "setup: $1 is missing; installing the Debian package $2"
     missing="$missing $2"
 }
-install_missing() {
+install_missing() { # install_missing [OPTION OF APT-GET]
     [ -n "$missing" ] || return 0
     as_root=""
     [ "$(id -u)" = 0 ] || as_root="sudo"
     # shellcheck disable=SC2086  # one word a package
     $as_root apt-get update -qq && $as_root env DEBIAN_FRONTEND=noninteractive \
-        apt-get install -y -qq $missing >/dev/null
+        apt-get install -y -qq "$@" $missing >/dev/null
     missing=""
 }
 
@@ -32,6 +32,10 @@ need cppcheck cppcheck
 need clang clang
 need "$(clang -print-resource-dir 2>/dev/null)/lib/linux/libclang_rt.fuzzer-$(uname -m).a" libclang-rt-dev
 install_missing
+# the second emulator of the chip; of what Debian's npm recommends nothing is needed
+need node nodejs
+need npm npm
+install_missing --no-install-recommends
 if ! "$PYTHON" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
     echo "setup: $PYTHON is older than 3.11; set PYTHON=/path/to/python3.11 or newer" >&2
     exit 1
@@ -45,4 +49,7 @@ install_missing
 # exactly the locked packages, by hash; uv itself stays
 VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --require-hashes -r requirements.lock
 VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --no-deps --editable .
+# npm keeps its own stamp of what it has installed
+AVR8JS=tests/hil/avr8js
+[ "$AVR8JS/node_modules/.package-lock.json" -nt "$AVR8JS/package-lock.json" ] || (cd "$AVR8JS" && npm ci --loglevel=error >/dev/null)
 touch .venv/.ready
