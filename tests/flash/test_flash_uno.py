@@ -137,10 +137,9 @@ def test_the_board_is_written_and_then_says_who_it_is_after_its_boot_loader(avrd
     assert (memory, operation, form) == ("flash", "w", "i")
     assert Path(name).name == "rig_uno-in1_in2-ends.hex"
     assert Path(name).read_text().startswith(":")
-    assert (
-        result.stdout.splitlines()[-1]
-        == f"{port}: board uno, build uno 9.9, reset: unknown, cleared by the boot loader"
-    )
+    who, at_rest = result.stdout.splitlines()[-2:]
+    assert who == f"{port}: board uno, build uno 9.9, reset: unknown, cleared by the boot loader"
+    assert "D10" in at_rest and "full drive" in at_rest
 
 
 def test_the_reset_cause_is_told_where_the_boot_loader_leaves_it(avrdude: Path, tmp_path: Path) -> None:

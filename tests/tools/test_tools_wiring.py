@@ -91,7 +91,8 @@ def test_the_page_says_how_far_the_pull_down_bends_the_reading() -> None:
         return float(np.max(np.abs(read - np.interp(turned, at, np.interp(at, turned, read)))))
 
     said = re.search(
-        r"by ([\d.]+) counts at 1 kΩ, ([\d.]+) at 5 kΩ, ([\d.]+) at 10 kΩ \((\d+) mrad .*? leaves ([\d.]+) and ([\d.]+)",
+        r"by ([\d.]+) counts at 1 kΩ, ([\d.]+) at 5 kΩ, ([\d.]+) at 10 kΩ \((\d+) mrad "
+        r".*? leaves ([\d.]+) and ([\d.]+)",
         " ".join(PAGE.split()),
     )
     assert said is not None
