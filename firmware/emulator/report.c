@@ -92,7 +92,7 @@ int main(int argc, char **argv)
     virtual_look(b, &view);
     const double relay_awake =
         (view.awake_share * view.t_s - before.awake_share * before.t_s) / (view.t_s - before.t_s);
-    bytes += pause(b, 200000000); /* the watchdog ends it: a fault is the longest tick */
+    bytes += pause(b, 200000000); /* the watchdog ends it */
     ask(b, RIG_READ, NULL, 0);
     ask(b, RIG_STOP, NULL, 0);
     bytes += pause(b, 100000000);
