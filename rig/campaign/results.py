@@ -78,7 +78,11 @@ def opened(folder: Path, campaign: Campaign) -> Iterator[ResultFile]:
 
     Raises CampaignError where the folder holds another campaign, or another process writes it, or it is broken.
     """
+    if folder.is_dir() and not (folder / META).exists() and any(folder.iterdir()):
+        raise CampaignError(f"{folder}: is no campaign's folder, and not empty", "choose another folder")
     try:
+        if (folder / META).exists():
+            _same_campaign(folder, campaign)
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder / RESULTS, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
     except OSError as error:
@@ -89,7 +93,7 @@ def opened(folder: Path, campaign: Campaign) -> Iterator[ResultFile]:
         except BlockingIOError as error:
             raise CampaignError(f"{folder}: another process runs this campaign", "wait for its end") from error
         if (folder / META).exists():
-            _same_campaign(folder, campaign)
+            pass
         elif os.fstat(descriptor).st_size:
             raise CampaignError(f"{folder}: holds results without {META}", "choose another folder")
         else:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.campaign import results, runner, summary
+from rig.campaign.grid import CampaignError
 from rig.config import Campaign
 from rig.recording.folder import json_text
 
@@ -53,6 +54,11 @@ def run(
     tell = on_progress or (lambda done, of: None)
     began = time.perf_counter()
     with results.opened(folder, campaign) as file:
+        more = 1 + max(file.done, default=-1)
+        if more > campaign.experiments:
+            raise CampaignError(
+                f"{folder}: has experiments up to number {more - 1} already", f"ask for {more} at least, or elsewhere"
+            )
         missing = [number for number in range(campaign.experiments) if number not in file.done]
         before = campaign.experiments - len(missing)
         interrupted = False

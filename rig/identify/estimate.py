@@ -94,6 +94,7 @@ class Estimate:
         return {
             **{name: _number(getattr(self, name)) for name in scalars},
             "ci95": {name: [_number(low), _number(high)] for name, (low, high) in self.ci95.items()},
+            "covariance_of": list(PARAMETERS),
             "covariance": [[_number(value) for value in row] for row in self.covariance.tolist()],
             "correlation": [[_number(value) for value in row] for row in self.correlation.tolist()],
             "rms_rad": _number(self.rms_rad),

@@ -119,14 +119,17 @@ def identify(
                 if sampled_data.METHOD in found.estimates:
                     estimate = least_squares.held_to(estimate, found.estimates[sampled_data.METHOD], hysteretic)
         except IdentifyError as error:
-            if methods or len(wanted) == 1:
+            if len(wanted) == 1:
                 raise
             # the sampled-data estimator asks for least: what it misses is what the record lacks
             complaints.insert(0 if method == sampled_data.METHOD else len(complaints), error)
             found.notes.append(f"{method}: {error.cause}")
             continue
-        for severity, reason in [*judge_records(used), *judge_motor(estimate, used)]:
+        objections = [*judge_records(used), *judge_motor(estimate, used)]
+        consequences, estimate = estimate.reasons, replace(estimate, reasons=())  # the cause comes first
+        for severity, reason in objections:
             estimate = estimate.judged(severity, reason)
+        estimate = estimate.judged("ok", *consequences)
         if unsettled and not cycles and method != least_squares.METHOD:
             missing = f"no settled cycle in {', '.join(unsettled)}: {FEW_CYCLES} are missing; record ten"
             estimate = estimate.judged("refused", missing)

@@ -29,6 +29,8 @@ SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
 LONG_TAU_S, LONGEST_TAU_S = 2.0, 20.0
 SHORT_TAU_S, SHORTEST_TAU_S = 2e-3, 0.5e-3
 GAP_PERIODS = 5.0
+LARGE_SPAN_RAD = 12.6  # two turns: more than a potentiometer of one turn shows
+
 TIMED_GAP_S = 0.05  # where the times of the drive were recorded, it was held until the next one
 JUMP = 0.25  # of all the travel, in one sampling period: no motor does that
 SPIKE = 0.02  # of all the travel, by which one position stands out from its neighbours,
@@ -137,6 +139,8 @@ def _units(record: Record) -> list[Objection]:
         object_to("refused", f"all positions are whole numbers over {span:g}: is y_rad in raw counts or degrees?")
     elif span > LARGEST_SPAN_RAD:
         object_to("refused", f"positions span {span:.3g} rad: is y_rad in degrees or milliradians?")
+    elif span > LARGE_SPAN_RAD:
+        object_to("doubtful", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees?")
     elif step > COARSEST_STEP_RAD:
         object_to("refused", f"positions move in steps of {step:.3g} rad: is y_rad in degrees or milliradians?")
     elif step >= COARSE_STEP_RAD or record.noise_rad() > COARSE_STEP_RAD:

@@ -210,13 +210,16 @@ def fit(
 
     records     each with its own initial state
     starts      first guesses; default: a coarse grid scored by simulation
-    free_delay  fit a constant delay between 0 and 2 periods; default: only where a record has no t_u_s
+    free_delay  fit a constant delay, between -1 period and `Record.longest_delay_s`; default: only where a record has
+                no t_u_s
     periods_s   for each record the period of its limit cycle, s, or None where it has none; default: that of its drive
     Returns an ``Estimate`` with verdict "ok" unless the fit itself failed; judging it is `verdict.py`'s part.
     Raises IdentifyError if there is nothing to fit.
     """
     free = any(record.t_u_s is None for record in records) if free_delay is None else free_delay
-    bounds = (0.0, max(record.longest_delay_s for record in records)) if free else (0.0, 0.0)
+    # a drive that acts at once must not lie at a bound, and a slipped row shows as a negative delay
+    earliest = -max(record.period_s for record in records)
+    bounds = (earliest, max(record.longest_delay_s for record in records)) if free else (0.0, 0.0)
     pieces = tuple(Piece.of(record, bounds[1]) for record in records)
     for record, piece in zip(records, pieces, strict=True):
         if np.ptp(piece.y_rad) == 0.0 or piece.drive.u_V.size < 2:
@@ -226,7 +229,7 @@ def fit(
             )
     problem = Problem(pieces, bounds, (True, True, True, True, free))
     guesses = list(starts) if starts else grid_starts(pieces)
-    candidates = sorted((_score(pieces, guess, 0.5 * (bounds[0] + bounds[1])) for guess in guesses), key=lambda c: c[0])
+    candidates = sorted((_score(pieces, guess, 0.5 * bounds[1]) for guess in guesses), key=lambda c: c[0])
     durations = [float(piece.t_s[-1] - piece.t_s[0]) for piece in pieces]
     given = periods_s or [None] * len(pieces)
     periods = [record.drive_period_s() if p is None else p for record, p in zip(records, given, strict=True)]

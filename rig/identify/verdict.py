@@ -126,8 +126,8 @@ def _intervals(estimate: Estimate, records: Sequence[Record]) -> Estimate:
         if SURE * share > PROMISE:
             estimate = estimate.judged(
                 "refused" if share > TOO_WIDE else "doubtful",
-                f"{name} is only known to {100 * share:.2g} % (95 % interval), too little to promise "
-                f"{100 * PROMISE:.0f} %: record more cycles, or slower and larger ones",
+                f"{name} is only known to {100 * share:.2g} % (95 % interval); ok asks for "
+                f"{100 * PROMISE / SURE:.2g} %: record more cycles, or slower and larger ones",
             )
     return estimate
 
@@ -144,11 +144,19 @@ def _bounds(estimate: Estimate, records: Sequence[Record]) -> Estimate:
             "refused", f"tau = {estimate.tau_s:.3g} s is longer than the record of {duration:.3g} s: record longer"
         )
     longest = max(record.longest_delay_s for record in records)
-    if any(record.t_u_s is None for record in records) and not 5e-4 < estimate.delay_s / longest < 0.9995:
+    if all(record.t_u_s is not None for record in records):
+        return estimate
+    if estimate.delay_s > 0.9995 * longest:
         return estimate.judged(
             "doubtful",
-            f"the delay is at its bound ({1e3 * estimate.delay_s:.1f} ms; 0 to {1e3 * longest:.0f} ms are looked at): "
+            f"the delay is at its bound, {1e3 * longest:.3g} ms: record the times at which the drive acts, t_u_s, or "
             "check that u of a row is the drive set after that row's y was read",
+        )
+    if estimate.ci95["delay_s"][1] < 0.0:
+        return estimate.judged(
+            "doubtful",
+            f"the drive seems to act {-1e3 * estimate.delay_s:.2g} ms before its row: u of a row must be the drive set "
+            "after that row's y was read; if it was set before, move u up by a row",
         )
     return estimate
 
@@ -205,6 +213,8 @@ def confounding(estimate: Estimate) -> str | None:
     if not math.isfinite(shared):
         return None
     gain = 1.0 / math.sqrt(max(1e-12, 1.0 - shared * shared))
+    if gain < 1.1:
+        return None
     return (
         f"the unknown delay and tau are correlated by {shared:+.2f}: with the times at which the drive acts "
         f"(t_u_s) tau would be known {gain:.1f} times better"

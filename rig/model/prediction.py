@@ -9,6 +9,8 @@ import numpy as np
 from rig.model import describing_function
 from rig.model.limit_cycle import NoLimitCycle, limit_cycle
 
+LARGEST = 1e6  # of any parameter: beyond it are no motors
+
 
 def predict_cycle(tau_s: float, K_rad_s_V: float, fc_V: float, fs_V: float, h1_V: float, h2_V: float) -> dict[str, Any]:
     """Limit cycle and stability by Theorems 2.1 and 2.2, and the describing function's view.
@@ -18,6 +20,10 @@ def predict_cycle(tau_s: float, K_rad_s_V: float, fc_V: float, fs_V: float, h1_V
     ``largest_eigenvalue_J3``, ``stable``; and ``describing_function`` with ``period_s``, ``amplitude_rad``, or None.
     Raises ValueError on parameters out of range.
     """
+    given = {"tau": tau_s, "K": K_rad_s_V, "fc": fc_V, "fs": fs_V, "h1": h1_V, "h2": h2_V}
+    for name, value in given.items():
+        if not abs(value) <= LARGEST:
+            raise ValueError(f"{name} = {value:g} is beyond {LARGEST:g}")
     result: dict[str, Any] = {"oscillates": False, "reason": None, "describing_function": None}
     try:
         sine = describing_function.predict(tau_s, K_rad_s_V, fc_V, h1_V, h2_V)

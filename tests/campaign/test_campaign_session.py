@@ -63,7 +63,10 @@ def test_what_is_there_is_not_done_again(tmp_path, monkeypatch):
     assert (more.added, again.added) == (4, 0)
     assert again.summary["number"] == 14
     assert_rows(tmp_path, 14)
-    assert session.run(small(5), tmp_path, jobs=1).summary["number"] == 5
+    before = (tmp_path / "summary.json").read_bytes()
+    with pytest.raises(CampaignError, match="up to number 13 already"):
+        session.run(small(5), tmp_path, jobs=1)
+    assert (tmp_path / "summary.json").read_bytes() == before
 
 
 @pytest.mark.usefixtures("no_report")

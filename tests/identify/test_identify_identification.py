@@ -15,6 +15,7 @@ from rig.recording.reader import read_csv
 NOISY = {"noise_rad": 0.003, "lsb_rad": LSB_RAD}
 KEYS = {
     "tau_s", "K_rad_s_V", "fc_V", "asym_V", "delay_s", "fc_plus_V", "fc_minus_V", "bias_V", "ci95", "covariance",
+    "covariance_of",
     "correlation", "residual", "rms_rad", "iterations", "verdict", "reasons", "rows",
 }  # fmt: skip
 

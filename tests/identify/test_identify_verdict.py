@@ -75,10 +75,23 @@ def test_without_times_the_delay_absorbs_a_row_slipped_early(delay_s):
 
 
 def test_without_times_a_row_slipped_late_is_not_believed():
-    """It would have to act before it was commanded: the delay ends at its bound of 0."""
+    """It would have to act before it was commanded: the delay is negative, and the motor right."""
     found = judged(slipped(relay(known=False, delay_s=0.002), 1))
-    assert found.verdict != "ok"
-    assert any("bound" in reason or "noise" in reason for reason in found.reasons)
+    assert found.verdict == "doubtful"
+    assert any("move u up by a row" in reason for reason in found.reasons)
+    assert found.delay_s == pytest.approx(-0.008, abs=0.002)
+    assert found.tau_s == pytest.approx(0.17, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_drive_that_acts_at_once_is_no_objection(seed):
+    """A plain simulation, or a controller that writes within microseconds of reading."""
+    found = judged(relay(known=False, delay_s=0.0, seed=seed))
+    assert found.verdict == "ok", found.reasons
+    low, high = found.ci95["delay_s"]
+    assert low < 0.0015
+    assert high > -0.0015
+    assert found.tau_s == pytest.approx(0.17, rel=0.03)
 
 
 @pytest.mark.parametrize(
