@@ -1,4 +1,4 @@
-# Fuzzing with libFuzzer, under the address and undefined-behaviour sanitizers; needs clang and libclang-rt-14-dev.
+# Fuzzing with libFuzzer, under the address and undefined-behaviour sanitizers; needs clang and libclang-rt-dev.
 #   make fuzz [SECONDS=20] [SEED=1]    each harness for that long, from the corpus in tests/corpus; SEED=0: another each time
 #   make replay                        the corpus once through each harness, with any compiler
 # What is found on the way is kept in BUILD/fuzz, and a next run starts from it; so is what breaks a promise (crash-...).
