@@ -335,9 +335,11 @@ static void on_setup(rig_core *core, uint16_t seq, const uint8_t *body)
     reply_setup(core, seq);
 }
 
+/* The host's voice, P3. What it said may have waited for the core. */
 static void heard(rig_core *core)
 {
-    core->t_heard_us = core->board->micros(core->board->context);
+    const rig_board *board = core->board;
+    core->t_heard_us = board->arrived_us != NULL ? board->arrived_us(board->context) : board->micros(board->context);
 }
 
 /* The drive of a state in which both relays push inward must not push outward. */
@@ -413,7 +415,7 @@ static enum rig_code arm(rig_core *core)
     }
     core->recovering = side(core); /* P6 */
     core->farthest = core->counts;
-    core->t_heard_us = core->board->micros(core->board->context);
+    heard(core);
     core->armed = true;
     return RIG_OK;
 }
@@ -568,7 +570,7 @@ void rig_tick(rig_core *core)
     sample(core); /* P4, P5 */
     if (core->armed) {
         const uint32_t silent_us = core->board->micros(core->board->context) - core->t_heard_us;
-        if (silent_us + core->board->lag_us >= core->setup.watchdog_ms * US_PER_MS) {
+        if (silent_us >= core->setup.watchdog_ms * US_PER_MS) {
             latch(core, RIG_E_WATCHDOG); /* P3 */
         }
     }

@@ -98,7 +98,7 @@ typedef struct {
     uint16_t drive_full;                                                /* units at full duty, 1 to 32767 */
     uint8_t board_id;
     uint8_t features;
-    uint16_t lag_us; /* that a frame may have waited before the core saw it: P3 counts from its arrival */
+    uint32_t (*arrived_us)(void *context); /* when the byte that the core is given arrived: P3; NULL: just now */
     uint8_t (*supply)(void *context); /* motor supply, 255 for 20 V; NULL: not measured */
 } rig_board;
 

@@ -68,7 +68,7 @@ static uint8_t fake_inputs(void *context)
 }
 
 static const rig_board BOARD = {NULL, fake_micros, fake_adc, fake_tach, fake_drive, fake_transmit, fake_inputs,
-                                "build 12345678901234567890", 1023, FULL, RIG_BOARD_HOST, RIG_FEATURE_TACHOMETER, 0, NULL};
+                                "build 12345678901234567890", 1023, FULL, RIG_BOARD_HOST, RIG_FEATURE_TACHOMETER, NULL, NULL};
 
 static void power_on(void)
 {
@@ -389,11 +389,15 @@ static void test_watchdog_is_fed(void)
     check_latched(RIG_E_WATCHDOG);
 }
 
-/* The clock wraps at 2^32 us, after 71.6 min. */
+static uint32_t fake_arrival(void *context)
+{
+    return fake_micros(context) - 400u;
+}
+
 static void test_watchdog_counts_from_the_arrival(void)
 {
     rig_board slow = BOARD;
-    slow.lag_us = 400;
+    slow.arrived_us = fake_arrival;
     armed();
     core.board = &slow;
     send_drive(50);
@@ -405,6 +409,7 @@ static void test_watchdog_counts_from_the_arrival(void)
     CHECK(board.pin == 0 && core.fault == RIG_E_WATCHDOG);
 }
 
+/* The clock wraps at 2^32 us, after 71.6 min. */
 static void test_watchdog_over_wrap(void)
 {
     armed();

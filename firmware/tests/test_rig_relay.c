@@ -102,7 +102,7 @@ static void fake_transmit(void *context, const uint8_t *bytes, uint8_t n)
 }
 
 static const rig_board BOARD = {NULL, fake_micros, fake_adc, fake_tach, fake_drive, fake_transmit, fake_inputs,
-                                "build", 1023, 799, RIG_BOARD_HOST, 0, 0, NULL};
+                                "build", 1023, 799, RIG_BOARD_HOST, 0, NULL, NULL};
 
 static void send(uint8_t type, const uint8_t *body, uint8_t n)
 {

@@ -48,6 +48,11 @@ uint32_t clock_us(void)
     return us + since_tick_us(count);
 }
 
+uint8_t clock_tick(void)
+{
+    return ticks;
+}
+
 clock_stamp clock_now(void)
 {
     const clock_stamp now = {ticks, TCNT2};

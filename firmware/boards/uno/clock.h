@@ -15,6 +15,9 @@ void clock_init(void);
 /* Microseconds since the reset, modulo 2^32, in steps of 4. */
 uint32_t clock_us(void);
 
+/* Ticks since the reset, modulo 256. */
+uint8_t clock_tick(void);
+
 /* Now, from an interrupt that does not wait for the tick's. */
 clock_stamp clock_now(void);
 

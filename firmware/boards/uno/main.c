@@ -18,11 +18,11 @@
 #include "wiring.h"
 
 #define BLINK_TICKS 128u
-#define LAG_US 500u /* the main loop may be in a tick and a reply when a frame arrives: 0.4 ms */
 
 static uint8_t reset_flags __attribute__((section(".noinit")));
 static rig_core core;
 static bool in_tick; /* the core asks for the position on the grid of the ticks */
+static uint8_t arrived; /* tick in which the byte arrived that the core is given */
 
 /* Before anything else: after its own reset the hardware watchdog runs on, at 16 ms. */
 void early(void) __attribute__((naked, used, section(".init3")));
@@ -37,6 +37,15 @@ static uint32_t micros(void *context)
 {
     (void)context;
     return clock_us();
+}
+
+/* The beginning of the tick, so that the watchdog's time ends on the grid of the ticks: at most one of them late, however
+ * long the byte has waited and the main loop takes. */
+static uint32_t arrived_us(void *context)
+{
+    const clock_stamp begin = {arrived, 0};
+    (void)context;
+    return clock_us_of(begin);
 }
 
 static uint16_t adc_counts(void *context, uint32_t *t_us)
@@ -94,7 +103,7 @@ static const rig_board BOARD = {
     .drive_full = BRIDGE_FULL,
     .board_id = RIG_BOARD_UNO,
     .features = (RIG_TACHOMETER ? (uint8_t)RIG_FEATURE_TACHOMETER : 0u) | (RIG_SUPPLY ? (uint8_t)RIG_FEATURE_SUPPLY : 0u),
-    .lag_us = LAG_US,
+    .arrived_us = arrived_us,
     .supply = RIG_SUPPLY ? supply : NULL,
 };
 
@@ -144,7 +153,7 @@ int main(void)
     sei();
     for (;;) {
         uint8_t byte;
-        if (uart_take(&byte)) {
+        if (uart_take(&byte, &arrived)) {
             rig_byte(&core, byte);
         }
         if (adc_take_tick()) {

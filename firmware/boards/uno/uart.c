@@ -2,6 +2,7 @@
 
 #include <avr/interrupt.h>
 
+#include "clock.h"
 #include "wiring.h"
 
 #define DIVISOR (((F_CPU) / 8u + (RIG_BAUD) / 2u) / (RIG_BAUD)) /* at double speed: 8 clocks a bit */
@@ -20,6 +21,7 @@ typedef struct {
 
 static queue received;
 static queue to_send;
+static volatile uint8_t received_in[QUEUE]; /* tick; a host that fills the wire has a byte wait for up to 4 ms */
 
 void uart_init(void)
 {
@@ -37,6 +39,7 @@ ISR(USART_RX_vect)
     const uint8_t next = (uint8_t)(received.in + 1u);
     if (next != received.out) { /* else it is lost, and the frame's CRC tells */
         received.byte[received.in] = byte;
+        received_in[received.in] = clock_tick();
         received.in = next;
     }
 }
@@ -46,13 +49,14 @@ bool uart_has_byte(void)
     return received.in != received.out;
 }
 
-bool uart_take(uint8_t *byte)
+bool uart_take(uint8_t *byte, uint8_t *tick)
 {
     const uint8_t out = received.out;
     if (out == received.in) {
         return false;
     }
     *byte = received.byte[out];
+    *tick = received_in[out];
     received.out = (uint8_t)(out + 1u);
     return true;
 }

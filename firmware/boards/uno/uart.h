@@ -10,8 +10,8 @@ void uart_init(void);
 /* Whether a received byte waits. */
 bool uart_has_byte(void);
 
-/* Takes the oldest received byte; false if there is none. */
-bool uart_take(uint8_t *byte);
+/* Takes the oldest received byte, and the tick (clock_tick) in which it arrived; false if there is none. */
+bool uart_take(uint8_t *byte, uint8_t *tick);
 
 /* Queues all bytes; none, if they do not fit: a host that asks faster than the wire can answer loses replies. */
 void uart_send(const uint8_t *bytes, uint8_t n);
