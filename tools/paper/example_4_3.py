@@ -148,8 +148,8 @@ def section(result: Result) -> Section:
             "differs",
             f"By up to {100 * float(np.abs(off).max()):.1f} %: with the τ and K of Example 4.1 no Tustin law was found "
             "that comes to the paper's ratio of t<sub>2</sub> to t<sub>3</sub>: in a scan of "
-            "f<sub>s</sub> − f<sub>c</sub> from 0.02 to 0.3 V and v<sub>s</sub> from 0.01 to 5 rad/s a Stribeck effect only "
-            "raised it. With K = "
+            "f<sub>s</sub> − f<sub>c</sub> from 0.02 to 0.3 V and v<sub>s</sub> from 0.01 to 5 rad/s a Stribeck effect "
+            "only raised it. With K = "
             f"{REPRODUCING.K_rad_s_V:g} (rad/s)/V one does ({_law_words()}): its cycle "
             f"{'has all the surviving digits' if reproduced(result) else 'comes near them'} (last line of the table). "
             "It is one of a family, so the paper's own cannot be told from them.",
