@@ -24,7 +24,11 @@ DEFECTS = {
     "P2 any negative drive": ("rig_core.c", "if (units > most || units < -most)", "if (units > most)"),
     "P2 any drive of the relay": ("rig_core.c", "wanted->drive[i] < -most", "false"),
     "P3 no watchdog": ("rig_core.c", "latch(core, RIG_E_WATCHDOG);", ""),
-    "P3 counts from when the core looks": ("rig_core.c", "? board->arrived_us(board->context)", "? board->micros(board->context)"),
+    "P3 counts from when the core looks": (
+        "rig_core.c",
+        "? board->arrived_us(board->context)",
+        "? board->micros(board->context)",
+    ),
     "P3 kept up by READ": ("rig_core.c", "if (core->drive == 0 && !core->relaying)", "if (true)"),
     "P4 no limits": (
         "rig_core.c",
