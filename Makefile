@@ -2,7 +2,7 @@
 CONFIG ?= config/demo$(if $(CHIP),-chip).yaml
 RIG := .venv/bin/rig
 
-.PHONY: help demo test check format bench paper firmware lock clean
+.PHONY: help demo test check format bench paper safety firmware lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -30,6 +30,9 @@ bench: .venv/.ready firmware  ## timing ratios, written to bench.json
 
 paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/report.html
 	PYTHONPATH=tools .venv/bin/python -m paper
+
+safety: .venv/.ready firmware  ## what stops the drive, and how soon, on the Uno's emulated chip: docs/safety-table.md
+	PYTHONPATH=tools .venv/bin/python -m safety
 
 firmware: .venv/.ready  ## the Uno's firmware (build/firmware/uno/rig_uno.hex), and the emulated board and chip
 	@$(MAKE) --no-print-directory -C firmware host uno chip

@@ -1,0 +1,110 @@
+"""The command that makes docs/safety-table.md: few phases of it, a broken promise, and the page that is checked in."""
+
+from __future__ import annotations
+
+import random
+import re
+from pathlib import Path
+
+import pytest
+
+from safety import garbage
+from safety.__main__ import BAUDS, chip_load
+from safety.driven_chip import BENCH, SETUP, DrivenChip, Way, steady
+from safety.page import Found, is_kept, render, row
+from safety.promises import PROMISES, Promise, measure
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "safety-table.md"
+COAST_RAD = max(BENCH.motor.stopping_distance(steady(direction)[1]) for direction in (1, -1))
+
+
+@pytest.mark.parametrize("promise", PROMISES, ids=lambda p: f"{p.what}-{p.way.where}-{p.way.baud}-{p.way.bridge}")
+def test_every_promise_is_kept_and_the_coast_is_the_exact_motors(promise: Promise) -> None:
+    found = measure(promise, 3, seed=2)
+    assert found.late == 0 and found.off_s <= promise.bound_s
+    if not promise.way.full:
+        assert found.coast_rad == pytest.approx(COAST_RAD, rel=0.03)  # the slower direction coasts less far
+    speed = abs(steady(1)[1])
+    assert found.travel_rad >= found.coast_rad + 0.9 * speed * found.off_s - 1e-3
+
+
+def test_what_is_promised_is_what_was_asked_for() -> None:
+    bounds_s = {promise.what: promise.bound_s for promise in PROMISES}
+    tick_s = 1e-3
+    assert bounds_s["host silent"] == 1e-3 * SETUP.watchdog_ms + tick_s
+    assert bounds_s["hang: everything"] == 0.150
+    assert bounds_s["put beyond a hard limit"] == bounds_s["wiper wire broken"] == 2 * tick_s
+    assert bounds_s["e-stop opens"] == tick_s
+    for what in ("host silent", "hang: main loop", "put beyond a hard limit", "e-stop opens", "end switch opens"):
+        assert {promise.way.where for promise in PROMISES if promise.what == what} == {"host", "device"}
+    assert {promise.way.baud for promise in PROMISES if promise.what == "host silent"} == {115200, 1_000_000}
+
+
+def test_a_broken_promise_is_found_and_shown() -> None:
+    broken = measure(PROMISES[0]._replace(bound_s=0.095), 2)
+    assert broken.late == 2 and "**late: 2**" in row(broken)
+    errors, guesses = garbage.Errors(1, 1, 0), garbage.Guesses(1, 0)
+    kept = Found("", [broken._replace(late=0)], [garbage.Thrown(115200, 1, 0)], errors, guesses, {})
+    assert is_kept(kept)
+    assert not is_kept(kept._replace(promises=[broken]))
+    assert not is_kept(kept._replace(thrown=[garbage.Thrown(115200, 1, 1)]))
+    assert not is_kept(kept._replace(errors=garbage.Errors(1, 1, 1)))
+
+
+@pytest.mark.parametrize("baud", BAUDS)
+def test_garbage_moves_nothing(baud: int) -> None:
+    assert garbage.throw(baud, 400, seed=2).moves == 0
+
+
+def test_a_frame_with_the_right_crc_does_move_it() -> None:
+    """What the garbage is made of drives, whole."""
+    driven = DrivenChip(Way(), random.Random(1))
+    driven.arm()
+    changed_s = driven.truth().pin_changed_s
+    driven.write(garbage._drive(random.Random(1)))
+    driven.wait_for_wire()
+    assert driven.truth().pin_changed_s > changed_s and driven.truth().pin_V != 0.0
+
+
+def test_no_error_of_one_or_two_bits_gives_a_frame() -> None:
+    assert garbage.errors(20, seed=3).taken == 0
+
+
+def test_few_guessed_crcs_are_taken() -> None:
+    found = garbage.guesses(5000)
+    assert found.frames == 5000 and found.taken <= 3  # 0.08 to be expected
+
+
+@pytest.mark.parametrize("baud", BAUDS)
+def test_the_tick_takes_its_share_and_no_byte_is_lost(baud: int) -> None:
+    is_well, text = chip_load(baud)
+    assert is_well, text
+    share = re.search(r"^1 kHz +([\d.]+) %", text, re.MULTILINE)
+    masked = re.search(r"^masked +([\d.]+) us", text, re.MULTILINE)
+    assert share is not None and 5.0 < float(share[1]) < 30.0
+    assert masked is not None and 1.0 < float(masked[1]) < 15.0
+    assert re.search(r"^lost +0 bytes", text, re.MULTILINE)
+
+
+def test_the_page_has_every_promise_with_200_phases_and_none_broken() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    assert re.search(r"Each row is 200 random\s+phases", page)
+    lines = [line.split(" | ") for line in page.splitlines() if line.startswith("| ") and " ms | " in line]
+    assert len(lines) == len(PROMISES)
+    for cells, promise in zip(lines, PROMISES, strict=True):
+        assert cells[0] == f"| {promise.what}" and cells[1].startswith(promise.way.where)
+        assert cells[2] == f"{1e3 * promise.bound_s:.0f} ms"
+        number, unit = cells[3].split()
+        assert float(number) * {"ms": 1e-3, "us": 1e-6}[unit] <= promise.bound_s
+    assert "**late" not in page
+    for baud in BAUDS:
+        assert re.search(rf"^\| {baud} \| \d+ \| 0 \|$", page, re.MULTILINE)
+
+
+def test_the_page_is_what_the_command_writes() -> None:
+    some = measure(PROMISES[5], 1)
+    found = Found("today", [some], [garbage.throw(115200, 8)], garbage.errors(1), garbage.Guesses(65536, 2), {9: "x"})
+    page = render(found)
+    head = "| what happens | driven by | off within | worst | coast, rad | in all, rad |"
+    assert head in page and head in PAGE.read_text(encoding="utf-8")
+    assert row(some) in page and "took 2 (1.0 are to be expected)" in page and "7e-13" in page

@@ -1,0 +1,211 @@
+"""An emulated Uno that drives a shaft at a steady speed, kept at it by a host's loop or by the relay in the device.
+
+The bench, its limits and its largest speed are those of config/demo.yaml; the potentiometer has no offset, so that a
+limit is where it reads.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from rig.bench import calibration_of, limits_of, truth_of
+from rig.config import check
+from rig.daq.calibration import DriveMap
+from rig.daq.frames import Code, FrameReader, Kind, Packet, RelaySetup, encode, pack_drive
+from rig.daq.serial_link import setup_for
+from rig.emulate.firmware_build import UnoOptions
+from rig.emulate.virtual_chip import ChipTruth, VirtualChip
+from rig.model.bench import BenchParameters
+
+EXPERIMENT = check(Path(__file__).resolve().parents[2] / "config" / "demo.yaml")[0]
+CALIBRATION = calibration_of(EXPERIMENT)
+LIMITS = limits_of(EXPERIMENT)
+DRIVE_FULL = 400
+TICK_S = 1e-3
+PERIOD_S = EXPERIMENT.period_s
+WATCHDOG_S = LIMITS.watchdog_s
+SETUP = setup_for(
+    LIMITS, CALIBRATION, DriveMap(EXPERIMENT.drive.supply_V, full_units=DRIVE_FULL), EXPERIMENT.sensor.rail_counts
+)
+
+_FLOOD_S = 2e-3  # of garbage a write
+_ASK_S = 0.05
+_START_RAD = 0.9
+_LARGEST_Z = 2**30
+
+Where = Literal["host", "device"]
+Voice = Literal["drives", "reads", "garbage", "none"]
+
+
+def demo_bench() -> BenchParameters:
+    """Of config/demo.yaml, without the potentiometer's offset."""
+    truth = truth_of(EXPERIMENT)
+    assert truth is not None
+    return replace(truth, offset_rad=0.0)
+
+
+BENCH = demo_bench()
+
+
+def limit_rad(direction: int) -> float:
+    """Where the reading passes the hard limit, rad, without noise."""
+    last = SETUP.hard_hi + 0.5 if direction > 0 else SETUP.hard_lo - 0.5
+    return CALIBRATION.to_rad(last)
+
+
+def steady(direction: int) -> tuple[int, float]:
+    """The largest drive that keeps the shaft below limits.max_speed_rad_s, units, and its speed, rad/s; both signed."""
+    motor = BENCH.motor
+    friction_V = motor.friction.plus_V if direction > 0 else motor.friction.minus_V
+    against_V = friction_V - direction * motor.bias_V
+    unit_V = BENCH.supply_V / DRIVE_FULL
+    units = math.floor((EXPERIMENT.limits.max_speed_rad_s / motor.K_rad_s_V + against_V) / unit_V)
+    return direction * units, direction * motor.K_rad_s_V * (units * unit_V - against_V)
+
+
+class Way(NamedTuple):
+    """How the chip is driven.
+
+    where   the relay that drives is in the host (DRIVE each 10 ms) or in the device (RELAY, and KEEP each 10 ms)
+    floods  the host fills the wire with garbage besides
+    noisy   the potentiometer has the demo's noise
+    full    with drive.max_V, else with the drive that keeps the speed
+    """
+
+    where: Where = "host"
+    baud: int = 115200
+    floods: bool = False
+    bridge: str = "PWM_DIR"
+    end_switches: bool = False
+    noisy: bool = True
+    full: bool = False
+
+
+class DrivenChip:
+    """One chip, driven again and again.
+
+    heard_s  when the last frame that keeps the drive alive had arrived whole
+    """
+
+    def __init__(self, way: Way, rng: random.Random) -> None:
+        self.way = way
+        options = UnoOptions(bridge=way.bridge, baud=way.baud, end_switches=way.end_switches)
+        bench = BENCH if way.noisy else replace(BENCH, noise_rad=0.0)
+        self.chip = VirtualChip(bench, rng.randrange(2**32), options=options)
+        self.heard_s = 0.0
+        self.direction = 1
+        self.speed_rad_s = 0.0
+        self._rng = rng
+        self._byte_s = 10.0 / way.baud
+        self._free_s = 0.0  # of the wire
+        self._next_s = 0.0
+        self._units = 0
+        self._seq = 0
+        self.chip.sleep_until(0.01)
+
+    # ------------------------------------------------------------------ wire
+
+    def truth(self) -> ChipTruth:
+        """What is the case at the pins and at the shaft."""
+        return self.chip.truth()
+
+    def write(self, data: bytes) -> None:
+        """Bytes as they are."""
+        self._free_s = max(self._free_s, self.chip.now_s()) + len(data) * self._byte_s
+        self.chip.write(data)
+
+    def wait_for_wire(self) -> None:
+        """Until all has arrived, and the program has had time for it."""
+        self.chip.sleep_until(max(self._free_s, self.chip.now_s()) + 5 * TICK_S)
+
+    def send(self, kind: int, body: bytes = b"") -> int:
+        """A frame; its number."""
+        self._seq = (self._seq + 1) & 0xFFFF
+        self.write(encode(kind, self._seq, body))
+        return self._seq
+
+    def ask(self, kind: int, body: bytes = b"") -> Packet:
+        """A frame, and the answer to it. Raises RuntimeError without one."""
+        while self.chip.read(0.0):
+            pass
+        seq = self.send(kind, body)
+        reader = FrameReader()
+        until_s = self.chip.now_s() + _ASK_S
+        while (left_s := until_s - self.chip.now_s()) > 0.0:
+            for packet in reader.feed(self.chip.read(left_s)):
+                if packet.seq == seq and packet.kind != Kind.BLOCK:
+                    return packet
+        raise RuntimeError(f"the chip does not answer {Kind(kind).name}")
+
+    def keep_alive(self) -> None:
+        """The frame that the drive lives by."""
+        if self.way.where == "device":
+            self.send(Kind.KEEP)
+        else:
+            self.send(Kind.DRIVE, pack_drive(self._units))
+        self.heard_s = self._free_s
+
+    # ------------------------------------------------------------------ driving
+
+    def start(self, direction: int, start_rad: float | None = None) -> None:
+        """Arm, drive, and give the shaft the speed of ``steady``, at ``start_rad`` (default: far inside)."""
+        self.direction = direction
+        self._units, self.speed_rad_s = steady(direction)
+        if self.way.full:
+            self._units = direction * SETUP.max_drive
+        self.chip.place(-direction * _START_RAD)
+        self.chip.sleep_until(self.chip.now_s() + 5 * TICK_S)
+        self.arm()
+        if self.way.where == "device":
+            self._start_relay()
+        self.keep_alive()
+        self._next_s = self.chip.now_s() + self._rng.uniform(0.2, 1.0) * PERIOD_S
+        self.chip.sleep_until(self.chip.now_s() + 5 * TICK_S)
+        if self.truth().pin_V == 0.0:
+            raise RuntimeError("the chip does not drive")
+        far_rad = -direction * _START_RAD
+        self.chip.place(far_rad if start_rad is None else start_rad, self.speed_rad_s)
+
+    def arm(self) -> None:
+        """Stop, set the limits, arm. Raises RuntimeError where it refuses."""
+        self.ask(Kind.STOP)
+        if self.ask(Kind.SETUP, SETUP.pack()).kind != Kind.SETUP_REPLY or self.ask(Kind.ARM).body[0] != Code.NONE:
+            raise RuntimeError("the chip does not arm")
+
+    def _start_relay(self) -> None:
+        """A relay that drives outward as long as the integral has not followed the position: beyond the limit."""
+        u, centre = self._units, SETUP.hard_hi if self.direction > 0 else SETUP.hard_lo
+        drive = (-u, u, -u, u) if self.direction > 0 else (u, -u, u, -u)
+        if self.ask(Kind.RELAY, RelaySetup(drive, 16 * centre, _LARGEST_Z, 1, 10).pack()).kind != Kind.RELAY_REPLY:
+            raise RuntimeError("the chip does not start the relay")
+
+    def go_on(self, until_s: float, voice: Voice = "drives") -> None:
+        """Let time pass while the host's loop goes on: drives, reads alone, sends nothing but garbage, or is silent."""
+        if voice == "none":
+            self.chip.sleep_until(until_s)
+            return
+        floods = self.way.floods or voice == "garbage"
+        while self._next_s < until_s:
+            self.chip.sleep_until(self._next_s)
+            if voice == "drives":
+                self.keep_alive()
+            if floods:
+                left_s = self._next_s + _FLOOD_S - self._free_s
+                self.write(b"\0" + self._rng.randbytes(max(int(left_s / self._byte_s) - 2, 0)) + b"\0")
+            elif voice == "reads" or self.way.where == "host":
+                self.send(Kind.READ)
+            self.chip.read(0.0)
+            self._next_s += _FLOOD_S if floods else PERIOD_S
+        self.chip.sleep_until(until_s)
+
+    def stop(self) -> None:
+        """Off, and all that has been broken is whole again."""
+        self.chip.rewire()
+        for contact in ("e_stop", "end_low", "end_high"):
+            self.chip.contact(contact, is_open=False)
+        self.wait_for_wire()
+        self.write(b"\0")

@@ -1,0 +1,220 @@
+"""Every promise that the firmware takes the drive off, at random phases: how soon, and how far the shaft still goes."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from typing import NamedTuple
+
+from rig.daq.frames import Kind, encode
+from rig.emulate.virtual_chip import Hang
+from rig.model.motor import State
+from safety.driven_chip import BENCH, PERIOD_S, TICK_S, WATCHDOG_S, DrivenChip, Voice, Way, limit_rad, steady
+
+HANG_S = 0.150
+_REST_S = 0.6  # from 10 rad/s; the host goes on meanwhile, to no avail
+_GIVE_UP_S = 1.0
+_BEYOND_COUNTS = 6  # eight times the noise
+
+Event = Callable[[DrivenChip, random.Random], float]
+
+
+class Promise(NamedTuple):
+    """One row of the table.
+
+    what     happens
+    event    makes it happen, now or shortly; returns when
+    bound_s  within which the drive must be off
+    way      how the chip is driven
+    voice    what the host does after it
+    run_up_s  the shaft reaches the limit so long after the start; None: it starts far inside
+    """
+
+    what: str
+    event: Event
+    bound_s: float
+    way: Way = Way()
+    voice: Voice = "drives"
+    run_up_s: tuple[float, float] | None = None
+
+
+class Measured(NamedTuple):
+    """Over all phases.
+
+    off_s       longest time from the event until the pins were at 0
+    coast_rad   farthest that the shaft went on from there
+    travel_rad  farthest from the event until it stood
+    late        phases in which the drive was on beyond the bound, or came back
+    """
+
+    promise: Promise
+    phases: int
+    off_s: float
+    coast_rad: float
+    travel_rad: float
+    late: int
+
+
+# ---------------------------------------------------------------------- what may happen
+
+
+def _last_frame(driven: DrivenChip, rng: random.Random) -> float:
+    """The host's last word that counts."""
+    if driven.way.full:
+        driven.chip.place(driven.truth().y_rad, driven.speed_rad_s)
+    driven.keep_alive()
+    return driven.heard_s
+
+
+def _silence(driven: DrivenChip, rng: random.Random) -> float:
+    """The host says no more; sometimes it dies within a frame."""
+    heard_s = _last_frame(driven, rng)
+    if rng.random() < 0.5:
+        frame = encode(Kind.DRIVE, 1, b"\1\1")
+        driven.write(frame[: rng.randrange(1, len(frame))])
+    return heard_s
+
+
+def _hang(what: Hang) -> Event:
+    def event(driven: DrivenChip, rng: random.Random) -> float:
+        driven.chip.hang(what)
+        return driven.chip.now_s()
+
+    return event
+
+
+def _beyond(driven: DrivenChip, rng: random.Random) -> float:
+    """A hand puts the shaft beyond the limit."""
+    beyond_rad = driven.direction * _BEYOND_COUNTS * abs(BENCH.rad_per_count)
+    driven.chip.place(limit_rad(driven.direction) + beyond_rad, driven.speed_rad_s)
+    return driven.chip.now_s()
+
+
+def _crossing(driven: DrivenChip, rng: random.Random) -> float:
+    """The shaft runs over the limit by itself."""
+    truth = driven.truth()
+    return truth.t_s + (limit_rad(driven.direction) - truth.y_rad) / driven.speed_rad_s
+
+
+def _broken_wire(driven: DrivenChip, rng: random.Random) -> float:
+    driven.chip.rewire(sensor=rng.choice(("broken_low", "broken_high")))
+    return driven.chip.now_s()
+
+
+def _e_stop(driven: DrivenChip, rng: random.Random) -> float:
+    driven.chip.contact("e_stop", is_open=True)
+    return driven.chip.now_s()
+
+
+def _end_switch(driven: DrivenChip, rng: random.Random) -> float:
+    driven.chip.contact("end_high" if driven.direction > 0 else "end_low", is_open=True)
+    return driven.chip.now_s()
+
+
+def _reset(driven: DrivenChip, rng: random.Random) -> float:
+    driven.chip.reset(rng.choice((1, 2, 4)), rng.choice((0.0, 0.05)))
+    return driven.chip.now_s()
+
+
+HOST, DEVICE = Way(), Way("device")
+FAST = Way(baud=1_000_000)
+FAST_DEVICE = Way("device", baud=1_000_000)
+FLOOD = Way(baud=1_000_000, floods=True)
+OTHER_BRIDGE = Way(bridge="IN1_IN2")
+HOST_FULL, DEVICE_FULL = Way(full=True), Way("device", full=True)
+ENDS, DEVICE_ENDS = Way(end_switches=True), Way("device", end_switches=True)
+SILENT_S = WATCHDOG_S + TICK_S
+RUN_UP_S = (0.005, 0.025)
+
+PROMISES = (
+    *(
+        Promise("host silent", _silence, SILENT_S, way, "none")
+        for way in (HOST, DEVICE, FAST, FAST_DEVICE, OTHER_BRIDGE)
+    ),
+    *(Promise("host silent, at full drive", _silence, SILENT_S, way, "none") for way in (HOST_FULL, DEVICE_FULL)),
+    *(Promise("host reads on, but drives no more", _last_frame, SILENT_S, way, "reads") for way in (HOST, DEVICE)),
+    *(
+        Promise("nothing but garbage from the host", _last_frame, SILENT_S, way, "garbage")
+        for way in (FLOOD, FLOOD._replace(where="device"))
+    ),
+    *(
+        Promise(f"hang: {what}", _hang(what), HANG_S, way)
+        for what in ("main loop", "everything", "clock", "converter")
+        for way in (HOST, DEVICE)
+    ),
+    *(Promise("put beyond a hard limit", _beyond, 2 * TICK_S, way) for way in (HOST, DEVICE, FLOOD)),
+    *(
+        Promise("runs over a hard limit, sensor without noise", _crossing, 2 * TICK_S, way, run_up_s=RUN_UP_S)
+        for way in (HOST._replace(noisy=False), DEVICE._replace(noisy=False), FLOOD._replace(noisy=False))
+    ),
+    Promise("runs over a hard limit, noise may hide a reading", _crossing, 3 * TICK_S, HOST, run_up_s=RUN_UP_S),
+    *(Promise("wiper wire broken", _broken_wire, 2 * TICK_S, way) for way in (HOST, DEVICE, FLOOD)),
+    *(Promise("e-stop opens", _e_stop, TICK_S, way) for way in (HOST, DEVICE, FLOOD, OTHER_BRIDGE)),
+    *(Promise("end switch opens", _end_switch, 2 * TICK_S, way) for way in (ENDS, DEVICE_ENDS)),
+    *(Promise("reset: power-on, external, brown-out", _reset, TICK_S, way) for way in (HOST, DEVICE, OTHER_BRIDGE)),
+)
+
+
+# ---------------------------------------------------------------------- measuring
+
+
+class _Phase(NamedTuple):
+    off_s: float
+    coast_rad: float
+    travel_rad: float
+    is_late: bool
+
+
+def _phase(promise: Promise, driven: DrivenChip, rng: random.Random) -> _Phase:
+    direction = rng.choice((1, -1))
+    start_rad = None
+    if promise.run_up_s is not None:
+        start_rad = limit_rad(direction) - rng.uniform(*promise.run_up_s) * steady(direction)[1]
+    driven.start(direction, start_rad)
+    changed_s = driven.truth().pin_changed_s
+    if promise.run_up_s is None:
+        driven.go_on(driven.chip.now_s() + rng.uniform(0.0, 2 * PERIOD_S))
+    drive_V = driven.truth().pin_V
+    if drive_V == 0.0 or driven.truth().pin_changed_s != changed_s:
+        raise RuntimeError(f"{promise.what}: the drive changed before it happened")
+    event_s = promise.event(driven, rng)
+    before = driven.truth()
+
+    def shaft_rad(t_s: float) -> float:
+        """At a time before the drive is off, by the exact motor."""
+        start = State(before.v_rad_per_s, before.y_rad)
+        return BENCH.motor.advance(start, drive_V, max(t_s - before.t_s, 0.0)).y
+
+    bound_s = event_s + promise.bound_s
+    driven.go_on(bound_s, promise.voice)
+    is_late = driven.truth().pin_V != 0.0
+    while driven.truth().pin_V != 0.0 and driven.chip.now_s() < bound_s + _GIVE_UP_S:
+        driven.go_on(driven.chip.now_s() + TICK_S, promise.voice)
+    off_s = max(driven.truth().pin_changed_s, event_s)
+    driven.go_on(driven.chip.now_s() + _REST_S, promise.voice)
+    after = driven.truth()
+    if after.pin_V != 0.0 or max(after.pin_changed_s, event_s) != off_s:
+        is_late = True  # it came back
+    if after.v_rad_per_s != 0.0:
+        raise RuntimeError(f"{promise.what}: the shaft still turns")
+    driven.stop()
+    coast_rad, travel_rad = (abs(after.y_rad - shaft_rad(t_s)) for t_s in (off_s, event_s))
+    return _Phase(off_s - event_s, coast_rad, travel_rad, is_late)
+
+
+def measure(promise: Promise, phases: int, seed: int = 1) -> Measured:
+    """One row; the same seed gives the same phases."""
+    rng = random.Random(f"{seed} {promise.what} {promise.way}")
+    driven = DrivenChip(promise.way, rng)
+    found = [_phase(promise, driven, rng) for _ in range(phases)]
+    truth = driven.truth()
+    if truth.crashed:
+        raise RuntimeError(f"{promise.what}: the program ran into what is no program")
+    return Measured(
+        promise,
+        phases,
+        max(one.off_s for one in found),
+        max(one.coast_rad for one in found),
+        max(one.travel_rad for one in found),
+        sum(one.is_late for one in found),
+    )
