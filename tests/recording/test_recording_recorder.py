@@ -35,7 +35,7 @@ import os, sys, time
 from pathlib import Path
 from rig.recording.recorder import Recorder
 from rig.signals import Sample
-recorder = Recorder(Path(sys.argv[1]), ["relay-1"], capacity_rows=64)
+recorder = Recorder(Path(sys.argv[1]), ["relay-1"], capacity_rows=1024)
 os.write(1, b"%d\\n" % recorder.writer_pid)
 for tick in range(1_000_000):
     recorder.sample(tick, Sample(tick * 0.01, 0.1 * tick, tick % 1024, seq=tick), "relay-1", 0.0, 0.0, 1.0, 0.0, 0.0, 0)
