@@ -37,7 +37,7 @@ class Record:
     t_s        n times, s, increasing
     y_rad      n positions, rad
     t_u_s      n times at which each row's drive took effect, s; None if unknown (then u acts from t_s plus a constant
-               delay between 0 and 2 periods)
+               delay, at most `longest_delay_s`)
     u_V        n drives, V, after saturation and quantisation
     first_row  index of row 0 in the file it comes from
     name       what to call it in a message
