@@ -41,6 +41,7 @@ _SLACK = 1e-9  # relative: 0.1 s is ten periods of 0.01 s, whatever the binary f
 
 CHIP_PORTS = ("emulated-chip", "emulated-chip-realtime")
 EMULATED_PORTS = ("emulated", *CHIP_PORTS)
+MODBUS_EMULATED_PORTS = ("emulated", "emulated-tcp", "emulated-virtual")
 CHIP_BAUDS = (115200, 1_000_000)  # that the Uno's firmware is built for
 
 

@@ -9,37 +9,28 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from rig.config.modbus import Modbus
+from rig.config.section import Interval, NonNegative, Positive
+from rig.config.section import Section as _Section
 
-def _rising(interval: tuple[float, float]) -> tuple[float, float]:
-    low, high = interval
-    if not low < high:
-        raise ValueError(f"must be [low, high] with low < high, not [{low:g}, {high:g}]")
-    return interval
-
-
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Interval = Annotated[tuple[float, float], AfterValidator(_rising)]
 Method = Literal["sampled-data", "triple-relay", "describing-function"]
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Daq(_Section):
     """The link to the bench."""
 
-    driver: Literal["simulated", "serial"] = Field(
-        description="which driver: a simulation in virtual time, or a serial device"
+    driver: Literal["simulated", "serial", "modbus"] = Field(
+        description="which driver: a simulation in virtual time, a device with rig's firmware on a serial port, "
+        "or a Modbus device"
     )
     port: str | None = Field(
         None,
         description="serial port such as /dev/ttyACM0; or `emulated`: start the device of section `emulated`; "
         "or, with that bench behind it, the Uno's firmware on its emulated chip: `emulated-chip` in virtual time, "
-        "`emulated-chip-realtime` in real time",
+        "`emulated-chip-realtime` in real time. For modbus: /dev/ttyUSB0 (RTU) or tcp://host:502; `emulated` (RTU), "
+        "`emulated-tcp`, or `emulated-virtual` in virtual time",
     )
     baud: Annotated[int, Field(ge=9600, le=4_000_000)] = Field(
         115200, description="bits per second of the serial link, as the firmware was built"
@@ -50,6 +41,7 @@ class Daq(_Section):
         0.1, description="host silence before the device sets 0 V; 3 to 10 periods"
     )
     accept_no_watchdog: bool = Field(False, description="drive a device that has no watchdog")
+    modbus: Modbus | None = Field(None, description="driver modbus: how the device is asked, and its register map")
 
 
 class CalibrationPoint(_Section):

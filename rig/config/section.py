@@ -1,0 +1,25 @@
+"""What every section of a config is, and the kinds of numbers in it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+
+def _rising(interval: tuple[float, float]) -> tuple[float, float]:
+    low, high = interval
+    if not low < high:
+        raise ValueError(f"must be [low, high] with low < high, not [{low:g}, {high:g}]")
+    return interval
+
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Interval = Annotated[tuple[float, float], AfterValidator(_rising)]
+
+
+class Section(BaseModel):
+    """Strict: an unknown key is an error, numbers are finite, objects are frozen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
