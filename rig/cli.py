@@ -353,6 +353,35 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool
 
 
 @main.command()
+@click.argument("config_path", metavar="[CONFIG]", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--seconds", type=click.FloatRange(0.2, 3600.0), default=3.0, show_default=True, help="Of measured ticks."
+)
+@OUT
+@JSON
+def doctor(config_path: Path | None, seconds: float, out: Path, as_json: bool) -> None:
+    """Can this machine hold the loop's period; with a CONFIG, can this link? What is in the way, and what to type.
+
+    A device is opened and read, but never armed: nothing moves. Exit status 1 where something will not hold.
+    """
+    from rig.doctor.visit import with_config, without_config
+
+    findings = []
+    with _faults():
+        visit = without_config(out, seconds) if config_path is None else with_config(_load(config_path), out, seconds)
+        for finding in visit:
+            findings.append(finding)
+            if not as_json:
+                click.echo(f"{finding.state:>5}  {finding.topic}: {finding.words}")
+                if finding.cure:
+                    click.echo(f"       -> {finding.cure}")
+    ok = all(finding.state != "bad" for finding in findings)
+    if as_json:
+        click.echo(json.dumps({"ok": ok, "findings": [finding.as_dict() for finding in findings]}))
+    sys.exit(0 if ok else EXIT_FAILED)
+
+
+@main.command()
 @click.option("--port", default=None, help="Serial port; default: the one Uno or clone that is plugged in.")
 @click.option(
     "--baud", type=click.Choice(["115200", "1000000"]), default="115200", show_default=True,

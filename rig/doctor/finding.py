@@ -1,0 +1,28 @@
+"""What the doctor found about one thing."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+State = Literal["good", "note", "poor", "bad"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at.
+
+    topic  what it is, in a word or two
+    state  good; note: neither good nor bad; poor: the loop runs, but later or less surely; bad: it will not hold
+    words  what was seen, numbers included
+    cure   what to type or to change; empty where nothing is wrong
+    """
+
+    topic: str
+    state: State
+    words: str
+    cure: str = ""
+
+    def as_dict(self) -> dict[str, str]:
+        """As `rig doctor --json` prints it."""
+        return asdict(self)

@@ -1,0 +1,198 @@
+"""How the machine is set up: what the kernel's files say, each judged by one function.
+
+Every function takes ``root``, the folder that stands for ``/``.
+"""
+
+from __future__ import annotations
+
+import grp
+import os
+import platform
+import shutil
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+from serial.tools import list_ports
+
+from rig.doctor.finding import Finding
+from rig.loop.real_time import real_time
+
+ROOT = Path("/")
+_FAST_CLOCKS = ("tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter")
+_LATENCY_MS = 1
+_LEAST_FREE_BYTES = 200e6
+_UDEV_RULE = (
+    'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1" '
+    "in /etc/udev/rules.d/99-rig.rules keeps it"
+)
+
+
+def examine(run_folder: Path, root: Path = ROOT) -> Iterator[Finding]:
+    """Everything about this machine that a run does not have to be started for."""
+    yield kernel(root)
+    yield clock_source(root)
+    yield governor(root)
+    yield cores(root)
+    yield from scheduling()
+    yield from serial_ports()
+    yield from latency_timers(root)
+    yield modem_manager(root)
+    yield disk(run_folder)
+
+
+def _text(path: Path) -> str | None:
+    """What a kernel's file says, stripped; None where there is no such file or it may not be read."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return None
+
+
+def kernel(root: Path = ROOT) -> Finding:
+    """Whether the kernel can be interrupted where it works for others."""
+    release, build = platform.release(), platform.version()
+    if _text(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in build:
+        return Finding("kernel", "good", f"{release}, fully preemptible (PREEMPT_RT)")
+    if "PREEMPT" in build:
+        return Finding("kernel", "good", f"{release}, preemptible")
+    return Finding(
+        "kernel",
+        "note",
+        f"{release}, not preemptible: a wake-up can wait for milliseconds while the kernel works for others",
+        "where the measured wake-ups below are too late: a preemptible kernel, in Debian `sudo apt install "
+        "linux-image-rt-amd64`",
+    )
+
+
+def clock_source(root: Path = ROOT) -> Finding:
+    """What the kernel reads the time from: some cost a microsecond and more at each reading."""
+    source = _text(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
+    if source is None:
+        return Finding("clock", "note", "the kernel does not say what it reads the time from")
+    if source in _FAST_CLOCKS:
+        return Finding("clock", "good", f"read from {source}")
+    return Finding(
+        "clock", "poor", f"read from {source}, which is slow", "boot with `tsc=reliable`, where the machine has one"
+    )
+
+
+def governor(root: Path = ROOT) -> Finding:
+    """Whether cores slow down while the loop sleeps."""
+    files = sorted((root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq/scaling_governor"))
+    governors = Counter(filter(None, map(_text, files)))
+    if not governors:
+        return Finding("governor", "good", "no frequency scaling on this machine")
+    words = ", ".join(f"{name} on {count} cores" for name, count in sorted(governors.items()))
+    if set(governors) == {"performance"}:
+        return Finding("governor", "good", words)
+    return Finding(
+        "governor",
+        "poor",
+        f"{words}: a core that has slowed down while the loop slept wakes it late",
+        "`echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor`, until the next boot",
+    )
+
+
+def cores(root: Path = ROOT) -> Finding:
+    """How many cores, and whether they are this machine's own."""
+    count = os.cpu_count() or 1
+    flags = _text(root / "proc/cpuinfo") or ""
+    if any("hypervisor" in line.split() for line in flags.splitlines() if line.startswith("flags")):
+        return Finding(
+            "cores",
+            "note",
+            f"{count}, of a virtual machine: whatever shares its host can stop it for milliseconds at any time",
+            "for a real motor, a machine of its own",
+        )
+    if count == 1:
+        return Finding("cores", "poor", "1: the recorder runs on the loop's core", "a machine with two cores or more")
+    return Finding("cores", "good", f"{count}")
+
+
+def scheduling() -> Iterator[Finding]:
+    """What of the real-time set-up this user may have: it is asked for, as a run does, and given back."""
+    with real_time() as lines:
+        granted = list(lines)
+    for line in granted:
+        refused = "refused" in line or " not " in line
+        words, _, cure = line.partition(": ") if refused else (line, "", "")
+        yield Finding("real time", "poor" if refused else "good", words if cure else line, cure)
+
+
+def serial_ports() -> Iterator[Finding]:
+    """The serial ports of this machine, and whether this user may open them."""
+    ports = sorted(port.device for port in list_ports.comports())
+    if not ports:
+        yield Finding(
+            "serial port",
+            "note",
+            "none is there",
+            "plug the board in, with a cable that has data wires, if it should be",
+        )
+    for device in ports:
+        yield serial_port(Path(device))
+
+
+def serial_port(device: Path) -> Finding:
+    """Whether this user may open one port."""
+    if not device.exists():
+        return Finding("serial port", "bad", f"{device} is not there", "`ls /dev/serial/by-id/` shows which there are")
+    if os.access(device, os.R_OK | os.W_OK):
+        return Finding("serial port", "good", f"{device} may be opened")
+    try:
+        group = grp.getgrgid(device.stat().st_gid).gr_name
+    except KeyError:
+        group = "dialout"
+    return Finding(
+        "serial port",
+        "bad",
+        f"{device} belongs to group {group}, and you do not",
+        f"`sudo adduser $USER {group}`, then log in anew",
+    )
+
+
+def latency_timers(root: Path = ROOT) -> Iterator[Finding]:
+    """How long a USB chip collects bytes before it sends them on: 16 ms by default in an FTDI."""
+    for file in sorted((root / "sys/bus/usb-serial/devices").glob("*/latency_timer")):
+        text = _text(file)
+        if text is None or not text.isdigit():
+            continue
+        waits_ms, port = int(text), file.parent.name
+        if waits_ms <= _LATENCY_MS:
+            yield Finding("USB latency", "good", f"{port} waits {waits_ms} ms for more bytes")
+        else:
+            yield Finding(
+                "USB latency",
+                "bad",
+                f"{port} waits {waits_ms} ms for more bytes before it hands a short reply on",
+                f"`echo {_LATENCY_MS} | sudo tee {file}`; {_UDEV_RULE}",
+            )
+
+
+def modem_manager(root: Path = ROOT) -> Finding:
+    """Whether a program runs that talks to every new serial port, to find out if it is a modem."""
+    for comm in (root / "proc").glob("[0-9]*/comm"):
+        if _text(comm) == "ModemManager":
+            return Finding(
+                "ModemManager",
+                "poor",
+                "runs: it opens every new serial port and writes to it, for up to half a minute",
+                "`sudo systemctl disable --now ModemManager`, unless you need a modem",
+            )
+    return Finding("ModemManager", "good", "does not run")
+
+
+def disk(run_folder: Path) -> Finding:
+    """Whether runs can be written where they will be."""
+    folder = run_folder.absolute()
+    while not folder.exists():
+        folder = folder.parent
+    if not os.access(folder, os.W_OK):
+        return Finding("disk", "bad", f"{folder} may not be written", "choose another folder with --out")
+    free = shutil.disk_usage(folder).free
+    if free < _LEAST_FREE_BYTES:
+        return Finding(
+            "disk", "poor", f"{free / 1e6:.0f} MB free at {folder}; an hour at 10 ms takes about 45 MB", "make room"
+        )
+    return Finding("disk", "good", f"{free / 1e9:.1f} GB free at {folder}")

@@ -1,0 +1,122 @@
+"""What a loop of this period meets on this machine and this link: wake-ups, exchanges, and the margin that they leave.
+
+Nothing is armed and nothing moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from rig.doctor.finding import Finding
+
+TIGHT = 0.8  # share of the period that a tick may take: what the link budget grants the exchange, too
+_LATE_SHARE = 0.1  # of the period: wake-ups later than that show in the record
+
+
+class _Clock(Protocol):
+    def now_s(self) -> float: ...
+
+    def sleep_until(self, t_s: float) -> None: ...
+
+
+@dataclass(frozen=True)
+class Ticks:
+    """What ticks on an absolute grid took, in s, one entry a tick: waking late, and the exchange after it.
+
+    skipped  ticks of the grid that had passed before the tick before them was over
+    """
+
+    period_s: float
+    late_s: tuple[float, ...]
+    exchange_s: tuple[float, ...]
+    skipped: int
+
+    @property
+    def longest_s(self) -> float:
+        """The longest from due to done, s."""
+        return max(late + exchange for late, exchange in zip(self.late_s, self.exchange_s, strict=True))
+
+    @property
+    def margin(self) -> float:
+        """Share of the period that the longest tick left; negative where it was longer than the period."""
+        return 1.0 - self.longest_s / self.period_s
+
+
+def run_ticks(clock: _Clock, period_s: float, number: int, exchange: Callable[[], object] | None = None) -> Ticks:
+    """Run ``number`` >= 1 ticks of a loop that does nothing but ``exchange``."""
+    late_s: list[float] = []
+    exchange_s: list[float] = []
+    skipped = tick = 0
+    t0_s = clock.now_s() + period_s
+    for _ in range(number):
+        due_s = t0_s + tick * period_s
+        clock.sleep_until(due_s)
+        woke_s = clock.now_s()
+        if exchange is not None:
+            exchange()
+        done_s = clock.now_s()
+        late_s.append(woke_s - due_s)
+        exchange_s.append(done_s - woke_s)
+        passed = max(int((done_s - due_s) / period_s), 0)
+        skipped += passed
+        tick += 1 + passed
+    return Ticks(period_s, tuple(late_s), tuple(exchange_s), skipped)
+
+
+def wake_ups(ticks: Ticks) -> Finding:
+    """How late a loop of this period wakes here."""
+    words = f"{_quantiles(ticks.late_s)} late, {len(ticks.late_s)} of {ticks.period_s * 1e3:g} ms"
+    p99_s = float(np.quantile(ticks.late_s, 0.99))
+    if ticks.skipped or p99_s > _LATE_SHARE * ticks.period_s:
+        skipped = f"; {ticks.skipped} ticks skipped" if ticks.skipped else ""
+        return Finding(
+            "wake-up",
+            "bad" if ticks.skipped else "poor",
+            words + skipped,
+            "allow real-time scheduling, close what loads the machine, or take a longer period_s",
+        )
+    return Finding("wake-up", "good", words)
+
+
+def round_trip(ticks: Ticks, terms: Sequence[tuple[str, float]]) -> Finding:
+    """The measured exchange beside the sum of the link budget (``terms``: words, s; empty where there is none)."""
+    words = f"{_quantiles(ticks.exchange_s)}, {len(ticks.exchange_s)} exchanges"
+    if not terms:
+        return Finding("round trip", "note", f"{words}; this driver's link has no sum to set beside it")
+    total_s = sum(s for _, s in terms)
+    written = " + ".join(f"{name} {s * 1e3:.2f}" for name, s in terms)
+    words += f"; by the config: {written} = {total_s * 1e3:.2f} ms"
+    if float(np.median(ticks.exchange_s)) > 1.2 * total_s:
+        return Finding(
+            "round trip",
+            "poor",
+            words,
+            "the link is slower than its sum: look at the USB chip's latency timer, hubs, and the device's turnaround",
+        )
+    return Finding("round trip", "good", words)
+
+
+def verdict(ticks: Ticks) -> Finding:
+    """Whether machine and link together hold the period."""
+    worst_s, period_ms = ticks.longest_s, ticks.period_s * 1e3
+    words = f"the longest of {len(ticks.late_s)} ticks took {worst_s * 1e3:.2f} ms of {period_ms:g} ms"
+    if worst_s <= TIGHT * ticks.period_s and not ticks.skipped:
+        return Finding("period", "good", f"held: {words}, margin {ticks.margin:.0%}")
+    longer_s = worst_s / TIGHT
+    cure = f"period_s: {float(f'{longer_s * 1.05:.1g}'):g} or longer would leave room, or mend what is named above"
+    if worst_s <= ticks.period_s and not ticks.skipped:
+        return Finding("period", "poor", f"held, but tight: {words}, margin {ticks.margin:.0%}", cure)
+    return Finding("period", "bad", f"NOT held: {words}, {ticks.skipped} skipped", cure)
+
+
+def _quantiles(values_s: Sequence[float]) -> str:
+    """Median, p99 and largest, in us below a ms and in ms above."""
+    p50, p99, largest = (float(q) for q in np.quantile(values_s, [0.5, 0.99, 1.0], method="inverted_cdf"))
+    unit, scale = ("us", 1e6) if largest < 1e-3 else ("ms", 1e3)
+    digits = 0 if unit == "us" else 2
+    written = " / ".join(f"{q * scale:.{digits}f}" for q in (p50, p99, largest))
+    return f"{written} {unit} (median / p99 / largest)"

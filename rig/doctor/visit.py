@@ -1,0 +1,58 @@
+"""A visit: the machine, and with a config the link and the device behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from rig.bench import connect
+from rig.config.schema import Experiment
+from rig.doctor import machine, measured
+from rig.doctor.finding import Finding
+from rig.faults import Fault
+from rig.loop.clock import MonotonicClock
+from rig.loop.real_time import real_time
+
+SECONDS = 3.0  # of ticks
+_PERIOD_S = 0.01  # without a config
+
+
+def without_config(run_folder: Path, seconds: float = SECONDS) -> Iterator[Finding]:
+    """The machine by itself."""
+    yield from machine.examine(run_folder)
+    with real_time():
+        ticks = measured.run_ticks(MonotonicClock(), _PERIOD_S, _number(seconds, _PERIOD_S))
+    yield measured.wake_ups(ticks)
+
+
+def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECONDS) -> Iterator[Finding]:
+    """The machine, and the link and the device of ``experiment``: opened and read at its period, never armed.
+
+    A device that cannot be met is a finding.
+    """
+    yield from machine.examine(run_folder)
+    if experiment.daq.port is not None and experiment.daq.port.startswith("/"):
+        port = machine.serial_port(Path(experiment.daq.port))
+        yield port
+        if port.state == "bad":
+            return
+    try:
+        with connect(experiment) as bench:
+            yield Finding("device", "good", bench.driver.backend)
+            if not isinstance(bench.clock, MonotonicClock):
+                yield Finding("period", "note", "this bench lives in virtual time: every period is held")
+                return
+            with real_time():
+                number = _number(seconds, experiment.period_s)
+                ticks = measured.run_ticks(bench.clock, experiment.period_s, number, bench.driver.read)
+    except Fault as fault:
+        detail = f" ({fault.detail})" if fault.detail else ""
+        yield Finding("device", "bad", f"{fault.code}: {fault.cause}{detail}", fault.cure)
+        return
+    yield measured.wake_ups(ticks)
+    yield measured.round_trip(ticks, ())
+    yield measured.verdict(ticks)
+
+
+def _number(seconds: float, period_s: float) -> int:
+    return max(round(seconds / period_s), 20)

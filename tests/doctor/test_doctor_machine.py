@@ -1,0 +1,91 @@
+"""What the doctor says of a machine whose kernel's files are set up by hand."""
+
+from pathlib import Path
+
+import pytest
+
+from rig.doctor import machine
+
+
+def put(root: Path, name: str, text: str) -> Path:
+    file = root / name
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text + "\n", encoding="utf-8")
+    return file
+
+
+def test_cores_that_slow_down_are_named_with_what_to_type(tmp_path: Path) -> None:
+    for core, name in enumerate(("powersave", "powersave", "performance")):
+        put(tmp_path, f"sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor", name)
+    found = machine.governor(tmp_path)
+    assert found.state == "poor"
+    assert "performance on 1 cores, powersave on 2 cores" in found.words
+    assert "scaling_governor" in found.cure
+
+
+def test_performance_governor_and_none_at_all_are_good(tmp_path: Path) -> None:
+    assert machine.governor(tmp_path).state == "good"
+    put(tmp_path, "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor", "performance")
+    assert machine.governor(tmp_path).state == "good"
+
+
+def test_ftdi_latency_of_16_ms_is_bad_and_the_cure_names_its_file(tmp_path: Path) -> None:
+    file = put(tmp_path, "sys/bus/usb-serial/devices/ttyUSB0/latency_timer", "16")
+    put(tmp_path, "sys/bus/usb-serial/devices/ttyUSB1/latency_timer", "1")
+    slow, fast = machine.latency_timers(tmp_path)
+    assert (slow.state, fast.state) == ("bad", "good")
+    assert "ttyUSB0 waits 16 ms" in slow.words
+    assert str(file) in slow.cure
+
+
+def test_no_usb_adapter_nothing_to_say(tmp_path: Path) -> None:
+    assert list(machine.latency_timers(tmp_path)) == []
+
+
+@pytest.mark.parametrize(("source", "state"), [("tsc", "good"), ("hpet", "poor"), ("acpi_pm", "poor")])
+def test_slow_clocks(tmp_path: Path, source: str, state: str) -> None:
+    put(tmp_path, "sys/devices/system/clocksource/clocksource0/current_clocksource", source)
+    assert machine.clock_source(tmp_path).state == state
+
+
+def test_modem_manager_is_found_by_its_process(tmp_path: Path) -> None:
+    put(tmp_path, "proc/17/comm", "sshd")
+    assert machine.modem_manager(tmp_path).state == "good"
+    put(tmp_path, "proc/801/comm", "ModemManager")
+    found = machine.modem_manager(tmp_path)
+    assert found.state == "poor"
+    assert "systemctl" in found.cure
+
+
+def test_a_virtual_machine_is_told_apart(tmp_path: Path) -> None:
+    put(tmp_path, "proc/cpuinfo", "flags\t\t: fpu tsc hypervisor sse2")
+    assert "virtual machine" in machine.cores(tmp_path).words
+
+
+def test_fully_preemptible_kernel(tmp_path: Path) -> None:
+    put(tmp_path, "sys/kernel/realtime", "1")
+    found = machine.kernel(tmp_path)
+    assert found.state == "good"
+    assert "PREEMPT_RT" in found.words
+
+
+def test_a_port_that_is_not_there(tmp_path: Path) -> None:
+    found = machine.serial_port(tmp_path / "ttyACM9")
+    assert found.state == "bad"
+    assert "is not there" in found.words
+
+
+def test_a_port_of_another_group_names_the_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    port = put(tmp_path, "dev/ttyACM0", "")
+    monkeypatch.setattr("os.access", lambda *_: False)  # root may open everything
+    found = machine.serial_port(port)
+    assert found.state == "bad"
+    assert found.cure.startswith("`sudo adduser $USER ")
+
+
+def test_a_full_disk_and_one_that_may_not_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert machine.disk(tmp_path / "runs" / "not-made-yet").state == "good"
+    monkeypatch.setattr(machine.shutil, "disk_usage", lambda _: machine.shutil._ntuple_diskusage(10**9, 10**9, 10**6))
+    assert machine.disk(tmp_path).state == "poor"
+    monkeypatch.setattr("os.access", lambda *_: False)
+    assert machine.disk(tmp_path).state == "bad"

@@ -1,0 +1,72 @@
+"""Ticks, wake-ups and margins, in virtual time and so exactly."""
+
+import pytest
+
+from rig.doctor import measured
+from rig.loop.clock import VirtualClock
+
+
+class SleepyClock(VirtualClock):
+    """Wakes late by the next of ``late_s``, again and again."""
+
+    def __init__(self, late_s: tuple[float, ...]) -> None:
+        super().__init__()
+        self._late_s = late_s
+        self._ticks = 0
+
+    def sleep_until(self, t_s: float) -> None:
+        super().sleep_until(t_s + self._late_s[self._ticks % len(self._late_s)])
+        self._ticks += 1
+
+
+def exchange_of(clock: VirtualClock, seconds: float):
+    return lambda: VirtualClock.sleep_until(clock, clock.now_s() + seconds)
+
+
+def test_late_and_exchange_are_told_apart() -> None:
+    clock = SleepyClock((0.0001, 0.0003))
+    ticks = measured.run_ticks(clock, 0.01, 10, exchange_of(clock, 0.004))
+    assert ticks.late_s == pytest.approx([0.0001, 0.0003] * 5, abs=1e-12)
+    assert ticks.exchange_s == pytest.approx([0.004] * 10, abs=1e-12)
+    assert ticks.skipped == 0
+    assert ticks.margin == pytest.approx(1 - 0.43)
+    assert measured.verdict(ticks).state == "good"
+    assert "margin 57%" in measured.verdict(ticks).words
+
+
+def test_an_exchange_longer_than_the_period_is_not_held_and_a_period_that_fits_is_proposed() -> None:
+    clock = SleepyClock((0.0,))
+    ticks = measured.run_ticks(clock, 0.01, 10, exchange_of(clock, 0.025))
+    assert ticks.skipped == 2 * 10
+    found = measured.verdict(ticks)
+    assert found.state == "bad"
+    assert "20 skipped" in found.words
+    assert found.cure.startswith("period_s: 0.03 ")
+
+
+def test_tight_is_said_before_it_breaks() -> None:
+    clock = SleepyClock((0.0,))
+    ticks = measured.run_ticks(clock, 0.01, 10, exchange_of(clock, 0.009))
+    found = measured.verdict(ticks)
+    assert found.state == "poor"
+    assert "margin 10%" in found.words
+
+
+def test_the_measured_round_trip_stands_beside_the_sum() -> None:
+    clock = SleepyClock((0.0,))
+    ticks = measured.run_ticks(clock, 0.02, 10, exchange_of(clock, 0.0062))
+    good = measured.round_trip(ticks, (("request", 0.002), ("reply", 0.0025), ("silence", 0.0017)))
+    assert good.state == "good"
+    assert "request 2.00 + reply 2.50 + silence 1.70 = 6.20 ms" in good.words
+    slow = measured.round_trip(ticks, (("request", 0.001), ("reply", 0.001)))
+    assert slow.state == "poor"
+    assert "latency timer" in slow.cure
+    assert measured.round_trip(ticks, ()).state == "note"
+
+
+def test_late_wake_ups_are_named() -> None:
+    prompt = measured.run_ticks(SleepyClock((0.00005,)), 0.01, 20)
+    late = measured.run_ticks(SleepyClock((0.00005, 0.002)), 0.01, 20)
+    missed = measured.run_ticks(SleepyClock((0.00005, 0.012)), 0.01, 20)
+    assert [measured.wake_ups(t).state for t in (prompt, late, missed)] == ["good", "poor", "bad"]
+    assert "50 / 50 / 50 us" in measured.wake_ups(prompt).words

@@ -1,0 +1,63 @@
+"""`rig doctor` as it is typed."""
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from rig.cli import main
+
+ROOT = Path(__file__).parents[2]
+
+
+def doctor(*arguments: str | Path):
+    return CliRunner().invoke(main, ["doctor", "--seconds", "0.2", *map(str, arguments)])
+
+
+def config_with(tmp_path: Path, name: str, **daq: object) -> Path:
+    document = yaml.safe_load((ROOT / "config" / name).read_text(encoding="utf-8"))
+    document["daq"].update(daq)
+    path = tmp_path / name
+    path.write_text(yaml.safe_dump(document), encoding="utf-8")
+    return path
+
+
+def test_a_machine_by_itself() -> None:
+    done = doctor("--json")
+    found = json.loads(done.stdout)["findings"]
+    assert {"kernel", "real time", "governor", "disk", "wake-up"} <= {f["topic"] for f in found}
+
+
+def test_virtual_time_has_nothing_to_measure() -> None:
+    done = doctor(ROOT / "config" / "simulated.yaml")
+    assert done.exit_code == 0
+    assert "virtual time" in done.stdout
+
+
+@pytest.mark.realtime
+def test_a_device_is_met_and_timed_but_not_armed(tmp_path: Path) -> None:
+    done = doctor(ROOT / "config" / "demo.yaml", "--json")
+    found = {f["topic"]: f for f in json.loads(done.stdout)["findings"]}
+    assert "host board" in found["device"]["words"]
+    assert "exchanges" in found["round trip"]["words"]
+    assert "ticks took" in found["period"]["words"]
+
+
+def test_a_port_that_is_not_there_ends_the_visit_with_status_1(tmp_path: Path) -> None:
+    done = doctor(config_with(tmp_path, "demo.yaml", port=str(tmp_path / "ttyACM9")))
+    assert done.exit_code == 1
+    assert "ttyACM9 is not there" in done.stdout
+    assert "wake-up" not in done.stdout
+
+
+def test_a_port_without_a_device_behind_it_is_a_finding_not_a_traceback(tmp_path: Path) -> None:
+    done = doctor(config_with(tmp_path, "demo.yaml", port="/dev/null"))
+    assert done.exit_code == 1
+    assert "LINK_OPEN" in done.stdout
+    assert "->" in done.stdout
+
+
+def test_a_bad_config_is_bad_input(tmp_path: Path) -> None:
+    assert doctor(config_with(tmp_path, "demo.yaml", bauds=1)).exit_code == 2
