@@ -31,6 +31,9 @@ need /usr/include/simavr/sim_avr.h libsimavr-dev
 need cppcheck cppcheck
 need clang clang
 need "$(clang -print-resource-dir 2>/dev/null)/lib/linux/libclang_rt.fuzzer-$(uname -m).a" libclang-rt-dev
+# a Modbus master and a slave that are not ours
+need mbpoll mbpoll
+need /usr/include/modbus/modbus.h libmodbus-dev
 install_missing
 # the second emulator of the chip; of what Debian's npm recommends nothing is needed
 need node nodejs
