@@ -368,13 +368,13 @@ int main(int argc, char **argv)
     motor_s = now_s();
     for (;;) {
         uint8_t request[MODBUS_TCP_MAX_ADU_LENGTH];
-        struct timeval millisecond = {0, 1000};
+        struct timeval wait = {0, drive != 0.0 ? 1000 : 20000}; /* only a drive has to be watched */
         int waited = line >= 0 ? line : listener, length;
         fd_set ready;
         FD_ZERO(&ready);
         FD_SET(STDIN_FILENO, &ready);
         FD_SET(waited, &ready);
-        if (select(waited + 1, &ready, NULL, NULL, &millisecond) <= 0) {
+        if (select(waited + 1, &ready, NULL, NULL, &wait) <= 0) {
             advance(now_s());
             continue;
         }
