@@ -103,6 +103,10 @@ class Loop:
         """Time since the run's start, s."""
         return self._clock.now_s() - self._t0_s
 
+    def _since_start_s(self, t_s: float) -> float:
+        """A time of the driver's in the run's, s: to the nanosecond, so that a law decides on what the record holds."""
+        return round(t_s - self._t0_s, 9)
+
     @contextmanager
     def armed(self, limits: Limits) -> Iterator[None]:
         """Arm the device for the block; however the block ends, stop the drive and disarm first."""
@@ -188,7 +192,7 @@ class Loop:
     ) -> None:
         """Record one tick of the device, then judge it."""
         tick_s = driver.tick_s
-        sample = Sample(row.t_s - self._t0_s, row.y_rad, row.y_counts, seq=row.block)
+        sample = Sample(self._since_start_s(row.t_s), row.y_rad, row.y_counts, seq=row.block)
         since_s = sample.t_s - self._last_row_s
         missed = max(round(since_s / tick_s) - 1, 0) if math.isfinite(since_s) else 0
         self._last_row_s = sample.t_s
@@ -199,7 +203,7 @@ class Loop:
         finally:
             flags = FLAG_SKIPPED if missed else 0
             self._record.sample(self._tick, sample, stage, law.z_rad_s, law.yd_rad, row.u_V, math.nan, math.nan, flags)
-            self._record.complete(row.t_u_s - self._t0_s, row.u_V)
+            self._record.complete(self._since_start_s(row.t_u_s), row.u_V)
         if row.u_V != decided_V:
             driver.read_rows()  # where the device has stopped it by itself, it says why
             raise Fault("DEVICE_RELAY", f"{row.u_V:+.3f} V at {row.y_counts} counts, not {decided_V:+.3f} V")
@@ -217,7 +221,7 @@ class Loop:
         due_s, woke_s = self._await_tick()
         sample = self._driver.read()
         io_s = self._clock.now_s() - woke_s
-        sample = sample._replace(t_s=sample.t_s - self._t0_s, t_u_s=sample.t_u_s - self._t0_s)
+        sample = sample._replace(t_s=self._since_start_s(sample.t_s), t_u_s=self._since_start_s(sample.t_u_s))
         self._complete_row(sample)
         self._measure_latency(sample)
         flags = FLAG_SKIPPED if self._skipped else 0
@@ -282,4 +286,4 @@ class Loop:
         if self._row_open:
             self._clock.sleep_until(self._t0_s + self._tick * self._period_s)
             sample = self._driver.read()
-            self._complete_row(sample._replace(t_u_s=sample.t_u_s - self._t0_s))
+            self._complete_row(sample._replace(t_u_s=self._since_start_s(sample.t_u_s)))
