@@ -7,7 +7,7 @@ checked here; what keys say together (room to stop, link budget, ...) in ``rig.c
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -16,14 +16,16 @@ from rig.config.section import Interval, NonNegative, Positive
 from rig.config.section import Section as _Section
 
 Method = Literal["sampled-data", "triple-relay", "describing-function"]
+BUILT_IN_DRIVERS = ("simulated", "serial", "modbus")
 
 
 class Daq(_Section):
     """The link to the bench."""
 
-    driver: Literal["simulated", "serial", "modbus"] = Field(
-        description="which driver: a simulation in virtual time, a device with rig's firmware on a serial port, "
-        "or a Modbus device"
+    driver: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=40)] = Field(
+        description="which driver: `simulated`, in virtual time; `serial`, a device with rig's firmware on a serial "
+        "port; `modbus`, a Modbus device; or the name of a plug-in that is installed",
+        examples=list(BUILT_IN_DRIVERS),
     )
     port: str | None = Field(
         None,
@@ -42,6 +44,20 @@ class Daq(_Section):
     )
     accept_no_watchdog: bool = Field(False, description="drive a device that has no watchdog")
     modbus: Modbus | None = Field(None, description="driver modbus: how the device is asked, and its register map")
+    options: dict[str, Any] | None = Field(
+        None, description="of a plug-in driver: whatever it asks for, see its own documentation"
+    )
+
+
+class Loop(_Section):
+    """How the loop keeps its time; what the machine refuses, a run says."""
+
+    spin_us: Annotated[float, Field(ge=0, le=1000)] = Field(
+        200.0, description="last part of each wait that reads the clock instead of sleeping; 0: none"
+    )
+    priority: Annotated[int, Field(ge=0, le=99)] = Field(60, description="of SCHED_FIFO; 0: the ordinary scheduler")
+    cpu: Annotated[int, Field(ge=0)] | None = Field(None, description="core to stay on; default: any")
+    lock_memory: bool = Field(True, description="keep every page of the process in memory")
 
 
 class CalibrationPoint(_Section):
@@ -283,7 +299,7 @@ class EmulatedWiring(_Section):
     """Faults that the emulated bench is built with."""
 
     drive: Literal["ok", "reversed", "dead", "stuck_on"] = Field("ok", description="fault of the drive")
-    sensor: Literal["ok", "reversed", "broken_low", "broken_high", "stuck"] = Field(
+    sensor: Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy"] = Field(
         "ok", description="fault of the position sensor"
     )
     fault_after_s: NonNegative = Field(0.0, description="device time from arming until drive and sensor faults begin")
@@ -313,6 +329,7 @@ class Experiment(_Section):
     )
     seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = Field(1, description="of emulated noise")
     period_s: Annotated[float, Field(ge=0.0005, le=0.1)] = Field(0.01, description="the loop's period")
+    loop: Loop = Field(Loop(), description="how the loop keeps its time")
     daq: Daq = Field(description="the link to the bench")
     sensor: Sensor = Field(description="the potentiometer: counts to rad")
     drive: Drive = Field(description="the H-bridge: V to duty")

@@ -15,7 +15,9 @@ from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 
 DriveWiring = Literal["ok", "reversed", "dead", "stuck_on"]
-SensorWiring = Literal["ok", "reversed", "broken_low", "broken_high", "stuck"]
+SensorWiring = Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy"]
+
+NOISY_COUNTS = 25.0  # standard deviation of a noisy sensor, besides its own noise
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ class Bench:
     def __init__(self, parameters: BenchParameters, seed: int) -> None:
         self.parameters = parameters
         self.state = State(y=parameters.start_rad)
-        self.pin_counts = 0
+        self.pin_counts = 0.0  # drive at the pin, counts of full duty; a fraction behind a converter that has them
         self.armed_for_s = -1.0  # time since the first arming; negative before it
         self._noise = random.Random(seed)
         self._stuck_counts: int | None = None
@@ -138,11 +140,14 @@ class Bench:
             return p.counts_max
         if wiring == "stuck" and self._stuck_counts is not None:
             return self._stuck_counts
-        y = self.state.y + p.offset_rad + self._noise.gauss(0.0, 1.0) * p.noise_rad
+        noise_rad = p.noise_rad + (NOISY_COUNTS * abs(p.rad_per_count) if wiring == "noisy" else 0.0)
+        y = self.state.y + p.offset_rad + self._noise.gauss(0.0, 1.0) * noise_rad
         offset_counts = y / p.rad_per_count
         if wiring == "reversed":
             offset_counts = -offset_counts
         counts = min(max(math.floor(p.centre_counts + offset_counts + 0.5), 0), p.counts_max)
+        if wiring == "jumped":  # across its dead zone: a quarter of the range farther, round and round
+            counts = (counts + (p.counts_max + 1) // 4) % (p.counts_max + 1)
         self._stuck_counts = counts if wiring == "stuck" else None
         return counts
 

@@ -7,6 +7,7 @@ import math
 import random
 import statistics
 from dataclasses import replace
+from statistics import fmean, pstdev
 
 import pytest
 from hypothesis import given, settings
@@ -151,7 +152,7 @@ def test_readings_end_at_the_rails(y_rad: float, rail: int) -> None:
 
 
 @pytest.mark.parametrize("drive", ["ok", "reversed", "dead", "stuck_on"])
-@pytest.mark.parametrize("sensor", ["ok", "reversed", "broken_low", "broken_high", "stuck"])
+@pytest.mark.parametrize("sensor", ["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped"])
 @pytest.mark.parametrize("fault_after_s", [0.0, 0.0437])
 def test_wiring_is_the_python_benchs(drive: DriveWiring, sensor: SensorWiring, fault_after_s: float) -> None:
     """The same drives at the same instants: motor voltage, motion and readings agree, before and after the fault."""
@@ -197,6 +198,17 @@ def test_wiring_is_the_python_benchs(drive: DriveWiring, sensor: SensorWiring, f
     else:
         assert sensor not in ("broken_low", "broken_high")
         assert bench.faulty
+
+
+def test_a_noisy_sensor_spreads_by_25_counts_in_both_benches() -> None:
+    board = _board_at(0.2)
+    board.rewire(sensor="noisy")
+    bench = Bench(BenchParameters(Motor(0.17, 6.5, Friction(0.5, 0.5, 0.5, 0.5)), start_rad=0.2, sensor="noisy"), 1)
+    bench.arm()
+    for reading in (board.position_counts, bench.read_counts):
+        counts = [reading() for _ in range(4000)]
+        assert fmean(counts) == pytest.approx(512 + 0.2 / (4.2 / 1024), abs=2.0)
+        assert pstdev(counts) == pytest.approx(25.0, rel=0.05)
 
 
 def test_a_stuck_sensor_holds_its_reading() -> None:
