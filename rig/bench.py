@@ -6,13 +6,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
 
-from rig.config.preflight import CHIP_PORTS, reaction_periods
+from rig.config.preflight import CHIP_PORTS, Preflight, reaction_periods, unknown_driver
+from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
 from rig.control.guard import GuardSettings
 from rig.daq import registry
 from rig.daq.calibration import Calibration, DriveMap, TachometerScale
-from rig.daq.driver import Clock, DeviceInfo, Driver, Transport
+from rig.daq.driver import Clock, DeviceInfo, Driver, DriverSettings, RelayDriver, Transport
 from rig.daq.serial_link import PySerialTransport, SerialDriver
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.emulate.chip_board import ChipBoard
@@ -20,6 +23,7 @@ from rig.emulate.host_board import HostBoard
 from rig.emulate.virtual_chip import VirtualChip
 from rig.faults import Fault
 from rig.loop.clock import MonotonicClock, VirtualClock
+from rig.loop.real_time import RealTimeSettings
 from rig.model.bench import BenchParameters
 from rig.signals import Limits
 
@@ -36,6 +40,14 @@ class Bench:
     driver: Driver
     clock: Clock
     info: DeviceInfo
+    truth: BenchParameters | None
+
+
+class Unopened(NamedTuple):
+    """A driver before ``open``, its clock, and the bench described under ``emulated``, if there is one."""
+
+    driver: Driver
+    clock: Clock
     truth: BenchParameters | None
 
 
@@ -56,6 +68,45 @@ def limits_of(experiment: Experiment) -> Limits:
     return Limits(t.soft_rad, t.hard_rad, experiment.drive.max_V, experiment.daq.watchdog_s)
 
 
+def driver_settings_of(experiment: Experiment) -> DriverSettings:
+    """What a plug-in driver is constructed with."""
+    daq, sensor = experiment.daq, experiment.sensor
+    return DriverSettings(
+        options=MappingProxyType(dict(daq.options or {})),
+        calibration=calibration_of(experiment),
+        drive_map=drive_map_of(experiment),
+        rail_counts=sensor.rail_counts,
+        counts_max=sensor.counts_max,
+        timeout_s=daq.timeout_s,
+        period_s=experiment.period_s,
+        watchdog_s=daq.watchdog_s,
+    )
+
+
+def plug_in_preflight(experiment: Experiment) -> Preflight:
+    """What the plug-in driver of a config says of itself, and what is wrong with it; no device is touched.
+
+    The driver is imported and constructed, so that it refuses its options here and not before a motor.
+    """
+    name = experiment.daq.driver
+    try:
+        entries = registry.registered()
+        if name not in entries:
+            return Preflight((), (unknown_driver(name, entries),))
+        driver = registry.construct(name, driver_settings_of(experiment))
+    except registry.PlugInError as error:
+        problem = Problem(("daq", "driver"), str(error), "see docs/plug-in-driver.md, or ask its author")
+        return Preflight((), (problem,))
+    except ValueError as error:
+        return Preflight((), (Problem(("daq", "options"), f"driver {name!r}: {error}"),))
+    if experiment.relay.where == "device" and not isinstance(driver, RelayDriver):
+        problem = Problem(("relay", "where"), f"driver {name!r} has no relay in its device", "set it to host")
+        return Preflight((), (problem,))
+    failsafe = "none" if driver.failsafe is None else f"0 V after {driver.failsafe.time_s * 1e3:g} ms of silence"
+    order = driver.order.replace("_", " ")
+    return Preflight((f"{registry.described(entries[name])}: {order}; failsafe before it is opened: {failsafe}",), ())
+
+
 def guard_settings_of(experiment: Experiment, noise_rad: float | None = None) -> GuardSettings:
     """The guard's knowledge; ``noise_rad`` once it was measured, before that two LSB are assumed."""
     lsb_rad = calibration_of(experiment).lsb_rad
@@ -73,6 +124,16 @@ def guard_settings_of(experiment: Experiment, noise_rad: float | None = None) ->
     )
 
 
+def real_time_of(experiment: Experiment) -> RealTimeSettings:
+    """What the loop's process asks the machine for."""
+    wanted = experiment.loop
+    return RealTimeSettings(wanted.priority, wanted.cpu, wanted.lock_memory)
+
+
+def _clock_of(experiment: Experiment) -> MonotonicClock:
+    return MonotonicClock(1e-6 * experiment.loop.spin_us)
+
+
 def truth_of(experiment: Experiment) -> BenchParameters | None:
     """The bench described under ``emulated``, or None."""
     if experiment.emulated is None:
@@ -85,8 +146,27 @@ def truth_of(experiment: Experiment) -> BenchParameters | None:
 def connect(experiment: Experiment) -> Iterator[Bench]:
     """Open the bench for the block; on leaving it is stopped and closed.
 
-    Raises Fault LINK_* where there is no such device, NO_WATCHDOG where it has none and the config forbids that.
+    Raises Fault LINK_* where there is no such device, NO_WATCHDOG where it has none and the config forbids that;
+    ConfigError where a plug-in driver is not installed, or refuses its options.
     Nothing is ever simulated in place of a missing device.
+    """
+    with unopened(experiment) as (driver, clock, truth):
+        try:
+            info = driver.open()
+            if driver.failsafe is None and not experiment.daq.accept_no_watchdog:
+                raise Fault("NO_WATCHDOG")
+            # only a device that says that it is emulated has a truth to compare with
+            yield Bench(driver, clock, info, truth if info.emulated else None)
+        finally:
+            driver.safe_stop()
+            driver.close()
+
+
+@contextmanager
+def unopened(experiment: Experiment) -> Iterator[Unopened]:
+    """The driver of the config, not opened as a device yet; what an emulated one needs lives for the block.
+
+    Who opens the driver closes it. Raises as ``connect``, Fault LINK_OPEN included.
     """
     truth = truth_of(experiment)
     daq = experiment.daq
@@ -104,7 +184,7 @@ def connect(experiment: Experiment) -> Iterator[Bench]:
             latency,
             experiment.seed,
         )
-        yield from _opened(driver, clock, truth, daq.accept_no_watchdog)
+        yield Unopened(driver, clock, truth)
     elif daq.driver == "serial":
         if daq.port == "emulated":
             if truth is None:
@@ -120,13 +200,17 @@ def connect(experiment: Experiment) -> Iterator[Bench]:
             if truth is None:
                 raise ValueError("port `emulated-chip` needs the section `emulated`")
             chip = emulated_chip(experiment)
-            yield from _opened(_driver(experiment, chip, daq.port, emulated=True), chip, truth, daq.accept_no_watchdog)
+            yield Unopened(_driver(experiment, chip, daq.port, emulated=True), chip, truth)
         elif daq.port is not None:
             yield from _serial(experiment, daq.port, truth)
         else:
             raise ValueError("daq.port is missing")
     else:
-        raise ValueError(f"no driver {daq.driver!r}; installed: {', '.join(registry.registered()) or 'none'}")
+        try:
+            plug_in = registry.construct(daq.driver, driver_settings_of(experiment))
+        except (LookupError, ValueError, registry.PlugInError) as error:
+            raise ConfigError(plug_in_preflight(experiment).problems) from error
+        yield Unopened(plug_in, getattr(plug_in, "clock", None) or _clock_of(experiment), truth)
 
 
 @contextmanager
@@ -166,10 +250,9 @@ def emulated_chip(experiment: Experiment) -> VirtualChip:
 
 def _serial(
     experiment: Experiment, port: str, truth: BenchParameters | None, *, emulated: bool = False
-) -> Iterator[Bench]:
+) -> Iterator[Unopened]:
     transport = PySerialTransport(port, experiment.daq.baud)
-    driver = _driver(experiment, transport, f"serial:{port}", emulated=emulated)
-    yield from _opened(driver, MonotonicClock(), truth, experiment.daq.accept_no_watchdog)
+    yield Unopened(_driver(experiment, transport, f"serial:{port}", emulated=emulated), _clock_of(experiment), truth)
 
 
 def _driver(experiment: Experiment, transport: Transport, name: str, *, emulated: bool = False) -> SerialDriver:
@@ -186,15 +269,3 @@ def _driver(experiment: Experiment, transport: Transport, name: str, *, emulated
         name=name,
         emulated=emulated,
     )
-
-
-def _opened(driver: Driver, clock: Clock, truth: BenchParameters | None, accept_no_watchdog: bool) -> Iterator[Bench]:
-    try:
-        info = driver.open()
-        if driver.failsafe is None and not accept_no_watchdog:
-            raise Fault("NO_WATCHDOG")
-        # only a device that says that it is emulated has a truth to compare with
-        yield Bench(driver, clock, info, truth if info.emulated else None)
-    finally:
-        driver.safe_stop()
-        driver.close()

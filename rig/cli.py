@@ -67,10 +67,16 @@ def _fail_config(error: config.ConfigError) -> NoReturn:
     sys.exit(EXIT_BAD_INPUT)
 
 
+def _plug_in(experiment: config.Experiment) -> config.Preflight:
+    from rig.bench import plug_in_preflight
+
+    return plug_in_preflight(experiment)
+
+
 def _load(path: Path) -> config.Experiment:
     """The checked experiment of a config file; exits with 2 and the problems where it is bad."""
     try:
-        experiment, _ = config.check(path)
+        experiment, _ = config.check(path, _plug_in)
     except config.ConfigError as error:
         _fail_config(error)
     return experiment
@@ -180,7 +186,7 @@ def check(config_path: Path, as_json: bool) -> None:
         if config.is_campaign(config_path):
             lines = list(config.campaign_lines(config.load_campaign(config_path)))
         else:
-            lines = list(config.check(config_path)[1].lines)
+            lines = list(config.check(config_path, _plug_in)[1].lines)
     except config.ConfigError as error:
         _fail_config(error)
     if as_json:
@@ -539,6 +545,8 @@ def _show(outcome: Any) -> None:
             f"loop: {loop['ticks']} ticks of {loop['period_s'] * 1e3:g} ms, {loop['skipped']} skipped; "
             f"late by {late['p50']:.0f} us (median), {late['p99']:.0f} (p99), {late['max']:.0f} (largest)"
         )
+    for line in loop.get("real_time", {}).get("refused", ()):
+        click.echo(f"loop: {line}")
     click.echo(f"run:    {outcome.folder}")
     click.echo(f"report: {outcome.folder / 'report.html'}")
     if outcome.failure:

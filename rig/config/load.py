@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,7 +12,7 @@ from pydantic import ValidationError
 
 from rig.config.campaign import Campaign
 from rig.config.messages import explain
-from rig.config.preflight import Preflight, preflight
+from rig.config.preflight import Preflight, is_plug_in, preflight, unknown_driver
 from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
 from rig.config.yaml12 import Document, emit, parse
@@ -27,14 +28,20 @@ def load(path: str | PathLike[str]) -> Experiment:
     return _experiment(_read(path))
 
 
-def check(path: str | PathLike[str]) -> tuple[Experiment, Preflight]:
+def check(
+    path: str | PathLike[str], plug_in: Callable[[Experiment], Preflight] | None = None
+) -> tuple[Experiment, Preflight]:
     """``load``, and ``preflight`` on it: the experiment, and what it would do.
 
+    plug_in  what there is to say of a driver that is not built in; without it only built-in drivers are known
     Raises ConfigError as ``load`` does, and, with the places of the keys, where the experiment must not be run.
     """
     document = _read(path)
     experiment = _experiment(document)
     found = preflight(experiment)
+    if is_plug_in(experiment):
+        other = Preflight((), (unknown_driver(experiment.daq.driver),)) if plug_in is None else plug_in(experiment)
+        found = Preflight(found.lines + other.lines, found.problems + other.problems)
     if found.problems:
         raise ConfigError(document.located(problem) for problem in found.problems)
     return experiment, found

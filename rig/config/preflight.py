@@ -6,13 +6,14 @@ another has already refused what it builds on, so that one mistake gives one lin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
+from difflib import get_close_matches
 from itertools import pairwise
 from math import isclose, log
 
-from rig.config.problems import Path, Problem
-from rig.config.schema import Experiment, Gains, RelayTarget
+from rig.config.problems import Path, Problem, printable
+from rig.config.schema import BUILT_IN_DRIVERS, Experiment, Gains, RelayTarget
 
 Rule = Callable[[Experiment], Iterator[Problem]]
 
@@ -59,6 +60,22 @@ def preflight(experiment: Experiment) -> Preflight:
     return Preflight(tuple(_lines(experiment)), problems)
 
 
+def is_plug_in(experiment: Experiment) -> bool:
+    """Whether the driver comes from another package: offline nothing is known of its link and its failsafe."""
+    return experiment.daq.driver not in BUILT_IN_DRIVERS
+
+
+def unknown_driver(name: str, installed: Collection[str] = ()) -> Problem:
+    """What to say of a driver that is neither built in nor, as a plug-in, among those ``installed``."""
+    plug_ins = ", ".join(sorted(installed)) or "none"
+    close = get_close_matches(name, [*BUILT_IN_DRIVERS, *sorted(installed)], n=1)
+    return _problem(
+        "daq.driver",
+        f"no driver {printable(name)!r}; built in: {', '.join(BUILT_IN_DRIVERS)}; plug-ins installed: {plug_ins}",
+        f"did you mean '{close[0]}'?" if close else "install the package that offers it (docs/plug-in-driver.md)",
+    )
+
+
 def reaction_periods(experiment: Experiment) -> int:
     """Periods of the loop until it can have reacted to what the shaft does."""
     return _REACTION_PERIODS + (_BLOCK_AGE_PERIODS if experiment.relay.where == "device" else 0)
@@ -79,6 +96,12 @@ def _backend(e: Experiment) -> Iterator[Problem]:
         yield _problem("emulated", f"`port: {d.port}` needs this section", "describe the bench: see config/demo.yaml")
     if d.port in CHIP_PORTS and d.baud not in CHIP_BAUDS:
         yield _problem("daq.baud", f"the Uno's firmware does not speak {d.baud} baud", "115200 or 1000000")
+    if is_plug_in(e):
+        for key in ("port", "modbus"):
+            if getattr(d, key) is not None:
+                yield _problem(f"daq.{key}", f"is of built-in drivers, not of `{d.driver}`", "see daq.options")
+    elif d.options is not None:
+        yield _problem("daq.options", f"is of plug-in drivers, `driver: {d.driver}` has none", "remove it")
 
 
 def _link_terms(e: Experiment) -> tuple[int, float, float]:
@@ -96,6 +119,15 @@ def _link_sum(e: Experiment) -> str:
         f"+ {_TURNAROUND_S * 1e3:g} ms turnaround = {whole_s * 1e3:.2f} ms; "
         f"{_LINK_SHARE:.0%} of the period is {_LINK_SHARE * e.period_s * 1e3:.2f} ms"
     )
+
+
+def _spin(e: Experiment) -> Iterator[Problem]:
+    if 1e-6 * e.loop.spin_us > 0.5 * e.period_s * (1 + _SLACK):
+        yield _problem(
+            "loop.spin_us",
+            f"{e.loop.spin_us:g} us of spinning is more than half the period of {1e3 * e.period_s:g} ms",
+            f"at most {0.5e6 * e.period_s:g}",
+        )
 
 
 def _link_budget(e: Experiment) -> Iterator[Problem]:
@@ -127,6 +159,8 @@ def _device_relay(e: Experiment) -> Iterator[Problem]:
             "relay.where", "`driver: simulated` has no device", "set it to host, or daq.driver to serial with a port"
         )
         return
+    if is_plug_in(e):
+        return  # whether its device has a relay, the driver itself tells
     bits = (_BLOCK_BODY_BYTES + _FRAME_BYTES) * _BITS_PER_BYTE
     if bits > _LINK_SHARE * _BLOCK_S * e.daq.baud:
         fitting = next(baud for baud in _BAUD_RATES if bits <= _LINK_SHARE * _BLOCK_S * baud)
@@ -149,6 +183,9 @@ def _device_relay(e: Experiment) -> Iterator[Problem]:
 def _device_drives(e: Experiment) -> Iterator[str]:
     """How a relay in the device is fed, and what given gains become in whole units of the drive."""
     if e.relay.where != "device":
+        return
+    if is_plug_in(e):
+        yield "relay in the device: as the plug-in driver runs it; a search runs in the host"
         return
     yield f"relay in the device: decides every ms; {_stream_sum(e)}; a search runs in the host"
     full_V, dead = e.drive.supply_V - e.drive.bridge_drop_V, e.drive.dead_band_duty.plus
@@ -515,6 +552,7 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
 
 _RULES: tuple[Rule, ...] = (
     _backend,
+    _spin,
     _link_budget,
     _device_relay,
     _watchdog,
@@ -545,11 +583,10 @@ def _lines(e: Experiment) -> Iterator[str]:
     yield f"stopping {_stopping_sum(e)}; room from the centre of travel: {_room_rad(e):.3f} rad"
     if e.daq.driver == "serial":
         yield f"link: {_link_sum(e)}"
+    if is_plug_in(e):
+        yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
     yield from _device_drives(e)
-    yield (
-        f"failsafe: the device sets 0 V after {e.daq.watchdog_s * 1e3:g} ms of silence "
-        f"({e.daq.watchdog_s / e.period_s:.3g} periods), latched until it is armed again"
-    )
+    yield _failsafe(e)
     if e.emulated is not None and _is_emulated(e) and not isclose(e.emulated.supply_V, full_V):
         yield (
             f"note: the emulated bridge gives {e.emulated.supply_V:g} V, the config believes {full_V:g} V: "
@@ -559,7 +596,25 @@ def _lines(e: Experiment) -> Iterator[str]:
     if e.emulated is not None and not low <= e.emulated.motor.start_rad <= high:
         yield "note: the emulated shaft starts outside the soft limits: a run refuses until `rig jog` has it inside"
     if e.emulated is not None and not _is_emulated(e):
-        yield f"note: section `emulated` is not used with port {e.daq.port}"
+        if is_plug_in(e):
+            yield "note: section `emulated` counts as the truth only if the driver says that its device is emulated"
+        else:
+            yield f"note: section `emulated` is not used with port {e.daq.port}"
+
+
+def _failsafe(e: Experiment) -> str:
+    """What stops the drive when the host is silent."""
+    if not is_plug_in(e):
+        return (
+            f"failsafe: the device sets 0 V after {e.daq.watchdog_s * 1e3:g} ms of silence "
+            f"({e.daq.watchdog_s / e.period_s:.3g} periods), latched until it is armed again"
+        )
+    accepted = e.daq.accept_no_watchdog
+    return "failsafe: the plug-in driver's; where its device has none, a run " + (
+        "drives all the same (daq.accept_no_watchdog: true): have the motor's supply in reach"
+        if accepted
+        else "is refused"
+    )
 
 
 def _is_emulated(e: Experiment) -> bool:
@@ -575,6 +630,8 @@ def _backend_words(e: Experiment) -> str:
         return f"the Uno's emulated chip with its firmware, {e.daq.baud} baud, real time, nothing moves"
     if e.daq.port == "emulated":
         return f"an emulated device behind a pseudo-terminal, {e.daq.baud} baud, real time, nothing moves"
+    if is_plug_in(e):
+        return f"plug-in driver {e.daq.driver}: take it for a REAL MOTOR"
     return f"a REAL MOTOR behind the serial port {e.daq.port}, {e.daq.baud} baud"
 
 

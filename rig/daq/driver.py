@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+from rig.daq.calibration import Calibration, DriveMap
 from rig.daq.relay_stream import RelayCommand, RelayRow
 from rig.signals import Limits, Order, Sample
 
@@ -36,6 +37,30 @@ class DeviceInfo:
     supply_V: float = math.nan
 
 
+@dataclass(frozen=True)
+class DriverSettings:
+    """What a driver from another package is constructed with, all of it from the config.
+
+    options      daq.options as it stands there: numbers, text, true/false, lists and mappings of these
+    calibration  position sensor, raw reading to rad
+    drive_map    V at the motor to drive units; the driver puts its own ``full_units`` in with ``dataclasses.replace``
+    rail_counts  (low, high): readings at or beyond are a broken sensor
+    counts_max   largest raw reading that the calibration was made for
+    timeout_s    longest wait for one reply
+    period_s     the loop's period: ``read`` and ``write`` together must fit into it, with room to spare
+    watchdog_s   silence of the host after which the device should set 0 V, where it can
+    """
+
+    options: Mapping[str, Any]
+    calibration: Calibration
+    drive_map: DriveMap
+    rail_counts: tuple[int, int]
+    counts_max: int
+    timeout_s: float
+    period_s: float
+    watchdog_s: float
+
+
 class DeviceWatchdog(NamedTuple):
     """The device sets 0 V by itself, and latches, after ``time_s`` seconds without the host."""
 
@@ -49,8 +74,8 @@ class Clock(Protocol):
         """Seconds since an arbitrary zero; never decreases."""
         ...
 
-    def sleep_until(self, t_s: float) -> None:
-        """Return at ``t_s`` or as soon after as possible; at once if it has passed."""
+    def sleep_until(self, t_s: float) -> float:
+        """Return at ``t_s`` or as soon after as possible, at once if it has passed; the time then, s."""
         ...
 
 
@@ -78,7 +103,11 @@ class Transport(Protocol):
 
 
 class Driver(Protocol):
-    """A bench behind a link. Times of samples are in the host clock that the driver was given, s."""
+    """A bench behind a link. Times of samples are in the host's clock, s.
+
+    That is ``time.monotonic``; a driver that lives in virtual time has an attribute ``clock``, a ``Clock``.
+    Constructing a driver touches no device. ``rig.conformance`` holds a driver to what stands here.
+    """
 
     @property
     def order(self) -> Order:
@@ -112,18 +141,19 @@ class Driver(Protocol):
         ...
 
     def read(self) -> Sample:
-        """Sample the bench. Raises Fault on any fault of link or device."""
+        """Sample the bench, armed or not. Raises Fault on any fault of link or device."""
         ...
 
     def write(self, u_V: float) -> None:
-        """Set the drive; the next ``read`` says what came of it.
+        """Set the drive; the next ``read`` says what came of it: when it took effect, and how much, as quantised.
 
-        Raises ValueError beyond the drive's range.
+        Raises ValueError beyond the drive's range, or where ``u_V`` is no number. Nothing is driven beyond what the
+        device was armed for, nor unless it is armed: it refuses, at once or in the next ``read``.
         """
         ...
 
     def safe_stop(self) -> bool:
-        """Set 0 V and disarm. True if the device confirmed it; never raises on a dead link."""
+        """Set 0 V and disarm. True if the device confirmed it; never raises on a dead link, nor before ``open``."""
         ...
 
     def close(self) -> None:

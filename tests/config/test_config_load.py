@@ -97,8 +97,11 @@ BROKEN = {
     ),
     "out of range": ("period_s: 0.010", "period_s: 10", "10", "period_s", "must be at most 0.1 seconds, got 10", ""),
     "misspelt choice": (
-        "driver: serial", "driver: serail", "serail", "daq.driver", "must be one of simulated, serial",
-        "did you mean 'serial'?",
+        "cycles: 12", "cycles: 12\n  where: devise", "devise", "relay.where", "must be one of host, device",
+        "did you mean 'device'?",
+    ),
+    "driver with capitals": (
+        "driver: serial", "driver: Serial", "Serial", "daq.driver", "must be made of lower-case letters", ""
     ),
     "name": ("name: demo", "name: My Run", "My Run", "name", "must be made of lower-case letters", ""),
     "number for a name": ("name: demo", "name: 12", "12", "name", "must be text, got 12", "put it in quotes"),

@@ -1,10 +1,12 @@
-"""Third-party drivers by entry point."""
+"""Third-party drivers by entry point: what is found, and what is refused before it meets a motor."""
 
 from importlib.metadata import EntryPoint
 
 import pytest
+from plug_in_cards import BareCard, VirtualCard, settings
 
-from rig.daq import registry, serial_link
+from rig.daq import registry
+from rig.daq.registry import PlugInError
 
 
 def offer(monkeypatch, *pairs):
@@ -13,9 +15,10 @@ def offer(monkeypatch, *pairs):
 
 
 def test_a_driver_is_found_by_name(monkeypatch):
-    offer(monkeypatch, ("mycard", "rig.daq.serial_link:SerialDriver"))
+    offer(monkeypatch, ("mycard", "plug_in_cards:VirtualCard"))
     assert list(registry.registered()) == ["mycard"]
-    assert registry.load("mycard") is serial_link.SerialDriver
+    assert registry.load("mycard") is VirtualCard
+    assert type(registry.construct("mycard", settings())) is VirtualCard
 
 
 def test_an_unknown_name_lists_what_is_known(monkeypatch):
@@ -29,13 +32,55 @@ def test_an_unknown_name_lists_what_is_known(monkeypatch):
 
 def test_two_packages_with_one_name(monkeypatch):
     offer(monkeypatch, ("a", "x:A"), ("a", "y:A"))
-    with pytest.raises(ValueError, match="x:A and y:A"):
+    with pytest.raises(PlugInError, match="x:A and y:A"):
         registry.load("a")
 
 
-def test_what_is_no_driver_is_refused(monkeypatch):
-    offer(monkeypatch, ("clock", "rig.daq.device_clock:DeviceClock"), ("f", "rig.daq.serial_link:open_serial"))
-    with pytest.raises(TypeError, match=r"lacks open, arm, read, write, safe_stop, close"):
-        registry.load("clock")
-    with pytest.raises(TypeError, match="not a class"):
-        registry.load("f")
+@pytest.mark.parametrize(
+    ("value", "why"),
+    [
+        ("rig.daq.device_clock:DeviceClock", "lacks open, arm, read, write, safe_stop, close"),
+        ("rig.daq.serial_link:open_serial", "is not a class"),
+        ("rig.daq.serial_link:SerialDriver", r"must be constructed as SerialDriver\(settings\)"),
+        ("plug_in_cards:WriteTakesNothing", "write must take 1 argument"),
+        ("plug_in_cards:ReadTakesMore", "read must take no arguments"),
+        ("no_such_package:Card", "cannot be imported: ModuleNotFoundError: No module named 'no_such_package'"),
+        ("plug_in_cards:NoSuchCard", "cannot be imported: AttributeError"),
+    ],
+)
+def test_what_is_no_driver_class_is_refused(monkeypatch, value, why):
+    offer(monkeypatch, ("it", value))
+    with pytest.raises(PlugInError, match=f"driver 'it' \\({value}\\).*{why}"):
+        registry.load("it")
+
+
+@pytest.mark.parametrize(
+    ("attribute", "value", "why"),
+    [
+        ("order", "read_first", "order must be sample_first or write_first, not 'read_first'"),
+        ("failsafe", 0.1, "failsafe must be a DeviceWatchdog, or None, not 0.1"),
+        ("link_statistics", None, "link_statistics must be a mapping, not None"),
+        ("clock", 3, "clock must have now_s and sleep_until"),
+    ],
+)
+def test_what_a_driver_says_of_itself_is_held_to_its_type(monkeypatch, attribute, value, why):
+    offer(monkeypatch, ("bare", "plug_in_cards:BareCard"))
+    assert registry.construct("bare", settings()).backend == "bare"
+    monkeypatch.setattr(BareCard, attribute, value, raising=False)
+    with pytest.raises(PlugInError, match=why):
+        registry.construct("bare", settings())
+
+
+def test_a_missing_attribute_is_named(monkeypatch):
+    offer(monkeypatch, ("bare", "plug_in_cards:BareCard"))
+    monkeypatch.delattr(BareCard, "backend")
+    with pytest.raises(PlugInError, match="lacks backend"):
+        registry.construct("bare", settings())
+
+
+def test_refused_options_stay_a_value_error_and_anything_else_names_package_and_line(monkeypatch):
+    offer(monkeypatch, ("bare", "plug_in_cards:BareCard"))
+    with pytest.raises(ValueError, match="channel 9: this card has 0 to 7"):
+        registry.construct("bare", settings(channel=9))
+    with pytest.raises(PlugInError, match=r"cannot be constructed: KeyError: 'range' at plug_in_cards.py:\d+"):
+        registry.construct("bare", settings(mode="wide"))
