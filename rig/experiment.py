@@ -8,13 +8,13 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import rig
-from rig.bench import Bench, calibration_of, connect, drive_map_of, guard_settings_of, limits_of
+from rig.bench import Bench, calibration_of, connect, drive_map_of, guard_settings_of, limits_of, real_time_of
 from rig.config import Experiment, dump
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck
@@ -31,7 +31,7 @@ from rig.daq.driver import RelayDriver
 from rig.faults import Fault
 from rig.identify import Identification, IdentifyError, identify
 from rig.loop.clock import MonotonicClock
-from rig.loop.real_time import real_time
+from rig.loop.real_time import RealTime, real_time
 from rig.loop.rehearsal import RehearsalBench, rehearse
 from rig.loop.runner import Loop
 from rig.loop.stop_request import stop_on_signals
@@ -82,6 +82,8 @@ class Session:
     bench: Bench
     recorder: Recorder
     loop: Loop
+    meta: dict[str, Any]
+    real_time: RealTime | None = None  # what the machine granted the loop, once it was asked
     breakaway: BreakawayCheck | None = None
     search: GainSearch | None = None
     identification: Identification | None = None
@@ -163,16 +165,25 @@ def jog(experiment: Experiment, u_V: float, duration_s: float, parent: Path) -> 
 @contextmanager
 def driving(session: Session) -> Iterator[None]:
     """The device armed for the block, and this process set up for real time where time is real."""
+    limits = limits_of(session.experiment)
     if not isinstance(session.bench.clock, MonotonicClock):
-        granted = ["virtual time: lateness means nothing here"]
-        with session.loop.armed(limits_of(session.experiment)):
+        _tell_real_time(session, RealTime(["virtual time: lateness means nothing here"]))
+        with session.loop.armed(limits):
             yield
     else:
-        with real_time() as granted, session.loop.armed(limits_of(session.experiment)):
-            yield
-    note = "loop: " + "; ".join(granted)
-    if note not in session.notes:
-        session.notes.append(note)
+        with real_time(real_time_of(session.experiment)) as done:
+            _tell_real_time(session, done)
+            with session.loop.armed(limits):
+                yield
+
+
+def _tell_real_time(session: Session, done: RealTime) -> None:
+    """Into meta.json, result.json and its notes goes what the machine granted the loop, and what it refused."""
+    if session.real_time is None:
+        session.real_time = done
+        granted = ["loop: " + "; ".join(done.granted)] if done.granted else []
+        session.notes += granted + [f"loop: {line}" for line in done.refused]
+        write_meta(session.folder, session.meta | {"real_time": asdict(done)})
 
 
 def check_breakaway(session: Session) -> None:
@@ -439,14 +450,15 @@ def _record(experiment: Experiment, parent: Path, script: Script, on_start: OnSt
         with connect(experiment) as bench:
             folder = create_run(parent, experiment.name, started)
             write_config(folder, dump(experiment))
-            write_meta(folder, _meta(experiment, bench, started))
+            meta = _meta(experiment, bench, started)
+            write_meta(folder, meta)
             recorder = Recorder(folder, _stages(experiment))
             try:
                 if on_start is not None:
                     on_start(folder)
                 guard = Guard(guard_settings_of(experiment))
                 loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
-                session = Session(experiment, folder, bench, recorder, loop)
+                session = Session(experiment, folder, bench, recorder, loop, meta)
                 fault = _run_script(script, session)
             finally:
                 lost = _close(recorder)
@@ -540,7 +552,8 @@ def _result(session: Session, fault: Fault | None) -> dict[str, Any]:
         if identification is None
         else {method: estimate.as_dict() for method, estimate in identification.estimates.items()},
         "tracking": session.tracking,
-        "loop": session.loop.statistics.summary(),
+        "loop": session.loop.statistics.summary()
+        | ({} if session.real_time is None else {"real_time": asdict(session.real_time)}),
         "link": dict(session.bench.driver.link_statistics),
         "faults": [] if fault is None else [fault.as_dict()],
         "notes": [*session.notes, *([] if identification is None else identification.notes)],
@@ -610,7 +623,9 @@ def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, 
             "clock_ratio": bench.info.clock_ratio,
             **({} if math.isnan(bench.info.supply_V) else {"supply_V": bench.info.supply_V}),
         },
-        "failsafe": f"device watchdog, {experiment.daq.watchdog_s * 1e3:.0f} ms",
+        "failsafe": "none: the device holds its last drive"
+        if bench.driver.failsafe is None
+        else f"device watchdog, {experiment.daq.watchdog_s * 1e3:.0f} ms",
         "started_utc": started.isoformat(timespec="milliseconds"),
         "versions": {"rig": rig.__version__, "python": platform.python_version()},
         "host": {"system": platform.platform(), "machine": platform.machine()},

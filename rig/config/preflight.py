@@ -12,19 +12,14 @@ from difflib import get_close_matches
 from itertools import pairwise
 from math import isclose, log
 
+from rig.config.link_budget import BAUD_RATES, BITS_PER_BYTE, FRAME_BYTES, LINK_SHARE, link_budget
+from rig.config.modbus import EMULATED_PORTS as MODBUS_EMULATED_PORTS
+from rig.config.modbus import is_tcp
+from rig.config.modbus_rules import modbus_rules
 from rig.config.problems import Path, Problem, printable
 from rig.config.schema import BUILT_IN_DRIVERS, Experiment, Gains, RelayTarget
 
 Rule = Callable[[Experiment], Iterator[Problem]]
-
-# Wire format version 1: bytes of the body of each frame of one tick (host asks, device tells, host drives)
-_BODY_BYTES = {"READ": 0, "STATE": 18, "DRIVE": 2}
-# around each body: version, type, seq (4), CRC (2), COBS (1), delimiter (1)
-_FRAME_BYTES = 4 + 2 + 1 + 1
-_BITS_PER_BYTE = 11  # start, 8 data, stop, and the pause that is seen between bytes
-_TURNAROUND_S = 0.001  # the device's 1 ms tick and USB, together
-_LINK_SHARE = 0.8  # of the period that the exchange may take
-_BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000, 921600, 1_000_000, 2_000_000)
 
 # A relay in the device: every 10 of its 1 ms ticks a BLOCK of 10 (reading, drive) comes unasked
 _BLOCK_BODY_BYTES = 10 + 10 * 4
@@ -42,7 +37,6 @@ _SLACK = 1e-9  # relative: 0.1 s is ten periods of 0.01 s, whatever the binary f
 
 CHIP_PORTS = ("emulated-chip", "emulated-chip-realtime")
 EMULATED_PORTS = ("emulated", *CHIP_PORTS)
-MODBUS_EMULATED_PORTS = ("emulated", "emulated-tcp", "emulated-virtual")
 CHIP_BAUDS = (115200, 1_000_000)  # that the Uno's firmware is built for
 
 
@@ -78,7 +72,24 @@ def unknown_driver(name: str, installed: Collection[str] = ()) -> Problem:
 
 def reaction_periods(experiment: Experiment) -> int:
     """Periods of the loop until it can have reacted to what the shaft does."""
-    return _REACTION_PERIODS + (_BLOCK_AGE_PERIODS if experiment.relay.where == "device" else 0)
+    return (
+        _REACTION_PERIODS
+        + (_BLOCK_AGE_PERIODS if experiment.relay.where == "device" else 0)
+        + (1 if writes_first(experiment) else 0)
+    )
+
+
+def writes_first(experiment: Experiment) -> bool:
+    """Whether what a tick decides goes out with the next one: a Modbus device asked by FC23."""
+    modbus = experiment.daq.modbus
+    return experiment.daq.driver == "modbus" and modbus is not None and modbus.requests == "read-write"
+
+
+def device_watchdog_s(experiment: Experiment) -> float:
+    """Silence of the host after which the device drives 0 V, s."""
+    modbus = experiment.daq.modbus
+    fixed_s = modbus.device_watchdog_s if modbus is not None else None
+    return experiment.daq.watchdog_s if fixed_s is None else fixed_s
 
 
 # ---------------------------------------------------------------------- the link
@@ -104,49 +115,30 @@ def _backend(e: Experiment) -> Iterator[Problem]:
         yield _problem("daq.options", f"is of plug-in drivers, `driver: {d.driver}` has none", "remove it")
 
 
-def _link_terms(e: Experiment) -> tuple[int, float, float]:
-    """Bytes of a tick's frames, their time on the wire, and the whole exchange, s."""
-    count = sum(body + _FRAME_BYTES for body in _BODY_BYTES.values())
-    wire_s = count * _BITS_PER_BYTE / e.daq.baud
-    return count, wire_s, wire_s + _TURNAROUND_S
-
-
 def _link_sum(e: Experiment) -> str:
-    count, wire_s, whole_s = _link_terms(e)
-    frames = " + ".join(f"{name} {body + _FRAME_BYTES}" for name, body in _BODY_BYTES.items())
-    return (
-        f"{frames} = {count} bytes x {_BITS_PER_BYTE} bits / {e.daq.baud} baud = {wire_s * 1e3:.2f} ms, "
-        f"+ {_TURNAROUND_S * 1e3:g} ms turnaround = {whole_s * 1e3:.2f} ms; "
-        f"{_LINK_SHARE:.0%} of the period is {_LINK_SHARE * e.period_s * 1e3:.2f} ms"
-    )
+    return f"{link_budget(e).written}; {LINK_SHARE:.0%} of the period is {LINK_SHARE * e.period_s * 1e3:.2f} ms"
 
 
-def _spin(e: Experiment) -> Iterator[Problem]:
-    if 1e-6 * e.loop.spin_us > 0.5 * e.period_s * (1 + _SLACK):
-        yield _problem(
-            "loop.spin_us",
-            f"{e.loop.spin_us:g} us of spinning is more than half the period of {1e3 * e.period_s:g} ms",
-            f"at most {0.5e6 * e.period_s:g}",
-        )
+def _fits(e: Experiment, baud: int) -> bool:
+    return link_budget(e, baud).total_s <= LINK_SHARE * e.period_s * (1 + _SLACK)
 
 
 def _link_budget(e: Experiment) -> Iterator[Problem]:
-    count, _, whole_s = _link_terms(e)
-    if e.daq.driver != "serial" or whole_s <= _LINK_SHARE * e.period_s * (1 + _SLACK):
+    if not link_budget(e).terms or _fits(e, e.daq.baud):
         return
-    room_s = _LINK_SHARE * e.period_s - _TURNAROUND_S
-    fitting = [baud for baud in _BAUD_RATES if baud * room_s >= count * _BITS_PER_BYTE]
+    fitting = [] if is_tcp(e.daq.port) else [baud for baud in BAUD_RATES if _fits(e, baud)]
     way_out = f"daq.baud {fitting[0]} fits, or " if fitting else ""
-    period_s = whole_s / _LINK_SHARE
+    period_s = link_budget(e).total_s / LINK_SHARE
     hint = f"{way_out}period_s of {period_s:.2g} and more" if period_s <= 0.1 else way_out.removesuffix(", or ")
-    yield _problem("daq.baud", f"too slow for the period: {_link_sum(e)}", hint)
+    key = "period_s" if is_tcp(e.daq.port) else "daq.baud"
+    yield _problem(key, f"too slow for the period: {_link_sum(e)}", hint)
 
 
 def _stream_sum(e: Experiment) -> str:
-    count = _BLOCK_BODY_BYTES + _FRAME_BYTES
-    wire_s = count * _BITS_PER_BYTE / e.daq.baud
+    count = _BLOCK_BODY_BYTES + FRAME_BYTES
+    wire_s = count * BITS_PER_BYTE / e.daq.baud
     return (
-        f"BLOCK {count} bytes x {_BITS_PER_BYTE} bits / {e.daq.baud} baud = {wire_s * 1e3:.2f} ms "
+        f"BLOCK {count} bytes x {BITS_PER_BYTE} bits / {e.daq.baud} baud = {wire_s * 1e3:.2f} ms "
         f"of every {_BLOCK_S * 1e3:g} ms"
     )
 
@@ -154,19 +146,20 @@ def _stream_sum(e: Experiment) -> str:
 def _device_relay(e: Experiment) -> Iterator[Problem]:
     if e.relay.where != "device":
         return
-    if e.daq.driver == "simulated":
+    if e.daq.driver in ("simulated", "modbus"):
+        without = "has no device" if e.daq.driver == "simulated" else "knows of no relay in the device"
         yield _problem(
-            "relay.where", "`driver: simulated` has no device", "set it to host, or daq.driver to serial with a port"
+            "relay.where", f"`driver: {e.daq.driver}` {without}", "set it to host, or daq.driver to serial with a port"
         )
         return
     if is_plug_in(e):
         return  # whether its device has a relay, the driver itself tells
-    bits = (_BLOCK_BODY_BYTES + _FRAME_BYTES) * _BITS_PER_BYTE
-    if bits > _LINK_SHARE * _BLOCK_S * e.daq.baud:
-        fitting = next(baud for baud in _BAUD_RATES if bits <= _LINK_SHARE * _BLOCK_S * baud)
+    bits = (_BLOCK_BODY_BYTES + FRAME_BYTES) * BITS_PER_BYTE
+    if bits > LINK_SHARE * _BLOCK_S * e.daq.baud:
+        fitting = next(baud for baud in BAUD_RATES if bits <= LINK_SHARE * _BLOCK_S * baud)
         yield _problem(
             "daq.baud",
-            f"too slow for the samples of a relay in the device: {_stream_sum(e)}; {_LINK_SHARE:.0%} may be used",
+            f"too slow for the samples of a relay in the device: {_stream_sum(e)}; {LINK_SHARE:.0%} may be used",
             f"daq.baud {fitting} fits, or relay.where: host",
         )
     points = sorted((p.counts, p.rad) for p in e.sensor.calibration)
@@ -277,7 +270,7 @@ def _stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
     return (
         (f"{reaction_periods(e)} periods", v * reaction_periods(e) * e.period_s),
         ("reply time-out", v * e.daq.timeout_s),
-        ("watchdog", v * e.daq.watchdog_s),
+        ("watchdog", v * device_watchdog_s(e)),
         ("coasting", v * e.limits.coast_tau_s),
     )
 
@@ -471,7 +464,11 @@ def _overshoot_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
     From a speed v that drive d has given it, -d stops it within v tau (1 - ln 2), the more friction the sooner.
     """
     v = e.limits.max_speed_rad_s
-    return (("2 periods", 2.0 * v * e.period_s), ("reversing", v * e.limits.coast_tau_s * (1.0 - log(2.0))))
+    periods = 3 if writes_first(e) else 2
+    return (
+        (f"{periods} periods", periods * v * e.period_s),
+        ("reversing", v * e.limits.coast_tau_s * (1.0 - log(2.0))),
+    )
 
 
 def _predicted_stop_rad(e: Experiment, amplitude_rad: float, period_s: float) -> float:
@@ -552,6 +549,7 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
 
 _RULES: tuple[Rule, ...] = (
     _backend,
+    modbus_rules,
     _spin,
     _link_budget,
     _device_relay,
@@ -581,7 +579,7 @@ def _lines(e: Experiment) -> Iterator[str]:
         f"{e.limits.max_speed_rad_s:g} rad/s; {e.drive.max_V:g} V of the {full_V:g} V that the bridge can give"
     )
     yield f"stopping {_stopping_sum(e)}; room from the centre of travel: {_room_rad(e):.3f} rad"
-    if e.daq.driver == "serial":
+    if link_budget(e).terms:
         yield f"link: {_link_sum(e)}"
     if is_plug_in(e):
         yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
@@ -604,6 +602,15 @@ def _lines(e: Experiment) -> Iterator[str]:
 
 def _failsafe(e: Experiment) -> str:
     """What stops the drive when the host is silent."""
+    modbus = e.daq.modbus
+    if e.daq.driver == "modbus" and modbus is not None and modbus.registers.watchdog is None:
+        if modbus.device_watchdog_s is None:
+            then = "a run drives all the same" if e.daq.accept_no_watchdog else "a run is refused"
+            return f"failsafe: none: no register sets the device's output time-out, nor is it given: {then}"
+        return (
+            f"failsafe: the device sets 0 V after {modbus.device_watchdog_s * 1e3:g} ms of silence, as set on it "
+            "(daq.modbus.device_watchdog_s): try it, pull the plug at 0.3 V"
+        )
     if not is_plug_in(e):
         return (
             f"failsafe: the device sets 0 V after {e.daq.watchdog_s * 1e3:g} ms of silence "
@@ -618,12 +625,15 @@ def _failsafe(e: Experiment) -> str:
 
 
 def _is_emulated(e: Experiment) -> bool:
-    return e.daq.driver == "simulated" or e.daq.port in EMULATED_PORTS
+    ports = MODBUS_EMULATED_PORTS if e.daq.driver == "modbus" else EMULATED_PORTS
+    return e.daq.driver == "simulated" or e.daq.port in ports
 
 
 def _backend_words(e: Experiment) -> str:
     if e.daq.driver == "simulated":
         return "a simulation in virtual time, no device, nothing moves"
+    if e.daq.driver == "modbus":
+        return _modbus_words(e)
     if e.daq.port == "emulated-chip":
         return f"the Uno's emulated chip with its firmware, {e.daq.baud} baud, virtual time, nothing moves"
     if e.daq.port == "emulated-chip-realtime":
@@ -633,6 +643,19 @@ def _backend_words(e: Experiment) -> str:
     if is_plug_in(e):
         return f"plug-in driver {e.daq.driver}: take it for a REAL MOTOR"
     return f"a REAL MOTOR behind the serial port {e.daq.port}, {e.daq.baud} baud"
+
+
+def _modbus_words(e: Experiment) -> str:
+    unit = 1 if e.daq.modbus is None else e.daq.modbus.unit
+    if e.daq.port == "emulated-tcp":
+        return f"an emulated I/O block, Modbus TCP on this machine, unit {unit}, real time, nothing moves"
+    rtu = f"Modbus RTU, unit {unit}, {e.daq.baud} baud"
+    if e.daq.port == "emulated-virtual":
+        return f"an emulated I/O block, {rtu}, virtual time, nothing moves"
+    if e.daq.port == "emulated":
+        return f"an emulated I/O block behind a pseudo-terminal, {rtu}, real time, nothing moves"
+    link = f"Modbus TCP, unit {unit}" if is_tcp(e.daq.port) else rtu
+    return f"a REAL MOTOR behind {e.daq.port}, {link}"
 
 
 def _stage_lines(e: Experiment) -> Iterator[str]:

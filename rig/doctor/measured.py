@@ -20,7 +20,7 @@ _LATE_SHARE = 0.1  # of the period: wake-ups later than that show in the record
 class _Clock(Protocol):
     def now_s(self) -> float: ...
 
-    def sleep_until(self, t_s: float) -> None: ...
+    def sleep_until(self, t_s: float) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,7 @@ def run_ticks(clock: _Clock, period_s: float, number: int, exchange: Callable[[]
     t0_s = clock.now_s() + period_s
     for _ in range(number):
         due_s = t0_s + tick * period_s
-        clock.sleep_until(due_s)
-        woke_s = clock.now_s()
+        woke_s = clock.sleep_until(due_s)
         if exchange is not None:
             exchange()
         done_s = clock.now_s()

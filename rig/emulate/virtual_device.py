@@ -83,12 +83,13 @@ class VirtualDevice:
         """Virtual time, s."""
         return self._now_ns() / 1e9
 
-    def sleep_until(self, t_s: float) -> None:
-        """Let time pass to ``t_s`` (to the next nanosecond); none if that is past."""
+    def sleep_until(self, t_s: float) -> float:
+        """Let time pass to ``t_s`` (to the next nanosecond), none if that is past; the time then, s."""
         until_ns = math.ceil(1e9 * t_s)
         if until_ns / 1e9 < t_s:  # rounding
             until_ns += 1
         self._library.virtual_run(self._board, until_ns, False)
+        return self.now_s()
 
     # ------------------------------------------------------------------ what may happen to a bench
 

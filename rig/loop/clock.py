@@ -9,6 +9,7 @@ import time
 
 _CLOCK_MONOTONIC = 1
 _TIMER_ABSTIME = 1
+_EINTR = 4
 
 
 class _Timespec(ctypes.Structure):
@@ -20,10 +21,14 @@ class MonotonicClock:
 
     An absolute sleep does not drift and does not lengthen when the loop is preempted between reading the clock and
     going to sleep. Without one (not Linux) a relative sleep to the same instant is used, and ``absolute`` says so.
+
+    spin_s  the last part of each sleep is spent reading the clock: a wake-up that comes late by less than this is not
+            late, and the tick begins with warm caches. 0: none.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, spin_s: float = 0.0) -> None:
         self.absolute = sys.platform.startswith("linux")
+        self.spin_s = spin_s
         self._libc = ctypes.CDLL(None, use_errno=True) if self.absolute else None
         self._timespec = _Timespec()
 
@@ -31,17 +36,33 @@ class MonotonicClock:
         """Monotonic time, s."""
         return time.monotonic()
 
-    def sleep_until(self, t_s: float) -> None:
-        """Sleep until the absolute time, s; returns early only for a signal, so that its handler runs at once."""
+    def sleep_until(self, t_s: float) -> float:
+        """Sleep until the absolute time, s; the time at which that was over.
+
+        Returns early only for a signal that comes while the process sleeps, so that its handler runs at once. One that
+        comes while it spins is handled there: the spin is Python, and never longer than ``spin_s``.
+        """
+        now = time.monotonic
+        interrupted = self._sleep(t_s - self.spin_s)
+        now_s = now()
+        if interrupted:
+            return now_s
+        while now_s < t_s:
+            now_s = now()
+        return now_s
+
+    def _sleep(self, t_s: float) -> bool:
+        """Sleep without a spin; whether a signal ended it."""
         if self._libc is None:
             time.sleep(max(t_s - time.monotonic(), 0.0))
-            return
+            return False
         seconds = int(t_s)
         self._timespec.tv_sec = seconds
         self._timespec.tv_nsec = int((t_s - seconds) * 1e9)
-        error = self._libc.clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, ctypes.byref(self._timespec), None)
-        if error not in (0, 4):  # 4: EINTR
+        error: int = self._libc.clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, ctypes.byref(self._timespec), None)
+        if error not in (0, _EINTR):
             raise OSError(error, f"clock_nanosleep: {os.strerror(error)}")
+        return error == _EINTR
 
 
 class VirtualClock:
@@ -56,6 +77,7 @@ class VirtualClock:
         """Virtual time, s."""
         return self._now_s
 
-    def sleep_until(self, t_s: float) -> None:
-        """Let time pass to ``t_s``; none if that is past."""
+    def sleep_until(self, t_s: float) -> float:
+        """Let time pass to ``t_s``, none if that is past; the time then, s."""
         self._now_s = max(self._now_s, t_s)
+        return self._now_s

@@ -7,31 +7,91 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 
-PRIORITY = 60
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
+_PR_SET_TIMERSLACK = 29
+_LIMITS_CONF = "in /etc/security/limits.conf, join the group realtime, log in again"
+
+
+@dataclass(frozen=True)
+class RealTimeSettings:
+    """What is wanted.
+
+    priority     of SCHED_FIFO, 1 to 99; 0: the ordinary scheduler
+    cpu          the one core to stay on; None: any
+    lock_memory  no page of the process leaves memory, so that touching it never waits for a disk
+    """
+
+    priority: int = 60
+    cpu: int | None = None
+    lock_memory: bool = True
+
+
+@dataclass
+class RealTime:
+    """What came of it: one line for each measure that is in force, one for each that the machine refused."""
+
+    granted: list[str] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
+
+
+AS_USUAL = RealTimeSettings()
 
 
 @contextmanager
-def real_time() -> Iterator[list[str]]:
-    """Within the block: SCHED_FIFO and locked memory, as far as allowed. Yields one line for each measure."""
+def real_time(settings: RealTimeSettings = AS_USUAL) -> Iterator[RealTime]:
+    """Within the block this process is set up for real time, as far as allowed; before and after it is as it was.
+
+    Processes that are started within the block are ordinary ones, but stay on the same core.
+    """
+    done = RealTime()
     if not sys.platform.startswith("linux"):
-        yield ["real-time scheduling: not tried, this is not Linux"]
+        done.refused.append("real-time scheduling and locked memory: not tried, this is not Linux")
+        yield done
         return
-    before = os.sched_getscheduler(0), os.sched_getparam(0)
     libc = ctypes.CDLL(None, use_errno=True)
-    lines: list[str] = []
+    scheduler, parameter, cores = os.sched_getscheduler(0), os.sched_getparam(0), os.sched_getaffinity(0)
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-        lines.append(f"SCHED_FIFO at priority {PRIORITY}")
-    except PermissionError:
-        lines.append("SCHED_FIFO refused: add `@realtime - rtprio 90` to /etc/security/limits.conf, and yourself to it")
-    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0:
-        lines.append("memory locked")
-    else:
-        lines.append(f"memory not locked: {os.strerror(ctypes.get_errno())}")
-    try:
-        yield lines
+        # the ordinary scheduler lets a sleep lengthen by 50 us unless it is told not to
+        libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0)
+        if settings.cpu is not None:
+            _stay_on(settings.cpu, done)
+        if settings.lock_memory:
+            _lock_memory(libc, done)
+        if settings.priority > 0:
+            _go_first(settings.priority, done)
+        yield done
     finally:
+        # once set, the flag is not a user's to take back; it does nothing to an ordinary process
+        os.sched_setscheduler(0, scheduler | (os.sched_getscheduler(0) & os.SCHED_RESET_ON_FORK), parameter)
         libc.munlockall()
-        os.sched_setscheduler(0, *before)
+        os.sched_setaffinity(0, cores)
+        libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(0), 0, 0, 0)
+
+
+def _stay_on(cpu: int, done: RealTime) -> None:
+    try:
+        os.sched_setaffinity(0, {cpu})
+    except OSError as error:
+        cores = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
+        done.refused.append(f"core {cpu} refused ({error.strerror}): set loop.cpu to one of {cores}, or leave it out")
+    else:
+        done.granted.append(f"on core {cpu}")
+
+
+def _lock_memory(libc: ctypes.CDLL, done: RealTime) -> None:
+    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0:
+        done.granted.append("memory locked")
+    else:
+        why = os.strerror(ctypes.get_errno())
+        done.refused.append(f"locked memory refused ({why}): put `@realtime - memlock unlimited` {_LIMITS_CONF}")
+
+
+def _go_first(priority: int, done: RealTime) -> None:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    except OSError as error:
+        done.refused.append(f"SCHED_FIFO refused ({error.strerror}): put `@realtime - rtprio 90` {_LIMITS_CONF}")
+    else:
+        done.granted.append(f"SCHED_FIFO at priority {priority}")

@@ -218,38 +218,45 @@ class Loop:
             watch(sample.t_s)
 
     def _run_tick(self, law: Law, stage: str) -> Sample:
+        now_s = self._clock.now_s
         due_s, woke_s = self._await_tick()
         sample = self._driver.read()
-        io_s = self._clock.now_s() - woke_s
+        read_s = now_s()
         sample = sample._replace(t_s=self._since_start_s(sample.t_s), t_u_s=self._since_start_s(sample.t_u_s))
-        self._complete_row(sample)
-        self._measure_latency(sample)
-        flags = FLAG_SKIPPED if self._skipped else 0
-        late_us = (woke_s - due_s) * 1e6
-        self.statistics.tick(late_us, io_s * 1e6)
+        late_us, io_us = (woke_s - due_s) * 1e6, (read_s - woke_s) * 1e6
+        self.statistics.tick(late_us, io_us)
         try:
-            u_V, guard_flags = self.guard.allow(sample, law.step(sample))
+            u_V, flags = self.guard.allow(sample, law.step(sample))
+            decided_s = now_s()
             self._driver.write(u_V)
         except BaseException:
             # the reading that ended the run belongs into the record; the stop that follows is 0 V
-            self._record.sample(self._tick, sample, stage, law.z_rad_s, law.yd_rad, 0.0, late_us, io_s * 1e6, flags)
+            self._record_tick(law, stage, sample, 0.0, late_us, io_us, 0)
             raise
-        self._record.sample(
-            self._tick, sample, stage, law.z_rad_s, law.yd_rad, u_V, late_us, io_s * 1e6, flags | guard_flags
-        )
+        written_s = now_s()
+        self._record_tick(law, stage, sample, u_V, late_us, io_us, flags)
         self._row_open = True
         self._asked_V = u_V
+        self.statistics.drive((decided_s - read_s) * 1e6, (written_s - decided_s) * 1e6, (now_s() - written_s) * 1e6)
         self._end_tick(due_s)
         return sample
+
+    def _record_tick(
+        self, law: Law, stage: str, sample: Sample, u_V: float, late_us: float, io_us: float, flags: int
+    ) -> None:
+        """Finish the row before, which this sample tells of, and open this tick's: once the drive is out."""
+        self._complete_row(sample)
+        self._measure_latency(sample)
+        if self._skipped:
+            flags |= FLAG_SKIPPED
+        self._record.sample(self._tick, sample, stage, law.z_rad_s, law.yd_rad, u_V, late_us, io_us, flags)
 
     def _await_tick(self) -> tuple[float, float]:
         """Sleep until the next tick is due; when that was, and when it was over."""
         due_s = self._t0_s + self._tick * self._period_s
-        self._clock.sleep_until(due_s)
-        woke_s = self._clock.now_s()
+        woke_s = self._clock.sleep_until(due_s)
         while woke_s < due_s and self._stop.reason is None:
-            self._clock.sleep_until(due_s)  # a signal that is none of ours ended the sleep
-            woke_s = self._clock.now_s()
+            woke_s = self._clock.sleep_until(due_s)  # a signal that is none of ours ended the sleep
         self.check_stop()
         return due_s, woke_s
 

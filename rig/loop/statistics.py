@@ -1,4 +1,4 @@
-"""What the loop achieved: late wake-ups, exchange times, skipped ticks."""
+"""What the loop achieved: late wake-ups, how long the parts of a tick took, skipped ticks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ QUANTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
 
 
 class LoopStatistics:
-    """Collects lateness and exchange time of every tick, us, and the ticks that were skipped."""
+    """Collects the times of every tick, us, and the ticks that were skipped."""
 
     def __init__(self, period_s: float) -> None:
         self.period_s = period_s
@@ -20,6 +20,9 @@ class LoopStatistics:
         self.device_tick_s = 0.0
         self._late_us = array("d")
         self._io_us = array("d")
+        self._compute_us = array("d")
+        self._write_us = array("d")
+        self._record_us = array("d")
 
     @property
     def ticks(self) -> int:
@@ -27,9 +30,15 @@ class LoopStatistics:
         return len(self._late_us)
 
     def tick(self, late_us: float, io_us: float) -> None:
-        """Count one tick."""
+        """Count one tick that woke ``late_us`` late and read the device for ``io_us``."""
         self._late_us.append(late_us)
         self._io_us.append(io_us)
+
+    def drive(self, compute_us: float, write_us: float, record_us: float) -> None:
+        """The rest of a tick that drives: law and guard, writing the drive, recording the row."""
+        self._compute_us.append(compute_us)
+        self._write_us.append(write_us)
+        self._record_us.append(record_us)
 
     def device_tick(self, tick_s: float, missed: int) -> None:
         """Count one tick of a relay in the device, every ``tick_s``, and those missed before it."""
@@ -49,6 +58,9 @@ class LoopStatistics:
             "skipped": self.skipped,
             "late_us": quantiles(self._late_us),
             "io_us": quantiles(self._io_us),
+            "compute_us": quantiles(self._compute_us),
+            "write_us": quantiles(self._write_us),
+            "record_us": quantiles(self._record_us),
             **({"device": device} if self.device_ticks else {}),
         }
 

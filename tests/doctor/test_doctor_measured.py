@@ -14,9 +14,9 @@ class SleepyClock(VirtualClock):
         self._late_s = late_s
         self._ticks = 0
 
-    def sleep_until(self, t_s: float) -> None:
-        super().sleep_until(t_s + self._late_s[self._ticks % len(self._late_s)])
+    def sleep_until(self, t_s: float) -> float:
         self._ticks += 1
+        return super().sleep_until(t_s + self._late_s[(self._ticks - 1) % len(self._late_s)])
 
 
 def exchange_of(clock: VirtualClock, seconds: float):
