@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from rig.bench import connect
+from rig.bench import connect, real_time_of
 from rig.config.schema import Experiment
 from rig.doctor import machine, measured
 from rig.doctor.finding import Finding
@@ -14,14 +14,14 @@ from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import real_time
 
 SECONDS = 3.0  # of ticks
-_PERIOD_S = 0.01  # without a config
+_PERIOD_S, _SPIN_S = 0.01, 200e-6  # without a config
 
 
 def without_config(run_folder: Path, seconds: float = SECONDS) -> Iterator[Finding]:
     """The machine by itself."""
     yield from machine.examine(run_folder)
     with real_time():
-        ticks = measured.run_ticks(MonotonicClock(), _PERIOD_S, _number(seconds, _PERIOD_S))
+        ticks = measured.run_ticks(MonotonicClock(_SPIN_S), _PERIOD_S, _number(seconds, _PERIOD_S))
     yield measured.wake_ups(ticks)
 
 
@@ -42,7 +42,7 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
             if not isinstance(bench.clock, MonotonicClock):
                 yield Finding("period", "note", "this bench lives in virtual time: every period is held")
                 return
-            with real_time():
+            with real_time(real_time_of(experiment)):
                 number = _number(seconds, experiment.period_s)
                 ticks = measured.run_ticks(bench.clock, experiment.period_s, number, bench.driver.read)
     except Fault as fault:
