@@ -134,6 +134,15 @@ def _link_budget(e: Experiment) -> Iterator[Problem]:
     yield _problem(key, f"too slow for the period: {_link_sum(e)}", hint)
 
 
+def _spin(e: Experiment) -> Iterator[Problem]:
+    if 1e-6 * e.loop.spin_us > 0.5 * e.period_s * (1 + _SLACK):
+        yield _problem(
+            "loop.spin_us",
+            f"{e.loop.spin_us:g} us of spinning is more than half the period of {1e3 * e.period_s:g} ms",
+            f"at most {0.5e6 * e.period_s:g}",
+        )
+
+
 def _stream_sum(e: Experiment) -> str:
     count = _BLOCK_BODY_BYTES + FRAME_BYTES
     wire_s = count * BITS_PER_BYTE / e.daq.baud
