@@ -5,8 +5,9 @@ What registers say together (contiguous, within one request, no two at one addre
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Annotated, Literal, Self
+from collections.abc import Iterable, Iterator
+from typing import Annotated, Literal, NamedTuple, Self
+from urllib.parse import urlsplit
 
 from pydantic import Field, field_validator, model_validator
 
@@ -17,6 +18,10 @@ Address = Annotated[int, Field(ge=0, le=65535)]
 Word = Annotated[int, Field(ge=0, le=65535)]
 SignedType = Literal["int16", "int32", "float32"]
 RegisterType = Literal["int16", "uint16", "int32", "uint32", "float32"]
+
+EMULATED_PORTS = ("emulated", "emulated-tcp", "emulated-virtual")
+TCP_PORT = 502  # unless the address names another
+_TCP = "tcp://"
 
 WORDS: dict[str, int] = {"int16": 1, "uint16": 1, "int32": 2, "uint32": 2, "float32": 2}
 _LARGEST = {"int16": 32767, "int32": 2**31 - 1}
@@ -169,24 +174,23 @@ class Modbus(Section):
         return self
 
 
-class Span:
-    """Registers of one name: where they begin and how many they are."""
+class Span(NamedTuple):
+    """Registers of one key below ``registers``: where they begin, how many they are."""
 
-    __slots__ = ("address", "key", "words")
-
-    def __init__(self, key: str, address: int, words: int) -> None:
-        self.key, self.address, self.words = key, address, words
+    key: str
+    address: int
+    words: int
 
 
 def written_in_a_tick(registers: Registers) -> Iterator[Span]:
-    """What one tick writes, as keys below ``registers``."""
+    """What one tick writes."""
     yield Span("drive.address", registers.drive.address, WORDS[registers.drive.type])
     if registers.sequence is not None:
         yield Span("sequence.address", registers.sequence.address, 1)
 
 
 def read_in_a_tick(registers: Registers) -> Iterator[Span]:
-    """What one tick reads, from the position's table, as keys below ``registers``."""
+    """What one tick reads, from the position's table."""
     yield Span("position.address", registers.position.address, WORDS[registers.position.type])
     if registers.sequence is not None:
         yield Span("sequence.echo", registers.sequence.echo, 1)
@@ -197,7 +201,7 @@ def read_in_a_tick(registers: Registers) -> Iterator[Span]:
 
 
 def written_at_arming(registers: Registers) -> Iterator[Span]:
-    """What is written outside the tick, as keys below ``registers``."""
+    """What is written outside the tick."""
     r = registers
     if r.control is not None:
         yield Span("control.address", r.control.address, 1)
@@ -211,8 +215,25 @@ def written_at_arming(registers: Registers) -> Iterator[Span]:
         yield Span("max_drive.address", r.max_drive.address, WORDS[r.drive.type])
 
 
-def span_of(spans: Iterator[Span]) -> tuple[int, int]:
+def span_of(spans: Iterable[Span]) -> tuple[int, int]:
     """First address and number of registers that hold them all, gaps included."""
     found = list(spans)
     first = min(span.address for span in found)
     return first, max(span.address + span.words for span in found) - first
+
+
+def is_tcp(port: str | None) -> bool:
+    """Whether a port speaks Modbus TCP; else RTU."""
+    return port is not None and (port == "emulated-tcp" or port.startswith(_TCP))
+
+
+def tcp_address(port: str) -> tuple[str, int]:
+    """Host and port number of tcp://host or tcp://host:port. Raises ValueError, for people, if it is none."""
+    found = urlsplit(port)
+    try:
+        number = found.port
+    except ValueError as error:
+        raise ValueError(f"{port}: {error}") from error
+    if found.scheme != "tcp" or not found.hostname or found.path not in ("", "/") or number == 0:
+        raise ValueError(f"{port} is no address: write tcp://192.168.0.5 or tcp://192.168.0.5:502")
+    return found.hostname, TCP_PORT if number is None else number

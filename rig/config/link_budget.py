@@ -1,0 +1,140 @@
+"""What one tick needs of the link: bytes on the wire, silences, turnaround; and which part of the period it may take.
+
+Serial: the frames of docs/architecture.md. Modbus: Application Protocol 1.1b3, section 6 (lengths of requests and
+replies); over Serial Line 1.02, section 2.5.1 (silence of 3.5 characters, fixed at 1.75 ms above 19200 baud).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from rig.config.modbus import Modbus, is_tcp, read_in_a_tick, span_of, written_in_a_tick
+from rig.config.schema import Experiment
+
+LINK_SHARE = 0.8  # of the period that the exchange may take
+BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000, 921600, 1_000_000, 2_000_000)
+
+# Wire format version 1: bytes of the body of each frame of one tick (host asks, device tells, host drives)
+_BODY_BYTES = {"READ": 0, "STATE": 18, "DRIVE": 2}
+# around each body: version, type, seq (4), CRC (2), COBS (1), delimiter (1)
+FRAME_BYTES = 4 + 2 + 1 + 1
+BITS_PER_BYTE = 11  # start, 8 data, stop, and the pause that is seen between bytes
+_TURNAROUND_S = 0.001  # the device's 1 ms tick and USB, together
+
+_RTU_BYTES = 1 + 2  # unit and CRC, around the function code and its data
+_TCP_BYTES = 7  # the header, unit included
+_ETHERNET_BITS_S = 10e6  # the slowest that I/O modules have
+_SILENCE_CHARACTERS = 3.5
+_FIXED_SILENCE_S = 0.00175
+_FIXED_ABOVE_BAUD = 19200
+
+
+class Transaction(NamedTuple):
+    """One request and its reply: bytes of both, framing included."""
+
+    name: str
+    request_bytes: int
+    reply_bytes: int
+
+
+class LinkBudget(NamedTuple):
+    """The sum of one tick.
+
+    terms    words and seconds; none where the link of the driver is not known
+    wire     how the first term comes about, in words
+    """
+
+    terms: tuple[tuple[str, float], ...]
+    wire: str
+
+    @property
+    def total_s(self) -> float:
+        """The whole exchange of a tick, s."""
+        return sum(s for _, s in self.terms)
+
+    @property
+    def written(self) -> str:
+        """The sum, for people."""
+        (_, wire_s), *others = self.terms
+        rest = " ".join(f"+ {s * 1e3:g} ms {words}" for words, s in others)
+        return f"{self.wire} = {wire_s * 1e3:.2f} ms, {rest} = {self.total_s * 1e3:.2f} ms"
+
+
+def link_budget(experiment: Experiment, baud: int | None = None) -> LinkBudget:
+    """What one tick of this experiment needs; without terms where there is no link, or none that is known.
+
+    baud   instead of the config's, to see which would do
+    """
+    daq = experiment.daq
+    baud = daq.baud if baud is None else baud
+    if daq.driver == "serial":
+        frames = {name: body + FRAME_BYTES for name, body in _BODY_BYTES.items()}
+        return LinkBudget((_wire(frames, BITS_PER_BYTE, baud), ("turnaround", _TURNAROUND_S)), _words(frames, baud))
+    if daq.driver == "modbus" and daq.modbus is not None:
+        return _modbus(daq.modbus, baud, is_tcp(daq.port), transactions(daq.modbus, tcp=is_tcp(daq.port)))
+    return LinkBudget((), "")
+
+
+def longest_transaction_s(experiment: Experiment) -> float:
+    """The longest of the tick's Modbus transactions, s; 0 for other drivers."""
+    daq = experiment.daq
+    if daq.driver != "modbus" or daq.modbus is None:
+        return 0.0
+    tcp = is_tcp(daq.port)
+    return max(_modbus(daq.modbus, daq.baud, tcp, (t,)).total_s for t in transactions(daq.modbus, tcp=tcp))
+
+
+def transactions(modbus: Modbus, *, tcp: bool) -> tuple[Transaction, ...]:
+    """What is asked in one tick."""
+    _, read = span_of(read_in_a_tick(modbus.registers))
+    _, written = span_of(written_in_a_tick(modbus.registers))
+    frame = _TCP_BYTES if tcp else _RTU_BYTES
+    if modbus.requests == "read-write":
+        return (Transaction("FC23", frame + 10 + 2 * written, frame + 2 + 2 * read),)
+    reading = "FC04" if modbus.registers.position.table == "input" else "FC03"
+    one = written == 1
+    return (
+        Transaction(reading, frame + 5, frame + 2 + 2 * read),
+        Transaction("FC06" if one else "FC16", frame + (5 if one else 6 + 2 * written), frame + 5),
+    )
+
+
+def bits_per_byte(modbus: Modbus) -> int:
+    """On an RTU line: start, 8 data, parity, stop."""
+    return 1 + 8 + (modbus.parity != "none") + modbus.stop_bits
+
+
+def silence_s(modbus: Modbus, baud: int) -> float:
+    """The pause around a frame on an RTU line, s."""
+    if modbus.silence_s is not None:
+        return modbus.silence_s
+    if baud > _FIXED_ABOVE_BAUD:
+        return _FIXED_SILENCE_S
+    return _SILENCE_CHARACTERS * bits_per_byte(modbus) / baud
+
+
+def _modbus(modbus: Modbus, baud: int, tcp: bool, asked: tuple[Transaction, ...]) -> LinkBudget:
+    frames: dict[str, int] = {}
+    for t in asked:
+        frames |= {f"{t.name} request": t.request_bytes, f"{t.name} reply": t.reply_bytes}
+    n = len(asked)
+    turnaround = ("turnaround" if n == 1 else f"{n} turnarounds", n * modbus.turnaround_s)
+    if tcp:
+        total = sum(frames.values())
+        words = f"{_added(frames)} = {total} bytes x 8 bits / {_ETHERNET_BITS_S / 1e6:g} Mbit/s"
+        return LinkBudget((("wire", total * 8 / _ETHERNET_BITS_S), turnaround), words)
+    bits = bits_per_byte(modbus)
+    silences = (f"{2 * n} silences", 2 * n * silence_s(modbus, baud))
+    return LinkBudget((_wire(frames, bits, baud), silences, turnaround), _words(frames, baud, bits))
+
+
+def _wire(frames: dict[str, int], bits: int, baud: int) -> tuple[str, float]:
+    return "wire", sum(frames.values()) * bits / baud
+
+
+def _words(frames: dict[str, int], baud: int, bits: int = BITS_PER_BYTE) -> str:
+    return f"{_added(frames)} = {sum(frames.values())} bytes x {bits} bits / {baud} baud"
+
+
+def _added(frames: dict[str, int]) -> str:
+    return " + ".join(f"{name} {count}" for name, count in frames.items())
