@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
+from rig.signals import Limits
+
 
 class Calibration:
     """Position sensor: counts to rad through two points or a table, linear in between.
@@ -156,6 +158,29 @@ class DriveMap:
     def quantised(self, u_V: float) -> float:
         """The voltage that the device really applies when asked for ``u_V``; ValueError as ``to_units``."""
         return self.to_volts(self.to_units(u_V))
+
+
+def hard_limits_in_counts(
+    limits: Limits, calibration: Calibration, drive_map: DriveMap, rail_counts: tuple[int, int]
+) -> tuple[int, int]:
+    """The hard limits as (lowest, highest) reading inside, counts: inside them exactly if its position is.
+
+    Raises ValueError for limits that no device can hold with this sensor and this drive: 0 rad outside the hard limits,
+    a hard limit that the sensor reads at its rail or beyond, drive beyond supply and bridge.
+    """
+    low_rad, high_rad = limits.hard_rad
+    if not low_rad < 0.0 < high_rad:
+        raise ValueError(f"hard limits {low_rad:g} to {high_rad:g} rad must enclose 0, the centre of travel")
+    low, high = sorted((calibration.to_counts(low_rad), calibration.to_counts(high_rad)))
+    hard_lo, hard_hi = math.ceil(low - 1e-9), math.floor(high + 1e-9)
+    rail_lo, rail_hi = rail_counts
+    if not 0 <= rail_lo < hard_lo <= hard_hi < rail_hi:
+        raise ValueError(
+            f"hard limits {low_rad:g} to {high_rad:g} rad read {low:.1f} to {high:.1f} counts, which must lie "
+            f"inside the sensor's rails at {rail_lo} and {rail_hi} counts"
+        )
+    drive_map.to_units(limits.max_u_V)
+    return hard_lo, hard_hi
 
 
 def polarity(calibration: Calibration, drive_map: DriveMap) -> int:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import serial
 
 from rig.daq import frames
-from rig.daq.calibration import Calibration, DriveMap, TachometerScale, polarity
+from rig.daq.calibration import Calibration, DriveMap, TachometerScale, hard_limits_in_counts, polarity
 from rig.daq.device_clock import DeviceClock, TimedExchange, fit_device_clock
 from rig.daq.driver import DeviceInfo, DeviceWatchdog, Transport
 from rig.daq.frames import Code, Hello, Kind, Packet, RelaySetup, Setup, State
@@ -144,22 +144,11 @@ def await_introduction(transport: Transport, reader: frames.FrameReader, timeout
 def setup_for(limits: Limits, calibration: Calibration, drive_map: DriveMap, rail_counts: tuple[int, int]) -> Setup:
     """What the device is told before arming.
 
-    The hard limits are rounded inward, so that a reading is inside them exactly if its position is.
-    Raises ValueError where the device could not hold such limits: a hard limit that the sensor reads
-    beyond its rail, 0 rad outside the hard limits, drive beyond the supply or below one unit, watchdog
-    outside 1 ms to 1 s.
+    Raises ValueError where the device could not hold such limits: as ``hard_limits_in_counts``, largest drive below
+    one unit, watchdog outside 1 ms to 1 s.
     """
-    low_rad, high_rad = limits.hard_rad
-    if not low_rad < 0.0 < high_rad:
-        raise ValueError(f"hard limits {low_rad:g} to {high_rad:g} rad must enclose 0, the centre of travel")
-    low, high = sorted((calibration.to_counts(low_rad), calibration.to_counts(high_rad)))
-    hard_lo, hard_hi = math.ceil(low - 1e-9), math.floor(high + 1e-9)
+    hard_lo, hard_hi = hard_limits_in_counts(limits, calibration, drive_map, rail_counts)
     rail_lo, rail_hi = rail_counts
-    if not 0 <= rail_lo < hard_lo <= hard_hi < rail_hi:
-        raise ValueError(
-            f"hard limits {low_rad:g} to {high_rad:g} rad read {low:.1f} to {high:.1f} counts, which must lie "
-            f"inside the sensor's rails at {rail_lo} and {rail_hi} counts"
-        )
     max_drive = max(abs(drive_map.to_units(limits.max_u_V)), abs(drive_map.to_units(-limits.max_u_V)))
     if max_drive == 0:
         raise ValueError(f"largest drive {limits.max_u_V:g} V is less than one unit of the drive")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from rig.daq.calibration import Calibration, DriveMap
+from rig.daq.calibration import Calibration, DriveMap, hard_limits_in_counts
 from rig.daq.driver import Clock, DeviceInfo, DeviceWatchdog
 from rig.faults import Fault
 from rig.model.bench import Bench, BenchParameters
@@ -57,7 +58,7 @@ class SimulatedDriver:
         self._heard_s = self._now_s
         self._fault: Fault | None = None
         self._pending: tuple[float, int] | None = None  # effect time, drive units
-        self._effect_s = self._now_s
+        self._effect_s = math.nan  # until something was driven
         self._seq = 0
         self._recovering = False  # armed outside the hard limits: only inward drive, until inside
 
@@ -66,7 +67,8 @@ class SimulatedDriver:
         return DeviceInfo(build="simulated", board="simulated", reset_cause="power-on", emulated=True)
 
     def arm(self, limits: Limits) -> None:
-        """Give the device its limits and allow drive; clears a latched fault."""
+        """Give the device its limits and allow drive; clears a latched fault. ValueError as for a real device."""
+        hard_limits_in_counts(limits, self._calibration, self._drive_map, self._rail_counts)
         self._catch_up()
         self._limits = limits
         self.failsafe = DeviceWatchdog(limits.watchdog_s)
@@ -91,7 +93,7 @@ class SimulatedDriver:
             y_counts=counts,
             v_rad_per_s=self.bench.read_tachometer_rad_s(),
             t_u_s=self._effect_s,
-            u_V=self._drive_map.to_volts(self.bench.pin_counts),
+            u_V=self._drive_map.to_volts(round(self.bench.pin_counts)),
             seq=self._seq,
         )
 
@@ -164,5 +166,5 @@ class SimulatedDriver:
             self._recovering = False
         elif not self._recovering:
             self._stop(Fault("DEVICE_TRAVEL", f"y = {y_rad:.3f} rad"))
-        elif self._drive_map.to_volts(self.bench.pin_counts) * y_rad > 0.0:
+        elif self._drive_map.to_volts(round(self.bench.pin_counts)) * y_rad > 0.0:
             self._stop(Fault("DEVICE_TRAVEL", f"outward drive at y = {y_rad:.3f} rad"))
