@@ -128,6 +128,16 @@ def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = N
     return _record(experiment, parent, script, on_start)
 
 
+def run_breakaway(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
+    """The breakaway check alone: whether the bench arms, and whether the shaft moves, the right way."""
+
+    def script(session: Session) -> None:
+        with driving(session):
+            check_breakaway(session)
+
+    return _record(experiment, parent, script, on_start)
+
+
 def run_tracking(
     experiment: Experiment,
     models: Identification,
