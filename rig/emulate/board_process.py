@@ -1,10 +1,10 @@
-"""An emulated device in real time: a process behind a pseudo-terminal."""
+"""An emulated device in real time: a process behind a pseudo-terminal, or on a port of loopback."""
 
 from __future__ import annotations
 
 import select
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -25,9 +25,12 @@ class BoardProcess:
     def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
 
-    def _launch(self, program: Path, options: Mapping[str, str], link: Path | None, trace: Path | None) -> str:
+    def _launch(
+        self, program: Path | Sequence[str], options: Mapping[str, str], link: Path | None, trace: Path | None
+    ) -> str:
         """Start the program with its options, by name; the name of its port. Raises EmulationError if it fails."""
-        command = [str(program), "--exit-with-stdin"]
+        command = [str(program)] if isinstance(program, Path) else list(program)
+        command += ["--exit-with-stdin"]
         for name, value in options.items():
             command += [f"--{name}", value]
         if link is not None:

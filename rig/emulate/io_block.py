@@ -68,8 +68,7 @@ class Field(NamedTuple):
     def unpack(self, words: list[int], low_first: bool) -> float:
         """The value of its words."""
         data = b"".join(word.to_bytes(2, "big") for word in (words[::-1] if low_first else words))
-        value: float = struct.unpack(_FORMAT[self.type], data)[0]
-        return value
+        return float(struct.unpack(_FORMAT[self.type], data)[0])
 
 
 @dataclass(frozen=True)
@@ -233,8 +232,8 @@ class IoBlock:
         self.requests = 0
         self._polarity = polarity
         self._revision = revision
-        self._on_drive = on_drive
-        self._on_output = on_output
+        self.on_drive = on_drive
+        self.on_output = on_output
         self._ticks = 0
         self._heard_s = 0.0
         self._farthest = 0.0
@@ -377,8 +376,8 @@ class IoBlock:
             self.drive = value
             p = self.bench.parameters
             self.bench.pin_counts = value / self.registers.full * p.drive_counts
-            if self._on_output is not None:
-                self._on_output(self.t_s, self.output_V)
+            if self.on_output is not None:
+                self.on_output(self.t_s, self.output_V)
 
     def _disarm(self) -> None:
         self._act(0.0)
@@ -557,8 +556,8 @@ class IoBlock:
         if "drive" in values:
             self._values["drive"] = values["drive"]
             taken = self._take_drive(values["drive"])
-            if self._on_drive is not None:
-                self._on_drive(ExecutedDrive(self.t_s, values["drive"], taken))
+            if self.on_drive is not None:
+                self.on_drive(ExecutedDrive(self.t_s, values["drive"], taken))
         if "sequence" in values:
             self._values["sequence"] = values["sequence"]
             if taken:
