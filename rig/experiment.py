@@ -6,12 +6,12 @@ import math
 import platform
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import rig
 from rig.bench import Bench, calibration_of, connect, drive_map_of, guard_settings_of, limits_of, real_time_of
@@ -33,9 +33,10 @@ from rig.identify import Identification, IdentifyError, identify
 from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import RealTime, real_time
 from rig.loop.rehearsal import RehearsalBench, rehearse
-from rig.loop.runner import Loop
+from rig.loop.runner import Loop, Record
 from rig.loop.stop_request import stop_on_signals
 from rig.model.cycle_detector import CycleDetector
+from rig.model.motor import Motor
 from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
 from rig.recording.reader import read_run
@@ -73,6 +74,13 @@ class Outcome:
         return "; ".join(why)
 
 
+class RunRecord(Record, Protocol):
+    """Where a run's rows and events go: a ``Recorder``, or what a replay compares them with."""
+
+    def drain(self, timeout_s: float = 5.0) -> None:
+        """Return once every completed row can be read."""
+
+
 @dataclass
 class Session:
     """One run in progress: the open bench, the loop on it, and what is known so far."""
@@ -80,7 +88,7 @@ class Session:
     experiment: Experiment
     folder: Path
     bench: Bench
-    recorder: Recorder
+    recorder: RunRecord
     loop: Loop
     meta: dict[str, Any]
     real_time: RealTime | None = None  # what the machine granted the loop, once it was asked
@@ -105,37 +113,26 @@ def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -
     """The whole experiment. The run folder is made below ``parent``; ``on_start`` is told of it."""
 
     def script(session: Session) -> None:
-        with driving(session):
-            check_breakaway(session)
-            test_relays(session)
-            test_hysteretic(session)
+        drive_tests(session)
         identify_recorded(session)
         verify_models(session)
 
-    return _record(experiment, parent, script, on_start)
+    return _record(experiment, parent, {"name": "run"}, script, on_start)
 
 
 def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
     """Breakaway, gains and relay tests, and what they identify; no tracking."""
 
     def script(session: Session) -> None:
-        with driving(session):
-            check_breakaway(session)
-            test_relays(session)
-            test_hysteretic(session)
+        drive_tests(session)
         identify_recorded(session)
 
-    return _record(experiment, parent, script, on_start)
+    return _record(experiment, parent, {"name": "relay"}, script, on_start)
 
 
 def run_breakaway(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
     """The breakaway check alone: whether the bench arms, and whether the shaft moves, the right way."""
-
-    def script(session: Session) -> None:
-        with driving(session):
-            check_breakaway(session)
-
-    return _record(experiment, parent, script, on_start)
+    return _record(experiment, parent, {"name": "breakaway"}, drive_check, on_start)
 
 
 def run_tracking(
@@ -150,26 +147,44 @@ def run_tracking(
     def script(session: Session) -> None:
         session.identification = models
         session.models_from = models_from
-        with driving(session):
-            check_breakaway(session)
+        drive_check(session)
         verify_models(session)
 
-    return _record(experiment, parent, script, on_start)
+    return _record(experiment, parent, {"name": "track"}, script, on_start)
 
 
 def jog(experiment: Experiment, u_V: float, duration_s: float, parent: Path) -> Outcome:
     """A constant drive for a short time, within the limits; from outside them only inward."""
 
     def script(session: Session) -> None:
-        session.loop.guard.recovering = True
-        with driving(session):
-            session.loop.run(Rest(0.1), "rest")
-            session.jog = {"from_rad": session.loop.last_y_rad}
-            session.loop.run(Constant(u_V, duration_s), "jog")
-            session.loop.run(Rest(REST_S), "rest")
-            session.jog |= {"to_rad": session.loop.last_y_rad, "refused_ticks": session.loop.guard.clipped_ticks}
+        drive_by_hand(session, u_V, duration_s)
 
-    return _record(experiment, parent, script, None)
+    return _record(experiment, parent, {"name": "jog", "u_V": u_V, "duration_s": duration_s}, script, None)
+
+
+def drive_tests(session: Session) -> None:
+    """All that drives in ``run`` and ``run_relay`` before anything is identified."""
+    with driving(session):
+        check_breakaway(session)
+        test_relays(session)
+        test_hysteretic(session)
+
+
+def drive_check(session: Session) -> None:
+    """The breakaway check alone."""
+    with driving(session):
+        check_breakaway(session)
+
+
+def drive_by_hand(session: Session, u_V: float, duration_s: float) -> None:
+    """A constant drive between two rests, within the limits; from outside them only inward."""
+    session.loop.guard.recovering = True
+    with driving(session):
+        session.loop.run(Rest(0.1), "rest")
+        session.jog = {"from_rad": session.loop.last_y_rad}
+        session.loop.run(Constant(u_V, duration_s), "jog")
+        session.loop.run(Rest(REST_S), "rest")
+        session.jog |= {"to_rad": session.loop.last_y_rad, "refused_ticks": session.loop.guard.clipped_ticks}
 
 
 @contextmanager
@@ -361,7 +376,7 @@ def verify_models(session: Session) -> None:
         unknown = "no estimate is good enough to rehearse on"
         session.tracking.update({method: {"not_run": unknown} for method in e.tracking.methods})
         return
-    safe: list[Method] = []
+    safe: dict[Method, Motor] = {}
     for method in e.tracking.methods:
         estimate = identification.estimates.get(method)
         if estimate is None or estimate.verdict == "refused":
@@ -377,16 +392,32 @@ def verify_models(session: Session) -> None:
             rail_counts=e.sensor.rail_counts,
             period_s=e.period_s,
         )
-        reason = rehearse(_tracking_law(session, method), rehearsal, session.loop.guard.settings)
+        motor = estimate.motor()
+        reason = rehearse(_tracking_law(session, motor), rehearsal, session.loop.guard.settings)
         if reason is None:
-            safe.append(method)
+            safe[method] = motor
         else:
             session.tracking[method] = {"not_run": reason}
     if not safe:
         return
-    for method in safe:
+    for method, motor in safe.items():
         session.tracking[method] = {"not_run": "the run ended before it"}
-    laws = {method: _tracking_law(session, method) for method in safe}  # an observer's gain takes longer than a tick
+        # what a replay tracks with: which models an estimator finds, and which are safe, is not for it to judge
+        session.note(
+            "model",
+            method=method,
+            tau_s=motor.tau_s,
+            K_rad_s_V=motor.K_rad_s_V,
+            fc_V=motor.friction.plus_V,
+            bias_V=motor.bias_V,
+        )
+    track(session, safe)
+
+
+def track(session: Session, models: Mapping[Method, Motor]) -> None:
+    """Track the config's trajectory with each of the models, from rest."""
+    # an observer's gain takes longer than a tick
+    laws = {method: _tracking_law(session, motor) for method, motor in models.items()}
     with driving(session):
         for method, law in laws.items():
             session.loop.run(Rest(REST_S), "rest")
@@ -395,11 +426,10 @@ def verify_models(session: Session) -> None:
         session.loop.run(Rest(REST_S), "rest")
 
 
-def _tracking_law(session: Session, method: str) -> Tracking:
-    e, identification = session.experiment, session.identification
-    if e.tracking is None or identification is None:
-        raise ValueError("tracking needs a config with section tracking, and models")
-    motor = identification.estimates[method].motor()
+def _tracking_law(session: Session, motor: Motor) -> Tracking:
+    e = session.experiment
+    if e.tracking is None:
+        raise ValueError("tracking needs a config with section tracking")
     tachometer_noise = None
     if e.tachometer is not None:
         # one count, seen at the shaft
@@ -450,9 +480,12 @@ def _watch_cycles(session: Session, detector: CycleDetector, stage: str) -> Call
     return watch
 
 
-def _record(experiment: Experiment, parent: Path, script: Script, on_start: OnStart | None) -> Outcome:
+def _record(
+    experiment: Experiment, parent: Path, what: dict[str, str | float], script: Script, on_start: OnStart | None
+) -> Outcome:
     """Run ``script`` on the bench, recorded; whatever ends it, the drive is stopped and the record kept.
 
+    ``what`` names the script in meta.json, with its arguments, so that it can be replayed.
     result.json is written before signals get their usual meaning back: a second Ctrl-C costs the report, no more.
     """
     started = datetime.now(UTC)
@@ -460,7 +493,7 @@ def _record(experiment: Experiment, parent: Path, script: Script, on_start: OnSt
         with connect(experiment) as bench:
             folder = create_run(parent, experiment.name, started)
             write_config(folder, dump(experiment))
-            meta = _meta(experiment, bench, started)
+            meta = _meta(experiment, bench, started) | {"script": what}
             write_meta(folder, meta)
             recorder = Recorder(folder, _stages(experiment))
             try:
@@ -626,6 +659,7 @@ def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, 
         "emulated": bench.info.emulated,
         "order": bench.driver.order,
         "period_s": experiment.period_s,
+        "drive_units": bench.info.drive_units,
         "firmware": {
             "board": bench.info.board,
             "build": bench.info.build,

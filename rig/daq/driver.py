@@ -26,6 +26,7 @@ class DeviceInfo:
     clock_ratio  device seconds for one second of the host; fixed for the run
     round_trip_s fastest exchange seen while opening, s; nan where it means nothing
     supply_V     motor supply as the device measures it, V; nan where it does not
+    drive_units  of the drive at full duty: the u_V of a sample is a whole number of them; None: it has no such steps
     """
 
     build: str
@@ -35,6 +36,7 @@ class DeviceInfo:
     clock_ratio: float = 1.0
     round_trip_s: float = math.nan
     supply_V: float = math.nan
+    drive_units: int | None = None
 
 
 @dataclass(frozen=True)

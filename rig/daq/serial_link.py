@@ -270,6 +270,7 @@ class SerialDriver:
             clock_ratio=self._clock.ratio,
             round_trip_s=min(e.received_s - e.sent_s for e in exchanges),
             supply_V=self._measured_supply_V(hello),
+            drive_units=hello.drive_full,
         )
 
     def arm(self, limits: Limits) -> None:

@@ -64,7 +64,13 @@ class SimulatedDriver:
 
     def open(self) -> DeviceInfo:
         """Meet the simulated device."""
-        return DeviceInfo(build="simulated", board="simulated", reset_cause="power-on", emulated=True)
+        return DeviceInfo(
+            build="simulated",
+            board="simulated",
+            reset_cause="power-on",
+            emulated=True,
+            drive_units=self._drive_map.full_units,
+        )
 
     def arm(self, limits: Limits) -> None:
         """Give the device its limits and allow drive; clears a latched fault. ValueError as for a real device."""
