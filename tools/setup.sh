@@ -34,6 +34,8 @@ need "$(clang -print-resource-dir 2>/dev/null)/lib/linux/libclang_rt.fuzzer-$(un
 # a Modbus master and a slave that are not ours
 need mbpoll mbpoll
 need /usr/include/modbus/modbus.h libmodbus-dev
+# peer of the wake-up benchmark
+need cyclictest rt-tests
 install_missing
 # the second emulator of the chip; of what Debian's npm recommends nothing is needed
 need node nodejs
