@@ -1,6 +1,6 @@
 """How late loops wake up: ours, a C loop, cyclictest and loop-rate-limiters, in turn in one run.
 
-python tools/bench/wake_up.py [--json] [--minutes M] [--loops ours,C] [--policies fifo,ordinary] [--conditions idle,busy]
+python tools/bench/wake_up.py [--json] [--minutes M] [--loops ours,C] [--policies fifo] [--conditions idle,busy]
 
 Blocks of half a second, each loop after the other, so that what else the machine does hits all of them alike: only
 ratios are read. Ours and the C loop (`peers/wake_up_loop.c`) have the same policy, the same spin, locked memory and no
