@@ -7,25 +7,30 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+from urllib.parse import urlsplit
 
 from rig.config.preflight import CHIP_PORTS, Preflight, reaction_periods, unknown_driver
 from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
 from rig.control.guard import GuardSettings
 from rig.daq import registry
-from rig.daq.calibration import Calibration, DriveMap, TachometerScale
+from rig.daq.calibration import Calibration, DriveMap, TachometerScale, polarity
 from rig.daq.driver import Clock, DeviceInfo, Driver, DriverSettings, RelayDriver, Transport
 from rig.daq.serial_link import PySerialTransport, SerialDriver
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.emulate.chip_board import ChipBoard
 from rig.emulate.host_board import HostBoard
+from rig.emulate.modbus_board import ModbusBoard
 from rig.emulate.virtual_chip import VirtualChip
 from rig.faults import Fault
 from rig.loop.clock import MonotonicClock, VirtualClock
 from rig.loop.real_time import RealTimeSettings
 from rig.model.bench import BenchParameters
 from rig.signals import Limits
+
+if TYPE_CHECKING:
+    from rig.emulate.virtual_io_block import VirtualIoBlock
 
 
 @dataclass(frozen=True)
@@ -217,14 +222,28 @@ def unopened(experiment: Experiment) -> Iterator[Unopened]:
 def emulated_board(
     experiment: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
 ) -> Iterator[str]:
-    """The emulated serial device of the config, running for the block; yields the path of its port.
+    """The emulated device of the config, running in real time for the block; yields its port as daq.port takes it.
 
     chip  the Uno's firmware on its emulated chip, as where the config's port asks for that; else the firmware's core
-          on this machine
+          on this machine. Driver modbus: the I/O block, on TCP where the config's port is that of TCP; then there is
+          no link
     Raises EmulationError where it cannot be built or started.
     """
     if experiment.emulated is None:
         raise ValueError("the config has no section `emulated`")
+    if experiment.daq.modbus is not None:
+        with ModbusBoard() as io_block:
+            yield io_block.start(
+                experiment.daq.modbus.model_dump(),
+                experiment.emulated.model_dump(),
+                experiment.seed,
+                link,
+                trace,
+                baud=experiment.daq.baud,
+                tcp_port=_tcp_port(experiment.daq.port),
+                polarity=_register_polarity(experiment),
+            )
+        return
     tachometer = None if experiment.tachometer is None else experiment.tachometer.model_dump()
     emulated, seed = experiment.emulated.model_dump(), experiment.seed
     if chip or experiment.daq.port in CHIP_PORTS:
@@ -233,6 +252,42 @@ def emulated_board(
     else:
         with HostBoard() as board:
             yield board.start(emulated, seed, link, trace, tachometer)
+
+
+def emulated_io_block(experiment: Experiment) -> VirtualIoBlock:
+    """The emulated Modbus I/O block of the config in virtual time: RTU line and clock in one.
+
+    Raises EmulationError where a register cannot hold what it is for.
+    """
+    from rig.emulate.virtual_io_block import VirtualIoBlock
+
+    if experiment.emulated is None or experiment.daq.modbus is None:
+        raise ValueError("the config needs the sections `emulated` and `daq.modbus`")
+    return VirtualIoBlock(
+        experiment.daq.modbus.model_dump(),
+        experiment.emulated.model_dump(),
+        experiment.seed,
+        baud=experiment.daq.baud,
+        polarity=_register_polarity(experiment),
+    )
+
+
+def _register_polarity(experiment: Experiment) -> int:
+    """+1 if positive drive raises the position register of a Modbus device, -1 if it lowers it."""
+    if experiment.daq.modbus is None:
+        raise ValueError("the config has no section `daq.modbus`")
+    direction = polarity(calibration_of(experiment), drive_map_of(experiment))
+    return direction if experiment.daq.modbus.registers.position.scale > 0.0 else -direction
+
+
+def _tcp_port(port: str | None) -> int | None:
+    """Number of the TCP port on this machine that the emulated device is to serve: 0 for any; None for RTU."""
+    if port == "emulated-tcp":
+        return 0
+    url = urlsplit(port or "")
+    if url.scheme != "tcp":
+        return None
+    return url.port or 502 if url.hostname in ("localhost", "127.0.0.1") else 0
 
 
 def emulated_chip(experiment: Experiment) -> VirtualChip:

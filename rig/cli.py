@@ -350,10 +350,17 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool
     experiment = _load(config_path)
     if experiment.emulated is None:
         _fail(EXIT_BAD_INPUT, f"{config_path}: no section emulated", "add one; config/demo.yaml shows how")
+    if chip and experiment.daq.modbus is not None:
+        _fail(EXIT_BAD_INPUT, "--chip is the Uno, which does not speak Modbus", "leave --chip out")
     from rig.loop.stop_request import stop_on_signals
 
     with stop_on_signals() as stop, _faults(), emulated_board(experiment, link, trace, chip=chip) as port:
         click.echo(f"emulated device on {link or port}; set daq.port to it in another terminal. Ctrl-C ends it.")
+        if experiment.daq.modbus is not None:
+            from rig.emulate.modbus_board import mbpoll_line
+
+            where = str(link or port)
+            click.echo(f"try: {mbpoll_line(experiment.daq.modbus.model_dump(), where, experiment.daq.baud)}")
         while stop.reason is None:
             time.sleep(0.1)
 

@@ -8,10 +8,28 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from rig.emulate.board_process import BoardProcess
 from rig.emulate.firmware_build import EmulationError
+from rig.emulate.io_block import RegisterMap
 from rig.emulate.misbehaviour import Misbehaviour
+
+
+def mbpoll_line(modbus: Mapping[str, Any], port: str, baud: int) -> str:
+    """A command of Debian's mbpoll that reads what a tick reads: position, and what stands beside it.
+
+    modbus  plain values of the config's section ``daq.modbus``
+    """
+    fields = RegisterMap.from_mapping(modbus).readable[modbus["registers"]["position"]["table"]]
+    seen = [f for f in fields if f.name in ("position", "echo", "applied", "status")]
+    first, end = min(f.address for f in seen), max(f.address + f.words for f in seen)
+    table = 4 if modbus["registers"]["position"]["table"] == "holding" else 3
+    what = f"-0 -1 -a {modbus['unit']} -t {table} -r {first} -c {end - first}"
+    url = urlsplit(port)
+    if url.scheme == "tcp":
+        return f"mbpoll -m tcp -p {url.port} {what} {url.hostname}"
+    return f"mbpoll -m rtu -b {baud} -P {modbus['parity']} -s {modbus['stop_bits']} {what} {port}"
 
 
 class ModbusBoard(BoardProcess):
