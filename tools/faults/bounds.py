@@ -1,0 +1,74 @@
+"""How soon the drive must be at 0, as a sum of times that the config and the device give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class Times(NamedTuple):
+    """What bounds are made of, s.
+
+    tick        of the device
+    period      of the loop
+    timeout     longest wait for a reply
+    watchdog    command watchdog of the device
+    frame       on the wire: what says stop
+    exchange    on the wire: a reading, question and answer, and the drive that follows
+    hardware    hardware watchdog of the chip, with what its own oscillator may be off
+    cycle       of the limit cycle
+    stuck       that a drive must be on, well above friction, until a shaft that does not move counts as stuck
+    check       25 ticks, between two looks at the recorder
+    breakaway   one ramp of the breakaway check, to its end, and the rests around it
+    relay       time-out of the relay test
+    freeze      for which the host is stopped
+    """
+
+    tick: float
+    period: float
+    timeout: float
+    watchdog: float
+    frame: float
+    exchange: float
+    hardware: float
+    cycle: float
+    stuck: float
+    check: float
+    breakaway: float
+    relay: float
+    freeze: float
+
+
+_WORDS = {"timeout": "time-out", "hardware": "hardware watchdog", "stuck": "stuck time", "relay": "relay time-out"}
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A sum of multiples of ``Times``, and why that many.
+
+    terms  (name, how many)
+    """
+
+    why: str
+    terms: tuple[tuple[str, float], ...]
+
+    def seconds(self, times: Times) -> float:
+        """The sum, s."""
+        return sum(count * float(getattr(times, name)) for name, count in self.terms)
+
+    def formula(self) -> str:
+        """The sum in words."""
+        return " + ".join(_term(name, count) for name, count in self.terms)
+
+
+def bound(why: str, **terms: float) -> Bound:
+    """A bound of so many of each of ``Times``."""
+    return Bound(why, tuple(terms.items()))
+
+
+def _term(name: str, count: float) -> str:
+    word = _WORDS.get(name, name)
+    if count == 1:
+        return word
+    number = "half a" if count == 0.5 else f"{count:g}"
+    return f"{number} {word}{'s' if count > 1 else ''}"

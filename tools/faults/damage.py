@@ -1,0 +1,92 @@
+"""What may happen to a frame on its way."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+Passed = list[tuple[float, bytes]]  # what comes out of the wire, and how much later, s
+Damage = Callable[[bytes, random.Random], Passed]
+
+
+def lost(frame: bytes, rng: random.Random) -> Passed:
+    """Nothing arrives."""
+    return []
+
+
+def garbage(frame: bytes, rng: random.Random) -> Passed:
+    """As many bytes, none of them meant."""
+    return [(0.0, rng.randbytes(len(frame)))]
+
+
+def flipped(frame: bytes, rng: random.Random) -> Passed:
+    """One bit is wrong."""
+    damaged = bytearray(frame)
+    bit = rng.randrange(8 * len(frame))
+    damaged[bit // 8] ^= 1 << bit % 8
+    return [(0.0, bytes(damaged))]
+
+
+def truncated(frame: bytes, rng: random.Random) -> Passed:
+    """The end is missing."""
+    return [(0.0, frame[: rng.randrange(1, len(frame))])]
+
+
+def duplicated(frame: bytes, rng: random.Random) -> Passed:
+    """It comes twice."""
+    return [(0.0, frame), (0.0, frame)]
+
+
+def late(by_s: float) -> Damage:
+    """It comes whole, but later."""
+
+    def damage(frame: bytes, rng: random.Random) -> Passed:
+        return [(by_s, frame)]
+
+    return damage
+
+
+def reordered() -> Damage:
+    """Each second one overtakes the one before it."""
+    held: list[bytes] = []
+
+    def damage(frame: bytes, rng: random.Random) -> Passed:
+        if not held:
+            held.append(frame)
+            return []
+        return [(0.0, frame), (0.0, held.pop())]
+
+    return damage
+
+
+def stale() -> Damage:
+    """Instead of each comes the one before it, whole."""
+    before: list[bytes] = []
+
+    def damage(frame: bytes, rng: random.Random) -> Passed:
+        before.append(frame)
+        return [(0.0, before.pop(0))] if len(before) > 1 else []
+
+    return damage
+
+
+def once(damage: Damage) -> Damage:
+    """The first frame only; the rest arrives as it is."""
+    done: list[bool] = []
+
+    def first(frame: bytes, rng: random.Random) -> Passed:
+        if done:
+            return [(0.0, frame)]
+        done.append(True)
+        return damage(frame, rng)
+
+    return first
+
+
+def only(which: Callable[[bytes], bool], damage: Damage) -> Damage:
+    """Frames of one kind; the rest arrives as it is."""
+
+    def some(frame: bytes, rng: random.Random) -> Passed:
+        return damage(frame, rng) if which(frame) else [(0.0, frame)]
+
+    return some

@@ -1,0 +1,221 @@
+"""The test stand: a device in virtual time, a hand in its wires, and an eye on its output."""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+import signal
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from faults.damage import Damage
+from faults.language import Language, Reading
+from rig.faults import Fault
+
+GRAIN_S = 2.5e-4  # between two looks at the output, from the fault on
+_CLOSE_V = 0.02  # drives that differ by less are the same, but for rounding
+
+
+class Truth(Protocol):
+    """What is really the case."""
+
+    @property
+    def t_s(self) -> float: ...  # noqa: D102
+    @property
+    def pin_V(self) -> float: ...  # noqa: D102
+    @property
+    def y_rad(self) -> float: ...  # noqa: D102
+    @property
+    def v_rad_per_s(self) -> float: ...  # noqa: D102
+    @property
+    def pin_changed_s(self) -> float: ...  # noqa: D102
+
+
+class Stand:
+    """Port and clock for the host, as the device itself is. The fault comes at ``fault_s`` of the device's time.
+
+    device    in virtual time: port, clock, ``truth``
+    language  of its wire
+    hard_rad  limits that the shaft should stay within
+    timeout_s of a reply: what comes later is none
+    """
+
+    absolute = True
+
+    def __init__(
+        self, device: Any, language: Language, hard_rad: tuple[float, float], timeout_s: float, seed: int
+    ) -> None:
+        self.device = device
+        self.down: Damage | None = None  # to the host
+        self.up: Damage | None = None  # to the device
+        self.is_gone = False  # the port
+        self.stall_s: Callable[[random.Random], float] | None = None  # of the host, each time it has slept
+        self.after_death: Callable[[], None] | None = None  # what a killed host leaves to do
+        self.fault_s = math.inf
+        self.is_watched = False
+        self.readings: list[Reading] = []
+        self.closing: set[int] = set()  # keys of readings after which the host said stop
+        self.beyond_rad = 0.0
+        self.astray_s = 0.0  # longest time in which the drive was not what the host had said
+        self.first_drive_s = math.nan  # of a run, at the pin
+        self.read_at: list[tuple[int, float]] = []  # key and time of each question
+        self._language = language
+        self._hard_rad = hard_rad
+        self._timeout_s = timeout_s
+        self._rng = random.Random(seed)
+        self._act: Callable[[Stand], None] | None = None
+        self._held: list[tuple[float, int, bytes]] = []  # on the way to the host
+        self._count = 0
+        self._asked: tuple[int, float] | None = None
+        self._said_V = 0.0
+        self._since_s = math.nan  # that the drive is not what the host said
+        self._is_interrupted = False
+
+    # ------------------------------------------------------------------ what is done
+
+    def schedule(self, fault_s: float, act: Callable[[Stand], None]) -> None:
+        """Let ``act`` happen at ``fault_s``."""
+        self.fault_s, self._act = fault_s, act
+
+    def forget(self) -> None:
+        """A new run begins: what was seen so far is another's."""
+        self.readings, self.closing, self.read_at = [], set(), []
+        self.first_drive_s = math.nan
+        self._held.clear()
+
+    def cure(self) -> None:
+        """Wire, port and host are whole again."""
+        self.down = self.up = self.stall_s = None
+        self.is_gone = False
+
+    def tell_host(self, number: signal.Signals) -> None:
+        """A signal to this process, which is the host; it ends its sleep."""
+        os.kill(os.getpid(), number)
+        self._is_interrupted = True
+
+    def freeze_host(self, for_s: float) -> None:
+        """The host does nothing for a while, as after SIGSTOP."""
+        self._pass(self.now_s() + for_s)
+
+    def kill_host(self) -> None:
+        """SIGKILL to this process; the device lives on in a copy of it."""
+        if self.after_death is None:
+            raise RuntimeError("nobody is there to look after the device")
+        if os.fork() == 0:
+            self.after_death()
+            os._exit(1)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    # ------------------------------------------------------------------ clock
+
+    def now_s(self) -> float:
+        """Virtual time, s."""
+        now_s: float = self.device.now_s()
+        return now_s
+
+    def sleep_until(self, t_s: float) -> float:
+        """Let time pass; a signal ends it. Returns when that was."""
+        self._is_interrupted = False
+        self._pass(t_s)
+        if self.stall_s is not None:
+            self._pass(self.now_s() + self.stall_s(self._rng))
+        return self.now_s()
+
+    def _pass(self, t_s: float) -> None:
+        while (now_s := self.now_s()) < t_s and not self._is_interrupted:
+            self.device.sleep_until(self._step(now_s, t_s))
+            self._look()
+
+    def _step(self, now_s: float, until_s: float) -> float:
+        """The next instant to look at."""
+        if now_s < self.fault_s and self._act is not None:
+            return min(until_s, self.fault_s)
+        return min(until_s, now_s + GRAIN_S) if self.is_watched else until_s
+
+    def _look(self) -> None:
+        truth: Truth = self.device.truth()
+        if self._act is not None and truth.t_s >= self.fault_s:
+            act, self._act = self._act, None
+            self.is_watched = True
+            act(self)
+            return
+        if math.isnan(self.first_drive_s) and truth.pin_V != 0.0:
+            self.first_drive_s = truth.pin_changed_s
+        if not self.is_watched:
+            return
+        low, high = self._hard_rad
+        self.beyond_rad = max(self.beyond_rad, truth.y_rad - high, low - truth.y_rad)
+        if abs(truth.pin_V - self._said_V) < _CLOSE_V:
+            self._since_s = math.nan
+        elif math.isnan(self._since_s):
+            self._since_s = truth.t_s
+        else:
+            self.astray_s = max(self.astray_s, truth.t_s - self._since_s)
+
+    def watch(self, for_s: float) -> None:
+        """Let time pass without the host."""
+        self._is_interrupted = False
+        self._pass(self.now_s() + for_s)
+
+    # ------------------------------------------------------------------ port
+
+    def write(self, data: bytes) -> None:
+        """A request of the host."""
+        if self.is_gone:
+            raise Fault("LINK_LOST", "the port is gone")
+        drive_V = self._language.drive_V(data)
+        if drive_V is not None:
+            self._said_V = drive_V
+        if self._language.is_stop(data) and self.readings:
+            self.closing.add(self.readings[-1].key)
+        key = self._language.asked(data)
+        if key is not None:
+            self._asked = key, self.now_s()
+            self.read_at.append(self._asked)
+        for _, piece in [(0.0, data)] if self.up is None else self.up(data, self._rng):
+            self.device.write(piece)
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has arrived at the host."""
+        until_s = self.now_s() + timeout_s
+        while True:
+            if self.is_gone:
+                raise Fault("LINK_LOST", "the port is gone")
+            now_s = self.now_s()
+            if arrived := self._arrived(now_s):
+                return arrived
+            if now_s >= until_s:
+                # a last look: what has come at this instant counts
+                self._take(self.device.read(0.0))
+                return self._arrived(now_s)
+            next_s = self._step(now_s, min([until_s, *(due_s for due_s, _, _ in self._held)]))
+            self._take(self.device.read(next_s - now_s))
+            self._look()
+
+    def close(self) -> None:
+        """The device lives on."""
+
+    def _take(self, data: bytes) -> None:
+        for reply in self._language.replies(data):
+            for delay_s, piece in [(0.0, reply)] if self.down is None else self.down(reply, self._rng):
+                self._count += 1
+                self._held.append((self.now_s() + delay_s, self._count, piece))
+        self._held.sort()
+
+    def _arrived(self, now_s: float) -> bytes:
+        pieces = [piece for due_s, _, piece in self._held if due_s <= now_s]
+        self._held = self._held[len(pieces) :]
+        for piece in pieces:
+            self._note(piece, now_s)
+        return b"".join(pieces)
+
+    def _note(self, piece: bytes, now_s: float) -> None:
+        """Remember a sample that reached the host intact, asked for, and in time."""
+        reading = self._language.reading(piece)
+        if reading is None or self._asked is None:
+            return
+        key, asked_s = self._asked
+        if reading.key == key and now_s <= asked_s + self._timeout_s:
+            self.readings.append(reading)
+            self._asked = None
