@@ -272,6 +272,27 @@ def report(run_folder: Path) -> None:
 
 
 @main.command()
+@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+@JSON
+def replay(run_folder: Path, as_json: bool) -> None:
+    """Feed a run's record through laws and guard again: the same drive, tick for tick, or the first difference."""
+    from rig.replay import replay as replay_run
+
+    try:
+        with _progress(f"replaying {run_folder.name}", as_json) as tell:
+            done = replay_run(run_folder, tell)
+    except RecordingError as error:
+        _fail_input(error)
+    except config.ConfigError as error:
+        _fail_config(error)
+    if as_json:
+        click.echo(json_text(done.as_dict()), nl=False)
+    else:
+        _show_replay(done)
+    sys.exit(0 if done.is_same else EXIT_FAILED)
+
+
+@main.command()
 @CONFIG
 @click.option(
     "--out",
@@ -560,6 +581,24 @@ def _show(outcome: Any) -> None:
         click.echo(f"rig: {outcome.failure}", err=True)
         if outcome.fault is not None:
             click.echo(f"     {outcome.fault.cure}", err=True)
+
+
+def _show_replay(done: Any) -> None:
+    for note in done.notes:
+        click.echo(note)
+    if not done.is_same:
+        click.echo(f"different after {done.replayed} of {done.rows} rows:")
+        click.echo(f"  {done.difference}")
+        return
+    click.echo(f"the same drive in {done.compared} of {done.rows} rows, {done.duration_s:.1f} s, to {done.ending}")
+    if done.lost:
+        click.echo(f"not compared: {done.lost} rows whose drive never reached the device")
+    if done.limited:
+        click.echo(f"not compared: {done.limited} rows in which the device drove less than it was told to")
+    if done.fault is not None:
+        click.echo(f"the fault at the end: {done.fault}")
+    elif done.ending == "no end":
+        click.echo("the record has no end: the run was killed, or its last rows are lost")
 
 
 def _show_prediction(prediction: dict[str, Any]) -> None:

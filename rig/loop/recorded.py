@@ -141,6 +141,13 @@ class Tape:
         """Whether the last row was cut off while its drive was decided: that of a fault on its sample."""
         return bool(self.t_s) and not self.in_device[-1] and math.isnan(self.t_u_s[-1]) and self.u_V[-1] == 0.0
 
+    @property
+    def must_come_again(self) -> bool:
+        """Whether the fault that ended the run is one that laws or guard raised on the last row."""
+        fault = self.fault
+        on_last_row = self.ends_in_tick or (bool(self.t_s) and self.in_device[-1])
+        return fault is not None and fault.code in _OF_LAW_OR_GUARD and on_last_row
+
     def wait(self) -> None:
         """Let time pass to just before the next row's tick, so that the loop skips the ticks that have no row."""
         if not self.is_over:
@@ -162,7 +169,7 @@ class Tape:
         """
         fault = self.fault
         if fault is not None and fault.code not in _AFTER_DRIVING:
-            if fault.code in _OF_LAW_OR_GUARD and (self.ends_in_tick or (self.t_s and self.in_device[-1])):
+            if self.must_come_again:
                 raise self.missed_fault()
             raise fault
         if not self._is_whole:

@@ -1,0 +1,251 @@
+"""A replay: the record of a run goes through laws and guard again, and has to give the same drive, tick for tick.
+
+The code is that of the run: the experiment's stages, the loop, the laws, the guard. The bench behind them is the record
+(``rig.loop.recorded``). What the laws cannot derive from the samples anew stands in the run folder: the config, the
+script and the drive's units in meta.json, the models that tracked as events.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from rig import config, experiment
+from rig.bench import Bench, calibration_of, drive_map_of, guard_settings_of
+from rig.config.schema import Method
+from rig.control.guard import Guard
+from rig.daq.driver import DeviceInfo
+from rig.faults import FAULTS, Fault
+from rig.loop.real_time import RealTime
+from rig.loop.recorded import (
+    Comparison,
+    Difference,
+    Diverged,
+    RecordedClock,
+    RecordedDriver,
+    RecordEnds,
+    ReplayLoop,
+    Tape,
+)
+from rig.loop.stop_request import StopRequest
+from rig.model.friction import coulomb
+from rig.model.motor import Motor
+from rig.recording.errors import RecordingError
+from rig.recording.folder import CONFIG, META
+from rig.recording.reader import Recording, read_run
+from rig.recording.writer import EVENTS
+
+Ending = Literal["its end", "a fault", "no end"]
+
+_RECORD_AGAIN = "record the run again with this version"
+_OF_GUARD = frozenset(
+    (
+        *("LAW_FAILED", "SENSOR_RAIL", "SENSOR_JUMP", "SENSOR_STUCK", "TRAVEL_HARD", "POLARITY", "OVERSPEED"),
+        "RELAY_STOPPED",
+    )
+)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What a replay came to.
+
+    folder      the run
+    rows        of the record; ``replayed`` of them, up to the first difference
+    compared    rows whose drive was compared with the one that acted
+    lost        rows whose drive never reached the device, so that there is nothing to compare
+    limited     rows in which the device drove less than it was told to, likewise
+    duration_s  that was recorded
+    difference  the first one; None: the same drive, tick for tick
+    ending      how the record ends; ``no end``: the run was killed, or its last rows are lost
+    fault       that ended the run
+    notes       what was tolerated in the record
+    """
+
+    folder: Path
+    rows: int
+    replayed: int
+    compared: int
+    lost: int
+    limited: int
+    duration_s: float
+    difference: Difference | None
+    ending: Ending
+    fault: Fault | None
+    notes: tuple[str, ...]
+
+    @property
+    def is_same(self) -> bool:
+        """Whether the replay gave the drive that was recorded."""
+        return self.difference is None
+
+    def as_dict(self) -> dict[str, Any]:
+        """For ``rig replay --json``."""
+        return {
+            "ok": self.is_same,
+            **{name: getattr(self, name) for name in ("rows", "replayed", "compared", "lost", "limited", "duration_s")},
+            "folder": str(self.folder),
+            "difference": None if self.difference is None else asdict(self.difference),
+            "ending": self.ending,
+            "fault": None if self.fault is None else self.fault.as_dict(),
+            "notes": list(self.notes),
+        }
+
+
+def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None) -> Replay:
+    """Replay a run folder; ``on_progress`` is told (rows done, of) now and then. Nothing is written.
+
+    Raises RecordingError where the folder cannot be read, or lacks what a replay needs; ConfigError for its config.
+    """
+    recording = read_run(folder)
+    fault, is_whole = _ending(recording)
+    if recording.config_text is None:
+        raise RecordingError(folder / CONFIG, "is missing", "a run cannot be replayed without its config")
+    e = config.load(folder / CONFIG)
+    script = _script(recording)
+
+    stop = StopRequest()
+    tape = Tape(recording, e.period_s, fault, is_whole, stop, on_progress)
+    units = _meta(recording, "drive_units")
+    drive_map = drive_map_of(e) if units is None else replace(drive_map_of(e), full_units=units)
+    driver = RecordedDriver(
+        tape, _meta(recording, "order"), calibration_of(e), drive_map, _meta(recording, "firmware")["clock_ratio"]
+    )
+    clock, comparison = RecordedClock(tape), Comparison(tape, None if units is None else drive_map.quantised)
+    loop = ReplayLoop(driver, clock, Guard(guard_settings_of(e)), comparison, e.period_s, stop)
+    loop.tape = tape
+    session = experiment.Session(
+        e,
+        folder,
+        Bench(driver, clock, DeviceInfo("", "record", "", emulated=True), None),
+        comparison,
+        loop,
+        recording.meta,
+        real_time=RealTime(),  # nothing to be granted, nothing to be written
+    )
+    difference = _compare(script, session, tape)
+    ending: Ending = "no end" if not is_whole else "its end" if fault is None else "a fault"
+    return Replay(
+        folder,
+        rows=len(recording),
+        replayed=tape.next,
+        compared=comparison.compared,
+        lost=comparison.lost,
+        limited=comparison.limited,
+        duration_s=float(recording.t_s[-1] - recording.t_s[0]),
+        difference=difference,
+        ending=ending,
+        fault=fault,
+        notes=recording.notes,
+    )
+
+
+def _compare(script: experiment.Script, session: experiment.Session, tape: Tape) -> Difference | None:
+    """Run the script on the record; the first difference."""
+    seen: Fault | None = None
+    try:
+        script(session)
+        session.loop.check_stop()
+    except RecordEnds:
+        return None
+    except Diverged as diverged:
+        difference = diverged.difference
+        # raised while the loop took down the row of a fault: that is what the replay came to
+        cause = diverged.__context__
+        return _with_fault(difference, cause) if isinstance(cause, Fault) and cause is not tape.fault else difference
+    except Fault as fault:
+        seen = fault
+    except Exception as error:  # noqa: BLE001 - as in a run: a law that fails on this record is a difference
+        seen = Fault("INTERNAL", f"{type(error).__name__}: {error}")
+    if seen is not None and (not tape.is_over or tape.fault is None or tape.fault.code != seen.code):
+        row = max(tape.next - 1, 0)
+        recorded = f"{tape.u_V[row]:+.6f} V, and the run goes on"
+        if tape.is_over and tape.fault is not None:
+            recorded = f"the run ended: {tape.fault}"
+        elif tape.is_over:
+            recorded = "the run went on to its end"
+        return _with_fault(tape.diverged(row, "law", recorded, "", tape.u_V[row]).difference, seen)
+    if not tape.is_over:
+        return tape.diverged(tape.next, "record", "one more row", "the run is over").difference
+    if seen is None and tape.fault is not None and tape.must_come_again:
+        return tape.missed_fault().difference
+    return None
+
+
+def _with_fault(difference: Difference, fault: Fault) -> Difference:
+    by: Literal["law", "guard"] = "guard" if fault.code in _OF_GUARD else "law"
+    return replace(difference, by=by, replayed=f"{fault}", replayed_V=None)
+
+
+def _ending(recording: Recording) -> tuple[Fault | None, bool]:
+    """The fault that ended the run, and whether it came to an end that is on record, with all rows."""
+    fault: Fault | None = None
+    kinds = [event.get("kind") for event in recording.events]
+    for event in recording.events:
+        if event.get("kind") == "fault":
+            code = str(event.get("code"))
+            if code not in FAULTS:
+                raise RecordingError(
+                    recording.source / EVENTS, f"fault {code} is none of this version", "use the version that recorded"
+                )
+            fault = Fault(code, str(event.get("detail", "")))
+    torn = any("torn" in note for note in recording.notes)
+    return fault, "end" in kinds and not torn and "record_lost" not in kinds
+
+
+def _script(recording: Recording) -> experiment.Script:
+    """What the run did, without what only looks at its record."""
+    what = _meta(recording, "script")
+    name = what.get("name") if isinstance(what, dict) else None
+    models = _models(recording)
+
+    def then_track(session: experiment.Session) -> None:
+        if models:
+            experiment.track(session, models)
+
+    def tests(session: experiment.Session) -> None:
+        experiment.drive_tests(session)
+        then_track(session)
+
+    def check(session: experiment.Session) -> None:
+        experiment.drive_check(session)
+        then_track(session)
+
+    def by_hand(session: experiment.Session) -> None:
+        experiment.drive_by_hand(session, float(what["u_V"]), float(what["duration_s"]))
+
+    scripts = {"run": tests, "relay": tests, "breakaway": check, "track": check, "jog": by_hand}
+    if name not in scripts:
+        raise RecordingError(
+            recording.source / META, f"no script {name!r} in this version", "use the version that recorded"
+        )
+    return scripts[name]
+
+
+def _models(recording: Recording) -> dict[Method, Motor]:
+    """The models that tracked, in order."""
+    models: dict[Method, Motor] = {}
+    for event in recording.events:
+        if event.get("kind") == "model":
+            try:
+                models[event["method"]] = Motor(
+                    event["tau_s"], event["K_rad_s_V"], coulomb(event["fc_V"]), event["bias_V"]
+                )
+            except (KeyError, TypeError, ValueError) as error:
+                raise RecordingError(
+                    recording.source / EVENTS, f"event model is broken ({error})", _RECORD_AGAIN
+                ) from error
+    return models
+
+
+def _meta(recording: Recording, name: str) -> Any:
+    """A field of meta.json that a replay needs."""
+    if name not in recording.meta:
+        raise RecordingError(
+            recording.source / META,
+            f"does not say {name}: an older version recorded this run, and did not keep what a replay needs",
+            _RECORD_AGAIN,
+        )
+    return recording.meta[name]
