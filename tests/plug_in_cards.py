@@ -9,7 +9,9 @@ from simulated_bench import CALIBRATION, DEMO, RAILS
 from rig.daq.calibration import DriveMap
 from rig.daq.driver import DriverSettings
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
+from rig.faults import Fault
 from rig.loop.clock import VirtualClock
+from rig.signals import Sample
 
 
 def settings(**options: Any) -> DriverSettings:
@@ -36,6 +38,15 @@ class VirtualCard(SimulatedDriver):
             settings.options.get("seed", 1),
         )
         self.backend = "virtual card"
+        self.dead = False  # the link, once a test has cut it
+
+    def read(self) -> Sample:
+        if self.dead:
+            raise Fault("LINK_LOST", "the plug was pulled")
+        return super().read()
+
+    def safe_stop(self) -> bool:
+        return super().safe_stop() and not self.dead
 
 
 class BareCard:

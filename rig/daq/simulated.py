@@ -108,6 +108,10 @@ class SimulatedDriver:
         units = self._drive_map.to_units(u_V)
         if self._limits is None:
             raise Fault("DEVICE_NOT_ARMED")
+        if self._clock.now_s() > self._now_s:
+            self._catch_up()
+        if self._fault is not None:
+            return  # latched: the next reading tells
         if abs(u_V) > self._limits.max_u_V + 0.5 * self._drive_map.full_V / self._drive_map.full_units:
             self._stop(Fault("DEVICE_DRIVE_RANGE", f"{u_V:.3f} V; armed for {self._limits.max_u_V:.3f} V"))
             return

@@ -1,0 +1,52 @@
+"""The conformance suite: a sound driver passes, and each defect is found by the test that is named for it."""
+
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+from broken_cards import CAUGHT_BY
+from plug_in_cards import VirtualCard
+
+from rig import conformance
+from rig.daq import registry
+
+CONFIG = Path(__file__).with_name("virtual-card.yaml")
+
+
+def offer(monkeypatch, card):
+    entry = EntryPoint("virtual-card", f"{card.__module__}:{card.__qualname__}", registry.GROUP)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
+
+
+def pull_the_plug(driver):
+    driver.dead = True
+
+
+def failures(suite):
+    """The tests of a suite that fail, as pytest would run them, and what they say."""
+    names = [name for base in reversed(suite.__mro__) for name in vars(base) if name.startswith("test_")]
+    said = {}
+    for name in names:
+        test = suite()
+        try:
+            test.setup_method()
+            getattr(test, name)()
+        except Exception as error:  # noqa: BLE001 - whatever a broken driver raises
+            said[name] = f"{type(error).__name__}: {error}"
+        finally:
+            test.teardown_method()
+    suite.teardown_class()
+    assert len(names) > 20
+    return said
+
+
+def test_a_sound_driver_passes(monkeypatch):
+    offer(monkeypatch, VirtualCard)
+    assert failures(conformance.suite(CONFIG, silence=True, cut=pull_the_plug)) == {}
+
+
+@pytest.mark.parametrize("card", CAUGHT_BY, ids=lambda card: card.__name__)
+def test_a_defect_is_found_by_name(monkeypatch, card):
+    offer(monkeypatch, card)
+    said = failures(conformance.suite(CONFIG, silence=True, cut=pull_the_plug))
+    assert set(said) == CAUGHT_BY[card], said
