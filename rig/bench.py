@@ -10,7 +10,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import urlsplit
 
-from rig.config.preflight import CHIP_PORTS, Preflight, reaction_periods, unknown_driver
+from rig.config.link_budget import bits_per_byte, silence_s
+from rig.config.modbus import EMULATED_PORTS as MODBUS_EMULATED_PORTS
+from rig.config.modbus import is_tcp, tcp_address
+from rig.config.preflight import CHIP_PORTS, Preflight, device_watchdog_s, reaction_periods, unknown_driver
 from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
 from rig.control.guard import GuardSettings
@@ -19,6 +22,7 @@ from rig.daq.calibration import Calibration, DriveMap, TachometerScale, polarity
 from rig.daq.driver import Clock, DeviceInfo, Driver, DriverSettings, RelayDriver, Transport
 from rig.daq.serial_link import PySerialTransport, SerialDriver
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
+from rig.daq.tcp_link import TcpTransport
 from rig.emulate.chip_board import ChipBoard
 from rig.emulate.host_board import HostBoard
 from rig.emulate.modbus_board import ModbusBoard
@@ -29,7 +33,8 @@ from rig.loop.real_time import RealTimeSettings
 from rig.model.bench import BenchParameters
 from rig.signals import Limits
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # pymodbus loads slowly
+    from rig.daq.modbus import ModbusDriver
     from rig.emulate.virtual_io_block import VirtualIoBlock
 
 
@@ -123,7 +128,7 @@ def guard_settings_of(experiment: Experiment, noise_rad: float | None = None) ->
         max_speed_rad_s=t.max_speed_rad_s,
         coast_tau_s=t.coast_tau_s,
         # as in `rig check`: the loop's own reaction, one reply that never comes, then the device's watchdog
-        reaction_s=loop_s + experiment.daq.timeout_s + experiment.daq.watchdog_s,
+        reaction_s=loop_s + experiment.daq.timeout_s + device_watchdog_s(experiment),
         noise_rad=2.0 * lsb_rad if noise_rad is None else max(noise_rad, lsb_rad),
         motion_rad=experiment.breakaway.motion_rad,
     )
@@ -210,6 +215,8 @@ def unopened(experiment: Experiment) -> Iterator[Unopened]:
             yield from _serial(experiment, daq.port, truth)
         else:
             raise ValueError("daq.port is missing")
+    elif daq.driver == "modbus":
+        yield from _modbus(experiment, truth)
     else:
         try:
             plug_in = registry.construct(daq.driver, driver_settings_of(experiment))
@@ -252,6 +259,67 @@ def emulated_board(
     else:
         with HostBoard() as board:
             yield board.start(emulated, seed, link, trace, tachometer)
+
+
+def _modbus(experiment: Experiment, truth: BenchParameters | None) -> Iterator[Unopened]:
+    port = experiment.daq.port
+    if port is None:
+        raise ValueError("daq.port is missing")
+    if port == "emulated-virtual":
+        block = emulated_io_block(experiment)
+        yield Unopened(modbus_driver(experiment, block, port, emulated=True), block, truth)
+    elif port in MODBUS_EMULATED_PORTS:
+        with emulated_board(experiment) as served:
+            transport = _modbus_transport(experiment, served)
+            driver = modbus_driver(experiment, transport, f"modbus:{served}", emulated=True)
+            yield Unopened(driver, _clock_of(experiment), truth)
+    else:
+        driver = modbus_driver(experiment, _modbus_transport(experiment, port), f"modbus:{port}")
+        yield Unopened(driver, _clock_of(experiment), truth)
+
+
+def _modbus_transport(experiment: Experiment, port: str) -> Transport:
+    daq = experiment.daq
+    if is_tcp(port):
+        return TcpTransport(*tcp_address(port), daq.open_timeout_s)
+    if daq.modbus is None:
+        raise ValueError("the config has no section `daq.modbus`")
+    parity, stop_bits = daq.modbus.parity[0].upper(), daq.modbus.stop_bits
+    return PySerialTransport(port, daq.baud, parity, stop_bits)
+
+
+def modbus_driver(
+    experiment: Experiment, transport: Transport, name: str = "modbus", *, emulated: bool = False
+) -> ModbusDriver:
+    """The Modbus driver of the config on a transport, not opened yet; RTU or TCP as the config's port."""
+    from rig.daq.modbus import ModbusDriver, ModbusLine
+    from rig.daq.modbus_registers import RegisterMap
+
+    daq = experiment.daq
+    if daq.modbus is None:
+        raise ValueError("the config has no section `daq.modbus`")
+    line = ModbusLine(
+        tcp=is_tcp(daq.port),
+        unit=daq.modbus.unit,
+        requests=daq.modbus.requests,
+        baud=daq.baud,
+        bits_per_byte=bits_per_byte(daq.modbus),
+        silence_s=silence_s(daq.modbus, daq.baud),
+        turnaround_s=daq.modbus.turnaround_s,
+    )
+    return ModbusDriver(
+        transport,
+        line,
+        RegisterMap.from_mapping(daq.modbus.model_dump()),
+        calibration_of(experiment),
+        drive_map_of(experiment),
+        experiment.sensor.rail_counts,
+        daq.timeout_s,
+        daq.open_timeout_s,
+        device_watchdog_s=daq.modbus.device_watchdog_s,
+        name=name,
+        emulated=emulated,
+    )
 
 
 def emulated_io_block(experiment: Experiment) -> VirtualIoBlock:

@@ -29,6 +29,20 @@ FAULTS: dict[str, FaultEntry] = {
         "no valid reply within the time-out",
         "check baud rate, cable and interference; `rig check` prints what the link needs",
     ),
+    "LINK_REPLY": FaultEntry(
+        "the reply does not fit the request, or is damaged",
+        "check cable, shield, termination and baud rate, and that nothing else talks on this line; "
+        "then the register map",
+    ),
+    "LINK_UNIT": FaultEntry(
+        "another unit answered",
+        "give each device on the line a unit id of its own, and the right one to daq.modbus.unit",
+    ),
+    "MODBUS_EXCEPTION": FaultEntry(
+        "the device refused a request",
+        "read the exception beside this line; correct daq.modbus.registers by the device's manual, "
+        "addresses counted from 0",
+    ),
     "LINK_GAP": FaultEntry(
         "samples of the relay in the device got lost on the way",
         "check cable and plug, close what else reads the port, or set relay.where to host",

@@ -56,14 +56,15 @@ _FAULT_OF_CODE: dict[int, str] = {
 class PySerialTransport:
     """A serial port of this machine, or a pseudo-terminal; held exclusively.
 
+    parity       N, E or O
     low_latency  whether the port's driver took the request not to batch what arrives; pseudo-terminals
                  and some USB chips have no such mode
     Raises Fault LINK_OPEN if the port cannot be opened.
     """
 
-    def __init__(self, port: str, baud: int = 115200) -> None:
+    def __init__(self, port: str, baud: int = 115200, parity: str = "N", stop_bits: int = 1) -> None:
         try:
-            self._serial = serial.Serial(port, baud, timeout=0, exclusive=True)
+            self._serial = serial.Serial(port, baud, parity=parity, stopbits=stop_bits, timeout=0, exclusive=True)
         except (OSError, ValueError) as error:  # SerialException is an OSError; ValueError: impossible baud
             raise Fault("LINK_OPEN", f"{port}: {error}") from error
         self._port = port
