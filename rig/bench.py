@@ -137,7 +137,7 @@ def guard_settings_of(experiment: Experiment, noise_rad: float | None = None) ->
 def real_time_of(experiment: Experiment) -> RealTimeSettings:
     """What the loop's process asks the machine for."""
     wanted = experiment.loop
-    return RealTimeSettings(wanted.priority, wanted.cpu, wanted.lock_memory)
+    return RealTimeSettings(wanted.priority, wanted.cpu, wanted.lock_memory, wanted.raise_workers)
 
 
 def _clock_of(experiment: Experiment) -> MonotonicClock:

@@ -58,6 +58,10 @@ class Loop(_Section):
     priority: Annotated[int, Field(ge=0, le=99)] = Field(60, description="of SCHED_FIFO; 0: the ordinary scheduler")
     cpu: Annotated[int, Field(ge=0)] | None = Field(None, description="core to stay on; default: any")
     lock_memory: bool = Field(True, description="keep every page of the process in memory")
+    raise_workers: bool = Field(
+        False,
+        description="for a busy machine, as root: let the kernel's workers that carry serial data go before all else",
+    )
 
 
 class CalibrationPoint(_Section):

@@ -6,8 +6,9 @@ import ctypes
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_TIMERSLACK = 29
@@ -21,11 +22,14 @@ class RealTimeSettings:
     priority     of SCHED_FIFO, 1 to 99; 0: the ordinary scheduler
     cpu          the one core to stay on; None: any
     lock_memory  no page of the process leaves memory, so that touching it never waits for a disk
+    raise_workers  SCHED_FIFO, one below the loop's priority, for the kernel's worker threads that are not bound to a
+                 core: they carry what a serial port receives to who reads it, and on busy cores they wait their turn
     """
 
     priority: int = 60
     cpu: int | None = None
     lock_memory: bool = True
+    raise_workers: bool = False
 
 
 @dataclass
@@ -52,6 +56,7 @@ def real_time(settings: RealTimeSettings = AS_USUAL) -> Iterator[RealTime]:
         return
     libc = ctypes.CDLL(None, use_errno=True)
     scheduler, parameter, cores = os.sched_getscheduler(0), os.sched_getparam(0), os.sched_getaffinity(0)
+    raised: list[int] = []
     try:
         # the ordinary scheduler lets a sleep lengthen by 50 us unless it is told not to
         libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0)
@@ -61,8 +66,13 @@ def real_time(settings: RealTimeSettings = AS_USUAL) -> Iterator[RealTime]:
             _lock_memory(libc, done)
         if settings.priority > 0:
             _go_first(settings.priority, done)
+        if settings.raise_workers:
+            _raise_workers(max(settings.priority - 1, 1), raised, done)
         yield done
     finally:
+        for worker in raised:
+            with suppress(OSError):  # it may have ended
+                os.sched_setscheduler(worker, os.SCHED_OTHER, os.sched_param(0))
         # once set, the flag is not a user's to take back; it does nothing to an ordinary process
         os.sched_setscheduler(0, scheduler | (os.sched_getscheduler(0) & os.SCHED_RESET_ON_FORK), parameter)
         libc.munlockall()
@@ -95,3 +105,20 @@ def _go_first(priority: int, done: RealTime) -> None:
         done.refused.append(f"SCHED_FIFO refused ({error.strerror}): put `@realtime - rtprio 90` {_LIMITS_CONF}")
     else:
         done.granted.append(f"SCHED_FIFO at priority {priority}")
+
+
+def _raise_workers(priority: int, raised: list[int], done: RealTime) -> None:
+    """Those that are there now; ``raised`` takes their process ids."""
+    for comm in Path("/proc").glob("[0-9]*/comm"):
+        try:
+            if comm.read_text(encoding="ascii", errors="replace").startswith("kworker/u"):
+                worker = int(comm.parent.name)
+                if os.sched_getscheduler(worker) == os.SCHED_OTHER:
+                    os.sched_setscheduler(worker, os.SCHED_FIFO, os.sched_param(priority))
+                    raised.append(worker)
+        except (FileNotFoundError, ProcessLookupError):
+            continue  # it has just ended
+        except OSError as error:
+            done.refused.append(f"raised kernel workers refused ({error.strerror}): only root may have them")
+            return
+    done.granted.append(f"{len(raised)} kernel workers at priority {priority}")

@@ -1,0 +1,216 @@
+"""A whole tick, from the wake-up to the row in the record, split: over a serial device, Modbus and the simulator.
+
+python tools/bench/tick.py [--json] [--seconds 8]
+
+The emulated devices run in real time: processes on this machine, behind a pseudo-terminal or on loopback, so that the
+wire is that of this machine and not of a cable. A relay test runs, recorded to disk, with the config's loop settings.
+A second loop takes turns with it, half a second each: the same driver with a relay of one line, no guard and no record.
+What ours computes beyond it is what guard, cycle detector and checks cost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from wake_up import cores, fifo_is_allowed
+
+from rig.bench import (
+    Bench,
+    calibration_of,
+    connect,
+    drive_map_of,
+    guard_settings_of,
+    limits_of,
+    real_time_of,
+    truth_of,
+)
+from rig.config import Experiment, load
+from rig.control.excitation import RelayTest
+from rig.control.guard import Guard
+from rig.control.law import Law
+from rig.control.relay import DualChannelRelay
+from rig.daq.simulated import SimulatedDriver, SimulatedLatency
+from rig.loop.clock import MonotonicClock
+from rig.loop.real_time import real_time
+from rig.loop.runner import Loop, NoRecord
+from rig.loop.stop_request import StopRequest
+from rig.model.cycle_detector import CycleDetector
+from rig.recording.recorder import Recorder
+from rig.signals import Sample
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+GAINS_V = (0.8, 1.0)
+TURN_S = 0.5
+PARTS = ("late_us", "io_us", "compute_us", "write_us", "record_us")
+
+
+class Case(NamedTuple):
+    """What is measured: a config at a period, with the cores idle or busy."""
+
+    name: str
+    config: str
+    period_s: float
+    condition: str = "idle"
+    raise_workers: bool = False  # loop.raise_workers
+
+
+CASES = (
+    Case("simulator, 10 ms", "simulated.yaml", 0.010),
+    Case("serial, 10 ms", "demo.yaml", 0.010),
+    Case("serial, 1 ms", "demo.yaml", 0.001),
+    Case("serial, 1 ms, cores busy", "demo.yaml", 0.001, "busy"),
+    Case("serial, 1 ms, cores busy, kernel workers raised", "demo.yaml", 0.001, "busy", raise_workers=True),
+)
+
+
+class Limited:
+    """A law, for so many ticks."""
+
+    def __init__(self, law: Law, ticks: int) -> None:
+        self._law, self._left = law, ticks
+        self.finished = False
+
+    @property
+    def z_rad_s(self) -> float:
+        """The law's."""
+        return self._law.z_rad_s
+
+    @property
+    def yd_rad(self) -> float:
+        """The law's."""
+        return self._law.yd_rad
+
+    def step(self, sample: Sample) -> float:
+        """The law's drive, V."""
+        self._left -= 1
+        self.finished = self._left <= 0
+        return self._law.step(sample)
+
+
+class BareRelay:
+    """One line: the least that a tick of a relay computes."""
+
+    z_rad_s = yd_rad = math.nan
+    finished = False
+
+    def step(self, sample: Sample) -> float:
+        """Drive, V."""
+        return -1.0 if sample.y_rad > 0.0 else 1.0
+
+
+class NoGuard(Guard):
+    """Lets everything out: for the emulated bench of this benchmark alone."""
+
+    def allow(self, sample: Sample, asked_V: float) -> tuple[float, int]:
+        """What was asked for."""
+        return asked_V, 0
+
+
+@contextmanager
+def in_real_time(experiment: Experiment) -> Iterator[Bench]:
+    """The bench of the config; a simulated one in real time, too."""
+    if experiment.daq.driver != "simulated":
+        with connect(experiment) as bench:
+            yield bench
+        return
+    truth = truth_of(experiment)
+    assert truth is not None
+    clock = MonotonicClock(1e-6 * experiment.loop.spin_us)
+    driver = SimulatedDriver(
+        clock,
+        truth,
+        calibration_of(experiment),
+        drive_map_of(experiment),
+        experiment.sensor.rail_counts,
+        SimulatedLatency(0.001, 0.0),
+        experiment.seed,
+    )
+    info = driver.open()
+    yield Bench(driver, clock, info, truth)
+    driver.safe_stop()
+
+
+def measure(case: Case, seconds: float, folder: Path) -> dict[str, Any]:
+    """Quantiles of each part, ours and of the bare tick, us; the share of ticks skipped."""
+    experiment = load(CONFIG / case.config)
+    loop_settings = experiment.loop.model_copy(update={"raise_workers": case.raise_workers})
+    experiment = experiment.model_copy(update={"period_s": case.period_s, "loop": loop_settings})
+    turns, ticks = max(round(seconds / TURN_S), 1), round(TURN_S / case.period_s)
+    folder.mkdir()
+    with in_real_time(experiment) as bench:
+        recorder = Recorder(folder, ["relay-1"])
+        try:
+            guard = Guard(guard_settings_of(experiment))
+            guard.sign_proven = True
+            bare_guard = NoGuard(guard.settings)
+            stop = StopRequest()
+            ours = Loop(bench.driver, bench.clock, guard, recorder, case.period_s, stop)
+            bare = Loop(bench.driver, bench.clock, bare_guard, NoRecord(), case.period_s, stop)
+            relay, detector = DualChannelRelay(*GAINS_V, 0.7), CycleDetector(0.3, 0.08)
+            with cores(case.condition), real_time(real_time_of(experiment)) as done:
+                for _ in range(turns):
+                    test = RelayTest(relay, detector, GAINS_V, 1000, 1e6)
+                    for loop, law in ((ours, test), (bare, BareRelay())):
+                        with loop.armed(limits_of(experiment)):
+                            loop.run(Limited(law, ticks), "relay-1")
+        finally:
+            recorder.close()
+    told, peer = ours.statistics.summary(), bare.statistics.summary()
+    ran, skipped = ours.statistics.ticks, ours.statistics.skipped
+    compute, bare_compute = told["compute_us"], peer["compute_us"]
+    assert isinstance(compute, dict) and isinstance(bare_compute, dict)
+    return {
+        "granted": done.granted,
+        "refused": done.refused,
+        "period_us": 1e6 * case.period_s,
+        "ticks": ran,
+        "skipped": skipped,
+        "skipped_percent": round(100.0 * skipped / (ran + skipped), 4),
+        **{part: told[part] for part in PARTS},
+        "bare": {part: peer[part] for part in PARTS},
+        "compute_p99_ratio_to_bare": round(compute["p99"] / bare_compute["p99"], 2),
+    }
+
+
+def table(results: dict[str, dict[str, Any]]) -> str:
+    """For people, as Markdown."""
+    lines = [
+        "| bench, period | ticks | skipped | wake | wire: read | compute | wire: write | record | bare compute |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for name, found in results.items():
+        parts = [f"{found[part]['p50']:.0f} / {found[part]['p99']:.0f}" for part in PARTS]
+        bare = f"{found['bare']['compute_us']['p50']:.0f} / {found['bare']['compute_us']['p99']:.0f}"
+        skipped = f"{found['skipped_percent']:.3g} %"
+        lines.append(f"| {name} | {found['ticks']} | {skipped} | " + " | ".join([*parts, bare]) + " |")
+    return "\n".join([*lines, "", "Each: median / p99, us."])
+
+
+def main(cases: Sequence[Case] = CASES) -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description="A whole tick, split into its parts.")
+    parser.add_argument("--seconds", type=float, default=8.0, help="of each case; half of it is the bare loop's")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    results = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for number, case in enumerate(cases):
+            results[case.name] = measure(case, 0.5 * arguments.seconds, Path(folder) / str(number))
+    if arguments.json:
+        print(json.dumps({"fifo": fifo_is_allowed(), "cores": os.cpu_count(), "cases": results}))
+    else:
+        print(table(results))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
