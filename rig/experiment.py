@@ -391,6 +391,7 @@ def verify_models(session: Session) -> None:
             drive_map=drive_map_of(e),
             rail_counts=e.sensor.rail_counts,
             period_s=e.period_s,
+            order=session.bench.driver.order,
         )
         motor = estimate.motor()
         reason = rehearse(_tracking_law(session, motor), rehearsal, session.loop.guard.settings)

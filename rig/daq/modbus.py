@@ -198,6 +198,7 @@ class ModbusDriver:
             reset_cause="not told",
             emulated=emulated,
             round_trip_s=round_trip_s,
+            drive_units=self._map.full_units,
         )
 
     def arm(self, limits: Limits) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -29,9 +30,10 @@ class SimulatedDriver:
     bench         what is really there
     calibration, drive_map   what the host believes of sensor and drive
     rail_counts   readings at or beyond these make the device stop
+    latency       from a drive's way out until it acts; it may be longer than a period
+    order         "write_first": a drive goes out with the next ``read``, just before that samples; it acts at once
     """
 
-    order: Order = "sample_first"
     backend = "simulated in virtual time"
 
     def __init__(
@@ -43,7 +45,9 @@ class SimulatedDriver:
         rail_counts: tuple[int, int],
         latency: SimulatedLatency,
         seed: int,
+        order: Order = "sample_first",
     ) -> None:
+        self.order: Order = order
         self.bench = Bench(bench, seed)
         self.failsafe: DeviceWatchdog | None = DeviceWatchdog(1.0)  # until armed with less
         self.link_statistics: Mapping[str, int] = {}
@@ -57,7 +61,8 @@ class SimulatedDriver:
         self._limits: Limits | None = None
         self._heard_s = self._now_s
         self._fault: Fault | None = None
-        self._pending: tuple[float, int] | None = None  # effect time, drive units
+        self._pending: deque[tuple[float, int]] = deque()  # effect times, drive units; in order of both
+        self._staged: int | None = None  # goes out with the next reading
         self._effect_s = math.nan  # until something was driven
         self._seq = 0
         self._recovering = False  # armed outside the hard limits: only inward drive, until inside
@@ -86,6 +91,10 @@ class SimulatedDriver:
     def read(self) -> Sample:
         """Sample the bench now. Raises the device's latched Fault."""
         self._catch_up()
+        if self._staged is not None and self._fault is None:
+            self._effect_s = self._heard_s = self._now_s
+            self._set_pin(self._staged)
+            self._staged = None
         if self.bench.pin_counts == 0:
             self._heard_s = self._now_s  # as the firmware: what drives is kept up by drives alone
         counts = self.bench.read_counts()
@@ -115,15 +124,22 @@ class SimulatedDriver:
         if abs(u_V) > self._limits.max_u_V + 0.5 * self._drive_map.full_V / self._drive_map.full_units:
             self._stop(Fault("DEVICE_DRIVE_RANGE", f"{u_V:.3f} V; armed for {self._limits.max_u_V:.3f} V"))
             return
+        if self.order == "write_first":
+            self._staged = units
+            return
         half_width = self._latency.half_width_s
         delay_s = self._latency.mean_s + self._jitter.uniform(-half_width, half_width)
-        self._pending = (self._now_s + max(delay_s, 0.0), units)
+        effect_s = self._now_s + max(delay_s, 0.0)
+        if self._pending:
+            effect_s = max(effect_s, self._pending[-1][0])  # none overtakes another
+        self._pending.append((effect_s, units))
         self._heard_s = self._now_s
 
     def safe_stop(self) -> bool:
         """Set 0 V and disarm, at once."""
         self._catch_up()
-        self._pending = None
+        self._pending.clear()
+        self._staged = None
         self._set_pin(0)
         self._limits = None
         return True
@@ -143,9 +159,8 @@ class SimulatedDriver:
         self._advance_to(now_s)
 
     def _advance_to(self, t_s: float) -> None:
-        if self._pending is not None and self._pending[0] <= t_s:
-            effect_s, units = self._pending
-            self._pending = None
+        while self._pending and self._pending[0][0] <= t_s:
+            effect_s, units = self._pending.popleft()
             self.bench.advance(max(effect_s - self._now_s, 0.0))
             self._now_s = max(effect_s, self._now_s)
             self._effect_s = self._now_s
@@ -158,7 +173,8 @@ class SimulatedDriver:
 
     def _stop(self, fault: Fault) -> None:
         self._fault = fault
-        self._pending = None
+        self._pending.clear()
+        self._staged = None
         self._effect_s = self._now_s
         self._set_pin(0)
 

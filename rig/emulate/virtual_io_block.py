@@ -91,9 +91,10 @@ class VirtualIoBlock:
         """Virtual time, s."""
         return self._now_s
 
-    def sleep_until(self, t_s: float) -> None:
-        """Let time pass to ``t_s``; none if that is past."""
+    def sleep_until(self, t_s: float) -> float:
+        """Let time pass to ``t_s``; none if that is past. Returns the time then."""
         self._run_to(t_s)
+        return self._now_s
 
     def _run_to(self, t_s: float) -> None:
         self._now_s = max(self._now_s, t_s)

@@ -14,11 +14,12 @@ from rig.loop.runner import Loop, NoRecord
 from rig.loop.stop_request import StopRequest
 from rig.model.bench import BenchParameters
 from rig.model.motor import Motor
+from rig.signals import Order
 
 
 @dataclass(frozen=True)
 class RehearsalBench:
-    """The bench as far as it is known: the best model, where the shaft stands, the sensor's noise, the latency."""
+    """What is known of the bench: the best model, where the shaft stands, the noise, the order of a tick, the latency."""
 
     motor: Motor
     start_rad: float
@@ -28,6 +29,7 @@ class RehearsalBench:
     drive_map: DriveMap
     rail_counts: tuple[int, int]
     period_s: float
+    order: Order = "sample_first"
 
 
 def rehearse(tracking: Tracking, bench: RehearsalBench, guard: GuardSettings, seed: int = 0) -> str | None:
@@ -50,7 +52,14 @@ def rehearse(tracking: Tracking, bench: RehearsalBench, guard: GuardSettings, se
     )
     plain = DriveMap(bench.drive_map.full_V, full_units=bench.drive_map.full_units)
     driver = SimulatedDriver(
-        clock, parameters, calibration, plain, bench.rail_counts, SimulatedLatency(bench.latency_s, 0.0), seed
+        clock,
+        parameters,
+        calibration,
+        plain,
+        bench.rail_counts,
+        SimulatedLatency(bench.latency_s, 0.0),
+        seed,
+        bench.order,
     )
     watching = Guard(guard)
     watching.sign_proven = True

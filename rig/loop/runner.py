@@ -69,7 +69,8 @@ class Loop:
     Tick k is due at t0 + k * period_s. A late tick runs at once with its true time; ticks that have passed meanwhile
     are skipped and counted, never caught up. The drive that goes out is the guard's.
 
-    driver, clock   the bench, and the time it lives in
+    driver, clock   the bench, and the time it lives in. Of order "write_first" the driver sends a drive with the next
+                    tick's exchange: it acts about one period later, and its row says so
     guard           latches faults; one for each loop
     record          where rows and events go
     stop            looked at each tick; a reason there raises Fault INTERRUPTED
@@ -78,14 +79,14 @@ class Loop:
     def __init__(
         self, driver: Driver, clock: Clock, guard: Guard, record: Record, period_s: float, stop: StopRequest
     ) -> None:
-        if driver.order != "sample_first":
-            raise ValueError(f"this loop runs drivers of order sample_first, not {driver.order}")
         self.guard = guard
         self.statistics = LoopStatistics(period_s)
         self._driver = driver
         self._clock = clock
         self._record = record
         self._period_s = period_s
+        # a drive that goes out with the next tick's exchange acts a period later than one that goes out at once
+        self._longest_latency_s = period_s * (2.0 if driver.order == "write_first" else 1.0)
         self._stop = stop
         self._t0_s = clock.now_s() + period_s
         self._tick = 0
@@ -283,7 +284,7 @@ class Loop:
 
     def _measure_latency(self, sample: Sample) -> None:
         latency_s = sample.t_u_s - self._last_t_s
-        if 0.0 <= latency_s < self._period_s:  # false for nan, and after a skipped tick
+        if 0.0 <= latency_s < self._longest_latency_s:  # false for nan, and after a skipped tick
             self.latency_s += (latency_s - self.latency_s) * (0.05 if self.latency_s else 1.0)
         self._last_t_s = sample.t_s
         self.last_y_rad = sample.y_rad
