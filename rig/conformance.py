@@ -211,7 +211,8 @@ class Suite:
 
     def test_it_refuses_drives_beyond_its_range(self) -> None:
         """``write`` raises ValueError beyond supply and bridge and for what is no number; the drive stays as it was."""
-        beyond = 1.01 * drive_map_of(self.experiment).full_V + 0.1
+        full_V = drive_map_of(self.experiment).full_V
+        beyond = 1.01 * full_V + 0.1
         with self._armed():
             (tick,) = self._ticks([0.0])
             for u_V in (beyond, -beyond, math.nan, math.inf):
@@ -220,7 +221,7 @@ class Suite:
                 except ValueError:
                     continue
                 self.driver.safe_stop()
-                raise AssertionError(f"write({u_V:g}) must raise ValueError: the drive gives {beyond - 0.1:.3g} V")
+                raise AssertionError(f"write({u_V:g}) must raise ValueError: the drive gives {full_V:g} V")
             (tick,) = self._ticks([0.0])
             require(tick.sample.u_V == 0.0, f"a refused write left {tick.sample.u_V} V")
 
