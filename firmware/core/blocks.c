@@ -12,23 +12,28 @@ static void begin(block *next, uint16_t number)
     next->n = 0;
 }
 
+static uint8_t behind(uint8_t at)
+{
+    return at < BLOCKS_WAITING ? (uint8_t)(at + 1u) : 0u;
+}
+
 void blocks_init(blocks *b, uint8_t rows, uint16_t period_us)
 {
-    b->filling = 0;
-    b->waiting = false;
+    b->in = 0;
+    b->out = 0;
     b->rows = rows;
     b->period_us = period_us;
-    begin(&b->pair[0], 0);
+    begin(&b->ring[0], 0);
 }
 
 block *blocks_filling(blocks *b)
 {
-    return &b->pair[b->filling];
+    return &b->ring[b->in];
 }
 
 bool blocks_breaks_grid(const blocks *b, uint32_t t_us)
 {
-    const block *now = &b->pair[b->filling];
+    const block *now = &b->ring[b->in];
     if (now->n == 0u) {
         return false;
     }
@@ -39,7 +44,7 @@ bool blocks_breaks_grid(const blocks *b, uint32_t t_us)
 
 bool blocks_add(blocks *b, uint32_t t_us, uint16_t counts, int16_t drive)
 {
-    block *now = &b->pair[b->filling];
+    block *now = &b->ring[b->in];
     if (now->n == 0u) {
         now->t_first_us = t_us;
     }
@@ -51,20 +56,20 @@ bool blocks_add(blocks *b, uint32_t t_us, uint16_t counts, int16_t drive)
 
 void blocks_close(blocks *b)
 {
-    const uint16_t next = (uint16_t)(b->pair[b->filling].number + 1u);
-    if (!b->waiting) {
-        b->filling ^= 1u;
-        b->waiting = true;
-    } /* else nobody has sent the other one: this one is lost */
-    begin(&b->pair[b->filling], next);
+    const uint16_t number = (uint16_t)(b->ring[b->in].number + 1u);
+    const uint8_t next = behind(b->in);
+    if (next != b->out) {
+        b->in = next;
+    } /* else nobody has sent the others: this one is lost */
+    begin(&b->ring[b->in], number);
 }
 
 const block *blocks_waiting(const blocks *b)
 {
-    return b->waiting ? &b->pair[b->filling ^ 1u] : NULL;
+    return b->out != b->in ? &b->ring[b->out] : NULL;
 }
 
 void blocks_sent(blocks *b)
 {
-    b->waiting = false;
+    b->out = behind(b->out);
 }

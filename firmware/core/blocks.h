@@ -1,8 +1,9 @@
 /* Rows of a running relay, one a tick, collected into blocks for the wire.
  *
- * The tick fills one block while the other waits to be sent; nothing here waits or encodes. Where a block is not sent
- * before the next is full, the next one is lost: its number is missing on the wire, which the host takes for a fault.
- * The tick may interrupt the sender: `waiting` alone passes between them.
+ * A ring with one writer, the tick, and one reader, who sends: the tick fills one block while the others wait to be
+ * sent; nothing here waits or encodes. Where there is no room for one more, the block is lost: its number is missing on
+ * the wire, which the host takes for a fault. A block that waits is the reader's alone until blocks_sent; the calls
+ * themselves must not come between one another (rig_board.hold_tick).
  */
 #ifndef RIG_BLOCKS_H
 #define RIG_BLOCKS_H
@@ -11,6 +12,7 @@
 #include <stdint.h>
 
 #define BLOCK_ROWS_MAX 10u
+#define BLOCKS_WAITING 2u /* at most: one that is full, and the one that ends the relay */
 #define BLOCK_JITTER_US 100u /* a row that is farther off the grid of its block begins a new one */
 
 typedef struct {
@@ -25,10 +27,10 @@ typedef struct {
 } block;
 
 typedef struct {
-    block pair[2];
-    uint8_t filling;       /* the other one waits, or is free */
-    volatile bool waiting;
-    uint8_t rows;          /* of a full block */
+    block ring[BLOCKS_WAITING + 1u];
+    uint8_t in;   /* of the block that is filled */
+    uint8_t out;  /* of the oldest that waits; none does where it is `in` */
+    uint8_t rows; /* of a full block */
     uint16_t period_us;
 } blocks;
 
@@ -47,7 +49,7 @@ bool blocks_add(blocks *b, uint32_t t_us, uint16_t counts, int16_t drive);
 /* Hands the block over to be sent, full or not, and begins the next. */
 void blocks_close(blocks *b);
 
-/* The block to be sent, or NULL; blocks_sent gives it free. */
+/* The oldest block to be sent, or NULL; blocks_sent gives it free. */
 const block *blocks_waiting(const blocks *b);
 void blocks_sent(blocks *b);
 

@@ -4,17 +4,29 @@
 
 #define US_PER_MS 1000UL
 #define SETUP_LENGTH 16u
-#define STATE_LENGTH 18u
-#define HELLO_LENGTH (12u + RIG_BUILD_LENGTH)
 #define DRIVE_LENGTH 2u
 #define RELAY_LENGTH 18u
-#define BLOCK_HEAD_LENGTH 10u
-#define BLOCK_ROW_LENGTH 4u
 
 /* Recovered means farther inside than this, so that noise on the limit does not latch a fault at once. */
 #define RECOVERED_COUNTS 3u
 /* Under inward drive the shaft may lie this part of the hard range farther out before it counts as polarity. */
 #define POLARITY_DIVISOR 32u
+
+/* ---- the tick may be an interrupt, which what it shares is kept from ---- */
+
+static void hold(const rig_core *core)
+{
+    if (core->board->hold_tick != NULL) {
+        core->board->hold_tick(core->board->context);
+    }
+}
+
+static void release(const rig_core *core)
+{
+    if (core->board->release_tick != NULL) {
+        core->board->release_tick(core->board->context);
+    }
+}
 
 /* ---- little-endian fields ---- */
 
@@ -42,72 +54,83 @@ static int32_t get_up_to(const uint8_t *at, int32_t most)
     return value <= (uint32_t)most ? (int32_t)value : -1;
 }
 
-static uint8_t *put_u8(uint8_t *at, uint8_t value)
-{
-    at[0] = value;
-    return &at[1];
-}
+/* ---- replies: a packet is made while the tick is held, and encoded and sent after that, which takes long ---- */
 
-static uint8_t *put_u16(uint8_t *at, uint16_t value)
-{
-    at[0] = (uint8_t)(value & 0xFFu);
-    at[1] = (uint8_t)(value >> 8);
-    return &at[2];
-}
-
-static uint8_t *put_u32(uint8_t *at, uint32_t value)
-{
-    return put_u16(put_u16(at, (uint16_t)(value & 0xFFFFu)), (uint16_t)(value >> 16));
-}
-
-/* ---- replies ---- */
-
-static void reply(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *body, uint8_t n)
-{
+typedef struct {
+    uint8_t n; /* bytes so far; 0: nothing to say */
     uint8_t content[FRAME_CONTENT_MAX];
+} packet;
+
+static void put_u8(packet *out, uint8_t value)
+{
+    out->content[out->n] = value;
+    out->n++;
+}
+
+static void put_u16(packet *out, uint16_t value)
+{
+    put_u8(out, (uint8_t)(value & 0xFFu));
+    put_u8(out, (uint8_t)(value >> 8));
+}
+
+static void put_u32(packet *out, uint32_t value)
+{
+    put_u16(out, (uint16_t)(value & 0xFFFFu));
+    put_u16(out, (uint16_t)(value >> 16));
+}
+
+static void head(packet *out, uint8_t type, uint16_t seq)
+{
+    out->n = 0;
+    put_u8(out, RIG_PROTOCOL);
+    put_u8(out, type);
+    put_u16(out, seq);
+}
+
+static void send(const rig_core *core, const packet *out)
+{
     uint8_t wire[FRAME_WIRE_MAX];
-    uint8_t *at = put_u16(put_u8(put_u8(content, RIG_PROTOCOL), type), seq);
-    for (uint8_t i = 0; i < n; i++) {
-        at = put_u8(at, body[i]);
-    }
-    const uint8_t length = frame_encode(content, (uint8_t)(FRAME_HEADER + n), wire);
+    const uint8_t length = frame_encode(out->content, out->n, wire);
     core->board->transmit(core->board->context, wire, length);
 }
 
-static void refuse(rig_core *core, uint8_t type, uint16_t seq, enum rig_code code)
+static void refuse(packet *out, uint8_t type, uint16_t seq, enum rig_code code)
 {
-    const uint8_t body[2] = {(uint8_t)code, type};
-    reply(core, RIG_NACK, seq, body, sizeof body);
+    head(out, RIG_NACK, seq);
+    put_u8(out, (uint8_t)code);
+    put_u8(out, type);
 }
 
-static void reply_hello(rig_core *core, uint16_t seq)
+static void put_hello(packet *out, const rig_core *core)
 {
     const rig_board *board = core->board;
-    uint8_t body[HELLO_LENGTH];
-    uint8_t *at = put_u8(put_u8(body, board->board_id), core->reset_cause);
-    at = put_u16(put_u16(at, board->adc_max), board->drive_full);
-    at = put_u32(at, board->micros(board->context));
-    at = put_u8(put_u8(at, board->features), board->supply != NULL ? board->supply(board->context) : 0u);
+    put_u8(out, board->board_id);
+    put_u8(out, core->reset_cause);
+    put_u16(out, board->adc_max);
+    put_u16(out, board->drive_full);
+    put_u32(out, board->micros(board->context));
+    put_u8(out, board->features);
+    put_u8(out, board->supply != NULL ? board->supply(board->context) : 0u);
     const char *text = board->build;
     for (uint8_t i = 0; i < RIG_BUILD_LENGTH; i++) {
-        at = put_u8(at, (uint8_t)*text);
+        put_u8(out, (uint8_t)*text);
         if (*text != '\0') {
             text++;
         }
     }
-    reply(core, RIG_HELLO | RIG_REPLY, seq, body, sizeof body);
 }
 
-static void reply_setup(rig_core *core, uint16_t seq)
+static void put_setup(packet *out, const rig_setup *setup)
 {
-    const rig_setup *setup = &core->setup;
-    uint8_t body[SETUP_LENGTH];
-    uint8_t *at = put_u16(put_u16(body, setup->hard_lo), setup->hard_hi);
-    at = put_u16(put_u16(at, setup->rail_lo), setup->rail_hi);
-    at = put_u16(put_u16(at, setup->centre), setup->max_drive);
-    at = put_u16(at, setup->watchdog_ms);
-    (void)put_u8(put_u8(at, (uint8_t)setup->polarity), 0);
-    reply(core, RIG_SETUP | RIG_REPLY, seq, body, sizeof body);
+    put_u16(out, setup->hard_lo);
+    put_u16(out, setup->hard_hi);
+    put_u16(out, setup->rail_lo);
+    put_u16(out, setup->rail_hi);
+    put_u16(out, setup->centre);
+    put_u16(out, setup->max_drive);
+    put_u16(out, setup->watchdog_ms);
+    put_u8(out, (uint8_t)setup->polarity);
+    put_u8(out, 0);
 }
 
 static uint8_t status_of(const rig_core *core)
@@ -118,14 +141,16 @@ static uint8_t status_of(const rig_core *core)
                      (core->relaying ? (unsigned)RIG_STATUS_RELAY : 0u));
 }
 
-static void reply_state(rig_core *core, uint8_t type, uint16_t seq)
+static void put_state(packet *out, const rig_core *core)
 {
-    uint8_t body[STATE_LENGTH];
-    uint8_t *at = put_u16(put_u32(body, core->t_sample_us), core->counts);
-    at = put_u32(put_u16(at, core->tach), core->t_drive_us);
-    at = put_u16(put_u16(at, (uint16_t)core->drive), core->drive_seq);
-    (void)put_u8(put_u8(at, status_of(core)), (uint8_t)core->fault);
-    reply(core, type, seq, body, sizeof body);
+    put_u32(out, core->t_sample_us);
+    put_u16(out, core->counts);
+    put_u16(out, core->tach);
+    put_u32(out, core->t_drive_us);
+    put_u16(out, (uint16_t)core->drive);
+    put_u16(out, core->drive_seq);
+    put_u8(out, status_of(core));
+    put_u8(out, (uint8_t)core->fault);
 }
 
 /* ---- drive and faults ---- */
@@ -299,7 +324,6 @@ static void relay_tick(rig_core *core)
 /* Ends the relay between two ticks, after the drive has been set: the rows so far go out with the last block. */
 static void end_relay(rig_core *core)
 {
-    rig_stream(core); /* room for it */
     core->relaying = false;
     close_block(core);
 }
@@ -315,7 +339,7 @@ static bool is_valid(const rig_setup *setup, const rig_board *board)
            (setup->polarity == 1 || setup->polarity == -1);
 }
 
-static void on_setup(rig_core *core, uint16_t seq, const uint8_t *body)
+static void on_setup(rig_core *core, uint16_t seq, const uint8_t *body, packet *out)
 {
     rig_setup wanted;
     wanted.hard_lo = get_u16(body);
@@ -327,12 +351,13 @@ static void on_setup(rig_core *core, uint16_t seq, const uint8_t *body)
     wanted.watchdog_ms = get_u16(&body[12]);
     wanted.polarity = (int8_t)(body[14] == 1u ? 1 : body[14] == 0xFFu ? -1 : 0);
     if (core->armed || !is_valid(&wanted, core->board)) {
-        refuse(core, RIG_SETUP, seq, RIG_E_SETUP); /* limits never change under drive */
+        refuse(out, RIG_SETUP, seq, RIG_E_SETUP); /* limits never change under drive */
         return;
     }
     core->setup = wanted;
     core->has_setup = true;
-    reply_setup(core, seq);
+    head(out, RIG_SETUP | RIG_REPLY, seq);
+    put_setup(out, &core->setup);
 }
 
 /* The host's voice, P3. What it said may have waited for the core. */
@@ -379,7 +404,7 @@ static enum rig_code start_relay(rig_core *core, const relay_setup *wanted, uint
     return RIG_OK;
 }
 
-static void on_relay(rig_core *core, uint16_t seq, const uint8_t *body)
+static void on_relay(rig_core *core, uint16_t seq, const uint8_t *body, packet *out)
 {
     relay_setup wanted;
     for (uint8_t i = 0; i < 4u; i++) {
@@ -390,11 +415,14 @@ static void on_relay(rig_core *core, uint16_t seq, const uint8_t *body)
     wanted.direction = (int8_t)(body[16] == 1u ? 1 : body[16] == 0xFFu ? -1 : 0);
     const enum rig_code code = start_relay(core, &wanted, body[17]);
     if (code != RIG_OK) {
-        refuse(core, RIG_RELAY, seq, code);
+        refuse(out, RIG_RELAY, seq, code);
         return;
     }
     heard(core);
-    reply(core, RIG_RELAY | RIG_REPLY, seq, body, (uint8_t)RELAY_LENGTH); /* in range, so stored as it came */
+    head(out, RIG_RELAY | RIG_REPLY, seq);
+    for (uint8_t i = 0; i < RELAY_LENGTH; i++) {
+        put_u8(out, body[i]); /* in range, so stored as it came */
+    }
 }
 
 static enum rig_code arm(rig_core *core)
@@ -447,11 +475,12 @@ static void on_drive(rig_core *core, uint16_t seq, int16_t units)
     }
 }
 
-static void on_stop(rig_core *core, uint16_t seq)
+static void on_stop(rig_core *core, uint16_t seq, packet *out)
 {
     disarm(core);
     read_sensors(core);
-    reply_state(core, RIG_STOP | RIG_REPLY, seq); /* still names the fault that it clears */
+    head(out, RIG_STOP | RIG_REPLY, seq);
+    put_state(out, core); /* still names the fault that it clears */
     clear_fault(core);
 }
 
@@ -476,35 +505,17 @@ static int8_t body_length(uint8_t type)
     }
 }
 
-static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
+/* A request that is whole and known. It acts as a whole, too: the tick is held. */
+static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *body, packet *out)
 {
-    const uint8_t type = content[1];
-    const uint16_t seq = get_u16(&content[2]);
-    const uint8_t *body = &content[FRAME_HEADER];
-    const int8_t expected = body_length(type);
-    if (content[0] != RIG_PROTOCOL) {
-        core->rx.dropped++;
-        refuse(core, type, seq, RIG_E_VERSION);
-        return;
-    }
-    if (expected < 0) {
-        refuse(core, type, seq, RIG_E_TYPE);
-        return;
-    }
-    if (n != FRAME_HEADER + (uint8_t)expected) {
-        refuse(core, type, seq, RIG_E_LENGTH);
-        return;
-    }
     switch (type) {
-    case RIG_HELLO:
-        reply_hello(core, seq);
-        break;
     case RIG_SETUP:
-        on_setup(core, seq, body);
+        on_setup(core, seq, body, out);
         break;
     case RIG_ARM: {
         const uint8_t code = (uint8_t)arm(core);
-        reply(core, RIG_ARM | RIG_REPLY, seq, &code, 1);
+        head(out, RIG_ARM | RIG_REPLY, seq);
+        put_u8(out, code);
         break;
     }
     case RIG_READ:
@@ -512,23 +523,55 @@ static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
             heard(core); /* P3: what drives is kept up by DRIVE alone: one that got lost must not stay on */
         }
         sample(core);
-        reply_state(core, RIG_READ | RIG_REPLY, seq);
+        head(out, RIG_READ | RIG_REPLY, seq);
+        put_state(out, core);
         break;
     case RIG_DRIVE:
         heard(core);
         on_drive(core, seq, get_i16(body));
         break;
     case RIG_RELAY:
-        on_relay(core, seq, body);
+        on_relay(core, seq, body, out);
         break;
     case RIG_KEEP:
         if (core->relaying) {
             heard(core); /* P3: it keeps nothing else alive */
         }
         break;
-    default: /* RIG_STOP: body_length knows no other */
-        on_stop(core, seq);
+    default: /* RIG_STOP: body_length knows no other but HELLO */
+        on_stop(core, seq, out);
         break;
+    }
+    if (core->relaying && !core->armed) {
+        end_relay(core); /* STOP, or what a READ has seen */
+    }
+}
+
+static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
+{
+    const uint8_t type = content[1];
+    const uint16_t seq = get_u16(&content[2]);
+    const int8_t expected = body_length(type);
+    packet out;
+    out.n = 0;
+    if (content[0] != RIG_PROTOCOL) {
+        core->rx.dropped++;
+        refuse(&out, type, seq, RIG_E_VERSION);
+    } else if (expected < 0) {
+        refuse(&out, type, seq, RIG_E_TYPE);
+    } else if (n != FRAME_HEADER + (uint8_t)expected) {
+        refuse(&out, type, seq, RIG_E_LENGTH);
+    } else if (type == (uint8_t)RIG_HELLO) {
+        head(&out, RIG_HELLO | RIG_REPLY, seq);
+        put_hello(&out, core);
+    } else {
+        rig_stream(core); /* room for the block that ends the relay */
+        hold(core);
+        act_on(core, type, seq, &content[FRAME_HEADER], &out);
+        release(core);
+    }
+    if (out.n != 0u) {
+        send(core, &out);
     }
 }
 
@@ -559,9 +602,6 @@ void rig_byte(rig_core *core, uint8_t byte)
     const uint8_t n = frame_receive(&core->rx, byte); /* P8 */
     if (n != 0u) {
         on_request(core, core->rx.buffer, n);
-        if (core->relaying && !core->armed) {
-            end_relay(core); /* STOP, or what a READ has seen */
-        }
     }
 }
 
@@ -581,17 +621,25 @@ void rig_tick(rig_core *core)
 
 void rig_stream(rig_core *core)
 {
+    hold(core);
     const block *full = blocks_waiting(&core->blocks);
+    release(core);
     if (full == NULL) {
         return;
     }
-    uint8_t body[BLOCK_HEAD_LENGTH + BLOCK_ROWS_MAX * BLOCK_ROW_LENGTH];
-    uint8_t *at = put_u16(put_u32(body, full->t_first_us), RIG_TICK_US);
-    at = put_u16(at, full->delay_us);
-    at = put_u8(put_u8(at, full->status), full->fault);
+    packet out;
+    head(&out, RIG_BLOCK, full->number);
+    put_u32(&out, full->t_first_us);
+    put_u16(&out, RIG_TICK_US);
+    put_u16(&out, full->delay_us);
+    put_u8(&out, full->status);
+    put_u8(&out, full->fault);
     for (uint8_t i = 0; i < full->n; i++) {
-        at = put_u16(put_u16(at, full->counts[i]), (uint16_t)full->drive[i]);
+        put_u16(&out, full->counts[i]);
+        put_u16(&out, (uint16_t)full->drive[i]);
     }
-    reply(core, RIG_BLOCK, full->number, body, (uint8_t)(BLOCK_HEAD_LENGTH + full->n * BLOCK_ROW_LENGTH));
-    blocks_sent(&core->blocks);
+    hold(core);
+    blocks_sent(&core->blocks); /* all of it is in the packet */
+    release(core);
+    send(core, &out);
 }

@@ -1,14 +1,16 @@
 /* The device: protocol version 1, arming, travel limits, host watchdog and latched faults.
  *
- * Portable C99 with no hardware in it. A board fills in `rig_board` and calls, all from one context (its main
- * loop, fed by interrupts through a byte queue and a tick flag):
+ * Portable C99 with no hardware in it. A board fills in `rig_board` and calls
  *
- *     rig_init   once after a reset
+ *     rig_init   once after a reset, before any tick
+ *     rig_tick   every RIG_TICK_US: samples, checks, decides, drives; sends nothing
  *     rig_byte   for each byte received
- *     rig_tick   every RIG_TICK_US
- *     rig_stream whenever there is time, at least every few ms while a relay runs: sends the block that is full
+ *     rig_stream whenever there is time, at least every few ms while a relay runs: sends a block that is full
  *
- * None of them waits. A hung main loop is the business of the board's hardware watchdog.
+ * rig_tick may interrupt the other two, which come from one context (the main loop); nothing may interrupt rig_tick with
+ * a call in here. What they share is touched by the main loop only between hold_tick and release_tick, for some 10 us:
+ * a request acts as a whole between two ticks. Frames are decoded and encoded outside of that. None of the calls waits. A
+ * hung main loop does not hold up what the tick promises; that it hangs is the business of the board's hardware watchdog.
  *
  * What the device promises, whatever the host does (the code names these where it keeps them):
  *     P1 after a reset the drive is 0, and stays 0 until SETUP and ARM
@@ -100,6 +102,9 @@ typedef struct {
     uint8_t features;
     uint32_t (*arrived_us)(void *context); /* when the byte that the core is given arrived: P3; NULL: just now */
     uint8_t (*supply)(void *context); /* motor supply, 255 for 20 V; NULL: not measured */
+    /* Where the tick is an interrupt: no tick until release, and memory as it was before. NULL: all is one context. */
+    void (*hold_tick)(void *context);
+    void (*release_tick)(void *context); /* what came due meanwhile runs now */
 } rig_board;
 
 typedef struct {

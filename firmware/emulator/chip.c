@@ -3,6 +3,7 @@
  *     and one more is an overrun;
  *   - a byte takes it 11 bit times: it is told 10;
  *   - a pin set from outside is forgotten when the firmware writes the port: it is told of it as an external pull;
+ *   - an interrupt that came while it was held back is lost to it: the tick's is raised again when it is let in;
  *   - it converts what stands in a register when the result is read: that is set at the sample's instant;
  *   - its sleep waits for real time: not here.
  */
@@ -15,6 +16,7 @@
 
 #include <simavr/avr_adc.h>
 #include <simavr/avr_ioport.h>
+#include <simavr/avr_timer.h>
 #include <simavr/avr_uart.h>
 #include <simavr/sim_avr.h>
 #include <simavr/sim_core_config.h>
@@ -38,14 +40,13 @@
 
 /* Addresses in data space, and bits, of the registers that make up the drive, and of some more. */
 enum {
-    PIND = 0x29, DDRB = 0x24, PORTB = 0x25, MCUSR = 0x54, TIMSK2 = 0x70, ADCSRA = 0x7A, TCCR1A = 0x80, TCCR1B = 0x81,
+    PIND = 0x29, DDRB = 0x24, PORTB = 0x25, TIFR2 = 0x37, MCUSR = 0x54, TIMSK2 = 0x70, ADCSRA = 0x7A, TCCR1A = 0x80, TCCR1B = 0x81,
     ICR1L = 0x86, ICR1H = 0x87, OCR1AL = 0x88, OCR1AH = 0x89, OCR1BL = 0x8A, OCR1BH = 0x8B, UCSR0A = 0xC0,
     UCSR0B = 0xC1, UBRR0L = 0xC4, UBRR0H = 0xC5, RAM = 0x100
 };
 enum { PB_DIRECTION = 0, PB_OC1A = 1, PB_OC1B = 2, PB_LED = 5 };
-enum { USART_RX = 18, USART_UDRE = 19 };                  /* numbers of interrupts */
-enum { WDR = 0x95A8, LED_ON = 0x9A2D, LED_OFF = 0x982D }; /* instructions: the latter two SBI, CBI PORTB, 5 */
-enum { U2X0 = 1, RXEN0 = 4, OCIE2A = 1, ADIE = 3 };
+enum { TIMER2_COMPB = 8, USART_RX = 18, USART_UDRE = 19 }; /* numbers of interrupts */
+enum { U2X0 = 1, RXEN0 = 4, OCIE2A = 1, OCIE2B = 2, OCF2B = 2, ADIE = 3 };
 
 enum bridge_style { PWM_DIR, IN1_IN2 };
 
@@ -65,6 +66,7 @@ struct virtual_board {
     double hz;
     avr_t *avr;
     avr_uart_t *uart;
+    avr_timer_t *timer2;
     avr_irq_t *uart_in, *adc_in, *port_d;
     void (*chip_reset)(avr_t *);
     wire to_device, to_host;
@@ -76,9 +78,14 @@ struct virtual_board {
     uint32_t sampled_channel;
     uint8_t open_pins;       /* of port D */
     bool look_again;         /* a byte for the host, or a reset: what the run waits for may have changed */
-    bool converter_is_dead;  /* until the next reset */
-    bool measures, in_tick;
+    uint8_t dead_of_timer2;  /* bits of TIMSK2, until the next reset */
+    bool converter_is_dead;  /* the same */
+    bool measures;
     bool has_started;        /* has unmasked interrupts since the reset */
+    enum virtual_stall stall;
+    avr_cycle_count_t stall_cycles, stall_end; /* end: not 0 while it lasts */
+    avr_flashaddr_t stall_trap, stall_pc;      /* where it runs meanwhile, and where it goes on */
+    uint8_t stall_depth;                       /* of interrupts */
     uint32_t resets, overruns, crashed;
     uint64_t awake_cycles, masked_now, masked_most, interrupt_now, interrupt_most;
     uint64_t timed_now, timed_most, tick_now, tick_most;
@@ -308,6 +315,21 @@ static void register_written(avr_irq_t *irq, uint32_t value, void *context)
     pins_may_have_changed(context);
 }
 
+/* ---- clock ---- */
+
+static void timer2_mask_written(avr_irq_t *irq, uint32_t value, void *context)
+{
+    virtual_board *b = context;
+    uint8_t *data = b->avr->data;
+    (void)irq;
+    (void)value;
+    data[TIMSK2] = (uint8_t)(data[TIMSK2] & ~b->dead_of_timer2);
+    avr_int_vector_t *tick = &b->timer2->comp[AVR_TIMER_COMPB].interrupt;
+    if ((data[TIMSK2] & (1u << OCIE2B)) != 0u && (data[TIFR2] & (1u << OCF2B)) != 0u && !tick->pending) {
+        avr_raise_interrupt(b->avr, tick);
+    }
+}
+
 /* ---- the chip as a whole ---- */
 
 static void quiet(avr_t *avr, const int level, const char *format, va_list arguments)
@@ -332,6 +354,9 @@ static void after_reset(avr_t *avr)
     avr->data[PIND] = b->open_pins;
     b->waiting_count = 0;
     b->converter_is_dead = false;
+    b->dead_of_timer2 = 0;
+    b->stall = STALL_NONE;
+    b->stall_end = 0;
     b->has_started = false;
     b->masked_now = 0;
     b->resets++;
@@ -341,11 +366,21 @@ static void after_reset(avr_t *avr)
     pins_may_have_changed(b);
 }
 
-static avr_io_t *module(avr_t *avr, const char *kind)
+static avr_uart_t *find_uart(avr_t *avr)
 {
     for (avr_io_t *io = avr->io_port; io != NULL; io = io->next) {
-        if (strcmp(io->kind, kind) == 0) {
-            return io;
+        if (strcmp(io->kind, "uart") == 0 && ((avr_uart_t *)io)->name == '0') {
+            return (avr_uart_t *)io;
+        }
+    }
+    return NULL;
+}
+
+static avr_timer_t *find_timer2(avr_t *avr)
+{
+    for (avr_io_t *io = avr->io_port; io != NULL; io = io->next) {
+        if (strcmp(io->kind, "timer") == 0 && ((avr_timer_t *)io)->name == '2') {
+            return (avr_timer_t *)io;
         }
     }
     return NULL;
@@ -370,6 +405,7 @@ static void connect(virtual_board *b)
     for (unsigned i = 0; i < sizeof WATCHED / sizeof WATCHED[0]; i++) {
         avr_irq_register_notify(avr_iomem_getirq(avr, WATCHED[i], NULL, AVR_IOMEM_IRQ_ALL), register_written, b);
     }
+    avr_irq_register_notify(avr_iomem_getirq(avr, TIMSK2, NULL, AVR_IOMEM_IRQ_ALL), timer2_mask_written, b);
     uint32_t flags = 0;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
     b->uart_in = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
@@ -457,9 +493,10 @@ const char *virtual_start(virtual_board *b, int64_t byte_ns)
     b->avr->frequency = (uint32_t)CHIP_HZ;
     b->avr->vcc = b->avr->avcc = b->avr->aref = CHIP_ADC_MAX * 64u;
     b->avr->sleep = sleep_takes_no_time;
-    b->uart = (avr_uart_t *)module(b->avr, "uart");
-    if (b->uart == NULL || b->uart->name != '0') {
-        return "libsimavr's serial port is not where it should be";
+    b->uart = find_uart(b->avr);
+    b->timer2 = find_timer2(b->avr);
+    if (b->uart == NULL || b->timer2 == NULL || b->timer2->comp[AVR_TIMER_COMPB].interrupt.vector != TIMER2_COMPB) {
+        return "libsimavr's serial port or clock is not where it should be";
     }
     connect(b);
     tell_pulls(b);
@@ -485,12 +522,6 @@ static void keep_most(uint64_t *most, uint64_t value)
     *most = value > *most ? value : *most;
 }
 
-static uint16_t opcode(const avr_t *avr)
-{
-    const uint8_t *at = avr->flash + avr->pc;
-    return (uint16_t)(at[0] | ((unsigned)at[1] << 8));
-}
-
 /* Cycles of the interrupt that an instruction belonged to; none: the main program. */
 static void count_interrupt(virtual_board *b, uint8_t vector, uint64_t cycles)
 {
@@ -498,26 +529,26 @@ static void count_interrupt(virtual_board *b, uint8_t vector, uint64_t cycles)
     if (vector != USART_RX && vector != USART_UDRE) {
         b->timed_now += cycles;
     }
+    if (vector == TIMER2_COMPB) {
+        b->tick_now += cycles;
+        keep_most(&b->tick_most, b->tick_now);
+    }
 }
 
-/* How long interrupts stay masked, what they take of a millisecond, and how long the main program's tick is: in
- * boards/uno/main.c it begins with WDR and ends with the LED. `cycles`: of one instruction, which was `code`, in the
- * interrupt `vector` (0: none). What libsimavr leaves out, the cycles of entering an interrupt, is added. */
-static void measure(virtual_board *b, uint16_t code, uint8_t vector, uint8_t depth, uint64_t cycles)
+/* How long interrupts stay masked, what they take of a millisecond, and how long the tick is, without those that come
+ * between. `cycles`: of one instruction in the interrupt `vector` (0: none). What libsimavr leaves out, the cycles of
+ * entering an interrupt, is added. */
+static void measure(virtual_board *b, uint8_t vector, uint8_t depth, uint64_t cycles)
 {
     const avr_int_table_t *interrupts = &b->avr->interrupts;
     const uint64_t entry = interrupts->running_ptr > depth ? ENTRY_CYCLES : 0u;
     if (vector != 0u) {
         count_interrupt(b, vector, cycles);
-    } else if (code == WDR || b->in_tick) {
-        b->tick_now = (code == WDR ? 0u : b->tick_now) + cycles;
-        b->in_tick = code != LED_ON && code != LED_OFF;
-        if (!b->in_tick) {
-            keep_most(&b->tick_most, b->tick_now);
-        }
     }
     if (entry > 0u) {
-        count_interrupt(b, interrupts->running[interrupts->running_ptr - 1]->vector, entry);
+        const uint8_t entered = interrupts->running[interrupts->running_ptr - 1]->vector;
+        b->tick_now = entered == TIMER2_COMPB ? 0u : b->tick_now;
+        count_interrupt(b, entered, entry);
     }
     if (b->avr->sreg[S_I]) {
         b->masked_now = 0;
@@ -534,15 +565,45 @@ static void measure(virtual_board *b, uint16_t code, uint8_t vector, uint8_t dep
     }
 }
 
+static bool may_stall(const virtual_board *b)
+{
+    const avr_t *avr = b->avr;
+    const uint8_t depth = avr->interrupts.running_ptr;
+    if (avr->state != cpu_Running || !avr->sreg[S_I] || (avr->data[TIMSK2] & (1u << OCIE2B)) == 0u) {
+        return false;
+    }
+    return b->stall == STALL_MAIN ? depth == 0u
+                                  : depth > 0u && avr->interrupts.running[depth - 1u]->vector == TIMER2_COMPB;
+}
+
+/* Sends the program into an endless loop where it is to stall, and back when that is over. */
+static void stall(virtual_board *b)
+{
+    avr_t *avr = b->avr;
+    if (b->stall_end == 0u && may_stall(b)) {
+        b->stall_pc = avr->pc;
+        b->stall_depth = avr->interrupts.running_ptr;
+        b->stall_end = avr->cycle + b->stall_cycles;
+        avr->pc = b->stall_trap;
+    } else if (b->stall_end != 0u && avr->cycle >= b->stall_end && avr->pc == b->stall_trap &&
+               avr->interrupts.running_ptr == b->stall_depth) {
+        avr->pc = b->stall_pc;
+        b->stall_end = 0;
+        b->stall = STALL_NONE;
+    }
+}
+
 static void step(virtual_board *b)
 {
+    if (b->stall != STALL_NONE) {
+        stall(b);
+    }
     avr_t *avr = b->avr;
     const avr_cycle_count_t from = avr->cycle;
     const bool was_asleep = avr->state == cpu_Sleeping;
     const avr_cycle_count_t most = b->measures ? 1u : RUN_CYCLES;
     const uint8_t depth = avr->interrupts.running_ptr;
     const uint8_t vector = depth > 0u ? avr->interrupts.running[depth - 1u]->vector : 0u;
-    const uint16_t code = opcode(avr);
     avr->run_cycle_limit = most; /* a reset sets it to 1 */
     if (avr->run_cycle_count > most) {
         avr->run_cycle_count = most;
@@ -560,7 +621,7 @@ static void step(virtual_board *b)
         b->awake_cycles += avr->cycle - from;
     }
     if (b->measures) {
-        measure(b, code, vector, depth, was_asleep ? 0u : avr->cycle - from);
+        measure(b, vector, depth, was_asleep ? 0u : avr->cycle - from);
     }
 }
 
@@ -673,6 +734,12 @@ static bool find_trap(const avr_t *avr, avr_flashaddr_t *at)
     return false;
 }
 
+static void die_of_timer2(virtual_board *b, unsigned bit)
+{
+    b->dead_of_timer2 = (uint8_t)(b->dead_of_timer2 | (1u << bit));
+    b->avr->data[TIMSK2] = (uint8_t)(b->avr->data[TIMSK2] & ~b->dead_of_timer2);
+}
+
 int32_t virtual_hang(virtual_board *b, int32_t how)
 {
     avr_t *avr = b->avr;
@@ -680,7 +747,11 @@ int32_t virtual_hang(virtual_board *b, int32_t how)
         step(b); /* out of an interrupt */
     }
     if (how == HANG_CLOCK) {
-        avr->data[TIMSK2] = (uint8_t)(avr->data[TIMSK2] & ~(1u << OCIE2A));
+        die_of_timer2(b, OCIE2A);
+        return 1;
+    }
+    if (how == HANG_TICK) {
+        die_of_timer2(b, OCIE2B);
         return 1;
     }
     if (how == HANG_CONVERTER) {
@@ -697,6 +768,17 @@ int32_t virtual_hang(virtual_board *b, int32_t how)
         avr->sreg[S_I] = 0;
         avr->interrupt_state = 0;
     }
+    return 1;
+}
+
+int32_t virtual_stall(virtual_board *b, int32_t what, int64_t ns)
+{
+    if (!find_trap(b->avr, &b->stall_trap)) {
+        return 0;
+    }
+    b->stall = (enum virtual_stall)what;
+    b->stall_cycles = cycle_of(b, ns);
+    b->stall_end = 0;
     return 1;
 }
 

@@ -16,13 +16,14 @@ typedef struct virtual_board virtual_board;
 typedef struct {
     double t_s, pin_V, motor_V, y_rad, v_rad_per_s, pin_changed_s;
     double awake_share;
-    /* Only where it measures, else 0. Shares are the most of any millisecond; timed: of clock, converter and contacts,
-     * without the serial port; tick_us: of the main program's tick, without the interrupts that come between. */
+    /* Only where it measures, else 0. Shares are the most of any millisecond; timed: of clock, tick, converter and
+     * contacts, without the serial port; tick_us: of the tick, without the interrupts that come between. */
     double masked_us, interrupt_share, timed_share, tick_us;
     int32_t led, resets, overruns, crashed, stack_bytes;
 } virtual_view;
 
-enum virtual_hang { HANG_MAIN, HANG_ALL, HANG_CLOCK, HANG_CONVERTER };
+enum virtual_hang { HANG_MAIN, HANG_ALL, HANG_CLOCK, HANG_CONVERTER, HANG_TICK };
+enum virtual_stall { STALL_NONE, STALL_MAIN, STALL_TICK };
 
 virtual_board *virtual_new(void);
 void virtual_free(virtual_board *b);
@@ -53,6 +54,9 @@ void virtual_contact(virtual_board *b, int32_t pin, int32_t is_open);
 
 /* The main loop stops, with interrupts or without, or an interrupt that it lives by. 0 if that cannot be done. */
 int32_t virtual_hang(virtual_board *b, int32_t how);
+
+/* The main loop's next round, or the next tick, takes so much longer; interrupts go on. 0 if that cannot be done. */
+int32_t virtual_stall(virtual_board *b, int32_t what, int64_t ns);
 
 /* Wiring faults from now on. NULL, or what is wrong with the names. */
 const char *virtual_rewire(virtual_board *b, const char *drive, const char *sensor);

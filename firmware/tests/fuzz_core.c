@@ -34,6 +34,7 @@ static struct {
     reference_line to_host, to_device;
     uint8_t reply[FRAME_CONTENT_MAX]; /* the last that was no block */
     size_t reply_length;
+    bool held, in_tick;
 } board;
 
 /* What may be, from what the device was told and said. */
@@ -48,6 +49,7 @@ static struct {
 } witness;
 
 static rig_core core;
+static rig_core seen; /* after the last tick or held section: what they share changes nowhere else */
 static rig_board hardware;
 
 static uint16_t u16(const uint8_t *at)
@@ -77,6 +79,7 @@ static uint32_t give_arrival(void *context)
 static uint16_t give_counts(void *context, uint32_t *t_us)
 {
     (void)context;
+    REQUIRE(board.held || board.in_tick);
     *t_us = board.now_us - 60u;
     return board.counts;
 }
@@ -102,9 +105,32 @@ static uint8_t give_supply(void *context)
 static void take_drive(void *context, int16_t units)
 {
     (void)context;
+    REQUIRE(board.held || board.in_tick);
     REQUIRE(size_of(units) <= hardware.drive_full);
     board.pin = units;
     board.drives++;
+}
+
+static void require_unchanged(void)
+{
+    REQUIRE(!board.held && !board.in_tick);
+    memcpy(&seen.rx, &core.rx, sizeof core.rx); /* the main loop's own */
+    REQUIRE(memcmp(&seen, &core, sizeof core) == 0);
+}
+
+static void hold_tick(void *context)
+{
+    (void)context;
+    require_unchanged();
+    board.held = true;
+}
+
+static void release_tick(void *context)
+{
+    (void)context;
+    REQUIRE(board.held);
+    board.held = false;
+    memcpy(&seen, &core, sizeof core);
 }
 
 /* A block's rows tell drives that were allowed. */
@@ -179,7 +205,7 @@ static void hold(void)
     }
     if (core.relaying) {
         REQUIRE(core.relay.z <= core.relay.setup.z_bound && core.relay.z >= -core.relay.setup.z_bound);
-        REQUIRE(core.blocks.pair[core.blocks.filling].n < core.blocks.rows && core.blocks.rows <= BLOCK_ROWS_MAX);
+        REQUIRE(core.blocks.ring[core.blocks.in].n < core.blocks.rows && core.blocks.rows <= BLOCK_ROWS_MAX);
     }
 }
 
@@ -342,7 +368,11 @@ static void tick(void)
 {
     board.now_us += RIG_TICK_US;
     before_call();
+    require_unchanged();
+    board.in_tick = true;
     rig_tick(&core);
+    board.in_tick = false;
+    memcpy(&seen, &core, sizeof core);
     REQUIRE(board.replies == 0u && board.blocks == 0u);
     hold_after_tick();
     let_stream();
@@ -353,7 +383,10 @@ static void reset(void)
     memset(&witness, 0, sizeof witness);
     board.pin = 77; /* whatever the pin was */
     board.to_device.n = 0;
+    board.held = true; /* no tick before it is done */
     rig_init(&core, &hardware, RIG_RESET_EXTERNAL);
+    board.held = false;
+    memcpy(&seen, &core, sizeof core);
     REQUIRE(board.pin == 0); /* P1 */
     hold();
 }
@@ -369,6 +402,8 @@ static void power_on(uint8_t choice)
     hardware.tach_counts = give_tachometer;
     hardware.set_drive = take_drive;
     hardware.transmit = take_bytes;
+    hardware.hold_tick = hold_tick;
+    hardware.release_tick = release_tick;
     hardware.build = "fuzz";
     hardware.board_id = RIG_BOARD_HOST;
     hardware.adc_max = adc_max[choice & 3u];

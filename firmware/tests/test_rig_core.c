@@ -68,7 +68,8 @@ static uint8_t fake_inputs(void *context)
 }
 
 static const rig_board BOARD = {NULL, fake_micros, fake_adc, fake_tach, fake_drive, fake_transmit, fake_inputs,
-                                "build 12345678901234567890", 1023, FULL, RIG_BOARD_HOST, RIG_FEATURE_TACHOMETER, NULL, NULL};
+                                "build 12345678901234567890", 1023, FULL, RIG_BOARD_HOST, RIG_FEATURE_TACHOMETER, NULL, NULL, NULL,
+                                NULL};
 
 static void power_on(void)
 {

@@ -27,10 +27,54 @@ static struct {
     uint8_t reply_length;
     told_block block[64];
     unsigned blocks;
+    bool held, in_tick;
+    unsigned points, tick_at; /* where the main loop can be interrupted: so many so far; a tick comes at this one */
 } board;
 
 static rig_core core;
+static rig_core seen; /* after the last tick or held section */
 static uint16_t seq;
+
+/* ---- the tick as an interrupt: nothing that it shares may change behind its back ---- */
+
+static void interrupt(void)
+{
+    CHECK(!board.held && !board.in_tick);
+    seen.rx = core.rx; /* the main loop's own */
+    CHECK(memcmp(&seen, &core, sizeof core) == 0);
+    board.in_tick = true;
+    rig_tick(&core);
+    board.in_tick = false;
+    memcpy(&seen, &core, sizeof core);
+}
+
+/* A point of the main loop at which the tick may come. */
+static void point(void)
+{
+    if (!board.held && !board.in_tick && ++board.points == board.tick_at) {
+        board.now_us += RIG_TICK_US - board.now_us % RIG_TICK_US;
+        interrupt();
+    }
+}
+
+static void fake_hold(void *context)
+{
+    (void)context;
+    point();
+    CHECK(!board.held && !board.in_tick);
+    seen.rx = core.rx;
+    CHECK(memcmp(&seen, &core, sizeof core) == 0);
+    board.held = true;
+}
+
+static void fake_release(void *context)
+{
+    (void)context;
+    CHECK(board.held);
+    board.held = false;
+    memcpy(&seen, &core, sizeof core);
+    point();
+}
 
 static uint32_t fake_micros(void *context)
 {
@@ -42,6 +86,7 @@ static uint16_t fake_adc(void *context, uint32_t *t_us)
 {
     (void)context;
     *t_us = board.now_us;
+    CHECK(board.held || board.in_tick);
     return board.counts;
 }
 
@@ -55,6 +100,7 @@ static void fake_drive(void *context, int16_t units)
 {
     (void)context;
     board.now_us += 7; /* it takes a while */
+    CHECK(board.held || board.in_tick);
     board.pin = units;
 }
 
@@ -99,10 +145,19 @@ static void fake_transmit(void *context, const uint8_t *bytes, uint8_t n)
             board.reply_length = length;
         }
     }
+    point();
 }
 
 static const rig_board BOARD = {NULL, fake_micros, fake_adc, fake_tach, fake_drive, fake_transmit, fake_inputs,
-                                "build", 1023, 799, RIG_BOARD_HOST, 0, NULL, NULL};
+                                "build", 1023, 799, RIG_BOARD_HOST, 0, NULL, NULL, fake_hold, fake_release};
+
+static void reset(void)
+{
+    board.held = true; /* no tick before it is done */
+    rig_init(&core, &BOARD, RIG_RESET_POWER_ON);
+    board.held = false;
+    memcpy(&seen, &core, sizeof core);
+}
 
 static void send(uint8_t type, const uint8_t *body, uint8_t n)
 {
@@ -156,7 +211,7 @@ static void armed(int polarity)
     memset(&board, 0, sizeof board);
     frame_receiver_init(&board.host);
     board.counts = 520;
-    rig_init(&core, &BOARD, RIG_RESET_POWER_ON);
+    reset();
     for (int i = 0; i < 7; i++) {
         at = put16(at, fields[i]);
     }
@@ -195,7 +250,7 @@ static int started(void)
 static void tick(void)
 {
     board.now_us += RIG_TICK_US - board.now_us % RIG_TICK_US;
-    rig_tick(&core);
+    interrupt();
     rig_stream(&core);
 }
 
@@ -291,7 +346,7 @@ static void test_late_and_skipped_ticks_begin_a_block(void)
     board.now_us += 4000;
     ticks(4);
     board.now_us += 150; /* a row off the grid, by more than the jitter that is allowed */
-    rig_tick(&core);
+    interrupt();
     rig_stream(&core);
     ticks(2);
     send(RIG_STOP, NULL, 0);
@@ -306,12 +361,13 @@ static void test_a_block_that_nobody_sends_is_missed(void)
     running();
     for (int k = 0; k < 35; k++) {
         board.now_us += RIG_TICK_US;
-        rig_tick(&core); /* and no rig_stream */
+        interrupt(); /* and no rig_stream */
     }
     rig_stream(&core);
     ticks(15);
-    CHECK(board.blocks == 3);
-    CHECK(board.block[0].number == 0 && board.block[1].number == 3 && board.block[2].number == 4);
+    CHECK(board.blocks == 4);
+    CHECK(board.block[0].number == 0 && board.block[1].number == 1);
+    CHECK(board.block[2].number == 3 && board.block[3].number == 4);
 }
 
 static void test_keep_alone_keeps_it_running(void)
@@ -488,7 +544,7 @@ static void test_a_reset_forgets_it(void)
 {
     running();
     ticks(3);
-    rig_init(&core, &BOARD, RIG_RESET_WATCHDOG);
+    reset();
     CHECK(board.pin == 0 && !core.relaying);
     ticks(30);
     CHECK(board.pin == 0 && board.blocks == 0);
@@ -500,14 +556,100 @@ static void test_wraps(void)
     running();
     board.now_us = 0u - 5u * RIG_TICK_US;
     send(RIG_KEEP, NULL, 0);
-    core.blocks.pair[core.blocks.filling].number = 0xFFFFu;
+    core.blocks.ring[core.blocks.in].number = 0xFFFFu;
+    memcpy(&seen, &core, sizeof core);
     for (int k = 0; k < 20; k++) {
         board.now_us += RIG_TICK_US;
-        rig_tick(&core);
+        interrupt();
         rig_stream(&core);
     }
     CHECK(board.blocks == 2 && board.block[0].number == 0xFFFFu && board.block[1].number == 0);
     CHECK(board.block[0].n == 10 && board.block[1].t_us - board.block[0].t_us == 10u * RIG_TICK_US + 7u);
+}
+
+/* The main loop was away for nearly two blocks' time: each row comes, in order. */
+static void test_a_main_loop_that_was_away_loses_nothing(void)
+{
+    for (unsigned away = 1; away < 2u * BLOCK_ROWS_MAX; away++) {
+        running();
+        for (unsigned k = 0; k < away; k++) {
+            board.now_us += RIG_TICK_US - board.now_us % RIG_TICK_US;
+            interrupt();
+        }
+        ticks(25);
+        send_drive(0);
+        unsigned rows = 0;
+        for (unsigned b = 0; b < board.blocks; b++) {
+            CHECK(board.block[b].number == b && (board.block[b].n == 0 || board.block[b].t_us == (1u + rows) * RIG_TICK_US));
+            rows += board.block[b].n;
+        }
+        CHECK(rows == away + 25u);
+    }
+}
+
+/* A tick at any point of the main loop while it takes the request that ends the relay: the rows are whole, the last block
+ * tells the end, nothing drives after it. */
+static void test_a_tick_between_any_two_steps_of_the_main_loop(void)
+{
+    static const uint8_t requests[] = {RIG_STOP, RIG_ARM, RIG_DRIVE, RIG_READ};
+    const uint8_t zero[2] = {0, 0};
+    for (unsigned r = 0; r < sizeof requests; r++) {
+        for (unsigned phase = 0; phase < 21u; phase++) {
+            unsigned points = 0;
+            for (unsigned at = 0; at <= points; at++) { /* first without */
+                running();
+                for (unsigned k = 0; k < phase; k++) {
+                    board.now_us += RIG_TICK_US - board.now_us % RIG_TICK_US;
+                    interrupt(); /* and no rig_stream: up to two blocks wait */
+                    if (k % BLOCK_ROWS_MAX == 4u) {
+                        rig_stream(&core);
+                    }
+                }
+                board.points = 0;
+                board.tick_at = at;
+                board.counts = requests[r] == RIG_READ ? LIMIT_HI + 1 : 520;
+                send(requests[r], zero, requests[r] == RIG_DRIVE ? 2 : 0);
+                points = at == 0 ? board.points : points;
+                board.tick_at = 0;
+                rig_stream(&core); /* a tick may have closed one more */
+                const bool answered = requests[r] == RIG_DRIVE || board.reply[1] == (requests[r] | RIG_REPLY);
+                CHECK(answered && board.pin == 0 && !core.relaying && core.armed == (requests[r] == RIG_ARM || requests[r] == RIG_DRIVE));
+                unsigned rows = 0;
+                for (unsigned b = 0; b < board.blocks; b++) {
+                    const told_block *told = &board.block[b];
+                    const bool is_last = b + 1u == board.blocks;
+                    CHECK(told->number == b && (told->status & RIG_STATUS_RELAY) == (is_last ? 0 : RIG_STATUS_RELAY));
+                    CHECK(told->n == 0 || told->t_us == (1u + rows) * RIG_TICK_US);
+                    rows += told->n;
+                }
+                CHECK(rows == phase || (at > 0 && rows == phase + 1u));
+                const unsigned told = board.blocks;
+                ticks(15);
+                CHECK(board.pin == 0 && board.blocks == told);
+            }
+            CHECK(points >= 4);
+        }
+    }
+}
+
+/* DRIVE, and a tick that sees the limit at any point around it: either way nothing is left at the pin. */
+static void test_a_fault_at_any_point_of_a_request(void)
+{
+    uint8_t body[2];
+    (void)put16(body, 60);
+    unsigned points = 0;
+    for (unsigned at = 0; at <= points; at++) {
+        armed(1);
+        board.points = 0;
+        board.tick_at = at;
+        board.inputs = RIG_INPUT_ESTOP;
+        send(RIG_DRIVE, body, 2);
+        points = at == 0 ? board.points : points;
+        CHECK(at == 0 ? board.pin == 60 : board.pin == 0 && core.fault == RIG_E_ESTOP);
+        tick();
+        CHECK(board.pin == 0 && core.latched && core.fault == RIG_E_ESTOP);
+    }
+    CHECK(points >= 2);
 }
 
 int main(void)
@@ -527,5 +669,8 @@ int main(void)
     test_gains_do_not_change_while_it_runs();
     test_a_reset_forgets_it();
     test_wraps();
+    test_a_main_loop_that_was_away_loses_nothing();
+    test_a_tick_between_any_two_steps_of_the_main_loop();
+    test_a_fault_at_any_point_of_a_request();
     return report("rig_relay");
 }

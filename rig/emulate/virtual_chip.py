@@ -16,10 +16,12 @@ from rig.model.bench import BenchParameters
 
 _BITS_PER_BYTE = 10
 _CONTACT_PIN = {"e_stop": 4, "end_low": 5, "end_high": 6}  # of port D: firmware/boards/uno/wiring.h
-_HANG = {"main loop": 0, "everything": 1, "clock": 2, "converter": 3}
+_HANG = {"main loop": 0, "everything": 1, "clock": 2, "converter": 3, "tick": 4}
+_STALL = {"main loop": 1, "tick": 2}
 
 Contact = Literal["e_stop", "end_low", "end_high"]
-Hang = Literal["main loop", "everything", "clock", "converter"]
+Hang = Literal["main loop", "everything", "clock", "converter", "tick"]
+Stall = Literal["main loop", "tick"]
 
 
 def uno_options(bench: BenchParameters, baud: int) -> UnoOptions:
@@ -57,8 +59,8 @@ class ChipTruth(NamedTuple):
     awake_share    share of the time in which the program did not sleep
     masked_us      longest time with interrupts masked; this and the next three only where it was made to
                    ``measure``, else 0
-    interrupt_share  most of a tick spent in interrupts; timed_share: in those of clock, converter and contacts alone
-    tick_us        longest tick of the main program, without the interrupts that come between
+    interrupt_share  most of a tick spent in interrupts; timed_share: all but the serial port's
+    tick_us        longest control tick, without the interrupts that come between
     led            is lit: armed, or blinking
     resets         by whatever, since power on
     overruns       bytes that the chip's receiver had no room for
@@ -153,9 +155,14 @@ class VirtualChip(VirtualDevice):
         self._library.virtual_contact(self._board, _CONTACT_PIN[which], is_open)
 
     def hang(self, what: Hang = "main loop") -> None:
-        """Stop the main loop, that and all interrupts, the clock's interrupt, or the converter's."""
+        """Stop the main loop, that and all interrupts, or one interrupt: the clock's, the converter's, the tick's."""
         if not self._library.virtual_hang(self._board, _HANG[what]):
             raise EmulationError("the firmware has no endless loop to hang it in")
+
+    def stall(self, what: Stall, duration_s: float) -> None:
+        """Let the main loop's next round, or the next tick, take so much longer; interrupts go on."""
+        if not self._library.virtual_stall(self._board, _STALL[what], round(1e9 * duration_s)):
+            raise EmulationError("the firmware has no endless loop to stall it in")
 
 
 @lru_cache
@@ -169,5 +176,6 @@ def _load(path: str) -> ctypes.CDLL:
             "virtual_boot": (None, [ctypes.c_uint8, ctypes.c_double]),
             "virtual_contact": (None, [integer, integer]),
             "virtual_hang": (integer, [integer]),
+            "virtual_stall": (integer, [integer, ctypes.c_int64]),
         },
     )

@@ -211,9 +211,9 @@ def test_the_limit_cycle_is_the_same_within_2_percent(simavr: Session, avr8js: S
     assert one.amplitude_counts * LSB_RAD > 0.5
 
 
-def driving(board: SecondChip) -> ChipHost:
+def driving(board: SecondChip, watchdog_ms: int = SETUP.watchdog_ms) -> ChipHost:
     host = ChipHost(board)  # type: ignore[arg-type]
-    host.setup()
+    host.setup(SETUP._replace(watchdog_ms=watchdog_ms))
     assert host.arm() == Code.NONE
     host.drive(50)
     host.wait(20 * PWM_S)
@@ -234,15 +234,28 @@ def test_the_e_stop_ends_the_pulses_within_a_tick_here_too() -> None:
 
 def test_the_hardware_watchdog_ends_a_hang_here_too() -> None:
     with SecondChip(QUICK) as board:
-        host = driving(board)
+        host = driving(board, watchdog_ms=1000)
         board.hang()
-        host.wait(0.11)  # the watchdog for the host's silence is as dead as the main loop
+        host.wait(0.11)
         assert host.pin_V() == pytest.approx(50 * UNIT_V, abs=PIN_V)
         host.wait(0.04)
         host.wait(40 * PWM_S)
         assert host.pin_V() == 0.0 and host.truth().resets == 1
         assert host.hello().reset_words == "watchdog"
         assert host.state().status == 0 and host.arm() == Code.NO_SETUP
+
+
+def test_the_tick_outlives_the_main_loop_here_too() -> None:
+    """The watchdog for the host's silence is the tick's, which interrupts the main loop."""
+    with SecondChip(QUICK) as board:
+        host = driving(board)
+        silent_s = board.now_s() - host.heard_s
+        board.hang()
+        host.wait(0.098 - silent_s)
+        assert host.pin_V() == pytest.approx(50 * UNIT_V, abs=PIN_V)
+        host.wait(0.004)
+        host.wait(40 * PWM_S)
+        assert host.pin_V() == 0.0 and host.truth().resets == 0
 
 
 def test_a_bench_that_it_does_not_have_is_refused() -> None:

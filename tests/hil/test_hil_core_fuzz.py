@@ -47,6 +47,12 @@ DEFECTS = {
     "P9 swapped end switches": ("rig_core.c", "is_high(core) && is_low(core)", "false"),
     "limits changed under drive": ("rig_core.c", "core->armed || !is_valid", "!is_valid"),
     "STOP leaves it armed": ("rig_core.c", "    disarm(core);\n    read_sensors", "    read_sensors"),
+    "a request that the tick may interrupt": ("rig_core.c", "        hold(core);\n        act_on(", "        act_on("),
+    "a block given free behind the tick's back": (
+        "rig_core.c",
+        "    hold(core);\n    blocks_sent(&core->blocks); /* all of it is in the packet */\n    release(core);",
+        "    blocks_sent(&core->blocks);",
+    ),
     "relay without a bound": ("relay.c", "if (value > bound)", "if (false)"),
     "one row too many": ("blocks.c", "now->n >= b->rows", "now->n > b->rows"),
 }

@@ -73,6 +73,8 @@ void device_init(device *d, const bench_params *p, void (*send)(void *, const ui
     d->board.board_id = RIG_BOARD_HOST;
     d->board.arrived_us = NULL;
     d->board.supply = NULL;
+    d->board.hold_tick = NULL;
+    d->board.release_tick = NULL;
     d->board.features = (uint8_t)(p->tachometer_rad_s_per_count != 0.0 ? RIG_FEATURE_TACHOMETER : 0);
     device_reset(d, RIG_RESET_POWER_ON);
 }

@@ -21,7 +21,7 @@ static volatile conversion of_tick;
 static volatile conversion newest;
 static volatile uint16_t tachometer;
 static volatile uint16_t motor_supply;
-static volatile bool tick_is_due;
+static volatile bool is_fresh; /* of_tick has not been taken yet */
 
 /* Of the interrupts alone. */
 static uint8_t turn = ROUND; /* of the conversion that runs; ROUND: none does */
@@ -68,7 +68,7 @@ ISR(ADC_vect)
         keep(&newest, counts);
         if (turn == 0u) {
             keep(&of_tick, counts);
-            tick_is_due = true;
+            is_fresh = true;
         }
     } else if (channel == CHANNEL_TACHOMETER) {
         tachometer = counts;
@@ -135,16 +135,11 @@ uint16_t adc_supply(void)
     return reading_of(&motor_supply);
 }
 
-bool adc_tick_is_due(void)
-{
-    return tick_is_due;
-}
-
 bool adc_take_tick(void)
 {
-    if (!tick_is_due) {
+    if (!is_fresh) {
         return false;
     }
-    tick_is_due = false;
+    is_fresh = false;
     return true;
 }

@@ -1,7 +1,6 @@
 /* The converter, by its interrupt: a round of conversions a millisecond, begun by the clock.
  *
- * The round's first conversion is the position, on a grid of exactly one tick; when it is done the tick is due. The
- * others keep position (and tachometer and supply) fresh for whoever asks in between: never older than 0.35 ms.
+ * The round's first conversion is the position, on a grid of exactly one tick: the control tick's. The others keep position (and tachometer and supply) fresh for whoever asks in between: never older than 0.35 ms.
  */
 #ifndef RIG_UNO_ADC_H
 #define RIG_UNO_ADC_H
@@ -29,10 +28,7 @@ adc_sample adc_newest_sample(void);
 uint16_t adc_tachometer(void);
 uint16_t adc_supply(void);
 
-/* Whether a tick is due; interrupts masked. */
-bool adc_tick_is_due(void);
-
-/* Whether a tick has come due since the last call; ticks that were missed count as one. */
+/* Whether a round's first conversion has been done since the last call. */
 bool adc_take_tick(void);
 
 #endif

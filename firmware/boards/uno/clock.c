@@ -1,5 +1,6 @@
 #include "clock.h"
 
+#include <avr/cpufunc.h>
 #include <avr/interrupt.h>
 #include <util/atomic.h>
 
@@ -16,9 +17,23 @@ static volatile uint8_t ticks;
 void clock_init(void)
 {
     OCR2A = (uint8_t)(COUNTS_PER_TICK - 1u);
+    OCR2B = (uint8_t)(CLOCK_TICK_US / US_PER_COUNT - 1u);
     TCCR2A = BIT(WGM21);
     TCCR2B = BIT(CS22);
+    clock_release_tick();
+}
+
+/* What is in registers goes to memory before, and is read anew after. */
+void clock_hold_tick(void)
+{
     TIMSK2 = BIT(OCIE2A);
+    _MemoryBarrier();
+}
+
+void clock_release_tick(void)
+{
+    _MemoryBarrier();
+    TIMSK2 = (uint8_t)(BIT(OCIE2A) | BIT(OCIE2B));
 }
 
 ISR(TIMER2_COMPA_vect)

@@ -1,7 +1,9 @@
 /* The core on an Arduino Uno (ATmega328P, 16 MHz). Wiring: wiring.h.
  *
- * Interrupts fill queues and flags; the core runs in the main loop alone, which sleeps when it has nothing to do. The
- * hardware watchdog is fed by the tick, which takes the clock's interrupt, the converter's and the main loop.
+ * The control tick (sample, checks, relay, drive) is an interrupt of the clock; it lets all others in, which are short.
+ * The main loop takes requests, answers them, sends what the tick has collected, and sleeps when there is nothing to do.
+ * The hardware watchdog is fed by a tick with a fresh sample after a round of the main loop: that takes both interrupts
+ * of the clock, the converter's, and the main loop.
  */
 #include <avr/interrupt.h>
 #include <avr/sleep.h>
@@ -21,7 +23,8 @@
 
 static uint8_t reset_flags __attribute__((section(".noinit")));
 static rig_core core;
-static bool in_tick; /* the core asks for the position on the grid of the ticks */
+static volatile bool in_tick; /* the core asks for the position on the grid of the ticks */
+static volatile bool has_been_round; /* the main loop, since the last tick */
 static uint8_t arrived; /* tick in which the byte arrived that the core is given */
 
 /* Before anything else: after its own reset the hardware watchdog runs on, at 16 ms. */
@@ -90,6 +93,18 @@ static uint8_t supply(void *context)
     return (uint8_t)(adc_supply() >> 2);
 }
 
+static void hold_tick(void *context)
+{
+    (void)context;
+    clock_hold_tick();
+}
+
+static void release_tick(void *context)
+{
+    (void)context;
+    clock_release_tick();
+}
+
 static const rig_board BOARD = {
     .context = NULL,
     .micros = micros,
@@ -105,6 +120,8 @@ static const rig_board BOARD = {
     .features = (RIG_TACHOMETER ? (uint8_t)RIG_FEATURE_TACHOMETER : 0u) | (RIG_SUPPLY ? (uint8_t)RIG_FEATURE_SUPPLY : 0u),
     .arrived_us = arrived_us,
     .supply = RIG_SUPPLY ? supply : NULL,
+    .hold_tick = hold_tick,
+    .release_tick = release_tick,
 };
 
 static void show(void)
@@ -120,17 +137,35 @@ static void show(void)
 
 static void tick(void)
 {
-    wdt_reset();
-    in_tick = true;
+    if (!adc_take_tick()) {
+        return; /* nothing to decide on; the next row's time tells, and a dead converter the hardware watchdog */
+    }
+    if (has_been_round) {
+        has_been_round = false;
+        wdt_reset();
+    }
     rig_tick(&core);
-    in_tick = false;
     show();
+}
+
+/* It lets the others in at once: the receiver holds two bytes. Itself it never lets in: a tick that comes due while the
+ * one before still runs is left out, and the next row's time tells. */
+ISR(TIMER2_COMPB_vect)
+{
+    if (in_tick) {
+        return;
+    }
+    in_tick = true;
+    sei();
+    tick();
+    cli();
+    in_tick = false;
 }
 
 static void sleep_unless_busy(void)
 {
     cli();
-    if (!uart_has_byte() && !adc_tick_is_due()) {
+    if (has_been_round && !uart_has_byte()) { /* no tick since: nothing to send, either */
         sleep_enable();
         sei(); /* the instruction after it still runs: no interrupt comes between */
         sleep_cpu();
@@ -153,11 +188,9 @@ int main(void)
     sei();
     for (;;) {
         uint8_t byte;
+        has_been_round = true;
         if (uart_take(&byte, &arrived)) {
             rig_byte(&core, byte);
-        }
-        if (adc_take_tick()) {
-            tick();
         }
         rig_stream(&core);
         sleep_unless_busy();

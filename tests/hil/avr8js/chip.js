@@ -40,6 +40,7 @@ const INTERRUPTS = 0x80;
 const RXC = 0x80;
 const MCUSR = 0x54;
 const POWER_ON = 1;
+const SLEEP = 0x9588;
 const ENDLESS = 0xcfff; // rjmp to itself: where a program without an end is sent when it ends
 
 function flash(path) {
@@ -97,7 +98,7 @@ class Chip {
     const { cpu } = this;
     const setFlag = cpu.setInterruptFlag.bind(cpu);
     cpu.setInterruptFlag = (interrupt) => {
-      if (interrupt === timer.OCFA) cpu.addClockEvent(() => setFlag(interrupt), timer.divider);
+      if (interrupt === timer.OCFA || interrupt === timer.OCFB) cpu.addClockEvent(() => setFlag(interrupt), timer.divider);
       else setFlag(interrupt);
     };
   }
@@ -235,6 +236,7 @@ class Chip {
   }
 
   hang() {
+    while (this.cpu.progMem[this.cpu.pc] !== SLEEP) this.#step(); // out of interrupts
     this.cpu.pc = this.cpu.progMem.indexOf(ENDLESS);
   }
 
