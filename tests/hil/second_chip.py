@@ -89,8 +89,9 @@ class SecondChip:
     def now_s(self) -> float:
         return self._now_ns / 1e9
 
-    def sleep_until(self, t_s: float) -> None:
+    def sleep_until(self, t_s: float) -> float:
         self._run(math.ceil(1e9 * t_s), until_byte=False)
+        return self.now_s()
 
     def truth(self) -> SecondTruth:
         return self._truth

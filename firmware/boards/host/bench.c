@@ -247,6 +247,8 @@ static double gauss(bench *b)
 
 /* ---- what the board sees ---- */
 
+static const double NOISY_COUNTS = 25.0;
+
 static int32_t quantise(double counts, int32_t counts_max)
 {
     const double rounded = floor(counts + 0.5);
@@ -266,10 +268,15 @@ int32_t bench_position_counts(bench *b)
     if (wiring == BENCH_SENSOR_STUCK && b->stuck_counts >= 0) {
         return b->stuck_counts;
     }
-    const double noise_rad = p->noise_rad > 0.0 ? p->noise_rad * gauss(b) : 0.0;
+    const double added_rad = wiring == BENCH_SENSOR_NOISY ? NOISY_COUNTS * fabs(p->rad_per_count) : 0.0;
+    const double deviation_rad = p->noise_rad + added_rad;
+    const double noise_rad = deviation_rad > 0.0 ? deviation_rad * gauss(b) : 0.0;
     const double from_centre = (b->y_rad + p->offset_rad + noise_rad) / p->rad_per_count;
     const double sign = wiring == BENCH_SENSOR_REVERSED ? -1.0 : 1.0;
-    const int32_t counts = quantise(p->centre_counts + sign * from_centre, p->counts_max);
+    int32_t counts = quantise(p->centre_counts + sign * from_centre, p->counts_max);
+    if (wiring == BENCH_SENSOR_JUMPED) {
+        counts = (counts + (p->counts_max + 1) / 4) % (p->counts_max + 1);
+    }
     b->stuck_counts = wiring == BENCH_SENSOR_STUCK ? counts : -1;
     return counts;
 }
@@ -393,7 +400,7 @@ static const struct {
 enum { OPTION_COUNT = sizeof OPTIONS / sizeof OPTIONS[0] };
 
 static const char *const DRIVE_NAMES[] = {"ok", "reversed", "dead", "stuck_on", NULL};
-static const char *const SENSOR_NAMES[] = {"ok", "reversed", "broken_low", "broken_high", "stuck", NULL};
+static const char *const SENSOR_NAMES[] = {"ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", NULL};
 
 const char *bench_option_name(unsigned i)
 {

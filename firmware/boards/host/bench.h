@@ -21,7 +21,9 @@ enum bench_sensor_wiring {
     BENCH_SENSOR_REVERSED,
     BENCH_SENSOR_BROKEN_LOW,
     BENCH_SENSOR_BROKEN_HIGH,
-    BENCH_SENSOR_STUCK
+    BENCH_SENSOR_STUCK,
+    BENCH_SENSOR_JUMPED, /* across its dead zone: a quarter of the range farther, round and round */
+    BENCH_SENSOR_NOISY   /* 25 counts */
 };
 
 typedef struct {
