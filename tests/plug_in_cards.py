@@ -11,7 +11,7 @@ from rig.daq.driver import DriverSettings
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.faults import Fault
 from rig.loop.clock import VirtualClock
-from rig.signals import Sample
+from rig.signals import Order, Sample
 
 
 def settings(**options: Any) -> DriverSettings:
@@ -21,6 +21,8 @@ def settings(**options: Any) -> DriverSettings:
 
 class VirtualCard(SimulatedDriver):
     """A card in virtual time with the demo's motor behind it."""
+
+    acts: Order = "sample_first"
 
     def __init__(self, settings: DriverSettings) -> None:
         unknown = set(settings.options) - {"seed"}
@@ -36,6 +38,7 @@ class VirtualCard(SimulatedDriver):
             settings.rail_counts,
             SimulatedLatency(0.0012, 0.0003),
             settings.options.get("seed", 1),
+            order=self.acts,
         )
         self.backend = "virtual card"
         self.dead = False  # the link, once a test has cut it
@@ -47,6 +50,12 @@ class VirtualCard(SimulatedDriver):
 
     def safe_stop(self) -> bool:
         return super().safe_stop() and not self.dead
+
+
+class WriteFirstCard(VirtualCard):
+    """What a tick decides goes out with the next one's exchange."""
+
+    acts: Order = "write_first"
 
 
 class BareCard:

@@ -60,7 +60,20 @@ class EffectWhenRead(VirtualCard):
 class WrongOrder(VirtualCard):
     """Says that it writes first, but what was written acts only after the sample of its tick."""
 
-    order = "write_first"
+    def __init__(self, settings: DriverSettings) -> None:
+        super().__init__(settings)
+        self.order = "write_first"
+
+    def write(self, u_V: float) -> None:
+        self.order = "sample_first"
+        super().write(u_V)
+        self.order = "write_first"
+
+    def read(self) -> Sample:
+        self.order = "sample_first"
+        sample = super().read()
+        self.order = "write_first"
+        return sample
 
 
 @caught_by("the_drive_is_reported_as_quantised")

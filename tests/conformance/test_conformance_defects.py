@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from broken_cards import CAUGHT_BY
-from plug_in_cards import VirtualCard
+from plug_in_cards import VirtualCard, WriteFirstCard
 
 from rig import conformance
 from rig.daq import registry
@@ -40,8 +40,9 @@ def failures(suite):
     return said
 
 
-def test_a_sound_driver_passes(monkeypatch):
-    offer(monkeypatch, VirtualCard)
+@pytest.mark.parametrize("card", [VirtualCard, WriteFirstCard])
+def test_a_sound_driver_passes(monkeypatch, card):
+    offer(monkeypatch, card)
     assert failures(conformance.suite(CONFIG, silence=True, cut=pull_the_plug)) == {}
 
 
