@@ -2,7 +2,7 @@
 CONFIG ?= config/demo$(if $(CHIP),-chip).yaml
 RIG := .venv/bin/rig
 
-.PHONY: help demo test check format bench paper safety firmware lock clean
+.PHONY: help demo test check format bench paper safety fuzz firmware lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -33,6 +33,9 @@ paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/rep
 
 safety: .venv/.ready firmware  ## what stops the drive, and how soon, on the Uno's emulated chip: docs/safety-table.md
 	PYTHONPATH=tools .venv/bin/python -m safety
+
+fuzz: .venv/.ready  ## what the host reads, fuzzed; SECONDS_EACH=60 for each target; counts are printed
+	PYTHONPATH=tools .venv/bin/python -m fuzz --seconds $(or $(SECONDS_EACH),60)
 
 firmware: .venv/.ready  ## the Uno's firmware (build/firmware/uno/rig_uno.hex), and the emulated board and chip
 	@$(MAKE) --no-print-directory -C firmware host uno chip

@@ -32,6 +32,7 @@ _PAUSE_S = 0.002  # between two of the exchanges that measure the clock
 _ATTEMPTS = 3  # of a request outside the loop
 _LOST_DRIVES = 3  # in a row: the drive that acts is no longer the host's
 _READ_BYTES = 512
+_STALE_READS = 64  # more than any port keeps
 _SUPPLY_TOLERANCE = 0.15  # of the divider in front of the converter, and of a loaded supply
 
 # Share of the wire time of a HELLO exchange that passes before the device reads its clock.
@@ -119,8 +120,9 @@ def await_introduction(transport: Transport, reader: frames.FrameReader, timeout
 
     Raises Fault LINK_HELLO after ``timeout_s``, LINK_VERSION, LINK_REJECTED or LINK_LOST.
     """
-    while transport.read(0.0):
-        pass  # what an earlier run left behind
+    for _ in range(_STALE_READS):  # what an earlier run left behind; a device that never falls silent leaves more
+        if not transport.read(0.0):
+            break
     started_s = transport.now_s()
     requests = stale_replies = 0
     while transport.now_s() - started_s < timeout_s:
@@ -419,7 +421,9 @@ class SerialDriver:
         Raises Fault LINK_GAP, LINK_LOST, LINK_TIMEOUT where blocks stay away, DEVICE_RESET, or what the device latched.
         """
         stream = self._running_stream()
-        while data := self._transport.read(0.0):
+        for _ in range(_STALE_READS):
+            if not (data := self._transport.read(0.0)):
+                break
             self._sort(self._reader.feed(data))
         self._take_blocks(stream)
         rows = stream.rows()
