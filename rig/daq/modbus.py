@@ -178,16 +178,11 @@ class ModbusDriver:
         Raises Fault LINK_TIMEOUT, LINK_UNIT, LINK_REPLY, MODBUS_EXCEPTION or LINK_LOST.
         """
         request, about = self._reading(self._read_span)
-        until_s = self._transport.now_s() + self._open_timeout_s
-        while True:
-            try:
-                self._values(self._read_span, self._asked(request, about, self._unhurried_s))
-                break
-            except Fault as fault:
-                if fault.code in ("LINK_LOST", "MODBUS_EXCEPTION") or self._transport.now_s() >= until_s:
-                    raise
+        self._until_answered(request, about)
         self._met = True
         vendor, product, revision = self._identity()
+        # a device that does not know that question may be deaf for a while after it: one on libmodbus for 0.5 s
+        self._until_answered(request, about)
         round_trip_s = min(self._asked(request, about, self._unhurried_s).round_trip_s for _ in range(_INTRODUCTIONS))
         emulated = self._emulated or (vendor, product) == _EMULATED
         board = " ".join(part for part in (vendor, product) if part) or "Modbus device"
@@ -375,6 +370,17 @@ class ModbusDriver:
         while (left_s := until_s - self._transport.now_s()) > 0.0:
             self._throw_away(self._transport.read(left_s))
         self._suspect = False
+
+    def _until_answered(self, request: ModbusPDU, about: str) -> None:
+        """Read again and again, for as long as a device may take to introduce itself; raises the last fault."""
+        until_s = self._transport.now_s() + self._open_timeout_s
+        while True:
+            try:
+                self._values(self._read_span, self._asked(request, about, self._unhurried_s))
+                return
+            except Fault as fault:
+                if fault.code in ("LINK_LOST", "MODBUS_EXCEPTION") or self._transport.now_s() >= until_s:
+                    raise
 
     def _identity(self) -> tuple[str, str, str]:
         """Vendor, product and revision as FC43 tells them; empty where the device does not."""

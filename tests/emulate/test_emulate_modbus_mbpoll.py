@@ -21,7 +21,7 @@ from rig.config.schema import Experiment
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 PORT = {"rtu": "emulated", "tcp": "emulated-tcp"}
-WATCHDOG_MS = 1000
+WATCHDOG_MS = 800
 
 
 class Mbpoll:

@@ -302,8 +302,8 @@ static void take_option(const char *option)
     }
     if (!strcmp(option, "table=input"))
         read_is_input = 1;
-    else if (!strcmp(option, "word_order=low-first"))
-        low_word_first = 1;
+    else if (!strcmp(option, "word_order=low-first") || !strcmp(option, "word_order=high-first"))
+        low_word_first = value[0] == 'l';
     else if (!strncmp(option, "log=", 4)) {
         executed = fopen(value, "w");
         if (!executed)
