@@ -22,6 +22,7 @@ import time
 import tty
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
@@ -37,7 +38,7 @@ from libmodbus_peer import EXAMPLE_MAP, LibmodbusSlave  # noqa: E402  # in tests
 PAUSE_S = 0.003  # more than the silence that RTU asks for between frames
 WARM_UP = 20
 GOAL_MS = 0.5
-TIMEOUT_S = 1.0
+TIMEOUT_S = 0.5
 # read 4 registers from 16, write 2 from 0: drive 0, sequence 0
 REQUEST = bytes.fromhex("17 0010 0004 0000 0002 04 0000 0000")
 REPLY_BYTES = 2 + 2 * 4
@@ -110,7 +111,7 @@ def ours(slave: LibmodbusSlave, stack: ExitStack) -> Exchange:
     daq = experiment.daq.model_copy(update={"port": slave.port, "timeout_s": TIMEOUT_S})
     experiment = experiment.model_copy(update={"daq": daq})
     driver = stack.enter_context(connect(experiment)).driver
-    driver.arm(limits_of(experiment)._replace(watchdog_s=1.0))
+    driver.arm(replace(limits_of(experiment), watchdog_s=1.0))
     return driver.read
 
 
@@ -161,7 +162,7 @@ def main() -> int:
     """Both links, one after the other."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--rounds", type=int, default=700)
+    parser.add_argument("--rounds", type=int, default=500)
     arguments = parser.parse_args()
     result: dict[str, object] = {"rounds": arguments.rounds, "goal_rig_overhead_median_ms": GOAL_MS}
     for name, kind in (("rtu_pty", "rtu"), ("tcp_loopback", "tcp")):
