@@ -7,11 +7,13 @@ from collections.abc import Sequence
 
 from rig.emulate.rtu_slave import Direction
 
+_DIRECTIONS: tuple[Direction, ...] = ("request", "reply")
+
 
 class Corruption:
     """Random damage to single bytes: changed, lost or come from nowhere, at most one in what is sent at a time.
 
-    rate_1_s  how many a second, evenly; what the line had no traffic for comes with the next traffic
+    rate_1_s  how many a second, of requests and replies alike; where there is no traffic they wait for it
     seed      of where and what
     after_s   when it begins
     """
@@ -21,13 +23,15 @@ class Corruption:
         self._rate_1_s = rate_1_s
         self._after_s = after_s
         self._random = random.Random(seed)
+        self._next: Direction = self._random.choice(_DIRECTIONS)
 
     def __call__(self, direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
         """As a Disturbance."""
-        if (t_s - self._after_s) * self._rate_1_s < self.done + 1:
+        if direction != self._next or (t_s - self._after_s) * self._rate_1_s < self.done + 1:
             return ((0.0, data),)
         self.done += 1
         draw = self._random
+        self._next = draw.choice(_DIRECTIONS)
         at, damage = draw.randrange(len(data)), draw.randrange(4)
         if damage == 0:
             return ((0.0, data[:at] + data[at + 1 :]),)

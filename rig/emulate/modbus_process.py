@@ -202,7 +202,6 @@ def main() -> None:
             gc.freeze()
             _run(block, port, trace, start_s, ends, watches_stdin=asked.exit_with_stdin)
             block.power_off()
-            trace.row(block)
     except (OSError, EmulationError) as error:
         _fail(str(error))
 
