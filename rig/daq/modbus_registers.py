@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, NamedTuple, Self
 
 from pymodbus.client.mixin import ModbusClientMixin
@@ -77,17 +78,18 @@ class Register(NamedTuple):
         return f"{self.name}, {self.table} {where}"
 
 
-class Span(NamedTuple):
+@dataclass(frozen=True)
+class Span:
     """Registers that one request takes, gaps included."""
 
     registers: tuple[Register, ...]
 
-    @property
+    @cached_property  # asked for in every tick
     def address(self) -> int:
         """The first."""
         return min(r.address for r in self.registers)
 
-    @property
+    @cached_property
     def words(self) -> int:
         """How many."""
         return max(r.address + r.words for r in self.registers) - self.address
@@ -107,6 +109,10 @@ class Span(NamedTuple):
 
     def __str__(self) -> str:
         """As a fault names it: the first register's name, then those beside it."""
+        return self._text
+
+    @cached_property
+    def _text(self) -> str:
         one = str(self.registers[0])
         others = [f"{r.name} {r.address}" for r in self.registers[1:]]
         return f"{one}" + (f" (with {', '.join(others)})" if others else "")
