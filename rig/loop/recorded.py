@@ -143,33 +143,42 @@ class Tape:
 
     @property
     def must_come_again(self) -> bool:
-        """Whether the fault that ended the run is one that laws or guard raised on the last row."""
-        fault = self.fault
-        on_last_row = self.ends_in_tick or (bool(self.t_s) and self.in_device[-1])
-        return fault is not None and fault.code in _OF_LAW_OR_GUARD and on_last_row
+        """Whether the fault that ended the run is one that laws or guard raised on a sample.
 
-    def wait(self) -> None:
-        """Let time pass to just before the next row's tick, so that the loop skips the ticks that have no row."""
+        One of the same name came from the device where the last drive had gone out and nothing was read since.
+        """
+        fault = self.fault
+        if fault is None or fault.code not in _OF_LAW_OR_GUARD:
+            return False
+        is_open = bool(self.t_s) and not self.in_device[-1] and math.isnan(self.t_u_s[-1])
+        return self.ends_in_tick or not is_open
+
+    def set_clock(self) -> None:
+        """Put the clock just before the next row's tick, so that the loop goes on there: it skips what has no row.
+
+        Even back, where the loop has slept until a tick to read what came of its last drive.
+        """
         if not self.is_over:
-            self.now_s = max(self.now_s, (self.ticks[self.next] - 0.5) * self.period_s)
+            self.now_s = (self.ticks[self.next] - 0.5) * self.period_s
 
     def advance(self) -> None:
         """On to the next row."""
         self.next += 1
-        self.wait()
+        self.set_clock()
         if self.is_over and self.fault is not None and self.fault.code == "INTERRUPTED":
             self._stop.reason = self.fault.detail
         if self._on_progress is not None and (self.next % _TELL_EVERY_ROWS == 0 or self.is_over):
             self._on_progress(self.next, len(self))
 
-    def end(self) -> NoReturn:
+    def end(self, *, arming: bool = False) -> NoReturn:
         """The replay goes on where the record does not: for the reason that the run had, or else they differ.
 
+        ``arming``: the device is about to be armed, and may have refused.
         Raises the run's Fault where it was none of law or guard, RecordEnds, or Diverged.
         """
         fault = self.fault
         if fault is not None and fault.code not in _AFTER_DRIVING:
-            if self.must_come_again:
+            if self.must_come_again and not arming:
                 raise self.missed_fault()
             raise fault
         if not self._is_whole:
@@ -269,9 +278,9 @@ class RecordedDriver:
     def arm(self, limits: Limits) -> None:
         """Go on at the next row; raises as ``Tape.end`` where there is none."""
         if self._tape.is_over:
-            self._tape.end()
+            self._tape.end(arming=True)
         self._is_armed_anew = True
-        self._tape.wait()
+        self._tape.set_clock()
 
     def read(self) -> Sample:
         """The next row's sample, with what the row before it says of the last drive; raises as ``Tape.end``.
@@ -328,6 +337,7 @@ class RecordedDriver:
         if not self._tape.in_device[row]:
             raise self._tape.diverged(row, "record", "a tick of the loop", "the relay in the device starts")
         self._device_stage = self._tape.stages[row]
+        self._tape.set_clock()
 
     def keep(self) -> None:
         """Nobody to tell."""
