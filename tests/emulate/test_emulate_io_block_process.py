@@ -15,8 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 from modbus_device import (
     APPLIED,
+    CONFIG,
     CONTROL,
     DRIVE,
     POSITION,
@@ -34,6 +36,7 @@ from modbus_device import (
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
+from rig.cli import main
 from rig.emulate.firmware_build import EmulationError
 from rig.emulate.misbehaviour import Misbehaviour
 from rig.emulate.modbus_board import ModbusBoard, mbpoll_line
@@ -179,6 +182,18 @@ def test_the_line_to_try_it_is_of_the_table_and_line_of_the_config() -> None:
     plain = modbus({"position": {"table": "input", "type": "int32", "address": 4}}, parity="even", unit=9)
     wanted = "mbpoll -m rtu -b 9600 -P even -s 1 -0 -1 -a 9 -t 3 -r 4 -c 16 /dev/ttyUSB0"
     assert mbpoll_line(plain, "/dev/ttyUSB0", 9600) == wanted
+
+
+@pytest.mark.parametrize(
+    ("config", "option", "says"),
+    [
+        ("modbus-rtu", "--chip", "the Uno, which does not speak Modbus"),
+        ("modbus-tcp", "--link=x", "a TCP port cannot have a symbolic link"),
+    ],
+)
+def test_the_command_refuses_what_the_device_has_not(config: str, option: str, says: str) -> None:
+    done = CliRunner().invoke(main, ["emulate", str(CONFIG / f"{config}.yaml"), option])
+    assert done.exit_code in (1, 2) and says in done.stderr
 
 
 def test_a_killed_host_leaves_0_V_and_its_device_ends_with_it(tmp_path: Path) -> None:
