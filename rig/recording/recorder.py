@@ -1,7 +1,8 @@
 """The loop's side of the record: rows and events go into shared memory, another process puts them on disk.
 
 ``sample``, ``complete`` and ``event`` only write memory. They never wait: where the writer does not keep up the row is
-dropped and counted, and ``check`` raises long before that.
+dropped and counted, and ``check`` raises long before that: when the writer has ended, when it has written nothing for
+some seconds although rows wait, and when the memory is nearly full.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import json
 import math
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -52,6 +54,7 @@ class Recorder:
     """
 
     close_timeout_s = 10.0  # longest wait for the writer in ``close``
+    stall_timeout_s = 10.0  # rows may wait so long without any being written: a disk may take seconds, a loss is near
 
     def __init__(
         self, folder: Path, stages: Sequence[str], capacity_rows: int = 65536, capacity_events: int = 2048
@@ -73,6 +76,8 @@ class Recorder:
         self._opened = 0
         self._open_offset = -1  # of the row that ``complete`` is to finish
         self._dropped = False  # that row found no room
+        self._taken = 0  # rows that were written when ``check`` looked last
+        self._stalled_since_s: float | None = None  # when it first saw rows wait and none written since
         self._closed = False
 
         try:
@@ -190,8 +195,8 @@ class Recorder:
         self._counters[layout.EVENT_BYTES] = written + len(line)
 
     def check(self) -> None:
-        """Raise Fault RECORDER_DEAD where the writer has ended, failed, lost anything or is far behind; cheap."""
-        reason = self._ended() or self._lost() or self._far_behind()
+        """Raise Fault RECORDER_DEAD where the writer has ended, failed, lost anything, or does not keep up; cheap."""
+        reason = self._ended() or self._lost() or self._far_behind() or self._stalled()
         if reason:
             raise Fault("RECORDER_DEAD", reason)
 
@@ -200,9 +205,8 @@ class Recorder:
 
         Raises Fault RECORDER_DEAD as ``check``, and where the writer takes longer than ``timeout_s``.
         """
-        wanted = self._opened if self._open_offset < 0 else self._opened - 1
         deadline_s = time.monotonic() + timeout_s
-        while self._counters[layout.ROWS_TAKEN] < wanted:
+        while self._counters[layout.ROWS_TAKEN] < self._finished_rows():
             self.check()
             if time.monotonic() > deadline_s:
                 raise Fault("RECORDER_DEAD", f"rows not on disk after {timeout_s:.0f} s")
@@ -213,14 +217,15 @@ class Recorder:
     def close(self) -> None:
         """Write everything, the open row included, and end the writer; at most ``close_timeout_s`` (twice, if killed).
 
-        If the writer was killed a second one writes what it left. Raises Fault RECORDER_DEAD where rows or events
-        are lost or not yet on disk. A second call does nothing.
+        If the writer was killed a second one writes what it left; if it was stopped it is told to go on. Raises Fault
+        RECORDER_DEAD where rows or events are lost or not yet on disk. A second call does nothing.
         """
         if self._closed:
             return
         self._closed = True
         self._counters[layout.CLOSED] = 1
         try:
+            self._process.send_signal(signal.SIGCONT)
             self._await_end()
             if self._process.returncode < 0:  # killed: the rows are still in memory, and the files say how far it got
                 self._process = self._start_writer(subprocess.DEVNULL)
@@ -274,6 +279,21 @@ class Recorder:
         if 8 * event_bytes > 7 * self._capacity_event_bytes:
             return f"{event_bytes} bytes of events wait to be written, of {self._capacity_event_bytes} that fit"
         return ""
+
+    def _stalled(self) -> str:
+        taken, now_s = self._counters[layout.ROWS_TAKEN], time.monotonic()
+        if taken != self._taken or taken >= self._finished_rows():
+            self._taken, self._stalled_since_s = taken, None
+        elif self._stalled_since_s is None:
+            self._stalled_since_s = now_s
+        elif now_s - self._stalled_since_s > self.stall_timeout_s:
+            rows = self._opened - taken
+            return f"process {self._process.pid} has written nothing for {self.stall_timeout_s:g} s, {rows} rows wait"
+        return ""
+
+    def _finished_rows(self) -> int:
+        """Rows that will not change any more: all but the open one."""
+        return self._opened if self._open_offset < 0 else self._opened - 1
 
     def _unwritten(self) -> str:
         rows = self._opened - self._counters[layout.ROWS_TAKEN]

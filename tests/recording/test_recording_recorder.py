@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import gc
 import json
 import math
@@ -375,16 +376,63 @@ def test_rows_and_events_that_find_no_room_are_counted_and_never_overwrite(small
     assert [event["k"] for event in run.events[:-1]] == list(range(len(run.events) - 1))
 
 
-def test_close_does_not_wait_for_ever(small: Recorder, tmp_path: Path) -> None:
-    record(small, range(10))
-    small.close_timeout_s = 0.05
-    pid = small.writer_pid
-    os.kill(pid, signal.SIGSTOP)
-    with pytest.raises(Fault, match=r"RECORDER_DEAD.*not finished within 0\.05 s.*left running"):
-        small.close()
-    os.kill(pid, signal.SIGCONT)  # and then it finishes by itself
-    assert small._process.wait(20) == 0
-    assert len(read_run(tmp_path)) == 10
+@contextlib.contextmanager
+def hanging_disk(folder: Path) -> Iterator[int]:
+    """Samples go into a pipe that takes 4 kB and then no more; yields its other end."""
+    os.mkfifo(folder / "samples.csv")
+    pipe = os.open(folder / "samples.csv", os.O_RDWR | os.O_NONBLOCK)
+    fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 4096)
+    try:
+        yield pipe
+    finally:
+        os.close(pipe)
+
+
+def drained(pipe: int, process: subprocess.Popen[bytes]) -> bytes:
+    """Everything that the process writes into the pipe until it ends."""
+    data = b""
+    while process.poll() is None or select.select([pipe], [], [], 0.0)[0]:
+        if select.select([pipe], [], [], 0.01)[0]:
+            data += os.read(pipe, 65536)
+    return data
+
+
+def test_a_stopped_writer_is_reported_long_before_the_memory_is_full_and_no_row_is_lost(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, STAGES)
+    recorder.stall_timeout_s = 0.2
+    os.kill(recorder.writer_pid, signal.SIGSTOP)
+    opened = 0
+    with pytest.raises(Fault, match=r"RECORDER_DEAD.*has written nothing for 0\.2 s, \d+ rows wait"):
+        while opened < 60_000:  # 7/8 of what the memory holds are 57,344
+            record(recorder, range(opened, opened + 1))
+            opened += 1
+            recorder.check()
+            time.sleep(0.001)
+    recorder.close()  # tells it to go on
+    assert opened < 10_000
+    assert list(read_run(tmp_path).tick) == list(range(opened))
+
+
+def test_a_pause_without_rows_or_checks_is_no_stall(recorder: Recorder) -> None:
+    recorder.stall_timeout_s = 0.1
+    for round_ in range(3):
+        record(recorder, range(10 * round_, 10 * round_ + 10))
+        recorder.check()
+        recorder.drain()
+        time.sleep(0.15)
+        recorder.check()  # nothing waits
+
+
+def test_close_does_not_wait_for_ever(tmp_path: Path) -> None:
+    with hanging_disk(tmp_path) as pipe:
+        recorder = Recorder(tmp_path, STAGES)
+        record(recorder, range(100))
+        recorder.close_timeout_s = 0.05
+        process = recorder._process
+        with pytest.raises(Fault, match=r"RECORDER_DEAD.*not finished within 0\.05 s.*left running"):
+            recorder.close()
+        data = drained(pipe, process)  # the disk goes on, and then it finishes by itself
+    assert data.count(b"\n") == 101
 
 
 def test_close_twice_is_harmless(small: Recorder) -> None:
