@@ -1,0 +1,5 @@
+"""Does the driver keep what it promises, on the card of card.yaml? The motor may twitch: docs/plug-in-driver.md."""
+
+import rig.conformance
+
+TestCard = rig.conformance.suite("card.yaml")
