@@ -32,6 +32,7 @@ _PAUSE_S = 0.002  # between two of the exchanges that measure the clock
 _ATTEMPTS = 3  # of a request outside the loop
 _LOST_DRIVES = 3  # in a row: the drive that acts is no longer the host's
 _READ_BYTES = 512
+_LEAST_FULL_UNITS = 50  # coarser, and no drive is near what was asked for
 _STALE_READS = 64  # more than any port keeps
 _SUPPLY_TOLERANCE = 0.15  # of the divider in front of the converter, and of a loaded supply
 
@@ -494,8 +495,11 @@ class SerialDriver:
 
     def _check(self, hello: Hello) -> None:
         """Raise where config and device do not fit."""
-        if not 0 < hello.drive_full <= 32767:
-            raise Fault("LINK_HELLO", f"the device says full drive is {hello.drive_full} units")
+        if not _LEAST_FULL_UNITS <= hello.drive_full <= 32767:
+            raise Fault(
+                "LINK_HELLO",
+                f"the device says full drive is {hello.drive_full} units; {_LEAST_FULL_UNITS} to 32767 are a drive",
+            )
         if self._counts_max is not None and hello.adc_max != self._counts_max:
             raise Fault(
                 "CONFIG_MISMATCH",
