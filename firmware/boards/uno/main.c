@@ -148,17 +148,20 @@ static void tick(void)
     show();
 }
 
-/* It lets the others in at once: the receiver holds two bytes. Itself it never lets in: a tick that comes due while the
- * one before still runs is left out, and the next row's time tells. */
+/* It lets the others in at once: the receiver holds two bytes. What is to be sent can wait, so that the drive follows the
+ * sample after a time that is always the same. Itself it never lets in: a tick that comes due while the one before still
+ * runs is left out, and the next row's time tells. */
 ISR(TIMER2_COMPB_vect)
 {
     if (in_tick) {
         return;
     }
     in_tick = true;
+    const uint8_t control = uart_pause_sending();
     sei();
     tick();
     cli();
+    uart_resume_sending(control);
     in_tick = false;
 }
 

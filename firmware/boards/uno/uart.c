@@ -10,6 +10,8 @@
 #error "this baud rate cannot be made from 16 MHz to 2.5 %: take 115200 or 1000000"
 #endif
 
+#define QUIET ((uint8_t)(BIT(RXCIE0) | BIT(RXEN0) | BIT(TXEN0))) /* receives, and sends nothing */
+
 #define QUEUE 256u /* so that indices wrap by themselves; a relay's end sends two blocks of 66 bytes and a reply */
 
 /* One side only writes `in`, the other only `out`, each a single byte: nothing to mask. */
@@ -30,7 +32,7 @@ void uart_init(void)
     UBRR0H = (uint8_t)(divisor >> 8);
     UBRR0L = (uint8_t)(divisor & 0xFFu);
     UCSR0C = (uint8_t)(BIT(UCSZ01) | BIT(UCSZ00)); /* 8 bits, no parity, 1 stop bit */
-    UCSR0B = (uint8_t)(BIT(RXCIE0) | BIT(RXEN0) | BIT(TXEN0));
+    UCSR0B = QUIET;
 }
 
 ISR(USART_RX_vect)
@@ -68,7 +70,7 @@ ISR(USART_UDRE_vect)
     const uint8_t next = (uint8_t)(out + 1u);
     to_send.out = next;
     if (next == to_send.in) {
-        UCSR0B = (uint8_t)(BIT(RXCIE0) | BIT(RXEN0) | BIT(TXEN0));
+        UCSR0B = QUIET;
     }
 }
 
@@ -84,5 +86,17 @@ void uart_send(const uint8_t *bytes, uint8_t n)
         in++;
     }
     to_send.in = in; /* whole frames only */
-    UCSR0B = (uint8_t)(BIT(RXCIE0) | BIT(UDRIE0) | BIT(RXEN0) | BIT(TXEN0));
+    UCSR0B = (uint8_t)(QUIET | BIT(UDRIE0));
+}
+
+uint8_t uart_pause_sending(void)
+{
+    const uint8_t control = UCSR0B;
+    UCSR0B = QUIET;
+    return control;
+}
+
+void uart_resume_sending(uint8_t control)
+{
+    UCSR0B = control;
 }
