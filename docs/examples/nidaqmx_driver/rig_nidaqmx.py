@@ -63,19 +63,18 @@ class Options:
         for name in ("device", "position", "wiring", "drive"):
             if not isinstance(options.get(name, ""), str):
                 raise ValueError(f"{name} must be text, not {options[name]!r}")
-        for name in ("counts_per_V", "amplifier_gain", "drive_bits"):
-            value = options.get(name, 1)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0.0:
-                raise ValueError(f"{name} must be a number above 0, not {value!r}")
-        found = cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in options.items()})
-        if found.wiring not in _WIRINGS:
-            raise ValueError(f"wiring must be one of {', '.join(_WIRINGS)}, not {found.wiring}")
-        low_high = found.position_V
-        if len(low_high) != 2 or not all(isinstance(v, int | float) for v in low_high) or low_high[0] >= low_high[1]:
-            raise ValueError(f"position_V must be [low, high] in V, not {list(low_high)}")
-        if found.drive_bits not in range(8, 25):
-            raise ValueError(f"drive_bits must be a whole number from 8 to 24, not {found.drive_bits!r}")
-        return found
+        for name in ("counts_per_V", "amplifier_gain"):
+            if not (_is_number(options.get(name, 1)) and options.get(name, 1) > 0.0):
+                raise ValueError(f"{name} must be a number above 0, not {options[name]!r}")
+        if options.get("wiring", "RSE") not in _WIRINGS:
+            raise ValueError(f"wiring must be one of {', '.join(_WIRINGS)}, not {options['wiring']}")
+        if options.get("drive_bits", 16) not in range(8, 25):
+            raise ValueError(f"drive_bits must be a whole number from 8 to 24, not {options['drive_bits']!r}")
+        match options.get("position_V", [0, 5]):
+            case [low, high] if _is_number(low) and _is_number(high) and low < high:
+                return cls(**{**options, "position_V": (low, high)})
+            case other:
+                raise ValueError(f"position_V must be [low, high] in V, not {other!r}")
 
 
 class CardDriver:
@@ -190,7 +189,9 @@ class CardDriver:
             raise Fault("DEVICE_NOT_ARMED", f"{u_V:.3f} V")
         if abs(units) > abs(self._drive_map.to_units(self._limits.max_u_V)):
             raise ValueError(f"drive {u_V:g} V is beyond the {self._limits.max_u_V:g} V armed for")
+        before_s = self.now_s()
         self._set(units)
+        self._t_u_s = 0.5 * (before_s + self.now_s())
 
     def safe_stop(self) -> bool:
         """Set 0 V and disarm. False where the card did not take it: then only its supply stops the motor."""
@@ -213,11 +214,9 @@ class CardDriver:
                 task.close()
 
     def _set(self, units: int) -> None:
-        before_s = self.now_s()
         with self._faults():
             # on demand, this returns once the converter has it: that is all the card ever says of its output
             self._output.write(units * self._unit_V, timeout=self._timeout_s)
-        self._t_u_s = 0.5 * (before_s + self.now_s())
         self._units = units
         self._counts["writes"] += 1
 
@@ -231,6 +230,10 @@ class CardDriver:
         except DaqError as error:
             self._counts["errors"] += 1
             raise Fault("LINK_LOST", f"{self.options.device}: {_first_line(error)}") from error
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _first_line(error: Exception) -> str:
