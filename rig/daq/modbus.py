@@ -205,7 +205,7 @@ class ModbusDriver:
         settings, max_units = self._settings(limits)
         self._armed = False
         self._settle()
-        self._write_stop()
+        self._write_stop(self._patiently, self._unhurried_s)
         for register, value in settings:
             self._set(register, value)
         self._max_units = max_units
@@ -280,7 +280,7 @@ class ModbusDriver:
         for _ in range(_ATTEMPTS):
             try:
                 self._settle()
-                self._write_stop(self._timeout_s)
+                self._write_stop(self._asked, self._timeout_s)
                 if self._is_stopped():
                     return True
             except Fault as fault:
@@ -335,14 +335,13 @@ class ModbusDriver:
         if stored != words:
             raise Fault("ARM_READBACK", f"{register}: sent {value:g}, stored {register.unpack(stored):g}")
 
-    def _write_stop(self, timeout_s: float | None = None) -> None:
+    def _write_stop(self, asked: Callable[[ModbusPDU, str, float], _Reply], timeout_s: float) -> None:
         """Control to stop, drive 0, both confirmed by their replies; raises Fault."""
-        timeout_s = self._unhurried_s if timeout_s is None else timeout_s
         control = self._map.control
         if control is not None:
-            self._asked(*self._writing(control, self._map.stop), timeout_s)
+            asked(*self._writing(control, self._map.stop), timeout_s)
         try:
-            self._asked(*self._writing(self._map.drive, 0.0), timeout_s)
+            asked(*self._writing(self._map.drive, 0.0), timeout_s)
         except Fault as fault:
             # some devices take no drive at all, not even 0, while they are stopped
             if fault.code != "MODBUS_EXCEPTION" or control is None:

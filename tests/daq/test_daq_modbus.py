@@ -1,0 +1,414 @@
+"""The Modbus driver against the emulated I/O block in virtual time: what it drives, and every fault of a reply."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.bench import emulated_io_block, limits_of, modbus_driver
+from rig.config import load
+from rig.config.schema import Experiment
+from rig.daq.modbus import ModbusDriver
+from rig.emulate.line_faults import Corruption
+from rig.emulate.misbehaviour import Misbehaviour
+from rig.emulate.rtu_slave import Direction, check_sum
+from rig.emulate.virtual_io_block import VirtualIoBlock
+from rig.faults import Fault
+from rig.signals import Sample
+
+CONFIG = Path(__file__).resolve().parents[2] / "config" / "modbus-rtu.yaml"
+STYLES = ["read-write", "separate"]
+
+
+def experiment_with(requests: str = "read-write", registers: dict[str, Any] | None = None, **modbus: Any) -> Experiment:
+    """The RTU example in virtual time; ``registers`` with None are left out. Separate requests take 20 ms a tick."""
+    data = load(CONFIG).model_dump(mode="json", exclude_none=True)
+    data["daq"] |= {"port": "emulated-virtual"}
+    if requests == "separate":
+        data["period_s"] = 0.02
+        data["daq"]["watchdog_s"] = 0.2
+    section = data["daq"]["modbus"] | {"requests": requests} | modbus
+    section["registers"] = {k: v for k, v in (section["registers"] | (registers or {})).items() if v is not None}
+    data["daq"]["modbus"] = section
+    return Experiment.model_validate(data)
+
+
+class Rig:
+    """Driver and block, and ticks on a grid."""
+
+    def __init__(self, experiment: Experiment, *, armed: bool = True) -> None:
+        self.experiment = experiment
+        self.block: VirtualIoBlock = emulated_io_block(experiment)
+        self.driver: ModbusDriver = modbus_driver(experiment, self.block)
+        self.commanded: set[int] = {0}
+        self.driver.open()
+        self._due_s = self.block.now_s()
+        if armed:
+            self.arm()
+
+    def arm(self) -> None:
+        self.driver.arm(limits_of(self.experiment))
+        self._due_s = self.block.now_s()
+
+    def tick(self, u_V: float) -> Sample:
+        self._due_s += self.experiment.period_s
+        self.block.sleep_until(self._due_s)
+        sample = self.driver.read()
+        self.commanded.add(self.driver.drive_map.to_units(u_V))
+        self.driver.write(u_V)
+        return sample
+
+    def fault_while_driving(self, ticks: int = 30) -> Fault:
+        """The fault that ends a run at 0.6 V."""
+        with pytest.raises(Fault) as caught:
+            for _ in range(ticks):
+                self.tick(0.6)
+        return caught.value
+
+    @property
+    def driven(self) -> set[int]:
+        """Every drive that the block took."""
+        return {round(drive.value) for drive in self.block.executed if drive.taken}
+
+
+@pytest.fixture(params=STYLES)
+def rig(request: pytest.FixtureRequest) -> Rig:
+    return Rig(experiment_with(request.param))
+
+
+# ---------------------------------------------------------------------- what it does
+
+
+def test_a_drive_acts_when_the_sample_says(rig: Rig) -> None:
+    """The block's own log of its output against the times that the driver gives."""
+    period_s = rig.experiment.period_s
+    for k in range(20):
+        rig.tick(0.3 if k % 2 else -0.3)
+    sample = rig.tick(0.0)
+    for _ in range(3):
+        acting_s, acting_V = [output for output in rig.block.outputs if output[0] <= sample.t_u_s + 1e-3][-1]
+        # within half the turnaround, whose middle is assumed
+        assert sample.t_u_s == pytest.approx(acting_s, abs=0.5 * 0.0005 + 1e-9)
+        assert acting_V == pytest.approx(sample.u_V)
+        sample = rig.tick(0.3 if sample.u_V <= 0.0 else -0.3)
+    first_first = rig.driver.order == "write_first"
+    previous = rig.tick(0.25)
+    following = rig.tick(0.25)
+    latency_s = following.t_u_s - previous.t_s
+    if first_first:
+        assert latency_s == pytest.approx(period_s, abs=1e-6)  # it goes out with the next exchange, at whose instant
+        assert following.t_u_s == following.t_s  # it is sampled, too
+    else:
+        assert 0.003 < latency_s < 0.01
+        assert following.t_u_s < following.t_s
+
+
+def test_what_is_read_is_what_is_there(rig: Rig) -> None:
+    rig.block.block.bench.parameters = rig.block.block.bench.parameters.__class__(
+        motor=rig.block.block.bench.parameters.motor
+    )
+    for y_rad in (-1.0, -0.3, 0.0, 0.7):
+        rig.block.place(y_rad)
+        assert rig.tick(0.0).y_rad == pytest.approx(y_rad, abs=0.6 * rig.driver.calibration.lsb_rad)
+
+
+def test_before_arming_it_reads_and_drives_nothing() -> None:
+    for style in STYLES:
+        rig = Rig(experiment_with(style), armed=False)
+        assert math.isnan(rig.driver.read().t_u_s)
+        with pytest.raises(Fault, match="DEVICE_NOT_ARMED"):
+            rig.driver.write(0.5)
+        rig.driver.read()
+        assert not any(drive.value for drive in rig.block.executed)
+
+
+def test_arming_writes_limits_rounded_inward_and_reads_them_back(rig: Rig) -> None:
+    values = rig.block.block._values
+    low, high = (rig.driver.calibration.to_counts(y) for y in rig.experiment.limits.hard_rad)
+    assert (values["limits.low"], values["limits.high"]) == (math.ceil(low), math.floor(high))
+    assert (values["rails.low"], values["rails.high"]) == rig.experiment.sensor.rail_counts
+    assert values["watchdog"] == round(1000 * rig.experiment.daq.watchdog_s)
+    assert values["max_drive"] == rig.driver.drive_map.to_units(rig.experiment.drive.max_V)
+    assert rig.driver.failsafe is not None
+    assert rig.driver.failsafe.time_s == rig.experiment.daq.watchdog_s
+
+
+def test_a_setting_that_the_device_changes_is_no_arming() -> None:
+    rig = Rig(experiment_with(), armed=False)
+    real = rig.block.block._write
+
+    def rounding(values: dict[str, float]) -> None:
+        real({k: 90.0 if k == "watchdog" else v for k, v in values.items()})
+
+    rig.block.block._write = rounding  # type: ignore[method-assign]
+    with pytest.raises(Fault, match=r"ARM_READBACK.*watchdog, holding register 9: sent 100, stored 90"):
+        rig.arm()
+
+
+def test_beyond_what_was_armed_nothing_goes_out(rig: Rig) -> None:
+    for u_V in (3.1, -3.1, 12.5, math.nan, math.inf):
+        with pytest.raises(ValueError, match="beyond"):
+            rig.driver.write(u_V)
+    rig.tick(0.0)
+    assert rig.driven == {0}
+
+
+def test_stop_is_confirmed_by_the_registers(rig: Rig) -> None:
+    for _ in range(5):
+        rig.tick(0.6)
+    assert rig.block.truth().output_V != 0.0
+    assert rig.driver.safe_stop()
+    truth = rig.block.truth()
+    assert (truth.output_V, truth.armed) == (0.0, False)
+    rig.arm()  # and again
+    rig.tick(0.4)
+    rig.tick(0.4)
+    assert rig.block.truth().output_V != 0.0
+
+
+def test_a_stop_of_a_dead_device_is_not_confirmed_and_is_bounded(rig: Rig) -> None:
+    rig.tick(0.6)
+    rig.tick(0.6)
+    rig.block.misbehave(Misbehaviour("silent"))
+    from_s = rig.block.now_s()
+    assert not rig.driver.safe_stop()
+    assert rig.block.now_s() - from_s < 0.15
+    rig.block.misbehave(None)
+    rig.block.sleep_until(rig.block.now_s() + rig.experiment.daq.watchdog_s)
+    assert rig.block.truth().output_V == 0.0  # the device's own watchdog
+
+
+def test_a_plug_that_is_pulled_is_a_fault_and_no_exception_while_stopping(rig: Rig) -> None:
+    rig.tick(0.5)
+    rig.block.unplug()
+    assert rig.fault_while_driving().code == "LINK_LOST"
+    assert not rig.driver.safe_stop()
+    rig.driver.close()
+    rig.driver.close()
+
+
+# ---------------------------------------------------------------------- every fault of a reply
+
+
+class OneReply:
+    """Replaces the reply to one request by what ``forged`` makes of it; from when it is set."""
+
+    def __init__(self, forged: Any) -> None:
+        self._forged = forged
+        self.done = False
+
+    def __call__(self, direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
+        if direction == "request" or self.done:
+            return ((0.0, data),)
+        self.done = True
+        forged: Sequence[tuple[float, bytes]] = self._forged(data)
+        return forged
+
+
+def signed(body: bytes) -> bytes:
+    return body + check_sum(body)
+
+
+FORGED: dict[str, tuple[Any, str, str]] = {
+    "late": (lambda d: [(0.012, d)], "LINK_TIMEOUT", "no reply from unit 1"),
+    "none": (lambda d: [], "LINK_TIMEOUT", "position, holding register 16"),
+    "cut short": (lambda d: [(0.0, d[:-3])], "LINK_REPLY", "no whole reply"),
+    "first byte lost": (lambda d: [(0.0, d[1:])], "LINK_REPLY", ""),
+    "a bit": (lambda d: [(0.0, d[:4] + bytes((d[4] ^ 1,)) + d[5:])], "LINK_REPLY", "check sum"),
+    "check sum": (lambda d: [(0.0, d[:-1] + bytes((d[-1] ^ 255,)))], "LINK_REPLY", "check sum"),
+    "function": (lambda d: [(0.0, signed(bytes((d[0], 4)) + d[2:-2]))], "LINK_REPLY", "the reply is of FC04"),
+    "no function": (lambda d: [(0.0, signed(bytes((d[0], 99)) + d[2:-2]))], "LINK_REPLY", "function code 99"),
+    "byte count": (lambda d: [(0.0, signed(bytes((d[0], d[1], d[2] - 2)) + d[3:-4]))], "LINK_REPLY",
+                   "6 bytes came, not 8"),
+    "another unit": (lambda d: [(0.0, signed(bytes((7,)) + d[1:-2]))], "LINK_UNIT", "unit 7 answered"),
+    "exception": (lambda d: [(0.0, signed(bytes((d[0], d[1] | 0x80, 2))))], "MODBUS_EXCEPTION",
+                  "illegal data address (2) at"),
+    "exception of another": (lambda d: [(0.0, signed(bytes((d[0], 0x90, 2))))], "LINK_REPLY", "FC144"),
+    "stale echo": (lambda d: [(0.0, signed(d[:5] + bytes((d[5] ^ 1, d[6])) + d[7:-2]))], "LINK_REPLY",
+                   "echo, holding register 17"),
+    "twice at once": (lambda d: [(0.0, d + d)], "LINK_REPLY", "two answers to one request"),
+    "twice": (lambda d: [(0.0, d), (0.002, d)], "LINK_REPLY", ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FORGED)
+@pytest.mark.parametrize("style", STYLES)
+def test_a_reply_that_is_not_the_reply_is_a_fault_and_the_motor_stops(style: str, name: str) -> None:
+    forged, code, words = FORGED[name]
+    rig = Rig(experiment_with(style))
+    for _ in range(10):
+        rig.tick(0.6)
+    rig.block.disturb(OneReply(forged))
+    fault = rig.fault_while_driving(2)
+    assert fault.code == code, fault
+    assert words in fault.detail
+    assert rig.driver.safe_stop()
+    truth = rig.block.truth()
+    assert (truth.output_V, truth.armed) == (0.0, False)
+    assert rig.driven == rig.commanded
+
+
+@pytest.mark.parametrize("kind", ["late", "wrong", "exception", "unit", "silent"])
+@pytest.mark.parametrize("style", STYLES)
+def test_a_device_that_goes_on_misbehaving_ends_at_0_V(style: str, kind: Any) -> None:
+    """It never confirms, or does so late; its output is 0 V by a stop that arrived, or by its watchdog."""
+    rig = Rig(experiment_with(style))
+    for _ in range(10):
+        rig.tick(0.6)
+    rig.block.misbehave(Misbehaviour(kind))
+    fault = rig.fault_while_driving(2)
+    expected = {
+        "late": "LINK_TIMEOUT", "wrong": "LINK_REPLY", "exception": "MODBUS_EXCEPTION", "unit": "LINK_UNIT",
+        "silent": "LINK_TIMEOUT",
+    }  # fmt: skip
+    assert fault.code == expected[kind]
+    assert not rig.driver.safe_stop()
+    stopped_s = rig.block.now_s()
+    rig.block.sleep_until(stopped_s + rig.experiment.daq.watchdog_s)
+    assert rig.block.truth().output_V == 0.0
+    assert rig.driven == rig.commanded
+
+
+def test_a_late_reply_is_no_confirmation_of_the_stop() -> None:
+    """Separate requests, 32-bit drive: the stop's FC16 looks like the tick's, whose reply is late."""
+    registers = {
+        "drive": {"address": 0, "type": "int32", "full": 10000}, "sequence": None, "control": None, "status": None,
+        "applied": None, "max_drive": {"address": 30},
+    }  # fmt: skip
+    rig = Rig(experiment_with("separate", registers))
+    rig.tick(0.6)
+    # the write of the tick is answered 15 ms late; after that the block hears nothing any more
+    deaf = False
+
+    def late_then_deaf(direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
+        nonlocal deaf
+        if direction == "request":
+            return () if deaf else ((0.0, data),)
+        if data[1] == 16:
+            deaf = True
+            return ((0.015, data),)
+        return ((0.0, data),)
+
+    rig.block.disturb(late_then_deaf)
+    assert rig.fault_while_driving(2).code == "LINK_TIMEOUT"
+    assert not rig.driver.safe_stop()
+    assert rig.driver.link_statistics["stale_bytes"] >= 8
+
+
+@pytest.mark.parametrize(
+    ("status", "code"),
+    [(2, "DEVICE_WATCHDOG"), (3, "DEVICE_TRAVEL"), (4, "DEVICE_SENSOR"), (0, "DEVICE_RESET"), (77, "DEVICE_RESET")],
+)
+@pytest.mark.parametrize("style", STYLES)
+def test_the_devices_status_is_a_fault_by_name(style: str, status: int, code: str) -> None:
+    rig = Rig(experiment_with(style))
+    for _ in range(3):
+        rig.tick(0.3)
+
+    def saying(data: bytes) -> list[tuple[float, bytes]]:
+        return [(0.0, signed(data[:9] + status.to_bytes(2, "big")))]
+
+    rig.block.disturb(OneReply(saying))
+    fault = rig.fault_while_driving(1)
+    assert fault.code == code
+    assert f"status, holding register 19 reads {status}" in fault.detail
+    assert rig.driver.safe_stop()
+
+
+def test_the_blocks_own_faults_come_through(rig: Rig) -> None:
+    for _ in range(3):
+        rig.tick(0.3)
+    rig.block.place(2.2)
+    fault = rig.fault_while_driving()
+    assert fault.code in ("DEVICE_TRAVEL", "DEVICE_SENSOR")
+    assert rig.driver.safe_stop()
+    rig.block.place(0.0)
+    rig.arm()
+    for _ in range(3):
+        rig.tick(0.3)
+    rig.block.sleep_until(rig.block.now_s() + 2.0 * rig.experiment.daq.watchdog_s)
+    rig._due_s = rig.block.now_s()
+    assert rig.fault_while_driving().code == "DEVICE_WATCHDOG"
+
+
+def test_noise_between_two_exchanges_is_thrown_away_and_counted(rig: Rig) -> None:
+    for _ in range(3):
+        rig.tick(0.3)
+    rig.block.disturb(
+        OneReply(lambda d: [(0.0, d), (0.014 if rig.driver.order == "sample_first" else 0.003, b"\xff\x00")])
+    )
+    rig.tick(0.3)
+    rig.tick(0.3)
+    assert rig.driver.link_statistics["stale_bytes"] == 2
+    assert rig.driver.safe_stop()
+
+
+def test_a_line_that_is_never_quiet_is_a_fault_and_ends() -> None:
+    rig = Rig(experiment_with())
+    rig.tick(0.3)
+    rig.block.read = lambda timeout_s: b"\x55" * 16  # type: ignore[method-assign]
+    assert rig.fault_while_driving().code == "LINK_REPLY"
+    assert not rig.driver.safe_stop()
+
+
+# ---------------------------------------------------------------------- 20 corruptions a second
+
+
+class RandomDamage:
+    """Bytes changed, lost and come from nowhere at random instants, both ways; what nothing was sent for is made up."""
+
+    def __init__(self, rate_1_s: float, seed: int) -> None:
+        self._random = random.Random(seed)
+        self._rate_1_s = rate_1_s
+        self._next_s = 0.0
+        self._corrupt = Corruption(1.0, seed)
+        self.done = 0
+
+    def begin(self, t_s: float) -> None:
+        self._next_s = t_s + self._random.expovariate(self._rate_1_s)
+
+    def __call__(self, direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
+        while self._next_s <= t_s:
+            self._next_s += self._random.expovariate(self._rate_1_s)
+            self.done += 1
+            ((_, data),) = self._corrupt(direction, data or b"\0", math.inf)
+        return ((0.0, data),)
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_a_minute_of_damaged_bytes_never_moves_the_drive_to_a_value_that_nobody_commanded(style: str) -> None:
+    """20 bytes a second, requests and replies; every fault is answered by a stop, and the run starts again."""
+    rig = Rig(experiment_with(style))
+    damaging = RandomDamage(20.0, seed=5)
+    faults: dict[str, int] = {}
+    ticks = 0
+    clean_s = rig.block.now_s()
+    while rig.block.now_s() - clean_s < 60.0:
+        damaging.begin(rig.block.now_s())
+        rig.block.disturb(damaging)
+        try:
+            while True:
+                # a drive of its own for each tick: any other value at the output was commanded by nobody
+                rig.tick(0.5 + 0.0012 * (ticks % 2000))
+                ticks += 1
+                if ticks % 10 == 0:
+                    rig.block.place(0.0)  # it would run into its limits
+        except Fault as fault:
+            faults[fault.code] = faults.get(fault.code, 0) + 1
+        rig.driver.safe_stop()
+        rig.block.disturb(None)
+        from_s = rig.block.now_s()
+        rig.block.place(0.0)
+        rig.arm()
+        clean_s += rig.block.now_s() - from_s
+    assert damaging.done > 1000
+    assert sum(faults.values()) > 300
+    assert set(faults) <= {"LINK_TIMEOUT", "LINK_REPLY", "LINK_UNIT", "MODBUS_EXCEPTION"}
+    assert rig.block.requests["damaged"] > 200  # so many never reached a register
+    assert rig.driven <= rig.commanded
+    assert len(rig.driven) > 500
