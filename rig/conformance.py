@@ -202,12 +202,19 @@ class Suite:
             require(near, f"{tick.u_V:+.4f} V was written, and the next reading tells of {told_V:+.4f} V")
 
     def test_the_drive_is_reported_as_quantised(self) -> None:
-        """``u_V`` is what the converter made of it: two drives a nanovolt apart are the same drive."""
+        """``u_V`` is what the converter made of it: two drives a nanovolt apart are one, of whole ``drive_units``."""
         u = self.drive_V
         asked = [value for share in (0.91, 0.83, 0.77) for value in (share * u, share * u + _SAME_DRIVE_V)]
         told = [telling.sample.u_V for _, telling in self._with_outcomes(asked)]
         same = sum(a == b for a, b in zip(told[::2], told[1::2], strict=True))
         require(same >= 2, f"u_V echoes what was asked instead of what the device makes of it: {told}")
+        if self._info.drive_units is not None:
+            steps = replace(drive_map_of(self.experiment), full_units=self._info.drive_units)
+            for told_V in told:
+                require(
+                    abs(steps.quantised(told_V) - told_V) <= 1e-6 * steps.full_V,
+                    f"u_V {told_V!r} V is no whole number of the {self._info.drive_units} units that open() told of",
+                )
 
     def test_it_refuses_drives_beyond_its_range(self) -> None:
         """``write`` raises ValueError beyond supply and bridge and for what is no number; the drive stays as it was."""

@@ -19,7 +19,7 @@ FAULTS: dict[str, FaultEntry] = {
     # link
     "LINK_OPEN": FaultEntry(
         "the port could not be opened",
-        "check the cable, the port's name in daq.port, and that no other program holds it",
+        "check the cable, the port's name in daq.port (a plug-in's in daq.options), and that no other program holds it",
     ),
     "LINK_LOST": FaultEntry(
         "the port died while in use",

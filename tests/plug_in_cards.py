@@ -7,7 +7,7 @@ from typing import Any
 from simulated_bench import CALIBRATION, DEMO, RAILS
 
 from rig.daq.calibration import DriveMap
-from rig.daq.driver import DriverSettings
+from rig.daq.driver import DeviceInfo, DriverSettings
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.faults import Fault
 from rig.loop.clock import VirtualClock
@@ -72,7 +72,8 @@ class BareCard:
         if "mode" in settings.options:
             settings.options["range"]
 
-    def open(self) -> None: ...
+    def open(self) -> DeviceInfo:
+        return DeviceInfo(build="1", board="bare", reset_cause="not told", emulated=False)
 
     def arm(self, limits: object) -> None: ...
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from plug_in_cards import VirtualCard
 
-from rig.daq.driver import DeviceWatchdog, DriverSettings
+from rig.daq.driver import DeviceInfo, DeviceWatchdog, DriverSettings
 from rig.faults import Fault
 from rig.signals import Limits, Sample
 
@@ -91,6 +91,14 @@ class EchoesWhatWasAsked(VirtualCard):
     def write(self, u_V: float) -> None:
         super().write(u_V)
         self.asked_V = u_V
+
+
+@caught_by("the_drive_is_reported_as_quantised")
+class OtherUnits(VirtualCard):
+    """Its converter has other steps than it says."""
+
+    def open(self) -> DeviceInfo:
+        return replace(super().open(), drive_units=1000)
 
 
 @caught_by("the_drive_that_acts_is_reported", "safe_stop_disarms", "constructing_touches_no_device")

@@ -152,6 +152,7 @@ class CardDriver:
             board=product,
             reset_cause="not told",
             emulated=simulated,  # of NI MAX's simulated devices
+            drive_units=self._drive_map.full_units,
         )
 
     def arm(self, limits: Limits) -> None:

@@ -1,0 +1,159 @@
+"""A plug-in driver from the config to the bench: what is checked, what is refused, and in which words."""
+
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+import yaml
+from click.testing import CliRunner
+from plug_in_cards import VirtualCard
+
+from rig import config
+from rig.bench import connect, driver_settings_of, plug_in_preflight
+from rig.cli import main
+from rig.config.load import json_schema
+from rig.daq import registry
+from rig.faults import Fault
+from rig.loop.clock import MonotonicClock, VirtualClock
+
+SOURCE = Path(__file__).parent.parent / "conformance/virtual-card.yaml"
+
+
+@pytest.fixture
+def installed(monkeypatch):
+    """Two packages with drivers: one in virtual time, one without a watchdog."""
+    entries = [
+        EntryPoint("virtual-card", "plug_in_cards:VirtualCard", registry.GROUP),
+        EntryPoint("bare-card", "plug_in_cards:BareCard", registry.GROUP),
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: entries)
+
+
+def written(tmp_path, **changes):
+    """The config with changes to its section daq; None leaves a key out. Others as section__key."""
+    data = yaml.safe_load(SOURCE.read_text(encoding="utf-8"))
+    for key, value in changes.items():
+        section, _, name = key.rpartition("__")
+        data[section or "daq"][name] = value
+    data["daq"] = {key: value for key, value in data["daq"].items() if value is not None}
+    path = tmp_path / "card.yaml"
+    path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def refused(tmp_path, *, command="check", **changes):
+    """The one line that a command says of a bad config."""
+    path = written(tmp_path, **changes)
+    result = CliRunner().invoke(main, [command, str(path), *(["--out", str(tmp_path)] if command == "run" else [])])
+    assert result.exit_code == 2, result.output
+    (line,) = result.stderr.splitlines()
+    place, _, words = line.removeprefix(f"{path}:").partition(": ")
+    row = int(place.split(":")[0])
+    return path.read_text(encoding="utf-8").splitlines()[row - 1].strip(), words
+
+
+def test_check_says_what_is_known_and_what_is_not(installed, tmp_path):
+    result = CliRunner().invoke(main, ["check", str(written(tmp_path))])
+    assert result.exit_code == 0, result.stderr
+    assert "backend: plug-in driver virtual-card: take it for a REAL MOTOR, every 10 ms" in result.stdout
+    assert "link: the budget of a plug-in driver is not known; `rig doctor` measures it" in result.stdout
+    assert "failsafe: the plug-in driver's; where its device has none, a run is refused" in result.stdout
+    assert "driver 'virtual-card' (plug_in_cards:VirtualCard): sample first" in result.stdout
+    assert "failsafe before it is opened: 0 V after 1000 ms of silence" in result.stdout
+
+
+@pytest.mark.parametrize("command", ["check", "run"])
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("virtual-cart", "did you mean 'virtual-card'?"),
+        ("simulatd", "did you mean 'simulated'?"),
+        ("labjack", "install the package that offers it (docs/plug-in-driver.md)"),
+    ],
+)
+def test_an_unknown_driver_lists_those_that_there_are(installed, tmp_path, command, name, hint):
+    line, words = refused(tmp_path, command=command, driver=name)
+    assert line == f"driver: {name}"
+    assert words == (
+        f"daq.driver: no driver '{name}'; built in: simulated, serial, modbus; plug-ins installed: bare-card, "
+        f"virtual-card; {hint}"
+    )
+
+
+def test_with_no_plug_in_installed(monkeypatch, tmp_path):
+    monkeypatch.setattr(registry, "entry_points", lambda group: [])
+    assert "; plug-ins installed: none; " in refused(tmp_path)[1]
+    with pytest.raises(config.ConfigError, match="no driver 'virtual-card'"):
+        config.check(SOURCE)  # nobody said where plug-ins are
+    with pytest.raises(config.ConfigError, match="no driver 'virtual-card'"), connect(config.load(SOURCE)):
+        pass
+
+
+def test_options_that_the_driver_refuses_are_named_with_their_place(installed, tmp_path):
+    line, words = refused(tmp_path, options={"sead": 3})
+    assert line == "sead: 3"
+    assert words == "daq.options: driver 'virtual-card': unknown: sead; known: seed"
+
+
+def test_a_defect_of_the_plug_in_names_package_and_line(installed, tmp_path):
+    _, words = refused(tmp_path, driver="bare-card", options={"mode": "wide"})
+    assert words.startswith("daq.driver: driver 'bare-card' (plug_in_cards:BareCard) cannot be constructed: KeyError")
+    assert "plug_in_cards.py:" in words
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"port": "/dev/ttyACM0"}, "daq.port: is of built-in drivers, not of `virtual-card`; see daq.options"),
+        ({"relay__where": "device"}, "relay.where: driver 'virtual-card' has no relay in its device; set it to host"),
+    ],
+)
+def test_keys_that_do_not_go_with_a_plug_in(installed, tmp_path, changes, words):
+    assert refused(tmp_path, **changes)[1] == words
+
+
+def test_options_are_of_plug_ins_only(tmp_path):
+    line, words = refused(tmp_path, driver="serial", port="/dev/ttyACM0", options={"seed": 1})
+    assert line == "seed: 1"
+    assert words == "daq.options: is of plug-in drivers, `driver: serial` has none; remove it"
+
+
+def test_options_arrive_as_written_and_survive_the_resolved_config(installed, tmp_path):
+    options = {"seed": 3, "deep": {"list": [1, 2.5, "x", True, None]}}
+    e = config.load(written(tmp_path, options=options))
+    settings = driver_settings_of(e)
+    assert dict(settings.options) == options
+    assert (settings.period_s, settings.watchdog_s, settings.timeout_s) == (0.01, 0.1, 0.03)
+    assert (settings.counts_max, settings.rail_counts) == (1023, (5, 1018))
+    assert settings.calibration.to_rad(512.0) == 0.0
+    assert settings.drive_map.full_V == 12.0
+    with pytest.raises(TypeError):
+        settings.options["seed"] = 4
+    again = tmp_path / "again.yaml"
+    again.write_text(config.dump(e), encoding="utf-8")
+    assert config.load(again) == e
+
+
+def test_a_driver_lives_in_its_own_clock_or_in_the_hosts(installed, tmp_path):
+    with connect(config.load(written(tmp_path))) as bench:
+        assert isinstance(bench.driver, VirtualCard)
+        assert isinstance(bench.clock, VirtualClock)
+        assert bench.clock is bench.driver.clock
+        assert bench.truth is None
+    with connect(config.load(written(tmp_path, driver="bare-card", accept_no_watchdog=True))) as bench:
+        assert isinstance(bench.clock, MonotonicClock)
+
+
+def test_a_device_without_a_watchdog_needs_leave(installed, tmp_path):
+    with pytest.raises(Fault, match="NO_WATCHDOG"), connect(config.load(written(tmp_path, driver="bare-card"))):
+        pass
+    path = written(tmp_path, driver="bare-card", accept_no_watchdog=True)
+    lines = config.check(path, plug_in_preflight)[1].lines
+    assert any("drives all the same (daq.accept_no_watchdog: true)" in line for line in lines)
+
+
+def test_any_name_is_valid_for_editors():
+    daq = json_schema()["$defs"]["Daq"]["properties"]
+    assert daq["driver"]["examples"] == ["simulated", "serial", "modbus"]
+    assert "enum" not in daq["driver"]
+    assert daq["options"]["anyOf"][0]["additionalProperties"] is True
