@@ -8,7 +8,7 @@
  *     rig_stream whenever there is time, at least every few ms while a relay runs: sends a block that is full
  *
  * rig_tick may interrupt the other two, which come from one context (the main loop); nothing may interrupt rig_tick with
- * a call in here. What they share is touched by the main loop only between hold_tick and release_tick, for some 10 us:
+ * a call in here. What they share is touched by the main loop only between hold_tick and release_tick, shortly:
  * a request acts as a whole between two ticks. Frames are decoded and encoded outside of that. None of the calls waits. A
  * hung main loop does not hold up what the tick promises; that it hangs is the business of the board's hardware watchdog.
  *

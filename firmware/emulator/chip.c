@@ -88,7 +88,7 @@ struct virtual_board {
     uint8_t stall_depth;                       /* of interrupts */
     uint32_t resets, overruns, crashed;
     uint64_t awake_cycles, masked_now, masked_most, interrupt_now, interrupt_most;
-    uint64_t timed_now, timed_most, tick_now, tick_most;
+    uint64_t timed_now, timed_most, tick_now, tick_most, held_now, held_most;
     avr_cycle_count_t tick_from;
 };
 
@@ -557,6 +557,9 @@ static void measure(virtual_board *b, uint8_t vector, uint8_t depth, uint64_t cy
         b->masked_now += entry > 0u ? entry : cycles;
         keep_most(&b->masked_most, b->masked_now);
     }
+    const bool is_held = b->has_started && b->dead_of_timer2 == 0u && (b->avr->data[TIMSK2] & (1u << OCIE2B)) == 0u;
+    b->held_now = is_held ? b->held_now + cycles + entry : 0u;
+    keep_most(&b->held_most, b->held_now);
     if (b->avr->cycle - b->tick_from >= (avr_cycle_count_t)(CHIP_HZ / 1000.0)) {
         b->tick_from = b->avr->cycle;
         keep_most(&b->interrupt_most, b->interrupt_now);
@@ -816,6 +819,11 @@ void virtual_look(const virtual_board *b, virtual_view *view)
     view->overruns = (int32_t)b->overruns;
     view->crashed = (int32_t)b->crashed;
     view->stack_bytes = stack_bytes(avr);
+}
+
+double virtual_held_us(const virtual_board *b)
+{
+    return 1e6 * (double)b->held_most / CHIP_HZ;
 }
 
 const char *virtual_rewire(virtual_board *b, const char *drive, const char *sensor)

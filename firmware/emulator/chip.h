@@ -46,6 +46,10 @@ uint32_t virtual_read(virtual_board *b, uint8_t *bytes, uint32_t n);
 
 void virtual_look(const virtual_board *b, virtual_view *view);
 
+/* Longest time for which the main loop has held back the tick, with the interrupts that came between; 0 unless it
+ * measures. */
+double virtual_held_us(const virtual_board *b);
+
 /* A reset by anything but the watchdog, which needs no help; then `boot_s` in the boot loader, where pins float. */
 void virtual_boot(virtual_board *b, uint8_t cause, double boot_s);
 

@@ -114,6 +114,7 @@ int main(int argc, char **argv)
     printf("flood     %4.1f %% of a tick at most in all interrupts, both ways of the wire full\n",
            100.0 * view.interrupt_share);
     printf("masked    %4.1f us at most\n", view.masked_us);
+    printf("held      %4.1f us at most: the tick, by the main loop, other interrupts included\n", virtual_held_us(b));
     printf("lost      %4ld bytes received, of the relay's 2 s %lu bytes came\n", (long)view.overruns,
            (unsigned long)bytes);
     const bool is_well = view.overruns == 0 && view.resets == 0 && !view.crashed && bytes > 200u * 50u &&

@@ -273,7 +273,10 @@ def _count_rad(e: Experiment) -> float:
 def _stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
     """What the shaft travels from the largest speed if the host dies, term by term: words, rad.
 
-    Coasting is at 0 V, terminals shorted, without the help of friction: speed times time constant.
+    Coasting is at 0 V, terminals shorted, without the help of friction: speed times time constant. Each term is at the
+    largest speed: the guard ends anything faster while the host lives. What the drive adds to it between the host's
+    death and the device's watchdog depends on K and tau, which the experiment has yet to find: no sum over a config can
+    count it, and the device's own hard limit is what ends such a drive.
     """
     v = e.limits.max_speed_rad_s
     return (

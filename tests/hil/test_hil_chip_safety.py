@@ -59,7 +59,7 @@ def test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick(watchdog_ms
     assert host.arm() == Code.NONE and host.pin_V() == 0.0
 
 
-@pytest.mark.parametrize("what", ["main loop", "everything", "clock", "converter"])
+@pytest.mark.parametrize("what", ["main loop", "everything", "clock", "tick", "converter"])
 def test_a_hung_program_is_reset_by_the_hardware_watchdog(what: Hang) -> None:
     rng = random.Random(len(what))
     for _ in range(PHASES):

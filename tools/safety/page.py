@@ -37,8 +37,10 @@ At full drive the shaft gains speed until the watchdog acts: {full_rad:.2f} rad 
 
     {stopping}
 
-counts {counted_rad:.2f} rad for watchdog and coasting, at constant speed: full drive uses up the other terms, too. The
-hard limit in the chip does not rest on that sum.
+counts {counted_rad:.2f} rad for watchdog and coasting, at `limits.max_speed_rad_s` throughout: while the host lives its
+guard ends anything faster, and what the drive adds once the host is dead depends on the motor's K and tau, which nobody
+knows before the experiment. On this bench full drive uses up the other terms, too. The hard limit in the chip does not
+rest on that sum: it ends such a drive within 2 ms of the crossing.
 """
 
 _GARBAGE = """\
@@ -65,7 +67,8 @@ _CHIP_HEAD = """\
 """
 
 _CHIP = """\
-`make -C firmware size BAUD={baud}`, under a host that asks for everything as fast as the wire carries it, and a relay:
+`make -C firmware size BAUD={baud}`: idle, then a relay with a KEEP every 10 ms, then a host that asks for everything as
+fast as the wire carries it, first without and then with a relay:
 
 ```
 {text}
@@ -73,11 +76,12 @@ _CHIP = """\
 """
 
 _CHIP_WORDS = """\
-The relay decides in the main loop, after the flag of the converter's interrupt, not in an interrupt: one that long
-would keep received bytes waiting. *tick* is that part, with all checks and the relay; *1 kHz* adds the interrupts of
-clock and converter: the work of every millisecond. The rest of *all* is the serial port's, both ways at once. What
-the emulator leaves out, the four cycles to enter an interrupt, is added. *lost* are bytes that the chip's receiver,
-two bytes deep, had no room for.
+The control tick is an interrupt of the clock, with all checks and the relay (*tick*); it lets the other interrupts in,
+or it would keep received bytes waiting. *1 kHz* adds the interrupts of clock and converter: the work of every
+millisecond. *relay* and *flood* are the worst millisecond with the serial port's interrupts besides: at 1 Mbaud a whole
+block goes out within one, and a full wire is 100 bytes a millisecond each way. *masked*: the longest time in which no
+interrupt could come; *held*: in which the tick could not, while the main loop acted on a request. What the emulator leaves out, the four cycles to enter an interrupt, is added. *lost* are bytes
+that the chip's receiver, two bytes deep, had no room for.
 
 A host that fills the wire at 1 Mbaud for long outruns the main loop: behind the receiver 255 bytes wait, and what comes
 then is dropped. A frame with a hole fails its CRC, and every promise above holds (*flood*).

@@ -139,7 +139,7 @@ PROMISES = (
     ),
     *(
         Promise(f"hang: {what}", _hang(what), HANG_S, way)
-        for what in ("main loop", "everything", "clock", "converter")
+        for what in ("main loop", "everything", "clock", "tick", "converter")
         for way in (HOST, DEVICE)
     ),
     *(Promise("put beyond a hard limit", _beyond, 2 * TICK_S, way) for way in (HOST, DEVICE, FLOOD)),
