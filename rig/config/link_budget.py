@@ -56,7 +56,7 @@ class LinkBudget(NamedTuple):
     def written(self) -> str:
         """The sum, for people."""
         (_, wire_s), *others = self.terms
-        rest = " ".join(f"+ {s * 1e3:g} ms {words}" for words, s in others)
+        rest = " ".join(f"+ {_milliseconds(s)} ms {words}" for words, s in others)
         return f"{self.wire} = {wire_s * 1e3:.2f} ms, {rest} = {self.total_s * 1e3:.2f} ms"
 
 
@@ -138,3 +138,8 @@ def _words(frames: dict[str, int], baud: int, bits: int = BITS_PER_BYTE) -> str:
 
 def _added(frames: dict[str, int]) -> str:
     return " + ".join(f"{name} {count}" for name, count in frames.items())
+
+
+def _milliseconds(s: float) -> str:
+    """With as many digits as it has, two at most."""
+    return f"{round(s * 1e3, 2):g}"

@@ -1,0 +1,109 @@
+"""The whole experiment over Modbus, as a user runs it: RTU and TCP in real time, RTU in virtual time; refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from click.testing import CliRunner, Result
+
+from rig.cli import main
+from rig.recording.reader import read_run
+
+ROOT = Path(__file__).resolve().parents[2]
+GAINS = [{"h1_V": 0.43, "h2_V": 0.80}, {"h1_V": 0.33, "h2_V": 0.74}]  # such as its own search finds
+_RUNS = 3
+
+
+def rig(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+def example(name: str) -> dict[str, Any]:
+    config: dict[str, Any] = yaml.safe_load((ROOT / f"config/modbus-{name}.yaml").read_text(encoding="utf-8"))
+    return config
+
+
+def written(config: dict[str, Any], folder: Path) -> Path:
+    path = folder / "changed.yaml"
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    return path
+
+
+def shorter(config: dict[str, Any]) -> dict[str, Any]:
+    """Gains given, six cycles at each pair, one short check: half a minute."""
+    config["breakaway"] |= {"ramp_V_s": 0.8, "rest_s": 0.2}
+    config["relay"] = {"gains": GAINS, "cycles": 6}
+    config["tracking"] |= {"duration_s": 3.0, "methods": ["sampled-data"]}
+    return config
+
+
+def finds_the_truth(outcome: dict[str, Any]) -> None:
+    estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
+    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+        assert estimate[name] == pytest.approx(truth[name], rel=0.03)
+    assert outcome["tracking"]["sampled-data"]["rms_rad"] < 0.01
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("name", ["rtu", "tcp"])
+def test_in_real_time_at_10_ms(name: str, tmp_path: Path) -> None:
+    """One reply that is late ends a run, as it must. A machine that was stopped for 3 ms meanwhile runs it again."""
+    config = shorter(example(name))
+    assert config["period_s"] == 0.01
+    config["loop"] = {"raise_workers": True}
+    for _ in range(_RUNS):
+        result = rig("run", written(config, tmp_path), "--out", tmp_path / "runs", "--json")
+        outcome = json.loads(result.stdout)
+        if [fault["code"] for fault in outcome["faults"]] != ["LINK_TIMEOUT"]:
+            break
+    assert result.exit_code == 0, result.output
+    finds_the_truth(outcome)
+    assert "rig emulated I/O block" in outcome["backend"]
+    assert outcome["link"]["bad_replies"] == 0
+
+
+def test_in_virtual_time_by_the_search_and_by_separate_requests(tmp_path: Path) -> None:
+    searched = example("rtu")
+    searched["daq"]["port"] = "emulated-virtual"
+    searched["tracking"]["methods"] = ["sampled-data"]
+    separate = shorter(example("rtu"))
+    separate["daq"] |= {"port": "emulated-virtual", "watchdog_s": 0.08}
+    separate["daq"]["modbus"]["requests"] = "separate"
+    separate["period_s"] = 0.02
+    orders = []
+    for config in (searched, separate):
+        result = rig("run", written(config, tmp_path), "--out", tmp_path / "runs", "--json")
+        assert result.exit_code == 0, result.output
+        outcome = json.loads(result.stdout)
+        finds_the_truth(outcome)
+        recording = read_run(Path(outcome["folder"]))
+        orders.append(recording.meta["order"])
+    assert orders == ["write_first", "sample_first"]
+
+
+def test_9600_baud_is_refused_with_the_sum(tmp_path: Path) -> None:
+    config = example("rtu")
+    config["daq"]["baud"] = 9600
+    for command in ("check", "run"):
+        result = rig(command, written(config, tmp_path))
+        assert result.exit_code != 0
+        text = " ".join(result.output.split())
+        assert (
+            "too slow for the period: FC23 request 17 + FC23 reply 13 = 30 bytes x 10 bits / 9600 baud = 31.25 ms, "
+            "+ 7.29 ms 2 silences + 0.5 ms turnaround = 39.04 ms; 80% of the period is 8.00 ms" in text
+        )
+        assert "daq.baud 115200 fits" in text
+    assert not (tmp_path / "runs").exists()
+
+
+def test_check_says_what_the_link_needs(tmp_path: Path) -> None:
+    result = rig("check", ROOT / "config/modbus-rtu.yaml")
+    assert result.exit_code == 0
+    assert (
+        "FC23 request 17 + FC23 reply 13 = 30 bytes x 10 bits / 115200 baud = 2.60 ms, "
+        "+ 3.5 ms 2 silences + 0.5 ms turnaround = 6.60 ms" in result.output
+    )
