@@ -7,6 +7,7 @@ script and the drive's units in meta.json, the models that tracked as events.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -36,6 +37,7 @@ from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META
 from rig.recording.reader import Recording, read_run
 from rig.recording.writer import EVENTS
+from rig.signals import Order
 
 Ending = Literal["its end", "a fault", "no end"]
 
@@ -106,13 +108,12 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None) 
     e = config.load(folder / CONFIG)
     script = _script(recording)
 
+    order, units, clock_ratio = _device(recording)
+
     stop = StopRequest()
     tape = Tape(recording, e.period_s, fault, is_whole, stop, on_progress)
-    units = _meta(recording, "drive_units")
     drive_map = drive_map_of(e) if units is None else replace(drive_map_of(e), full_units=units)
-    driver = RecordedDriver(
-        tape, _meta(recording, "order"), calibration_of(e), drive_map, _meta(recording, "firmware")["clock_ratio"]
-    )
+    driver = RecordedDriver(tape, order, calibration_of(e), drive_map, clock_ratio)
     clock, comparison = RecordedClock(tape), Comparison(tape, None if units is None else drive_map.quantised)
     loop = ReplayLoop(driver, clock, Guard(guard_settings_of(e)), comparison, e.period_s, stop)
     loop.tape = tape
@@ -198,7 +199,7 @@ def _ending(recording: Recording) -> tuple[Fault | None, bool]:
 def _script(recording: Recording) -> experiment.Script:
     """What the run did, without what only looks at its record."""
     what = _meta(recording, "script")
-    name = what.get("name") if isinstance(what, dict) else None
+    name = what.get("name") if isinstance(what, dict) else what
     models = _models(recording)
 
     def then_track(session: experiment.Session) -> None:
@@ -214,14 +215,34 @@ def _script(recording: Recording) -> experiment.Script:
         then_track(session)
 
     def by_hand(session: experiment.Session) -> None:
-        experiment.drive_by_hand(session, float(what["u_V"]), float(what["duration_s"]))
+        experiment.drive_by_hand(session, what["u_V"], what["duration_s"])
 
     scripts = {"run": tests, "relay": tests, "breakaway": check, "track": check, "jog": by_hand}
-    if name not in scripts:
+    script = scripts.get(name) if isinstance(name, str) and isinstance(what, dict) else None
+    if script is None:
         raise RecordingError(
             recording.source / META, f"no script {name!r} in this version", "use the version that recorded"
         )
-    return scripts[name]
+    if script is by_hand and not all(isinstance(what.get(key), int | float) for key in ("u_V", "duration_s")):
+        raise _broken(recording, "script", what)
+    return script
+
+
+def _device(recording: Recording) -> tuple[Order, int | None, float]:
+    """Order of a tick, units of the drive (None: it has no steps), device seconds for one of the host's."""
+    order, units, firmware = (_meta(recording, name) for name in ("order", "drive_units", "firmware"))
+    if order not in ("sample_first", "write_first"):
+        raise _broken(recording, "order", order)
+    if units is not None and not (isinstance(units, int) and units > 0):
+        raise _broken(recording, "drive_units", units)
+    clock_ratio = firmware.get("clock_ratio") if isinstance(firmware, dict) else None
+    if not isinstance(clock_ratio, int | float) or not 0.0 < clock_ratio < math.inf:
+        raise _broken(recording, "firmware.clock_ratio", clock_ratio)
+    return order, units, clock_ratio
+
+
+def _broken(recording: Recording, name: str, value: Any) -> RecordingError:
+    return RecordingError(recording.source / META, f"{name} is {value!r}", _RECORD_AGAIN)
 
 
 def _models(recording: Recording) -> dict[Method, Motor]:

@@ -405,15 +405,13 @@ class Comparison:
         if tape.is_over:
             tape.end()
         self._compare_course(row, tick, stage, flags)
-        if not _same(z_rad_s, tape.z_rad_s[row]):
-            raise tape.diverged(
-                row, "law", f"integral {tape.z_rad_s[row]!r} rad s", f"{z_rad_s!r} rad s", tape.u_V[row], u_V
-            )
-        if not _same(yd_rad, tape.yd_rad[row]):
-            raise tape.diverged(
-                row, "law", f"reference {tape.yd_rad[row]!r} rad", f"{yd_rad!r} rad", tape.u_V[row], u_V
-            )
         self._compare_drive(row, u_V, flags)
+        for what, unit, then, now in (
+            ("integral", "rad s", tape.z_rad_s[row], z_rad_s),
+            ("reference", "rad", tape.yd_rad[row], yd_rad),
+        ):
+            if not _same(then, now):
+                raise tape.diverged(row, "law", f"{what} {then!r} {unit}", f"{what} {now!r} {unit}")
         tape.advance()
 
     def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:

@@ -1,0 +1,188 @@
+"""A record that was changed by hand: the replay names the first row that does not follow from the samples before it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from run_copy import GOLDEN, RunCopy
+
+from rig.signals import FLAG_GUARD_BRAKED, FLAG_SATURATED, FLAG_SKIPPED
+
+UNIT_V = 12.0 / 799
+RELAYS = {"simulated": "relay-2", "host-board": "relay-1", "chip": "relay-1", "modbus": "relay-1"}
+
+
+def copy_of(name: str, tmp_path: Path) -> RunCopy:
+    return RunCopy(GOLDEN / name, tmp_path / name)
+
+
+def unit_V(run: RunCopy) -> float:
+    return 12.0 / int(run.meta["drive_units"])
+
+
+def test_a_drive_that_is_a_unit_off_is_named_wherever_it_is(tmp_path: Path) -> None:
+    run = copy_of("simulated-jog", tmp_path)
+    for k in range(0, len(run.rows), 6):
+        row = run.rows[k]
+        found = run.changed(lambda row=row: row.update(u_V=repr(float(row["u_V"]) + unit_V(run))), k).difference
+        assert found is not None and found.tick == run.tick(k) and found.line == k + 2
+        assert found.by == ("guard" if int(row["flags"]) else "law")
+        assert found.replayed_V == pytest.approx(found.recorded_V - unit_V(run))
+
+
+def test_a_missing_row_is_named_wherever_it_was(tmp_path: Path) -> None:
+    run = copy_of("simulated-jog", tmp_path)
+    for k in range(1, len(run.rows) - 1, 6):
+        found = run.without(k).difference
+        assert found is not None and found.tick == run.tick(k + 1) and found.by == "record"
+        assert found.replayed == "rows are missing before it"
+    found = run.without(len(run.rows) - 1).difference
+    assert found is not None and found.line is None and found.recorded == "the record ends here, the run did not"
+
+
+@pytest.mark.parametrize("name", RELAYS)
+def test_one_unit_in_any_stage(name: str, tmp_path: Path) -> None:
+    run = copy_of(name, tmp_path)
+    tracked = next(row["stage"] for row in run.rows if row["stage"].startswith("track:"))
+    for stage, nth in (("breakaway", 100), (RELAYS[name], 0), (RELAYS[name], -1), (tracked, 57)):
+        k = run.number_of(stage, nth)
+        row = run.rows[k]
+        done = run.changed(lambda row=row: row.update(u_V=repr(float(row["u_V"]) - unit_V(run))), k)
+        assert done.difference is not None and done.replayed == k
+        assert (done.difference.tick, done.difference.stage) == (run.tick(k), stage)
+        assert str(done.difference).startswith(f"tick {run.tick(k)}, t = ")
+
+
+def test_a_tick_of_the_relay_in_the_device(tmp_path: Path) -> None:
+    run = copy_of("chip-relay-in-device", tmp_path)
+    k = run.number_of("relay-1", 1500)
+    row = run.rows[k]
+    found = run.changed(lambda: row.update(u_V=repr(-float(row["u_V"]))), k).difference
+    assert found is not None and found.line == k + 2 and found.by == "law"
+    assert found.replayed.startswith("DEVICE_RELAY") and found.asked_V == pytest.approx(float(run.rows[k]["u_V"]))
+    found = run.without(k).difference
+    assert found is not None and found.line == k + 2 and found.by == "record"
+    assert found.recorded == "no ticks were skipped before this row"
+
+
+def test_a_sample_at_which_the_guard_would_have_braked(tmp_path: Path) -> None:
+    """The shaft outward bound at its fastest, and one reading farther out: the slope of five is 1.6 rad/s more."""
+    run = copy_of("simulated", tmp_path)
+    t_s = np.array([float(row["t_s"]) for row in run.rows])
+    y_rad = np.array([float(row["y_rad"]) for row in run.rows])
+    relay = [k for k, row in enumerate(run.rows) if row["stage"] == "relay-2"]
+    velocity = {k: np.polyfit(t_s[k - 4 : k + 1], y_rad[k - 4 : k + 1], 1)[0] for k in relay[5:]}
+    k = max(velocity, key=lambda k: y_rad[k] + 0.35 * velocity[k])
+    row = run.rows[k]
+    found = run.changed(lambda: row.update(y_rad=repr(float(row["y_rad"]) + 0.08)), k).difference
+    assert found is not None and found.line == k + 2 and found.by == "guard"
+    assert (found.recorded, found.replayed) == ("the guard let the law's drive out", "the guard braked")
+    assert found.recorded_V == float(run.rows[k]["u_V"])
+
+
+def test_a_sample_that_the_guard_would_not_have_believed(tmp_path: Path) -> None:
+    run = copy_of("host-board", tmp_path)
+    k = run.number_of("relay-1", 200)
+    row = run.rows[k]
+    found = run.changed(lambda: row.update(y_rad=repr(float(row["y_rad"]) + 0.5)), k).difference
+    assert found is not None and found.line == k + 2 and found.by == "guard"
+    assert found.replayed.startswith("SENSOR_JUMP")
+
+
+def test_a_guard_that_is_said_to_have_braked(tmp_path: Path) -> None:
+    run = copy_of("chip", tmp_path)
+    k = run.number_of("relay-1", 100)
+    found = run.changed(lambda: run.rows[k].update(flags=str(FLAG_GUARD_BRAKED)), k).difference
+    assert found is not None and found.tick == run.tick(k) and found.by == "guard"
+
+
+def test_ticks_that_are_said_to_have_been_skipped(tmp_path: Path) -> None:
+    run = copy_of("chip", tmp_path)
+    k = run.number_of("relay-1", 100)
+    found = run.changed(lambda: run.rows[k].update(flags=str(FLAG_SKIPPED)), k).difference
+    assert found is not None and found.tick == run.tick(k) and found.by == "record"
+
+
+def test_the_integral_and_the_reference_are_held_to_the_record_too(tmp_path: Path) -> None:
+    run = copy_of("modbus", tmp_path)
+    tracked = next(row["stage"] for row in run.rows if row["stage"].startswith("track:"))
+    for stage, column in (("relay-1", "z_rad_s"), (tracked, "yd_rad")):
+        k = run.number_of(stage, 30)
+        row = run.rows[k]
+        found = run.changed(lambda r=row, c=column: r.update({c: repr(float(r[c]) + 1e-6)}), k).difference
+        assert found is not None and found.tick == run.tick(k) and found.by == "law"
+
+
+def test_another_model_or_another_gain_shows_in_the_first_drive_that_it_changes(tmp_path: Path) -> None:
+    run = copy_of("chip", tmp_path)
+    model = next(event for event in run.events if event["kind"] == "model")
+    model["tau_s"] *= 1.2
+    found = run.replay().difference
+    assert found is not None and found.stage == "track:triple-relay" and found.by == "law"
+    assert found.tick <= run.tick(run.number_of("track:triple-relay", 20))
+
+    config = yaml.safe_load((run.folder / "config.yaml").read_text(encoding="utf-8"))
+    config["relay"]["gains"][0]["h1_V"] += unit_V(run)
+    (run.folder / "config.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
+    found = run.replay().difference
+    assert found is not None and found.line == run.number_of("relay-1") + 2
+
+
+def test_the_fault_at_the_end_comes_out_again_or_is_missed(tmp_path: Path) -> None:
+    run = copy_of("simulated-fault", tmp_path)
+    done = run.replay()
+    assert done.is_same and done.ending == "a fault" and done.fault is not None and done.fault.code == "OVERSPEED"
+
+    last = len(run.rows) - 1
+    still = run.rows[last - 1]["y_rad"]
+    found = run.changed(lambda: run.rows[last].update(y_rad=still), last).difference
+    assert found is not None and found.line == last + 2 and found.recorded_V == 0.0
+
+    found = run.without(last).difference
+    assert found is not None and "OVERSPEED" in found.recorded and found.replayed == "no fault"
+
+    next(event for event in run.events if event["kind"] == "fault")["code"] = "SENSOR_RAIL"
+    found = run.replay().difference
+    assert found is not None and found.line == last + 2 and found.by == "guard"
+    assert "SENSOR_RAIL" in found.recorded and found.replayed.startswith("OVERSPEED")
+
+
+def test_a_drive_that_was_lost_on_the_way_has_nothing_to_be_compared_with(tmp_path: Path) -> None:
+    run = copy_of("chip", tmp_path)
+    k = run.number_of("relay-1", 100)
+    before, row = run.rows[k - 1], run.rows[k]
+    done = run.changed(lambda: row.update(t_u_s=before["t_u_s"], u_V=before["u_V"]), k)
+    assert done.is_same and done.lost == 1 and done.compared == done.rows - 1
+
+
+def test_a_drive_that_the_device_cut_short_likewise(tmp_path: Path) -> None:
+    run = copy_of("chip", tmp_path)
+    k = run.number_of("relay-1", 100)
+    row = run.rows[k]
+    done = run.changed(lambda: row.update(flags=str(FLAG_SATURATED), u_V=repr(0.5 * float(row["u_V"]))), k)
+    assert done.is_same and done.limited == 1 and done.compared == done.rows - 1
+
+
+def test_a_killed_run_is_replayed_to_its_last_row(tmp_path: Path) -> None:
+    run = copy_of("simulated", tmp_path)
+    k = run.number_of("search", 700)
+    del run.rows[k:]
+    run.rows[-1]["t_u_s"] = ""  # the device had not told of it yet
+    run.events = [e for e in run.events if e["t_s"] < 4.0] + [{"t_s": float(run.rows[-1]["t_s"]), "kind": "loop_died"}]
+    done = run.replay()
+    assert done.is_same and done.ending == "no end" and done.replayed == done.rows == k
+
+
+def test_a_torn_last_line_is_left_out_and_said(tmp_path: Path) -> None:
+    run = copy_of("chip", tmp_path)
+    samples = run.write() / "samples.csv"
+    text = samples.read_text(encoding="ascii")
+    samples.write_text(text[: text.rindex("\n", 0, -1) + 12], encoding="ascii")
+    from rig.replay import replay
+
+    done = replay(run.folder)
+    assert done.is_same and done.ending == "no end" and done.rows == len(run.rows) - 1
+    assert len(done.notes) == 1 and "torn" in done.notes[0]
