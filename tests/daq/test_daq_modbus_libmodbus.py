@@ -46,7 +46,7 @@ def opened(experiment: Experiment) -> Iterator[Driver]:
         yield bench.driver
 
 
-def exchanged(driver: Driver, requests: str, u_V: float) -> Sample:
+def exchanged(driver: Driver, u_V: float) -> Sample:
     """One tick; the sample that tells of this drive."""
     driver.write(u_V)
     return driver.read()
@@ -59,13 +59,24 @@ def test_every_drive_arrives_once_and_in_order(kind: str, requests: str, tmp_pat
     commanded_V = [round(draw.uniform(-3.0, 3.0), 3) for _ in range(30)]
     with LibmodbusSlave(kind, *EXAMPLE_MAP, "counts_per_rad=10", log=tmp_path / "executed.csv") as slave:
         with opened(experiment_at(slave.port, requests=requests)) as driver:
-            samples = [exchanged(driver, requests, u_V) for u_V in commanded_V]
+            samples, bounds_s = [], []
+            for u_V in commanded_V:
+                begin_s = time.monotonic()
+                samples.append(exchanged(driver, u_V))
+                bounds_s.append((begin_s, time.monotonic()))
             before_stop = len(slave.executed())
             stopped = driver.safe_stop()
         executed = slave.executed()
     units = [round(u_V / SUPPLY_V * 10000) for u_V in commanded_V]
     assert [row.drive for row in executed[before_stop - len(units) : before_stop]] == units
     assert all(row.drive == 0 for row in executed[: before_stop - len(units)])  # while arming
+    # the slave's clock is ours: when it executed the drive is when the driver says that it did
+    for sample, row, (begin_s, end_s) in zip(
+        samples, executed[before_stop - len(units) : before_stop], bounds_s, strict=True
+    ):
+        assert begin_s <= row.t_s + 1e-6
+        assert row.t_s - 1e-6 <= end_s
+        assert begin_s <= sample.t_u_s <= end_s
     assert [sample.u_V for sample in samples] == pytest.approx([SUPPLY_V * n / 10000 for n in units], abs=1e-12)
     assert stopped
     assert executed[-1].drive == 0
@@ -117,7 +128,7 @@ def test_types_and_word_orders_are_those_of_libmodbus(
         opened(experiment_at(slave.port, registers, word_order=word_order)) as driver,
     ):
         for u_V in (1.2345, -2.9999, 0.0, -0.0012):
-            sample = exchanged(driver, "read-write", u_V)
+            sample = exchanged(driver, u_V)
             assert sample.y_counts == reading
             acting = slave.executed()[-1].drive / full * SUPPLY_V
             assert acting == pytest.approx(u_V, abs=0.6 * SUPPLY_V / max(full, 10000))
@@ -143,7 +154,7 @@ def test_a_position_in_the_input_registers(tmp_path: Path) -> None:
         LibmodbusSlave("rtu", *EXAMPLE_MAP, "table=input", "centre=345", "counts_per_rad=1e-9") as slave,
         opened(experiment_at(slave.port, registers, requests="separate")) as driver,
     ):
-        assert exchanged(driver, "separate", 0.5).y_counts == 345
+        assert exchanged(driver, 0.5).y_counts == 345
 
 
 @pytest.mark.realtime
@@ -170,7 +181,7 @@ def test_silence_ends_the_drive_and_says_so(kind: str, requests: str, tmp_path: 
         experiment = experiment_at(slave.port, requests=requests)
         experiment = experiment.model_copy(update={"daq": experiment.daq.model_copy(update={"watchdog_s": 0.15})})
         with opened(experiment) as driver:
-            exchanged(driver, requests, 1.0)
+            exchanged(driver, 1.0)
             while slave.executed()[-1].cause != "silence":
                 time.sleep(0.01)
             with pytest.raises(Fault) as caught:
@@ -214,7 +225,7 @@ def test_a_relay_makes_the_slaves_motor_cycle(kind: str, tmp_path: Path) -> None
             next_s = time.monotonic()
             while len(positions_rad) < 180:
                 u_V = law.step(sample)
-                sample = exchanged(driver, "read-write", u_V)
+                sample = exchanged(driver, u_V)
                 positions_rad.append(sample.y_rad)
                 drives_V.append(u_V)
                 next_s += 0.01

@@ -30,7 +30,7 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { REGISTERS = 200, STEP_US = 100 };
+enum { REGISTERS = 200, STEP_US = 20 };
 enum type { INT16, UINT16, INT32, UINT32, FLOAT32, TYPES };
 enum status { S_OFF = 0, S_ARMED = 1, S_SILENCE = 2, S_TRAVEL = 3, S_DRIVE_RANGE = 5, S_NOT_ARMED = 6 };
 enum what {
@@ -144,7 +144,7 @@ static double position(void)
     return (fmin(fmax(counts, 0.0), number[COUNTS_MAX]) - number[OFFSET]) / number[SCALE];
 }
 
-/* First order with Coulomb friction, by exact steps of 0.1 ms; a reversal inside a step ends it at rest. */
+/* First order with Coulomb friction, by exact steps of 20 us; a reversal inside a step ends it at rest. */
 static void advance_motor(double t_s)
 {
     const double h = 1e-6 * STEP_US, keep = exp(-h / number[TAU_S]);
