@@ -26,9 +26,11 @@ besides. After the event the host goes on, where it is not silent, and nothing m
 is said, 115200 baud and `BRIDGE=PWM_DIR`.
 
 *Coast* is how far the shaft goes on after the drive is off, terminals shorted (a bridge that opens in a reset lets it
-go farther); *in all*, from the event until it stands. A hang stops the program, or the interrupt named, for good; the
-emulated hardware watchdog takes 128 ms, a real one has an oscillator of its own that no crystal holds. The resets are
-the emulator's: at which voltage a brown-out comes is the chip's fuse.
+go farther); *in all*, from the event until it stands. A hang stops the program, or the interrupt named, for good. A hung
+main loop means silence to the tick, which goes on and takes the drive off after the watchdog's time, but where it
+hangs while it holds the tick back: then, and in all other hangs, the hardware watchdog resets the chip. The emulated
+one takes 128 ms, a real one has an oscillator of its own that no crystal holds. The resets are the emulator's: at which
+voltage a brown-out comes is the chip's fuse.
 """
 
 _FULL = """\
