@@ -109,8 +109,10 @@ def test_what_the_main_loop_is_too_late_to_send_is_missed() -> None:
 
 
 def test_the_watchdog_for_the_hosts_silence_outlives_the_main_loop() -> None:
-    """It is the tick's: off in time, and the hardware watchdog resets the chip later; but where the loop hangs in the few
-    us in which it holds the tick back, the hardware watchdog is all there is."""
+    """It is the tick's: off in time, and reset by the hardware watchdog later.
+
+    Where the loop hangs in the few us in which it holds the tick back, the hardware watchdog is all there is.
+    """
     rng = random.Random(4)
     by_the_tick = 0
     for _ in range(40):

@@ -26,8 +26,8 @@ besides. After the event the host goes on, where it is not silent, and nothing m
 is said, 115200 baud and `BRIDGE=PWM_DIR`.
 
 *Coast* is how far the shaft goes on after the drive is off, terminals shorted (a bridge that opens in a reset lets it
-go farther); *in all*, from the event until it stands. A hang stops the program, or the interrupt named, for good. A hung
-main loop means silence to the tick, which goes on and takes the drive off after the watchdog's time, but where it
+go farther); *in all*, from the event until it stands. A hang stops the program, or the interrupt named, for good. A
+hung main loop means silence to the tick, which goes on and takes the drive off after the watchdog's time, but where it
 hangs while it holds the tick back: then, and in all other hangs, the hardware watchdog resets the chip. The emulated
 one takes 128 ms, a real one has an oscillator of its own that no crystal holds. The resets are the emulator's: at which
 voltage a brown-out comes is the chip's fuse.
@@ -82,8 +82,9 @@ The control tick is an interrupt of the clock, with all checks and the relay (*t
 or it would keep received bytes waiting. *1 kHz* adds the interrupts of clock and converter: the work of every
 millisecond. *relay* and *flood* are the worst millisecond with the serial port's interrupts besides: at 1 Mbaud a whole
 block goes out within one, and a full wire is 100 bytes a millisecond each way. *masked*: the longest time in which no
-interrupt could come; *held*: in which the tick could not, while the main loop acted on a request. What the emulator leaves out, the four cycles to enter an interrupt, is added. *lost* are bytes
-that the chip's receiver, two bytes deep, had no room for.
+interrupt could come; *held*: in which the tick could not, while the main loop acted on a request. What the emulator
+leaves out, the four cycles to enter an interrupt, is added. *lost* are bytes that the chip's receiver, two bytes deep,
+had no room for.
 
 A host that fills the wire at 1 Mbaud for long outruns the main loop: behind the receiver 255 bytes wait, and what comes
 then is dropped. A frame with a hole fails its CRC, and every promise above holds (*flood*).
