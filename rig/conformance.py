@@ -70,13 +70,17 @@ def suite(
 
 
 class Tick(NamedTuple):
-    """One tick: the reading, the clock before and after it, the clock before the write, and what was written."""
+    """One tick: the reading, the clock before and after it, and what was written then."""
 
     from_s: float
     sample: Sample
     to_s: float
-    write_s: float
     u_V: float
+
+    @property
+    def write_s(self) -> float:
+        """The clock before the write, s."""
+        return self.to_s
 
 
 class Suite:
@@ -178,19 +182,21 @@ class Suite:
             )
 
     def test_the_drive_takes_effect_after_its_write_and_in_its_order(self) -> None:
-        """``t_u_s`` is between the ``write`` and the reading that tells; ``order`` says on which side of the sample."""
+        """``t_u_s`` lies between the ``write`` and the reading that tells: before that if ``order`` is sample_first."""
         tolerance_s = _TIME_TOLERANCE * self.experiment.period_s
-        first = self.driver.order == "sample_first"
+        order = self.driver.order
         for tick, telling in self._with_outcomes(self._to_and_fro(8)):
             t_u_s = telling.sample.t_u_s
             require(
                 tick.write_s - tolerance_s <= t_u_s <= telling.to_s + tolerance_s,
                 f"t_u_s is {t_u_s!r} s, but write() was called at {tick.write_s!r} s and told of by {telling.to_s!r} s",
             )
+            in_write = t_u_s < telling.from_s - tolerance_s
+            in_read = not in_write and t_u_s <= telling.sample.t_s + tolerance_s
             require(
-                (t_u_s >= tick.sample.t_s - tolerance_s) if first else (t_u_s <= tick.sample.t_s + tolerance_s),
-                f"order is {self.driver.order}, but the drive acts from {t_u_s!r} s and its tick's sample is of "
-                f"{tick.sample.t_s!r} s",
+                in_write if order == "sample_first" else in_read,
+                f"order is {order}, but the drive of write() at {tick.write_s!r} s acts from {t_u_s!r} s; the next "
+                f"read() was called at {telling.from_s!r} s and sampled at {telling.sample.t_s!r} s",
             )
 
     def test_the_drive_that_acts_is_reported(self) -> None:
@@ -386,19 +392,13 @@ class Suite:
             self.clock.sleep_until(due_s)
 
     def _exchange(self, u_V: float) -> Tick:
-        """One tick, in the driver's order."""
+        """One tick, as the loop has it."""
         type(self)._driven = True
-        first = self.driver.order == "sample_first"
-        write_s = self.clock.now_s()
-        if not first:
-            self.driver.write(u_V)
         from_s = self.clock.now_s()
         sample = self.driver.read()
         to_s = self.clock.now_s()
-        if first:
-            write_s = to_s
-            self.driver.write(u_V)
-        return Tick(from_s, sample, to_s, write_s, u_V)
+        self.driver.write(u_V)
+        return Tick(from_s, sample, to_s, u_V)
 
     def _ticks(self, drives: Sequence[float]) -> list[Tick]:
         """One tick for each drive, a period apart; inside ``_armed``."""
@@ -414,9 +414,7 @@ class Suite:
 
     def _with_outcomes(self, drives: Sequence[float]) -> list[tuple[Tick, Tick]]:
         """Each drive's tick, with the tick whose reading tells what came of it."""
-        ticks = self._run([*drives, 0.0])
-        later = 1 if self.driver.order == "sample_first" else 0
-        return [(ticks[k], ticks[k + later]) for k in range(len(drives))]
+        return list(pairwise(self._run([*drives, 0.0])))
 
     def _to_and_fro(self, number: int) -> list[float]:
         return [self.drive_V * (-1.0) ** k for k in range(number)]

@@ -80,9 +80,10 @@ def reaction_periods(experiment: Experiment) -> int:
 
 
 def writes_first(experiment: Experiment) -> bool:
-    """Whether what a tick decides goes out with the next one: a Modbus device asked by FC23."""
+    """Whether what a tick decides goes out with the next one: a Modbus device asked by FC23; a plug-in's may."""
     modbus = experiment.daq.modbus
-    return experiment.daq.driver == "modbus" and modbus is not None and modbus.requests == "read-write"
+    asked_by_fc23 = experiment.daq.driver == "modbus" and modbus is not None and modbus.requests == "read-write"
+    return asked_by_fc23 or is_plug_in(experiment)
 
 
 def device_watchdog_s(experiment: Experiment) -> float:

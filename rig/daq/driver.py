@@ -113,7 +113,9 @@ class Driver(Protocol):
 
     @property
     def order(self) -> Order:
-        """Whether a tick reads before it writes ("sample_first") or after ("write_first")."""
+        """When a drive goes out that a tick has decided on what it read: at once, in ``write`` ("sample_first"), or in
+        the next tick's ``read``, just before that samples ("write_first").
+        """
         ...
 
     @property

@@ -24,7 +24,7 @@ def caught_by(*names: str) -> Callable[[type[VirtualCard]], type[VirtualCard]]:
     return note
 
 
-@caught_by("times_are_in_its_clock_and_rise", "the_drive_takes_effect_after_its_write_and_in_its_order")
+@caught_by("times_are_in_its_clock_and_rise")
 class WallClock(VirtualCard):
     """Samples are stamped with another clock than the declared one."""
 
@@ -51,14 +51,9 @@ class EffectWhenRead(VirtualCard):
         return sample._replace(t_u_s=sample.t_u_s - 0.010)
 
 
-@caught_by(
-    "the_drive_takes_effect_after_its_write_and_in_its_order",
-    "the_drive_that_acts_is_reported",
-    "the_drive_is_reported_as_quantised",
-    "safe_stop_disarms",
-)
-class WrongOrder(VirtualCard):
-    """Says that it writes first, but what was written acts only after the sample of its tick."""
+@caught_by("the_drive_takes_effect_after_its_write_and_in_its_order")
+class ActsAtOnce(VirtualCard):
+    """Says that a drive goes out with the next reading, but it goes out at once."""
 
     def __init__(self, settings: DriverSettings) -> None:
         super().__init__(settings)
@@ -69,11 +64,15 @@ class WrongOrder(VirtualCard):
         super().write(u_V)
         self.order = "write_first"
 
-    def read(self) -> Sample:
-        self.order = "sample_first"
-        sample = super().read()
+
+@caught_by("the_drive_takes_effect_after_its_write_and_in_its_order")
+class ActsATickLate(VirtualCard):
+    """Says that a drive goes out at once, but it goes out with the next reading."""
+
+    def write(self, u_V: float) -> None:
         self.order = "write_first"
-        return sample
+        super().write(u_V)
+        self.order = "sample_first"
 
 
 @caught_by("the_drive_is_reported_as_quantised")
