@@ -10,7 +10,9 @@ answers. They are made again only where a change of the format or of a law asks 
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
@@ -34,6 +36,22 @@ KEPT = ("config.yaml", "events.jsonl", "meta.json", "samples.csv")
 _OF_THIS_MACHINE = ("started_utc", "versions", "host", "command", "real_time")
 
 
+def _jog(e: config.Experiment, parent: Path) -> experiment.Outcome:
+    return experiment.jog(e, 1.5, 0.2, parent)
+
+
+def _halted(e: config.Experiment, parent: Path) -> experiment.Outcome:
+    """Halted twice for longer than a period, so that ticks are skipped."""
+    halt = f"kill -STOP {os.getpid()}; sleep 0.03; kill -CONT {os.getpid()}"
+    script = f"sleep 9; {halt}; sleep 3; {halt}"
+    helpers: list[subprocess.Popen[bytes]] = []
+    try:
+        return experiment.run(e, parent, lambda folder: helpers.append(subprocess.Popen(["sh", "-c", script])))
+    finally:
+        for helper in helpers:
+            helper.wait()
+
+
 @dataclass(frozen=True)
 class Golden:
     """One recording: its config as a file of config/ with dotted keys changed (None: left out), and how it is run."""
@@ -42,10 +60,6 @@ class Golden:
     changes: dict[str, Any]
     run: Callable[[config.Experiment, Path], experiment.Outcome] = experiment.run
     is_virtual: bool = True
-
-
-def _jog(e: config.Experiment, parent: Path) -> experiment.Outcome:
-    return experiment.jog(e, 1.5, 0.2, parent)
 
 
 _FIXED: dict[str, Any] = {"relay.target": None, "relay.gains": [{"h1_V": 0.42, "h2_V": 0.84}], "relay.cycles": 6}
@@ -59,7 +73,7 @@ RUNS: dict[str, Golden] = {
     ),
     "simulated-jog": Golden("simulated", {}, _jog),
     "simulated-fault": Golden("simulated", {**_FIXED, "limits.max_speed_rad_s": 1.5, "tracking": None}),
-    "host-board": Golden("demo", {**_FIXED, **_SHORT}, is_virtual=False),
+    "host-board": Golden("demo", {**_FIXED, **_SHORT}, _halted, is_virtual=False),
     "chip": Golden("demo", {**_CHIP, **_FIXED, **_SHORT, "tracking.methods": ["triple-relay"]}),
     "chip-relay-in-device": Golden("device-relay", {**_CHIP, **_FIXED, "relay.cycles": 5, "tracking": None}),
     "modbus": Golden("modbus-rtu", {"daq.port": "emulated-virtual", **_FIXED, **_SHORT}),

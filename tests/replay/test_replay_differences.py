@@ -9,9 +9,11 @@ import pytest
 import yaml
 from run_copy import GOLDEN, RunCopy
 
+from rig import config
+from rig.bench import guard_settings_of
+from rig.replay import replay
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_SATURATED, FLAG_SKIPPED
 
-UNIT_V = 12.0 / 799
 RELAYS = {"simulated": "relay-2", "host-board": "relay-1", "chip": "relay-1", "modbus": "relay-1"}
 
 
@@ -69,15 +71,25 @@ def test_a_tick_of_the_relay_in_the_device(tmp_path: Path) -> None:
 
 
 def test_a_sample_at_which_the_guard_would_have_braked(tmp_path: Path) -> None:
-    """The shaft outward bound at its fastest, and one reading farther out: the slope of five is 1.6 rad/s more."""
+    """Within limits that leave the run just enough room, one reading 0.06 rad farther out where it needs most."""
     run = copy_of("simulated", tmp_path)
+    e = config.load(run.folder / "config.yaml")
+    settings = guard_settings_of(e)
     t_s = np.array([float(row["t_s"]) for row in run.rows])
     y_rad = np.array([float(row["y_rad"]) for row in run.rows])
-    relay = [k for k, row in enumerate(run.rows) if row["stage"] == "relay-2"]
-    velocity = {k: np.polyfit(t_s[k - 4 : k + 1], y_rad[k - 4 : k + 1], 1)[0] for k in relay[5:]}
-    k = max(velocity, key=lambda k: y_rad[k] + 0.35 * velocity[k])
+    stop_rad = np.full(len(run.rows), np.nan)
+    for k in range(4, len(run.rows)):
+        velocity = np.polyfit(t_s[k - 4 : k + 1], y_rad[k - 4 : k + 1], 1)[0]
+        stop_rad[k] = y_rad[k] + velocity * (settings.reaction_s + settings.coast_tau_s)
+    k = int(np.nanargmax(stop_rad))
+    room_rad = max(stop_rad[k], -np.nanmin(stop_rad)) + 0.05
+    limits = e.limits.model_copy(update={"hard_rad": (-room_rad, room_rad)})
+    narrower = config.dump(e.model_copy(update={"limits": limits}))
+    (run.folder / "config.yaml").write_text(narrower, encoding="utf-8")
+    assert run.replay().is_same
+
     row = run.rows[k]
-    found = run.changed(lambda: row.update(y_rad=repr(float(row["y_rad"]) + 0.08)), k).difference
+    found = run.changed(lambda: row.update(y_rad=repr(float(y_rad[k]) + 0.06)), k).difference
     assert found is not None and found.line == k + 2 and found.by == "guard"
     assert (found.recorded, found.replayed) == ("the guard let the law's drive out", "the guard braked")
     assert found.recorded_V == float(run.rows[k]["u_V"])
@@ -124,9 +136,9 @@ def test_another_model_or_another_gain_shows_in_the_first_drive_that_it_changes(
     assert found is not None and found.stage == "track:triple-relay" and found.by == "law"
     assert found.tick <= run.tick(run.number_of("track:triple-relay", 20))
 
-    config = yaml.safe_load((run.folder / "config.yaml").read_text(encoding="utf-8"))
-    config["relay"]["gains"][0]["h1_V"] += unit_V(run)
-    (run.folder / "config.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
+    settings = yaml.safe_load((run.folder / "config.yaml").read_text(encoding="utf-8"))
+    settings["relay"]["gains"][0]["h1_V"] += unit_V(run)
+    (run.folder / "config.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
     found = run.replay().difference
     assert found is not None and found.line == run.number_of("relay-1") + 2
 
@@ -181,8 +193,6 @@ def test_a_torn_last_line_is_left_out_and_said(tmp_path: Path) -> None:
     samples = run.write() / "samples.csv"
     text = samples.read_text(encoding="ascii")
     samples.write_text(text[: text.rindex("\n", 0, -1) + 12], encoding="ascii")
-    from rig.replay import replay
-
     done = replay(run.folder)
     assert done.is_same and done.ending == "no end" and done.rows == len(run.rows) - 1
     assert len(done.notes) == 1 and "torn" in done.notes[0]
