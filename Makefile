@@ -2,7 +2,7 @@
 CONFIG ?= config/demo$(if $(CHIP),-chip).yaml
 RIG := .venv/bin/rig
 
-.PHONY: help demo test check format bench paper safety fuzz firmware lock clean
+.PHONY: help demo test check format bench paper safety fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -39,6 +39,9 @@ fuzz: .venv/.ready  ## what the host reads, fuzzed; SECONDS_EACH=60 for each tar
 
 firmware: .venv/.ready  ## the Uno's firmware (build/firmware/uno/rig_uno.hex), and the emulated board and chip
 	@$(MAKE) --no-print-directory -C firmware host uno chip
+
+golden: .venv/.ready firmware  ## the golden recordings that live in virtual time, anew: docs/replay.md
+	.venv/bin/python tools/golden.py
 
 lock: .venv/.ready  ## lock the packages anew
 	.venv/bin/uv pip compile --quiet pyproject.toml --group dev --generate-hashes --universal \

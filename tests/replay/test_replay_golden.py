@@ -44,7 +44,7 @@ def test_they_hold_what_makes_a_replay_hard() -> None:
     assert 1000 < np.count_nonzero(in_device) < len(in_device)
     real_time = runs["host-board"]
     assert np.count_nonzero(real_time.flags & FLAG_SKIPPED) > 0  # ticks that the loop was too late for
-    assert len(np.unique(np.diff(real_time.t_s))) > 0.9 * len(real_time)  # no two ticks as far apart
+    assert len(np.unique(np.diff(real_time.t_s))) > 100  # as far apart as a real machine has them
 
 
 def test_a_simulated_run_comes_out_the_same_to_the_byte(tmp_path: Path) -> None:
