@@ -1,0 +1,297 @@
+"""Whatever hangs, fills its pipe or burns a core beside the loop: the loop goes on."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import resource
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, simulated_bench
+
+from rig.control.guard import Guard
+from rig.control.law import Constant, Rest
+from rig.daq.calibration import DriveMap
+from rig.daq.simulated import SimulatedDriver, SimulatedLatency
+from rig.faults import Fault
+from rig.loop.clock import MonotonicClock
+from rig.loop.real_time import real_time
+from rig.loop.runner import Loop, NoRecord
+from rig.loop.stop_request import StopRequest
+from rig.recording.reader import read_run
+from rig.recording.recorder import Recorder
+
+ROOT = Path(__file__).resolve().parents[2]
+STAGES = ("rest", "jog")
+TICKS = 3000
+
+
+@contextlib.contextmanager
+def stopped(pid: int) -> Iterator[None]:
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+def full_pipe() -> tuple[int, int]:
+    """Both ends of a pipe that takes nothing more."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, b"." * 4096)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, b".")
+    os.set_blocking(writing, True)
+    return reading, writing
+
+
+def children(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def command_of(pid: int) -> str:
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+    return ""
+
+
+# -- no tick waits for anybody: in virtual time, where the loop itself never sleeps ------------------------------------
+
+
+def waits_in(ticks: int, record: NoRecord | Recorder) -> int:
+    """Times that this thread gave its core away by itself while so many ticks ran."""
+    bench = simulated_bench()
+    bench.loop._record = record
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(Rest(0.1), "rest")
+        before = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
+        bench.loop.run(Rest(ticks * PERIOD_S), "rest")
+        return resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw - before
+
+
+@pytest.mark.parametrize("writer", ["running", "stopped"])
+def test_no_tick_waits_for_the_recorder(writer: str, tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, STAGES)
+    hold = stopped(recorder.writer_pid) if writer == "stopped" else contextlib.nullcontext()
+    with hold:
+        waits = waits_in(TICKS, recorder)
+    recorder.close()
+    assert waits < TICKS // 100  # one wait a tick would be 3000
+    assert len(read_run(tmp_path)) >= TICKS
+
+
+def test_a_wait_in_a_tick_would_be_seen() -> None:
+    class Waiting(NoRecord):
+        def sample(self, *row: object) -> None:
+            time.sleep(1e-6)
+
+    assert waits_in(300, Waiting()) > 250
+
+
+def test_no_tick_waits_for_a_disk_that_takes_nothing(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "samples.csv")
+    disk = os.open(tmp_path / "samples.csv", os.O_RDWR | os.O_NONBLOCK)
+    fcntl.fcntl(disk, fcntl.F_SETPIPE_SZ, 4096)
+    recorder = Recorder(tmp_path, STAGES)
+    recorder.close_timeout_s = 0.1
+    assert waits_in(TICKS, recorder) < TICKS // 100
+    with pytest.raises(Fault, match=r"it still holds \d+ rows and is left running"):
+        recorder.close()
+    data = b""  # the disk goes on, and every row arrives
+    while recorder._process.poll() is None or select.select([disk], [], [], 0.0)[0]:
+        if select.select([disk], [], [], 0.01)[0]:
+            data += os.read(disk, 65536)
+    os.close(disk)
+    assert data.count(b"\n") > TICKS
+
+
+# -- a whole run beside which nobody reads and the progress hangs ------------------------------------------------------
+
+
+def test_a_run_ends_well_though_its_output_is_full_and_its_progress_hangs(tmp_path: Path) -> None:
+    config = yaml.safe_load((ROOT / "config" / "simulated.yaml").read_text())
+    config["relay"] = {"gains": [{"h1_V": 0.8, "h2_V": 0.9}], "cycles": 4}
+    del config["tracking"]
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))
+    terminal, seen_by_rig = os.openpty()
+    reading, writing = full_pipe()
+    run = subprocess.Popen(
+        [sys.executable, "-m", "rig", "relay", str(tmp_path / "config.yaml"), "--out", str(tmp_path / "runs")],
+        stdout=writing,
+        stderr=seen_by_rig,
+        cwd=ROOT,
+    )
+    os.close(writing)
+    os.close(seen_by_rig)
+
+    def results() -> list[Path]:
+        return list((tmp_path / "runs").glob("*/report.html"))
+
+    hung = 0
+    deadline_s = time.monotonic() + 60
+    while not results():
+        assert run.poll() is None, "the run ended without a report"
+        assert time.monotonic() < deadline_s, "the run hangs"
+        for child in children(run.pid):
+            if not hung and "rig.recording.follow" in command_of(child):
+                os.kill(child, signal.SIGSTOP)
+                hung = child
+        time.sleep(0.002)
+    assert hung, "no progress was shown"
+    assert json.loads(results()[0].with_name("result.json").read_text())["faults"] == []
+    told = b""
+    while run.poll() is None or select.select([reading], [], [], 0.0)[0]:
+        if select.select([reading], [], [], 0.05)[0]:
+            piece = os.read(reading, 65536)
+            if not piece:
+                break
+            told += piece
+    assert run.wait(20) == 0
+    assert b"backend: simulated" in told
+    os.close(reading)
+    os.close(terminal)
+
+
+# -- in real time: late ticks beside a disturbance, against those without it in the same run ---------------------------
+
+
+class Lateness(NoRecord):
+    """Counts ticks that woke more than a quarter of a period late, beside a real record."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self.recorder = recorder
+        self.late = self.ticks = 0
+
+    def sample(self, tick, sample, stage, z_rad_s, yd_rad, u_V, late_us, io_us, flags) -> None:  # type: ignore[no-untyped-def]
+        self.ticks += 1
+        self.late += late_us > 0.25e6 * PERIOD_S
+        self.recorder.sample(tick, sample, stage, z_rad_s, yd_rad, u_V, late_us, io_us, flags)
+
+    def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:
+        self.recorder.complete(t_u_s, u_V, flags)
+
+    def check(self) -> None:
+        self.recorder.check()
+
+
+def real_time_bench(recorder: Recorder) -> tuple[SimulatedDriver, Loop, Lateness]:
+    clock = MonotonicClock(200e-6)
+    driver = SimulatedDriver(clock, DEMO, CALIBRATION, DriveMap(12.0), RAILS, SimulatedLatency(0.001, 0.0), 1)
+    record = Lateness(recorder)
+    return driver, Loop(driver, clock, Guard(GUARD), record, PERIOD_S, StopRequest()), record
+
+
+BURN = "while True:\n    [line.split(',') for line in open({path!r})]"
+
+
+@contextlib.contextmanager
+def reader_that_burns_a_core(recorder: Recorder) -> Iterator[None]:
+    burner = subprocess.Popen([sys.executable, "-c", BURN.format(path=str(recorder.folder / "samples.csv"))])
+    try:
+        yield
+    finally:
+        burner.kill()
+        burner.wait()
+
+
+@contextlib.contextmanager
+def stopped_writer(recorder: Recorder) -> Iterator[None]:
+    with stopped(recorder.writer_pid):
+        yield
+
+
+@contextlib.contextmanager
+def progress_into_a_full_pipe(recorder: Recorder) -> Iterator[None]:
+    reading, writing = full_pipe()
+    viewer = subprocess.Popen(
+        [sys.executable, "-m", "rig.recording.follow", str(recorder.folder)], stdin=subprocess.PIPE, stderr=writing
+    )
+    try:
+        yield
+    finally:
+        viewer.kill()
+        viewer.communicate()
+        os.close(reading)
+        os.close(writing)
+
+
+@contextlib.contextmanager
+def busy_thread(recorder: Recorder) -> Iterator[None]:
+    over = threading.Event()
+
+    def burn() -> None:
+        while not over.is_set():
+            sum(range(100))
+
+    thread = threading.Thread(target=burn, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def late_shares(
+    disturbance: Callable[[Recorder], contextlib.AbstractContextManager[None]], folder: Path
+) -> list[float]:
+    """Share of late ticks without and beside the disturbance, in turns of half a second."""
+    recorder = Recorder(folder, STAGES)
+    _, loop, record = real_time_bench(recorder)
+    counts = [[0, 0], [0, 0]]
+    with real_time():
+        for turn in range(4):
+            beside = disturbance(recorder) if turn % 2 else contextlib.nullcontext()
+            record.late = record.ticks = 0
+            with beside, loop.armed(LIMITS):
+                loop.run(Rest(0.5), "rest")
+            # what was skipped was late, too
+            counts[turn % 2][0] += record.late
+            counts[turn % 2][1] += record.ticks
+    recorder.close()
+    return [late / ticks for late, ticks in counts]
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("disturbance", [stopped_writer, progress_into_a_full_pipe, reader_that_burns_a_core])
+def test_ticks_are_as_punctual_beside_a_disturbance(
+    disturbance: Callable[[Recorder], contextlib.AbstractContextManager[None]], tmp_path: Path
+) -> None:
+    quiet, disturbed = late_shares(disturbance, tmp_path)
+    assert disturbed <= quiet + 0.3
+
+
+@pytest.mark.realtime
+def test_a_thread_in_the_same_process_would_be_seen(tmp_path: Path) -> None:
+    quiet, disturbed = late_shares(busy_thread, tmp_path)
+    assert disturbed > quiet + 0.3
+
+
+@pytest.mark.realtime
+def test_a_writer_that_stays_stopped_ends_the_run_at_zero_drive_with_every_row_kept(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, STAGES)
+    recorder.stall_timeout_s = 0.3
+    driver, loop, record = real_time_bench(recorder)
+    os.kill(recorder.writer_pid, signal.SIGSTOP)
+    with pytest.raises(Fault, match=r"RECORDER_DEAD.*has written nothing for 0\.3 s"), loop.armed(LIMITS):
+        loop.run(Constant(0.3, 60.0), "jog")
+    assert driver.bench.pin_counts == 0
+    recorder.close()
+    run = read_run(tmp_path)
+    assert len(run) == record.ticks
+    assert sorted(run.tick) == list(run.tick)
