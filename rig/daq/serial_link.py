@@ -328,7 +328,10 @@ class SerialDriver:
                 self._drives_lost += 1
                 self._lost_in_a_row += 1
                 if self._lost_in_a_row >= _LOST_DRIVES:
-                    raise Fault("LINK_TIMEOUT", f"{self._lost_in_a_row} drives in a row were not accepted")
+                    # the reading that came with it is in no row: it is here
+                    raise Fault(
+                        "LINK_TIMEOUT", f"{self._lost_in_a_row} drives in a row were not accepted; {self._where(state)}"
+                    )
             self._unconfirmed = None
         now_s = self._transport.now_s()
         if self._driven and state.t_drive_us != self._t_drive_us:
@@ -599,12 +602,14 @@ class SerialDriver:
             f"frames, {self._stale_replies} stale replies in {self._exchanges} exchanges",
         )
 
+    def _where(self, state: State) -> str:
+        return f"{self.calibration.to_rad(state.counts):.4f} rad, {state.counts} counts"
+
     def _device_fault(self, state: State) -> Fault:
         """What a STATE says that ends the run, with this case's numbers."""
-        where = f"{self.calibration.to_rad(state.counts):.4f} rad, {state.counts} counts"
         if self._armed and not state.status & frames.STATUS_FAULT:
-            return Fault("DEVICE_RESET", f"no longer armed and no fault latched; at {where}")
-        detail = f"{frames.code_name(state.fault)} at {where}"
+            return Fault("DEVICE_RESET", f"no longer armed and no fault latched; at {self._where(state)}")
+        detail = f"{frames.code_name(state.fault)} at {self._where(state)}"
         setup = self._setup
         if setup is not None:
             if state.fault == Code.WATCHDOG:

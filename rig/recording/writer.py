@@ -4,19 +4,22 @@ Started by ``recorder.Recorder`` as ``python -m rig.recording.writer FD PARENT C
 STAGE...``. Its standard input is a pipe that nobody writes to: its end says that the loop's process has closed the
 record or is gone; then whatever is in the memory is written, the row still open included, and the process ends.
 
-It resumes where the files end, so a second writer can finish the work of one that was killed.
+It resumes where the files end, so a second writer can finish the work of one that was killed. It keeps some room on the
+disk: when the disk is full it says so, and still writes there what is in the memory and what comes until the loop has
+ended.
 Light on purpose (no numpy, no json): it has to be ready before a motor may move.
 """
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import signal
 import stat
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -30,17 +33,21 @@ EVENTS: Final = "events.jsonl"
 POLL_MS: Final = 5
 SYNC_EVERY_S: Final = 1.0
 ROWS_AT_ONCE: Final = 1024
+KEPT_BYTES: Final = 1 << 20  # of rows and events that come until the loop has ended, and of result.json
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT)
 _NAN: Final = float("nan")
 
 
 class AppendOnlyFile:
     """A file that only grows; what ``write`` returned from survives the death of this process.
 
+    makes_room  asked when the disk is full: True where it is no longer
     Raises OSError with the file's name, from every method.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, makes_room: Callable[[OSError], bool] = lambda _: False) -> None:
         self._path = path
+        self._makes_room = makes_room
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
         self._dirty = False
 
@@ -63,11 +70,13 @@ class AppendOnlyFile:
         """Append all of ``data``."""
         rest = memoryview(data)
         self._dirty = self._dirty or len(rest) > 0
-        try:
-            while rest:
+        while rest:
+            try:
                 rest = rest[os.write(self._descriptor, rest) :]
-        except OSError as error:
-            raise self._named(error) from error
+            except OSError as error:
+                named = self._named(error)
+                if not self._makes_room(named):
+                    raise named from error
 
     def sync(self) -> None:
         """Put what was written on the disk, if anything was since the last time."""
@@ -82,6 +91,27 @@ class AppendOnlyFile:
         return OSError(error.errno, error.strerror, str(self._path))
 
 
+class KeptRoom:
+    """Room on the disk that nobody else gets, for as long as this process lives or until it is given up.
+
+    Raises OSError where there is not so much.
+    """
+
+    def __init__(self, folder: Path, size: int) -> None:
+        path = folder / ".room"
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            path.unlink()  # whatever ends this process, nothing is left behind
+            os.posix_fallocate(self._descriptor, 0, size)
+        except OSError as error:
+            os.close(self._descriptor)
+            raise OSError(error.errno, error.strerror, str(folder)) from error
+
+    def give_up(self) -> None:
+        """Let others have it."""
+        os.close(self._descriptor)
+
+
 class Writer:
     """Moves what the loop has published into the two files.
 
@@ -91,8 +121,10 @@ class Writer:
     def __init__(self, shared: SharedMemory, folder: Path, stages: Sequence[str]) -> None:
         self._shared = shared
         self._stages = stages
-        self._samples = AppendOnlyFile(folder / SAMPLES)
-        self._events = AppendOnlyFile(folder / EVENTS)
+        self._folder = folder
+        self._samples = AppendOnlyFile(folder / SAMPLES, self._makes_room)
+        self._events = AppendOnlyFile(folder / EVENTS, self._makes_room)
+        self._room: KeptRoom | None = None
         self._last_t_s = _NAN
 
     def resume(self) -> None:
@@ -104,6 +136,19 @@ class Writer:
         counters = self._shared.counters
         counters[layout.ROWS_TAKEN] = max(lines - 1, 0)
         counters[layout.EVENT_BYTES_TAKEN] = min(event_bytes, counters[layout.EVENT_BYTES])
+
+    def keep_room(self) -> None:
+        """Keep room on the disk, for the day that it is full."""
+        self._room = KeptRoom(self._folder, KEPT_BYTES)
+
+    def _makes_room(self, error: OSError) -> bool:
+        """Give up the room that was kept, once, and tell the loop to end."""
+        room, self._room = self._room, None
+        if room is None or error.errno not in _FULL:
+            return False
+        self._shared.fail(layout.CANNOT_WRITE, _in_words(error))
+        room.give_up()
+        return True
 
     def serve(self, is_over: select.poll, parent: int) -> None:
         """Write until the loop's side is over, then to the last row."""
@@ -197,6 +242,8 @@ def main(arguments: Sequence[str]) -> int:
         return 1
     try:
         writer.resume()
+        if shared.counters[layout.ROWS_OPENED] == 0:  # else it only finishes what another has begun
+            writer.keep_room()
         shared.counters[layout.STATE] = layout.READY
         writer.serve(is_over, parent)
     except OSError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import gc
 import json
@@ -22,10 +23,12 @@ from pathlib import Path
 import pytest
 
 from rig.faults import Fault
+from rig.recording import layout
 from rig.recording.columns import COLUMNS, HEADER, KINDS
 from rig.recording.errors import RecordingError
 from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
+from rig.recording.writer import KeptRoom, Writer
 from rig.signals import Sample
 
 STAGES = ("breakaway", "relay-1", "track:sampled-data")
@@ -301,6 +304,41 @@ def test_a_disk_full_from_the_start_is_reported_before_anything_moves(tmp_path: 
     (tmp_path / "samples.csv").symlink_to("/dev/full")
     with pytest.raises(Fault, match=r"RECORDER_DEAD.*No space left on device"):
         Recorder(tmp_path, STAGES)
+
+
+def test_what_comes_until_the_loop_has_ended_fits_on_a_full_disk(tmp_path: Path) -> None:
+    """The writer itself, on a disk that is full until the room that was kept is given up."""
+    descriptor = layout.create_file(layout.size_of(64, 4096))
+    shared = layout.SharedMemory(descriptor, 64, 4096)
+    writer = Writer(shared, tmp_path, ["relay-1"])
+    writer.resume()
+    writer.keep_room()
+    assert [path.name for path in tmp_path.iterdir() if path.name not in ("samples.csv", "events.jsonl")] == []
+    full = [OSError(errno.ENOSPC, "No space left on device", "samples.csv")]
+    original = os.write
+
+    def write(descriptor: int, data: bytes) -> int:
+        if writer._room is not None:
+            if len(data) > 100:
+                return original(descriptor, data[:100])  # a part of it still fits
+            raise full[0]
+        return original(descriptor, data)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "write", write)
+        writer._samples.write(b"x" * 150)
+    assert (tmp_path / "samples.csv").read_bytes().endswith(b"\n" + b"x" * 150)
+    assert shared.counters[layout.STATE] == layout.CANNOT_WRITE
+    assert shared.reason().endswith("samples.csv: No space left on device")
+    assert not writer._makes_room(full[0])  # there is only one
+    shared.close()
+    os.close(descriptor)
+
+
+def test_a_disk_without_room_for_the_end_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=r"File too large|No space left"):
+        KeptRoom(tmp_path, 1 << 62)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:

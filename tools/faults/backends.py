@@ -18,12 +18,13 @@ from rig.daq.frames import Kind
 from rig.emulate.firmware_build import UnoOptions
 from rig.emulate.virtual_board import VirtualBoard
 from rig.emulate.virtual_chip import VirtualChip
+from rig.experiment import RELAY_TIMEOUT_PERIODS
 from rig.model.bench import BenchParameters
+from rig.model.motor import State
 
 ROOT = Path(__file__).resolve().parents[2]
 GAINS_V = (0.45, 0.9)
 CYCLES = 3
-FREEZE_S = 1.0
 STUCK_S = 0.45
 _CHIP_UNITS = 400
 _BOARD_UNITS = 799
@@ -80,9 +81,9 @@ class Backend:
             cycle=cycle_s,
             stuck=STUCK_S,
             check=_LOOKS_APART * experiment.period_s,
-            breakaway=b.max_V / b.ramp_V_s + 12.0 * b.rest_s,
-            relay=5.0 * CYCLES * 2.0,
-            freeze=FREEZE_S,
+            breakaway=2.0 * b.max_V / b.ramp_V_s + 12.0 * b.rest_s,
+            relay=RELAY_TIMEOUT_PERIODS * CYCLES * 2.0,
+            runaway=_runaway_s(experiment),
         )
 
 
@@ -95,6 +96,15 @@ def _bench(experiment: Experiment) -> BenchParameters:
 
 def _clock_error_ppm(experiment: Experiment) -> float:
     return 0.0 if experiment.emulated is None else experiment.emulated.clock_error_ppm
+
+
+def _runaway_s(experiment: Experiment) -> float:
+    low_rad, high_rad = experiment.limits.hard_rad
+    motor = _bench(experiment).motor
+    time_s, state = 0.0, State(-experiment.limits.max_speed_rad_s, low_rad)
+    while state.y < high_rad:
+        state, time_s = motor.advance(state, sum(GAINS_V), 0.001), time_s + 0.001
+    return time_s
 
 
 def _chip(experiment: Experiment) -> VirtualChip:

@@ -19,9 +19,9 @@ class Times(NamedTuple):
     cycle       of the limit cycle
     stuck       that a drive must be on, well above friction, until a shaft that does not move counts as stuck
     check       25 ticks, between two looks at the recorder
-    breakaway   one ramp of the breakaway check, to its end, and the rests around it
+    breakaway   both ramps of the breakaway check, to their end, and the rests around them
     relay       time-out of the relay test
-    freeze      for which the host is stopped
+    runaway     that a shaft takes from one hard limit, at full speed the other way, to the other, at the relay's drive
     """
 
     tick: float
@@ -36,7 +36,7 @@ class Times(NamedTuple):
     check: float
     breakaway: float
     relay: float
-    freeze: float
+    runaway: float
 
 
 _WORDS = {"timeout": "time-out", "hardware": "hardware watchdog", "stuck": "stuck time", "relay": "relay time-out"}

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import json
 import math
+import os
+import pickle
+import random
+import signal
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 from unittest.mock import patch
 
 import yaml
 from click.testing import CliRunner
 
 import rig.bench
-from faults.backends import BACKENDS, Backend
+from faults.backends import Backend
 from faults.bounds import Times
 from faults.rows import Row
 from faults.stand import Stand
@@ -26,6 +32,10 @@ from rig import experiment as script
 from rig.cli import main
 from rig.config import check
 from rig.config.schema import Experiment
+from rig.faults import Fault
+from rig.recording.errors import RecordingError
+from rig.faults import Fault
+from rig.recording.errors import RecordingError
 
 FIRST_CYCLE = 4  # the fault comes in the one after it: the amplitude is that of the limit cycle by then
 SETTLE_S = 1.5  # after the run: the watchdog acts, the shaft stops
@@ -67,7 +77,6 @@ class Run:
 
     status: int
     output: str
-    folder: Path
     rows: list[dict[str, str]]
     events: list[dict[str, Any]]
 
@@ -82,6 +91,36 @@ class Run:
         return [str(event["name"]) for event in self.events if event["kind"] == "stage"]
 
 
+@dataclass(frozen=True)
+class Undisturbed:
+    """The run in which nothing goes wrong.
+
+    cycle_s  device time at which the cycle after FIRST_CYCLE begins; period_s: its length
+    times    that bounds are made of
+    rows     of its record
+    """
+
+    cycle_s: float
+    period_s: float
+    times: Times
+    rows: list[dict[str, str]]
+
+
+@dataclass(frozen=True)
+class Undisturbed:
+    """The run in which nothing goes wrong.
+
+    cycle_s  device time at which the cycle after FIRST_CYCLE begins; period_s: its length
+    times    that bounds are made of
+    rows     of its record
+    """
+
+    cycle_s: float
+    period_s: float
+    times: Times
+    rows: list[dict[str, str]]
+
+
 @contextmanager
 def patched(stand: Stand, backend: Backend) -> Iterator[None]:
     """rig connects to the stand instead of a new device; no figures are drawn."""
@@ -92,89 +131,154 @@ def patched(stand: Stand, backend: Backend) -> Iterator[None]:
         yield
 
 
-def write(folder: Path, config: dict[str, Any]) -> Path:
-    """The config as a file."""
+def merged(config: dict[str, Any], emulated: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The config with changes of its section ``emulated``."""
+    new = copy.deepcopy(config)
+    for name, changes in emulated.items():
+        new["emulated"][name] = new["emulated"].get(name, {}) | changes
+    return new
+
+
+def new_stand(backend: Backend, config: dict[str, Any], folder: Path, seed: int) -> tuple[Stand, Experiment]:
+    """The device, powered on; its config is written to ``folder``."""
     path = folder / "fault.yaml"
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
-    return path
+    experiment = check(path)[0]
+    limits, timeout_s = experiment.limits, experiment.daq.timeout_s
+    device, language = backend.device(experiment), backend.language(experiment)
+    return Stand(device, language, limits.hard_rad, timeout_s, folder, seed), experiment
 
 
-def new_stand(backend: Backend, experiment: Experiment, seed: int = 1) -> Stand:
-    """The device, powered on."""
-    return Stand(
-        backend.device(experiment),
-        backend.language(experiment),
-        experiment.limits.hard_rad,
-        experiment.daq.timeout_s,
-        seed,
-    )
-
-
-def relay_run(stand: Stand, backend: Backend, folder: Path) -> tuple[int, str]:
-    """`rig relay`: exit status and what it says."""
+def relay_run(stand: Stand, backend: Backend) -> Run:
+    """`rig relay`, to its end."""
+    folder = stand.folder
     with patched(stand, backend):
         result = CliRunner().invoke(main, ["relay", str(folder / "fault.yaml"), "--out", str(folder / "runs")])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
-    return result.exit_code, result.output
+    return finished(folder, result.exit_code, result.output)
 
 
 def finished(folder: Path, status: int, output: str) -> Run:
-    """The run below ``folder / "runs"``."""
-    run_folder = next((folder / "runs").iterdir())
-    with (run_folder / "samples.csv").open(encoding="ascii") as file:
-        rows = list(csv.DictReader(file))
-    events = [json.loads(line) for line in (run_folder / "events.jsonl").read_text(encoding="ascii").splitlines()]
-    return Run(status, output, run_folder, rows, events)
+    """What there is of the run below ``folder / "runs"``."""
+    rows, events = [], []
+    for run_folder in (folder / "runs").glob("*/"):
+        with (run_folder / "samples.csv").open(encoding="ascii") as file:
+            rows = list(csv.DictReader(file))
+        events = [json.loads(line) for line in (run_folder / "events.jsonl").read_text(encoding="ascii").splitlines()]
+    return Run(status, output, rows, events)
 
 
 @lru_cache
-def cycle(backend: Backend) -> tuple[float, float]:
-    """Device time at which the cycle after FIRST_CYCLE begins where nothing goes wrong, and its length, s."""
+def undisturbed(backend: Backend) -> Undisturbed:
+    """The run in which nothing goes wrong. Raises RuntimeError where something does."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        experiment = check(write(folder, backend.config()))[0]
-        stand = new_stand(backend, experiment)
-        run = finished(folder, *relay_run(stand, backend, folder))
-        if run.status:
-            raise RuntimeError(f"{backend.key}: the run fails without a fault: {run.output}")
+        stand, experiment = new_stand(backend, backend.config(), Path(name), 1)
+        run = relay_run(stand, backend)
+        if run.status or missing(stand, run):
+            raise RuntimeError(f"{backend.key}: the run fails where nothing goes wrong: {run.output}")
         asked_s = dict(stand.read_at)
         row = run.rows[len(run.rows) // 2]
         offset_s = asked_s[int(row["seq"])] - float(row["t_s"])
         ends = [float(e["t_s"]) for e in run.events if e["kind"] == "cycle"]
-        return ends[FIRST_CYCLE - 1] + offset_s, ends[FIRST_CYCLE] - ends[FIRST_CYCLE - 1]
+        period_s = ends[FIRST_CYCLE] - ends[FIRST_CYCLE - 1]
+        times = backend.times(experiment, period_s)
+        return Undisturbed(ends[FIRST_CYCLE - 1] + offset_s, period_s, times, run.rows)
 
 
 def measure(row: Row, backend: Backend, phase: float, restarts: bool = False) -> Found:
-    """Run it. ``phase`` 0 to 1 of the limit cycle."""
-    start_s, length_s = cycle(backend)
+    """Run it. ``phase`` 0 to 1 of the limit cycle, or of where an early one starts; restarts: try the next run, too."""
+    undisturbed(backend)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        config = backend.config()
-        if row.early:
-            config["emulated"]["motor"]["start_rad"] = START_RAD * (2.0 * phase - 1.0)
-        experiment = check(write(folder, config))[0]
-        stand = new_stand(backend, experiment)
-        stand.schedule(0.0 if row.early else start_s + phase * length_s, row.act)
-        times = backend.times(experiment, length_s)
-        status, output = relay_run(stand, backend, folder)
+        if not row.alone:
+            return _measure(row, backend, phase, restarts, folder, None)
+        return _in_own_process(lambda done: _measure(row, backend, phase, restarts, folder, done))
+
+
+Done = Callable[[Found], NoReturn]
+
+
+def _in_own_process(work: Callable[[Done], Found]) -> Found:
+    """What ``work`` returns in a copy of this process, or hands to the function that it is given, there or in a copy.
+
+    Where the copy is killed, that is the exit status.
+    """
+    source, sink = os.pipe()
+
+    def done(found: object) -> NoReturn:
+        with os.fdopen(sink, "wb") as pipe:
+            pickle.dump(found, pipe)
+        os._exit(0)
+
+    child = os.fork()
+    if child == 0:
+        os.close(source)
+        try:
+            done(work(done))
+        except BaseException as error:  # noqa: BLE001 - it is raised again, in the process that waits for it
+            done(error)
+    os.close(sink)
+    with os.fdopen(source, "rb") as pipe:
+        found = pickle.load(pipe)
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if isinstance(found, BaseException):
+        raise found
+    return replace(found, status=status) if status < 0 else found
+
+
+def _measure(row: Row, backend: Backend, phase: float, restarts: bool, folder: Path, done: Done | None) -> Found:
+    plain = undisturbed(backend)
+    rng = random.Random(f"{row.name} {backend.key} {phase}")
+    config = merged(backend.config(), row.emulated)
+    if row.early:
+        config["emulated"]["motor"]["start_rad"] = START_RAD * (2.0 * phase - 1.0)
+    stand, experiment = new_stand(backend, config, folder, rng.randrange(2**32))
+    if row.early:
+        row.act(stand)
+        stand.schedule(0.0, lambda _: None)
+    else:
+        # within the loop's tick, too, it comes at any time
+        stand.schedule(plain.cycle_s + phase * plain.period_s + rng.uniform(0.0, experiment.period_s), row.act)
+    if row.prepare is not None:
+        row.prepare(folder)
+
+    def conclude(run: Run) -> Found:
         stand.watch(SETTLE_S)
-        found = judged(row, backend, phase, stand, times, finished(folder, status, output))
-        if restarts:
-            found = _restarted(found, row, backend, stand, experiment, folder)
-        return found
+        found = judged(row, backend, phase, stand, plain.times, run)
+        return _restarted(found, row, backend, stand, experiment) if restarts else found
+
+    if done is not None:
+
+        def after_death() -> None:
+            _await_last_words(folder)
+            done(conclude(finished(folder, -signal.SIGKILL, "")))
+
+        stand.after_death = after_death
+    return conclude(relay_run(stand, backend))
+
+
+def _await_last_words(folder: Path) -> None:
+    """Until the recorder has written what a killed host has left."""
+    deadline_s = time.monotonic() + 20.0
+    events = next((folder / "runs").iterdir()) / "events.jsonl"
+    while "loop_died" not in events.read_text(encoding="ascii"):
+        if time.monotonic() > deadline_s:
+            raise RuntimeError("the recorder does not say that the loop died")
+        time.sleep(0.005)
 
 
 def judged(row: Row, backend: Backend, phase: float, stand: Stand, times: Times, run: Run) -> Found:
     """What was measured, and what of it should not be."""
     truth = stand.device.truth()
     code = "" if run.fault is None else str(run.fault["code"])
-    if code == "" and run.status == 0:
-        off_s = stand.astray_s
+    runs_on = code == "" and run.status in (0, 1)
+    if runs_on:
+        off_s = max(stand.stale_s, stand.astray_s)
     else:
         began_s = stand.first_drive_s if row.early else stand.fault_s
-        off_s = max(truth.pin_changed_s - began_s, 0.0) if truth.pin_V == 0.0 else math.inf
-        off_s = 0.0 if math.isnan(off_s) else off_s  # it never drove
+        off_s = math.inf if truth.pin_V != 0.0 else max(truth.pin_changed_s - began_s, 0.0)
+        off_s = 0.0 if math.isnan(began_s) else off_s  # it never drove
     found = Found(
         row.name,
         backend.key,
@@ -184,29 +288,39 @@ def judged(row: Row, backend: Backend, phase: float, stand: Stand, times: Times,
         stand.beyond_rad,
         code,
         run.status,
-        run.stages[-1] if run.stages else "before the first",
+        run.stages[-1] if run.stages else "",
         len(missing(stand, run)),
     )
-    trouble = []
-    if not off_s <= found.bound_s:
-        trouble.append(f"drive on for {1e3 * off_s:.2f} ms, bound {1e3 * found.bound_s:.2f} ms")
-    if code not in row.codes:
-        trouble.append(f"shows {code or 'no fault'} ({'' if run.fault is None else run.fault['detail']})")
-    if (found.status != 0) != bool(code):
-        trouble.append(f"exit status {found.status} with {code or 'no fault'}: {run.output[-300:]}")
+    return replace(found, trouble=tuple(_trouble(found, row, backend, run)))
+
+
+def _trouble(found: Found, row: Row, backend: Backend, run: Run) -> Iterator[str]:
+    shown = found.code or "no fault"
+    if not found.off_s <= found.bound_s:
+        yield f"drive on for {1e3 * found.off_s:.2f} ms, bound {1e3 * found.bound_s:.2f} ms"
+    if found.code not in row.codes:
+        yield f"{shown} ({'' if run.fault is None else run.fault['detail']})"
+    if found.status not in (row.status or (int(found.code != ""),)):
+        yield f"exit status {found.status} with {shown}: {run.output[-300:]}"
     if row.early and any(stage.startswith("relay") for stage in run.stages):
-        trouble.append("a relay ran")
+        yield "a relay ran"
+    if row.same and _decided(run.rows) != _decided(undisturbed(backend).rows):
+        yield "the record is another"
     if found.lost:
-        trouble.append(f"{found.lost} samples lost")
+        yield f"{found.lost} samples lost"
     if "Traceback" in run.output or any(e["kind"] == "traceback" for e in run.events):
-        trouble.append("a traceback")
-    return replace(found, trouble=tuple(trouble))
+        yield "a traceback"
+
+
+def _decided(rows: list[dict[str, str]]) -> list[tuple[str, ...]]:
+    """Of a record, what does not depend on how fast this machine is."""
+    return [tuple(row[name] for name in ("tick", "seq", "t_s", "t_u_s", "y_counts", "u_V", "stage")) for row in rows]
 
 
 def missing(stand: Stand, run: Run) -> list[int]:
     """Keys of samples that the device has told of, in time, and that the record has not.
 
-    One that came with a latched fault is in the record if the fault's event has its counts. The last exchange before
+    The one that ended the run is in the record, too, where the fault's event has its counts. The last exchange before
     a stop without a fault is none: it only asks what came of the last drive.
     """
     recorded = {int(row["seq"]) for row in run.rows}
@@ -215,38 +329,46 @@ def missing(stand: Stand, run: Run) -> list[int]:
     for reading in stand.readings:
         in_detail = f"{reading.counts} counts" in detail and reading is stand.readings[-1]
         only_asks = reading.key in stand.closing and run.fault is None
-        if reading.is_well and reading.key not in recorded and not only_asks and not in_detail:
-            lost.append(reading.key)
-        elif not reading.is_well and not in_detail and reading.key not in recorded:
+        if reading.key not in recorded and not only_asks and not in_detail:
             lost.append(reading.key)
     return lost
 
 
-def _restarted(
-    found: Found, row: Row, backend: Backend, stand: Stand, experiment: Experiment, folder: Path
-) -> Found:
+def _restarted(found: Found, row: Row, backend: Backend, stand: Stand, experiment: Experiment) -> Found:
     words, trouble = [], list(found.trouble)
     if row.lasting:
-        code = restart(stand, backend, experiment, folder)
+        code = restart(stand, backend, experiment)
         words.append(f"refused: {code}" if code else "moves")
         if code not in row.refused:
             trouble.append(f"the next run, not mended: {code or 'moves'}")
+        stand = _mended(stand, row, backend)
     stand.cure()
-    code = restart(stand, backend, experiment, folder)
+    code = restart(stand, backend, experiment)
     words.append(("mended: " if row.lasting else "") + (f"refused: {code}" if code else "moves"))
     if code:
         trouble.append(f"the next run, mended: {code}")
     return replace(found, restart="; ".join(words), trouble=tuple(trouble))
 
 
-def restart(stand: Stand, backend: Backend, experiment: Experiment, folder: Path) -> str:
+def _mended(stand: Stand, row: Row, backend: Backend) -> Stand:
+    if row.emulated:
+        return new_stand(backend, backend.config(), stand.folder, 1)[0]  # another motor
+    stand.bring_home()
+    (stand.folder / "runs").chmod(0o755)
+    (stand.folder / "runs" / "filler").unlink(missing_ok=True)
+    return stand
+
+
+def restart(stand: Stand, backend: Backend, experiment: Experiment) -> str:
     """The next run, as far as the breakaway check: the code that ends it, or nothing where the shaft moves."""
     stand.forget()
     with patched(stand, backend):
         try:
-            outcome = script.run_breakaway(experiment, folder / "restarts")
-        except script.Fault as fault:
+            outcome = script.run_breakaway(experiment, stand.folder / "runs")
+        except Fault as fault:
             return fault.code
+        except RecordingError as error:
+            return error.cause
     if outcome.fault is None and math.isnan(stand.first_drive_s):
         return "it says that it moves, and has not driven"
     return "" if outcome.fault is None else outcome.fault.code

@@ -2,32 +2,43 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
-from faults import damage
+from faults import damage, host
 from faults.bounds import Bound, bound
+from faults.language import is_drive
 from faults.stand import Stand
+from rig.emulate.virtual_chip import VirtualChip
 
 Act = Callable[[Stand], None]
 
 RUNS_ON = ""  # no fault
-
-SILENCE = bound("the device's watchdog, and its tick", watchdog=1, tick=2)
-HEARD = bound("the loop waits a time-out for its next reply, then says stop", period=1, timeout=1, frame=1, tick=2)
+FREEZE_S = 1.0
+TIMEOUT_S = 0.02  # of the serial devices' config
+STALL_S = 0.03  # of an overloaded host, at most
+SMALL_DISK = 2 << 20
 
 
 @dataclass(frozen=True)
 class Row:
     """One row of the matrix.
 
-    name     what goes wrong
-    act      makes it so; ``how`` in words
+    name     what goes wrong; ``how`` it is done
+    act      does it
     bound    for the drive at the device
     codes    that the run may end with; RUNS_ON: it goes on
     lasting  it stays until somebody mends it
     refused  codes that the next run may end with meanwhile, before any relay runs
-    early    it is so from before the run: the breakaway check has to find it
+    early    it is so from before the run: the breakaway check has to find it, no relay may run
+    emulated changes of the config's section, in force from the beginning
+    prepare  done before the run, in a process of its own; gets the folder that holds the config and `runs`
+    alone    runs in a process of its own
+    status   exit status where it is not that of the code: one of these
+    same     the record must be that of a run in which nothing happens, to the last bit
     absent   devices to which it does not apply, and why
     remark   what else is to be said
     """
@@ -40,20 +51,36 @@ class Row:
     lasting: bool = False
     refused: tuple[str, ...] = ()
     early: bool = False
+    emulated: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    prepare: Callable[[Path], None] | None = None
+    alone: bool = False
+    status: tuple[int, ...] = ()
+    same: bool = False
     absent: Mapping[str, str] = field(default_factory=dict)
     remark: str = ""
 
 
-def _both(stand: Stand, what: Callable[[], damage.Damage]) -> None:
-    stand.up, stand.down = what(), what()
+# ---------------------------------------------------------------------- bounds
+
+SILENCE = bound("the device's watchdog counts from the last drive", watchdog=1, tick=2)
+HEARD = bound("the loop waits a time-out for its next reply, then says stop", period=1, timeout=1, frame=1, tick=2)
+SEEN = bound("the loop sees it in its next reading, and says stop", period=1, exchange=1, frame=1, tick=2)
+DEVICE = bound("the device checks each tick", tick=3)
+AT_ONCE = bound("by itself", tick=1)
+RUNNING = bound("no drive is older", period=2, exchange=1)
+RAMP = bound("the breakaway check ends", breakaway=1)
+LOOKED = bound("the loop looks at the recorder every 25 ticks", check=1, period=1, exchange=1, frame=1, tick=2)
+PUSHED = bound("the relay pushes within a cycle, and pushes in vain", cycle=1, stuck=1, exchange=1, frame=1, tick=2)
+RUN_AWAY = bound("until it is at the limit", cycle=0.5, runaway=1, exchange=1, frame=1, tick=2)
+
+NO_CONTACTS = "the firmware's core has no such input"
 
 
-def _cable_out(stand: Stand) -> None:
-    stand.up = stand.down = damage.lost
+# ---------------------------------------------------------------------- acts
 
 
-def _port_gone(stand: Stand) -> None:
-    stand.is_gone = True
+def _nothing(stand: Stand) -> None:
+    pass
 
 
 def _down(what: Callable[[], damage.Damage]) -> Act:
@@ -63,25 +90,102 @@ def _down(what: Callable[[], damage.Damage]) -> Act:
     return act
 
 
+def _up(what: Callable[[], damage.Damage]) -> Act:
+    def act(stand: Stand) -> None:
+        stand.up = what()
+
+    return act
+
+
+def _both(what: damage.Damage) -> Act:
+    def act(stand: Stand) -> None:
+        stand.up = stand.down = what
+
+    return act
+
+
+def _port_gone(stand: Stand) -> None:
+    stand.is_gone = True
+
+
+def _rewire(**wiring: str) -> Act:
+    return lambda stand: stand.device.rewire(**wiring)
+
+
+def _hang(stand: Stand) -> None:
+    if isinstance(stand.device, VirtualChip):
+        stand.device.hang(stand.rng.choice(("main loop", "everything", "clock", "converter")))
+    else:
+        stand.device.hang()
+
+
+def _brown_out(stand: Stand) -> None:
+    if isinstance(stand.device, VirtualChip):
+        stand.device.reset(4, 0.05)
+    else:
+        stand.device.reset(4)
+
+
+def _thrown(stand: Stand) -> None:
+    """A hand, or a load, throws the shaft over the limit at more than the largest speed."""
+    side = stand.rng.choice((-1, 1))
+    low, high = stand.hard_rad
+    stand.device.place((high if side > 0 else low) - side * 0.005, side * THROWN_RAD_S)
+
+
+THROWN_RAD_S = 5.0
+
+
+def _contact(which: str) -> Act:
+    def act(stand: Stand) -> None:
+        stand.device.contact(which, is_open=True)
+
+    return act
+
+
+def _end_switch(stand: Stand) -> None:
+    stand.device.contact("end_high" if stand.device.truth().pin_V > 0.0 else "end_low", is_open=True)
+
+
+def _overload(stand: Stand) -> None:
+    stand.stall_s = lambda rng: rng.uniform(0.0, STALL_S) if rng.random() < 0.5 else 0.0
+
+
+def _fill_disk(stand: Stand) -> None:
+    host.fill_disk(stand.folder / "runs")
+    stand.paced = True
+
+
+def _close_folder(stand: Stand) -> None:
+    next((stand.folder / "runs").iterdir()).chmod(0o555)
+
+
+def _read_only(folder: Path) -> None:
+    (folder / "runs").mkdir()
+    (folder / "runs").chmod(0o555)
+    host.obey_permissions()
+
+
+def _small(folder: Path) -> None:
+    (folder / "runs").mkdir()
+    host.small_disk(folder / "runs", SMALL_DISK)
+
+
+def _change_config(stand: Stand) -> None:
+    (stand.folder / "fault.yaml").write_text("name: another\nlimits: [none\n", encoding="utf-8")
+
+
+# ---------------------------------------------------------------------- rows
+
+NO_SPACE = "cannot be written: No space left on device"
+NO_PERMISSION = "cannot be written: Permission denied"
+NO_LINK = ("LINK_HELLO", "LINK_TIMEOUT")
+
 ROWS = (
-    Row(
-        "cable out",
-        "nothing arrives any more, either way",
-        _cable_out,
-        SILENCE,
-        ("LINK_TIMEOUT",),
-        True,
-        ("LINK_HELLO",),
-    ),
-    Row(
-        "port gone",
-        "reading and writing fail",
-        _port_gone,
-        SILENCE,
-        ("LINK_LOST",),
-        True,
-        ("LINK_LOST",),
-    ),
+    # the link
+    Row("cable out", "nothing arrives, either way", _both(damage.lost), SILENCE, ("LINK_TIMEOUT",), True, NO_LINK),
+    Row("port gone", "reading and writing fail", _port_gone, SILENCE, ("LINK_LOST",), True, ("LINK_LOST",)),
+    Row("garbage", "random bytes instead of frames", _both(damage.garbage), SILENCE, ("LINK_TIMEOUT",), True, NO_LINK),
     Row(
         "bit flips, to the host",
         "one wrong bit in each reply",
@@ -89,8 +193,331 @@ ROWS = (
         HEARD,
         ("LINK_TIMEOUT",),
         True,
-        ("LINK_HELLO", "LINK_TIMEOUT"),
+        NO_LINK,
     ),
-    Row("duplicated replies", "each comes twice", _down(lambda: damage.duplicated), HEARD, (RUNS_ON,)),
-    Row("device reset", "external", lambda s: s.device.reset(2), bound("the pins", tick=1), ("DEVICE_RESET",)),
+    Row(
+        "bit flips, to the device",
+        "one wrong bit in each request",
+        _up(lambda: damage.flipped),
+        SILENCE,
+        ("LINK_TIMEOUT",),
+        True,
+        NO_LINK,
+    ),
+    Row("one bit flip", "in one reply", _down(lambda: damage.once(damage.flipped)), HEARD, ("LINK_TIMEOUT",)),
+    Row(
+        "truncated replies",
+        "the end of each is missing",
+        _down(lambda: damage.truncated),
+        HEARD,
+        ("LINK_TIMEOUT",),
+        True,
+        NO_LINK,
+    ),
+    Row(
+        "truncated requests",
+        "the end of each is missing",
+        _up(lambda: damage.truncated),
+        SILENCE,
+        ("LINK_TIMEOUT",),
+        True,
+        NO_LINK,
+    ),
+    Row("duplicated replies", "each comes twice", _down(lambda: damage.duplicated), RUNNING, (RUNS_ON,)),
+    Row("duplicated requests", "each goes twice", _up(lambda: damage.duplicated), RUNNING, (RUNS_ON,)),
+    Row(
+        "replies late",
+        "by half the time-out",
+        _down(lambda: damage.late(0.5 * TIMEOUT_S)),
+        bound("no drive is older", period=3, exchange=1),
+        (RUNS_ON,),
+        status=(0, 1),
+        remark="the loop skips the ticks that it cannot hold, and goes on; such a record may be refused",
+    ),
+    Row(
+        "replies too late",
+        "by twice the time-out",
+        _down(lambda: damage.late(2.0 * TIMEOUT_S)),
+        HEARD,
+        ("LINK_TIMEOUT",),
+        True,
+        NO_LINK,
+    ),
+    Row("one reply lost", "never comes", _down(lambda: damage.once(damage.lost)), HEARD, ("LINK_TIMEOUT",)),
+    Row("replies lost", "none comes", _down(lambda: damage.lost), HEARD, ("LINK_TIMEOUT",), True, NO_LINK),
+    Row(
+        "drives lost",
+        "readings are answered, drives do not arrive",
+        _up(lambda: damage.only(is_drive, damage.lost)),
+        bound("three drives in a row", period=4, exchange=1, frame=1, tick=2),
+        ("LINK_TIMEOUT",),
+    ),
+    Row("replies reordered", "each second one first", _down(damage.reordered), HEARD, ("LINK_TIMEOUT",), True, NO_LINK),
+    Row("replies stale", "each is the one before", _down(damage.stale), HEARD, ("LINK_TIMEOUT",), True, NO_LINK),
+    # the device
+    Row(
+        "device reset",
+        "by its reset input",
+        lambda stand: stand.device.reset(2),
+        AT_ONCE,
+        ("DEVICE_RESET", "LINK_TIMEOUT"),
+    ),
+    Row(
+        "firmware hang",
+        "main loop, interrupts, clock or converter stop for good",
+        _hang,
+        bound("the chip's own watchdog", hardware=1),
+        ("LINK_TIMEOUT", "DEVICE_RESET", "DEVICE_WATCHDOG"),
+    ),
+    Row("brown-out", "of the chip's supply", _brown_out, AT_ONCE, ("DEVICE_RESET", "LINK_TIMEOUT")),
+    # the sensor
+    Row(
+        "sensor at a rail",
+        "it reads full scale",
+        _rewire(sensor="broken_high"),
+        DEVICE,
+        ("DEVICE_SENSOR",),
+        True,
+        ("DEVICE_SENSOR",),
+    ),
+    Row(
+        "sensor wire broken",
+        "the pull-down has it read 0",
+        _rewire(sensor="broken_low"),
+        DEVICE,
+        ("DEVICE_SENSOR",),
+        True,
+        ("DEVICE_SENSOR",),
+    ),
+    Row(
+        "sensor stuck",
+        "it holds its reading",
+        _rewire(sensor="stuck"),
+        bound("until the relay has pushed in vain, or has ended", relay=1),
+        ("SENSOR_STUCK", "NO_CYCLE"),
+        True,
+        ("NO_MOTION",),
+        remark="the shaft turns unseen meanwhile: end switches in the motor's supply",
+    ),
+    Row(
+        "sensor jumps",
+        "across its dead zone: a quarter of its range farther",
+        _rewire(sensor="jumped"),
+        SEEN,
+        ("SENSOR_JUMP",),
+        True,
+        ("", "START_OUTSIDE", "DEVICE_TRAVEL"),
+        remark="a reading that is wrong by a constant looks like another position: check the centre before the next run",
+    ),
+    Row(
+        "sensor noisy",
+        "25 counts more",
+        _rewire(sensor="noisy"),
+        bound("the first reading that no motion explains", period=5, exchange=1, frame=1, tick=2),
+        ("SENSOR_JUMP", "OVERSPEED", "DEVICE_TRAVEL"),
+        True,
+        ("SENSOR_NOISY", "SENSOR_JUMP", "OVERSPEED"),
+    ),
+    # the drive
+    Row(
+        "drive stuck on",
+        "a quarter of the supply, whatever is commanded",
+        _rewire(drive="stuck_on"),
+        RUN_AWAY,
+        ("TRAVEL_HARD", "DEVICE_TRAVEL", "OVERSPEED", "POLARITY", "SENSOR_RAIL", "DEVICE_SENSOR"),
+        True,
+        ("START_OUTSIDE", "DEVICE_SENSOR", "DEVICE_TRAVEL", "TRAVEL_HARD", "OVERSPEED"),
+        remark="can only be detected: the pin is at 0, the motor is not. Wire the e-stop, and end switches, into the "
+        "motor's supply",
+    ),
+    Row(
+        "drive reversed",
+        "the motor's wires are swapped",
+        _rewire(drive="reversed"),
+        RUN_AWAY,
+        ("POLARITY", "TRAVEL_HARD", "DEVICE_TRAVEL", "OVERSPEED"),
+        True,
+        ("POLARITY", "START_OUTSIDE"),
+    ),
+    Row(
+        "drive dead",
+        "nothing reaches the motor",
+        _rewire(drive="dead"),
+        bound("until the relay has pushed in vain, or has ended", relay=1),
+        ("SENSOR_STUCK", "NO_CYCLE"),
+        True,
+        ("NO_MOTION",),
+    ),
+    Row(
+        "drive stuck on, from the start",
+        "as soon as it is armed",
+        _nothing,
+        bound("before the first ramp", breakaway=1),
+        ("DRIVE_STUCK_ON", "TRAVEL_HARD", "DEVICE_TRAVEL", "OVERSPEED", "DEVICE_SENSOR"),
+        True,
+        ("START_OUTSIDE", "DEVICE_SENSOR", "DEVICE_TRAVEL", "TRAVEL_HARD", "OVERSPEED"),
+        early=True,
+        emulated={"wiring": {"drive": "stuck_on", "fault_after_s": 0.05}},
+        remark="can only be detected",
+    ),
+    Row(
+        "drive reversed, from the start",
+        "the motor's wires are swapped",
+        _nothing,
+        RAMP,
+        ("POLARITY",),
+        True,
+        ("POLARITY",),
+        early=True,
+        emulated={"wiring": {"drive": "reversed"}},
+    ),
+    Row(
+        "drive dead, from the start",
+        "nothing reaches the motor",
+        _nothing,
+        RAMP,
+        ("NO_MOTION",),
+        True,
+        ("NO_MOTION",),
+        early=True,
+        emulated={"wiring": {"drive": "dead"}},
+    ),
+    Row(
+        "friction too high to start",
+        "a static level above breakaway.max_V",
+        _nothing,
+        RAMP,
+        ("NO_MOTION",),
+        True,
+        ("NO_MOTION",),
+        early=True,
+        emulated={"motor": {"fs_plus_V": 1.6, "fs_minus_V": 1.6}},
+    ),
+    Row(
+        "sensor stuck, from the start",
+        "it holds its reading",
+        _nothing,
+        RAMP,
+        ("NO_MOTION",),
+        True,
+        ("NO_MOTION",),
+        early=True,
+        emulated={"wiring": {"sensor": "stuck"}},
+    ),
+    Row(
+        "sensor noisy, from the start",
+        "25 counts more",
+        _nothing,
+        RAMP,
+        ("SENSOR_NOISY", "SENSOR_JUMP", "OVERSPEED"),
+        True,
+        ("SENSOR_NOISY", "SENSOR_JUMP", "OVERSPEED"),
+        early=True,
+        emulated={"wiring": {"sensor": "noisy"}},
+    ),
+    # the way
+    Row(
+        "hard limit hit at speed",
+        f"a hand throws the shaft over it at {THROWN_RAD_S:g} rad/s",
+        _thrown,
+        bound("5 mrad to go, 30 that the sensor is off, then the device checks each tick", tick=10),
+        ("DEVICE_TRAVEL", "SENSOR_JUMP"),
+        True,
+        ("START_OUTSIDE", "DEVICE_SENSOR"),
+    ),
+    Row(
+        "end switch",
+        "opens on the side that is driven to",
+        _end_switch,
+        DEVICE,
+        ("DEVICE_END_SWITCH",),
+        True,
+        ("DEVICE_END_SWITCH", "DEVICE_TRAVEL"),
+        absent={"board": NO_CONTACTS},
+    ),
+    Row(
+        "e-stop",
+        "opens",
+        _contact("e_stop"),
+        AT_ONCE,
+        ("DEVICE_ESTOP",),
+        True,
+        ("DEVICE_ESTOP",),
+        absent={"board": NO_CONTACTS},
+    ),
+    # the host
+    Row(
+        "host SIGINT",
+        "Ctrl-C",
+        lambda stand: stand.tell_host(signal.SIGINT),
+        SEEN,
+        ("INTERRUPTED",),
+    ),
+    Row("host SIGTERM", "kill", lambda stand: stand.tell_host(signal.SIGTERM), SEEN, ("INTERRUPTED",)),
+    Row(
+        "host SIGKILL",
+        "kill -9",
+        lambda stand: stand.kill_host(),
+        SILENCE,
+        ("",),
+        alone=True,
+        status=(-signal.SIGKILL,),
+        remark="the record ends with `loop_died`",
+    ),
+    Row(
+        "host SIGSTOP, 1 s",
+        "the process does nothing for a second",
+        lambda stand: stand.freeze_host(FREEZE_S),
+        SILENCE,
+        ("DEVICE_WATCHDOG",),
+    ),
+    Row(
+        "host overloaded",
+        f"every second wake-up is up to {1e3 * STALL_S:.0f} ms late",
+        _overload,
+        bound("no drive is older", period=6, exchange=1),
+        (RUNS_ON,),
+        status=(0, 1),
+        remark="what is later than the watchdog's time ends as SIGSTOP does",
+    ),
+    Row("clock stepped", "the wall clock jumps an hour back", host.step_clock, RUNNING, (RUNS_ON,), same=True),
+    # the record
+    Row(
+        "disk full",
+        "nothing more fits on the run folder's disk",
+        _fill_disk,
+        LOOKED,
+        ("RECORDER_DEAD",),
+        True,
+        ("RECORDER_DEAD", NO_SPACE),
+        prepare=_small,
+        alone=True,
+    ),
+    Row(
+        "folder unwritable",
+        "no run folder can be made",
+        _nothing,
+        AT_ONCE,
+        ("",),
+        True,
+        (NO_PERMISSION,),
+        early=True,
+        prepare=_read_only,
+        alone=True,
+        status=(2,),
+        remark="refused before the device is armed",
+    ),
+    Row(
+        "folder unwritable, in the run",
+        "nothing new can be made in it",
+        _close_folder,
+        RUNNING,
+        ("",),
+        prepare=lambda folder: host.obey_permissions(),
+        alone=True,
+        status=(1,),
+        remark="what is open is written to the end; no result.json, and it says so",
+    ),
+    Row("recorder killed", "kill -9 to the recorder's process", host.kill_recorder, LOOKED, ("RECORDER_DEAD",)),
+    Row("config changed in the run", "the file becomes another", _change_config, RUNNING, (RUNS_ON,), same=True),
 )

@@ -6,14 +6,18 @@ import math
 import os
 import random
 import signal
+import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Protocol
 
 from faults.damage import Damage
 from faults.language import Language, Reading
+from rig.emulate.virtual_chip import Contact
 from rig.faults import Fault
 
-GRAIN_S = 2.5e-4  # between two looks at the output, from the fault on
+GRAIN_S = 5e-4  # between two looks at the output, from the fault on
+CONTACTS: tuple[Contact, ...] = ("e_stop", "end_low", "end_high")
 _CLOSE_V = 0.02  # drives that differ by less are the same, but for rounding
 
 
@@ -39,36 +43,48 @@ class Stand:
     language  of its wire
     hard_rad  limits that the shaft should stay within
     timeout_s of a reply: what comes later is none
+    folder    with the config and the runs
     """
 
     absolute = True
 
     def __init__(
-        self, device: Any, language: Language, hard_rad: tuple[float, float], timeout_s: float, seed: int
+        self,
+        device: Any,
+        language: Language,
+        hard_rad: tuple[float, float],
+        timeout_s: float,
+        folder: Path,
+        seed: int,
     ) -> None:
         self.device = device
+        self.hard_rad = hard_rad
+        self.folder = folder
         self.down: Damage | None = None  # to the host
         self.up: Damage | None = None  # to the device
         self.is_gone = False  # the port
         self.stall_s: Callable[[random.Random], float] | None = None  # of the host, each time it has slept
         self.after_death: Callable[[], None] | None = None  # what a killed host leaves to do
+        self.to_undo: list[Callable[[], None]] = []
+        self.paced = False  # no faster than real time, so that other processes have theirs
         self.fault_s = math.inf
         self.is_watched = False
         self.readings: list[Reading] = []
         self.closing: set[int] = set()  # keys of readings after which the host said stop
         self.beyond_rad = 0.0
         self.astray_s = 0.0  # longest time in which the drive was not what the host had said
+        self.stale_s = 0.0  # longest time between two words of the host on the drive
         self.first_drive_s = math.nan  # of a run, at the pin
         self.read_at: list[tuple[int, float]] = []  # key and time of each question
         self._language = language
-        self._hard_rad = hard_rad
         self._timeout_s = timeout_s
-        self._rng = random.Random(seed)
+        self.rng = random.Random(seed)
         self._act: Callable[[Stand], None] | None = None
         self._held: list[tuple[float, int, bytes]] = []  # on the way to the host
         self._count = 0
         self._asked: tuple[int, float] | None = None
         self._said_V = 0.0
+        self._said_s = math.nan
         self._since_s = math.nan  # that the drive is not what the host said
         self._is_interrupted = False
 
@@ -88,6 +104,16 @@ class Stand:
         """Wire, port and host are whole again."""
         self.down = self.up = self.stall_s = None
         self.is_gone = False
+        while self.to_undo:
+            self.to_undo.pop()()
+
+    def bring_home(self) -> None:
+        """Wiring and contacts are mended, and a hand turns the shaft to the centre."""
+        self.device.rewire()
+        for which in CONTACTS if hasattr(self.device, "contact") else ():
+            self.device.contact(which, is_open=False)
+        self.device.place(0.0)
+        self.watch(0.01)
 
     def tell_host(self, number: signal.Signals) -> None:
         """A signal to this process, which is the host; it ends its sleep."""
@@ -117,9 +143,11 @@ class Stand:
     def sleep_until(self, t_s: float) -> float:
         """Let time pass; a signal ends it. Returns when that was."""
         self._is_interrupted = False
+        if self.paced:
+            time.sleep(max(t_s - self.now_s(), 0.0))
         self._pass(t_s)
         if self.stall_s is not None:
-            self._pass(self.now_s() + self.stall_s(self._rng))
+            self._pass(self.now_s() + self.stall_s(self.rng))
         return self.now_s()
 
     def _pass(self, t_s: float) -> None:
@@ -144,7 +172,7 @@ class Stand:
             self.first_drive_s = truth.pin_changed_s
         if not self.is_watched:
             return
-        low, high = self._hard_rad
+        low, high = self.hard_rad
         self.beyond_rad = max(self.beyond_rad, truth.y_rad - high, low - truth.y_rad)
         if abs(truth.pin_V - self._said_V) < _CLOSE_V:
             self._since_s = math.nan
@@ -166,15 +194,21 @@ class Stand:
             raise Fault("LINK_LOST", "the port is gone")
         drive_V = self._language.drive_V(data)
         if drive_V is not None:
-            self._said_V = drive_V
+            self._said(drive_V)
         if self._language.is_stop(data) and self.readings:
             self.closing.add(self.readings[-1].key)
         key = self._language.asked(data)
         if key is not None:
             self._asked = key, self.now_s()
             self.read_at.append(self._asked)
-        for _, piece in [(0.0, data)] if self.up is None else self.up(data, self._rng):
+        for _, piece in [(0.0, data)] if self.up is None else self.up(data, self.rng):
             self.device.write(piece)
+
+    def _said(self, drive_V: float) -> None:
+        now_s = self.now_s()
+        if self.is_watched and not math.isnan(self._said_s):
+            self.stale_s = max(self.stale_s, now_s - self._said_s)
+        self._said_V, self._said_s = drive_V, now_s
 
     def read(self, timeout_s: float) -> bytes:
         """What has arrived at the host."""
@@ -198,7 +232,7 @@ class Stand:
 
     def _take(self, data: bytes) -> None:
         for reply in self._language.replies(data):
-            for delay_s, piece in [(0.0, reply)] if self.down is None else self.down(reply, self._rng):
+            for delay_s, piece in [(0.0, reply)] if self.down is None else self.down(reply, self.rng):
                 self._count += 1
                 self._held.append((self.now_s() + delay_s, self._count, piece))
         self._held.sort()
