@@ -53,10 +53,17 @@ class VelocityWindow:
         n = len(window)
         if n < self._fewest:
             return self._before_rad_s
-        t_mean = sum(t for t, _ in window) / n
-        y_mean = sum(y for _, y in window) / n
-        spread = sum((t - t_mean) ** 2 for t, _ in window)
-        return sum((t - t_mean) * (y - y_mean) for t, y in window) / spread
+        # plain loops: four generators took half of the guard's time
+        t_sum = y_sum = 0.0
+        for t, y in window:
+            t_sum += t
+            y_sum += y
+        t_mean, y_mean = t_sum / n, y_sum / n
+        moment = spread = 0.0
+        for t, y in window:
+            moment += (t - t_mean) * (y - y_mean)
+            spread += (t - t_mean) ** 2
+        return moment / spread
 
 
 class Guard:
