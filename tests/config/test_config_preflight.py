@@ -212,6 +212,17 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "limits.max_speed_rad_s",
         "0.245 5 periods + 0.294 reply time-out",
     ),
+    "spinning for most of the period": (
+        {
+            "loop__spin_us": 1000.0,
+            "period_s": 0.0019,
+            "daq__baud": 2_000_000,
+            "daq__watchdog_s": 0.016,
+            "daq__timeout_s": 0.01,
+        },
+        "loop.spin_us",
+        "1000 us of spinning is more than half the period of 1.9 ms",
+    ),
     "tachometer without scale": ({"emulated__tachometer": True}, "emulated.tachometer", "needs the section"),
 }
 

@@ -40,6 +40,7 @@ from rig.control.guard import Guard
 from rig.control.law import Law
 from rig.control.relay import DualChannelRelay
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
+from rig.faults import Fault
 from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import real_time
 from rig.loop.runner import Loop, NoRecord
@@ -67,6 +68,8 @@ class Case(NamedTuple):
 CASES = (
     Case("simulator, 10 ms", "simulated.yaml", 0.010),
     Case("serial, 10 ms", "demo.yaml", 0.010),
+    Case("Modbus RTU at 115200 baud, 10 ms", "modbus-rtu.yaml", 0.010),
+    Case("Modbus TCP, 10 ms", "modbus-tcp.yaml", 0.010),
     Case("serial, 1 ms", "demo.yaml", 0.001),
     Case("serial, 1 ms, cores busy", "demo.yaml", 0.001, "busy"),
     Case("serial, 1 ms, cores busy, kernel workers raised", "demo.yaml", 0.001, "busy", raise_workers=True),
@@ -155,7 +158,7 @@ def measure(case: Case, seconds: float, folder: Path) -> dict[str, Any]:
             guard = Guard(replace(settings, max_speed_rad_s=5.0 * settings.max_speed_rad_s))
             guard.sign_proven = True
             bare_guard = NoGuard(guard.settings)
-            stop = StopRequest()
+            stop, faults = StopRequest(), list[str]()
             ours = Loop(bench.driver, bench.clock, guard, recorder, case.period_s, stop)
             bare = Loop(bench.driver, bench.clock, bare_guard, NoRecord(), case.period_s, stop)
             relay, detector = DualChannelRelay(*GAINS_V, 0.7), CycleDetector(0.3, 0.08)
@@ -163,8 +166,11 @@ def measure(case: Case, seconds: float, folder: Path) -> dict[str, Any]:
                 for _ in range(turns):
                     test = RelayTest(relay, detector, GAINS_V, 1000, 1e6)
                     for loop, law in ((ours, test), (bare, BareRelay())):
-                        with loop.armed(limits_of(experiment)):
-                            loop.run(Limited(law, ticks), "relay-1")
+                        try:
+                            with loop.armed(limits_of(experiment)):
+                                loop.run(Limited(law, ticks), "relay-1")
+                        except Fault as fault:  # a machine that stood still for longer than daq.timeout_s
+                            faults.append(fault.code)
         finally:
             recorder.close()
     told, peer = ours.statistics.summary(), bare.statistics.summary()
@@ -175,6 +181,7 @@ def measure(case: Case, seconds: float, folder: Path) -> dict[str, Any]:
         "granted": done.granted,
         "refused": done.refused,
         "period_us": 1e6 * case.period_s,
+        "faults": faults,
         "ticks": ran,
         "skipped": skipped,
         "skipped_percent": round(100.0 * skipped / (ran + skipped), 4),
@@ -195,7 +202,8 @@ def table(results: dict[str, dict[str, Any]]) -> str:
         bare = f"{found['bare']['compute_us']['p50']:.0f} / {found['bare']['compute_us']['p99']:.0f}"
         skipped = f"{found['skipped_percent']:.3g} %"
         lines.append(f"| {name} | {found['ticks']} | {skipped} | " + " | ".join([*parts, bare]) + " |")
-    return "\n".join([*lines, "", "Each: median / p99, us."])
+    faults = [f"{name}: ended by {', '.join(found['faults'])}" for name, found in results.items() if found["faults"]]
+    return "\n".join([*lines, "", "Each: median / p99, us.", *faults])
 
 
 def main(cases: Sequence[Case] = CASES) -> int:
