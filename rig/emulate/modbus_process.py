@@ -36,7 +36,7 @@ LOOPBACK = "127.0.0.1"
 _TRACE_S = 0.01
 _CATCH_UP_S = 0.02  # longest sleep: what is caught up with then takes 0.1 ms
 _MOST_CONNECTIONS = 8
-_PRIORITY = 50
+_PRIORITY = 70  # above the loop's 60: a real device does not wait for the host's processor
 
 
 class _Port(Protocol):
