@@ -111,7 +111,7 @@ def _raise_workers(priority: int, raised: list[int], done: RealTime) -> None:
     """Those that are there now; ``raised`` takes their process ids."""
     for comm in Path("/proc").glob("[0-9]*/comm"):
         try:
-            if comm.read_text(encoding="ascii", errors="replace").startswith("kworker/u"):
+            if comm.read_bytes().startswith(b"kworker/u"):
                 worker = int(comm.parent.name)
                 if os.sched_getscheduler(worker) == os.SCHED_OTHER:
                     os.sched_setscheduler(worker, os.SCHED_FIFO, os.sched_param(priority))
