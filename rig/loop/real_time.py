@@ -108,14 +108,13 @@ def _go_first(priority: int, done: RealTime) -> None:
 
 
 def _raise_workers(priority: int, raised: list[int], done: RealTime) -> None:
-    """Those that are there now; ``raised`` takes their process ids."""
+    """Those that are there now, also where a run that was killed has left them raised; ``raised`` takes their ids."""
     for comm in Path("/proc").glob("[0-9]*/comm"):
         try:
             if comm.read_bytes().startswith(b"kworker/u"):
                 worker = int(comm.parent.name)
-                if os.sched_getscheduler(worker) == os.SCHED_OTHER:
-                    os.sched_setscheduler(worker, os.SCHED_FIFO, os.sched_param(priority))
-                    raised.append(worker)
+                os.sched_setscheduler(worker, os.SCHED_FIFO, os.sched_param(priority))
+                raised.append(worker)
         except (FileNotFoundError, ProcessLookupError):
             continue  # it has just ended
         except OSError as error:
