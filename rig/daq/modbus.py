@@ -35,6 +35,7 @@ from rig.signals import Limits, Order, Sample
 
 _ATTEMPTS = 3  # of a request outside the tick
 _UNHURRIED_S = 0.1  # least time-out of a request outside the tick; stopping keeps to the tick's
+_IDENTITY_S = 1.0  # some take half a second to refuse what they do not know, and are deaf meanwhile
 _INTRODUCTIONS = 20  # reads that measure the round trip
 _LATE_TIMEOUTS = 2  # by when the latest reply has come
 _UNASKED_BYTES = 5  # the shortest reply; fewer between two exchanges are noise on the line
@@ -183,7 +184,7 @@ class ModbusDriver:
         vendor, product, revision = self._identity()
         # a device that does not know that question may be deaf for a while after it: one on libmodbus for 0.5 s
         self._until_answered(request, about)
-        round_trip_s = min(self._asked(request, about, self._unhurried_s).round_trip_s for _ in range(_INTRODUCTIONS))
+        round_trip_s = min(self._patiently(request, about, self._unhurried_s).round_trip_s for _ in range(_INTRODUCTIONS))
         emulated = self._emulated or (vendor, product) == _EMULATED
         board = " ".join(part for part in (vendor, product) if part) or "Modbus device"
         self.backend = f"{self._name} (unit {self._line.unit}, {board}{revision and f', {revision}'})"
@@ -385,7 +386,7 @@ class ModbusDriver:
         """Vendor, product and revision as FC43 tells them; empty where the device does not."""
         request = ReadDeviceInformationRequest(read_code=1, object_id=0)
         try:
-            pdu = self._asked(request, "identification", self._unhurried_s).pdu
+            pdu = self._asked(request, "identification", max(self._timeout_s, _IDENTITY_S)).pdu
         except Fault as fault:
             if fault.code == "LINK_LOST":
                 raise
@@ -580,7 +581,10 @@ class ModbusDriver:
         if extra:
             self._counts["stale_bytes"] += extra
             if strict and extra >= _UNASKED_BYTES:
-                raise self._misfit(f"{extra} bytes beyond the reply: another master, or two answers to one request")
+                raise self._misfit(
+                    f"{extra} bytes beyond the reply: another master, or two answers to one request; the reply is "
+                    f"{data[: frame.length].hex(' ')}"
+                )
         # executed after the request's wire time and silence; what the exchange took beyond the sum is anybody's
         to_device_s = self._line.wire_s(sent_bytes) + self._line.pause_s + 0.5 * self._line.turnaround_s
         back_s = 0.5 * self._line.turnaround_s + self._line.wire_s(frame.length)

@@ -1,0 +1,228 @@
+"""The register map and the link budget: what cannot work is refused at its key, with the numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from pydantic import ValidationError
+from pymodbus.framer import FramerRTU, FramerSocket
+from pymodbus.pdu import DecodePDU
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    ReadHoldingRegistersResponse,
+    ReadWriteMultipleRegistersRequest,
+    ReadWriteMultipleRegistersResponse,
+    WriteMultipleRegistersRequest,
+    WriteMultipleRegistersResponse,
+)
+
+from rig.bench import guard_settings_of
+from rig.config import Experiment, preflight
+from rig.config.link_budget import link_budget, transactions
+from rig.config.modbus import tcp_address
+from rig.config.preflight import reaction_periods
+
+CONFIG = Path(__file__).parents[2] / "config" / "modbus-rtu.yaml"
+SECTION = "daq.modbus.registers."
+
+
+def example(registers: dict[str, Any] | None = None, daq: dict[str, Any] | None = None, **modbus: Any) -> Experiment:
+    """The RTU example with these changed; None takes out."""
+    data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
+    data["daq"] |= daq or {}
+    for section, changes in ((data["daq"]["modbus"], modbus), (data["daq"]["modbus"]["registers"], registers or {})):
+        for name, value in changes.items():
+            if value is None:
+                del section[name]
+            else:
+                section[name] = value
+    return Experiment.model_validate(data)
+
+
+def problems(e: Experiment) -> dict[str, str]:
+    return {".".join(map(str, problem.path)): problem.message for problem in preflight(e).problems}
+
+
+def test_the_examples_pass() -> None:
+    for name in ("modbus-rtu", "modbus-tcp"):
+        data = yaml.safe_load((CONFIG.parent / f"{name}.yaml").read_text(encoding="utf-8"))
+        assert not preflight(Experiment.model_validate(data)).problems
+
+
+@pytest.mark.parametrize(
+    ("registers", "modbus", "key", "words"),
+    [
+        ({"sequence": {"address": 2, "echo": 17}}, {}, "sequence.address", "2 is not beside the drive, register 0"),
+        ({"drive": {"address": 0, "type": "int32", "full": 10000}}, {}, "sequence.address", "in the place of drive"),
+        ({"status": {"address": 16}}, {}, "status.address", "register 16 is in the place of position"),
+        ({"limits": {"low": 9, "high": 11}}, {}, "limits.low", "register 9 is in the place of watchdog.address"),
+        ({"status": {"address": 150}}, {}, "status.address", "spans 135 registers, 16 to 150; one request takes 125"),
+        ({"position": {"address": 65535, "type": "float32"}}, {}, "position.address", "go beyond the last, 65535"),
+        ({"position": {"address": 16, "table": "input"}}, {}, "position.table", "FC23 reads holding registers only"),
+    ],
+)
+def test_registers_that_cannot_be_asked_together(
+    registers: dict[str, Any], modbus: dict[str, Any], key: str, words: str
+) -> None:
+    assert words in problems(example(registers, **modbus))[SECTION + key]
+
+
+def test_the_input_table_is_another_place() -> None:
+    registers = {"position": {"address": 0, "table": "input"}, "sequence": {"address": 1, "echo": 17}}
+    e = example(registers, requests="separate").model_copy(update={"period_s": 0.02})
+    assert not any(key.startswith(SECTION) for key in problems(e))
+
+
+@pytest.mark.parametrize(
+    ("daq", "key", "words"),
+    [
+        ({"timeout_s": 0.011}, "daq.timeout_s", "longer than the period of 0.01 s"),
+        ({"timeout_s": 0.005}, "daq.timeout_s", "5 ms is shorter than a transaction, 6.60 ms"),
+        ({"port": None}, "daq.port", "needs a port"),
+        ({"port": "emulated-chip"}, "daq.port", "no emulated-chip for `driver: modbus`"),
+        ({"port": "udp://10.0.0.1"}, "daq.port", "is no address"),
+        ({"port": "tcp://10.0.0.1:99999"}, "daq.port", "out of range"),
+        ({"modbus": None}, "daq.modbus", "needs this section"),
+        ({"driver": "serial"}, "daq.modbus", "is of `driver: modbus`"),
+    ],
+)
+def test_what_else_is_refused(daq: dict[str, Any], key: str, words: str) -> None:
+    data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
+    data["daq"] |= daq
+    assert words in problems(Experiment.model_validate(data))[key]
+
+
+def test_a_watchdog_that_its_register_cannot_hold() -> None:
+    assert "0.01 units" in problems(example({"watchdog": {"address": 9, "unit_s": 10.0}}))["daq.watchdog_s"]
+    with pytest.raises(ValidationError, match="not both"):
+        example(device_watchdog_s=0.2)
+
+
+@pytest.mark.parametrize(
+    ("registers", "words"),
+    [
+        ({"drive": {"address": 0, "type": "uint16", "full": 100}}, "int16"),
+        ({"drive": {"address": 0, "full": 40000}}, "from 50 to 32767"),
+        ({"drive": {"address": 0, "full": 100.5}}, "whole number"),
+        ({"position": {"address": 0, "scale": 0.0}}, "must not be 0"),
+        ({"status": {"address": 0, "faults": {"TRAVEL_HARD": 2}}}, "known: DEVICE_"),
+        ({"status": {"address": 0, "faults": {"DEVICE_TRAVEL": 1}}}, "1 is armed, not DEVICE_TRAVEL"),
+        ({"status": {"address": 0, "faults": {"DEVICE_TRAVEL": 2, "DEVICE_SENSOR": 2}}}, "2 is given to"),
+        ({"drive": {"address": 65536, "full": 100}}, "65535"),
+    ],
+)
+def test_a_key_that_cannot_be(registers: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        example(registers)
+
+
+def test_addresses_of_tcp() -> None:
+    assert tcp_address("tcp://192.168.0.5") == ("192.168.0.5", 502)
+    assert tcp_address("tcp://plc:1502/") == ("plc", 1502)
+    assert tcp_address("tcp://[::1]:5020") == ("::1", 5020)
+    for bad in ("tcp://", "tcp://host:0", "tcp://host/path", "http://host", "tcp://host:x"):
+        with pytest.raises(ValueError, match=bad):
+            tcp_address(bad)
+
+
+# ---------------------------------------------------------------------- link budget
+
+
+def test_frames_are_as_long_as_pymodbus_makes_them() -> None:
+    for tcp, framer in ((False, FramerRTU(DecodePDU(False))), (True, FramerSocket(DecodePDU(False)))):
+        modbus = example().daq.modbus
+        assert modbus is not None
+        read, written = [0] * 4, [0] * 2  # position, echo, applied, status; drive, sequence
+        for requests, pdus in (
+            (
+                "read-write",
+                [
+                    (
+                        ReadWriteMultipleRegistersRequest(16, 4, 0, written),
+                        ReadWriteMultipleRegistersResponse(registers=read),
+                    )
+                ],
+            ),
+            (
+                "separate",
+                [
+                    (ReadHoldingRegistersRequest(address=16, count=4), ReadHoldingRegistersResponse(registers=read)),
+                    (
+                        WriteMultipleRegistersRequest(address=0, registers=written),
+                        WriteMultipleRegistersResponse(address=0, count=2),
+                    ),
+                ],
+            ),
+        ):
+            asked = transactions(modbus.model_copy(update={"requests": requests}), tcp=tcp)
+            lengths = [tuple(len(framer.buildFrame(pdu)) for pdu in pair) for pair in pdus]
+            assert [(t.request_bytes, t.reply_bytes) for t in asked] == lengths
+
+
+def test_the_sum_of_rtu() -> None:
+    budget = link_budget(example())
+    assert dict(budget.terms) == pytest.approx({"wire": 30 * 10 / 115200, "2 silences": 0.0035, "turnaround": 0.0005})
+    assert budget.total_s == pytest.approx(0.006604, abs=1e-6)
+    strict = link_budget(example(parity="even"))
+    assert dict(strict.terms)["wire"] == pytest.approx(30 * 11 / 115200)
+    slow = link_budget(example(daq={"baud": 9600}))
+    assert dict(slow.terms)["2 silences"] == pytest.approx(2 * 3.5 * 10 / 9600)  # 3.5 characters up to 19200 baud
+    assert dict(link_budget(example(silence_s=0.001)).terms)["2 silences"] == pytest.approx(0.002)
+
+
+@pytest.mark.parametrize("baud", [9600, 19200, 38400, 57600])
+def test_what_does_not_fit_is_refused_and_the_hint_fits(baud: int) -> None:
+    e = example(daq={"baud": baud})
+    found = next(problem for problem in preflight(e).problems if problem.path == ("daq", "baud"))
+    assert f"{baud} baud" in found.message
+    assert "80% of the period is 8.00 ms" in found.message
+    assert found.hint.startswith("daq.baud 115200 fits")
+    assert "daq.baud" not in problems(example(daq={"baud": 115200}))
+
+
+def test_two_transactions_do_not_fit_into_10_ms_at_115200_but_over_tcp_they_do() -> None:
+    assert "4 silences" in problems(example(requests="separate"))["daq.baud"]
+    over_tcp = example(requests="separate", daq={"port": "tcp://10.0.0.7"})
+    assert not problems(over_tcp)
+    assert "10 Mbit/s" in "\n".join(preflight(over_tcp).lines)
+    too_short = over_tcp.model_copy(update={"period_s": 0.001})
+    assert "too slow" in problems(too_short)["period_s"]
+
+
+def test_a_drive_that_goes_out_a_tick_later_counts_one_period_more() -> None:
+    at_once, later = example(requests="separate"), example()
+    assert reaction_periods(later) == reaction_periods(at_once) + 1
+    more_s = guard_settings_of(later).reaction_s - guard_settings_of(at_once).reaction_s
+    assert more_s == pytest.approx(later.period_s)
+
+
+def test_a_watchdog_that_is_set_on_the_device_counts_for_the_room_to_stop() -> None:
+    fixed = example({"watchdog": None}, device_watchdog_s=0.3)
+    assert guard_settings_of(fixed).reaction_s - guard_settings_of(example()).reaction_s == pytest.approx(0.2)
+    text = "\n".join(preflight(fixed).lines)
+    assert "sets 0 V after 300 ms of silence, as set on it" in text
+    assert "no room to stop" in problems(fixed)["limits.max_speed_rad_s"]
+    none = "\n".join(preflight(example({"watchdog": None})).lines)
+    assert "a run is refused" in none
+
+
+def test_a_relay_in_the_device_is_not_for_modbus() -> None:
+    data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
+    data["relay"]["where"] = "device"
+    assert "knows of no relay in the device" in problems(Experiment.model_validate(data))["relay.where"]
+
+
+@pytest.mark.parametrize(
+    ("port", "words"),
+    [
+        ("/dev/ttyUSB0", "a REAL MOTOR behind /dev/ttyUSB0, Modbus RTU, unit 1, 115200 baud"),
+        ("tcp://10.0.0.7", "a REAL MOTOR behind tcp://10.0.0.7, Modbus TCP, unit 1"),
+        ("emulated-virtual", "virtual time, nothing moves"),
+        ("emulated-tcp", "Modbus TCP on this machine, unit 1, real time, nothing moves"),
+    ],
+)
+def test_check_says_what_is_behind_the_port(port: str, words: str) -> None:
+    assert words in preflight(example(daq={"port": port})).lines[0]

@@ -1,0 +1,79 @@
+"""Drives that act a period or more after their sample: what the rows say, and that identification needs no more."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListRecord
+
+from rig.control.guard import Guard
+from rig.control.law import Law
+from rig.control.relay import DualChannelRelay
+from rig.daq.calibration import DriveMap
+from rig.daq.simulated import SimulatedDriver, SimulatedLatency
+from rig.identify import sampled_data
+from rig.identify.record import Record
+from rig.loop.clock import VirtualClock
+from rig.loop.runner import Loop
+from rig.loop.stop_request import StopRequest
+from rig.signals import Order, Sample
+
+
+class Ended:
+    """A law for so many ticks."""
+
+    yd_rad = math.nan
+    finished = False
+
+    def __init__(self, law: Law, ticks: int) -> None:
+        self._law, self._left = law, ticks
+
+    @property
+    def z_rad_s(self) -> float:
+        return self._law.z_rad_s
+
+    def step(self, sample: Sample) -> float:
+        self._left -= 1
+        self.finished = self._left <= 0
+        return self._law.step(sample)
+
+
+def relay_test(order: Order, latency_s: float) -> tuple[list[dict[str, Any]], Loop]:
+    """Twelve cycles on the demo's motor; rows of a bench with this order and latency."""
+    clock = VirtualClock()
+    driver = SimulatedDriver(
+        clock, DEMO, CALIBRATION, DriveMap(12.0), RAILS, SimulatedLatency(latency_s, 0.0), 1, order
+    )
+    guard = Guard(GUARD)
+    guard.sign_proven = True
+    record = ListRecord()
+    loop = Loop(driver, clock, guard, record, PERIOD_S, StopRequest())
+    with loop.armed(LIMITS):
+        loop.run(Ended(DualChannelRelay(0.45, 0.8, 1.0), 1200), "relay-1")
+    return record.rows, loop
+
+
+@pytest.mark.parametrize(("order", "latency_s"), [("write_first", 0.0), ("sample_first", 0.0172)])
+def test_a_drive_that_acts_a_period_or_more_later_is_in_its_rows_and_identified_as_well(
+    order: Order, latency_s: float
+) -> None:
+    """Same motor, same truth: the rows say when each drive acted, and that is all that identification needs."""
+    at_once, _ = relay_test("sample_first", 0.0012)
+    later, loop = relay_test(order, latency_s)
+    for row in later[5:-1]:
+        if order == "write_first":
+            assert row["t_u_s"] - row["t_s"] == pytest.approx(PERIOD_S, abs=1e-9)
+    if order == "write_first":
+        assert loop.latency_s == pytest.approx(PERIOD_S, abs=1e-9)
+    estimates = []
+    for rows in (at_once, later):
+        columns = [
+            np.array([row[name] for row in rows[300:-2]], dtype=float) for name in ("t_s", "y_rad", "t_u_s", "u_V")
+        ]
+        estimates.append(sampled_data.fit([Record(*columns, name="relay-1")]))
+    for name, truth in (("tau_s", 0.17), ("K_rad_s_V", 6.5), ("fc_V", 0.48)):
+        assert getattr(estimates[1], name) == pytest.approx(truth, rel=0.02)
+        assert getattr(estimates[1], name) == pytest.approx(getattr(estimates[0], name), rel=0.02)
