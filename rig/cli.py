@@ -590,7 +590,8 @@ def _show_replay(done: Any) -> None:
         click.echo(f"different after {done.replayed} of {done.rows} rows:")
         click.echo(f"  {done.difference}")
         return
-    click.echo(f"the same drive in {done.compared} of {done.rows} rows, {done.duration_s:.1f} s, to {done.ending}")
+    ending = "its last row" if done.ending == "no end" else done.ending
+    click.echo(f"the same drive in {done.compared} of {done.rows} rows, {done.duration_s:.1f} s, to {ending}")
     if done.lost:
         click.echo(f"not compared: {done.lost} rows whose drive never reached the device")
     if done.limited:

@@ -70,6 +70,30 @@ def test_a_tick_of_the_relay_in_the_device(tmp_path: Path) -> None:
     assert found.recorded == "no ticks were skipped before this row"
 
 
+def test_a_relay_in_the_device_that_ended_its_run(tmp_path: Path) -> None:
+    """By deciding otherwise than the law, which must come out again; or by a link that lost its blocks."""
+    run = copy_of("chip-relay-in-device", tmp_path)
+    k = run.number_of("relay-1", 1500)
+    del run.rows[k + 1 :]
+    right_V, wrong_V = run.rows[k]["u_V"], repr(-float(run.rows[k]["u_V"]))
+    t_s = float(run.rows[k]["t_s"])
+    run.events = [e for e in run.events if e["t_s"] <= t_s]
+    fault = {"t_s": t_s, "kind": "fault", "code": "DEVICE_RELAY", "detail": ""}
+    run.events += [fault, {"t_s": t_s, "kind": "end"}]
+    run.rows[k]["u_V"] = wrong_V
+    assert run.replay().is_same
+    run.rows[k]["u_V"] = right_V
+    found = run.replay().difference
+    assert found is not None and found.line == k + 2 and "DEVICE_RELAY" in found.recorded
+
+    fault["code"] = "LINK_GAP"
+    done = run.replay()
+    assert done.is_same and done.fault is not None and done.fault.code == "LINK_GAP"
+    run.rows[k]["u_V"] = wrong_V
+    found = run.replay().difference
+    assert found is not None and found.line == k + 2 and "LINK_GAP" in found.recorded
+
+
 def test_a_sample_at_which_the_guard_would_have_braked(tmp_path: Path) -> None:
     """Within limits that leave the run just enough room, one reading 0.06 rad farther out where it needs most."""
     run = copy_of("simulated", tmp_path)
