@@ -340,15 +340,16 @@ class RecordedDriver:
         self._tape.set_clock()
 
     def keep(self) -> None:
-        """Nobody to tell."""
-
-    def read_rows(self) -> list[RelayRow]:
-        """The rows that the loop took in this tick; raises as ``Tape.end``, and Diverged where the relay had ended."""
-        tape, first = self._tape, self._tape.next
+        """The relay goes on; raises as ``Tape.end``, and Diverged where it had ended."""
+        tape = self._tape
         if tape.is_over:
             tape.end()
-        if not self._is_of_relay(first):
-            raise tape.diverged(first, "law", "the relay in the device has ended", f"{self._device_stage} goes on")
+        if not self._is_of_relay(tape.next):
+            raise tape.diverged(tape.next, "law", "the relay in the device has ended", f"{self._device_stage} goes on")
+
+    def read_rows(self) -> list[RelayRow]:
+        """The rows that the loop took in this tick."""
+        tape, first = self._tape, self._tape.next
         end = first
         while end < len(tape) and self._is_of_relay(end) and tape.ticks[end] * tape.period_s <= tape.now_s + 1e-9:
             end += 1
