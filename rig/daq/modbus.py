@@ -184,7 +184,9 @@ class ModbusDriver:
         vendor, product, revision = self._identity()
         # a device that does not know that question may be deaf for a while after it: one on libmodbus for 0.5 s
         self._until_answered(request, about)
-        round_trip_s = min(self._patiently(request, about, self._unhurried_s).round_trip_s for _ in range(_INTRODUCTIONS))
+        round_trip_s = min(
+            self._patiently(request, about, self._unhurried_s).round_trip_s for _ in range(_INTRODUCTIONS)
+        )
         emulated = self._emulated or (vendor, product) == _EMULATED
         board = " ".join(part for part in (vendor, product) if part) or "Modbus device"
         self.backend = f"{self._name} (unit {self._line.unit}, {board}{revision and f', {revision}'})"
