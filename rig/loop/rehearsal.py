@@ -19,7 +19,7 @@ from rig.signals import Order
 
 @dataclass(frozen=True)
 class RehearsalBench:
-    """What is known of the bench: the best model, where the shaft stands, the noise, the order of a tick, the latency."""
+    """What is known of the bench: the best model, where the shaft stands, noise, latency, the order of a tick."""
 
     motor: Motor
     start_rad: float
