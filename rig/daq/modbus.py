@@ -35,7 +35,6 @@ from rig.signals import Limits, Order, Sample
 
 _ATTEMPTS = 3  # of a request outside the tick
 _UNHURRIED_S = 0.1  # least time-out of a request outside the tick; stopping keeps to the tick's
-_IDENTITY_S = 1.0  # some take half a second to refuse what they do not know, and are deaf meanwhile
 _INTRODUCTIONS = 20  # reads that measure the round trip
 _LATE_TIMEOUTS = 2  # by when the latest reply has come
 _UNASKED_BYTES = 5  # the shortest reply; fewer between two exchanges are noise on the line
@@ -388,7 +387,7 @@ class ModbusDriver:
         """Vendor, product and revision as FC43 tells them; empty where the device does not."""
         request = ReadDeviceInformationRequest(read_code=1, object_id=0)
         try:
-            pdu = self._asked(request, "identification", max(self._timeout_s, _IDENTITY_S)).pdu
+            pdu = self._asked(request, "identification", self._unhurried_s).pdu
         except Fault as fault:
             if fault.code == "LINK_LOST":
                 raise
