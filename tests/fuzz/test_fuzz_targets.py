@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from fuzz.targets import TARGETS
 
-INPUTS = {"identify": 100, "config": 300, "campaign-config": 300, "run-folder": 300}
+INPUTS = {"identify": 100, "config": 300, "campaign-config": 300, "run-folder": 300, "replay": 60}
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -39,7 +39,9 @@ def test_seeds_and_damaged_seeds(name: str) -> None:
 def test_anything(name: str) -> None:
     feed = TARGETS[name].feed
 
-    @settings(max_examples=INPUTS.get(name, 1000), deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @settings(
+        max_examples=INPUTS.get(name, 1000), deadline=None, suppress_health_check=list(HealthCheck), database=None
+    )
     @given(st.binary(max_size=300) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "replace")))
     def feeds(data: bytes) -> None:
         feed(data)

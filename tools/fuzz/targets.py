@@ -13,14 +13,17 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from pymodbus.framer import FramerRTU
 
 from rig import config
+from rig.bench import modbus_driver
 from rig.daq import frames
 from rig.daq.calibration import Calibration, DriveMap
 from rig.daq.serial_link import SerialDriver
 from rig.faults import Fault
 from rig.identify import IdentifyError, identify
 from rig.recording.reader import Recording, RecordingError, read_csv, read_run
+from rig.replay import replay
 from rig.report.source import load as load_report
 from rig.signals import Limits
 
@@ -80,7 +83,9 @@ def _wire(data: bytes) -> bytes:
         if kind >= 128 or len(piece) < 3:
             out += piece
         else:
-            out += frames.encode(kind | 0x80, int.from_bytes(piece[:2], "little"), piece[3:][: frames.MAX_BODY], piece[2])
+            out += frames.encode(
+                kind | 0x80, int.from_bytes(piece[:2], "little"), piece[3:][: frames.MAX_BODY], piece[2]
+            )
     return out
 
 
@@ -142,6 +147,64 @@ def serial_driver(data: bytes) -> None:
         pass
     assert driver.safe_stop() in (True, False)
     driver.close()
+
+
+class _ScriptedUnit(_Scripted):
+    """The same for Modbus RTU: the host's own unit, function and length where the input says so."""
+
+    _request = bytes(8)
+
+    def write(self, data: bytes) -> None:
+        self._request = data
+
+    def read(self, timeout_s: float) -> bytes:
+        kind, piece = next(self._pieces, (255, b""))
+        if kind == 255:
+            raise Fault("LINK_LOST", "the input says so")
+        if kind == 0:
+            self._now_s += max(timeout_s, 1e-4)
+            return b""
+        self._now_s += 1e-3
+        if kind >= 100:
+            return piece
+        head = self._request[:2]
+        if kind < 60:
+            if head[1:] in (b"\x06", b"\x10"):
+                body = self._request[:6]
+            else:
+                length = 2 * int.from_bytes(self._request[4:6], "big") % 252
+                body = head + bytes([length]) + piece[:length].ljust(length, b"\0")
+        else:
+            body = (head[:1] + bytes([head[1] | 0x80]) if kind < 80 else head) + piece
+        return body + FramerRTU.compute_CRC(body).to_bytes(2, "big")
+
+
+def modbus_unit(data: bytes) -> None:
+    """A Modbus unit that answers anything: only faults come out, a stop never fails."""
+    driver = modbus_driver(_modbus_experiment(), _ScriptedUnit(data))
+    try:
+        driver.open()
+        driver.arm(_LIMITS)
+        for u_V in (0.5, -0.5, 0.0):
+            driver.write(u_V)
+            sample = driver.read()
+            assert np.isfinite(sample.y_rad)
+            assert np.isfinite(sample.u_V)
+    except Fault:
+        pass
+    assert driver.safe_stop() in (True, False)
+    driver.close()
+
+
+@cache
+def _modbus_experiment() -> config.Experiment:
+    return config.load(ROOT / "config" / "modbus-rtu.yaml")
+
+
+def _unit_seeds() -> Iterator[bytes]:
+    yield bytes([1, 8, 2, 0, 0, 1, 0, 0, 0, 1])
+    yield bytes([1, 8, 2, 0, 0, 1, 0, 0, 0, 1, 61, 1, 2, 0, 0, 200, 3, 1, 2, 3])
+    yield b"".join(bytes([1, 8, 2, k, 0, k, 0, 0, 0, 1]) for k in range(9))
 
 
 def _frame_seeds() -> Iterator[bytes]:
@@ -234,6 +297,17 @@ _RUN_FILES = ("config.yaml", "meta.json", "samples.csv", "events.jsonl", "result
 
 def run_folder(data: bytes) -> None:
     """A run folder with one of its files damaged, or missing: read, and read for its report, or RecordingError."""
+    folder = _damaged_run(data)
+    for read in (read_run, load_report):
+        try:
+            read(folder)
+        except RecordingError as error:
+            assert error.cause
+            assert error.cure
+
+
+def _damaged_run(data: bytes) -> Path:
+    """The good run with the file that the first byte names replaced by the others, or removed where the next is 255."""
     folder = _folder() / "run"
     folder.mkdir(exist_ok=True)
     good = _good_run()
@@ -244,12 +318,19 @@ def run_folder(data: bytes) -> None:
         (folder / _RUN_FILES[which]).unlink()
     else:
         (folder / _RUN_FILES[which]).write_bytes(data[1:])
-    for read in (read_run, load_report):
-        try:
-            read(folder)
-        except RecordingError as error:
-            assert error.cause
-            assert error.cure
+    return folder
+
+
+def replayed(data: bytes) -> None:
+    """The same folder replayed: the same drive, or the first difference, or a declared error."""
+    folder = _damaged_run(data)
+    try:
+        done = replay(folder)
+    except (RecordingError, config.ConfigError) as error:
+        assert str(error)
+        return
+    assert done.is_same == (done.difference is None)
+    assert 0 <= done.replayed <= done.rows
 
 
 @cache
@@ -276,9 +357,11 @@ def _csv_seeds() -> Iterator[bytes]:
 TARGETS = {
     "frames": Target(frames_from_device, _frame_seeds),
     "serial-driver": Target(serial_driver, _frame_seeds),
+    "modbus-unit": Target(modbus_unit, _unit_seeds),
     "config": Target(experiment_config, lambda: _config_seeds(campaign=False)),
     "campaign-config": Target(campaign_config, lambda: _config_seeds(campaign=True)),
     "csv": Target(csv_file, _csv_seeds),
     "run-folder": Target(run_folder, _run_seeds),
+    "replay": Target(replayed, _run_seeds),
     "identify": Target(identification, _csv_seeds),
 }
