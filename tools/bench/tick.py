@@ -42,7 +42,7 @@ from rig.control.relay import DualChannelRelay
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.faults import Fault
 from rig.loop.clock import MonotonicClock
-from rig.loop.real_time import real_time
+from rig.loop.real_time import RealTime, real_time
 from rig.loop.runner import Loop, NoRecord
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
@@ -56,23 +56,22 @@ PARTS = ("late_us", "io_us", "compute_us", "write_us", "record_us")
 
 
 class Case(NamedTuple):
-    """What is measured: a config at a period, with the cores idle or busy."""
+    """What is measured: a config at a period, under each of some conditions in turn."""
 
     name: str
     config: str
     period_s: float
-    condition: str = "idle"
-    raise_workers: bool = False  # loop.raise_workers
+    conditions: tuple[str, ...] = ("idle",)  # of CONDITIONS
 
 
+# cores idle or busy, and loop.raise_workers
+CONDITIONS = {"idle": ("idle", False), "cores busy": ("busy", False), "cores busy, workers raised": ("busy", True)}
 CASES = (
     Case("simulator, 10 ms", "simulated.yaml", 0.010),
     Case("serial, 10 ms", "demo.yaml", 0.010),
     Case("Modbus RTU at 115200 baud, 10 ms", "modbus-rtu.yaml", 0.010),
     Case("Modbus TCP, 10 ms", "modbus-tcp.yaml", 0.010),
-    Case("serial, 1 ms", "demo.yaml", 0.001),
-    Case("serial, 1 ms, cores busy", "demo.yaml", 0.001, "busy"),
-    Case("serial, 1 ms, cores busy, kernel workers raised", "demo.yaml", 0.001, "busy", raise_workers=True),
+    Case("serial, 1 ms", "demo.yaml", 0.001, tuple(CONDITIONS)),
 )
 
 
@@ -143,52 +142,69 @@ def in_real_time(experiment: Experiment) -> Iterator[Bench]:
     driver.safe_stop()
 
 
-def measure(case: Case, seconds: float, folder: Path) -> dict[str, Any]:
-    """Quantiles of each part, ours and of the bare tick, us; the share of ticks skipped."""
-    experiment = load(CONFIG / case.config)
-    loop_settings = experiment.loop.model_copy(update={"raise_workers": case.raise_workers})
-    experiment = experiment.model_copy(update={"period_s": case.period_s, "loop": loop_settings})
-    turns, ticks = max(round(seconds / TURN_S), 1), round(TURN_S / case.period_s)
+class Turns:
+    """Our loop and the bare one on an open bench under one condition, a turn at a time."""
+
+    def __init__(self, experiment: Experiment, bench: Bench, recorder: Recorder, condition: str) -> None:
+        self._cores, raise_workers = CONDITIONS[condition]
+        self._settings = replace(real_time_of(experiment), raise_workers=raise_workers)
+        self._limits = limits_of(experiment)
+        self._ticks = round(TURN_S / experiment.period_s)
+        settings = guard_settings_of(experiment)
+        # at 1 ms a velocity from five samples is mostly the sensor's noise, and no matter here
+        guard = Guard(replace(settings, max_speed_rad_s=5.0 * settings.max_speed_rad_s))
+        guard.sign_proven = True
+        stop, period_s = StopRequest(), experiment.period_s
+        self.ours = Loop(bench.driver, bench.clock, guard, recorder, period_s, stop)
+        self.bare = Loop(bench.driver, bench.clock, NoGuard(settings), NoRecord(), period_s, stop)
+        self._relay, self._detector = DualChannelRelay(*GAINS_V, 0.7), CycleDetector(0.3, 0.08)
+        self.done = RealTime()
+        self.faults: list[str] = []
+
+    def run(self) -> None:
+        """One turn of each loop."""
+        test = RelayTest(self._relay, self._detector, GAINS_V, 1000, 1e6)
+        with cores(self._cores), real_time(self._settings) as self.done:
+            for loop, law in ((self.ours, test), (self.bare, BareRelay())):
+                try:
+                    with loop.armed(self._limits):
+                        loop.run(Limited(law, self._ticks), "relay-1")
+                except Fault as fault:  # a machine that stood still for longer than daq.timeout_s
+                    self.faults.append(fault.code)
+
+    def result(self) -> dict[str, Any]:
+        """Quantiles of each part, ours and of the bare tick, us; the share of ticks skipped."""
+        told, peer = self.ours.statistics.summary(), self.bare.statistics.summary()
+        ran, skipped = self.ours.statistics.ticks, self.ours.statistics.skipped
+        compute, bare_compute = told["compute_us"], peer["compute_us"]
+        assert isinstance(compute, dict) and isinstance(bare_compute, dict)
+        return {
+            "granted": self.done.granted,
+            "refused": self.done.refused,
+            "faults": self.faults,
+            "ticks": ran,
+            "skipped": skipped,
+            "skipped_percent": round(100.0 * skipped / (ran + skipped), 4),
+            **{part: told[part] for part in PARTS},
+            "bare": {part: peer[part] for part in PARTS},
+            "compute_p99_ratio_to_bare": round(compute["p99"] / bare_compute["p99"], 2),
+        }
+
+
+def measure(case: Case, turns: int, folder: Path) -> dict[str, dict[str, Any]]:
+    """The results of a case, by name and condition."""
+    experiment = load(CONFIG / case.config).model_copy(update={"period_s": case.period_s})
     folder.mkdir()
     with in_real_time(experiment) as bench:
         recorder = Recorder(folder, ["relay-1"])
         try:
-            settings = guard_settings_of(experiment)
-            # at 1 ms a velocity from five samples is mostly the sensor's noise, and no matter here
-            guard = Guard(replace(settings, max_speed_rad_s=5.0 * settings.max_speed_rad_s))
-            guard.sign_proven = True
-            bare_guard = NoGuard(guard.settings)
-            stop, faults = StopRequest(), list[str]()
-            ours = Loop(bench.driver, bench.clock, guard, recorder, case.period_s, stop)
-            bare = Loop(bench.driver, bench.clock, bare_guard, NoRecord(), case.period_s, stop)
-            relay, detector = DualChannelRelay(*GAINS_V, 0.7), CycleDetector(0.3, 0.08)
-            with cores(case.condition), real_time(real_time_of(experiment)) as done:
-                for _ in range(turns):
-                    test = RelayTest(relay, detector, GAINS_V, 1000, 1e6)
-                    for loop, law in ((ours, test), (bare, BareRelay())):
-                        try:
-                            with loop.armed(limits_of(experiment)):
-                                loop.run(Limited(law, ticks), "relay-1")
-                        except Fault as fault:  # a machine that stood still for longer than daq.timeout_s
-                            faults.append(fault.code)
+            by_name = {f"{case.name}, {name}": Turns(experiment, bench, recorder, name) for name in case.conditions}
+            for _ in range(turns):
+                for one in by_name.values():
+                    one.run()
         finally:
             recorder.close()
-    told, peer = ours.statistics.summary(), bare.statistics.summary()
-    ran, skipped = ours.statistics.ticks, ours.statistics.skipped
-    compute, bare_compute = told["compute_us"], peer["compute_us"]
-    assert isinstance(compute, dict) and isinstance(bare_compute, dict)
-    return {
-        "granted": done.granted,
-        "refused": done.refused,
-        "period_us": 1e6 * case.period_s,
-        "faults": faults,
-        "ticks": ran,
-        "skipped": skipped,
-        "skipped_percent": round(100.0 * skipped / (ran + skipped), 4),
-        **{part: told[part] for part in PARTS},
-        "bare": {part: peer[part] for part in PARTS},
-        "compute_p99_ratio_to_bare": round(compute["p99"] / bare_compute["p99"], 2),
-    }
+    return {name: one.result() for name, one in by_name.items()}
 
 
 def table(results: dict[str, dict[str, Any]]) -> str:
@@ -212,10 +228,11 @@ def main(cases: Sequence[Case] = CASES) -> int:
     parser.add_argument("--seconds", type=float, default=8.0, help="of each case; half of it is the bare loop's")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    results = {}
+    results: dict[str, dict[str, Any]] = {}
+    turns = max(round(0.5 * arguments.seconds / TURN_S), 1)
     with tempfile.TemporaryDirectory() as folder:
         for number, case in enumerate(cases):
-            results[case.name] = measure(case, 0.5 * arguments.seconds, Path(folder) / str(number))
+            results |= measure(case, turns, Path(folder) / str(number))
     if arguments.json:
         print(json.dumps({"fifo": fifo_is_allowed(), "cores": os.cpu_count(), "cases": results}))
     else:
