@@ -131,6 +131,11 @@ def fifo_is_allowed() -> bool:
     return subprocess.run(command, stderr=subprocess.DEVNULL, check=False).returncode == 0
 
 
+def available() -> tuple[str, ...]:
+    """The loops that this user may run: cyclictest starts for nobody who may not have SCHED_FIFO."""
+    return LOOPS if fifo_is_allowed() else tuple(loop for loop in LOOPS if loop != "cyclictest")
+
+
 def summary(blocks: Sequence[Block]) -> dict[str, float | int | None]:
     """Quantiles over all blocks, us, and the ticks skipped."""
     late_us = np.concatenate([block.late_us for block in blocks])
@@ -210,11 +215,11 @@ def main() -> int:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     rounds = 6 if arguments.minutes is None else max(round(60.0 * arguments.minutes / BLOCK_S), 1)
-    loops = LOOPS if arguments.loops is None else tuple(f"{name}, spin" for name in arguments.loops.split(","))
+    loops = available() if arguments.loops is None else tuple(f"{name}, spin" for name in arguments.loops.split(","))
     policies, notes = arguments.policies.split(","), []
     if "fifo" in policies and not fifo_is_allowed():
         policies.remove("fifo")
-        notes.append("SCHED_FIFO is refused to this user: `rig doctor` says what to type; nothing was measured with it")
+        notes.append("SCHED_FIFO is refused to this user: `rig doctor` says what to type; without it no cyclictest either")
     result = measure(loops, policies, arguments.conditions.split(","), arguments.period_us, rounds)
     numbers = {
         "period_us": arguments.period_us,
