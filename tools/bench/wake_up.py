@@ -219,7 +219,9 @@ def main() -> int:
     policies, notes = arguments.policies.split(","), []
     if "fifo" in policies and not fifo_is_allowed():
         policies.remove("fifo")
-        notes.append("SCHED_FIFO is refused to this user: `rig doctor` says what to type; without it no cyclictest either")
+        notes.append(
+            "SCHED_FIFO is refused to this user: `rig doctor` says what to type; without it no cyclictest either"
+        )
     result = measure(loops, policies, arguments.conditions.split(","), arguments.period_us, rounds)
     numbers = {
         "period_us": arguments.period_us,
