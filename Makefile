@@ -2,7 +2,7 @@
 CONFIG ?= config/demo$(if $(CHIP),-chip).yaml
 RIG := .venv/bin/rig
 
-.PHONY: help demo test check format bench paper safety fuzz firmware golden lock clean
+.PHONY: help demo test check format bench paper safety faults fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -36,6 +36,9 @@ safety: .venv/.ready firmware  ## what stops the drive, and how soon, on the Uno
 
 fuzz: .venv/.ready  ## what the host reads, fuzzed; SECONDS_EACH=60 for each target; counts are printed
 	PYTHONPATH=tools .venv/bin/python -m fuzz --seconds $(or $(SECONDS_EACH),60)
+
+faults: .venv/.ready firmware  ## what goes wrong, on every emulated device, and what the bench does: docs/fault-table.md
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m faults
 
 firmware: .venv/.ready  ## the Uno's firmware (build/firmware/uno/rig_uno.hex), and the emulated board and chip
 	@$(MAKE) --no-print-directory -C firmware host uno chip

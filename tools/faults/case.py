@@ -34,8 +34,6 @@ from rig.config import check
 from rig.config.schema import Experiment
 from rig.faults import Fault
 from rig.recording.errors import RecordingError
-from rig.faults import Fault
-from rig.recording.errors import RecordingError
 
 FIRST_CYCLE = 4  # the fault comes in the one after it: the amplitude is that of the limit cycle by then
 SETTLE_S = 1.5  # after the run: the watchdog acts, the shaft stops
@@ -106,24 +104,9 @@ class Undisturbed:
     rows: list[dict[str, str]]
 
 
-@dataclass(frozen=True)
-class Undisturbed:
-    """The run in which nothing goes wrong.
-
-    cycle_s  device time at which the cycle after FIRST_CYCLE begins; period_s: its length
-    times    that bounds are made of
-    rows     of its record
-    """
-
-    cycle_s: float
-    period_s: float
-    times: Times
-    rows: list[dict[str, str]]
-
-
 @contextmanager
 def patched(stand: Stand, backend: Backend) -> Iterator[None]:
-    """rig connects to the stand instead of a new device; no figures are drawn."""
+    """Rig connects to the stand instead of a new device; no figures are drawn."""
     with (
         patch.object(rig.bench, backend.place, lambda experiment: stand),
         patch.object(script, "write_report", lambda *_: None),
@@ -189,6 +172,7 @@ def undisturbed(backend: Backend) -> Undisturbed:
 def measure(row: Row, backend: Backend, phase: float, restarts: bool = False) -> Found:
     """Run it. ``phase`` 0 to 1 of the limit cycle, or of where an early one starts; restarts: try the next run, too."""
     undisturbed(backend)
+    row = row.on(backend.key)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if not row.alone:
@@ -220,7 +204,7 @@ def _in_own_process(work: Callable[[Done], Found]) -> Found:
             done(error)
     os.close(sink)
     with os.fdopen(source, "rb") as pipe:
-        found = pickle.load(pipe)
+        found: Found | BaseException = pickle.load(pipe)
     status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     if isinstance(found, BaseException):
         raise found
@@ -234,6 +218,7 @@ def _measure(row: Row, backend: Backend, phase: float, restarts: bool, folder: P
     if row.early:
         config["emulated"]["motor"]["start_rad"] = START_RAD * (2.0 * phase - 1.0)
     stand, experiment = new_stand(backend, config, folder, rng.randrange(2**32))
+    stand.spare_s = plain.times.timeout - plain.times.exchange
     if row.early:
         row.act(stand)
         stand.schedule(0.0, lambda _: None)
@@ -320,16 +305,16 @@ def _decided(rows: list[dict[str, str]]) -> list[tuple[str, ...]]:
 def missing(stand: Stand, run: Run) -> list[int]:
     """Keys of samples that the device has told of, in time, and that the record has not.
 
-    The one that ended the run is in the record, too, where the fault's event has its counts. The last exchange before
-    a stop without a fault is none: it only asks what came of the last drive.
+    The one that ended the run is in the record, too, where the fault's event has its counts, or its reply. The last
+    exchange before a stop without a fault is none: it only asks what came of the last drive.
     """
     recorded = {int(row["seq"]) for row in run.rows}
     detail = "" if run.fault is None else str(run.fault["detail"])
     lost = []
     for reading in stand.readings:
-        in_detail = f"{reading.counts} counts" in detail and reading is stand.readings[-1]
+        in_detail = f"{reading.counts} counts" in detail or reading.reply.hex(" ") in detail
         only_asks = reading.key in stand.closing and run.fault is None
-        if reading.key not in recorded and not only_asks and not in_detail:
+        if reading.key not in recorded and not only_asks and not (in_detail and reading is stand.readings[-1]):
             lost.append(reading.key)
     return lost
 

@@ -6,6 +6,7 @@ from typing import NamedTuple, Protocol
 
 from rig.daq import frames
 from rig.daq.frames import FrameReader, Kind, State
+from rig.emulate.rtu_slave import check_sum
 
 
 class Reading(NamedTuple):
@@ -13,12 +14,12 @@ class Reading(NamedTuple):
 
     key     that the record has in its column ``seq``
     counts  of the sensor
-    is_well armed, and no fault latched
+    reply   in which it came
     """
 
     key: int
     counts: int
-    is_well: bool
+    reply: bytes
 
 
 class Language(Protocol):
@@ -79,8 +80,51 @@ class SerialLanguage:
         packet = _packet(reply)
         if packet is None or packet.kind != Kind.STATE:
             return None
-        state = State.unpack(packet.body)
-        return Reading(packet.seq, state.counts, state.status & 3 == frames.STATUS_ARMED)
+        return Reading(packet.seq, State.unpack(packet.body).counts, reply)
+
+
+class ModbusLanguage:
+    """RTU frames of FC23 in a tick and FC06 to stop, for the register map of config/modbus-rtu.yaml.
+
+    unit_V  what one unit of the drive register is
+    """
+
+    def __init__(self, unit_V: float) -> None:
+        self._unit_V = unit_V
+        self._asked = 0  # readings in the tick, which the record counts, too
+        self._sequence = 0
+
+    def replies(self, data: bytes) -> list[bytes]:
+        """A reply arrives whole."""
+        return [data] if data else []
+
+    def asked(self, request: bytes) -> int | None:
+        """FC23; the number that goes with the drive must come back."""
+        if not _is_rtu(request, 23):
+            return None
+        self._asked += 1
+        self._sequence = int.from_bytes(request[13:15], "big")
+        return self._asked
+
+    def drive_V(self, request: bytes) -> float | None:
+        """The drive in FC23, and in FC06 to the drive register; a stop is 0 V."""
+        if _is_rtu(request, 23):
+            return int.from_bytes(request[11:13], "big", signed=True) * self._unit_V
+        return 0.0 if self.is_stop(request) else None
+
+    def is_stop(self, request: bytes) -> bool:
+        """FC06, control to 0."""
+        return _is_rtu(request, 6) and request[2:6] == bytes((0, 8, 0, 0))
+
+    def reading(self, reply: bytes) -> Reading | None:
+        """Registers 16 and 17: the position, and the number of the drive that was asked with."""
+        if not _is_rtu(reply, 23) or int.from_bytes(reply[5:7], "big") != self._sequence:
+            return None
+        return Reading(self._asked, int.from_bytes(reply[3:5], "big"), reply)
+
+
+def _is_rtu(frame: bytes, function: int) -> bool:
+    return len(frame) >= 8 and frame[1] == function and check_sum(frame[:-2]) == frame[-2:]
 
 
 def is_drive(request: bytes) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ Act = Callable[[Stand], None]
 
 RUNS_ON = ""  # no fault
 FREEZE_S = 1.0
-TIMEOUT_S = 0.02  # of the serial devices' config
 STALL_S = 0.03  # of an overloaded host, at most
 SMALL_DISK = 2 << 20
 
@@ -40,6 +39,7 @@ class Row:
     status   exit status where it is not that of the code: one of these
     same     the record must be that of a run in which nothing happens, to the last bit
     absent   devices to which it does not apply, and why
+    other    what is otherwise on a device: fields by its key
     remark   what else is to be said
     """
 
@@ -57,12 +57,19 @@ class Row:
     status: tuple[int, ...] = ()
     same: bool = False
     absent: Mapping[str, str] = field(default_factory=dict)
+    other: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     remark: str = ""
+
+    def on(self, backend: str) -> Row:
+        """The row as it is for one device."""
+        return replace(self, **self.other.get(backend, {}))
 
 
 # ---------------------------------------------------------------------- bounds
 
-SILENCE = bound("the device's watchdog counts from the last drive", watchdog=1, tick=2)
+SILENCE = bound(
+    "the device's watchdog counts from the last drive, which may still be on its way", watchdog=1, frame=1, tick=2
+)
 HEARD = bound("the loop waits a time-out for its next reply, then says stop", period=1, timeout=1, frame=1, tick=2)
 SEEN = bound("the loop sees it in its next reading, and says stop", period=1, exchange=1, frame=1, tick=2)
 DEVICE = bound("the device checks each tick", tick=3)
@@ -73,7 +80,8 @@ LOOKED = bound("the loop looks at the recorder every 25 ticks", check=1, period=
 PUSHED = bound("the relay pushes within a cycle, and pushes in vain", cycle=1, stuck=1, exchange=1, frame=1, tick=2)
 RUN_AWAY = bound("until it is at the limit", cycle=0.5, runaway=1, exchange=1, frame=1, tick=2)
 
-NO_CONTACTS = "the firmware's core has no such input"
+NO_CONTACTS = "the contacts are the Uno's; the firmware's core alone has none"
+NO_INPUTS = "the block has no such input: wire it into the motor's supply"
 
 
 # ---------------------------------------------------------------------- acts
@@ -93,6 +101,13 @@ def _down(what: Callable[[], damage.Damage]) -> Act:
 def _up(what: Callable[[], damage.Damage]) -> Act:
     def act(stand: Stand) -> None:
         stand.up = what()
+
+    return act
+
+
+def _late(share: float) -> Act:
+    def act(stand: Stand) -> None:
+        stand.down = damage.late(share * stand.spare_s)
 
     return act
 
@@ -179,13 +194,24 @@ def _change_config(stand: Stand) -> None:
 
 NO_SPACE = "cannot be written: No space left on device"
 NO_PERMISSION = "cannot be written: Permission denied"
-NO_LINK = ("LINK_HELLO", "LINK_TIMEOUT")
+NO_LINK = ("LINK_HELLO", "LINK_TIMEOUT", "LINK_REPLY")
+MISFIT = {"modbus": {"codes": ("LINK_REPLY", "LINK_TIMEOUT")}}
+
 
 ROWS = (
     # the link
     Row("cable out", "nothing arrives, either way", _both(damage.lost), SILENCE, ("LINK_TIMEOUT",), True, NO_LINK),
     Row("port gone", "reading and writing fail", _port_gone, SILENCE, ("LINK_LOST",), True, ("LINK_LOST",)),
-    Row("garbage", "random bytes instead of frames", _both(damage.garbage), SILENCE, ("LINK_TIMEOUT",), True, NO_LINK),
+    Row(
+        "garbage",
+        "random bytes instead of frames",
+        _both(damage.garbage),
+        SILENCE,
+        ("LINK_TIMEOUT",),
+        True,
+        NO_LINK,
+        other=MISFIT,
+    ),
     Row(
         "bit flips, to the host",
         "one wrong bit in each reply",
@@ -194,6 +220,7 @@ ROWS = (
         ("LINK_TIMEOUT",),
         True,
         NO_LINK,
+        other=MISFIT,
     ),
     Row(
         "bit flips, to the device",
@@ -204,7 +231,14 @@ ROWS = (
         True,
         NO_LINK,
     ),
-    Row("one bit flip", "in one reply", _down(lambda: damage.once(damage.flipped)), HEARD, ("LINK_TIMEOUT",)),
+    Row(
+        "one bit flip",
+        "in one reply",
+        _down(lambda: damage.once(damage.flipped)),
+        HEARD,
+        ("LINK_TIMEOUT",),
+        other=MISFIT,
+    ),
     Row(
         "truncated replies",
         "the end of each is missing",
@@ -213,6 +247,7 @@ ROWS = (
         ("LINK_TIMEOUT",),
         True,
         NO_LINK,
+        other=MISFIT,
     ),
     Row(
         "truncated requests",
@@ -223,12 +258,19 @@ ROWS = (
         True,
         NO_LINK,
     ),
-    Row("duplicated replies", "each comes twice", _down(lambda: damage.duplicated), RUNNING, (RUNS_ON,)),
-    Row("duplicated requests", "each goes twice", _up(lambda: damage.duplicated), RUNNING, (RUNS_ON,)),
+    Row("duplicated replies", "each comes twice", _down(lambda: damage.duplicated), RUNNING, (RUNS_ON,), other=MISFIT),
+    Row(
+        "duplicated requests",
+        "each goes twice, at once",
+        _up(lambda: damage.duplicated),
+        RUNNING,
+        (RUNS_ON,),
+        other={"modbus": {"codes": ("LINK_TIMEOUT",), "bound": SILENCE, "lasting": True, "refused": NO_LINK}},
+    ),
     Row(
         "replies late",
-        "by half the time-out",
-        _down(lambda: damage.late(0.5 * TIMEOUT_S)),
+        "by half of what the time-out leaves",
+        _late(0.5),
         bound("no drive is older", period=3, exchange=1),
         (RUNS_ON,),
         status=(0, 1),
@@ -236,8 +278,8 @@ ROWS = (
     ),
     Row(
         "replies too late",
-        "by twice the time-out",
-        _down(lambda: damage.late(2.0 * TIMEOUT_S)),
+        "by twice what the time-out leaves",
+        _late(2.0),
         HEARD,
         ("LINK_TIMEOUT",),
         True,
@@ -251,16 +293,35 @@ ROWS = (
         _up(lambda: damage.only(is_drive, damage.lost)),
         bound("three drives in a row", period=4, exchange=1, frame=1, tick=2),
         ("LINK_TIMEOUT",),
+        absent={"modbus": "drive and reading are one request"},
     ),
-    Row("replies reordered", "each second one first", _down(damage.reordered), HEARD, ("LINK_TIMEOUT",), True, NO_LINK),
-    Row("replies stale", "each is the one before", _down(damage.stale), HEARD, ("LINK_TIMEOUT",), True, NO_LINK),
+    Row(
+        "replies reordered",
+        "each second one first",
+        _down(damage.reordered),
+        HEARD,
+        ("LINK_TIMEOUT",),
+        True,
+        (*NO_LINK, "DEVICE_WATCHDOG"),
+        other=MISFIT,
+    ),
+    Row(
+        "replies stale",
+        "each is the one before",
+        _down(damage.stale),
+        HEARD,
+        ("LINK_TIMEOUT",),
+        True,
+        NO_LINK,
+        other=MISFIT,
+    ),
     # the device
     Row(
         "device reset",
         "by its reset input",
         lambda stand: stand.device.reset(2),
         AT_ONCE,
-        ("DEVICE_RESET", "LINK_TIMEOUT"),
+        ("DEVICE_RESET", "LINK_TIMEOUT", "DEVICE_NOT_ARMED"),
     ),
     Row(
         "firmware hang",
@@ -268,8 +329,9 @@ ROWS = (
         _hang,
         bound("the chip's own watchdog", hardware=1),
         ("LINK_TIMEOUT", "DEVICE_RESET", "DEVICE_WATCHDOG"),
+        absent={"modbus": "the block is emulated by its registers, it has no program; a real one's is its maker's"},
     ),
-    Row("brown-out", "of the chip's supply", _brown_out, AT_ONCE, ("DEVICE_RESET", "LINK_TIMEOUT")),
+    Row("brown-out", "of the chip's supply", _brown_out, AT_ONCE, ("DEVICE_RESET", "LINK_TIMEOUT", "DEVICE_NOT_ARMED")),
     # the sensor
     Row(
         "sensor at a rail",
@@ -307,7 +369,7 @@ ROWS = (
         ("SENSOR_JUMP",),
         True,
         ("", "START_OUTSIDE", "DEVICE_TRAVEL"),
-        remark="a reading that is wrong by a constant looks like another position: check the centre before the next run",
+        remark="a reading that is wrong by a constant is another position: look at the centre before the next run",
     ),
     Row(
         "sensor noisy",
@@ -433,7 +495,7 @@ ROWS = (
         ("DEVICE_END_SWITCH",),
         True,
         ("DEVICE_END_SWITCH", "DEVICE_TRAVEL"),
-        absent={"board": NO_CONTACTS},
+        absent={"board": NO_CONTACTS, "modbus": NO_INPUTS},
     ),
     Row(
         "e-stop",
@@ -443,7 +505,7 @@ ROWS = (
         ("DEVICE_ESTOP",),
         True,
         ("DEVICE_ESTOP",),
-        absent={"board": NO_CONTACTS},
+        absent={"board": NO_CONTACTS, "modbus": NO_INPUTS},
     ),
     # the host
     Row(
@@ -486,7 +548,7 @@ ROWS = (
         "disk full",
         "nothing more fits on the run folder's disk",
         _fill_disk,
-        LOOKED,
+        bound("the recorder tries to write, and the loop looks every 25 ticks", check=2, period=1, exchange=1, frame=1),
         ("RECORDER_DEAD",),
         True,
         ("RECORDER_DEAD", NO_SPACE),

@@ -65,6 +65,7 @@ class Stand:
         self.is_gone = False  # the port
         self.stall_s: Callable[[random.Random], float] | None = None  # of the host, each time it has slept
         self.after_death: Callable[[], None] | None = None  # what a killed host leaves to do
+        self.spare_s = 0.0  # of the time-out, beside the exchange
         self.to_undo: list[Callable[[], None]] = []
         self.paced = False  # no faster than real time, so that other processes have theirs
         self.fault_s = math.inf

@@ -1,0 +1,181 @@
+"""The fault matrix, each row once on each device: the same code and the same bounds as `make faults`."""
+
+from __future__ import annotations
+
+import ast
+import random
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from faults import damage
+from faults.backends import BACKENDS, BOARD, Backend
+from faults.bounds import bound
+from faults.case import measure, new_stand, undisturbed
+from faults.language import ModbusLanguage, SerialLanguage
+from faults.page import Line, line, render
+from faults.rows import FREEZE_S, ROWS, Row
+from rig.daq.frames import Kind, State, encode, pack_drive
+from rig.emulate.rtu_slave import frame
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "fault-table.md"
+CASES = [(row, backend) for backend in BACKENDS for row in ROWS if backend.key not in row.absent]
+
+
+@pytest.mark.parametrize(("row", "backend"), CASES, ids=lambda value: getattr(value, "name", None) or value.key)
+def test_every_fault_ends_within_its_bound_with_its_code_and_no_sample_lost(row: Row, backend: Backend) -> None:
+    found = measure(row, backend, random.Random(f"{row.name} {backend.key}").random())
+    assert found.trouble == ()
+    assert found.off_s <= found.bound_s and found.lost == 0
+
+
+@pytest.mark.parametrize("name", ["port gone", "device reset", "sensor wire broken", "drive reversed", "host SIGKILL"])
+def test_the_next_run_is_refused_while_the_cause_is_there_and_moves_after(name: str) -> None:
+    row = next(row for row in ROWS if row.name == name)
+    found = measure(row, BOARD, 0.3, restarts=True)
+    assert found.trouble == () and found.restart.endswith("moves")
+    assert found.restart.startswith("refused") == row.lasting
+
+
+def test_every_fault_that_was_asked_for_is_there() -> None:
+    """The list of the issue, as rows."""
+    names = " | ".join(row.name for row in ROWS)
+    for asked in (
+        "cable out", "port gone", "garbage", "bit flips", "truncated", "duplicated", "late", "lost", "reordered",
+        "stale", "device reset", "firmware hang", "brown-out", "sensor at a rail", "wire broken", "sensor stuck",
+        "sensor jumps", "sensor noisy", "drive stuck on", "drive reversed", "drive dead", "friction too high to start",
+        "limit hit at speed", "end switch", "e-stop", "SIGINT", "SIGTERM", "SIGKILL", "SIGSTOP, 1 s",
+        "host overloaded", "clock stepped", "disk full", "folder unwritable", "recorder killed", "config changed",
+    ):  # fmt: skip
+        assert asked in names
+    assert FREEZE_S == 1.0
+
+
+# ---------------------------------------------------------------------- that the matrix would notice
+
+
+def test_a_bound_that_is_too_tight_and_a_code_that_is_another_are_found() -> None:
+    row = next(row for row in ROWS if row.name == "cable out")
+    wrong = replace(row, bound=bound("too tight", period=1), codes=("LINK_LOST",))
+    found = measure(wrong, BOARD, 0.5)
+    assert any("drive on for" in words for words in found.trouble)
+    assert any("LINK_TIMEOUT" in words for words in found.trouble)
+    plain = undisturbed(BOARD)
+    told = line(Line(wrong, BOARD, plain.times, (found,)))
+    assert "**broken**" in told and "LINK_TIMEOUT, 1" in told
+
+
+def test_a_sample_that_the_record_has_not_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    from rig.recording.recorder import Recorder
+
+    original = Recorder.sample
+
+    def forgetful(self, tick, *row) -> None:  # type: ignore[no-untyped-def]
+        original(self, tick, *row)
+        if tick % 50 == 7:
+            self._opened -= 1  # the next row takes its place
+
+    undisturbed(BOARD)
+    monkeypatch.setattr(Recorder, "sample", forgetful)
+    found = measure(next(row for row in ROWS if row.name == "host SIGTERM"), BOARD, 0.5)
+    assert found.lost > 5
+    assert any("samples lost" in words for words in found.trouble)
+
+
+def test_a_record_that_is_another_is_found() -> None:
+    row = next(row for row in ROWS if row.name == "replies late")
+    found = measure(replace(row, same=True), BOARD, 0.5)
+    assert "the record is another" in found.trouble
+
+
+def test_what_is_needed_of_the_wire_is_read_off_it() -> None:
+    serial, modbus = SerialLanguage(0.03), ModbusLanguage(0.0012)
+    drive = encode(Kind.DRIVE, 7, pack_drive(-50))
+    assert serial.drive_V(drive) == -1.5 and serial.drive_V(encode(Kind.STOP, 8)) == 0.0
+    assert serial.asked(encode(Kind.READ, 9)) == 9 and serial.asked(drive) is None
+    state = encode(Kind.STATE, 9, State(1, 512, 0, 2, 3, 4, 1, 0).pack())
+    assert serial.replies(state[:5]) == [] and serial.replies(state[5:] + b"\1") == [state]
+    reading = serial.reading(state)
+    assert reading is not None and (reading.key, reading.counts) == (9, 512)
+    assert serial.reading(bytes((state[0], state[1] ^ 1)) + state[2:]) is None
+
+    request = frame(1, bytes((23, 0, 16, 0, 4, 0, 0, 0, 2, 4)) + (-500).to_bytes(2, "big", signed=True) + b"\0\5")
+    assert modbus.drive_V(request) == -0.6 and modbus.asked(request) == 1
+    assert modbus.is_stop(frame(1, bytes((6, 0, 8, 0, 0)))) and not modbus.is_stop(frame(1, bytes((6, 0, 8, 0, 1))))
+    reply = frame(1, bytes((23, 8, 2, 0, 0, 5, 0, 0, 0, 1)))
+    reading = modbus.reading(reply)
+    assert reading is not None and (reading.key, reading.counts) == (1, 512)
+    assert modbus.reading(frame(1, bytes((23, 8, 2, 0, 0, 4, 0, 0, 0, 1)))) is None  # to another drive
+
+
+def test_damage_is_what_it_says() -> None:
+    rng, sent = random.Random(1), b"abcdefgh"
+    (_, flipped), (_, cut) = damage.flipped(sent, rng)[0], damage.truncated(sent, rng)[0]
+    assert sum((a ^ b).bit_count() for a, b in zip(sent, flipped, strict=True)) == 1
+    assert 0 < len(cut) < len(sent) and sent.startswith(cut)
+    assert damage.lost(sent, rng) == [] and damage.duplicated(sent, rng) == [(0.0, sent)] * 2
+    swapping, old, first = damage.reordered(), damage.stale(), damage.once(damage.lost)
+    assert [swapping(piece, rng) for piece in (b"a", b"b")] == [[], [(0.0, b"b"), (0.0, b"a")]]
+    assert [old(piece, rng) for piece in (b"a", b"b", b"c")] == [[], [(0.0, b"a")], [(0.0, b"b")]]
+    assert [first(piece, rng) for piece in (b"a", b"b")] == [[], [(0.0, b"b")]]
+
+
+# ---------------------------------------------------------------------- clocks
+
+
+def test_nothing_that_drives_or_records_looks_at_a_clock_that_can_be_set() -> None:
+    """CLOCK_MONOTONIC cannot be stepped; the wall clock only names the run."""
+    rooms = [ROOT / "rig" / name for name in ("loop", "daq", "control", "emulate", "model", "recording")]
+    looked = 0
+    for path in (path for room in rooms for path in room.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "time":
+                looked += 1
+                assert node.attr in ("monotonic", "sleep", "monotonic_ns", "perf_counter"), f"{path}: time.{node.attr}"
+            assert not (isinstance(node, ast.Attribute) and node.attr in ("now", "utcnow", "today")), path
+    assert looked > 10
+    for source in (ROOT / "firmware").rglob("*.c"):
+        assert "CLOCK_REALTIME" not in source.read_text(encoding="utf-8"), source
+
+
+# ---------------------------------------------------------------------- the page
+
+
+def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    for backend in BACKENDS:
+        section = page.split(f"## On {backend.title}\n")[1].split("\n## ")[0]
+        lines = {
+            cells[1].strip(): cells for cells in (text.split("|") for text in section.splitlines()) if len(cells) > 7
+        }
+        for row in ROWS:
+            if backend.key in row.absent:
+                assert f"* {row.name}: does not apply: {row.absent[backend.key]}." in section
+                continue
+            cells = lines[row.name]
+            assert re.search(r"\d", cells[2]) and re.search(r"\d", cells[3]), cells
+            assert cells[6].strip() == "0", cells  # samples lost
+            assert cells[7].strip().endswith("moves"), cells
+    assert "**broken**" not in page
+
+
+def test_the_page_is_what_the_command_writes(tmp_path: Path) -> None:
+    row = next(row for row in ROWS if row.name == "port gone")
+    one = Line(row, BOARD, undisturbed(BOARD).times, (measure(row, BOARD, 0.1, restarts=True),))
+    page = render("today", 1, [one], [row], [BOARD])
+    for text in ("## On the host-board device", "| port gone |", "refused: LINK_LOST; mended: moves", "2 tick"):
+        assert text in page
+    head = next(text for text in page.splitlines() if text.startswith("| fault | drive 0"))
+    assert head in PAGE.read_text(encoding="utf-8")
+
+
+def test_a_stand_is_the_device_where_nothing_is_done_to_it(tmp_path: Path) -> None:
+    stand, experiment = new_stand(BOARD, BOARD.config(), tmp_path, 1)
+    bare = BOARD.device(experiment)
+    for port in (stand, bare):
+        port.write(encode(Kind.HELLO, 3))
+    assert stand.read(0.1) == b"".join(iter(lambda: bare.read(0.01), b""))
+    assert stand.read(0.01) == b"" and stand.now_s() > 0.01

@@ -1,0 +1,130 @@
+"""docs/fault-table.md from what was measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from faults.backends import Backend
+from faults.bounds import Times
+from faults.case import Found
+from faults.rows import Row
+
+_HEAD = """\
+# What goes wrong, and what the bench does
+
+Made by `make faults`, {made}. The command fails if a bound is broken, a sample is lost, a code is another than
+expected, or the next run does what it should not. It is in [tools/faults](../tools/faults); `make test` runs each row
+at one phase.
+
+The real `rig relay` runs in each case: the breakaway check, then a relay test whose limit cycle has settled to its
+amplitude when the fault comes, at {phases} phases of the cycle, and at any time within the loop's tick. The devices are
+in virtual time, so each number is exact and the same again. Bench and limits are those of
+[config/demo.yaml](../config/demo.yaml); the loop's period is {period_ms:g} ms, the watchdog {watchdog_ms:g} ms.
+
+* *Drive 0*: from the fault until the drive is 0 for good, at the device's own output, the worst phase. Where the run
+  goes on: the longest time that one drive acted without a new word of the host, or that the output was not what the
+  host had said.
+* *Within*: the bound of that row, from the config; what it is made of is below the table.
+* *Beyond*: farthest that the shaft went beyond a hard limit (they are at {low:g} and {high:g} rad, the stops at 2.6).
+* *Shown*: the fault's code, and `rig`'s exit status.
+* *Lost*: samples that the device told of, and that reached the host intact and in time, but are not in the record. A
+  reading that came with the fault is in the fault's event, with its counts or its bytes. Of a host that was killed the
+  recorder, which lives on, writes what there is.
+* *Next run*: tried, as far as the breakaway check: first with the cause still there, then *mended*.
+"""
+
+_TABLE = "| fault | drive 0 | within | beyond, rad | shown | lost | next run |\n|---|---|---|---|---|---|---|"
+
+
+@dataclass(frozen=True)
+class Line:
+    """A row of the matrix on one device, over all phases; the row as it is for that device."""
+
+    row: Row
+    backend: Backend
+    times: Times
+    found: tuple[Found, ...]
+
+    @property
+    def trouble(self) -> list[str]:
+        """What should not be."""
+        return [f"{f.row}, {f.backend}, phase {f.phase:.2f}: {words}" for f in self.found for words in f.trouble]
+
+
+def _time(s: float) -> str:
+    if math.isinf(s):
+        return "never"
+    return f"{s:.2f} s" if s >= 1.0 else f"{1e3 * s:.1f} ms"
+
+
+def line(measured: Line) -> str:
+    """One line of the table."""
+    row, found = measured.row, measured.found
+    shown = sorted({f"{f.code or '-'}, {f.status}" for f in found})
+    runs_on = all(f.code == "" and f.status in (0, 1) for f in found)
+    worst = _time(max(f.off_s for f in found))
+    bound_s = row.bound.seconds(measured.times)
+    broken = "" if all(f.off_s <= f.bound_s for f in found) else " **broken**"
+    next_run = "; ".join(sorted({f.restart for f in found if f.restart}))
+    beyond = max(f.beyond_rad for f in found)
+    return (
+        f"| {row.name} | {'runs on; ' if runs_on else ''}{worst}{broken} | {_time(bound_s)} | "
+        f"{f'{beyond:.2f}' if beyond > 0.0 else '-'} | {'; '.join(shown)} | {sum(f.lost for f in found)} | {next_run} |"
+    )
+
+
+def render(made: str, phases: int, lines: Sequence[Line], rows: Sequence[Row], backends: Sequence[Backend]) -> str:
+    """The page."""
+    first = lines[0]
+    low, high = first.backend.config()["limits"]["hard_rad"]
+    parts = [
+        _HEAD.format(
+            made=made,
+            phases=phases,
+            period_ms=1e3 * first.times.period,
+            watchdog_ms=1e3 * first.times.watchdog,
+            low=low,
+            high=high,
+        )
+    ]
+    for backend in backends:
+        own = [one for one in lines if one.backend is backend]
+        parts.append(f"## On {backend.title}\n\n{_TABLE}\n" + "\n".join(line(one) for one in own) + "\n")
+        absent = [
+            f"* {row.name}: does not apply: {row.absent[backend.key]}." for row in rows if backend.key in row.absent
+        ]
+        if absent:
+            parts.append("\n".join(absent) + "\n")
+    parts.append("## The bounds\n\n" + _bounds(lines, backends))
+    parts.append("## How it is done, and what else is to be said\n\n" + _notes(rows))
+    return "\n".join(parts)
+
+
+def _bounds(lines: Sequence[Line], backends: Sequence[Backend]) -> str:
+    head = "| fault | within | why |\n|---|---|---|\n"
+    seen: dict[tuple[str, str, str], list[str]] = {}
+    for one in lines:
+        key = (one.row.name, one.row.bound.formula(), one.row.bound.why)
+        seen.setdefault(key, []).append(one.backend.key)
+    keys = {one.row.name: {k[0:2] for k in seen if k[0] == one.row.name} for one in lines}
+    body = [
+        f"| {name}{'' if len(keys[name]) == 1 else ' (' + ', '.join(where) + ')'} | {formula} | {why} |"
+        for (name, formula, why), where in seen.items()
+    ]
+    times = [
+        f"* {backend.title}: "
+        + ", ".join(
+            f"{name} {_time(value)}"
+            for name, value in next(o.times for o in lines if o.backend is backend)._asdict().items()
+            if math.isfinite(value)
+        )
+        for backend in backends
+        if any(o.backend is backend for o in lines)
+    ]
+    return head + "\n".join(body) + "\n\n" + "\n".join(times) + "\n"
+
+
+def _notes(rows: Sequence[Row]) -> str:
+    return "\n".join(f"* {row.name}: {row.how}{'. ' + row.remark if row.remark else ''}." for row in rows) + "\n"
