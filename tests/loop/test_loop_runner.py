@@ -13,7 +13,7 @@ from simulated_bench import LIMITS, PERIOD_S, SimulatedBench, simulated_bench
 from rig.control.law import Constant, Rest
 from rig.faults import Fault
 from rig.loop.clock import MonotonicClock, VirtualClock
-from rig.loop.statistics import LoopStatistics, quantiles
+from rig.loop.statistics import LoopStatistics, Times, quantiles
 from rig.loop.stop_request import stop_on_signals
 from rig.signals import FLAG_SKIPPED
 
@@ -135,6 +135,15 @@ def test_quantiles_are_values_that_occurred() -> None:
     statistics = LoopStatistics(0.01)
     statistics.tick(3.0, 200.0)
     assert statistics.summary()["late_us"] == {"p50": 3.0, "p99": 3.0, "p999": 3.0, "max": 3.0}
+
+
+def test_times_of_an_endless_run_keep_the_last_and_the_largest() -> None:
+    times = Times(kept=100)
+    for k in range(1000):
+        times.add(5000.0 if k == 10 else float(k))
+    assert times.count == 1000
+    assert times.quantiles() == {"p50": 949.0, "p99": 998.0, "p999": 999.0, "max": 5000.0}
+    assert len(times._last) == 100
 
 
 def test_clocks_never_wake_early_and_never_run_backwards() -> None:
