@@ -10,12 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from faults import damage
+from faults import damage, realtime
 from faults.backends import BACKENDS, BOARD, Backend
 from faults.bounds import bound
 from faults.case import measure, new_stand, undisturbed
 from faults.language import ModbusLanguage, SerialLanguage
 from faults.page import Line, line, render
+from faults.realtime import REAL_ROWS
 from faults.rows import FREEZE_S, ROWS, Row
 from rig.daq.frames import Kind, State, encode, pack_drive
 from rig.emulate.rtu_slave import frame
@@ -38,6 +39,16 @@ def test_the_next_run_is_refused_while_the_cause_is_there_and_moves_after(name: 
     found = measure(row, BOARD, 0.3, restarts=True)
     assert found.trouble == () and found.restart.endswith("moves")
     assert found.restart.startswith("refused") == row.lasting
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("name", ["host SIGSTOP, 1 s"])
+def test_a_process_that_is_stopped_in_real_time(name: str) -> None:
+    """The bound is longer by what this machine was late in this run, device and loop; kill -9 and more: the kill test."""
+    row = next(row for row in REAL_ROWS if row.name == name)
+    found = realtime.measure(row, 0.6)
+    assert found.trouble == ()
+    assert found.off_s <= found.bound_s and found.lost == 0
 
 
 def test_every_fault_that_was_asked_for_is_there() -> None:
@@ -159,6 +170,9 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
             assert re.search(r"\d", cells[2]) and re.search(r"\d", cells[3]), cells
             assert cells[6].strip() == "0", cells  # samples lost
             assert cells[7].strip().endswith("moves"), cells
+    real = page.split("## The host's process, in real time\n")[1].split("\n## ")[0]
+    for real_row in REAL_ROWS:
+        assert f"| {real_row.name} |" in real
     assert "**broken**" not in page
 
 

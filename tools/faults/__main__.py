@@ -11,12 +11,15 @@ from pathlib import Path
 
 from joblib import Parallel, delayed
 
+from faults import realtime
 from faults.backends import BACKENDS, Backend
 from faults.case import Found, measure, undisturbed
 from faults.page import Line, render
+from faults.realtime import REAL_ROWS, RealFound
 from faults.rows import ROWS, Row
 
 OUT = Path("docs/fault-table.md")
+REAL_PHASES = 2
 _BY_KEY = {backend.key: backend for backend in BACKENDS}
 _BY_NAME = {row.name: row for row in ROWS}
 
@@ -24,6 +27,18 @@ _BY_NAME = {row.name: row for row in ROWS}
 def one(name: str, key: str, phases: int, number: int) -> Found:
     """One case; the first phase also tries the next run."""
     return measure(_BY_NAME[name], _BY_KEY[key], (number + 0.5) / phases, restarts=number == 0)
+
+
+def in_real_time(phases: int) -> list[RealFound]:
+    """Every case of the host's process: a few at a time, they mostly sleep; those that load the machine alone."""
+    cases = [(number, k) for number in range(len(REAL_ROWS)) for k in range(phases)]
+    together = [case for case in cases if not REAL_ROWS[case[0]].alone]
+    found: list[RealFound] = Parallel(n_jobs=3)(delayed(_real)(*case, phases) for case in together)
+    return found + [_real(*case, phases) for case in cases if case not in together]
+
+
+def _real(number: int, k: int, phases: int) -> RealFound:
+    return realtime.measure(REAL_ROWS[number], (k + 0.5) / phases, restarts=k == 0)
 
 
 def main() -> int:
@@ -40,12 +55,15 @@ def main() -> int:
     pairs = [(row, backend) for backend in backends for row in rows if backend.key not in row.absent]
     cases = [(row.name, backend.key, given.phases, k) for row, backend in pairs for k in range(given.phases)]
     found = Parallel(n_jobs=os.cpu_count() or 1, batch_size=4)(delayed(one)(*case) for case in cases)
+    real = in_real_time(REAL_PHASES) if given.only == "" and given.device is None else []
     lines = [_line(row, backend, found) for row, backend in pairs]
     made = str(datetime.datetime.now(datetime.UTC).date())
-    given.out.write_text(render(made, given.phases, lines, rows, backends), encoding="utf-8")
+    given.out.write_text(render(made, given.phases, lines, rows, backends, real), encoding="utf-8")
     trouble = [words for line in lines for words in line.trouble]
+    trouble += [f"{one.row}, real time, phase {one.phase:.2f}: {words}" for one in real for words in one.trouble]
     print("\n".join(trouble))
-    print(f"{given.out}: {len(cases)} cases, {len(trouble)} not as they should be, {time.monotonic() - began_s:.0f} s")
+    took_s = time.monotonic() - began_s
+    print(f"{given.out}: {len(cases) + len(real)} cases, {len(trouble)} not as they should be, {took_s:.0f} s")
     return 1 if trouble else 0
 
 

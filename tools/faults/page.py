@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from faults.backends import Backend
 from faults.bounds import Times
 from faults.case import Found
+from faults.realtime import RealFound
 from faults.rows import Row
 
 _HEAD = """\
@@ -36,6 +37,17 @@ in virtual time, so each number is exact and the same again. Bench and limits ar
 """
 
 _TABLE = "| fault | drive 0 | within | beyond, rad | shown | lost | next run |\n|---|---|---|---|---|---|---|"
+
+_REAL_HEAD = """\
+## The host's process, in real time
+
+`rig relay` as a process of its own, the host-board device behind a pseudo-terminal; the drive is that of the device's
+own trace. *Late* is by how much this machine let device and loop wait in that run, which the bound is longer by.
+*Skipped* are ticks of the loop.
+
+| fault | drive 0 | within | late | beyond, rad | shown | lost | skipped | next run |
+|---|---|---|---|---|---|---|---|---|
+"""
 
 
 @dataclass(frozen=True)
@@ -75,7 +87,35 @@ def line(measured: Line) -> str:
     )
 
 
-def render(made: str, phases: int, lines: Sequence[Line], rows: Sequence[Row], backends: Sequence[Backend]) -> str:
+def real_table(found: Sequence[RealFound]) -> str:
+    """The table of what was measured in real time."""
+    names = list(dict.fromkeys(one.row for one in found))
+    lines = [_real_line([one for one in found if one.row == name]) for name in names]
+    return _REAL_HEAD + "\n".join(lines) + "\n"
+
+
+def _real_line(found: Sequence[RealFound]) -> str:
+    worst = max(found, key=lambda one: one.off_s - one.bound_s)
+    shown = sorted({f"{one.code or '-'}, {one.status}" for one in found})
+    beyond = max(one.beyond_rad for one in found)
+    broken = "" if all(one.off_s <= one.bound_s for one in found) else " **broken**"
+    runs_on = "runs on; " if worst.code == "" and worst.status >= 0 else ""
+    return (
+        f"| {worst.row} | {runs_on}{_time(worst.off_s)}{broken} | "
+        f"{_time(worst.bound_s)} | {_time(worst.late_s)} | {f'{beyond:.2f}' if beyond > 0.0 else '-'} | "
+        f"{'; '.join(shown)} | {sum(one.lost for one in found)} | {max(one.skipped for one in found)} | "
+        f"{'; '.join(sorted({one.restart for one in found if one.restart}))} |"
+    )
+
+
+def render(
+    made: str,
+    phases: int,
+    lines: Sequence[Line],
+    rows: Sequence[Row],
+    backends: Sequence[Backend],
+    real: Sequence[RealFound] = (),
+) -> str:
     """The page."""
     first = lines[0]
     low, high = first.backend.config()["limits"]["hard_rad"]
@@ -97,6 +137,8 @@ def render(made: str, phases: int, lines: Sequence[Line], rows: Sequence[Row], b
         ]
         if absent:
             parts.append("\n".join(absent) + "\n")
+    if real:
+        parts.append(real_table(real))
     parts.append("## The bounds\n\n" + _bounds(lines, backends))
     parts.append("## How it is done, and what else is to be said\n\n" + _notes(rows))
     return "\n".join(parts)

@@ -1,0 +1,30 @@
+"""`rig`, with a log of every byte that its serial port hands to it: python -m faults.logged_rig LOG ARGUMENT..."""
+
+from __future__ import annotations
+
+import os
+import sys
+from unittest.mock import patch
+
+import rig.bench
+from rig import experiment as script
+from rig.cli import main
+from rig.daq.serial_link import PySerialTransport
+
+
+def run(log: str, arguments: list[str]) -> None:
+    """Run the command; what the host has received is in the file before the host looks at it."""
+    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+
+    class Logged(PySerialTransport):
+        def read(self, timeout_s: float) -> bytes:
+            data = super().read(timeout_s)
+            os.write(descriptor, data)
+            return data
+
+    with patch.object(rig.bench, "PySerialTransport", Logged), patch.object(script, "write_report", lambda *_: None):
+        main(arguments)
+
+
+if __name__ == "__main__":
+    run(sys.argv[1], sys.argv[2:])
