@@ -44,7 +44,7 @@ def test_the_next_run_is_refused_while_the_cause_is_there_and_moves_after(name: 
 @pytest.mark.realtime
 @pytest.mark.parametrize("name", ["host SIGSTOP, 1 s"])
 def test_a_process_that_is_stopped_in_real_time(name: str) -> None:
-    """The bound is longer by what this machine was late in this run, device and loop; kill -9 and more: the kill test."""
+    """The bound is longer by what this machine was late in this run, device and loop."""
     row = next(row for row in REAL_ROWS if row.name == name)
     found = realtime.measure(row, 0.6)
     assert found.trouble == ()
