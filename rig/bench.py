@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 from rig.config.link_budget import bits_per_byte, silence_s
 from rig.config.modbus import EMULATED_PORTS as MODBUS_EMULATED_PORTS
 from rig.config.modbus import is_tcp, tcp_address
-from rig.config.preflight import CHIP_PORTS, Preflight, device_watchdog_s, reaction_periods, unknown_driver
+from rig.config.preflight import CHIP_PORTS, Preflight, device_watchdog_s, reaction_s, unknown_driver
 from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
 from rig.control.guard import GuardSettings
@@ -121,14 +121,13 @@ def guard_settings_of(experiment: Experiment, noise_rad: float | None = None) ->
     """The guard's knowledge; ``noise_rad`` once it was measured, before that two LSB are assumed."""
     lsb_rad = calibration_of(experiment).lsb_rad
     t = experiment.limits
-    loop_s = reaction_periods(experiment) * experiment.period_s
     return GuardSettings(
         limits=limits_of(experiment),
         rail_counts=experiment.sensor.rail_counts,
         max_speed_rad_s=t.max_speed_rad_s,
         coast_tau_s=t.coast_tau_s,
         # as in `rig check`: the loop's own reaction, one reply that never comes, then the device's watchdog
-        reaction_s=loop_s + experiment.daq.timeout_s + device_watchdog_s(experiment),
+        reaction_s=reaction_s(experiment) + experiment.daq.timeout_s + device_watchdog_s(experiment),
         noise_rad=2.0 * lsb_rad if noise_rad is None else max(noise_rad, lsb_rad),
         motion_rad=experiment.breakaway.motion_rad,
     )

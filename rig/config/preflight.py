@@ -28,6 +28,7 @@ _DRIVE_UNITS = 799  # at full duty
 
 _WATCHDOG_PERIODS = (3, 10)
 _REACTION_PERIODS = 3  # of the loop: one until the next tick, two by which the guard's velocity lags
+_VELOCITY_LAG_S = 0.02  # by which it lags at least: half of its window
 _BLOCK_AGE_PERIODS = 2  # of the loop: the rows of a device's block are older than a reply, by its length and its way
 _SHORTEST_CYCLE_PERIODS = 30  # theory section 5: a shorter cycle is delay hunting
 _SMALLEST_CYCLE_COUNTS = 20  # theory section 5
@@ -77,6 +78,16 @@ def reaction_periods(experiment: Experiment) -> int:
         + (_BLOCK_AGE_PERIODS if experiment.relay.where == "device" else 0)
         + (1 if writes_first(experiment) else 0)
     )
+
+
+def reaction_s(experiment: Experiment) -> float:
+    """Time until the loop can have reacted to what the shaft does, s."""
+    return reaction_periods(experiment) * experiment.period_s + _further_lag_s(experiment)
+
+
+def _further_lag_s(e: Experiment) -> float:
+    """Of the guard's velocity, beyond two periods, where the period is short."""
+    return max(_VELOCITY_LAG_S - 2.0 * e.period_s, 0.0)
 
 
 def writes_first(experiment: Experiment) -> bool:
@@ -280,8 +291,10 @@ def _stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
     count it, and the device's own hard limit is what ends such a drive.
     """
     v = e.limits.max_speed_rad_s
+    lag_s = _further_lag_s(e)
     return (
         (f"{reaction_periods(e)} periods", v * reaction_periods(e) * e.period_s),
+        *((("velocity window", v * lag_s),) if lag_s > 0.0 else ()),
         ("reply time-out", v * e.daq.timeout_s),
         ("watchdog", v * device_watchdog_s(e)),
         ("coasting", v * e.limits.coast_tau_s),

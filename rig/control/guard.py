@@ -34,14 +34,18 @@ class GuardSettings:
     stuck_s: float = 0.3
 
 
+WINDOW_S = 0.04  # that the velocity is taken from, at least; so it lags by half of that
+_LEAST_SAMPLES = 5
+
+
 class VelocityWindow:
     """Velocity as the slope of the last few positions, by least squares: no model, so none can mislead it.
 
-    samples       in the window: five at the loop's pace, more where they come faster, for the same time
+    samples       in the window
     before_rad_s  what it is taken for until half of them are there
     """
 
-    def __init__(self, samples: int = 5, before_rad_s: float = 0.0) -> None:
+    def __init__(self, samples: int = _LEAST_SAMPLES, before_rad_s: float = 0.0) -> None:
         self._window: deque[tuple[float, float]] = deque(maxlen=samples)
         self._fewest = samples // 2 + 1
         self._before_rad_s = before_rad_s
@@ -88,6 +92,7 @@ class Guard:
         self.clipped_ticks = 0
         self.velocity_rad_s = 0.0
         self.predicted_stop_rad = 0.0
+        self._samples = _LEAST_SAMPLES
         self._velocity = VelocityWindow()
         self._last: Sample | None = None
         self._pushing: deque[tuple[float, float]] = deque()
@@ -96,14 +101,18 @@ class Guard:
 
     def rearm(self) -> None:
         """Forget the motion seen before a pause: time has passed unseen since."""
-        self._velocity = VelocityWindow()
+        self._velocity = VelocityWindow(self._samples)
         self._last = None
         self._pushing.clear()
         self._inward_since = None
 
-    def pace(self, samples: int = 5) -> None:
-        """Samples come at another pace from now on: take the velocity from this many, for the same time as before."""
-        self._velocity = VelocityWindow(samples, self.velocity_rad_s)
+    def pace(self, sample_s: float, window_s: float = WINDOW_S) -> None:
+        """Samples come every ``sample_s`` from now on; take the velocity from those of ``window_s``, five at least.
+
+        From a shorter time it would be mostly the sensor's noise.
+        """
+        self._samples = max(_LEAST_SAMPLES, 1 + round(window_s / sample_s))
+        self._velocity = VelocityWindow(self._samples, self.velocity_rad_s)
 
     def allow(self, sample: Sample, asked_V: float) -> tuple[float, int]:
         """Drive that may go out for what a law asked, V, and the record's flags for it."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from rig.control.guard import Guard
+from rig.control.guard import WINDOW_S, Guard
 from rig.control.law import Law
 from rig.daq.driver import Clock, Driver, RelayDriver
 from rig.daq.relay_stream import RelayCommand, RelayRow
@@ -80,6 +80,7 @@ class Loop:
         self, driver: Driver, clock: Clock, guard: Guard, record: Record, period_s: float, stop: StopRequest
     ) -> None:
         self.guard = guard
+        guard.pace(period_s)
         self.statistics = LoopStatistics(period_s)
         self._driver = driver
         self._clock = clock
@@ -171,7 +172,7 @@ class Loop:
             raise ValueError(f"no relay in the device behind {self._driver.backend}")
         self._record.event(self.now_s, "stage", name=stage)
         self._finish_row()
-        self.guard.pace(1 + round(4.0 * self._period_s / driver.tick_s))
+        self.guard.pace(driver.tick_s, max(4.0 * self._period_s, WINDOW_S))
         driver.start_relay(command)
         self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
         self._last_row_s = math.nan
@@ -184,7 +185,7 @@ class Loop:
             self._end_tick(due_s)
         for row in driver.stop_relay():
             self._take_row(row, driver, law, stage, watch)
-        self.guard.pace()
+        self.guard.pace(self._period_s)
         self._last_t_s = math.nan
         self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
 

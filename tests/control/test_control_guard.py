@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, simulated_bench
 
-from rig.control.guard import Guard
+from rig.control.guard import Guard, VelocityWindow
 from rig.control.law import Constant
 from rig.faults import Fault
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, Sample
@@ -62,11 +62,27 @@ def test_samples_at_another_pace_do_not_jolt_the_velocity(seed: int, v_rad_s: fl
     guard, noise = Guard(GUARD), np.random.default_rng(seed).normal(0.0, 0.003, 200)
     for k in range(5):
         guard.allow(reading(k * PERIOD_S, -0.5 + v_rad_s * k * PERIOD_S), 0.0)
-    guard.pace(41)
+    guard.pace(1e-3)
     for k in range(1, 160):
         t_s = 0.04 + 1e-3 * k
         guard.allow(reading(t_s, -0.5 + v_rad_s * t_s + noise[k]), 0.0)
         assert guard.velocity_rad_s == pytest.approx(v_rad_s, abs=0.7)
+
+
+def test_at_1_khz_ten_bits_do_not_pass_for_overspeed() -> None:
+    """Steps of 4 mrad and 3 mrad of noise: over five samples of 1 ms the slope is off by several rad/s."""
+    lsb_rad, noise = 4.2 / 1024, np.random.default_rng(1).normal(0.0, 0.003, 2000)
+    y_rad = np.round((np.sin(4.0 * np.arange(2000) * 1e-3) + noise) / lsb_rad) * lsb_rad
+    guard, five = Guard(GUARD), VelocityWindow()
+    guard.pace(1e-3)
+    by_five = [five.step(1e-3 * k, float(y)) for k, y in enumerate(y_rad)]
+    by_time = []
+    for k, y in enumerate(y_rad):
+        guard.allow(reading(1e-3 * k, float(y)), 0.0)
+        by_time.append(guard.velocity_rad_s)
+    true = 4.0 * np.cos(4.0 * np.arange(2000) * 1e-3)
+    assert np.std(by_five - true) > 10.0 * np.std((by_time - true)[50:])
+    assert max(map(abs, by_five)) > GUARD.max_speed_rad_s > max(map(abs, by_time))
 
 
 def test_between_soft_and_hard_only_inward_drive_passes() -> None:

@@ -151,8 +151,7 @@ class Turns:
         self._limits = limits_of(experiment)
         self._ticks = round(TURN_S / experiment.period_s)
         settings = guard_settings_of(experiment)
-        # at 1 ms a velocity from five samples is mostly the sensor's noise, and no matter here
-        guard = Guard(replace(settings, max_speed_rad_s=5.0 * settings.max_speed_rad_s))
+        guard = Guard(settings)
         guard.sign_proven = True
         stop, period_s = StopRequest(), experiment.period_s
         self.ours = Loop(bench.driver, bench.clock, guard, recorder, period_s, stop)
