@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import random
 import re
 from dataclasses import replace
@@ -11,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from faults import damage, realtime
-from faults.backends import BACKENDS, BOARD, Backend
+from faults.backends import BACKENDS, BOARD, CHIP, Backend
 from faults.bounds import bound
-from faults.case import measure, new_stand, undisturbed
+from faults.case import measure, new_stand, restart, undisturbed
 from faults.language import ModbusLanguage, SerialLanguage
 from faults.page import Line, line, render
 from faults.realtime import REAL_ROWS
@@ -39,6 +40,19 @@ def test_the_next_run_is_refused_while_the_cause_is_there_and_moves_after(name: 
     found = measure(row, BOARD, 0.3, restarts=True)
     assert found.trouble == () and found.restart.endswith("moves")
     assert found.restart.startswith("refused") == row.lasting
+
+
+@pytest.mark.parametrize(("name", "cause"), [("brown-out", "brown-out"), ("firmware hang", "watchdog")])
+@pytest.mark.parametrize("backend", [CHIP, BOARD], ids=lambda backend: backend.key)
+def test_the_next_run_says_why_the_device_was_reset(name: str, cause: str, backend: Backend, tmp_path: Path) -> None:
+    row = next(row for row in ROWS if row.name == name)
+    stand, experiment = new_stand(backend, backend.config(), tmp_path, 1)
+    stand.watch(0.1)
+    row.act(stand)
+    stand.watch(0.3)
+    assert restart(stand, backend, experiment) == ""
+    meta = json.loads(next((tmp_path / "runs").glob("*/meta.json")).read_text(encoding="utf-8"))
+    assert meta["firmware"]["reset_cause"] == cause
 
 
 @pytest.mark.realtime
@@ -128,7 +142,7 @@ def test_damage_is_what_it_says() -> None:
     assert sum((a ^ b).bit_count() for a, b in zip(sent, flipped, strict=True)) == 1
     assert 0 < len(cut) < len(sent) and sent.startswith(cut)
     assert damage.lost(sent, rng) == [] and damage.duplicated(sent, rng) == [(0.0, sent)] * 2
-    swapping, old, first = damage.reordered(), damage.stale(), damage.once(damage.lost)
+    swapping, old, first = damage.reordered(), damage.stale(), damage.first(1, damage.lost)
     assert [swapping(piece, rng) for piece in (b"a", b"b")] == [[], [(0.0, b"b"), (0.0, b"a")]]
     assert [old(piece, rng) for piece in (b"a", b"b", b"c")] == [[], [(0.0, b"a")], [(0.0, b"b")]]
     assert [first(piece, rng) for piece in (b"a", b"b")] == [[], [(0.0, b"b")]]

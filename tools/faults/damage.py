@@ -70,17 +70,15 @@ def stale() -> Damage:
     return damage
 
 
-def once(damage: Damage) -> Damage:
-    """The first frame only; the rest arrives as it is."""
-    done: list[bool] = []
+def first(number: int, damage: Damage) -> Damage:
+    """The first ``number`` frames; the rest arrives as it is."""
+    left = [number]
 
-    def first(frame: bytes, rng: random.Random) -> Passed:
-        if done:
-            return [(0.0, frame)]
-        done.append(True)
-        return damage(frame, rng)
+    def some(frame: bytes, rng: random.Random) -> Passed:
+        left[0] -= 1
+        return damage(frame, rng) if left[0] >= 0 else [(0.0, frame)]
 
-    return first
+    return some
 
 
 def only(which: Callable[[bytes], bool], damage: Damage) -> Damage:

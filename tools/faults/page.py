@@ -68,7 +68,9 @@ class Line:
 def _time(s: float) -> str:
     if math.isinf(s):
         return "never"
-    return f"{s:.2f} s" if s >= 1.0 else f"{1e3 * s:.1f} ms"
+    if s >= 1.0:
+        return f"{s:.2f} s"
+    return f"{1e3 * s:.1f} ms" if s >= 1e-4 or s == 0.0 else f"{1e6 * s:.0f} us"
 
 
 def line(measured: Line) -> str:
@@ -76,13 +78,14 @@ def line(measured: Line) -> str:
     row, found = measured.row, measured.found
     shown = sorted({f"{f.code or '-'}, {f.status}" for f in found})
     runs_on = all(f.code == "" and f.status in (0, 1) for f in found)
-    worst = _time(max(f.off_s for f in found))
+    worst = ("runs on; " if runs_on else "") + _time(max(f.off_s for f in found))
+    worst += " at the device, never at the motor" if row.only_seen else ""
     bound_s = row.bound.seconds(measured.times)
     broken = "" if all(f.off_s <= f.bound_s for f in found) else " **broken**"
     next_run = "; ".join(sorted({f.restart for f in found if f.restart}))
     beyond = max(f.beyond_rad for f in found)
     return (
-        f"| {row.name} | {'runs on; ' if runs_on else ''}{worst}{broken} | {_time(bound_s)} | "
+        f"| {row.name} | {worst}{broken} | {_time(bound_s)} | "
         f"{f'{beyond:.2f}' if beyond > 0.0 else '-'} | {'; '.join(shown)} | {sum(f.lost for f in found)} | {next_run} |"
     )
 
