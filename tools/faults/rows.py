@@ -408,8 +408,8 @@ ROWS = (
         True,
         ("START_OUTSIDE", "DEVICE_SENSOR", "DEVICE_TRAVEL", "TRAVEL_HARD", "OVERSPEED"),
         only_seen=True,
-        remark="can only be detected: the device's output is 0, the motor's is not, and the shaft runs to its stop. Wire "
-        "the e-stop, and end switches, into the motor's supply",
+        remark="can only be detected: the device's output is 0, the motor's is not, and the shaft runs to its stop. "
+        "Wire the e-stop, and end switches, into the motor's supply",
     ),
     Row(
         "drive reversed",
