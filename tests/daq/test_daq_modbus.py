@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +107,37 @@ def test_a_drive_acts_when_the_sample_says(rig: Rig) -> None:
     else:
         assert 0.003 < latency_s < 0.01
         assert following.t_u_s < following.t_s
+
+
+@pytest.mark.parametrize("held_up_s", [0.0, 0.0005, 0.002])
+def test_a_reply_that_was_held_up_does_not_move_the_instant(rig: Rig, held_up_s: float) -> None:
+    """Bytes leave at once; what an exchange takes too long the reply was under way. Sampled and driven is in time."""
+    for k in range(5):
+        rig.tick(0.3 if k % 2 else -0.3)
+    rig.block.disturb(OneReply(lambda data: [(held_up_s, data)]))
+    sample = rig.tick(0.3)
+    rig.block.disturb(None)
+    if rig.driver.order == "write_first":
+        assert sample.t_s == pytest.approx(rig.block.outputs[-1][0], abs=0.5 * 0.0005 + 1e-9)
+    assert rig.tick(0.3).t_s - sample.t_s == pytest.approx(rig.experiment.period_s, abs=1e-9)
+
+
+@pytest.mark.parametrize("silence_s", [0.0001, 0.001])
+def test_a_device_that_is_quicker_than_the_sum_is_not_taken_for_late(silence_s: float) -> None:
+    """It is content with less silence than the config says: by so much its drives act earlier, all of them alike."""
+    rig = Rig(experiment_with(), armed=False)
+    rig.block._slave.line = replace(rig.block.line, silence_s=silence_s)
+    rig.driver.open()
+    rig.arm()
+    rig.tick(-0.3)
+    offs_s = []
+    for k in range(10):
+        rig.block.disturb(OneReply(lambda data, k=k: [(2e-4 * (k % 3), data)]))
+        sample = rig.tick(0.3 if k % 2 else -0.3)
+        offs_s.append(sample.t_u_s - rig.block.outputs[-1][0])
+    offs_s = offs_s[2:]
+    assert max(map(abs, offs_s)) < 0.0005
+    assert max(offs_s) - min(offs_s) < 1e-4
 
 
 def test_what_is_read_is_what_is_there(rig: Rig) -> None:
