@@ -27,7 +27,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LINK_TIMEOUT": FaultEntry(
         "no valid reply within the time-out",
-        "check baud rate, cable and interference; `rig check` prints what the link needs",
+        "check supply, cable, baud rate, a Modbus device's unit id and parity, and interference; "
+        "`rig check` prints what the link needs",
     ),
     "LINK_REPLY": FaultEntry(
         "the reply does not fit the request, or is damaged",
@@ -69,11 +70,13 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "ARM_READBACK": FaultEntry(
         "the limits read back from the device are not those that were sent",
-        "start again; if it persists, flash the firmware",
+        "start again; if it persists, flash the firmware; a Modbus device: correct address and type of that register, "
+        "or give a value that the device can hold",
     ),
     "DEVICE_RESET": FaultEntry(
-        "the device restarted during the run",
-        "check its supply (a motor can pull it down) and wiring, then start the run again",
+        "the device restarted during the run, or is not armed for another reason",
+        "check its supply (a motor can pull it down) and wiring, then start the run again; a Modbus device: check that "
+        "daq.modbus.registers.status is that register, and name its other values in `faults`",
     ),
     # device, reported by the firmware
     "DEVICE_WATCHDOG": FaultEntry(

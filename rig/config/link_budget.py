@@ -1,5 +1,7 @@
 """What one tick needs of the link: bytes on the wire, silences, turnaround; and which part of the period it may take.
 
+Beside it what a reading alone needs: that is what can be measured of a device that is not armed.
+
 Serial: the frames of docs/architecture.md. Modbus: Application Protocol 1.1b3, section 6 (lengths of requests and
 replies); over Serial Line 1.02, section 2.5.1 (silence of 3.5 characters, fixed at 1.75 ms above 19200 baud).
 """
@@ -75,6 +77,22 @@ def link_budget(experiment: Experiment, baud: int | None = None) -> LinkBudget:
     return LinkBudget((), "")
 
 
+def reading_budget(experiment: Experiment) -> LinkBudget:
+    """What one reading of a device that is not armed needs, until its reply is there; without terms as ``link_budget``.
+
+    The silence after the reply is not in it: only a request that follows waits for that.
+    """
+    daq = experiment.daq
+    if daq.driver == "serial":
+        frames = {name: _BODY_BYTES[name] + FRAME_BYTES for name in ("READ", "STATE")}
+        wire = _wire(frames, BITS_PER_BYTE, daq.baud)
+        return LinkBudget((wire, ("turnaround", _TURNAROUND_S)), _words(frames, daq.baud))
+    if daq.driver == "modbus" and daq.modbus is not None:
+        tcp = is_tcp(daq.port)
+        return _modbus(daq.modbus, daq.baud, tcp, (_reading(daq.modbus, tcp=tcp),), silences=1)
+    return LinkBudget((), "")
+
+
 def longest_transaction_s(experiment: Experiment) -> float:
     """The longest of the tick's Modbus transactions, s; 0 for other drivers."""
     daq = experiment.daq
@@ -86,17 +104,24 @@ def longest_transaction_s(experiment: Experiment) -> float:
 
 def transactions(modbus: Modbus, *, tcp: bool) -> tuple[Transaction, ...]:
     """What is asked in one tick."""
-    _, read = span_of(read_in_a_tick(modbus.registers))
+    reading = _reading(modbus, tcp=tcp)
     _, written = span_of(written_in_a_tick(modbus.registers))
     frame = _TCP_BYTES if tcp else _RTU_BYTES
     if modbus.requests == "read-write":
-        return (Transaction("FC23", frame + 10 + 2 * written, frame + 2 + 2 * read),)
-    reading = "FC04" if modbus.registers.position.table == "input" else "FC03"
+        return (Transaction("FC23", frame + 10 + 2 * written, reading.reply_bytes),)
     one = written == 1
     return (
-        Transaction(reading, frame + 5, frame + 2 + 2 * read),
+        reading,
         Transaction("FC06" if one else "FC16", frame + (5 if one else 6 + 2 * written), frame + 5),
     )
+
+
+def _reading(modbus: Modbus, *, tcp: bool) -> Transaction:
+    """What asks for the position and what stands beside it."""
+    _, read = span_of(read_in_a_tick(modbus.registers))
+    frame = _TCP_BYTES if tcp else _RTU_BYTES
+    name = "FC04" if modbus.registers.position.table == "input" else "FC03"
+    return Transaction(name, frame + 5, frame + 2 + 2 * read)
 
 
 def bits_per_byte(modbus: Modbus) -> int:
@@ -113,7 +138,10 @@ def silence_s(modbus: Modbus, baud: int) -> float:
     return _SILENCE_CHARACTERS * bits_per_byte(modbus) / baud
 
 
-def _modbus(modbus: Modbus, baud: int, tcp: bool, asked: tuple[Transaction, ...]) -> LinkBudget:
+def _modbus(
+    modbus: Modbus, baud: int, tcp: bool, asked: tuple[Transaction, ...], silences: int | None = None
+) -> LinkBudget:
+    """The sum of transactions; ``silences``: two for each, unless told."""
     frames: dict[str, int] = {}
     for t in asked:
         frames |= {f"{t.name} request": t.request_bytes, f"{t.name} reply": t.reply_bytes}
@@ -124,8 +152,9 @@ def _modbus(modbus: Modbus, baud: int, tcp: bool, asked: tuple[Transaction, ...]
         words = f"{_added(frames)} = {total} bytes x 8 bits / {_ETHERNET_BITS_S / 1e6:g} Mbit/s"
         return LinkBudget((("wire", total * 8 / _ETHERNET_BITS_S), turnaround), words)
     bits = bits_per_byte(modbus)
-    silences = (f"{2 * n} silences", 2 * n * silence_s(modbus, baud))
-    return LinkBudget((_wire(frames, bits, baud), silences, turnaround), _words(frames, baud, bits))
+    count = 2 * n if silences is None else silences
+    silence = ("1 silence" if count == 1 else f"{count} silences", count * silence_s(modbus, baud))
+    return LinkBudget((_wire(frames, bits, baud), silence, turnaround), _words(frames, baud, bits))
 
 
 def _wire(frames: dict[str, int], bits: int, baud: int) -> tuple[str, float]:

@@ -55,7 +55,7 @@ def _port(e: Experiment) -> Iterator[Problem]:
             yield _problem("emulated", f"`port: {port}` needs this section", "describe the bench: see config/demo.yaml")
     elif port.startswith("emulated"):
         yield _problem("daq.port", f"no {port} for `driver: modbus`", f"one of {', '.join(EMULATED_PORTS)}")
-    elif "://" in port:
+    elif "://" in port or port.startswith("tcp"):
         try:
             tcp_address(port)
         except ValueError as error:
@@ -97,7 +97,7 @@ def _map(m: Modbus) -> Iterator[Problem]:
 def _apart(spans: Iterable[Span]) -> Iterator[Problem]:
     for a, b in combinations(spans, 2):
         if a.address < b.address + b.words and b.address < a.address + a.words:
-            yield _register(b.key, f"{_registers(b)} is in the place of {a.key}, {_registers(a)}")
+            yield _register(b.key, f"{_registers(b)} lies in the place of {a.key}, {_registers(a)}")
 
 
 def _times(e: Experiment, m: Modbus) -> Iterator[Problem]:
@@ -108,7 +108,7 @@ def _times(e: Experiment, m: Modbus) -> Iterator[Problem]:
             f"{d.timeout_s:g} s is longer than the period of {e.period_s:g} s: a reply could come in the next tick",
             f"at most {e.period_s:g} seconds",
         )
-    elif longest_transaction_s(e) > d.timeout_s:
+    elif d.timeout_s < longest_transaction_s(e) <= e.period_s:  # a longer one is too slow for the period
         yield _problem(
             "daq.timeout_s",
             f"{d.timeout_s * 1e3:g} ms is shorter than a transaction, {longest_transaction_s(e) * 1e3:.2f} ms",

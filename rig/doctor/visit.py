@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rig.bench import connect, real_time_of
-from rig.config.link_budget import link_budget
+from rig.config.link_budget import link_budget, reading_budget
 from rig.config.schema import Experiment
 from rig.doctor import machine, measured
 from rig.doctor.finding import Finding
@@ -51,9 +51,9 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
         yield Finding("device", "bad", f"{fault.code}: {fault.cause}{detail}", fault.cure)
         return
     yield measured.wake_ups(ticks)
-    budget = link_budget(experiment)
-    yield measured.round_trip(ticks, budget.total_s, budget.written if budget.terms else "")
-    yield measured.verdict(ticks)
+    reading = reading_budget(experiment)
+    yield measured.round_trip(ticks, reading.total_s, reading.written if reading.terms else "")
+    yield measured.verdict(ticks, link_budget(experiment).total_s - reading.total_s)
 
 
 def _number(seconds: float, period_s: float) -> int:

@@ -20,8 +20,8 @@ from pymodbus.pdu.register_message import (
 )
 
 from rig.bench import guard_settings_of
-from rig.config import Experiment, preflight
-from rig.config.link_budget import link_budget, transactions
+from rig.config import Experiment, load, preflight
+from rig.config.link_budget import link_budget, reading_budget, transactions
 from rig.config.modbus import tcp_address
 from rig.config.preflight import reaction_periods
 
@@ -57,8 +57,8 @@ def test_the_examples_pass() -> None:
     [
         ({"sequence": {"address": 2, "echo": 17}}, {}, "sequence.address", "2 is not beside the drive, register 0"),
         ({"drive": {"address": 0, "type": "int32", "full": 10000}}, {}, "sequence.address", "in the place of drive"),
-        ({"status": {"address": 16}}, {}, "status.address", "register 16 is in the place of position"),
-        ({"limits": {"low": 9, "high": 11}}, {}, "limits.low", "register 9 is in the place of watchdog.address"),
+        ({"status": {"address": 16}}, {}, "status.address", "register 16 lies in the place of position"),
+        ({"limits": {"low": 9, "high": 11}}, {}, "limits.low", "register 9 lies in the place of watchdog.address"),
         ({"status": {"address": 150}}, {}, "status.address", "spans 135 registers, 16 to 150; one request takes 125"),
         ({"position": {"address": 65535, "type": "float32"}}, {}, "position.address", "go beyond the last, 65535"),
         ({"position": {"address": 16, "table": "input"}}, {}, "position.table", "FC23 reads holding registers only"),
@@ -84,6 +84,7 @@ def test_the_input_table_is_another_place() -> None:
         ({"port": None}, "daq.port", "needs a port"),
         ({"port": "emulated-chip"}, "daq.port", "no emulated-chip for `driver: modbus`"),
         ({"port": "udp://10.0.0.1"}, "daq.port", "is no address"),
+        ({"port": "tcp//10.0.0.1"}, "daq.port", "write tcp://192.168.0.5"),
         ({"port": "tcp://10.0.0.1:99999"}, "daq.port", "out of range"),
         ({"modbus": None}, "daq.modbus", "needs this section"),
         ({"driver": "serial"}, "daq.modbus", "is of `driver: modbus`"),
@@ -171,6 +172,24 @@ def test_the_sum_of_rtu() -> None:
     slow = link_budget(example(daq={"baud": 9600}))
     assert dict(slow.terms)["2 silences"] == pytest.approx(2 * 3.5 * 10 / 9600)  # 3.5 characters up to 19200 baud
     assert dict(link_budget(example(silence_s=0.001)).terms)["2 silences"] == pytest.approx(0.002)
+
+
+def test_a_reading_alone_is_what_the_device_answers_without_being_armed() -> None:
+    """One silence only, before the reply; of separate requests the first."""
+    reading = reading_budget(example())
+    assert dict(reading.terms) == pytest.approx({"wire": 21 * 10 / 115200, "1 silence": 0.00175, "turnaround": 0.0005})
+    assert reading.written.startswith("FC03 request 8 + FC03 reply 13 = 21 bytes x 10 bits / 115200 baud = 1.82 ms")
+    inputs = example({"position": {"address": 16, "table": "input"}}, requests="separate")
+    assert reading_budget(inputs).wire.startswith("FC04 request 8 + FC04 reply 13")
+    assert reading_budget(inputs).total_s < link_budget(inputs).total_s
+    serial = load(CONFIG.parent / "demo.yaml")
+    assert reading_budget(serial).total_s < link_budget(serial).total_s
+    assert not reading_budget(load(CONFIG.parent / "simulated.yaml")).terms
+
+
+def test_what_is_too_slow_for_the_period_is_said_once() -> None:
+    """No time-out within the period would help."""
+    assert set(problems(example(daq={"baud": 9600}))) == {"daq.baud"}
 
 
 @pytest.mark.parametrize("baud", [9600, 19200, 38400, 57600])

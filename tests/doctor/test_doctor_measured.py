@@ -29,7 +29,7 @@ def test_late_and_exchange_are_told_apart() -> None:
     assert ticks.late_s == pytest.approx([0.0001, 0.0003] * 5, abs=1e-12)
     assert ticks.exchange_s == pytest.approx([0.004] * 10, abs=1e-12)
     assert ticks.skipped == 0
-    assert ticks.margin == pytest.approx(1 - 0.43)
+    assert ticks.longest_s == pytest.approx(0.0043)
     assert measured.verdict(ticks).state == "good"
     assert "margin 57%" in measured.verdict(ticks).words
 
@@ -42,6 +42,17 @@ def test_an_exchange_longer_than_the_period_is_not_held_and_a_period_that_fits_i
     assert found.state == "bad"
     assert "20 skipped" in found.words
     assert found.cure.startswith("period_s: 0.03 ")
+
+
+def test_what_a_run_does_besides_reading_counts_for_the_period() -> None:
+    """A reading of 5 ms says nothing good of a tick that also writes for 4 ms more."""
+    clock = SleepyClock((0.0,))
+    ticks = measured.run_ticks(clock, 0.01, 10, exchange_of(clock, 0.005))
+    assert measured.verdict(ticks).state == "good"
+    found = measured.verdict(ticks, 0.004)
+    assert found.state == "poor"
+    assert "a tick that drives takes 4.00 ms more by its sum, margin 10%" in found.words
+    assert measured.verdict(ticks, 0.006).state == "bad"
 
 
 def test_tight_is_said_before_it_breaks() -> None:
