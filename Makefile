@@ -34,6 +34,9 @@ paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/rep
 safety: .venv/.ready firmware  ## what stops the drive, and how soon, on the Uno's emulated chip: docs/safety-table.md
 	PYTHONPATH=tools .venv/bin/python -m safety
 
+soak: .venv/.ready firmware  ## HOURS=8 of the devices' time, run after run, with faults at random; half an hour or so
+	PYTHONPATH=tools .venv/bin/python -m faults.soak --hours $(or $(HOURS),8)
+
 fuzz: .venv/.ready  ## what the host reads, fuzzed; SECONDS_EACH=60 for each target; counts are printed
 	PYTHONPATH=tools .venv/bin/python -m fuzz --seconds $(or $(SECONDS_EACH),60)
 

@@ -1,0 +1,40 @@
+"""The soak (`make soak`) for a few minutes of a device's time, and its own measures."""
+
+from dataclasses import replace
+
+import pytest
+
+from faults import soak
+from faults.backends import BACKENDS
+
+KEYS = [backend.key for backend in BACKENDS]
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_runs_on_one_powered_device_with_faults_at_random(key: str) -> None:
+    day = soak.spend(key, 0.02, 3)
+    assert day.hours >= 0.02
+    assert day.runs >= 2
+    assert sum(day.rows.values()) == day.runs == len(day.memory_MB)
+    assert day.trouble == []
+
+
+def test_what_is_unexplained_is_trouble(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fault that the row does not know: here a run in which nothing should happen is told to stop."""
+    unexplained = replace(soak.NOTHING, act=lambda stand: stand.device.rewire(drive="dead"))
+    monkeypatch.setattr(soak, "FAULTY", 0.0)
+    monkeypatch.setattr(soak, "NOTHING", unexplained)
+    day = soak.spend("board", 0.001, 1)
+    assert any("SENSOR_STUCK" in words for words in day.trouble)
+
+
+def test_growth_is_from_the_first_third_to_the_last() -> None:
+    day = soak.Day("chip", memory_MB=[100.0, 103.0, 101.0, 110.0, 104.0, 104.0, 105.0, 107.0, 106.0])
+    assert day.growth_MB == pytest.approx(5.0)
+
+
+def test_rows_that_need_their_own_process_are_left_out() -> None:
+    for backend in BACKENDS:
+        rows = soak.rows_for(backend)
+        assert len(rows) >= 20
+        assert not any(row.alone or row.early for row in rows)
