@@ -26,6 +26,7 @@ from click.testing import CliRunner
 import rig.bench
 from faults.backends import Backend
 from faults.bounds import Times
+from faults.fork import fork
 from faults.rows import Row
 from faults.stand import Stand
 from rig import experiment as script
@@ -195,7 +196,7 @@ def _in_own_process(work: Callable[[Done], Found]) -> Found:
             pickle.dump(found, pipe)
         os._exit(0)
 
-    child = os.fork()
+    child = fork()
     if child == 0:
         os.close(source)
         try:

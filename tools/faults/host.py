@@ -52,10 +52,11 @@ def step_clock(stand: Stand) -> None:
 
 
 def own_mounts() -> None:
-    """From here on this process may mount file systems that nobody else sees. Raises OSError where that is refused."""
+    """From here on this process may mount file systems that nobody else sees. Raises PermissionError."""
     libc = ctypes.CDLL(None, use_errno=True)
     uid = os.getuid()
-    _must(libc.unshare(_CLONE_NEWNS if uid == 0 else _CLONE_NEWNS | _CLONE_NEWUSER))
+    if libc.unshare(_CLONE_NEWNS if uid == 0 else _CLONE_NEWNS | _CLONE_NEWUSER) != 0:
+        raise PermissionError("a small disk is a file system of its own: be root, or allow user namespaces")
     if uid != 0:
         Path("/proc/self/uid_map").write_text(f"0 {uid} 1", encoding="ascii")
     _must(libc.mount(None, b"/", None, _MS_REC | _MS_PRIVATE, None))

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from faults.damage import Damage
+from faults.fork import fork
 from faults.language import Language, Reading
 from rig.emulate.virtual_chip import Contact
 from rig.faults import Fault
@@ -129,7 +130,7 @@ class Stand:
         """SIGKILL to this process; the device lives on in a copy of it."""
         if self.after_death is None:
             raise RuntimeError("nobody is there to look after the device")
-        if os.fork() == 0:
+        if fork() == 0:
             self.after_death()
             os._exit(1)
         os.kill(os.getpid(), signal.SIGKILL)
