@@ -316,6 +316,7 @@ def modbus_driver(
         daq.timeout_s,
         daq.open_timeout_s,
         device_watchdog_s=daq.modbus.device_watchdog_s,
+        counts_max=experiment.sensor.counts_max,
         name=name,
         emulated=emulated,
     )

@@ -126,7 +126,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "SENSOR_RAIL": FaultEntry(
         "the position sensor reads at its rail",
-        "check the wiper's wire and the supply of the potentiometer; centre the shaft away from the ends",
+        "check the wiper's wire and the supply of the potentiometer; centre the shaft away from the ends; "
+        "a Modbus device: check type and scale of its position register, and word_order",
     ),
     "SENSOR_JUMP": FaultEntry(
         "the position jumped farther than the shaft can move in that time",

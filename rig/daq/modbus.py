@@ -107,6 +107,7 @@ class ModbusDriver:
     timeout_s         longest wait for the reply in a tick
     open_timeout_s    longest wait for the first reply
     device_watchdog_s output time-out that is set on the device itself, where no register sets it
+    counts_max        largest reading of the sensor; None: unknown
     name              of the port, for ``backend``
     emulated          True where it is known that no real motor is behind the port
     """
@@ -123,6 +124,7 @@ class ModbusDriver:
         open_timeout_s: float = 5.0,
         *,
         device_watchdog_s: float | None = None,
+        counts_max: int | None = None,
         name: str = "modbus",
         emulated: bool = False,
     ) -> None:
@@ -140,6 +142,7 @@ class ModbusDriver:
         self._map = registers
         self._read_span, self._written_span = registers.read, registers.written
         self._rail_counts = rail_counts
+        self._counts_max = counts_max
         self._timeout_s = timeout_s
         self._open_timeout_s = open_timeout_s
         self._name = name
@@ -180,7 +183,8 @@ class ModbusDriver:
     def open(self) -> DeviceInfo:
         """Read the device's registers until it answers, ask who it is, and measure the round trip.
 
-        Raises Fault LINK_TIMEOUT, LINK_UNIT, LINK_REPLY, MODBUS_EXCEPTION or LINK_LOST.
+        Raises Fault LINK_TIMEOUT, LINK_UNIT, LINK_REPLY, MODBUS_EXCEPTION or LINK_LOST; CONFIG_MISMATCH for a position
+        that no sensor of the config gives.
         """
         request, about = self._reading(self._read_span)
         self._until_answered(request, about)
@@ -192,6 +196,7 @@ class ModbusDriver:
         fastest = min(replies, key=lambda reply: reply.round_trip_s)
         if fastest.reckoned_s > 0.0:
             self._pace = min(fastest.round_trip_s / fastest.reckoned_s, 1.0)
+        self._check_range(self._values(self._read_span, replies[-1])["position"])
         emulated = self._emulated or (vendor, product) == _EMULATED
         board = " ".join(part for part in (vendor, product) if part) or "Modbus device"
         self.backend = f"{self._name} (unit {self._line.unit}, {board}{revision and f', {revision}'})"
@@ -414,6 +419,17 @@ class ModbusDriver:
     def _values(self, span: Span, reply: _Reply) -> dict[str, float]:
         return span.values(_registers(reply.pdu))
 
+    def _check_range(self, value: float) -> None:
+        """Raises Fault CONFIG_MISMATCH for a position beyond what the sensor reads: another type, order or scale."""
+        position = self._map.position
+        counts = self._checked(position, self._map.counts, value)
+        if self._counts_max is not None and not 0 <= counts <= self._counts_max:
+            raise Fault(
+                "CONFIG_MISMATCH",
+                f"{position} reads {value:g}: {counts:g} counts, of 0 to {self._counts_max} (sensor.counts_max); "
+                "see its type, scale and offset_counts, and daq.modbus.word_order; or the sensor's wire is open",
+            )
+
     def _check_status(self, values: Mapping[str, float]) -> None:
         status = self._map.status
         if status is None or values["status"] == ARMED:
@@ -594,9 +610,9 @@ class ModbusDriver:
                 )
         took_s = received_s - sent_s
         to_device_s, reckoned_s = self._reckoned_s(sent_bytes, frame.length)
-        # what it took beyond the sum was on the way back: a request leaves at once, but the arrival of a reply waits
-        # for the adapter, the system's buffers and this process (measured: over 90 % of it); of an exchange quicker
-        # than the sum both ways were
+        # what it took beyond the sum is taken for the way back: a request leaves at once, but a reply waits for the
+        # adapter, the system's buffers and this process (measured in docs/modbus.md); of an exchange quicker than the
+        # sum both ways were
         until_executed_s = self._pace * to_device_s
         if reckoned_s > 0.0:
             until_executed_s = min(until_executed_s, took_s * to_device_s / reckoned_s)

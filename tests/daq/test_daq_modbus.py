@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import struct
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -147,6 +148,26 @@ def test_what_is_read_is_what_is_there(rig: Rig) -> None:
     for y_rad in (-1.0, -0.3, 0.0, 0.7):
         rig.block.place(y_rad)
         assert rig.tick(0.0).y_rad == pytest.approx(y_rad, abs=0.6 * rig.driver.calibration.lsb_rad)
+
+
+@pytest.mark.parametrize(("kind", "told"), [("float32", 443029.2), ("int32", -5), ("uint16", 1024)])
+def test_a_position_that_no_sensor_gives_is_refused_by_name_before_anything_is_armed(kind: str, told: float) -> None:
+    """What 5.03 is with its words swapped; a negative reading; one beyond the converter."""
+    absent = dict.fromkeys(("sequence", "applied", "status", "limits", "rails"))
+    experiment = experiment_with(registers={"position": {"address": 16, "type": kind}} | absent)
+    block = emulated_io_block(experiment)
+    driver = modbus_driver(experiment, block)
+    data = struct.pack({"float32": ">f", "int32": ">i", "uint16": ">H"}[kind], told)
+
+    def telling(direction: Direction, frame: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
+        return [(0.0, frame if direction == "request" or frame[1] != 3 else signed(frame[:3] + data))]
+
+    block.disturb(telling)
+    with pytest.raises(Fault, match="CONFIG_MISMATCH") as caught:
+        driver.open()
+    for words in ("position, holding register", "sensor.counts_max", "word_order"):
+        assert words in caught.value.detail
+    assert not block.executed
 
 
 def test_before_arming_it_reads_and_drives_nothing() -> None:
