@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from rig.recording.reader import read_run
 
 ROOT = Path(__file__).resolve().parents[2]
 GAINS = [{"h1_V": 0.43, "h2_V": 0.80}, {"h1_V": 0.33, "h2_V": 0.74}]  # such as its own search finds
-_RUNS = 3
+_RUNS = 4
+_STALLED = {"LINK_TIMEOUT", "DEVICE_WATCHDOG", "STOP_UNCONFIRMED"}  # of a machine that stood still for a while
 
 
 def rig(*arguments: object) -> Result:
@@ -50,20 +52,25 @@ def finds_the_truth(outcome: dict[str, Any]) -> None:
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("name", ["rtu", "tcp"])
-def test_in_real_time_at_10_ms(name: str, tmp_path: Path) -> None:
-    """One reply that is late ends a run, as it must. A machine that was stopped for 3 ms meanwhile runs it again."""
+def test_in_real_time_at_10_ms(name: str, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
+    """One reply that is late ends a run, as it must. A machine that was stopped for 3 ms meanwhile runs it again.
+
+    Only silence does: whatever came has to be right in every run. How many there were is in the test's report.
+    """
     config = shorter(example(name))
     assert config["period_s"] == 0.01
     config["loop"] = {"raise_workers": True}
-    for _ in range(_RUNS):
+    for run in range(1, _RUNS + 1):
+        record_property("runs", run)
         result = rig("run", written(config, tmp_path), "--out", tmp_path / "runs", "--json")
         outcome = json.loads(result.stdout)
-        if [fault["code"] for fault in outcome["faults"]] != ["LINK_TIMEOUT"]:
+        assert outcome["link"]["bad_replies"] == 0
+        codes = {fault["code"] for fault in outcome["faults"]}
+        if not codes or codes - _STALLED:
             break
     assert result.exit_code == 0, result.output
     finds_the_truth(outcome)
     assert "rig emulated I/O block" in outcome["backend"]
-    assert outcome["link"]["bad_replies"] == 0
 
 
 def test_in_virtual_time_by_the_search_and_by_separate_requests(tmp_path: Path) -> None:
