@@ -25,11 +25,11 @@
 #include <simavr/sim_io.h>
 
 #include "bench.h"
+#include "wire.h"
 
 #define LIBRARY_VERSION "1.6" /* of the structures that are looked into here */
 #define CHIP_HZ 16000000.0
 #define CHIP_ADC_MAX 1023
-#define QUEUE 4096u /* power of two */
 #define RECEIVER 2u /* bytes that wait in the chip */
 #define DRIVE_STEPS 32000 /* of the bridge's duty, as the bench counts it */
 #define SUPPLY_FULL_V 20.0 /* motor supply that reads full scale at A2: a divider by 4 */
@@ -49,13 +49,6 @@ enum { TIMER2_COMPB = 8, USART_RX = 18, USART_UDRE = 19 }; /* numbers of interru
 enum { U2X0 = 1, RXEN0 = 4, OCIE2A = 1, OCIE2B = 2, OCF2B = 2, ADIE = 3 };
 
 enum bridge_style { PWM_DIR, IN1_IN2 };
-
-typedef struct {
-    uint8_t byte[QUEUE];
-    int64_t arrives_ns[QUEUE];
-    uint32_t head, count;
-    int64_t last_ns; /* arrival of the byte last queued */
-} wire;
 
 struct virtual_board {
     bench_params params;
@@ -111,27 +104,6 @@ static void advance_bench(virtual_board *b)
 
 /* ---- wire ---- */
 
-static bool put(wire *w, int64_t now_ns, int64_t byte_ns, uint8_t byte)
-{
-    if (w->count == QUEUE) {
-        return false;
-    }
-    const uint32_t at = (w->head + w->count) % QUEUE;
-    w->last_ns = (w->last_ns > now_ns ? w->last_ns : now_ns) + byte_ns;
-    w->byte[at] = byte;
-    w->arrives_ns[at] = w->last_ns;
-    w->count++;
-    return true;
-}
-
-static uint8_t take(wire *w)
-{
-    const uint8_t byte = w->byte[w->head];
-    w->head = (w->head + 1u) % QUEUE;
-    w->count--;
-    return byte;
-}
-
 static avr_cycle_count_t cycles_per_byte(const virtual_board *b)
 {
     const uint8_t *data = b->avr->data;
@@ -170,11 +142,11 @@ static avr_cycle_count_t byte_arrives(avr_t *avr, avr_cycle_count_t when, void *
     virtual_board *b = context;
     (void)when;
     while (b->to_device.count > 0u) {
-        const avr_cycle_count_t due = cycle_of(b, b->to_device.arrives_ns[b->to_device.head]);
+        const avr_cycle_count_t due = cycle_of(b, wire_next_ns(&b->to_device));
         if (due > avr->cycle) {
             return due;
         }
-        const uint8_t byte = take(&b->to_device);
+        const uint8_t byte = wire_take(&b->to_device);
         if (((avr->data[UCSR0B] >> RXEN0) & 1u) == 0u) {
             b->waiting_count = 0;
         } else if (b->waiting_count + (chip_has_unread_byte(b) ? 1u : 0u) >= RECEIVER) {
@@ -190,7 +162,7 @@ static avr_cycle_count_t byte_arrives(avr_t *avr, avr_cycle_count_t when, void *
 static void expect_byte(virtual_board *b)
 {
     if (b->to_device.count > 0u) {
-        const avr_cycle_count_t due = cycle_of(b, b->to_device.arrives_ns[b->to_device.head]);
+        const avr_cycle_count_t due = cycle_of(b, wire_next_ns(&b->to_device));
         const avr_cycle_count_t now = b->avr->cycle;
         avr_cycle_timer_register(b->avr, due > now ? due - now : 0u, byte_arrives, b);
     }
@@ -202,7 +174,7 @@ static void chip_sends(avr_irq_t *irq, uint32_t value, void *context)
     (void)irq;
     b->uart->cycles_per_byte = cycles_per_byte(b);
     const int64_t byte_ns = ns_of(b, b->uart->cycles_per_byte);
-    (void)put(&b->to_host, ns_of(b, b->avr->cycle), byte_ns, (uint8_t)value); /* a host that never reads loses bytes */
+    (void)wire_put(&b->to_host, ns_of(b, b->avr->cycle), byte_ns, (uint8_t)value); /* a host that never reads loses bytes */
     b->look_again = true;
 }
 
@@ -641,8 +613,8 @@ static void stop_at(virtual_board *b, int64_t t_ns)
 static void boot(virtual_board *b, int64_t until_ns)
 {
     const int64_t end_ns = until_ns < b->boot_until_ns ? until_ns : b->boot_until_ns;
-    while (b->to_device.count > 0u && b->to_device.arrives_ns[b->to_device.head] <= end_ns) {
-        (void)take(&b->to_device);
+    while (wire_next_ns(&b->to_device) <= end_ns) {
+        (void)wire_take(&b->to_device);
     }
     const avr_cycle_count_t end = cycle_of(b, end_ns);
     if (end > b->avr->cycle) {
@@ -653,10 +625,8 @@ static void boot(virtual_board *b, int64_t until_ns)
 void virtual_run(virtual_board *b, int64_t until_ns, int32_t until_byte)
 {
     for (;;) {
-        int64_t next_ns = until_ns;
-        if (until_byte && b->to_host.count > 0u && b->to_host.arrives_ns[b->to_host.head] < next_ns) {
-            next_ns = b->to_host.arrives_ns[b->to_host.head];
-        }
+        const int64_t reply_ns = until_byte ? wire_next_ns(&b->to_host) : INT64_MAX;
+        const int64_t next_ns = reply_ns < until_ns ? reply_ns : until_ns;
         if (b->now_ns < b->boot_until_ns) {
             boot(b, next_ns);
             if (next_ns < b->boot_until_ns) {
@@ -687,11 +657,8 @@ int64_t virtual_now_ns(const virtual_board *b)
 
 uint32_t virtual_write(virtual_board *b, const uint8_t *bytes, uint32_t n)
 {
-    uint32_t taken = 0;
     const bool was_empty = b->to_device.count == 0u;
-    while (taken < n && put(&b->to_device, b->now_ns, b->byte_ns, bytes[taken])) {
-        taken++;
-    }
+    const uint32_t taken = wire_put_all(&b->to_device, b->now_ns, b->byte_ns, bytes, n);
     if (was_empty && b->now_ns >= b->boot_until_ns) {
         expect_byte(b);
     }
@@ -700,12 +667,7 @@ uint32_t virtual_write(virtual_board *b, const uint8_t *bytes, uint32_t n)
 
 uint32_t virtual_read(virtual_board *b, uint8_t *bytes, uint32_t n)
 {
-    uint32_t taken = 0;
-    wire *w = &b->to_host;
-    while (taken < n && w->count > 0u && w->arrives_ns[w->head] <= b->now_ns) {
-        bytes[taken++] = take(w);
-    }
-    return taken;
+    return wire_take_arrived(&b->to_host, b->now_ns, bytes, n);
 }
 
 /* ---- what may happen to it, and what is true of it ---- */
@@ -828,16 +790,8 @@ double virtual_held_us(const virtual_board *b)
 
 const char *virtual_rewire(virtual_board *b, const char *drive, const char *sensor)
 {
-    bench_params wanted = b->bench.p;
-    const char *wrong = bench_option(&wanted, "drive", drive);
-    if (wrong == NULL) {
-        wrong = bench_option(&wanted, "sensor", sensor);
-    }
-    if (wrong == NULL) {
-        advance_bench(b);
-        bench_rewire(&b->bench, wanted.drive_wiring, wanted.sensor_wiring);
-    }
-    return wrong;
+    advance_bench(b);
+    return bench_rewire(&b->bench, drive, sensor);
 }
 
 void virtual_place(virtual_board *b, double y_rad, double v_rad_per_s)

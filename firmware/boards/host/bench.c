@@ -334,14 +334,6 @@ void bench_arm(bench *b)
     }
 }
 
-void bench_rewire(bench *b, int32_t drive_wiring, int32_t sensor_wiring)
-{
-    b->p.drive_wiring = drive_wiring;
-    b->p.sensor_wiring = sensor_wiring;
-    b->p.fault_after_s = 0.0;
-    bench_arm(b);
-}
-
 /* ---- parameters ---- */
 
 void bench_defaults(bench_params *p)
@@ -465,6 +457,21 @@ const char *bench_option(bench_params *p, const char *name, const char *value)
         }
     }
     return "no such option";
+}
+
+const char *bench_rewire(bench *b, const char *drive, const char *sensor)
+{
+    bench_params wanted = b->p;
+    const char *wrong = bench_option(&wanted, "drive", drive);
+    if (wrong == NULL) {
+        wrong = bench_option(&wanted, "sensor", sensor);
+    }
+    if (wrong == NULL) {
+        wanted.fault_after_s = 0.0;
+        b->p = wanted;
+        bench_arm(b);
+    }
+    return wrong;
 }
 
 const char *bench_check(const bench_params *p)

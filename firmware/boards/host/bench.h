@@ -77,8 +77,10 @@ void bench_advance_to(bench *b, double t_s);
 
 void bench_set_drive(bench *b, int32_t units);
 void bench_arm(bench *b); /* starts the clock of fault_after_s, the first time only */
-void bench_rewire(bench *b, int32_t drive_wiring, int32_t sensor_wiring); /* in force at once */
 bool bench_is_faulty(const bench *b);
+
+/* Wires drive and sensor otherwise from now on, by the names of bench_option. NULL, or what is wrong: no change. */
+const char *bench_rewire(bench *b, const char *drive, const char *sensor);
 
 double bench_pin_V(const bench *b);   /* what the board puts out */
 double bench_motor_V(const bench *b); /* what arrives at the motor */

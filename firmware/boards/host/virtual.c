@@ -1,21 +1,14 @@
 /* The emulated device in virtual time, as a shared library (librig_host.so; rig/emulate/virtual_board.py). Nothing
  * here looks at a clock and nothing is global: any number of devices can live in one process.
  *
- * Both ends of the wire send a byte after another, each `byte_ns` long; a byte arrives when its last bit has.
+ * A byte takes `byte_ns`, either way.
  */
 #include <stdlib.h>
 
 #include "device.h"
+#include "wire.h"
 
-#define QUEUE 4096u /* power of two */
 #define HARDWARE_WATCHDOG_NS 120000000
-
-typedef struct {
-    uint8_t byte[QUEUE];
-    int64_t arrives_ns[QUEUE];
-    uint32_t head, count;
-    int64_t last_ns; /* arrival of the byte last queued */
-} wire;
 
 typedef struct {
     bench_params params;
@@ -33,32 +26,11 @@ typedef struct {
     int32_t armed, latched, fault, recovering, dropped, hung;
 } virtual_view;
 
-static bool put(wire *w, int64_t now_ns, int64_t byte_ns, uint8_t byte)
-{
-    if (w->count == QUEUE) {
-        return false;
-    }
-    const uint32_t at = (w->head + w->count) % QUEUE;
-    w->last_ns = (w->last_ns > now_ns ? w->last_ns : now_ns) + byte_ns;
-    w->byte[at] = byte;
-    w->arrives_ns[at] = w->last_ns;
-    w->count++;
-    return true;
-}
-
-static uint8_t take(wire *w)
-{
-    const uint8_t byte = w->byte[w->head];
-    w->head = (w->head + 1u) % QUEUE;
-    w->count--;
-    return byte;
-}
-
 static void send(void *context, const uint8_t *bytes, uint8_t n)
 {
     virtual_board *b = context;
     for (uint8_t i = 0; i < n; i++) {
-        (void)put(&b->to_host, b->now_ns, b->byte_ns, bytes[i]); /* a host that never reads loses bytes */
+        (void)wire_put(&b->to_host, b->now_ns, b->byte_ns, bytes[i]); /* a host that never reads loses bytes */
     }
 }
 
@@ -107,22 +79,13 @@ void virtual_free(virtual_board *b)
 /* The host sends bytes from now on. Returns how many the wire took. */
 uint32_t virtual_write(virtual_board *b, const uint8_t *bytes, uint32_t n)
 {
-    uint32_t taken = 0;
-    while (taken < n && put(&b->to_device, b->now_ns, b->byte_ns, bytes[taken])) {
-        taken++;
-    }
-    return taken;
+    return wire_put_all(&b->to_device, b->now_ns, b->byte_ns, bytes, n);
 }
 
 /* Bytes that have arrived at the host by now. */
 uint32_t virtual_read(virtual_board *b, uint8_t *bytes, uint32_t n)
 {
-    uint32_t taken = 0;
-    wire *w = &b->to_host;
-    while (taken < n && w->count > 0 && w->arrives_ns[w->head] <= b->now_ns) {
-        bytes[taken++] = take(w);
-    }
-    return taken;
+    return wire_take_arrived(&b->to_host, b->now_ns, bytes, n);
 }
 
 static void run_to(virtual_board *b, int64_t t_ns)
@@ -143,12 +106,10 @@ void virtual_run(virtual_board *b, int64_t until_ns, int32_t until_byte)
 {
     for (;;) {
         const int64_t tick_ns = b->hung ? INT64_MAX : to_ns(device_next_tick_s(&b->device));
-        const int64_t byte_ns = b->to_device.count > 0 ? b->to_device.arrives_ns[b->to_device.head] : INT64_MAX;
+        const int64_t byte_ns = wire_next_ns(&b->to_device);
         const int64_t bite_ns = b->hung ? b->fed_ns + HARDWARE_WATCHDOG_NS : INT64_MAX;
-        int64_t next_ns = until_ns;
-        if (until_byte && b->to_host.count > 0 && b->to_host.arrives_ns[b->to_host.head] < next_ns) {
-            next_ns = b->to_host.arrives_ns[b->to_host.head];
-        }
+        const int64_t reply_ns = until_byte ? wire_next_ns(&b->to_host) : INT64_MAX;
+        const int64_t next_ns = reply_ns < until_ns ? reply_ns : until_ns;
         const int64_t event_ns = tick_ns < byte_ns ? tick_ns : byte_ns;
         const int64_t first_ns = event_ns < bite_ns ? event_ns : bite_ns;
         if (first_ns > next_ns) {
@@ -159,7 +120,7 @@ void virtual_run(virtual_board *b, int64_t until_ns, int32_t until_byte)
         }
         run_to(b, first_ns > b->now_ns ? first_ns : b->now_ns);
         if (first_ns == byte_ns) {
-            const uint8_t byte = take(&b->to_device);
+            const uint8_t byte = wire_take(&b->to_device);
             if (!b->hung) {
                 device_byte(&b->device, byte);
             }
@@ -203,15 +164,7 @@ void virtual_hang(virtual_board *b)
 /* Wiring faults from now on. NULL, or what is wrong with the names. */
 const char *virtual_rewire(virtual_board *b, const char *drive, const char *sensor)
 {
-    bench_params wanted = b->device.bench.p;
-    const char *wrong = bench_option(&wanted, "drive", drive);
-    if (wrong == NULL) {
-        wrong = bench_option(&wanted, "sensor", sensor);
-    }
-    if (wrong == NULL) {
-        bench_rewire(&b->device.bench, wanted.drive_wiring, wanted.sensor_wiring);
-    }
-    return wrong;
+    return bench_rewire(&b->device.bench, drive, sensor);
 }
 
 /* Puts the shaft somewhere, as a hand would. */
