@@ -616,6 +616,11 @@ def _lines(e: Experiment) -> Iterator[str]:
             f"note: the emulated bridge gives {e.emulated.supply_V:g} V, the config believes {full_V:g} V: "
             "K and f_c will come out scaled"
         )
+    if e.emulated is not None and _is_emulated(e) and e.emulated.potentiometer.counts_max != e.sensor.counts_max:
+        yield (
+            f"note: the emulated potentiometer reads 0 to {e.emulated.potentiometer.counts_max} counts, "
+            f"sensor.counts_max is {e.sensor.counts_max}: describe it in emulated.potentiometer"
+        )
     low, high = e.limits.soft_rad
     if e.emulated is not None and not low <= e.emulated.motor.start_rad <= high:
         yield "note: the emulated shaft starts outside the soft limits: a run refuses until `rig jog` has it inside"

@@ -92,6 +92,24 @@ def test_in_virtual_time_by_the_search_and_by_separate_requests(tmp_path: Path) 
     assert orders == ["write_first", "sample_first"]
 
 
+def test_the_worked_example_of_the_docs(tmp_path: Path) -> None:
+    """Floats low word first, input registers, no FC23, nothing but an output time-out."""
+    path = ROOT / "docs/examples/remote-io.yaml"
+    checked = rig("check", path)
+    assert checked.exit_code == 0, checked.output
+    assert "= 12.63 ms" in checked.output and "note:" not in checked.output
+    config = shorter(yaml.safe_load(path.read_text(encoding="utf-8")))
+    result = rig("run", written(config, tmp_path), "--out", tmp_path / "runs", "--json")
+    assert result.exit_code == 0, result.output
+    finds_the_truth(json.loads(result.stdout))
+    config["period_s"] = 0.01
+    too_fast = rig("check", written(config, tmp_path))
+    assert too_fast.exit_code != 0 and "period_s of 0.016 and more" in " ".join(too_fast.output.split())
+    del config["emulated"]["potentiometer"]["counts_max"]
+    config["period_s"] = 0.02
+    assert "emulated potentiometer reads 0 to 1023 counts" in rig("check", written(config, tmp_path)).output
+
+
 def test_9600_baud_is_refused_with_the_sum(tmp_path: Path) -> None:
     config = example("rtu")
     config["daq"]["baud"] = 9600
