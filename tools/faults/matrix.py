@@ -37,10 +37,10 @@ def in_virtual_time(rows: Sequence[Row], backends: Sequence[Backend], phases: in
 
 
 def in_real_time(phases: int) -> list[RealFound]:
-    """What may happen to the host's process: a few at a time, they mostly sleep; those that load the machine alone."""
+    """What may happen to the host's process: two at a time, they mostly sleep; those that load the machine alone."""
     cases = [(number, k, phases) for number in range(len(REAL_ROWS)) for k in range(phases)]
     together = [case for case in cases if not REAL_ROWS[case[0]].alone]
-    found: list[RealFound] = Parallel(n_jobs=3)(delayed(_real)(*case) for case in together)
+    found: list[RealFound] = Parallel(n_jobs=2)(delayed(_real)(*case) for case in together)
     return found + [_real(*case) for case in cases if case not in together]
 
 

@@ -6,6 +6,7 @@ ticks, and the loop its, in that run, a bound is longer.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import itertools
 import json
@@ -16,7 +17,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,7 @@ FIRST_CYCLE = 2
 TIMEOUT_S = 0.06  # as in config/demo.yaml
 _DEVICE_PERIOD_S = 0.01  # of its trace
 _WAIT_S = 60.0
+_ATTEMPTS = 3
 
 
 @dataclass(frozen=True)
@@ -104,12 +105,28 @@ REAL_ROWS = (
 )
 
 
+class EndedBefore(Exception):
+    """The run ended before anything was done to it."""
+
+
 def measure(row: RealRow, phase: float, restarts: bool = False) -> RealFound:
-    """Run it. ``phase`` 0 to 1 of the limit cycle, as far as a process can be hit."""
+    """Run it. ``phase`` 0 to 1 of the limit cycle, as far as a process can be hit.
+
+    A busy machine may starve the pseudo-terminal until the run ends by itself, before anything was done to it: then it
+    is run again. Raises EndedBefore where that happens three times.
+    """
+    for _ in range(_ATTEMPTS - 1):
+        with contextlib.suppress(EndedBefore):
+            return _measure(row, phase, restarts)
+    return _measure(row, phase, restarts)
+
+
+def _measure(row: RealRow, phase: float, restarts: bool) -> RealFound:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         config = BOARD.config()
         config["daq"] |= {"port": str(folder / "device"), "timeout_s": TIMEOUT_S}
+        config["loop"] = {"raise_workers": True}  # of the kernel, that carry a pseudo-terminal's bytes
         path = folder / "fault.yaml"
         path.write_text(yaml.safe_dump(config), encoding="utf-8")
         experiment = check(path)[0]
@@ -117,7 +134,7 @@ def measure(row: RealRow, phase: float, restarts: bool = False) -> RealFound:
         with HostBoard() as board:
             board.start(experiment.emulated.model_dump(), 1, folder / "device", folder / "trace.csv")
             with _rig(folder, "relay") as host:
-                period_s = _await_cycle(folder)
+                period_s = _await_cycle(folder, host)
                 time.sleep(phase * period_s)
                 happened_s = time.monotonic()
                 row.act(host)
@@ -128,7 +145,7 @@ def measure(row: RealRow, phase: float, restarts: bool = False) -> RealFound:
         return _judged(row, phase, folder, config, (host.returncode, output), happened_s, trace, restart)
 
 
-@contextmanager
+@contextlib.contextmanager
 def _rig(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     command, *options = arguments
     logged = [sys.executable, "-m", "faults.logged_rig", str(folder / f"{command}.log")]
@@ -158,15 +175,16 @@ def _events(folder: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines]
 
 
-def _await_cycle(folder: Path) -> float:
-    """Until FIRST_CYCLE is over; its length, s."""
+def _await_cycle(folder: Path, host: subprocess.Popen[str]) -> float:
+    """Until FIRST_CYCLE is over; its length, s. Raises EndedBefore."""
     deadline_s = time.monotonic() + _WAIT_S
     while True:
         cycles = [event for event in _events(folder) if event["kind"] == "cycle"]
         if len(cycles) >= FIRST_CYCLE:
             return float(cycles[FIRST_CYCLE - 1]["period_s"])
-        if time.monotonic() > deadline_s:
-            raise RuntimeError("no limit cycle comes")
+        if host.poll() is not None or time.monotonic() > deadline_s:
+            host.kill()
+            raise EndedBefore(f"no limit cycle comes: {host.communicate()[0][-1000:]}")
         time.sleep(0.005)
 
 
