@@ -1,4 +1,4 @@
-"""What may happen to bytes on a serial line: lost, late, twice, or damaged."""
+"""Random damage to what is sent on a serial line."""
 
 from __future__ import annotations
 
@@ -40,25 +40,3 @@ class Corruption:
             return ((0.0, data[:at] + other + data[at:]),)
         changed = bytes((data[at] ^ draw.randrange(1, 256),))
         return ((0.0, data[:at] + changed + data[at + 1 :]),)
-
-
-class Mishap:
-    """One thing that happens to the next ``times`` of what is sent in a direction.
-
-    delay_s  of it, s; None: it is lost
-    copy_s   delay of a second copy, s; None: there is none
-    """
-
-    def __init__(
-        self, direction: Direction, times: int = 1, *, delay_s: float | None = 0.0, copy_s: float | None = None
-    ) -> None:
-        self.left = times
-        self._direction = direction
-        self._delays_s = [d for d in (delay_s, copy_s) if d is not None]
-
-    def __call__(self, direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
-        """As a Disturbance."""
-        if direction != self._direction or self.left == 0:
-            return ((0.0, data),)
-        self.left -= 1
-        return [(delay_s, data) for delay_s in self._delays_s]

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 from rig.emulate.board_process import BoardProcess
 from rig.emulate.firmware_build import EmulationError
-from rig.emulate.io_block import RegisterMap
+from rig.emulate.io_block_registers import RegisterMap
 from rig.emulate.misbehaviour import Misbehaviour
 
 

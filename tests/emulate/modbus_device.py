@@ -1,9 +1,10 @@
-"""The emulated Modbus I/O block of the example config, with what a test changes, and a bare master for it."""
+"""The emulated I/O block of the example config, with what a test changes; a bare master, and mishaps on its line."""
 
 from __future__ import annotations
 
 import copy
 import struct
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from rig.config import load
 from rig.config.modbus import Modbus
 from rig.config.schema import Emulated, EmulatedMotor, EmulatedPotentiometer
 from rig.emulate.io_block import IoBlock
-from rig.emulate.rtu_slave import frame
+from rig.emulate.rtu_slave import Direction, frame
 from rig.emulate.virtual_io_block import VirtualIoBlock
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -109,3 +110,25 @@ class Master:
     def arm(self) -> None:
         self.ask(write(WATCHDOG, *SETTINGS))
         assert self.ask(write_one(CONTROL, 1)) == write_one(CONTROL, 1)
+
+
+class Mishap:
+    """One thing that happens to the next ``times`` of what is sent in a direction.
+
+    delay_s  of it, s; None: it is lost
+    copy_s   delay of a second copy, s; None: there is none
+    """
+
+    def __init__(
+        self, direction: Direction, times: int = 1, *, delay_s: float | None = 0.0, copy_s: float | None = None
+    ) -> None:
+        self.left = times
+        self._direction = direction
+        self._delays_s = [d for d in (delay_s, copy_s) if d is not None]
+
+    def __call__(self, direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
+        """As a Disturbance."""
+        if direction != self._direction or self.left == 0:
+            return ((0.0, data),)
+        self.left -= 1
+        return [(delay_s, data) for delay_s in self._delays_s]

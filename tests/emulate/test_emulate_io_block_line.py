@@ -18,6 +18,7 @@ from modbus_device import (
     STATUS,
     WATCHDOG,
     Master,
+    Mishap,
     emulated,
     modbus,
     read,
@@ -31,7 +32,7 @@ from pymodbus.framer import FramerRTU
 from pymodbus.pdu import DecodePDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
-from rig.emulate.line_faults import Corruption, Mishap
+from rig.emulate.line_faults import Corruption
 from rig.emulate.misbehaviour import Misbehaviour
 from rig.emulate.rtu_slave import Line, check_sum, frame
 from rig.emulate.virtual_io_block import VirtualIoBlock
