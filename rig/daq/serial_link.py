@@ -6,6 +6,7 @@ emulated device behind a pseudo-terminal, or a virtual board in virtual time.
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import select
@@ -68,7 +69,7 @@ class PySerialTransport:
         try:
             self._serial = serial.Serial(port, baud, parity=parity, stopbits=stop_bits, timeout=0, exclusive=True)
         except (OSError, ValueError) as error:  # SerialException is an OSError; ValueError: impossible baud
-            raise Fault("LINK_OPEN", f"{port}: {error}") from error
+            raise Fault("LINK_OPEN", f"{port}: {_why_not_open(error)}") from error
         self._port = port
         self._fd: int = self._serial.fileno()
         try:
@@ -106,6 +107,14 @@ class PySerialTransport:
         """Give the port back. May be called twice."""
         self._fd = -1  # the number may soon be another file's
         self._serial.close()
+
+
+def _why_not_open(error: OSError | ValueError) -> str:
+    """In a few words; pyserial's own name port and cause twice."""
+    number = error.errno if isinstance(error, OSError) else None
+    if number == errno.EWOULDBLOCK:
+        return "another program holds it"
+    return str(error) if number is None else os.strerror(number)
 
 
 class Introduction(NamedTuple):
