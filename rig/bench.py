@@ -10,11 +10,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import urlsplit
 
+from rig.config.backend import CHIP_PORTS
 from rig.config.link_budget import bits_per_byte, silence_s
 from rig.config.modbus import EMULATED_PORTS as MODBUS_EMULATED_PORTS
 from rig.config.modbus import is_tcp, tcp_address
-from rig.config.preflight import CHIP_PORTS, Preflight, device_watchdog_s, reaction_s, unknown_driver
+from rig.config.preflight import Preflight, unknown_driver
 from rig.config.problems import ConfigError, Problem
+from rig.config.room_to_stop import device_watchdog_s, reaction_s
 from rig.config.schema import Experiment
 from rig.control.guard import GuardSettings
 from rig.daq import registry

@@ -22,7 +22,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from rig import config
 from rig.bench import Unopened, calibration_of, drive_map_of, driver_settings_of, limits_of, plug_in_preflight, unopened
-from rig.config.preflight import is_plug_in
+from rig.config.backend import is_plug_in
 from rig.daq import registry
 from rig.daq.driver import Clock, DeviceInfo, DeviceWatchdog, Driver
 from rig.faults import Fault

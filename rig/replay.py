@@ -21,6 +21,7 @@ from rig.daq.driver import DeviceInfo
 from rig.faults import FAULTS, Fault
 from rig.loop.real_time import RealTime
 from rig.loop.recorded import (
+    OF_GUARD,
     Comparison,
     Difference,
     Diverged,
@@ -42,12 +43,6 @@ from rig.signals import Order
 Ending = Literal["its end", "a fault", "no end"]
 
 _RECORD_AGAIN = "record the run again with this version"
-_OF_GUARD = frozenset(
-    (
-        *("LAW_FAILED", "SENSOR_RAIL", "SENSOR_JUMP", "SENSOR_STUCK", "TRAVEL_HARD", "POLARITY", "OVERSPEED"),
-        "RELAY_STOPPED",
-    )
-)
 
 
 @dataclass(frozen=True)
@@ -176,7 +171,7 @@ def _compare(script: experiment.Script, session: experiment.Session, tape: Tape)
 
 
 def _with_fault(difference: Difference, fault: Fault) -> Difference:
-    by: Literal["law", "guard"] = "guard" if fault.code in _OF_GUARD else "law"
+    by: Literal["law", "guard"] = "guard" if fault.code in OF_GUARD else "law"
     return replace(difference, by=by, replayed=f"{fault}", replayed_V=None)
 
 

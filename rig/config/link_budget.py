@@ -19,9 +19,13 @@ BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000,
 # Wire format version 1: bytes of the body of each frame of one tick (host asks, device tells, host drives)
 _BODY_BYTES = {"READ": 0, "STATE": 18, "DRIVE": 2}
 # around each body: version, type, seq (4), CRC (2), COBS (1), delimiter (1)
-FRAME_BYTES = 4 + 2 + 1 + 1
-BITS_PER_BYTE = 11  # start, 8 data, stop, and the pause that is seen between bytes
+_FRAME_BYTES = 4 + 2 + 1 + 1
+_BITS_PER_BYTE = 11  # start, 8 data, stop, and the pause that is seen between bytes
 _TURNAROUND_S = 0.001  # the device's 1 ms tick and USB, together
+
+# A relay in the device: every 10 of its 1 ms ticks a BLOCK of 10 (reading, drive) comes unasked
+_BLOCK_BYTES = 10 + 10 * 4 + _FRAME_BYTES
+_BLOCK_S = 0.010
 
 _RTU_BYTES = 1 + 2  # unit and CRC, around the function code and its data
 _TCP_BYTES = 7  # the header, unit included
@@ -70,8 +74,8 @@ def link_budget(experiment: Experiment, baud: int | None = None) -> LinkBudget:
     daq = experiment.daq
     baud = daq.baud if baud is None else baud
     if daq.driver == "serial":
-        frames = {name: body + FRAME_BYTES for name, body in _BODY_BYTES.items()}
-        return LinkBudget((_wire(frames, BITS_PER_BYTE, baud), ("turnaround", _TURNAROUND_S)), _words(frames, baud))
+        frames = {name: body + _FRAME_BYTES for name, body in _BODY_BYTES.items()}
+        return LinkBudget((_wire(frames, _BITS_PER_BYTE, baud), ("turnaround", _TURNAROUND_S)), _words(frames, baud))
     if daq.driver == "modbus" and daq.modbus is not None:
         return _modbus(daq.modbus, baud, is_tcp(daq.port), transactions(daq.modbus, tcp=is_tcp(daq.port)))
     return LinkBudget((), "")
@@ -84,13 +88,33 @@ def reading_budget(experiment: Experiment) -> LinkBudget:
     """
     daq = experiment.daq
     if daq.driver == "serial":
-        frames = {name: _BODY_BYTES[name] + FRAME_BYTES for name in ("READ", "STATE")}
-        wire = _wire(frames, BITS_PER_BYTE, daq.baud)
+        frames = {name: _BODY_BYTES[name] + _FRAME_BYTES for name in ("READ", "STATE")}
+        wire = _wire(frames, _BITS_PER_BYTE, daq.baud)
         return LinkBudget((wire, ("turnaround", _TURNAROUND_S)), _words(frames, daq.baud))
     if daq.driver == "modbus" and daq.modbus is not None:
         tcp = is_tcp(daq.port)
         return _modbus(daq.modbus, daq.baud, tcp, (_reading(daq.modbus, tcp=tcp),), silences=1)
     return LinkBudget((), "")
+
+
+def link_sum(experiment: Experiment) -> str:
+    """The sum of one tick and what it may come to, for people; of a link that is known."""
+    period_s = experiment.period_s
+    return f"{link_budget(experiment).written}; {LINK_SHARE:.0%} of the period is {LINK_SHARE * period_s * 1e3:.2f} ms"
+
+
+def block_share(baud: int) -> float:
+    """Share of the time for which the samples of a relay in the device are on the wire."""
+    return _BLOCK_BYTES * _BITS_PER_BYTE / baud / _BLOCK_S
+
+
+def block_sum(experiment: Experiment) -> str:
+    """How long a block of these samples is on the wire, for people."""
+    baud = experiment.daq.baud
+    wire_ms, every_ms = 1e3 * block_share(baud) * _BLOCK_S, 1e3 * _BLOCK_S
+    return (
+        f"BLOCK {_BLOCK_BYTES} bytes x {_BITS_PER_BYTE} bits / {baud} baud = {wire_ms:.2f} ms of every {every_ms:g} ms"
+    )
 
 
 def longest_transaction_s(experiment: Experiment) -> float:
@@ -161,7 +185,7 @@ def _wire(frames: dict[str, int], bits: int, baud: int) -> tuple[str, float]:
     return "wire", sum(frames.values()) * bits / baud
 
 
-def _words(frames: dict[str, int], baud: int, bits: int = BITS_PER_BYTE) -> str:
+def _words(frames: dict[str, int], baud: int, bits: int = _BITS_PER_BYTE) -> str:
     return f"{_added(frames)} = {sum(frames.values())} bytes x {bits} bits / {baud} baud"
 
 

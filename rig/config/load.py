@@ -10,9 +10,10 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from rig.config.backend import is_plug_in
 from rig.config.campaign import Campaign
 from rig.config.messages import explain
-from rig.config.preflight import Preflight, is_plug_in, preflight, unknown_driver
+from rig.config.preflight import Preflight, preflight, unknown_driver
 from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
 from rig.config.yaml12 import Document, emit, parse

@@ -1,6 +1,6 @@
 """The section ``daq.modbus``: how a Modbus device is asked, and which register means what.
 
-What registers say together (contiguous, within one request, no two at one address) is in ``rig.config.preflight``.
+What registers say together (contiguous, within one request, no two at one address) is in ``rig.config.modbus_rules``.
 """
 
 from __future__ import annotations

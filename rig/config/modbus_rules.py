@@ -17,7 +17,7 @@ from rig.config.modbus import (
     written_at_arming,
     written_in_a_tick,
 )
-from rig.config.problems import Problem
+from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
 
 _MOST_READ = 125  # registers of one reply
@@ -30,36 +30,36 @@ def modbus_rules(e: Experiment) -> Iterator[Problem]:
     d = e.daq
     if d.driver != "modbus":
         if d.modbus is not None and d.driver in ("simulated", "serial"):
-            yield _problem("daq.modbus", f"is of `driver: modbus`, not of `driver: {d.driver}`", "remove it")
+            yield wrong("daq.modbus", f"is of `driver: modbus`, not of `driver: {d.driver}`", "remove it")
         if d.driver == "serial" and (is_tcp(d.port) or d.port == "emulated-virtual"):
-            yield _problem("daq.port", f"{d.port} is of `driver: modbus`", "/dev/ttyACM0, or port: emulated")
+            yield wrong("daq.port", f"{d.port} is of `driver: modbus`", "/dev/ttyACM0, or port: emulated")
         return
     yield from _port(e)
     if d.modbus is None:
-        yield _problem("daq.modbus", "`driver: modbus` needs this section", "see config/modbus-rtu.yaml")
+        yield wrong("daq.modbus", "`driver: modbus` needs this section", "see config/modbus-rtu.yaml")
         return
     yield from _map(d.modbus)
     yield from _times(e, d.modbus)
     if e.tachometer is not None:
-        yield _problem("tachometer", "no register of `driver: modbus` holds a velocity", "leave it out")
+        yield wrong("tachometer", "no register of `driver: modbus` holds a velocity", "leave it out")
 
 
 def _port(e: Experiment) -> Iterator[Problem]:
     port = e.daq.port
     if port is None:
-        yield _problem(
+        yield wrong(
             "daq.port", "`driver: modbus` needs a port", "/dev/ttyUSB0, tcp://192.168.0.5:502, or port: emulated"
         )
     elif port in EMULATED_PORTS:
         if e.emulated is None:
-            yield _problem("emulated", f"`port: {port}` needs this section", "describe the bench: see config/demo.yaml")
+            yield wrong("emulated", f"`port: {port}` needs this section", "describe the bench: see config/demo.yaml")
     elif port.startswith("emulated"):
-        yield _problem("daq.port", f"no {port} for `driver: modbus`", f"one of {', '.join(EMULATED_PORTS)}")
+        yield wrong("daq.port", f"no {port} for `driver: modbus`", f"one of {', '.join(EMULATED_PORTS)}")
     elif "://" in port or port.startswith("tcp"):
         try:
             tcp_address(port)
         except ValueError as error:
-            yield _problem("daq.port", str(error))
+            yield wrong("daq.port", str(error))
 
 
 def _map(m: Modbus) -> Iterator[Problem]:
@@ -103,13 +103,13 @@ def _apart(spans: Iterable[Span]) -> Iterator[Problem]:
 def _times(e: Experiment, m: Modbus) -> Iterator[Problem]:
     d = e.daq
     if d.timeout_s > e.period_s * (1 + _SLACK):
-        yield _problem(
+        yield wrong(
             "daq.timeout_s",
             f"{d.timeout_s:g} s is longer than the period of {e.period_s:g} s: a reply could come in the next tick",
             f"at most {e.period_s:g} seconds",
         )
     elif d.timeout_s < longest_transaction_s(e) <= e.period_s:  # a longer one is too slow for the period
-        yield _problem(
+        yield wrong(
             "daq.timeout_s",
             f"{d.timeout_s * 1e3:g} ms is shorter than a transaction, {longest_transaction_s(e) * 1e3:.2f} ms",
             f"up to {e.period_s:g} seconds",
@@ -118,7 +118,7 @@ def _times(e: Experiment, m: Modbus) -> Iterator[Problem]:
     if watchdog is not None:
         units = d.watchdog_s / watchdog.unit_s
         if not (0.5 <= units <= 65535.5 and abs(round(units) * watchdog.unit_s - d.watchdog_s) <= 0.05 * d.watchdog_s):
-            yield _problem(
+            yield wrong(
                 "daq.watchdog_s",
                 f"{d.watchdog_s:g} s is {units:g} units of the watchdog's register, "
                 "which takes whole ones from 1 to 65535",
@@ -132,8 +132,4 @@ def _registers(span: Span) -> str:
 
 
 def _register(key: str, message: str, hint: str = "") -> Problem:
-    return _problem(f"daq.modbus.registers.{key}", message, hint)
-
-
-def _problem(key: str, message: str, hint: str = "") -> Problem:
-    return Problem(tuple(key.split(".")), message, hint)
+    return wrong(f"daq.modbus.registers.{key}", message, hint)

@@ -25,6 +25,11 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in cut)
 
 
+def bracketed(interval: tuple[float, float]) -> str:
+    """An interval as people write it: [low, high], four digits."""
+    return f"[{interval[0]:.4g}, {interval[1]:.4g}]"
+
+
 @dataclass(frozen=True)
 class Problem:
     """One thing that is wrong.
@@ -56,6 +61,11 @@ class Problem:
         place = self.file + (f":{self.line}:{self.column}" if self.line else "")
         parts = [part for part in (place, self.key) if part]
         return ": ".join([*parts, self.message]) + (f"; {self.hint}" if self.hint else "")
+
+
+def wrong(key: str, message: str, hint: str = "") -> Problem:
+    """A problem of ``key``, written with dots: ``daq.port``."""
+    return Problem(tuple(key.split(".")), message, hint)
 
 
 class ConfigError(Exception):

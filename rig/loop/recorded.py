@@ -26,15 +26,18 @@ By = Literal["law", "guard", "record"]
 _GUARD_FLAGS = FLAG_GUARD_CLIPPED | FLAG_GUARD_BRAKED
 _TELL_EVERY_ROWS = 2000
 _NAN = math.nan
-# Faults that laws, guard and loop raise on a sample: the same samples must bring them out again. Any other came from
-# the device, the link, a signal or the disk.
-_OF_LAW_OR_GUARD = frozenset(
+# Faults that guard and loop raise on a sample
+OF_GUARD = frozenset(
     (
         *("LAW_FAILED", "SENSOR_RAIL", "SENSOR_JUMP", "SENSOR_STUCK", "TRAVEL_HARD", "POLARITY", "OVERSPEED"),
-        *("NO_MOTION", "DRIVE_STUCK_ON", "SENSOR_NOISY", "NO_CYCLE", "NOT_HOME", "NO_SWITCHING"),
-        *("DEVICE_RELAY", "RELAY_STOPPED"),
+        "RELAY_STOPPED",
     )
 )
+# and those of laws: the same samples must bring them out again. Any other came from the device, the link, a signal or
+# the disk.
+_OF_LAW_OR_GUARD = OF_GUARD | {
+    *("NO_MOTION", "DRIVE_STUCK_ON", "SENSOR_NOISY", "NO_CYCLE", "NOT_HOME", "NO_SWITCHING", "DEVICE_RELAY"),
+}
 _AFTER_DRIVING = frozenset({"NOT_IDENTIFIED"})
 
 

@@ -23,7 +23,7 @@ from rig.bench import guard_settings_of
 from rig.config import Experiment, load, preflight
 from rig.config.link_budget import link_budget, reading_budget, transactions
 from rig.config.modbus import tcp_address
-from rig.config.preflight import reaction_periods
+from rig.config.room_to_stop import reaction_periods
 
 CONFIG = Path(__file__).parents[2] / "config" / "modbus-rtu.yaml"
 SECTION = "daq.modbus.registers."

@@ -1,0 +1,141 @@
+"""What an experiment would do, in lines for people: backend, stages, limits, link, failsafe."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import isclose
+
+from rig.config.backend import backend_words, is_emulated, is_plug_in
+from rig.config.link_budget import block_sum, link_budget, link_sum
+from rig.config.problems import bracketed
+from rig.config.room_to_stop import overshoot_terms, peak_speed_rad_s, room_rad, stopping_sum, stopping_terms
+from rig.config.schema import Experiment
+from rig.config.sensor import range_rad
+
+_DRIVE_UNITS = 799  # of the firmware at full duty
+
+
+def plan(e: Experiment) -> Iterator[str]:
+    """One line after another, of an experiment whose sections and keys are in range."""
+    yield f"backend: {backend_words(e)}, every {e.period_s * 1e3:g} ms"
+    yield from _stage_lines(e)
+    soft, hard = bracketed(e.limits.soft_rad), bracketed(e.limits.hard_rad)
+    full_V = e.drive.supply_V - e.drive.bridge_drop_V
+    yield (
+        f"limits: soft {soft} rad, hard {hard} rad, sensor {bracketed(range_rad(e))} rad; "
+        f"{e.limits.max_speed_rad_s:g} rad/s; {e.drive.max_V:g} V of the {full_V:g} V that the bridge can give"
+    )
+    yield f"stopping {stopping_sum(e)}; room from the centre of travel: {room_rad(e):.3f} rad"
+    if link_budget(e).terms:
+        yield f"link: {link_sum(e)}"
+    if is_plug_in(e):
+        yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
+    yield from _device_drives(e)
+    yield _failsafe(e)
+    if e.emulated is not None and is_emulated(e) and not isclose(e.emulated.supply_V, full_V):
+        yield (
+            f"note: the emulated bridge gives {e.emulated.supply_V:g} V, the config believes {full_V:g} V: "
+            "K and f_c will come out scaled"
+        )
+    if e.emulated is not None and is_emulated(e) and e.emulated.potentiometer.counts_max != e.sensor.counts_max:
+        yield (
+            f"note: the emulated potentiometer reads 0 to {e.emulated.potentiometer.counts_max} counts, "
+            f"sensor.counts_max is {e.sensor.counts_max}: describe it in emulated.potentiometer"
+        )
+    low, high = e.limits.soft_rad
+    if e.emulated is not None and not low <= e.emulated.motor.start_rad <= high:
+        yield "note: the emulated shaft starts outside the soft limits: a run refuses until `rig jog` has it inside"
+    if e.emulated is not None and not is_emulated(e):
+        if is_plug_in(e):
+            yield "note: section `emulated` counts as the truth only if the driver says that its device is emulated"
+        else:
+            yield f"note: section `emulated` is not used with port {e.daq.port}"
+
+
+def _stage_lines(e: Experiment) -> Iterator[str]:
+    """The stages with the longest times to expect; strokes and pauses double the time of a ramp."""
+    b, r = e.breakaway, e.relay
+    breakaway_s = 3.0 * b.rest_s + 2.0 * 2.0 * b.max_V / b.ramp_V_s
+    total_s = breakaway_s
+    yield f"stage breakaway: {b.ramp_V_s:g} V/s each way, up to {b.max_V:g} V; at most about {breakaway_s:.0f} s"
+    if r.target is not None:
+        amplitudes = r.target.amplitude_rad, r.target.amplitude_rad * r.second_ratio
+        tests_s = 2.0 * r.cycles * r.target.period_s
+        speed = peak_speed_rad_s(max(amplitudes), r.target.period_s)
+        yield (
+            f"stage excite: searches gains for {r.target.amplitude_rad:g} rad every {r.target.period_s:g} s, "
+            f"+-{r.target.tolerance:.0%}; at most {r.search.timeout_s:g} s"
+        )
+        yield (
+            f"stage relay: {r.cycles} settled cycles at {amplitudes[0]:.3g} and at {amplitudes[1]:.3g} rad, "
+            f"up to about {speed:.2g} rad/s; about {tests_s:.0f} s and the settling"
+        )
+        total_s += r.search.timeout_s + tests_s
+    elif r.gains is not None:
+        pairs = ", ".join(f"({g.h1_V:g}, {g.h2_V:g})" for g in r.gains)
+        yield f"stage relay: {r.cycles} settled cycles at each of (h1, h2) = {pairs} V; their period is not known yet"
+    if r.hysteretic is not None:
+        pairs = ", ".join(f"({h.d_V:+g}, {h.eps_rad:g})" for h in r.hysteretic)
+        widest_rad = max(h.eps_rad for h in r.hysteretic)
+        overshoot = sum(rad for _, rad in overshoot_terms(e))
+        horizon_s = sum(rad for _, rad in stopping_terms(e)) / e.limits.max_speed_rad_s
+        yield (
+            f"stage hysteretic: from rest at zero, where the shaft is brought before each, (d, eps) = {pairs} V, rad; "
+            f"at most to {widest_rad + overshoot:.3g} rad; the guard would brake above "
+            f"{(room_rad(e) - widest_rad) / horizon_s:.3g} rad/s; every d must exceed the breakaway level, which is "
+            "measured first"
+        )
+    yield "stage identify: by every method, no motion"
+    if e.tracking is None:
+        yield "stage verify: left out, there is no section `tracking`"
+    else:
+        verify_s = len(e.tracking.methods) * e.tracking.duration_s
+        total_s += verify_s
+        yield (
+            f"stage verify: tracking with the models of {', '.join(e.tracking.methods)}, "
+            f"{e.tracking.duration_s:g} s each; {verify_s:.0f} s"
+        )
+    unknown = "" if r.target is not None and r.hysteretic is None else ", and the relay tests"
+    clock = " of virtual time" if e.daq.driver == "simulated" else ""
+    yield f"together: at most about {total_s:.0f} s{clock}{unknown}, and settling and rests"
+
+
+def _device_drives(e: Experiment) -> Iterator[str]:
+    """How a relay in the device is fed, and what given gains become in whole units of the drive."""
+    if e.relay.where != "device":
+        return
+    if is_plug_in(e):
+        yield "relay in the device: as the plug-in driver runs it; a search runs in the host"
+        return
+    yield f"relay in the device: decides every ms; {block_sum(e)}; a search runs in the host"
+    full_V, dead = e.drive.supply_V - e.drive.bridge_drop_V, e.drive.dead_band_duty.plus
+    for g in e.relay.gains or ():
+        outer, inner = (
+            round(_DRIVE_UNITS * (dead + (1.0 - dead) * u_V / full_V))
+            for u_V in (g.h1_V + g.h2_V, abs(g.h2_V - g.h1_V))
+        )
+        yield f"  at ({g.h1_V:g}, {g.h2_V:g}) V it drives +-{outer} and +-{inner} of {_DRIVE_UNITS} units"
+
+
+def _failsafe(e: Experiment) -> str:
+    """What stops the drive when the host is silent."""
+    modbus = e.daq.modbus
+    if e.daq.driver == "modbus" and modbus is not None and modbus.registers.watchdog is None:
+        if modbus.device_watchdog_s is None:
+            then = "a run drives all the same" if e.daq.accept_no_watchdog else "a run is refused"
+            return f"failsafe: none: no register sets the device's output time-out, nor is it given: {then}"
+        return (
+            f"failsafe: the device sets 0 V after {modbus.device_watchdog_s * 1e3:g} ms of silence, as set on it "
+            "(daq.modbus.device_watchdog_s): try it, pull the plug at 0.3 V"
+        )
+    if not is_plug_in(e):
+        return (
+            f"failsafe: the device sets 0 V after {e.daq.watchdog_s * 1e3:g} ms of silence "
+            f"({e.daq.watchdog_s / e.period_s:.3g} periods), latched until it is armed again"
+        )
+    accepted = e.daq.accept_no_watchdog
+    return "failsafe: the plug-in driver's; where its device has none, a run " + (
+        "drives all the same (daq.accept_no_watchdog: true): have the motor's supply in reach"
+        if accepted
+        else "is refused"
+    )

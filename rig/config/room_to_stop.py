@@ -1,0 +1,112 @@
+"""What the shaft travels until it stands, and the room that there is for it: arithmetic on the config.
+
+``e`` is the experiment throughout; positions count from 0 rad, the centre of travel.
+"""
+
+from __future__ import annotations
+
+from math import log
+
+from rig.config.backend import writes_first
+from rig.config.schema import Experiment
+
+_REACTION_PERIODS = 3  # of the loop: one until the next tick, two by which the guard's velocity lags
+_VELOCITY_LAG_S = 0.02  # by which it lags at least: half of its window
+_BLOCK_AGE_PERIODS = 2  # of the loop: the rows of a device's block are older than a reply, by its length and its way
+
+
+def reaction_periods(experiment: Experiment) -> int:
+    """Periods of the loop until it can have reacted to what the shaft does."""
+    return (
+        _REACTION_PERIODS
+        + (_BLOCK_AGE_PERIODS if experiment.relay.where == "device" else 0)
+        + (1 if writes_first(experiment) else 0)
+    )
+
+
+def reaction_s(experiment: Experiment) -> float:
+    """Time until the loop can have reacted to what the shaft does, s."""
+    return reaction_periods(experiment) * experiment.period_s + _further_lag_s(experiment)
+
+
+def _further_lag_s(e: Experiment) -> float:
+    """Of the guard's velocity, beyond two periods, where the period is short."""
+    return max(_VELOCITY_LAG_S - 2.0 * e.period_s, 0.0)
+
+
+def device_watchdog_s(experiment: Experiment) -> float:
+    """Silence of the host after which the device drives 0 V, s."""
+    modbus = experiment.daq.modbus
+    fixed_s = modbus.device_watchdog_s if modbus is not None else None
+    return experiment.daq.watchdog_s if fixed_s is None else fixed_s
+
+
+def limits_are_ordered(e: Experiment) -> bool:
+    """Whether the hard limits are outside the soft ones, and 0 rad within both."""
+    (soft_low, soft_high), (hard_low, hard_high) = e.limits.soft_rad, e.limits.hard_rad
+    return hard_low < soft_low < 0.0 < soft_high < hard_high
+
+
+def room_rad(e: Experiment) -> float:
+    """Distance from the centre of travel, about which the relay oscillates, to the nearer hard limit, rad."""
+    return min(e.limits.hard_rad[1], -e.limits.hard_rad[0])
+
+
+def reach_rad(e: Experiment) -> float:
+    """Distance from the centre of travel to the nearer soft limit, rad."""
+    return min(-e.limits.soft_rad[0], e.limits.soft_rad[1])
+
+
+def stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
+    """What the shaft travels from the largest speed if the host dies, term by term: words, rad.
+
+    Coasting is at 0 V, terminals shorted, without the help of friction: speed times time constant. Each term is at the
+    largest speed: the guard ends anything faster while the host lives. What the drive adds to it between the host's
+    death and the device's watchdog depends on K and tau, which the experiment has yet to find: no sum over a config can
+    count it, and the device's own hard limit is what ends such a drive.
+    """
+    v = e.limits.max_speed_rad_s
+    lag_s = _further_lag_s(e)
+    return (
+        (f"{reaction_periods(e)} periods", v * reaction_periods(e) * e.period_s),
+        *((("velocity window", v * lag_s),) if lag_s > 0.0 else ()),
+        ("reply time-out", v * e.daq.timeout_s),
+        ("watchdog", v * device_watchdog_s(e)),
+        ("coasting", v * e.limits.coast_tau_s),
+    )
+
+
+def stopping_sum(e: Experiment) -> str:
+    """``stopping_terms`` and what they add up to, for people."""
+    terms = stopping_terms(e)
+    written = " + ".join(f"{rad:.3f} {words}" for words, rad in terms)
+    return f"at {e.limits.max_speed_rad_s:g} rad/s: {written} = {sum(rad for _, rad in terms):.3f} rad"
+
+
+def peak_speed_rad_s(amplitude_rad: float, period_s: float) -> float:
+    """Largest speed of a limit cycle, rad/s: of two parabolas, a little more than the true arcs reach."""
+    return 8.0 * amplitude_rad / period_s
+
+
+def predicted_stop_rad(e: Experiment, amplitude_rad: float, period_s: float) -> float:
+    """Largest stop that the guard predicts within a cycle, rad.
+
+    A cycle of constant accelerations, y = A (1 - s^2) with v = 8 A s/T at s = 0..1 from its top, is faster than the
+    motor's; its largest y + v r is A (1 + (4 r/T)^2) within the arc, else 8 A r/T at the centre.
+    """
+    r = sum(rad for _, rad in stopping_terms(e)) / e.limits.max_speed_rad_s
+    s = 4.0 * r / period_s
+    return amplitude_rad * (1.0 + s * s if s < 1.0 else 2.0 * s)
+
+
+def overshoot_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
+    """How far the shaft goes on, at most, once it is beyond the hysteresis: words, rad.
+
+    From a speed v that drive d has given it, -d stops it within v tau (1 - ln 2), the more friction the sooner.
+    """
+    v = e.limits.max_speed_rad_s
+    periods = 3 if writes_first(e) else 2
+    return (
+        (f"{periods} periods", periods * v * e.period_s),
+        ("reversing", v * e.limits.coast_tau_s * (1.0 - log(2.0))),
+    )
