@@ -29,7 +29,7 @@ from pymodbus.pdu.register_message import (
 from rig.daq.calibration import Calibration, DriveMap, hard_limits_in_counts
 from rig.daq.driver import DeviceInfo, DeviceWatchdog, Transport
 from rig.daq.modbus_frames import Damaged, Frame, Framing, RtuFraming, TcpFraming, is_exception
-from rig.daq.modbus_registers import ARMED, Register, RegisterMap, Span
+from rig.daq.modbus_registers import ARMED, OFF, Register, RegisterMap, Span
 from rig.faults import Fault
 from rig.signals import Limits, Order, Sample
 
@@ -228,8 +228,7 @@ class ModbusDriver:
         self._patiently(*self._writing_drive(0), self._unhurried_s)
         if self._map.control is not None:
             self._patiently(*self._writing(self._map.control, self._map.arm), self._unhurried_s)
-        values = self._values(self._read_span, self._patiently(*self._reading(self._read_span), self._unhurried_s))
-        self._check_status(values)
+        self._await_armed()
         self._armed = True
 
     def read(self) -> Sample:
@@ -330,6 +329,18 @@ class ModbusDriver:
             register.pack(value)
         return settings, max_units
 
+    def _await_armed(self) -> None:
+        """Until the status says so: a device with a program of its own sees the request in its next cycle only."""
+        if self._map.status is None:
+            return
+        until_s = self._transport.now_s() + self._unhurried_s
+        while True:
+            reply = self._patiently(*self._reading(self._read_span), self._unhurried_s)
+            values = self._values(self._read_span, reply)
+            if values["status"] != OFF or self._transport.now_s() >= until_s:
+                self._check_status(values)
+                return
+
     def _bounds(self, counts: tuple[int, int], *, inward: bool) -> tuple[float, float]:
         """Two readings as values of the position's register, rounded the given way where it is whole."""
         low, high = sorted(self._map.position_value(c) for c in counts)
@@ -349,16 +360,27 @@ class ModbusDriver:
             raise Fault("ARM_READBACK", f"{register}: sent {value:g}, stored {register.unpack(stored):g}")
 
     def _write_stop(self, asked: Callable[[ModbusPDU, str, float], _Reply], timeout_s: float) -> None:
-        """Control to stop, drive 0, both confirmed by their replies; raises Fault."""
+        """Control to stop, drive 0, both confirmed by their replies; drive 0 also where the device refuses to stop.
+
+        Raises Fault.
+        """
         control = self._map.control
+        refused: Fault | None = None
         if control is not None:
-            asked(*self._writing(control, self._map.stop), timeout_s)
+            try:
+                asked(*self._writing(control, self._map.stop), timeout_s)
+            except Fault as fault:
+                if fault.code != "MODBUS_EXCEPTION":
+                    raise
+                refused = fault
         try:
             asked(*self._writing(self._map.drive, 0.0), timeout_s)
         except Fault as fault:
             # some devices take no drive at all, not even 0, while they are stopped
             if fault.code != "MODBUS_EXCEPTION" or control is None:
                 raise
+        if refused is not None:
+            raise refused
         self._units = 0
 
     def _is_stopped(self) -> bool:
@@ -439,7 +461,7 @@ class ModbusDriver:
         at = f"{self._map.scale * values['position'] + self._map.offset_counts:g} counts"
         if code is not None:
             raise Fault(code, f"{status} reads {value}, at {at}")
-        words = "no longer armed" if value == 0 else "neither armed (1) nor a fault of daq.modbus.registers.status"
+        words = "not armed" if value == OFF else "neither armed (1) nor a fault of daq.modbus.registers.status"
         raise Fault("DEVICE_RESET", f"{status} reads {value}: {words}; at {at}")
 
     def _check_echo(self, values: Mapping[str, float]) -> None:

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, Self
 from pymodbus.client.mixin import ModbusClientMixin
 
 Table = Literal["holding", "input"]
-ARMED = 1  # of the status register
+OFF, ARMED = 0, 1  # of the status register; anything else is a fault
 FLOAT_STEPS = 10000  # drive units at full duty where the register is no whole number
 
 _TYPES = {

@@ -236,6 +236,46 @@ def test_a_stop_of_a_dead_device_is_not_confirmed_and_is_bounded(rig: Rig) -> No
     assert rig.block.truth().output_V == 0.0  # the device's own watchdog
 
 
+def test_a_device_that_refuses_to_stop_is_driven_to_0_all_the_same(rig: Rig) -> None:
+    """The stop is not confirmed then, but nothing turns."""
+    for _ in range(3):
+        rig.tick(0.6)
+    real = rig.block.block.request
+
+    def refusing(pdu: bytes, t_s: float) -> bytes:
+        return b"\x86\x06" if pdu[:3] == b"\x06\x00\x08" else real(pdu, t_s)  # control, register 8: busy
+
+    rig.block.block.request = refusing  # type: ignore[method-assign]
+    assert not rig.driver.safe_stop()
+    assert rig.block.truth().output_V == 0.0
+    assert [drive.value for drive in rig.block.executed][-1] == 0.0
+
+
+@pytest.mark.parametrize("cycles", [1, 4])
+def test_a_device_that_takes_its_time_to_be_armed_is_waited_for(cycles: int) -> None:
+    """Its status is of the cycle before, as that of a device with a program of its own."""
+    rig = Rig(experiment_with(), armed=False)
+    left = cycles
+
+    def still_off(direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
+        nonlocal left
+        if direction == "reply" and data[1] == 3 and len(data) == 13 and rig.block.truth().armed and left > 0:
+            left -= 1
+            data = signed(data[:9] + bytes(2))
+        return [(0.0, data)]
+
+    rig.block.disturb(still_off)
+    rig.arm()
+    assert left == 0
+    rig.tick(0.3)
+    rig.tick(0.3)
+    assert rig.block.truth().output_V != 0.0
+    left = 10**6
+    with pytest.raises(Fault, match="DEVICE_RESET") as caught:
+        rig.arm()
+    assert "status, holding register 19 reads 0: not armed" in caught.value.detail
+
+
 def test_a_plug_that_is_pulled_is_a_fault_and_no_exception_while_stopping(rig: Rig) -> None:
     rig.tick(0.5)
     rig.block.unplug()
