@@ -1,4 +1,4 @@
-"""The command `rig`: what to do, and how its end is shown. No logic lives here.
+"""The command `rig`: what to do. No logic lives here; how results look is in ``rig.terminal``.
 
 Exit status: 0 done, 1 the experiment failed or was refused, 2 bad input.
 """
@@ -18,7 +18,6 @@ from typing import Any, Literal, NoReturn
 
 import click
 from rich.console import Console
-from rich.table import Table
 
 import rig
 from rig import config
@@ -27,6 +26,17 @@ from rig.faults import Fault
 from rig.identify.record import IdentifyError
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
+from rig.terminal import (
+    patience,
+    progress,
+    show_campaign,
+    show_estimates,
+    show_finding,
+    show_prediction,
+    show_replay,
+    show_run,
+    show_scatter,
+)
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -116,7 +126,7 @@ def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
         results = [outcome.result | {"folder": str(outcome.folder)} for outcome in outcomes]
         click.echo(json_text(results[0] if repeat == 1 else {"runs": results}), nl=False)
     elif repeat > 1:
-        _show_scatter([outcome.result for outcome in outcomes])
+        show_scatter([outcome.result for outcome in outcomes])
     sys.exit(EXIT_FAILED if any(outcome.failure for outcome in outcomes) else 0)
 
 
@@ -211,7 +221,7 @@ def identify(paths: Sequence[Path], methods: Sequence[str], as_json: bool) -> No
     from rig.recording.reader import read
 
     try:
-        with _patience("reading and identifying"):
+        with patience("reading and identifying"):
             found = identify_recordings([read(path) for path in paths], tuple(methods) or None)
     except (RecordingError, IdentifyError) as error:
         _fail_input(error)
@@ -221,7 +231,7 @@ def identify(paths: Sequence[Path], methods: Sequence[str], as_json: bool) -> No
     else:
         for note in found.notes:
             click.echo(note)
-        _show_estimates(estimates, None)
+        show_estimates(estimates, None)
     refused = [e for e in estimates.values() if e["verdict"] == "refused"]
     sys.exit(EXIT_FAILED if len(refused) == len(estimates) else 0)
 
@@ -245,7 +255,7 @@ def predict(tau: float, K: float, fc: float, fs: float | None, h1: float, h2: fl
     if as_json:
         click.echo(json.dumps(prediction))
     else:
-        _show_prediction(prediction)
+        show_prediction(prediction)
     sys.exit(0 if prediction["oscillates"] else EXIT_FAILED)
 
 
@@ -260,7 +270,7 @@ def report(run_folder: Path) -> None:
     if (run_folder / "results.csv").is_file() and not (run_folder / "samples.csv").is_file():
         _fail(EXIT_BAD_INPUT, f"{run_folder}: is a campaign's folder", "the same `rig campaign` writes its report anew")
     try:
-        with _patience("drawing the report"):
+        with patience("drawing the report"):
             path = write_report(run_folder)
     except RecordingError as error:
         _fail_input(error)
@@ -279,7 +289,7 @@ def replay(run_folder: Path, as_json: bool) -> None:
     from rig.replay import replay as replay_run
 
     try:
-        with _progress(f"replaying {run_folder.name}", as_json) as tell:
+        with progress(f"replaying {run_folder.name}", as_json) as tell:
             done = replay_run(run_folder, tell)
     except RecordingError as error:
         _fail_input(error)
@@ -288,7 +298,7 @@ def replay(run_folder: Path, as_json: bool) -> None:
     if as_json:
         click.echo(json_text(done.as_dict()), nl=False)
     else:
-        _show_replay(done)
+        show_replay(done)
     sys.exit(0 if done.is_same else EXIT_FAILED)
 
 
@@ -337,7 +347,7 @@ def campaign(
         from rig.campaign import results, session
 
         folder = resume or results.folder_for(out, asked)
-        with _progress(f"campaign {asked.name}", as_json) as tell:
+        with progress(f"campaign {asked.name}", as_json) as tell:
             done = session.run(
                 asked, folder, jobs=jobs or os.cpu_count() or 1, backend=backend, scheduler=scheduler, on_progress=tell
             )
@@ -356,7 +366,7 @@ def campaign(
     if as_json:
         click.echo(json_text(done.summary | {"folder": str(folder)}), nl=False)
     else:
-        _show_campaign(done.summary, folder)
+        show_campaign(done.summary, folder)
 
 
 @main.command()
@@ -406,9 +416,7 @@ def doctor(config_path: Path | None, seconds: float, out: Path, as_json: bool) -
         for finding in visit:
             findings.append(finding)
             if not as_json:
-                click.echo(f"{finding.state:>5}  {finding.topic}: {finding.words}")
-                if finding.cure:
-                    click.echo(f"       -> {finding.cure}")
+                show_finding(finding)
     ok = all(finding.state != "bad" for finding in findings)
     if as_json:
         click.echo(json.dumps({"ok": ok, "findings": [finding.as_dict() for finding in findings]}))
@@ -491,21 +499,6 @@ def schema(out: Path | None, of_campaign: bool) -> None:
 
 
 @contextlib.contextmanager
-def _progress(what: str, as_json: bool) -> Any:
-    """A bar that is told (done, of); nothing in pipes."""
-    console = Console(stderr=True)
-    if as_json or not console.is_terminal:
-        yield None
-        return
-    from rich import progress
-
-    columns = (progress.TextColumn("{task.description}"), progress.BarColumn(), progress.MofNCompleteColumn())
-    with progress.Progress(*columns, progress.TimeRemainingColumn(), console=console, transient=True) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, of: bar.update(task, completed=done, total=of)
-
-
-@contextlib.contextmanager
 def _faults() -> Any:
     try:
         yield
@@ -515,17 +508,6 @@ def _faults() -> Any:
         _fail(EXIT_FAILED, *str(error).split("\n", maxsplit=1))
     except RecordingError as error:
         _fail_input(error)
-
-
-@contextlib.contextmanager
-def _patience(what: str) -> Any:
-    """A spinner while something takes longer; nothing in pipes."""
-    console = Console(stderr=True)
-    if console.is_terminal:
-        with console.status(what):
-            yield
-    else:
-        yield
 
 
 def _perform(start: Callable[[Callable[[Path], None]], Any], as_json: bool) -> Any:
@@ -540,7 +522,7 @@ def _perform(start: Callable[[Callable[[Path], None]], Any], as_json: bool) -> A
 
         outcome = start(on_start)
     if not as_json:
-        _show(outcome)
+        show_run(outcome)
     return outcome
 
 
@@ -548,147 +530,6 @@ def _finish(outcome: Any, as_json: bool) -> NoReturn:
     if as_json:
         click.echo(json_text(outcome.result | {"folder": str(outcome.folder)}), nl=False)
     sys.exit(EXIT_FAILED if outcome.failure else 0)
-
-
-def _show(outcome: Any) -> None:
-    result = outcome.result
-    click.echo(f"backend: {result['backend']}")
-    for relay_test in result["relays"]:
-        click.echo(
-            f"{relay_test['stage']}: h1 {relay_test['h1_V']:.3f} V, h2 {relay_test['h2_V']:.3f} V -> "
-            f"{relay_test['amplitude_rad']:.3f} rad, {relay_test['period_s']:.3f} s, {relay_test['cycles']} cycles"
-        )
-    for run in result.get("hysteretic", ()):
-        switched = "no switching" if run["switched_s"] is None else f"switches after {run['switched_s']:.3f} s"
-        click.echo(
-            f"{run['stage']}: d {run['d_V']:+.3f} V, eps {run['eps_rad']:.3f} rad -> {switched}, "
-            f"from {1e3 * run['start_rad']:+.1f} mrad"
-        )
-    if result["estimates"]:
-        _show_estimates(result["estimates"], result.get("truth"), result["tracking"])
-    loop = result["loop"]
-    late = loop["late_us"]
-    if late["p50"] is not None:
-        click.echo(
-            f"loop: {loop['ticks']} ticks of {loop['period_s'] * 1e3:g} ms, {loop['skipped']} skipped; "
-            f"late by {late['p50']:.0f} us (median), {late['p99']:.0f} (p99), {late['max']:.0f} (largest)"
-        )
-    for line in loop.get("real_time", {}).get("refused", ()):
-        click.echo(f"loop: {line}")
-    click.echo(f"run:    {outcome.folder}")
-    click.echo(f"report: {outcome.folder / 'report.html'}")
-    if outcome.failure:
-        click.echo(f"rig: {outcome.failure}", err=True)
-        if outcome.fault is not None:
-            click.echo(f"     {outcome.fault.cure}", err=True)
-
-
-def _show_replay(done: Any) -> None:
-    for note in done.notes:
-        click.echo(note)
-    if not done.is_same:
-        click.echo(f"different after {done.replayed} of {done.rows} rows:")
-        click.echo(f"  {done.difference}")
-        return
-    ending = "its last row" if done.ending == "no end" else done.ending
-    click.echo(f"the same drive in {done.compared} of {done.rows} rows, {done.duration_s:.1f} s, to {ending}")
-    if done.lost:
-        click.echo(f"not compared: {done.lost} rows whose drive never reached the device")
-    if done.limited:
-        click.echo(f"not compared: {done.limited} rows in which the device drove less than it was told to")
-    if done.fault is not None:
-        click.echo(f"the fault at the end: {done.fault}")
-    elif done.ending == "no end":
-        click.echo("the record has no end: the run was killed, or its last rows are lost")
-
-
-def _show_prediction(prediction: dict[str, Any]) -> None:
-    if prediction["oscillates"]:
-        t1, t2, t3 = prediction["durations_s"]
-        stable = "locally stable" if prediction["stable"] else "not locally stable"
-        eigenvalues = ", ".join(f"{re:.6f}" + (f"{im:+.6f}j" if im else "") for re, im in prediction["eigenvalues"])
-        click.echo(f"limit cycle (Theorem 2.1): period {prediction['period_s']:.6f} s, amplitude ", nl=False)
-        click.echo(f"{prediction['amplitude_rad']:.6f} rad; t1 {t1:.6f}, t2 {t2:.6f}, t3 {t3:.6f} s")
-        click.echo(f"stability (Theorem 2.2): {stable}; eigenvalues of J: {eigenvalues}")
-    else:
-        click.echo(f"no simple oscillation: {prediction['reason']}")
-    sine = prediction["describing_function"]
-    if sine is not None:
-        click.echo(f"describing function: period {sine['period_s']:.6f} s, amplitude {sine['amplitude_rad']:.6f} rad")
-
-
-def _interval(estimate: dict[str, Any], name: str, truth: dict[str, float] | None) -> str:
-    value = estimate[name]
-    if value is None:
-        return "-"
-    text = f"{value:.4f}"
-    bounds = estimate["ci95"].get(name)
-    if bounds and None not in bounds:
-        text += f" ±{0.5 * (bounds[1] - bounds[0]):.4f}"
-    if truth is not None and truth.get(name):
-        text += f" ({100.0 * (value / truth[name] - 1.0):+.1f} %)"
-    return text
-
-
-def _show_estimates(
-    estimates: dict[str, dict[str, Any]],
-    truth: dict[str, float] | None,
-    tracking: dict[str, dict[str, Any]] | None = None,
-) -> None:
-    console = Console(width=None if sys.stdout.isatty() else 140)
-    table = Table(title="estimates" + (" (in brackets: error against the emulated truth)" if truth else ""))
-    for heading in ("method", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict"):
-        table.add_column(heading)
-    if tracking:
-        table.add_column("tracking RMS, rad")
-    for method, estimate in estimates.items():
-        refused = estimate["verdict"] == "refused"  # a refusal gives no number
-        cells = ["-" if refused else _interval(estimate, name, truth) for name in ("tau_s", "K_rad_s_V", "fc_V")]
-        row = [method, *cells, estimate["verdict"]]
-        if tracking:
-            check_run = tracking.get(method, {"not_run": "not asked for"})
-            row.append(f"{check_run['rms_rad']:.4f}" if "rms_rad" in check_run else "not run")
-        table.add_row(*row)
-    if truth is not None:
-        table.add_row("truth", *(f"{truth[name]:.4f}" for name in ("tau_s", "K_rad_s_V", "fc_V")), "")
-    console.print(table)
-    for method, estimate in estimates.items():
-        for reason in estimate["reasons"]:
-            click.echo(f"{method}: {reason}")
-    for method, check_run in (tracking or {}).items():
-        if "not_run" in check_run:
-            click.echo(f"tracking with {method}: not run: {check_run['not_run']}")
-
-
-def _show_campaign(found: dict[str, Any], folder: Path) -> None:
-    from rig.campaign.report import HEADINGS, sentences, table_rows
-
-    console = Console(width=None if sys.stdout.isatty() else 140)
-    table = Table(title=f"campaign {found['campaign']}: {found['ok']['number']} experiments called ok")
-    for heading in HEADINGS:
-        table.add_column(heading, justify="right" if heading else "left")
-    for row in table_rows(found["ok"]):
-        table.add_row(*row)
-    console.print(table)
-    click.echo("\n".join(sentences(found)))
-    click.echo(f"rows:   {folder / 'results.csv'}")
-    click.echo(f"report: {folder / 'report.html'}")
-
-
-def _show_scatter(results: Sequence[dict[str, Any]]) -> None:
-    """The scatter between runs beside the intervals that each run gave."""
-    from statistics import fmean, stdev
-
-    table = Table(title=f"sampled-data estimates of {len(results)} runs")
-    for heading in ("", "mean", "scatter between runs (1.96 s)", "mean half-width of the 95 % intervals"):
-        table.add_column(heading)
-    estimates = [r["estimates"]["sampled-data"] for r in results if "sampled-data" in r["estimates"]]
-    for name in ("tau_s", "K_rad_s_V", "fc_V"):
-        values = [e[name] for e in estimates if e[name] is not None]
-        widths = [0.5 * (b[1] - b[0]) for e in estimates if None not in (b := e["ci95"].get(name, (None, None)))]
-        if len(values) >= 2 and widths:
-            table.add_row(name, f"{fmean(values):.5f}", f"{1.96 * stdev(values):.5f}", f"{fmean(widths):.5f}")
-    Console(width=None if sys.stdout.isatty() else 140).print(table)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,199 @@
+"""How results look in a terminal: lines and tables on stdout, progress on stderr. What is shown is result.json's."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import fmean, stdev
+from typing import TYPE_CHECKING, Any
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+if TYPE_CHECKING:  # each loads slowly
+    from rig.doctor.finding import Finding
+    from rig.experiment import Outcome
+    from rig.replay import Replay
+
+
+@contextmanager
+def progress(what: str, as_json: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """A bar that is told (done, of); nothing in pipes."""
+    console = Console(stderr=True)
+    if as_json or not console.is_terminal:
+        yield None
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, of: bar.update(task, completed=done, total=of)
+
+
+@contextmanager
+def patience(what: str) -> Iterator[None]:
+    """A spinner while something takes longer; nothing in pipes."""
+    console = Console(stderr=True)
+    if console.is_terminal:
+        with console.status(what):
+            yield
+    else:
+        yield
+
+
+def show_run(outcome: Outcome) -> None:
+    """What a run came to: relays, estimates, loop, where everything is; on stderr why it failed."""
+    result = outcome.result
+    click.echo(f"backend: {result['backend']}")
+    for relay_test in result["relays"]:
+        click.echo(
+            f"{relay_test['stage']}: h1 {relay_test['h1_V']:.3f} V, h2 {relay_test['h2_V']:.3f} V -> "
+            f"{relay_test['amplitude_rad']:.3f} rad, {relay_test['period_s']:.3f} s, {relay_test['cycles']} cycles"
+        )
+    for run in result.get("hysteretic", ()):
+        switched = "no switching" if run["switched_s"] is None else f"switches after {run['switched_s']:.3f} s"
+        click.echo(
+            f"{run['stage']}: d {run['d_V']:+.3f} V, eps {run['eps_rad']:.3f} rad -> {switched}, "
+            f"from {1e3 * run['start_rad']:+.1f} mrad"
+        )
+    if result["estimates"]:
+        show_estimates(result["estimates"], result.get("truth"), result["tracking"])
+    loop = result["loop"]
+    late = loop["late_us"]
+    if late["p50"] is not None:
+        click.echo(
+            f"loop: {loop['ticks']} ticks of {loop['period_s'] * 1e3:g} ms, {loop['skipped']} skipped; "
+            f"late by {late['p50']:.0f} us (median), {late['p99']:.0f} (p99), {late['max']:.0f} (largest)"
+        )
+    for line in loop.get("real_time", {}).get("refused", ()):
+        click.echo(f"loop: {line}")
+    click.echo(f"run:    {outcome.folder}")
+    click.echo(f"report: {outcome.folder / 'report.html'}")
+    if outcome.failure:
+        click.echo(f"rig: {outcome.failure}", err=True)
+        if outcome.fault is not None:
+            click.echo(f"     {outcome.fault.cure}", err=True)
+
+
+def show_replay(done: Replay) -> None:
+    """What a replay came to: the same drive, or the first difference, and what was not compared."""
+    for note in done.notes:
+        click.echo(note)
+    if not done.is_same:
+        click.echo(f"different after {done.replayed} of {done.rows} rows:")
+        click.echo(f"  {done.difference}")
+        return
+    ending = "its last row" if done.ending == "no end" else done.ending
+    click.echo(f"the same drive in {done.compared} of {done.rows} rows, {done.duration_s:.1f} s, to {ending}")
+    if done.lost:
+        click.echo(f"not compared: {done.lost} rows whose drive never reached the device")
+    if done.limited:
+        click.echo(f"not compared: {done.limited} rows in which the device drove less than it was told to")
+    if done.fault is not None:
+        click.echo(f"the fault at the end: {done.fault}")
+    elif done.ending == "no end":
+        click.echo("the record has no end: the run was killed, or its last rows are lost")
+
+
+def show_finding(finding: Finding) -> None:
+    """A line of `rig doctor`, and what to type."""
+    click.echo(f"{finding.state:>5}  {finding.topic}: {finding.words}")
+    if finding.cure:
+        click.echo(f"       -> {finding.cure}")
+
+
+def show_prediction(prediction: dict[str, Any]) -> None:
+    """A limit cycle and its stability, or why there is none; ``prediction`` as ``rig predict --json`` has it."""
+    if prediction["oscillates"]:
+        t1, t2, t3 = prediction["durations_s"]
+        stable = "locally stable" if prediction["stable"] else "not locally stable"
+        eigenvalues = ", ".join(f"{re:.6f}" + (f"{im:+.6f}j" if im else "") for re, im in prediction["eigenvalues"])
+        click.echo(f"limit cycle (Theorem 2.1): period {prediction['period_s']:.6f} s, amplitude ", nl=False)
+        click.echo(f"{prediction['amplitude_rad']:.6f} rad; t1 {t1:.6f}, t2 {t2:.6f}, t3 {t3:.6f} s")
+        click.echo(f"stability (Theorem 2.2): {stable}; eigenvalues of J: {eigenvalues}")
+    else:
+        click.echo(f"no simple oscillation: {prediction['reason']}")
+    sine = prediction["describing_function"]
+    if sine is not None:
+        click.echo(f"describing function: period {sine['period_s']:.6f} s, amplitude {sine['amplitude_rad']:.6f} rad")
+
+
+def show_estimates(
+    estimates: dict[str, dict[str, Any]],
+    truth: dict[str, float] | None,
+    tracking: dict[str, dict[str, Any]] | None = None,
+) -> None:
+    """A table, then the reasons: ``estimates`` and ``tracking`` as of result.json; ``truth`` of an emulated motor."""
+    console = Console(width=None if sys.stdout.isatty() else 140)
+    table = Table(title="estimates" + (" (in brackets: error against the emulated truth)" if truth else ""))
+    for heading in ("method", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict"):
+        table.add_column(heading)
+    if tracking:
+        table.add_column("tracking RMS, rad")
+    for method, estimate in estimates.items():
+        refused = estimate["verdict"] == "refused"  # a refusal gives no number
+        cells = ["-" if refused else _interval(estimate, name, truth) for name in ("tau_s", "K_rad_s_V", "fc_V")]
+        row = [method, *cells, estimate["verdict"]]
+        if tracking:
+            check_run = tracking.get(method, {"not_run": "not asked for"})
+            row.append(f"{check_run['rms_rad']:.4f}" if "rms_rad" in check_run else "not run")
+        table.add_row(*row)
+    if truth is not None:
+        table.add_row("truth", *(f"{truth[name]:.4f}" for name in ("tau_s", "K_rad_s_V", "fc_V")), "")
+    console.print(table)
+    for method, estimate in estimates.items():
+        for reason in estimate["reasons"]:
+            click.echo(f"{method}: {reason}")
+    for method, check_run in (tracking or {}).items():
+        if "not_run" in check_run:
+            click.echo(f"tracking with {method}: not run: {check_run['not_run']}")
+
+
+def _interval(estimate: dict[str, Any], name: str, truth: dict[str, float] | None) -> str:
+    value = estimate[name]
+    if value is None:
+        return "-"
+    text = f"{value:.4f}"
+    bounds = estimate["ci95"].get(name)
+    if bounds and None not in bounds:
+        text += f" ±{0.5 * (bounds[1] - bounds[0]):.4f}"
+    if truth is not None and truth.get(name):
+        text += f" ({100.0 * (value / truth[name] - 1.0):+.1f} %)"
+    return text
+
+
+def show_campaign(found: dict[str, Any], folder: Path) -> None:
+    """A campaign's errors against the bound, and where everything is; ``found`` as of its summary.json."""
+    from rig.campaign.report import HEADINGS, sentences, table_rows
+
+    console = Console(width=None if sys.stdout.isatty() else 140)
+    table = Table(title=f"campaign {found['campaign']}: {found['ok']['number']} experiments called ok")
+    for heading in HEADINGS:
+        table.add_column(heading, justify="right" if heading else "left")
+    for row in table_rows(found["ok"]):
+        table.add_row(*row)
+    console.print(table)
+    click.echo("\n".join(sentences(found)))
+    click.echo(f"rows:   {folder / 'results.csv'}")
+    click.echo(f"report: {folder / 'report.html'}")
+
+
+def show_scatter(results: Sequence[dict[str, Any]]) -> None:
+    """The scatter between runs beside the intervals that each run gave; ``results``: of each, its result.json."""
+    estimates = [r["estimates"]["sampled-data"] for r in results if "sampled-data" in r["estimates"]]
+    if len(estimates) < 2:
+        click.echo(f"no scatter: it takes two sampled-data estimates, and {len(results)} runs gave {len(estimates)}")
+        return
+    table = Table(title=f"sampled-data estimates of {len(estimates)} of {len(results)} runs")
+    for heading in ("", "mean", "scatter between runs (1.96 s)", "mean half-width of the 95 % intervals"):
+        table.add_column(heading)
+    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+        values = [e[name] for e in estimates if e[name] is not None]
+        widths = [0.5 * (b[1] - b[0]) for e in estimates if None not in (b := e["ci95"].get(name, (None, None)))]
+        if len(values) >= 2 and widths:
+            table.add_row(name, f"{fmean(values):.5f}", f"{1.96 * stdev(values):.5f}", f"{fmean(widths):.5f}")
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
