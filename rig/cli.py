@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import click
 from rich.console import Console
@@ -23,7 +23,6 @@ import rig
 from rig import config
 from rig.emulate.firmware_build import EmulationError
 from rig.faults import Fault
-from rig.identify.record import IdentifyError
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
 from rig.terminal import (
@@ -37,6 +36,9 @@ from rig.terminal import (
     show_run,
     show_scatter,
 )
+
+if TYPE_CHECKING:  # scipy comes with it
+    from rig.identify import IdentifyError
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -152,7 +154,7 @@ def relay(config_path: Path, out: Path, as_json: bool) -> None:
 def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
     """Run the tracking check alone, with the models of an earlier run."""
     from rig import experiment as script
-    from rig.identify import identify
+    from rig.identify import IdentifyError, identify
     from rig.recording.reader import read_run
 
     experiment = _load(config_path)
@@ -217,6 +219,7 @@ def check(config_path: Path, as_json: bool) -> None:
 @JSON
 def identify(paths: Sequence[Path], methods: Sequence[str], as_json: bool) -> None:
     """Identify gain, time constant and friction from run folders or CSV files (t_s,u_V,y_rad)."""
+    from rig.identify import IdentifyError
     from rig.identify import identify as identify_recordings
     from rig.recording.reader import read
 
