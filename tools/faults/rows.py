@@ -81,7 +81,6 @@ AT_ONCE = bound("by itself", tick=1)
 RUNNING = bound("no drive is older", period=2, exchange=1)
 RAMP = bound("the breakaway check ends", breakaway=1)
 LOOKED = bound("the loop looks at the recorder every 25 ticks", check=1, period=1, exchange=1, frame=1, tick=2)
-PUSHED = bound("the relay pushes within a cycle, and pushes in vain", cycle=1, stuck=1, exchange=1, frame=1, tick=2)
 RUN_AWAY = bound("until it is at the limit", cycle=0.5, runaway=1, exchange=1, frame=1, tick=2)
 
 NO_CONTACTS = "the contacts are the Uno's; the firmware's core alone has none"
