@@ -38,6 +38,7 @@ from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META
 from rig.recording.reader import Recording, read_run
 from rig.recording.writer import EVENTS
+from rig.session import Script, Session
 from rig.signals import Order
 
 Ending = Literal["its end", "a fault", "no end"]
@@ -112,7 +113,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None) 
     clock, comparison = RecordedClock(tape), Comparison(tape, None if units is None else drive_map.quantised)
     loop = ReplayLoop(driver, clock, Guard(guard_settings_of(e)), comparison, e.period_s, stop)
     loop.tape = tape
-    session = experiment.Session(
+    session = Session(
         e,
         folder,
         Bench(driver, clock, DeviceInfo("", "record", "", emulated=True), None),
@@ -138,7 +139,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None) 
     )
 
 
-def _compare(script: experiment.Script, session: experiment.Session, tape: Tape) -> Difference | None:
+def _compare(script: Script, session: Session, tape: Tape) -> Difference | None:
     """Run the script on the record; the first difference."""
     seen: Fault | None = None
     try:
@@ -191,25 +192,25 @@ def _ending(recording: Recording) -> tuple[Fault | None, bool]:
     return fault, "end" in kinds and not torn and "record_lost" not in kinds
 
 
-def _script(recording: Recording) -> experiment.Script:
+def _script(recording: Recording) -> Script:
     """What the run did, without what only looks at its record."""
     what = _meta(recording, "script")
     name = what.get("name") if isinstance(what, dict) else what
     models = _models(recording)
 
-    def then_track(session: experiment.Session) -> None:
+    def then_track(session: Session) -> None:
         if models:
             experiment.track(session, models)
 
-    def tests(session: experiment.Session) -> None:
+    def tests(session: Session) -> None:
         experiment.drive_tests(session)
         then_track(session)
 
-    def check(session: experiment.Session) -> None:
+    def check(session: Session) -> None:
         experiment.drive_check(session)
         then_track(session)
 
-    def by_hand(session: experiment.Session) -> None:
+    def by_hand(session: Session) -> None:
         experiment.drive_by_hand(session, what["u_V"], what["duration_s"])
 
     scripts = {"run": tests, "relay": tests, "breakaway": check, "track": check, "jog": by_hand}

@@ -15,8 +15,8 @@ from rich.table import Table
 
 if TYPE_CHECKING:  # each loads slowly
     from rig.doctor.finding import Finding
-    from rig.experiment import Outcome
     from rig.replay import Replay
+    from rig.session import Outcome
 
 
 @contextmanager

@@ -28,6 +28,7 @@ from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
 from rig.recording.reader import read_run
 from rig.replay import replay
+from rig.session import Outcome
 
 ROOT = Path(__file__).resolve().parent.parent
 GOLDEN = ROOT / "tests/golden"
@@ -36,11 +37,11 @@ KEPT = ("config.yaml", "events.jsonl", "meta.json", "samples.csv")
 _OF_THIS_MACHINE = ("started_utc", "versions", "host", "command", "real_time")
 
 
-def _jog(e: config.Experiment, parent: Path) -> experiment.Outcome:
+def _jog(e: config.Experiment, parent: Path) -> Outcome:
     return experiment.jog(e, 1.5, 0.2, parent)
 
 
-def _halted(e: config.Experiment, parent: Path) -> experiment.Outcome:
+def _halted(e: config.Experiment, parent: Path) -> Outcome:
     """Halted twice for longer than a period, so that ticks are skipped."""
     halt = f"kill -STOP {os.getpid()}; sleep 0.03; kill -CONT {os.getpid()}"
     script = f"sleep 9; {halt}; sleep 3; {halt}"
@@ -58,7 +59,7 @@ class Golden:
 
     base: str
     changes: dict[str, Any]
-    run: Callable[[config.Experiment, Path], experiment.Outcome] = experiment.run
+    run: Callable[[config.Experiment, Path], Outcome] = experiment.run
     is_virtual: bool = True
 
 

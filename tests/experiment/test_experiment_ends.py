@@ -13,6 +13,7 @@ import yaml
 from click.testing import CliRunner, Result
 
 from rig import experiment as script
+from rig import session
 from rig.cli import main
 from rig.control.law import Constant
 from rig.faults import Fault
@@ -98,7 +99,7 @@ def test_a_report_that_cannot_be_written_costs_the_report_and_no_more(
     def full(folder, identification) -> None:  # type: ignore[no-untyped-def]
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(script, "write_report", full)
+    monkeypatch.setattr(session, "write_report", full)
     result = rig("relay", quick(tmp_path), "--out", tmp_path / "runs", "--json")
     assert result.exit_code == 1
     assert json.loads(result.stdout)["estimates"]["sampled-data"]["verdict"] in ("ok", "doubtful")

@@ -15,6 +15,7 @@ from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, L
 from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, VirtualHost, armed_host
 
 import rig.experiment
+import rig.session
 from rig.bench import Bench, calibration_of, drive_map_of
 from rig.config import load
 from rig.config.schema import Experiment, Gains, Relay
@@ -454,7 +455,7 @@ def virtual_bench(experiment: Experiment) -> Iterator[Bench]:
 
 @pytest.mark.parametrize("where", ["host", "device"])
 def test_the_experiment_runs_either_way_by_one_key(where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rig.experiment, "connect", virtual_bench)
+    monkeypatch.setattr(rig.session, "connect", virtual_bench)
     experiment = load(Path(__file__).parents[2] / "config" / "device-relay.yaml")
     relay = Relay(where=where, gains=(Gains(h1_V=0.4, h2_V=0.85),), cycles=5)  # type: ignore[arg-type]
     outcome = rig.experiment.run_relay(experiment.model_copy(update={"relay": relay}), tmp_path)

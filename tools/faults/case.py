@@ -24,6 +24,7 @@ import yaml
 from click.testing import CliRunner
 
 import rig.bench
+import rig.session
 from faults.backends import Backend
 from faults.bounds import Times
 from faults.fork import fork
@@ -110,7 +111,7 @@ def patched(stand: Stand, backend: Backend) -> Iterator[None]:
     """Rig connects to the stand instead of a new device; no figures are drawn."""
     with (
         patch.object(rig.bench, backend.place, lambda experiment: stand),
-        patch.object(script, "write_report", lambda *_: None),
+        patch.object(rig.session, "write_report", lambda *_: None),
     ):
         yield
 

@@ -7,7 +7,7 @@ import sys
 from unittest.mock import patch
 
 import rig.bench
-from rig import experiment as script
+import rig.session
 from rig.cli import main
 from rig.daq.serial_link import PySerialTransport
 
@@ -22,7 +22,8 @@ def run(log: str, arguments: list[str]) -> None:
             os.write(descriptor, data)
             return data
 
-    with patch.object(rig.bench, "PySerialTransport", Logged), patch.object(script, "write_report", lambda *_: None):
+    no_report = patch.object(rig.session, "write_report", lambda *_: None)
+    with patch.object(rig.bench, "PySerialTransport", Logged), no_report:
         main(arguments)
 
 
