@@ -25,6 +25,7 @@ from rig.daq.driver import Clock, DeviceInfo, Driver, DriverSettings, RelayDrive
 from rig.daq.serial_link import PySerialTransport, SerialDriver
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.daq.tcp_link import TcpTransport
+from rig.emulate.board_process import BoardProcess
 from rig.emulate.chip_board import ChipBoard
 from rig.emulate.host_board import HostBoard
 from rig.emulate.modbus_board import ModbusBoard
@@ -200,13 +201,13 @@ def unopened(experiment: Experiment) -> Iterator[Unopened]:
         if daq.port == "emulated":
             if truth is None:
                 raise ValueError("port `emulated` needs the section `emulated`")
-            with emulated_board(experiment) as port:
-                yield from _serial(experiment, port, truth)
+            with emulated_board(experiment) as board:
+                yield from _serial(experiment, board.port, truth)
         elif daq.port == "emulated-chip-realtime":
             if truth is None:
                 raise ValueError("port `emulated-chip-realtime` needs the section `emulated`")
-            with emulated_board(experiment) as port:
-                yield from _serial(experiment, port, truth, emulated=True)
+            with emulated_board(experiment) as board:
+                yield from _serial(experiment, board.port, truth, emulated=True)
         elif daq.port == "emulated-chip":
             if truth is None:
                 raise ValueError("port `emulated-chip` needs the section `emulated`")
@@ -229,8 +230,8 @@ def unopened(experiment: Experiment) -> Iterator[Unopened]:
 @contextmanager
 def emulated_board(
     experiment: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
-) -> Iterator[str]:
-    """The emulated device of the config, running in real time for the block; yields its port as daq.port takes it.
+) -> Iterator[BoardProcess]:
+    """The emulated device of the config, running in real time for the block; its ``port`` is as daq.port takes it.
 
     chip  the Uno's firmware on its emulated chip, as where the config's port asks for that; else the firmware's core
           on this machine. Driver modbus: the I/O block, on TCP where the config's port is that of TCP; then there is
@@ -241,7 +242,7 @@ def emulated_board(
         raise ValueError("the config has no section `emulated`")
     if experiment.daq.modbus is not None:
         with ModbusBoard() as io_block:
-            yield io_block.start(
+            io_block.start(
                 experiment.daq.modbus.model_dump(),
                 experiment.emulated.model_dump(),
                 experiment.seed,
@@ -251,15 +252,18 @@ def emulated_board(
                 tcp_port=_tcp_port(experiment.daq.port),
                 polarity=_register_polarity(experiment),
             )
+            yield io_block
         return
     tachometer = None if experiment.tachometer is None else experiment.tachometer.model_dump()
     emulated, seed = experiment.emulated.model_dump(), experiment.seed
     if chip or experiment.daq.port in CHIP_PORTS:
         with ChipBoard() as uno:
-            yield uno.start(emulated, seed, link, trace, tachometer, experiment.daq.baud)
+            uno.start(emulated, seed, link, trace, tachometer, experiment.daq.baud)
+            yield uno
     else:
         with HostBoard() as board:
-            yield board.start(emulated, seed, link, trace, tachometer)
+            board.start(emulated, seed, link, trace, tachometer)
+            yield board
 
 
 def _modbus(experiment: Experiment, truth: BenchParameters | None) -> Iterator[Unopened]:
@@ -270,9 +274,9 @@ def _modbus(experiment: Experiment, truth: BenchParameters | None) -> Iterator[U
         block = emulated_io_block(experiment)
         yield Unopened(modbus_driver(experiment, block, port, emulated=True), block, truth)
     elif port in MODBUS_EMULATED_PORTS:
-        with emulated_board(experiment) as served:
-            transport = _modbus_transport(experiment, served)
-            driver = modbus_driver(experiment, transport, f"modbus:{served}", emulated=True)
+        with emulated_board(experiment) as board:
+            transport = _modbus_transport(experiment, board.port)
+            driver = modbus_driver(experiment, transport, f"modbus:{board.port}", emulated=True)
             yield Unopened(driver, _clock_of(experiment), truth)
     else:
         driver = modbus_driver(experiment, _modbus_transport(experiment, port), f"modbus:{port}")

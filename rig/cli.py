@@ -388,7 +388,8 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool
         _fail(EXIT_BAD_INPUT, "--chip is the Uno, which does not speak Modbus", "leave --chip out")
     from rig.loop.stop_request import stop_on_signals
 
-    with stop_on_signals() as stop, _faults(), emulated_board(experiment, link, trace, chip=chip) as port:
+    with stop_on_signals() as stop, _faults(), emulated_board(experiment, link, trace, chip=chip) as board:
+        port = board.port
         click.echo(f"emulated device on {link or port}; set daq.port to it in another terminal. Ctrl-C ends it.")
         if experiment.daq.modbus is not None:
             from rig.emulate.modbus_board import mbpoll_line
@@ -396,6 +397,7 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool
             where = str(link or port)
             click.echo(f"try: {mbpoll_line(experiment.daq.modbus.model_dump(), where, experiment.daq.baud)}")
         while stop.reason is None:
+            board.check()
             time.sleep(0.1)
 
 

@@ -24,6 +24,7 @@ class BoardProcess:
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
+        self.port = ""  # as daq.port takes it, once it is started
 
     def _launch(
         self, program: Path | Sequence[str], options: Mapping[str, str], link: Path | None, trace: Path | None
@@ -57,7 +58,8 @@ class BoardProcess:
         ready = select.select([process.stdout], [], [], _START_S)[0]
         words = process.stdout.readline().split() if ready else []
         if len(words) == 2 and words[0] == "port":
-            return words[1]
+            self.port = words[1]
+            return self.port
         if ready:
             process.wait(_STOP_S)
             why = process.stderr.read().strip() or f"exit status {process.returncode}"
@@ -72,6 +74,15 @@ class BoardProcess:
         if self._process is None:
             raise EmulationError("this emulated board does not run")
         return self._process.pid
+
+    def check(self) -> None:
+        """Raise EmulationError where the process has ended by itself, or runs no more."""
+        process = self._process
+        if process is None:
+            raise EmulationError("this emulated board does not run")
+        if (status := process.poll()) is not None:
+            assert process.stderr is not None
+            raise EmulationError(process.stderr.read().strip() or f"the emulated device ended, exit status {status}")
 
     def stop(self) -> None:
         """End the process (its drive goes to 0, its link is removed). May be called twice."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -124,3 +125,19 @@ def test_ctrl_c_while_starting_is_no_traceback(tmp_path: Path, after_s: float) -
     _, error = process.communicate(timeout=60)
     assert process.returncode != 0
     assert ", in run\n" not in error  # before `run` it is Python that is still starting
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("name", ["demo.yaml", "modbus-tcp.yaml"])
+def test_emulate_ends_where_its_device_does(name: str) -> None:
+    command = [sys.executable, "-m", "rig", "emulate", str(ROOT / "config" / name)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert "emulated device on" in process.stdout.readline()
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text(encoding="ascii").split()
+    for child in children:
+        os.kill(int(child), signal.SIGKILL)
+    _, said = process.communicate(timeout=30.0)
+    assert process.returncode == 1
+    assert "the emulated device ended, exit status -9" in said
+    assert "Traceback" not in said
