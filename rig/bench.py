@@ -22,7 +22,8 @@ from rig.control.guard import GuardSettings
 from rig.daq import registry
 from rig.daq.calibration import Calibration, DriveMap, TachometerScale, polarity
 from rig.daq.driver import Clock, DeviceInfo, Driver, DriverSettings, RelayDriver, Transport
-from rig.daq.serial_link import PySerialTransport, SerialDriver
+from rig.daq.serial_link import SerialDriver
+from rig.daq.serial_port import SerialPort
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.daq.tcp_link import TcpTransport
 from rig.emulate.board_process import BoardProcess
@@ -198,19 +199,10 @@ def unopened(experiment: Experiment) -> Iterator[Unopened]:
         )
         yield Unopened(driver, clock, truth)
     elif daq.driver == "serial":
-        if daq.port == "emulated":
-            if truth is None:
-                raise ValueError("port `emulated` needs the section `emulated`")
-            with emulated_board(experiment) as board:
-                yield from _serial(experiment, board.port, truth)
-        elif daq.port == "emulated-chip-realtime":
-            if truth is None:
-                raise ValueError("port `emulated-chip-realtime` needs the section `emulated`")
+        if daq.port in ("emulated", "emulated-chip-realtime"):
             with emulated_board(experiment) as board:
                 yield from _serial(experiment, board.port, truth, emulated=True)
         elif daq.port == "emulated-chip":
-            if truth is None:
-                raise ValueError("port `emulated-chip` needs the section `emulated`")
             chip = emulated_chip(experiment)
             yield Unopened(_driver(experiment, chip, daq.port, emulated=True), chip, truth)
         elif daq.port is not None:
@@ -290,7 +282,7 @@ def _modbus_transport(experiment: Experiment, port: str) -> Transport:
     if daq.modbus is None:
         raise ValueError("the config has no section `daq.modbus`")
     parity, stop_bits = daq.modbus.parity[0].upper(), daq.modbus.stop_bits
-    return PySerialTransport(port, daq.baud, parity, stop_bits)
+    return SerialPort(port, daq.baud, parity, stop_bits)
 
 
 def modbus_driver(
@@ -380,7 +372,7 @@ def emulated_chip(experiment: Experiment) -> VirtualChip:
 def _serial(
     experiment: Experiment, port: str, truth: BenchParameters | None, *, emulated: bool = False
 ) -> Iterator[Unopened]:
-    transport = PySerialTransport(port, experiment.daq.baud)
+    transport = SerialPort(port, experiment.daq.baud)
     yield Unopened(_driver(experiment, transport, f"serial:{port}", emulated=emulated), _clock_of(experiment), truth)
 
 

@@ -18,7 +18,8 @@ from typing import NamedTuple
 from serial.tools import list_ports
 
 from rig.daq.frames import BOARDS, FrameReader, Hello
-from rig.daq.serial_link import PySerialTransport, await_introduction
+from rig.daq.serial_link import await_introduction
+from rig.daq.serial_port import SerialPort
 from rig.faults import Fault
 
 # The chip between USB and the Uno's serial port; those of the Uno itself are in the Arduino IDE's boards.txt.
@@ -203,7 +204,7 @@ def meet(port: str, baud: int, timeout_s: float = ANSWER_S) -> Hello:
     Raises FlashError where it does not, Fault LINK_* where the port fails or another protocol is spoken.
     """
     reader = FrameReader()
-    with contextlib.closing(PySerialTransport(port, baud)) as transport:
+    with contextlib.closing(SerialPort(port, baud)) as transport:
         try:
             return await_introduction(transport, reader, timeout_s).hello
         except Fault as fault:

@@ -1,21 +1,15 @@
 """A device behind a serial port: frames, arming, and device time mapped to the host's.
 
-``SerialDriver`` takes its port, and with it its clock, as a ``Transport``: pyserial for a board or an
+``SerialDriver`` takes its port, and with it its clock, as a ``Transport``: ``rig.daq.serial_port`` for a board or an
 emulated device behind a pseudo-terminal, or a virtual board in virtual time.
 """
 
 from __future__ import annotations
 
-import errno
 import math
-import os
-import select
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
-
-import serial
 
 from rig.daq import frames
 from rig.daq.calibration import Calibration, DriveMap, TachometerScale, hard_limits_in_counts, polarity
@@ -32,7 +26,6 @@ _SYNCHRONISE_S = 1.0
 _PAUSE_S = 0.002  # between two of the exchanges that measure the clock
 _ATTEMPTS = 3  # of a request outside the loop
 _LOST_DRIVES = 3  # in a row: the drive that acts is no longer the host's
-_READ_BYTES = 512
 _LEAST_FULL_UNITS = 50  # coarser, and no drive is near what was asked for
 _STALE_READS = 64  # more than any port keeps
 _SUPPLY_TOLERANCE = 0.15  # of the divider in front of the converter, and of a loaded supply
@@ -54,67 +47,6 @@ _FAULT_OF_CODE: dict[int, str] = {
     Code.E_STOP: "DEVICE_ESTOP",
     Code.END_SWITCH: "DEVICE_END_SWITCH",
 }
-
-
-class PySerialTransport:
-    """A serial port of this machine, or a pseudo-terminal; held exclusively.
-
-    parity       N, E or O
-    low_latency  whether the port's driver took the request not to batch what arrives; pseudo-terminals
-                 and some USB chips have no such mode
-    Raises Fault LINK_OPEN if the port cannot be opened.
-    """
-
-    def __init__(self, port: str, baud: int = 115200, parity: str = "N", stop_bits: int = 1) -> None:
-        try:
-            self._serial = serial.Serial(port, baud, parity=parity, stopbits=stop_bits, timeout=0, exclusive=True)
-        except (OSError, ValueError) as error:  # SerialException is an OSError; ValueError: impossible baud
-            raise Fault("LINK_OPEN", f"{port}: {_why_not_open(error)}") from error
-        self._port = port
-        self._fd: int = self._serial.fileno()
-        try:
-            self._serial.set_low_latency_mode(True)
-            self.low_latency = True
-        except (ValueError, NotImplementedError):
-            self.low_latency = False
-
-    def write(self, data: bytes) -> None:
-        """Send all of ``data``; LINK_LOST if the port is dead or takes no more."""
-        try:
-            sent = os.write(self._fd, data)
-        except OSError as error:
-            raise Fault("LINK_LOST", f"{self._port}: {error.strerror}") from error
-        if sent != len(data):
-            raise Fault("LINK_LOST", f"{self._port} takes no more bytes: the device does not read")
-
-    def read(self, timeout_s: float) -> bytes:
-        """What has arrived, at least one byte, or b"" after ``timeout_s``; LINK_LOST if the port is dead."""
-        try:
-            if not select.select([self._fd], [], [], timeout_s)[0]:
-                return b""
-            data = os.read(self._fd, _READ_BYTES)
-        except (OSError, ValueError) as error:  # ValueError: select on a closed port
-            raise Fault("LINK_LOST", f"{self._port}: {error}") from error
-        if not data:
-            raise Fault("LINK_LOST", f"{self._port} hung up")
-        return data
-
-    def now_s(self) -> float:
-        """CLOCK_MONOTONIC, s."""
-        return time.monotonic()
-
-    def close(self) -> None:
-        """Give the port back. May be called twice."""
-        self._fd = -1  # the number may soon be another file's
-        self._serial.close()
-
-
-def _why_not_open(error: OSError | ValueError) -> str:
-    """In a few words; pyserial's own name port and cause twice."""
-    number = error.errno if isinstance(error, OSError) else None
-    if number == errno.EWOULDBLOCK:
-        return "another program holds it"
-    return str(error) if number is None else os.strerror(number)
 
 
 class Introduction(NamedTuple):
@@ -630,34 +562,6 @@ class SerialDriver:
             elif state.fault == Code.DRIVE_RANGE:
                 detail += f", largest drive {setup.max_drive} units"
         return Fault(_FAULT_OF_CODE.get(state.fault, "LINK_REJECTED"), detail)
-
-
-def open_serial(
-    port: str,
-    calibration: Calibration,
-    drive_map: DriveMap,
-    rail_counts: tuple[int, int],
-    *,
-    baud: int = 115200,
-    timeout_s: float = 0.03,
-    open_timeout_s: float = 5.0,
-    tachometer: TachometerScale | None = None,
-    counts_max: int | None = None,
-    emulated: bool = False,
-) -> SerialDriver:
-    """A driver on a port of this machine, not yet opened as a device (``open`` does). Raises Fault LINK_OPEN."""
-    return SerialDriver(
-        PySerialTransport(port, baud),
-        calibration,
-        drive_map,
-        rail_counts,
-        timeout_s,
-        open_timeout_s,
-        tachometer,
-        counts_max=counts_max,
-        name=f"serial:{port}",
-        emulated=emulated,
-    )
 
 
 def _refusal(packet: Packet) -> Fault:

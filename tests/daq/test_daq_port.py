@@ -7,8 +7,7 @@ import tty
 
 import pytest
 
-from rig.daq.calibration import Calibration, DriveMap
-from rig.daq.serial_link import PySerialTransport, open_serial
+from rig.daq.serial_port import SerialPort
 from rig.faults import Fault
 
 
@@ -25,7 +24,7 @@ def terminal():
 
 def test_bytes_both_ways(terminal):
     ends, name = terminal
-    port = PySerialTransport(name)
+    port = SerialPort(name)
     assert port.read(0.0) == b""
     every_byte = bytes(range(256))
     port.write(every_byte)
@@ -42,25 +41,25 @@ def test_bytes_both_ways(terminal):
 
 def test_the_port_is_held_exclusively(terminal):
     _, name = terminal
-    port = PySerialTransport(name)
+    port = SerialPort(name)
     with pytest.raises(Fault) as caught:
-        PySerialTransport(name)
+        SerialPort(name)
     assert caught.value.code == "LINK_OPEN"
     assert caught.value.detail == f"{name}: another program holds it"
     port.close()
-    PySerialTransport(name).close()
+    SerialPort(name).close()
 
 
 def test_a_missing_port():
     with pytest.raises(Fault) as caught:
-        open_serial("/dev/no-such-port", Calibration([(0, 0.0), (1, 1.0)]), DriveMap(supply_V=12.0), (0, 1))
+        SerialPort("/dev/no-such-port")
     assert caught.value.code == "LINK_OPEN"
     assert caught.value.detail == "/dev/no-such-port: No such file or directory"
 
 
 def test_the_cable_is_pulled(terminal):
     ends, name = terminal
-    port = PySerialTransport(name)
+    port = SerialPort(name)
     os.close(ends.pop("ours"))
     for dead in (lambda: port.read(5.0), lambda: port.write(b"x")):
         with pytest.raises(Fault) as caught:
@@ -72,7 +71,7 @@ def test_the_cable_is_pulled(terminal):
 def test_a_closed_port_is_dead_not_another_file(terminal, tmp_path):
     """Files opened later get its number; nothing may be written to them."""
     _, name = terminal
-    port = PySerialTransport(name)
+    port = SerialPort(name)
     port.close()
     port.close()
     with contextlib.ExitStack() as stack:

@@ -40,7 +40,7 @@ def test_two_packages_with_one_name(monkeypatch):
     ("value", "why"),
     [
         ("rig.daq.device_clock:DeviceClock", "lacks open, arm, read, write, safe_stop, close"),
-        ("rig.daq.serial_link:open_serial", "is not a class"),
+        ("rig.daq.serial_link:setup_for", "is not a class"),
         ("rig.daq.serial_link:SerialDriver", r"must be constructed as SerialDriver\(settings\)"),
         ("plug_in_cards:WriteTakesNothing", "write must take 1 argument"),
         ("plug_in_cards:ReadTakesMore", "read must take no arguments"),

@@ -23,7 +23,7 @@ from serial.tools.list_ports_common import ListPortInfo
 from rig import flash
 from rig.cli import main
 from rig.daq.frames import FrameReader, Hello, Kind, encode
-from rig.daq.serial_link import PySerialTransport
+from rig.daq.serial_port import SerialPort
 from rig.emulate.firmware_build import source_folder
 from rig.flash import FlashError, Port
 
@@ -212,7 +212,7 @@ def test_what_avrdudes_words_mean(said: str, cause: str) -> None:
 
 
 def test_a_port_that_another_rig_holds_is_not_touched(avrdude: Path) -> None:
-    with board() as port, contextlib.closing(PySerialTransport(port)):
+    with board() as port, contextlib.closing(SerialPort(port)):
         result = rig_flash("--port", port)
     assert result.exit_code == 1
     assert result.stderr.splitlines()[0] == f"rig: {port} is held by another program"

@@ -17,7 +17,8 @@ import yaml
 from rig.bench import calibration_of, drive_map_of, limits_of
 from rig.config import check
 from rig.config.schema import Experiment
-from rig.daq.serial_link import PySerialTransport, SerialDriver
+from rig.daq.serial_link import SerialDriver
+from rig.daq.serial_port import SerialPort
 from rig.emulate.chip_board import ChipBoard
 from rig.emulate.firmware_build import EmulationError
 
@@ -40,7 +41,7 @@ def rows(trace: Path) -> list[dict[str, float]]:
 
 def drive_until_it_moves(port: str, experiment: Experiment) -> float:
     """Through the driver that a run uses; how far it says that the shaft has moved, rad."""
-    transport = PySerialTransport(port)
+    transport = SerialPort(port)
     rails = experiment.sensor.rail_counts
     # a shared machine may hold a process up for long
     driver = SerialDriver(

@@ -8,7 +8,8 @@ import pytest
 
 from rig.config.schema import Emulated
 from rig.daq.calibration import Calibration, DriveMap
-from rig.daq.serial_link import open_serial
+from rig.daq.serial_link import SerialDriver
+from rig.daq.serial_port import SerialPort
 from rig.emulate.host_board import HostBoard
 from rig.faults import Fault
 from rig.signals import Limits
@@ -24,7 +25,8 @@ LIMITS = Limits(soft_rad=(-1.1, 1.1), hard_rad=(-1.9, 1.9), max_u_V=3.0, watchdo
 
 def connect(port):
     # a shared machine may hold a process up for long
-    return open_serial(port, CALIBRATION, DriveMap(supply_V=12.0), (5, 1018), timeout_s=2.0, counts_max=1023)
+    transport, drive_map = SerialPort(port), DriveMap(supply_V=12.0)
+    return SerialDriver(transport, CALIBRATION, drive_map, (5, 1018), 2.0, counts_max=1023, name=f"serial:{port}")
 
 
 def test_a_run_and_another_on_the_same_port():

@@ -16,7 +16,7 @@ import pytest
 
 from rig.config.schema import Emulated, EmulatedMotor
 from rig.daq.frames import FrameReader, Hello, Kind, Packet, Setup, encode
-from rig.daq.serial_link import PySerialTransport
+from rig.daq.serial_port import SerialPort
 from rig.emulate.firmware_build import EmulationError
 from rig.emulate.host_board import HostBoard
 
@@ -30,8 +30,8 @@ PATIENCE_S = 60.0
 HOST = """
 import sys, time
 from rig.daq.frames import Kind, Setup, encode, pack_drive
-from rig.daq.serial_link import PySerialTransport
-port = PySerialTransport(sys.argv[1])
+from rig.daq.serial_port import SerialPort
+port = SerialPort(sys.argv[1])
 port.write(encode(Kind.SETUP, 1, Setup(*{setup}).pack()) + encode(Kind.ARM, 2))
 for k in range(10**6):
     port.write(encode(Kind.DRIVE, 3, pack_drive(100)))
@@ -68,7 +68,7 @@ def wait_until(true: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
-def ask(port: PySerialTransport, kind: Kind) -> Packet:
+def ask(port: SerialPort, kind: Kind) -> Packet:
     reader = FrameReader()
     until_s = time.monotonic() + PATIENCE_S
     while time.monotonic() < until_s:
@@ -110,7 +110,7 @@ def test_a_killed_host_leaves_0_V_and_a_board_that_still_answers(tmp_path: Path)
         assert end["fault"] == 5.0  # the watchdog, and nothing else
 
         for _ in range(3):  # open and close as often as one likes
-            port = PySerialTransport(str(link))
+            port = SerialPort(str(link))
             hello = Hello.unpack(ask(port, Kind.HELLO).body)
             assert hello.board == 1 and hello.drive_full == 799
             port.close()
@@ -143,7 +143,7 @@ def test_a_killed_parent_takes_its_board_with_it(tmp_path: Path) -> None:
 def test_a_signal_ends_it_with_0_V_in_the_trace(tmp_path: Path, number: signal.Signals) -> None:
     trace, link = tmp_path / "trace.csv", tmp_path / "port"
     board = HostBoard()
-    port = PySerialTransport(board.start(EMULATED, 1, link=link, trace=trace))
+    port = SerialPort(board.start(EMULATED, 1, link=link, trace=trace))
     port.write(encode(Kind.SETUP, 1, SETUP.pack()) + encode(Kind.ARM, 2))
     port.write(encode(Kind.DRIVE, 3, b"\x64\x00"))
     wait_until(lambda: any(row["drive_V"] > 0.0 for row in rows(trace)))

@@ -9,21 +9,21 @@ from unittest.mock import patch
 import rig.bench
 import rig.session
 from rig.cli import main
-from rig.daq.serial_link import PySerialTransport
+from rig.daq.serial_port import SerialPort
 
 
 def run(log: str, arguments: list[str]) -> None:
     """Run the command; what the host has received is in the file before the host looks at it."""
     descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
 
-    class Logged(PySerialTransport):
+    class Logged(SerialPort):
         def read(self, timeout_s: float) -> bytes:
             data = super().read(timeout_s)
             os.write(descriptor, data)
             return data
 
     no_report = patch.object(rig.session, "write_report", lambda *_: None)
-    with patch.object(rig.bench, "PySerialTransport", Logged), no_report:
+    with patch.object(rig.bench, "SerialPort", Logged), no_report:
         main(arguments)
 
 

@@ -50,13 +50,6 @@ class Found:
         """Largest magnitude of an eigenvalue of J1, J2, J3 alone."""
         return tuple(float(np.abs(np.linalg.eigvals(J)).max()) for J in self.cycle.stage_jacobians())  # type: ignore[return-value]
 
-    @property
-    def solver_error(self) -> float:
-        """Largest difference to the ODE solver: of the durations over T, and of y(t1) over itself."""
-        exact, peer = np.array(self.cycle.durations_s), np.array(self.solver.durations_s)
-        position = abs(self.solver.y_ra_rad / self.cycle.states[1, 1] - 1.0)
-        return float(max(np.abs(exact - peer).max() / self.cycle.period_s, position))
-
 
 @dataclass(frozen=True)
 class Transient:
