@@ -101,6 +101,11 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None) 
     fault, is_whole = _ending(recording)
     if recording.config_text is None:
         raise RecordingError(folder / CONFIG, "is missing", "a run cannot be replayed without its config")
+    for name, kept in ((META, "how it was run"), (EVENTS, "how it ended")):
+        if not (folder / name).exists():
+            raise RecordingError(
+                folder / name, "is missing", f"a run cannot be replayed without {kept}; copy the whole folder"
+            )
     e = config.load(folder / CONFIG)
     script = _script(recording)
 

@@ -104,7 +104,13 @@ class ControlRegister(Section):
 
     address: Address = Field(description="holding register")
     arm: Word = Field(1, description="what is written to arm it")
-    stop: Word = Field(0, description="what is written to stop and disarm it")
+    stop: Word = Field(0, description="what is written to stop and disarm it; another than `arm`")
+
+    @model_validator(mode="after")
+    def _two_values(self) -> Self:
+        if self.arm == self.stop:
+            raise ValueError(f"`arm` and `stop` are both {self.arm}: what stops the device would arm it")
+        return self
 
 
 class WatchdogRegister(Section):

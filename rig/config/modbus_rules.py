@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from itertools import combinations
 
@@ -23,6 +24,7 @@ from rig.config.schema import Experiment
 _MOST_READ = 125  # registers of one reply
 _REGISTERS = 65536
 _SLACK = 1e-9
+_HOST = re.compile(r"\d{1,3}(\.\d{1,3}){3}(:\d+)?")  # as one writes it without tcp://
 
 
 def modbus_rules(e: Experiment) -> Iterator[Problem]:
@@ -60,6 +62,8 @@ def _port(e: Experiment) -> Iterator[Problem]:
             tcp_address(port)
         except ValueError as error:
             yield wrong("daq.port", str(error))
+    elif _HOST.fullmatch(port):
+        yield wrong("daq.port", f"{port} is an address, not a serial port", f"tcp://{port}")
 
 
 def _map(m: Modbus) -> Iterator[Problem]:
@@ -80,13 +84,13 @@ def _map(m: Modbus) -> Iterator[Problem]:
             f"{written[0].address + written[0].words}, or {written[0].address - 1}",
         )
     first, count = span_of(read)
-    if count > _MOST_READ:
+    if reads_too_far_apart(m):
         farthest = max(read, key=lambda span: abs(span.address - read[0].address))
         yield _register(
             farthest.key,
             f"what a tick reads spans {count} registers, {first} to {first + count - 1}; one request "
             f"takes {_MOST_READ}",
-            "move them together, or leave it out",
+            _as_in_a_manual(read) or "move them together, or leave it out",
         )
     if m.requests == "read-write" and r.position.table == "input":
         yield _register(
@@ -94,10 +98,25 @@ def _map(m: Modbus) -> Iterator[Problem]:
         )
 
 
+def reads_too_far_apart(m: Modbus) -> bool:
+    """Whether what a tick reads is more than one reply holds."""
+    return span_of(read_in_a_tick(m.registers))[1] > _MOST_READ
+
+
 def _apart(spans: Iterable[Span]) -> Iterator[Problem]:
     for a, b in combinations(spans, 2):
         if a.address < b.address + b.words and b.address < a.address + a.words:
-            yield _register(b.key, f"{_registers(b)} lies in the place of {a.key}, {_registers(a)}")
+            lie = "lies" if b.words == 1 else "lie"
+            yield _register(b.key, f"{_registers(b)} {lie} in the place of {a.key}, {_registers(a)}")
+
+
+def _as_in_a_manual(spans: Iterable[Span]) -> str:
+    """What to write instead, where an address is one of a manual, 4xxxx or 3xxxx: from 1, with the table."""
+    for span in spans:
+        for first, table in ((40001, "holding"), (30001, "input")):
+            if first <= span.address < first + 9999:
+                return f"addresses count from 0: {span.address} in a manual is {table} register {span.address - first}"
+    return ""
 
 
 def _times(e: Experiment, m: Modbus) -> Iterator[Problem]:

@@ -13,7 +13,7 @@ from difflib import get_close_matches
 from rig.config.backend import CHIP_BAUDS, CHIP_PORTS, EMULATED_PORTS, is_plug_in
 from rig.config.link_budget import BAUD_RATES, LINK_SHARE, block_share, block_sum, link_budget, link_sum
 from rig.config.modbus import is_tcp
-from rig.config.modbus_rules import modbus_rules
+from rig.config.modbus_rules import modbus_rules, reads_too_far_apart
 from rig.config.plan import plan
 from rig.config.problems import Path, Problem, bracketed, printable, wrong
 from rig.config.room_to_stop import (
@@ -93,6 +93,8 @@ def _fits(e: Experiment, baud: int) -> bool:
 def _link_budget(e: Experiment) -> Iterator[Problem]:
     if not link_budget(e).terms or _fits(e, e.daq.baud):
         return
+    if e.daq.modbus is not None and reads_too_far_apart(e.daq.modbus):
+        return  # refused by its register: no such request can be made, so its time says nothing
     fitting = [] if is_tcp(e.daq.port) else [baud for baud in BAUD_RATES if _fits(e, baud)]
     way_out = f"daq.baud {fitting[0]} fits, or " if fitting else ""
     period_s = link_budget(e).total_s / LINK_SHARE

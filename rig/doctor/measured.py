@@ -5,15 +5,16 @@ Nothing is armed and nothing moves.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from rig.config.link_budget import LINK_SHARE
 from rig.doctor.finding import Finding
 
-TIGHT = 0.8  # share of the period that a tick may take: what the link budget grants the exchange, too
 _SLOWER, _MACHINES_S = 1.2, 0.5e-3  # than the sum by this factor and this time: so much is the machines' own
 _LATE_SHARE = 0.1  # of the period: wake-ups later than that show in the record
 
@@ -103,13 +104,18 @@ def verdict(ticks: Ticks, unmeasured_s: float = 0.0) -> Finding:
     words = f"the longest of {len(ticks.late_s)} ticks took {ticks.longest_s * 1e3:.2f} ms of {period_ms:g} ms"
     if unmeasured_s > 0.0:
         words += f", and a tick that drives takes {unmeasured_s * 1e3:.2f} ms more by its sum"
-    if worst_s <= TIGHT * ticks.period_s and not ticks.skipped:
+    if worst_s <= LINK_SHARE * ticks.period_s and not ticks.skipped:
         return Finding("period", "good", f"held: {words}, margin {margin:.0%}")
-    longer_s = worst_s / TIGHT
-    cure = f"period_s: {float(f'{longer_s * 1.05:.1g}'):g} or longer would leave room, or mend what is named above"
+    cure = f"period_s: {_rounded_up(worst_s / LINK_SHARE):g} or longer would leave room, or mend what is named above"
     if worst_s <= ticks.period_s and not ticks.skipped:
         return Finding("period", "poor", f"held, but tight: {words}, margin {margin:.0%}", cure)
     return Finding("period", "bad", f"NOT held: {words}, {ticks.skipped} skipped", cure)
+
+
+def _rounded_up(value: float) -> float:
+    """To two digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return math.ceil(round(value / unit, 6)) * unit
 
 
 def _quantiles(values_s: Sequence[float]) -> str:

@@ -59,6 +59,26 @@ def test_the_examples_pass() -> None:
         ({"drive": {"address": 0, "type": "int32", "full": 10000}}, {}, "sequence.address", "in the place of drive"),
         ({"status": {"address": 16}}, {}, "status.address", "register 16 lies in the place of position"),
         ({"limits": {"low": 9, "high": 11}}, {}, "limits.low", "register 9 lies in the place of watchdog.address"),
+        (
+            {
+                "limits": {"low": 2, "high": 9},
+                "drive": {"address": 1, "type": "int32", "full": 10000},
+                "sequence": {"address": 0, "echo": 17},
+            },
+            {},
+            "limits.low",
+            "register 2 lies in the place of drive.address, registers 1 and 2",
+        ),
+        (
+            {
+                "max_drive": {"address": 10},
+                "drive": {"address": 1, "type": "int32", "full": 10000},
+                "sequence": {"address": 0, "echo": 17},
+            },
+            {},
+            "max_drive.address",
+            "registers 10 and 11 lie in the place of limits.high",
+        ),
         ({"status": {"address": 150}}, {}, "status.address", "spans 135 registers, 16 to 150; one request takes 125"),
         ({"position": {"address": 65535, "type": "float32"}}, {}, "position.address", "go beyond the last, 65535"),
         ({"position": {"address": 16, "table": "input"}}, {}, "position.table", "FC23 reads holding registers only"),
@@ -68,6 +88,19 @@ def test_registers_that_cannot_be_asked_together(
     registers: dict[str, Any], modbus: dict[str, Any], key: str, words: str
 ) -> None:
     assert words in problems(example(registers, **modbus))[SECTION + key]
+
+
+def test_an_address_of_a_manual_is_told_apart() -> None:
+    found = {".".join(map(str, p.path)): p.hint for p in preflight(example({"position": {"address": 40017}})).problems}
+    assert "40017 in a manual is holding register 16" in found[SECTION + "sequence.echo"]
+    assert "daq.baud" not in found  # the time of a request that cannot be made says nothing
+    found = {".".join(map(str, p.path)): p.hint for p in preflight(example({"position": {"address": 30001}})).problems}
+    assert "30001 in a manual is input register 0" in found[SECTION + "sequence.echo"]
+
+
+def test_what_stops_the_device_is_not_what_arms_it() -> None:
+    with pytest.raises(ValidationError, match="`arm` and `stop` are both 1"):
+        example({"control": {"address": 8, "arm": 1, "stop": 1}})
 
 
 def test_the_input_table_is_another_place() -> None:
@@ -86,6 +119,8 @@ def test_the_input_table_is_another_place() -> None:
         ({"port": "udp://10.0.0.1"}, "daq.port", "is no address"),
         ({"port": "tcp//10.0.0.1"}, "daq.port", "write tcp://192.168.0.5"),
         ({"port": "tcp://10.0.0.1:99999"}, "daq.port", "out of range"),
+        ({"port": "192.168.0.5"}, "daq.port", "an address, not a serial port"),
+        ({"port": "192.168.0.5:1502"}, "daq.port", "an address, not a serial port"),
         ({"modbus": None}, "daq.modbus", "needs this section"),
         ({"driver": "serial"}, "daq.modbus", "is of `driver: modbus`"),
     ],

@@ -41,7 +41,7 @@ def test_an_exchange_longer_than_the_period_is_not_held_and_a_period_that_fits_i
     found = measured.verdict(ticks)
     assert found.state == "bad"
     assert "20 skipped" in found.words
-    assert found.cure.startswith("period_s: 0.03 ")
+    assert found.cure.startswith("period_s: 0.032 ")
 
 
 def test_what_a_run_does_besides_reading_counts_for_the_period() -> None:
@@ -61,6 +61,7 @@ def test_tight_is_said_before_it_breaks() -> None:
     found = measured.verdict(ticks)
     assert found.state == "poor"
     assert "margin 10%" in found.words
+    assert found.cure.startswith("period_s: 0.012 "), "longer than the one that is tight"
 
 
 def test_the_measured_round_trip_stands_beside_the_sum() -> None:

@@ -149,6 +149,12 @@ def test_what_is_no_run_of_ours_is_bad_input(tmp_path: Path) -> None:
     assert rig("replay", tmp_path / "nowhere").exit_code == 2
     run = RunCopy(GOLDEN / "simulated-jog", tmp_path / "run")
     run.write()
+    for name in ("meta.json", "events.jsonl"):
+        kept = (run.folder / name).read_bytes()
+        (run.folder / name).unlink()
+        with pytest.raises(RecordingError, match="is missing"):
+            replay(run.folder)
+        (run.folder / name).write_bytes(kept)
     (run.folder / "config.yaml").write_text("name: [", encoding="utf-8")
     assert rig("replay", run.folder).exit_code == 2
     (run.folder / "config.yaml").unlink()
