@@ -23,6 +23,7 @@ from typing import Any, ClassVar, NamedTuple
 from rig import config
 from rig.bench import Unopened, calibration_of, drive_map_of, driver_settings_of, limits_of, plug_in_preflight, unopened
 from rig.config.backend import is_plug_in
+from rig.config.link_budget import LINK_SHARE
 from rig.daq import registry
 from rig.daq.driver import Clock, DeviceInfo, DeviceWatchdog, Driver
 from rig.faults import Fault
@@ -30,7 +31,6 @@ from rig.signals import Limits, Sample
 
 TEST_SHARE = 0.1  # of drive.max_V: what is driven unless told otherwise
 _TICKS = 40
-_PERIOD_SHARE = 0.8  # of the period that read and write may take together, as in the link budget
 _TIME_TOLERANCE = 0.1  # of the period: what a fitted device clock may be off
 _SAME_DRIVE_V = 1e-9  # less than a step of any converter
 _SILENCE = 1.5  # times the watchdog's time
@@ -277,9 +277,9 @@ class Suite:
                 took_s.append(self.clock.now_s() - started_s)
         median_s = statistics.median(took_s)
         require(
-            median_s <= _PERIOD_SHARE * period_s,
+            median_s <= LINK_SHARE * period_s,
             f"read() and write() take {median_s * 1e3:.2f} ms; the period is {period_s * 1e3:g} ms, of which they may "
-            f"take {_PERIOD_SHARE:.0%}",
+            f"take {LINK_SHARE:.0%}",
         )
 
     def test_its_failsafe_is_declared(self) -> None:
