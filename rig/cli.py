@@ -94,7 +94,18 @@ def _load(path: Path) -> config.Experiment:
     return experiment
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+class _Commands(click.Group):
+    """A Ctrl-C outside of a run's loop, where nothing is armed, ends in a line of ours."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.echo("rig: interrupted; no drive is on", err=True)
+            ctx.exit(EXIT_FAILED)
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(rig.__version__, prog_name="rig")
 def main() -> None:
     """Identify and control a friction-impeded DC motor by relay feedback."""

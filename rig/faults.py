@@ -28,7 +28,7 @@ FAULTS: dict[str, FaultEntry] = {
     "LINK_TIMEOUT": FaultEntry(
         "no valid reply within the time-out",
         "check supply, cable, baud rate, a Modbus device's unit id and parity, and interference; "
-        "`rig check` prints what the link needs",
+        "`rig check` prints what the link needs; an emulated device shares this machine: try when it is less busy",
     ),
     "LINK_REPLY": FaultEntry(
         "the reply does not fit the request, or is damaged",

@@ -15,13 +15,14 @@ from pathlib import Path
 
 from serial.tools import list_ports
 
-from rig.doctor.finding import Finding
+from rig.doctor.finding import Finding, State
 from rig.loop.real_time import real_time
 
 ROOT = Path("/")
 _FAST_CLOCKS = ("tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter")
 _LATENCY_MS = 1
 _LEAST_FREE_BYTES = 200e6
+_NO_RUN_BYTES = 20e6  # one run with its report takes 4 to 11
 _UDEV_RULE = (
     'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1" '
     "in /etc/udev/rules.d/99-rig.rules keeps it"
@@ -193,7 +194,7 @@ def disk(run_folder: Path) -> Finding:
         return Finding("disk", "bad", f"{folder} may not be written", "choose another folder with --out")
     free = shutil.disk_usage(folder).free
     if free < _LEAST_FREE_BYTES:
-        return Finding(
-            "disk", "poor", f"{free / 1e6:.0f} MB free at {folder}; an hour at 10 ms takes about 45 MB", "make room"
-        )
+        state: State = "bad" if free < _NO_RUN_BYTES else "poor"
+        words = f"{free / 1e6:.0f} MB free at {folder}; an hour at 10 ms takes about 45 MB"
+        return Finding("disk", state, words, "make room, or choose another folder with --out")
     return Finding("disk", "good", f"{free / 1e9:.1f} GB free at {folder}")

@@ -66,7 +66,7 @@ class BoardProcess:
         else:
             why = f"it said nothing for {_START_S:g} s"
         self.stop()
-        raise EmulationError(f"the emulated board did not start: {why}")
+        raise EmulationError(f"the emulated device did not start: {why}")
 
     @property
     def pid(self) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import gc
 import json
 import math
@@ -99,7 +100,13 @@ class _Tcp:
     def __init__(self, slave: TcpSlave, number: int) -> None:
         self._slave = slave
         self._open: dict[int, tuple[socket.socket, Stream]] = {}
-        self._server = socket.create_server((LOOPBACK, number))
+        try:
+            self._server = socket.create_server((LOOPBACK, number))
+        except OSError as error:
+            why = "another program has it" if error.errno == errno.EADDRINUSE else error.strerror
+            raise EmulationError(
+                f"port {number} of this machine: {why}; end what uses it, or give daq.port another"
+            ) from error
         self._server.setblocking(False)
         self.name = f"tcp://{LOOPBACK}:{self._server.getsockname()[1]}"
 

@@ -125,6 +125,16 @@ def test_ctrl_c_while_starting_is_no_traceback(tmp_path: Path, after_s: float) -
     _, error = process.communicate(timeout=60)
     assert process.returncode != 0
     assert ", in run\n" not in error  # before `run` it is Python that is still starting
+    assert "Aborted" not in error
+
+
+def test_ctrl_c_outside_of_the_loop_says_that_nothing_drives(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("rig.config.check", interrupted)
+    result = rig("check", ROOT / "config/demo.yaml")
+    assert (result.exit_code, result.stderr) == (1, "rig: interrupted; no drive is on\n")
 
 
 @pytest.mark.realtime

@@ -85,7 +85,9 @@ def test_a_port_of_another_group_names_the_group(tmp_path: Path, monkeypatch: py
 
 def test_a_full_disk_and_one_that_may_not_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert machine.disk(tmp_path / "runs" / "not-made-yet").state == "good"
-    monkeypatch.setattr(machine.shutil, "disk_usage", lambda _: machine.shutil._ntuple_diskusage(10**9, 10**9, 10**6))
-    assert machine.disk(tmp_path).state == "poor"
+    for free, state in ((10**8, "poor"), (10**6, "bad")):
+        usage = machine.shutil._ntuple_diskusage(10**9, 10**9 - free, free)
+        monkeypatch.setattr(machine.shutil, "disk_usage", lambda _, usage=usage: usage)
+        assert machine.disk(tmp_path).state == state
     monkeypatch.setattr("os.access", lambda *_: False)
     assert machine.disk(tmp_path).state == "bad"
