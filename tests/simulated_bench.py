@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+from rig.control.breakaway import BreakawayCheck
 from rig.control.guard import Guard, GuardSettings
 from rig.daq.calibration import Calibration, DriveMap
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
@@ -84,3 +85,12 @@ def simulated_bench(
     watching, record, stop = Guard(guard), ListRecord(), StopRequest()
     loop = Loop(driver, clock, watching, record, PERIOD_S, stop)
     return SimulatedBench(driver, clock, watching, loop, record, stop)
+
+
+def break_away(loop: Loop) -> BreakawayCheck:
+    """The breakaway check inside ``armed``; the guard knows of it then, as in a run."""
+    check = BreakawayCheck(ramp_V_s=0.4, max_V=1.2, motion_rad=0.02, rest_s=0.4)
+    loop.run(check, "breakaway")
+    loop.guard.sign_proven = True
+    loop.guard.static_V = max(check.plus_V, check.minus_V)
+    return check

@@ -2,6 +2,7 @@
 #include <string.h>
 
 #include "check.h"
+#include "request.h"
 #include "rig_core.h"
 
 #define FULL 799
@@ -84,16 +85,8 @@ static void power_on(void)
 
 static void send_raw(uint8_t version, uint8_t type, const uint8_t *body, uint8_t n)
 {
-    uint8_t content[FRAME_CONTENT_MAX], wire[FRAME_WIRE_MAX];
-    seq++;
-    content[0] = version;
-    content[1] = type;
-    content[2] = (uint8_t)(seq & 0xFF);
-    content[3] = (uint8_t)(seq >> 8);
-    if (n > 0) {
-        memcpy(content + 4, body, n);
-    }
-    const uint8_t length = frame_encode(content, (uint8_t)(FRAME_HEADER + n), wire);
+    uint8_t wire[FRAME_WIRE_MAX];
+    const uint8_t length = encode_request(version, type, ++seq, body, n, wire);
     board.replies = 0;
     board.got_length = 0;
     for (uint8_t i = 0; i < length; i++) {

@@ -2,6 +2,7 @@
 #include <string.h>
 
 #include "check.h"
+#include "request.h"
 #include "rig_core.h"
 
 #define LIMIT_LO 100
@@ -161,16 +162,8 @@ static void reset(void)
 
 static void send(uint8_t type, const uint8_t *body, uint8_t n)
 {
-    uint8_t content[FRAME_CONTENT_MAX], wire[FRAME_WIRE_MAX];
-    seq++;
-    content[0] = RIG_PROTOCOL;
-    content[1] = type;
-    content[2] = (uint8_t)(seq & 0xFF);
-    content[3] = (uint8_t)(seq >> 8);
-    if (n > 0) {
-        memcpy(content + 4, body, n);
-    }
-    const uint8_t length = frame_encode(content, (uint8_t)(FRAME_HEADER + n), wire);
+    uint8_t wire[FRAME_WIRE_MAX];
+    const uint8_t length = encode_request(RIG_PROTOCOL, type, ++seq, body, n, wire);
     board.reply_length = 0;
     for (uint8_t i = 0; i < length; i++) {
         rig_byte(&core, wire[i]);

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, SimulatedBench, simulated_bench
+from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, break_away, simulated_bench
 
-from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.relay import DualChannelRelay
 from rig.faults import Fault
@@ -20,14 +19,6 @@ SEARCH = SearchRange(0.3, 0.1, 0.15, 0.6, h_max_V=3.0, sum_max_V=3.0, timeout_s=
 def relay_and_detector() -> tuple[DualChannelRelay, CycleDetector]:
     detector = CycleDetector(30 * PERIOD_S, 20 * CALIBRATION.lsb_rad)
     return DualChannelRelay(0.0, 0.0, z_bound_rad_s=0.7), detector
-
-
-def break_away(bench: SimulatedBench) -> BreakawayCheck:
-    check = BreakawayCheck(0.4, 1.2, 0.02, 0.4)
-    bench.loop.run(check, "breakaway")
-    bench.guard.sign_proven = True
-    bench.guard.static_V = max(check.plus_V, check.minus_V)
-    return check
 
 
 MOTORS = {
@@ -45,7 +36,7 @@ def test_search_finds_the_wanted_cycle_inside_the_soft_limits(name: str, start_r
     bench = simulated_bench(motor=MOTORS[name], start_rad=start_rad)
     relay, detector = relay_and_detector()
     with bench.loop.armed(LIMITS):
-        check = break_away(bench)
+        check = break_away(bench.loop)
         search = GainSearch(relay, detector, TARGET, SEARCH, 0.45 * (check.plus_V + check.minus_V), 0.99)
         bench.loop.run(search, "search")
         period, amplitude = detector.mean()
@@ -63,7 +54,7 @@ def test_search_gives_up_with_its_story_where_the_wish_cannot_be_had() -> None:
     relay, detector = relay_and_detector()
     weak = SearchRange(0.3, 0.1, 0.15, 0.6, h_max_V=0.6, sum_max_V=3.0, timeout_s=60.0)
     with bench.loop.armed(LIMITS), pytest.raises(Fault) as caught:
-        check = break_away(bench)
+        check = break_away(bench.loop)
         search = GainSearch(relay, detector, TARGET, weak, 0.45 * (check.plus_V + check.minus_V), 0.99)
         bench.loop.run(search, "search")
     assert caught.value.code == "NO_CYCLE"
@@ -89,7 +80,7 @@ def test_second_gains_change_the_amplitude_and_keep_the_period() -> None:
     bench = simulated_bench()
     relay, detector = relay_and_detector()
     with bench.loop.armed(LIMITS):
-        check = break_away(bench)
+        check = break_away(bench.loop)
         search = GainSearch(relay, detector, TARGET, SEARCH, 0.45 * (check.plus_V + check.minus_V), 0.99)
         bench.loop.run(search, "search")
         first = detector.mean()

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, SimulatedBench, simulated_bench
+from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, SimulatedBench, break_away, simulated_bench
 
-from rig.control.breakaway import BreakawayCheck
 from rig.control.homing import Homing
 from rig.faults import Fault
 from rig.model.friction import coulomb, directional
@@ -26,11 +25,8 @@ MOTORS = {
 
 
 def home(bench: SimulatedBench, tolerance_rad: float, timeout_s: float = 40.0) -> Homing:
-    check = BreakawayCheck(0.4, 1.2, 0.02, 0.4)
     with bench.loop.armed(LIMITS):
-        bench.loop.run(check, "breakaway")
-        bench.guard.sign_proven = True
-        bench.guard.static_V = max(check.plus_V, check.minus_V)
+        check = break_away(bench.loop)
         homing = Homing(check.plus_V, check.minus_V, 3.0, check.noise_rad, tolerance_rad, PERIOD_S, timeout_s)
         bench.loop.run(homing, "homing")
     return homing

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, RAILS, ListRecord
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, RAILS, ListRecord, break_away
 
 from rig.cli import main
-from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
 from rig.control.relay import DualChannelRelay
@@ -80,10 +79,7 @@ def cycle(board: VirtualBoard | VirtualChip, period_s: float) -> tuple[float, fl
     detector = CycleDetector(0.2, 20 * CALIBRATION.lsb_rad)
     relay = DualChannelRelay(0.0, 0.0, 0.7)
     with loop.armed(LIMITS):
-        check = BreakawayCheck(0.4, 1.2, 0.02, 0.4)
-        loop.run(check, "breakaway")
-        loop.guard.sign_proven = True
-        loop.guard.static_V = max(check.plus_V, check.minus_V)
+        break_away(loop)
         loop.run(RelayTest(relay, detector, (0.6, 0.9), 20, 60.0), "relay-1")
     rows = [row for row in record.rows if row["stage"] == "relay-1"]
     t_s = np.array([row["t_s"] for row in rows])

@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass, replace
 
 import pytest
-from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListRecord
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListRecord, break_away
 
-from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.guard import Guard
 from rig.control.law import Constant
@@ -41,20 +40,12 @@ def chip_bench(seed: int = 1, **changes) -> ChipBench:
     return ChipBench(board, guard, Loop(driver, board, guard, record, PERIOD_S, stop), record, stop)
 
 
-def break_away(bench: ChipBench) -> BreakawayCheck:
-    check = BreakawayCheck(0.4, 1.2, 0.02, 0.4)
-    bench.loop.run(check, "breakaway")
-    bench.guard.sign_proven = True
-    bench.guard.static_V = max(check.plus_V, check.minus_V)
-    return check
-
-
 def test_breakaway_search_and_relay_on_the_compiled_firmware() -> None:
     bench = chip_bench()
     detector = CycleDetector(30 * PERIOD_S, 20 * CALIBRATION.lsb_rad)
     relay = DualChannelRelay(0.0, 0.0, 0.7)
     with bench.loop.armed(LIMITS):
-        check = break_away(bench)
+        check = break_away(bench.loop)
         search = GainSearch(
             relay,
             detector,

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from processes import alive
 
 from rig.config.schema import Emulated, EmulatedMotor
 from rig.daq.frames import FrameReader, Hello, Kind, Packet, Setup, encode
@@ -77,14 +78,6 @@ def ask(port: SerialPort, kind: Kind) -> Packet:
             if packet.seq == 99:
                 return packet
     raise AssertionError("no reply")
-
-
-def alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
 
 
 def run_host(script: str, argument: str, watchdog_ms: int) -> subprocess.Popen[str]:
