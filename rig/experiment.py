@@ -1,4 +1,8 @@
-"""The experiment: breakaway -> search -> relay -> identify -> verify, as a script on an open bench."""
+"""The experiment: breakaway -> search -> relay -> identify -> verify, as a script on an open bench.
+
+A stage raises Fault where it ends the run: what the loop raises, and START_OUTSIDE, CONFIG_MISMATCH or DRIVE_TOO_SMALL
+where it cannot begin. ValueError says that it was called out of order.
+"""
 
 from __future__ import annotations
 

@@ -115,7 +115,11 @@ class Guard:
         self._velocity = VelocityWindow(self._samples, self.velocity_rad_s)
 
     def allow(self, sample: Sample, asked_V: float) -> tuple[float, int]:
-        """Drive that may go out for what a law asked, V, and the record's flags for it."""
+        """Drive that may go out for what a law asked, V, and the record's flags for it.
+
+        Raises Fault LAW_FAILED, SENSOR_RAIL, SENSOR_JUMP, SENSOR_STUCK, TRAVEL_HARD, POLARITY or OVERSPEED; it is
+        latched, and raised again at each call until ``rearm``.
+        """
         if self.fault is not None:
             raise self.fault
         try:

@@ -8,21 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from rig.config.link_budget import LINK_SHARE
+from rig.daq.driver import Clock
 from rig.doctor.finding import Finding
 
 _SLOWER, _MACHINES_S = 1.2, 0.5e-3  # than the sum by this factor and this time: so much is the machines' own
 _LATE_SHARE = 0.1  # of the period: wake-ups later than that show in the record
-
-
-class _Clock(Protocol):
-    def now_s(self) -> float: ...
-
-    def sleep_until(self, t_s: float) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -43,7 +37,7 @@ class Ticks:
         return max(late + exchange for late, exchange in zip(self.late_s, self.exchange_s, strict=True))
 
 
-def run_ticks(clock: _Clock, period_s: float, number: int, exchange: Callable[[], object] | None = None) -> Ticks:
+def run_ticks(clock: Clock, period_s: float, number: int, exchange: Callable[[], object] | None = None) -> Ticks:
     """Run ``number`` >= 1 ticks of a loop that does nothing but ``exchange``."""
     late_s: list[float] = []
     exchange_s: list[float] = []

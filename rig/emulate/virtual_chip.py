@@ -155,12 +155,18 @@ class VirtualChip(VirtualDevice):
         self._library.virtual_contact(self._board, _CONTACT_PIN[which], is_open)
 
     def hang(self, what: Hang = "main loop") -> None:
-        """Stop the main loop, that and all interrupts, or one interrupt: the clock's, the converter's, the tick's."""
+        """Stop the main loop, that and all interrupts, or one interrupt: the clock's, the converter's, the tick's.
+
+        Raises EmulationError where the firmware has no endless loop to send it to.
+        """
         if not self._library.virtual_hang(self._board, _HANG[what]):
             raise EmulationError("the firmware has no endless loop to hang it in")
 
     def stall(self, what: Stall, duration_s: float) -> None:
-        """Let the main loop's next round, or the next tick, take so much longer; interrupts go on."""
+        """Let the main loop's next round, or the next tick, take so much longer, s; interrupts go on.
+
+        Raises as ``hang``.
+        """
         if not self._library.virtual_stall(self._board, _STALL[what], round(1e9 * duration_s)):
             raise EmulationError("the firmware has no endless loop to stall it in")
 

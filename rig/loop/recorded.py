@@ -404,7 +404,10 @@ class Comparison:
         io_us: float,
         flags: int,
     ) -> None:
-        """Compare a row that the loop would write."""
+        """Compare a row that the loop would write.
+
+        Raises Diverged at the first difference; where the record has no more rows, as ``Tape.end``.
+        """
         tape, row = self._tape, self._tape.next
         if tape.is_over:
             tape.end()

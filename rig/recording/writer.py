@@ -67,7 +67,7 @@ class AppendOnlyFile:
         return lines, end
 
     def write(self, data: bytes | memoryview) -> None:
-        """Append all of ``data``."""
+        """Append all of ``data``. Raises OSError, with the file's name, where the disk takes no more."""
         rest = memoryview(data)
         self._dirty = self._dirty or len(rest) > 0
         while rest:
@@ -79,7 +79,7 @@ class AppendOnlyFile:
                     raise named from error
 
     def sync(self) -> None:
-        """Put what was written on the disk, if anything was since the last time."""
+        """Put what was written on the disk, if anything was since the last time. Raises OSError as ``write``."""
         if self._dirty:
             try:
                 os.fsync(self._descriptor)
