@@ -118,7 +118,7 @@ class Guard:
         """Drive that may go out for what a law asked, V, and the record's flags for it.
 
         Raises Fault LAW_FAILED, SENSOR_RAIL, SENSOR_JUMP, SENSOR_STUCK, TRAVEL_HARD, POLARITY or OVERSPEED; it is
-        latched, and raised again at each call until ``rearm``.
+        latched: every later call raises it again.
         """
         if self.fault is not None:
             raise self.fault
