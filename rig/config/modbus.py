@@ -228,6 +228,18 @@ def span_of(spans: Iterable[Span]) -> tuple[int, int]:
     return first, max(span.address + span.words for span in found) - first
 
 
+def as_in_a_manual(spans: Iterable[Span]) -> str:
+    """What the first address that looks like a manual's, 4xxxx or 3xxxx, is in a map; "" where none does.
+
+    Manuals write the table in front and count from 1 (Modbus application protocol 1.1b3, section 4.4: PDU from 0).
+    """
+    for span in spans:
+        for first, table in ((40001, "holding"), (30001, "input")):
+            if first <= span.address < first + 9999:
+                return f"addresses count from 0: {span.address} in a manual is {table} register {span.address - first}"
+    return ""
+
+
 def is_tcp(port: str | None) -> bool:
     """Whether a port speaks Modbus TCP; else RTU."""
     return port is not None and (port == "emulated-tcp" or port.startswith(_TCP))

@@ -11,6 +11,7 @@ from rig.config.modbus import (
     EMULATED_PORTS,
     Modbus,
     Span,
+    as_in_a_manual,
     is_tcp,
     read_in_a_tick,
     span_of,
@@ -90,7 +91,7 @@ def _map(m: Modbus) -> Iterator[Problem]:
             farthest.key,
             f"what a tick reads spans {count} registers, {first} to {first + count - 1}; one request "
             f"takes {_MOST_READ}",
-            _as_in_a_manual(read) or "move them together, or leave it out",
+            as_in_a_manual(read) or "move them together, or leave it out",
         )
     if m.requests == "read-write" and r.position.table == "input":
         yield _register(
@@ -108,15 +109,6 @@ def _apart(spans: Iterable[Span]) -> Iterator[Problem]:
         if a.address < b.address + b.words and b.address < a.address + a.words:
             lie = "lies" if b.words == 1 else "lie"
             yield _register(b.key, f"{_registers(b)} {lie} in the place of {a.key}, {_registers(a)}")
-
-
-def _as_in_a_manual(spans: Iterable[Span]) -> str:
-    """What to write instead, where an address is one of a manual, 4xxxx or 3xxxx: from 1, with the table."""
-    for span in spans:
-        for first, table in ((40001, "holding"), (30001, "input")):
-            if first <= span.address < first + 9999:
-                return f"addresses count from 0: {span.address} in a manual is {table} register {span.address - first}"
-    return ""
 
 
 def _times(e: Experiment, m: Modbus) -> Iterator[Problem]:

@@ -7,6 +7,7 @@ from math import isclose
 
 from rig.config.backend import backend_words, is_emulated, is_plug_in
 from rig.config.link_budget import block_sum, link_budget, link_sum
+from rig.config.modbus import as_in_a_manual, read_in_a_tick, written_at_arming, written_in_a_tick
 from rig.config.problems import bracketed
 from rig.config.room_to_stop import overshoot_terms, peak_speed_rad_s, room_rad, stopping_sum, stopping_terms
 from rig.config.schema import Experiment
@@ -42,6 +43,10 @@ def plan(e: Experiment) -> Iterator[str]:
             f"note: the emulated potentiometer reads 0 to {e.emulated.potentiometer.counts_max} counts, "
             f"sensor.counts_max is {e.sensor.counts_max}: describe it in emulated.potentiometer"
         )
+    if e.daq.modbus is not None:
+        r = e.daq.modbus.registers
+        if words := as_in_a_manual((*written_in_a_tick(r), *read_in_a_tick(r), *written_at_arming(r))):
+            yield f"note: {words}"
     low, high = e.limits.soft_rad
     if e.emulated is not None and not low <= e.emulated.motor.start_rad <= high:
         yield "note: the emulated shaft starts outside the soft limits: a run refuses until `rig jog` has it inside"

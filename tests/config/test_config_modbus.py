@@ -23,6 +23,7 @@ from rig.bench import guard_settings_of
 from rig.config import Experiment, load, preflight
 from rig.config.link_budget import link_budget, reading_budget, transactions
 from rig.config.modbus import tcp_address
+from rig.config.plan import plan
 from rig.config.room_to_stop import reaction_periods
 
 CONFIG = Path(__file__).parents[2] / "config" / "modbus-rtu.yaml"
@@ -96,6 +97,15 @@ def test_an_address_of_a_manual_is_told_apart() -> None:
     assert "daq.baud" not in found  # the time of a request that cannot be made says nothing
     found = {".".join(map(str, p.path)): p.hint for p in preflight(example({"position": {"address": 30001}})).problems}
     assert "30001 in a manual is input register 0" in found[SECTION + "sequence.echo"]
+
+
+def test_a_manual_s_address_that_can_be_asked_for_is_a_note() -> None:
+    def notes(address: int) -> list[str]:
+        drive, sequence = {"address": address, "full": 100}, {"address": address + 1, "echo": 17}
+        return [line for line in plan(example({"drive": drive, "sequence": sequence})) if "manual" in line]
+
+    assert notes(40101) == ["note: addresses count from 0: 40101 in a manual is holding register 100"]
+    assert notes(100) == notes(50_000) == []
 
 
 def test_what_stops_the_device_is_not_what_arms_it() -> None:
