@@ -211,8 +211,12 @@ class TestSection5:
         tracking = sections["section-5"].tables()[2]
         assert exact(tracking, "describing function", 1) == surviving.BENCH_RMS_DF
         assert exact(tracking, "triple relay, the program's", 1) == surviving.BENCH_RMS_TR
-        assert exact(tracking, "triple relay, the program's", 2) < exact(tracking, "describing function", 2)
-        assert exact(tracking, "sampled data", 2) < exact(tracking, "describing function", 2)
+        # one record may suit any of the models by chance: the middle one of three seeds
+        seeds = sections["section-5"].tables()[3].rows
+        df, tr, sd = (sorted(row[k].exact or math.nan for row in seeds)[1] for k in (5, 7, 8))
+        assert len(seeds) == 3
+        assert tr < df
+        assert sd < df
 
     def test_slower_sampling_hurts_the_equations_and_not_the_sampled_data(self, sections: dict[str, Section]) -> None:
         (table,) = sections["sampling"].tables()

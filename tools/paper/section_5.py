@@ -182,6 +182,7 @@ def _trial(seed: int, found: Identification, rms: dict[str, float], plain: Itera
 def section(result: Result) -> Section:
     """Its part of the page."""
     rms = {method: track.rms_rad for method, track in result.tracks.items()}
+    usual = _usual(result)
     tau, K, fc = result.truth
     loose, tight = _iterations(result, 1e-6), _iterations(result, 1e-8)
     blocks = (
@@ -216,10 +217,11 @@ def section(result: Result) -> Section:
         _tracking_table(result),
         _tracking_figure(result),
         Remark(
-            "agrees" if rms[TR] < rms[DF] else "differs",
-            f"With the program's triple relay the comparison comes out as in the paper: RMS "
-            f"{significant(rms[TR], 3)} rad against DF's {significant(rms[DF], 3)}, a ratio of "
-            f"{rms[DF] / rms[TR]:.2f} (paper: {surviving.BENCH_RMS_TR} against {surviving.BENCH_RMS_DF}, ratio "
+            "agrees" if usual[TR] < usual[DF] else "differs",
+            f"With the program's triple relay the comparison {'comes' if usual[TR] < usual[DF] else 'does not come'} "
+            f"out as in the paper: median RMS of {len(result.trials)} seeds {significant(usual[TR], 3)} rad against "
+            f"DF's {significant(usual[DF], 3)}, a ratio of {usual[DF] / usual[TR]:.2f} "
+            f"(paper: {surviving.BENCH_RMS_TR} against {surviving.BENCH_RMS_DF}, ratio "
             f"{surviving.BENCH_RMS_DF / surviving.BENCH_RMS_TR:.2f}). All of ours are smaller: another motor, "
             "trajectory and noise, and a law that predicts over the delay.",
         ),
@@ -273,6 +275,11 @@ def _wins(result: Result, method: str) -> int:
     return sum(trial.rms_rad[method] < trial.rms_rad[DF] for trial in result.trials)
 
 
+def _usual(result: Result) -> dict[str, float]:
+    """Median over the seeds of the RMS tracking error, rad, by method: one record may suit any of them by chance."""
+    return {m: float(np.median([trial.rms_rad[m] for trial in result.trials])) for m in (TR, DF)}
+
+
 def _sensor_rad(result: Result) -> float:
     """Standard deviation of the position reading, rad: noise and resolution."""
     if result.config.emulated is None:
@@ -283,17 +290,17 @@ def _sensor_rad(result: Result) -> float:
 
 def _comparisons(result: Result, rms: dict[str, float]) -> tuple[Comparison, ...]:
     paper = f"{surviving.BENCH_RMS_TR} against {surviving.BENCH_RMS_DF}"
-    count = len(result.trials)
+    count, usual = len(result.trials), _usual(result)
     loose, tight = _iterations(result, 1e-6)[0], _iterations(result, 1e-8)[0]
     return (
         Comparison(
             "V, Fig. 17, 18",
             "TR's model tracks better than DF's (RMS, rad): the program's triple relay",
             paper,
-            f"{significant(rms[TR], 3)} against {significant(rms[DF], 3)}",
-            "agrees" if rms[TR] < rms[DF] else "differs",
-            f"in order, in {_wins(result, TR)} of {count} seeds; ratio {rms[DF] / rms[TR]:.2f}, paper "
-            f"{surviving.BENCH_RMS_DF / surviving.BENCH_RMS_TR:.2f}; the values depend on what was chosen",
+            f"{significant(usual[TR], 3)} against {significant(usual[DF], 3)}",
+            "agrees" if usual[TR] < usual[DF] else "differs",
+            f"median of {count} seeds, in {_wins(result, TR)} of which it does; ratio {usual[DF] / usual[TR]:.2f}, "
+            f"paper {surviving.BENCH_RMS_DF / surviving.BENCH_RMS_TR:.2f}; the values depend on what was chosen",
         ),
         Comparison(
             "V, Fig. 17, 18",
