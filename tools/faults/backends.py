@@ -142,6 +142,11 @@ class BlockOnStand:
         """Its supply fails for a moment."""
         self._block.block.power_off()
 
+    def forget(self) -> None:
+        """Drop the log of executed drives and all but the last of the output's changes, which the block keeps."""
+        self._block.executed.clear()
+        del self._block.outputs[:-1]
+
 
 class BlockTruth(NamedTuple):
     """As ``Truth`` of the stand; the pin is the output."""

@@ -21,7 +21,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from faults.backends import BACKENDS, Backend
+from faults.backends import BACKENDS, Backend, BlockOnStand
 from faults.bounds import Times
 from faults.case import SETTLE_S, judged, new_stand, relay_run, restart, undisturbed
 from faults.rows import ROWS, RUNNING, RUNS_ON, Row
@@ -87,9 +87,8 @@ def spend(key: str, hours: float, seed: int) -> Day:
             stand.schedule(stand.now_s() + plain.cycle_s + phase * plain.period_s, row.act)
             for words in _one(row, backend, phase, stand, times, experiment):
                 day.trouble.append(f"run {day.runs + 1}, {row.name} at cycle {phase:.2f}: {words}")
-            for log in (getattr(device, name, None) for name in ("executed", "outputs")):
-                if log is not None:
-                    log.clear()  # that the emulated block keeps for tests, not the host's memory
+            if isinstance(device, BlockOnStand):
+                device.forget()  # what it keeps for tests is not the host's memory
             shutil.rmtree(folder / "runs", ignore_errors=True)
             day.runs += 1
             day.rows[row.name] += 1
