@@ -126,7 +126,14 @@ def _times(e: Experiment, m: Modbus) -> Iterator[Problem]:
             f"up to {e.period_s:g} seconds",
         )
     watchdog = m.registers.watchdog
-    if watchdog is not None:
+    if watchdog is None and m.device_watchdog_s is None and not d.accept_no_watchdog:
+        yield wrong(
+            "daq.modbus",
+            "nothing sets 0 V when the host is silent: no register sets the device's output time-out, nor is it given",
+            "registers.watchdog; or device_watchdog_s, as set on the device; or daq.accept_no_watchdog: true, with the "
+            "motor's supply in reach",
+        )
+    elif watchdog is not None:
         units = d.watchdog_s / watchdog.unit_s
         if not (0.5 <= units <= 65535.5 and abs(round(units) * watchdog.unit_s - d.watchdog_s) <= 0.05 * d.watchdog_s):
             yield wrong(

@@ -127,8 +127,7 @@ def _failsafe(e: Experiment) -> str:
     modbus = e.daq.modbus
     if e.daq.driver == "modbus" and modbus is not None and modbus.registers.watchdog is None:
         if modbus.device_watchdog_s is None:
-            then = "a run drives all the same" if e.daq.accept_no_watchdog else "a run is refused"
-            return f"failsafe: none: no register sets the device's output time-out, nor is it given: {then}"
+            return "failsafe: none, as daq.accept_no_watchdog takes upon itself: have the motor's supply in reach"
         return (
             f"failsafe: the device sets 0 V after {modbus.device_watchdog_s * 1e3:g} ms of silence, as set on it "
             "(daq.modbus.device_watchdog_s): try it, pull the plug at 0.3 V"

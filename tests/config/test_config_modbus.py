@@ -269,8 +269,14 @@ def test_a_watchdog_that_is_set_on_the_device_counts_for_the_room_to_stop() -> N
     text = "\n".join(preflight(fixed).lines)
     assert "sets 0 V after 300 ms of silence, as set on it" in text
     assert "no room to stop" in problems(fixed)["limits.max_speed_rad_s"]
-    none = "\n".join(preflight(example({"watchdog": None})).lines)
-    assert "a run is refused" in none
+
+
+def test_a_device_that_holds_its_last_drive_is_refused_offline() -> None:
+    none = example({"watchdog": None})
+    assert "nothing sets 0 V when the host is silent" in problems(none)["daq.modbus"]
+    accepted = none.model_copy(update={"daq": none.daq.model_copy(update={"accept_no_watchdog": True})})
+    assert problems(accepted) == {}
+    assert "failsafe: none" in "\n".join(preflight(accepted).lines)
 
 
 def test_a_relay_in_the_device_is_not_for_modbus() -> None:
