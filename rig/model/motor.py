@@ -325,9 +325,9 @@ def reversal_time(v: float, target: float, tau_s: float) -> float:
     """Time until a velocity ``v`` that tends to ``target`` reaches zero, s; inf if it never does."""
     if v == 0.0:
         return 0.0
-    if v * target >= 0.0:
-        return math.inf
-    return tau_s * math.log1p(-v / target)
+    if v < 0.0 < target or target < 0.0 < v:  # not by the sign of their product, which can round to 0
+        return tau_s * math.log1p(-v / target)
+    return math.inf
 
 
 def _glide(v: float, y: float, z: float, target: float, tau: float, h: float) -> tuple[float, float, float]:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from statistics import fmean, pstdev
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rig.daq.frames import Kind, Setup, encode, pack_drive
@@ -37,6 +37,7 @@ steps = st.lists(st.tuples(st.floats(-12.0, 12.0), st.floats(0.0, 3.0)), min_siz
 
 
 @settings(max_examples=300, deadline=None)
+@example(Motor(1.0, 1.0, Friction(1.0, 0.0, 1.0, 0.0), 0.5), 5e-324, 0.0, [(0.0, 1.0)])
 @given(motors(), st.floats(-20.0, 20.0), st.floats(-2.0, 2.0), steps)
 def test_motor_in_c_is_the_motor_of_the_model(
     motor: Motor, v0: float, y0: float, sequence: list[tuple[float, float]]

@@ -42,7 +42,7 @@ def position(
     while True:
         end = edge_s[j + 1] + delay if j + 1 < edges else math.inf
         while True:
-            reversal = now + tau * math.log1p(-v / target) if v * target < 0.0 else math.inf
+            reversal = now + tau * math.log1p(-v / target) if v < 0.0 < target or target < 0.0 < v else math.inf
             reverses = reversal < end
             until = reversal if reverses else end
             excess = v - target
@@ -91,7 +91,7 @@ def position_and_jacobian(
     while True:
         end = edge_s[j + 1] + delay if j + 1 < edges else math.inf
         while True:
-            reversal = now + tau * math.log1p(-v / target) if v * target < 0.0 else math.inf
+            reversal = now + tau * math.log1p(-v / target) if v < 0.0 < target or target < 0.0 < v else math.inf
             reverses = reversal < end
             until = reversal if reverses else end
             tf = -K * sign

@@ -26,7 +26,7 @@ def advance(
             target = K * (drive + minus)
         else:
             return 0.0, y
-        reversal = tau * math.log1p(-v / target) if v * target < 0.0 else math.inf
+        reversal = tau * math.log1p(-v / target) if v < 0.0 < target or target < 0.0 < v else math.inf
         h = min(reversal, left)
         decay = -math.expm1(-h / tau)
         excess = v - target
