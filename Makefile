@@ -2,7 +2,7 @@
 CONFIG ?= config/demo$(if $(CHIP),-chip).yaml
 RIG := .venv/bin/rig
 
-.PHONY: help demo test check format bench paper safety soak faults fuzz firmware golden lock clean
+.PHONY: help demo test search check format bench paper safety soak faults fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -12,6 +12,10 @@ demo: .venv/.ready firmware  ## the whole experiment in real time, on the emulat
 
 test: check firmware  ## check, then every test, the firmware's own included
 	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest
+
+search: .venv/.ready firmware  ## the properties among the tests, with other random examples each time: TIMES=10 over
+	@for round in $$(seq $(or $(TIMES),10)); do echo "round $$round"; OPENBLAS_NUM_THREADS=1 .venv/bin/pytest \
+	    -m hypothesis --hypothesis-profile=search || exit 1; done
 
 check: .venv/.ready  ## format, lint, types, import contract, docs; the firmware's C by cppcheck and MISRA
 	.venv/bin/ruff format --check .
