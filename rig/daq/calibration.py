@@ -183,6 +183,17 @@ def hard_limits_in_counts(
     return hard_lo, hard_hi
 
 
+def largest_drive_in_units(limits: Limits, drive_map: DriveMap) -> int:
+    """The largest drive in units, of either direction's the larger, > 0.
+
+    Raises ValueError below one unit, and beyond supply and bridge.
+    """
+    units = max(abs(drive_map.to_units(sign * limits.max_u_V)) for sign in (1.0, -1.0))
+    if units == 0:
+        raise ValueError(f"largest drive {limits.max_u_V:g} V is less than one unit of the drive")
+    return units
+
+
 def polarity(calibration: Calibration, drive_map: DriveMap) -> int:
     """+1 if positive drive units raise the position counts, -1 if they lower them."""
     return calibration.direction * drive_map.sign

@@ -26,7 +26,7 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
-from rig.daq.calibration import Calibration, DriveMap, hard_limits_in_counts
+from rig.daq.calibration import Calibration, DriveMap, hard_limits_in_counts, largest_drive_in_units
 from rig.daq.driver import DeviceInfo, DeviceWatchdog, Transport
 from rig.daq.modbus_frames import Damaged, Frame, Framing, RtuFraming, TcpFraming, is_exception
 from rig.daq.modbus_registers import ARMED, OFF, Register, RegisterMap, Span
@@ -313,9 +313,7 @@ class ModbusDriver:
         """What each register is set to, and the largest drive, units. Raises ValueError."""
         m = self._map
         hard = hard_limits_in_counts(limits, self.calibration, self.drive_map, self._rail_counts)
-        max_units = max(abs(self.drive_map.to_units(sign * limits.max_u_V)) for sign in (1.0, -1.0))
-        if max_units == 0:
-            raise ValueError(f"largest drive {limits.max_u_V:g} V is less than one unit of the drive")
+        max_units = largest_drive_in_units(limits, self.drive_map)
         settings: list[tuple[Register, float]] = []
         if m.watchdog is not None:
             settings.append((m.watchdog, round(limits.watchdog_s / m.unit_s)))

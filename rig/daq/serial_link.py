@@ -12,7 +12,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from rig.daq import frames
-from rig.daq.calibration import Calibration, DriveMap, TachometerScale, hard_limits_in_counts, polarity
+from rig.daq.calibration import (
+    Calibration,
+    DriveMap,
+    TachometerScale,
+    hard_limits_in_counts,
+    largest_drive_in_units,
+    polarity,
+)
 from rig.daq.device_clock import DeviceClock, TimedExchange, fit_device_clock
 from rig.daq.driver import DeviceInfo, DeviceWatchdog, Transport
 from rig.daq.frames import Code, Hello, Kind, Packet, RelaySetup, Setup, State
@@ -89,14 +96,12 @@ def await_introduction(transport: Transport, reader: frames.FrameReader, timeout
 def setup_for(limits: Limits, calibration: Calibration, drive_map: DriveMap, rail_counts: tuple[int, int]) -> Setup:
     """What the device is told before arming.
 
-    Raises ValueError where the device could not hold such limits: as ``hard_limits_in_counts``, largest drive below
-    one unit, watchdog outside 1 ms to 1 s.
+    Raises ValueError where the device could not hold such limits: as ``hard_limits_in_counts`` and
+    ``largest_drive_in_units``, watchdog outside 1 ms to 1 s.
     """
     hard_lo, hard_hi = hard_limits_in_counts(limits, calibration, drive_map, rail_counts)
     rail_lo, rail_hi = rail_counts
-    max_drive = max(abs(drive_map.to_units(limits.max_u_V)), abs(drive_map.to_units(-limits.max_u_V)))
-    if max_drive == 0:
-        raise ValueError(f"largest drive {limits.max_u_V:g} V is less than one unit of the drive")
+    max_drive = largest_drive_in_units(limits, drive_map)
     watchdog_ms = round(1000.0 * limits.watchdog_s)
     if not 1 <= watchdog_ms <= round(1000.0 * LONGEST_WATCHDOG_S):
         raise ValueError(f"watchdog time {limits.watchdog_s:g} s is not within 0.001 to {LONGEST_WATCHDOG_S:g} s")

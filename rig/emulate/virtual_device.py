@@ -9,13 +9,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from rig.emulate.firmware_build import EmulationError
+from rig.emulate.plug import Plug
 from rig.faults import Fault
 from rig.model.bench import DriveWiring, SensorWiring
 
 _READ_BYTES = 512
 
 
-class VirtualDevice:
+class VirtualDevice(Plug):
     """Wire, clock and bench of a device in a shared library whose functions are named virtual_... .
 
     library  as ``load`` gives it
@@ -27,13 +28,13 @@ class VirtualDevice:
     absolute = True  # of the clock: it sleeps until an instant, not for a while
 
     def __init__(self, library: ctypes.CDLL, options: Mapping[str, str], byte_ns: int) -> None:
+        super().__init__("virtual board")
         self._library = library
         self._board = ctypes.c_void_p(library.virtual_new())
         if not self._board:
             raise MemoryError("no memory for a virtual board")
         self._finalizer = weakref.finalize(self, library.virtual_free, self._board)
         self._buffer = ctypes.create_string_buffer(_READ_BYTES)
-        self._is_plugged = True
         for name, value in options.items():
             error = library.virtual_option(self._board, name.encode(), value.encode())
             if error is not None:
@@ -60,18 +61,6 @@ class VirtualDevice:
         self._library.virtual_run(self._board, until_ns, True)
         n = self._library.virtual_read(self._board, self._buffer, _READ_BYTES)
         return self._buffer.raw[:n]
-
-    def close(self) -> None:
-        """Close the port. The device lives on, and its clock with it. May be called twice."""
-        self._is_plugged = False
-
-    def unplug(self) -> None:
-        """Pull the cable: reading and writing fail from now on."""
-        self._is_plugged = False
-
-    def _check_plug(self) -> None:
-        if not self._is_plugged:
-            raise Fault("LINK_LOST", "the virtual board is unplugged")
 
     # ------------------------------------------------------------------ clock
 

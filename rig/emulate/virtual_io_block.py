@@ -8,12 +8,12 @@ from typing import Any
 
 from rig.emulate.io_block import ExecutedDrive, IoBlock, IoBlockTruth
 from rig.emulate.misbehaviour import Misbehaviour
+from rig.emulate.plug import Plug
 from rig.emulate.rtu_slave import Disturbance, Line, RtuSlave
-from rig.faults import Fault
 from rig.model.bench import DriveWiring, SensorWiring
 
 
-class VirtualIoBlock:
+class VirtualIoBlock(Plug):
     """The block of a config, powered on at virtual time 0, behind a ``Transport`` that is a ``Clock`` too.
 
     modbus, emulated  plain values of the config's sections ``daq.modbus`` and ``emulated``
@@ -39,6 +39,7 @@ class VirtualIoBlock:
         misbehaviour: Misbehaviour | None = None,
         disturbance: Disturbance | None = None,
     ) -> None:
+        super().__init__("virtual I/O block")
         self.executed: list[ExecutedDrive] = []
         self.outputs: list[tuple[float, float]] = [(0.0, 0.0)]
         self.block = IoBlock.from_mapping(
@@ -52,7 +53,6 @@ class VirtualIoBlock:
         self.line = Line.from_mapping(modbus, baud)
         self._slave = RtuSlave(self.block, self.line, misbehaviour, disturbance)
         self._now_s = 0.0
-        self._is_plugged = True
 
     # ------------------------------------------------------------------ port
 
@@ -72,18 +72,6 @@ class VirtualIoBlock:
             self._run_to(min(self._slave.next_event_s(), until_s))
         self._run_to(self._now_s)
         return self._slave.receive(self._now_s)
-
-    def close(self) -> None:
-        """Close the port. The device lives on, and its clock with it. May be called twice."""
-        self._is_plugged = False
-
-    def unplug(self) -> None:
-        """Pull the cable: reading and writing fail from now on."""
-        self._is_plugged = False
-
-    def _check_plug(self) -> None:
-        if not self._is_plugged:
-            raise Fault("LINK_LOST", "the virtual I/O block is unplugged")
 
     # ------------------------------------------------------------------ clock
 

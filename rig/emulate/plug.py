@@ -1,0 +1,29 @@
+"""The plug of a device in virtual time: pulled out, nothing passes any more."""
+
+from __future__ import annotations
+
+from rig.faults import Fault
+
+
+class Plug:
+    """A device's end of the cable, plugged in at first.
+
+    device  what is unplugged, in the fault's words
+    """
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+        self._is_plugged = True
+
+    def close(self) -> None:
+        """Close the port. The device lives on, and its clock with it. May be called twice."""
+        self._is_plugged = False
+
+    def unplug(self) -> None:
+        """Pull the cable: reading and writing fail from now on."""
+        self._is_plugged = False
+
+    def _check_plug(self) -> None:
+        """Raise Fault LINK_LOST when unplugged."""
+        if not self._is_plugged:
+            raise Fault("LINK_LOST", f"the {self._device} is unplugged")
