@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import rig
 from rig.bench import Bench, connect, guard_settings_of
@@ -23,11 +23,12 @@ from rig.control.tracking import tracking_error
 from rig.faults import Fault
 from rig.identify import Identification, IdentifyError, identify
 from rig.loop.real_time import RealTime
-from rig.loop.runner import Loop, Record
+from rig.loop.runner import Loop
 from rig.loop.stop_request import stop_on_signals
 from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
 from rig.recording.reader import read_run
+from rig.recording.record import Record
 from rig.recording.recorder import Recorder
 from rig.report import write_report
 
@@ -56,13 +57,6 @@ class Outcome:
         return "; ".join(why)
 
 
-class RunRecord(Record, Protocol):
-    """Where a run's rows and events go: a ``Recorder``, or what a replay compares them with."""
-
-    def drain(self, timeout_s: float = 5.0) -> None:
-        """Return once every completed row can be read."""
-
-
 @dataclass
 class Session:
     """One run in progress: the open bench, the loop on it, and what is known so far."""
@@ -70,7 +64,7 @@ class Session:
     experiment: Experiment
     folder: Path
     bench: Bench
-    recorder: RunRecord
+    recorder: Record
     loop: Loop
     meta: dict[str, Any]
     real_time: RealTime | None = None  # what the machine granted the loop, once it was asked

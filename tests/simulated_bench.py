@@ -10,11 +10,12 @@ from rig.control.guard import Guard, GuardSettings
 from rig.daq.calibration import Calibration, DriveMap
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.loop.clock import VirtualClock
-from rig.loop.runner import Loop, NoRecord
+from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.bench import BenchParameters
 from rig.model.friction import Friction
 from rig.model.motor import Motor
+from rig.recording.record import NoRecord
 from rig.signals import Limits
 
 PERIOD_S = 0.01

@@ -19,6 +19,7 @@ from rig.faults import Fault
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.recording.reader import Recording
+from rig.recording.record import NoRecord, Row
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED, FLAG_SKIPPED, Limits, Order, Sample
 
 By = Literal["law", "guard", "record"]
@@ -375,8 +376,10 @@ class RecordedDriver:
         ]
 
 
-class Comparison:
+class Comparison(NoRecord):
     """Where the rows of a replayed loop go: each is compared with the record's; Diverged at the first difference.
+
+    When a drive took effect is the record's own word, and what laws and guard come to shows in the drive.
 
     quantise   what the device makes of a drive, V to V; None where it does not say: drives then agree to 1 uV
 
@@ -392,46 +395,24 @@ class Comparison:
         self._tape = tape
         self._quantise = quantise
 
-    def sample(
-        self,
-        tick: int,
-        sample: Sample,
-        stage: str,
-        z_rad_s: float,
-        yd_rad: float,
-        u_V: float,
-        late_us: float,
-        io_us: float,
-        flags: int,
-    ) -> None:
+    def sample(self, *row: *Row) -> None:
         """Compare a row that the loop would write.
 
         Raises Diverged at the first difference; where the record has no more rows, as ``Tape.end``.
         """
-        tape, row = self._tape, self._tape.next
+        tick, _, stage, z_rad_s, yd_rad, u_V, _, _, flags = row
+        tape, at = self._tape, self._tape.next
         if tape.is_over:
             tape.end()
-        self._compare_course(row, tick, stage, flags)
-        self._compare_drive(row, u_V, flags)
+        self._compare_course(at, tick, stage, flags)
+        self._compare_drive(at, u_V, flags)
         for what, unit, then, now in (
-            ("integral", "rad s", tape.z_rad_s[row], z_rad_s),
-            ("reference", "rad", tape.yd_rad[row], yd_rad),
+            ("integral", "rad s", tape.z_rad_s[at], z_rad_s),
+            ("reference", "rad", tape.yd_rad[at], yd_rad),
         ):
             if not _same(then, now):
-                raise tape.diverged(row, "law", f"{what} {then!r} {unit}", f"{what} {now!r} {unit}")
+                raise tape.diverged(at, "law", f"{what} {then!r} {unit}", f"{what} {now!r} {unit}")
         tape.advance()
-
-    def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:
-        """Nothing: it is the record's own word."""
-
-    def event(self, t_s: float, kind: str, **fields: str | int | float | bool | None) -> None:
-        """Nothing: what laws and guard come to shows in the drive."""
-
-    def check(self) -> None:
-        """All is well."""
-
-    def drain(self, timeout_s: float = 5.0) -> None:
-        """Nothing to wait for."""
 
     def _compare_course(self, row: int, tick: int, stage: str, flags: int) -> None:
         """The row's place in the run: its tick, whether some were skipped before it, its stage, what the guard did."""

@@ -10,10 +10,11 @@ from rig.daq.calibration import Calibration, DriveMap
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.faults import Fault
 from rig.loop.clock import VirtualClock
-from rig.loop.runner import Loop, NoRecord
+from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.bench import BenchParameters
 from rig.model.motor import Motor
+from rig.recording.record import NoRecord
 from rig.signals import Order
 
 

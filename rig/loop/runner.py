@@ -6,7 +6,6 @@ import gc
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
 from rig.control.guard import WINDOW_S, Guard
 from rig.control.law import Law
@@ -15,52 +14,10 @@ from rig.daq.relay_stream import RelayCommand, RelayRow
 from rig.faults import Fault
 from rig.loop.statistics import LoopStatistics
 from rig.loop.stop_request import StopRequest
+from rig.recording.record import Record
 from rig.signals import FLAG_SATURATED, FLAG_SKIPPED, Limits, Sample
 
 _CHECK_EVERY_TICKS = 25
-
-
-class Record(Protocol):
-    """What the loop tells the recorder; see rig.recording.recorder."""
-
-    def sample(
-        self,
-        tick: int,
-        sample: Sample,
-        stage: str,
-        z_rad_s: float,
-        yd_rad: float,
-        u_V: float,
-        late_us: float,
-        io_us: float,
-        flags: int,
-    ) -> None:
-        """Open a row."""
-
-    def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:
-        """Finish the row opened last."""
-
-    def event(self, t_s: float, kind: str, **fields: str | int | float | bool | None) -> None:
-        """Note an event."""
-
-    def check(self) -> None:
-        """Raise Fault RECORDER_DEAD if rows are not being taken."""
-
-
-class NoRecord:
-    """Records nothing: for rehearsals."""
-
-    def sample(self, *row: object) -> None:
-        """Do nothing."""
-
-    def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:
-        """Do nothing."""
-
-    def event(self, t_s: float, kind: str, **fields: str | int | float | bool | None) -> None:
-        """Do nothing."""
-
-    def check(self) -> None:
-        """Do nothing."""
 
 
 class Loop:

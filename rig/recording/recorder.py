@@ -25,12 +25,10 @@ from rig.faults import Fault
 from rig.recording import layout
 from rig.recording.errors import RecordingError
 from rig.recording.layout import COMPLETION, COMPLETION_AT, ROW, SharedMemory
+from rig.recording.record import JsonScalar, Row
 from rig.recording.writer import SAMPLES
-from rig.signals import Sample
 
-__all__ = ["JsonScalar", "Recorder", "RecordingError"]
-
-JsonScalar = str | int | float | bool | None
+__all__ = ["Recorder", "RecordingError"]
 
 START_TIMEOUT_S: Final = 20.0
 EVENT_BYTES: Final = 512  # room for one event in the ring, on average
@@ -104,23 +102,13 @@ class Recorder:
 
     # -- the loop's calls: memory writes only ---------------------------------------------------------------------
 
-    def sample(
-        self,
-        tick: int,
-        sample: Sample,
-        stage: str,
-        z_rad_s: float,
-        yd_rad: float,
-        u_V: float,
-        late_us: float,
-        io_us: float,
-        flags: int,
-    ) -> None:
+    def sample(self, *row: *Row) -> None:
         """Open the next row: what was sampled, and the drive that is *commanded*, V.
 
         The previous row, if ``complete`` was not called for it, stays as it is: its effect time unknown.
         Raises ValueError for a stage that the recorder was not given.
         """
+        tick, sample, stage, z_rad_s, yd_rad, u_V, late_us, io_us, flags = row
         try:
             stage_index = self._stage_index[stage]
         except KeyError:

@@ -27,9 +27,10 @@ from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.faults import Fault
 from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import real_time
-from rig.loop.runner import Loop, NoRecord
+from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.recording.reader import read_run
+from rig.recording.record import NoRecord
 from rig.recording.recorder import Recorder
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -43,9 +43,10 @@ from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.faults import Fault
 from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import RealTime, real_time
-from rig.loop.runner import Loop, NoRecord
+from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
+from rig.recording.record import NoRecord
 from rig.recording.recorder import Recorder
 from rig.signals import Sample
 

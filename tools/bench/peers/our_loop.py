@@ -13,8 +13,9 @@ from rig.control.guard import Guard, GuardSettings
 from rig.daq.driver import DeviceInfo, DeviceWatchdog
 from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import RealTimeSettings, real_time
-from rig.loop.runner import Loop, NoRecord
+from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
+from rig.recording.record import NoRecord
 from rig.signals import Limits, Order, Sample
 
 LIMITS = Limits(soft_rad=(-1.0, 1.0), hard_rad=(-2.0, 2.0), max_u_V=3.0, watchdog_s=0.1)
