@@ -23,7 +23,7 @@ import rig
 from rig import config
 from rig.emulate.firmware_build import EmulationError
 from rig.faults import Fault
-from rig.recording.errors import RecordingError
+from rig.recording.errors import CannotWriteError, RecordingError
 from rig.recording.folder import json_text
 from rig.terminal import (
     patience,
@@ -63,11 +63,12 @@ def _fail(status: int, cause: str, cure: str = "") -> NoReturn:
 
 
 def _fail_input(error: RecordingError | IdentifyError) -> NoReturn:
-    """Bad recording: file and line where they are known, the cause, the cure."""
+    """Bad recording, or a disk that takes none: file and line where they are known, the cause, the cure."""
     place = ""
     if isinstance(error, RecordingError):
         place = f"{error.path}: " if error.line is None else f"{error.path}:{error.line}: "
-    _fail(EXIT_BAD_INPUT, place + error.cause, error.cure)
+    status = EXIT_FAILED if isinstance(error, CannotWriteError) else EXIT_BAD_INPUT
+    _fail(status, place + error.cause, error.cure)
 
 
 def _fail_config(error: config.ConfigError) -> NoReturn:
@@ -293,6 +294,32 @@ def report(run_folder: Path) -> None:
             EXIT_FAILED, f"{run_folder}: the report cannot be written: {error.strerror}", "check space and permissions"
         )
     click.echo(path)
+
+
+@main.command()
+@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+@click.option(
+    "--to", "file", required=True, type=click.Path(path_type=Path), metavar="FILE",
+    help="Its end says how: .mat (MATLAB, Octave), .npz (numpy), .csv (t_s,u_V,y_rad,t_u_s) or .json.",
+)  # fmt: skip
+@click.option("--stage", default=None, help="Rows of this stage alone, such as relay-1; default: all.")
+@click.option("--force", is_flag=True, help="Replace FILE where it is there already.")
+@JSON
+def export(run_folder: Path, file: Path, stage: str | None, force: bool, as_json: bool) -> None:
+    """Write samples, events and result of a run to one file that other programs open."""
+    from rig.export import export as export_run
+
+    try:
+        run = export_run(run_folder, file, stage, overwrite=force)
+    except RecordingError as error:
+        _fail_input(error)
+    rows = len(run.recording)
+    if as_json:
+        click.echo(json.dumps({"ok": True, "file": str(file), "rows": rows, "notes": run.notes}))
+        return
+    for note in run.notes:
+        click.echo(note)
+    click.echo(f"{file}: {rows} rows")
 
 
 @main.command()

@@ -53,6 +53,22 @@ COLUMNS: Final = (
     "io_us",
     "flags",
 )
+UNITS: Final[dict[str, str]] = {
+    "tick": "1",
+    "seq": "1",
+    "t_s": "s",
+    "t_u_s": "s",
+    "y_rad": "rad",
+    "y_counts": "count",
+    "v_rad_per_s": "rad/s",
+    "u_V": "V",
+    "z_rad_s": "rad s",
+    "yd_rad": "rad",
+    "stage": "",
+    "late_us": "us",
+    "io_us": "us",
+    "flags": "bits",
+}
 HEADER: Final = ",".join(COLUMNS) + "\n"
 
 

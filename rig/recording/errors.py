@@ -21,3 +21,7 @@ class RecordingError(Exception):
         self.cure = cure
         place = str(path) if line is None else f"{path}:{line}"
         super().__init__(f"{place}: {cause}; {cure}")
+
+
+class CannotWriteError(RecordingError):
+    """A file that the disk does not take: no fault of what was asked for."""

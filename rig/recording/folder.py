@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from rig.recording.errors import RecordingError
+from rig.recording.errors import CannotWriteError
 
 CONFIG: Final = "config.yaml"
 META: Final = "meta.json"
@@ -47,7 +47,7 @@ def create_run(parent: Path, name: str, now_utc: datetime) -> Path:
 
 def write_config(folder: Path, text: str) -> None:
     """Write config.yaml, the resolved configuration. Raises RecordingError where that fails."""
-    _replace(folder / CONFIG, text)
+    write_whole(folder / CONFIG, text.encode("utf-8"))
 
 
 def write_meta(folder: Path, meta: Mapping[str, Any]) -> None:
@@ -55,12 +55,30 @@ def write_meta(folder: Path, meta: Mapping[str, Any]) -> None:
 
     Raises RecordingError where the file cannot be written, TypeError for what JSON cannot hold.
     """
-    _replace(folder / META, json_text(meta))
+    write_whole(folder / META, json_text(meta).encode("utf-8"))
 
 
 def write_result(folder: Path, result: Mapping[str, Any]) -> None:
     """Write result.json; otherwise as ``write_meta``."""
-    _replace(folder / RESULT, json_text(result))
+    write_whole(folder / RESULT, json_text(result).encode("utf-8"))
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write the whole file or leave the old one: whoever reads it never sees half, whatever ends this process.
+
+    Raises CannotWriteError where the disk does not take it; nothing is left behind then.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with temporary.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise _cannot_write(path, error) from error
 
 
 def json_text(value: Mapping[str, Any]) -> str:
@@ -83,22 +101,7 @@ def _strict(value: Any) -> Any:
     return value
 
 
-def _replace(path: Path, text: str) -> None:
-    """Write the whole file or leave the old one: whoever reads it never sees half."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise _cannot_write(path, error) from error
-
-
-def _cannot_write(path: Path, error: OSError) -> RecordingError:
-    return RecordingError(
+def _cannot_write(path: Path, error: OSError) -> CannotWriteError:
+    return CannotWriteError(
         path, f"cannot be written: {error.strerror}", "check the disk's free space and the permissions of the folder"
     )

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from rig.recording.columns import COLUMNS, KINDS
 from rig.recording.errors import RecordingError
-from rig.recording.folder import CONFIG, META
+from rig.recording.folder import CONFIG, META, RESULT
 from rig.recording.writer import EVENTS, SAMPLES
 
-__all__ = ["Recording", "RecordingError", "from_columns", "read", "read_csv", "read_run"]
+__all__ = ["Recording", "RecordingError", "from_columns", "read", "read_csv", "read_result", "read_run"]
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -186,6 +186,12 @@ def read_run(folder: Path) -> Recording:
     return replace(
         recording, source=folder, meta=meta, config_text=config_text, events=tuple(events), notes=tuple(notes)
     )
+
+
+def read_result(folder: Path) -> dict[str, Any] | None:
+    """What a run folder's result.json holds; None where there is none. Raises RecordingError where it is broken."""
+    path = folder / RESULT
+    return _parse_object(path, _text(path, _bytes(path)), None) if path.exists() else None
 
 
 def read_csv(path: Path) -> Recording:
