@@ -11,8 +11,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define RELAY_COUNT 16      /* y of one count */
-#define RELAY_COUNT_TICK 32 /* z of one count for one tick */
+#define RELAY_COUNT 16 /* y of one count */
 #define RELAY_Z_MAX 0x40000000L
 #define RELAY_CENTRE_MAX (0xFFFFL * RELAY_COUNT)
 

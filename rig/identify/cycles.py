@@ -96,7 +96,7 @@ class Cycle:
     y_rc_rad, y_rb_rad  position at the edges of RC (t = 0) and RB (t = t1 + t2), rad
     y_extremum_rad   position at t1, the minimum
     z_rc_rad_s       integral of position at t = 0, rad s
-    phase, curve_rad, drive_V   averaged curve over one period: phase 0..1, position, drive
+    phase, curve_rad averaged curve over one period: phase 0..1, position
     spread_rad       standard deviation between half periods at these phases, rad
     cycles           periods averaged
     scatter          standard deviation between periods of "period_s", "amplitude_rad", "inner_s" (t1 + t2), "t3_s"
@@ -121,7 +121,6 @@ class Cycle:
     z_rc_rad_s: float
     phase: Array
     curve_rad: Array
-    drive_V: Array
     spread_rad: Array
     cycles: int
     scatter: dict[str, float]
@@ -406,7 +405,6 @@ def average(
     inside = (tau > 0.0) & (tau < length)
     area = np.trapezoid(np.concatenate(([y_rc], y[inside], [-y_rc])), np.concatenate(([0.0], tau[inside], [length])))
     phase = np.concatenate((tau[inside], tau[inside] + length)) / (2.0 * length)
-    drive = np.where(tau[inside] < inner, h1_V + h2_V, h2_V - h1_V)
     scatter = {
         "period_s": _std([wave.period_s for wave in waves]),
         "amplitude_rad": _std([wave.amplitude_rad for wave in waves]),
@@ -427,7 +425,6 @@ def average(
         z_rc_rad_s=-0.5 * float(area),
         phase=phase,
         curve_rad=np.concatenate((y[inside], -y[inside])),
-        drive_V=np.concatenate((drive, -drive)),
         spread_rad=np.concatenate((spread[inside], spread[inside])),
         cycles=len(waves),
         scatter=scatter,

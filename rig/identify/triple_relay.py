@@ -64,7 +64,6 @@ class Fit:
     converged the last step was negligible
     asym_V    asymmetry of the drive
     delay_s   from the recorded edges to the drive's; nan if these are known to be the same
-    y0_rad    position at the RC edge where the drive steps up
     """
 
     theta: Start
@@ -73,7 +72,6 @@ class Fit:
     converged: bool
     asym_V: float = 0.0
     delay_s: float = math.nan
-    y0_rad: float = math.nan
 
 
 def residuals(theta: Start, features: Features, h1_V: float, h2_V: float) -> Array:
@@ -203,7 +201,7 @@ def _descend(
         if math.isfinite(cost):
             path = _all_natural(iterates[:count])
             delay = math.nan if cycle.drive_times_known else float(x[5])
-            fit = Fit(_natural(x), cost, path, count <= MAX_ITERATIONS, float(x[3]), delay, float(x[4]))
+            fit = Fit(_natural(x), cost, path, count <= MAX_ITERATIONS, float(x[3]), delay)
             fits.append((fit, x))
     return fits
 

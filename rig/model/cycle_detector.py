@@ -12,7 +12,6 @@ class DetectedCycle(NamedTuple):
 
     start_s, period_s     time of its start and its length, s
     amplitude_rad         half of the peak-to-peak position
-    centre_rad            middle of the peaks
     accepted              it is the cycle of theory section 3, and not delay hunting (section 5)
     reason                why not, in words; empty if accepted
     """
@@ -20,7 +19,6 @@ class DetectedCycle(NamedTuple):
     start_s: float
     period_s: float
     amplitude_rad: float
-    centre_rad: float
     accepted: bool
     reason: str
 
@@ -107,7 +105,7 @@ class CycleDetector:
             reason = f"amplitude {amplitude:.4f} rad is below {self.min_amplitude_rad:.4f} rad: delay hunting"
         elif not all(a <= b for a, b in itertools.pairwise(order)):
             reason = "the relays do not switch in the order velocity, position, integral"
-        return DetectedCycle(self._start_s, period, amplitude, 0.5 * (self._max[0] + self._min[0]), not reason, reason)
+        return DetectedCycle(self._start_s, period, amplitude, not reason, reason)
 
     def _update_settled(self) -> None:
         last = self.cycles[-3:]

@@ -1,4 +1,4 @@
-"""Friction laws: none, Coulomb, with a static level, directional, Tustin's with Stribeck effect and viscous friction.
+"""Friction laws: none, Coulomb, with a static level, by direction, Tustin's with Stribeck effect and viscous friction.
 
 f(v) = (fc + (fs - fc) exp(-|v|/vs)) sgn(v) + fv v, with a level fc and fs for each direction (theory sections 1, 8, 9).
 """
@@ -67,11 +67,6 @@ def coulomb(fc_V: float, fs_V: float | None = None) -> Friction:
     """Coulomb friction of level ``fc_V``, breaking away at ``fs_V`` (default: the same)."""
     fs = fc_V if fs_V is None else fs_V
     return Friction(fc_V, fc_V, fs, fs)
-
-
-def directional(plus_V: float, minus_V: float, static_ratio: float = 1.0) -> Friction:
-    """Coulomb friction with a level for each direction; static level ``static_ratio`` times it."""
-    return Friction(plus_V, minus_V, plus_V * static_ratio, minus_V * static_ratio)
 
 
 def tustin(fc_V: float, fs_V: float, stribeck_rad_s: float, viscous_V_s_rad: float = 0.0) -> Friction:

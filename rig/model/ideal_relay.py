@@ -152,16 +152,6 @@ def ideal_relay(
     return RelayRun(steps, "chatter" if loop.chatters else "held" if loop.held else "time")
 
 
-def ideal_hysteretic_relay(
-    motor: Motor, d_V: float, hysteresis_rad: float, start: State, duration_s: float, sign: float = -1.0
-) -> RelayRun:
-    """One relay of +-d on the position, with hysteresis (theory section 6).
-
-    sign   s_y at the start where |y| <= hysteresis: the first drive is -sign d, so +d if it is not given
-    """
-    return ideal_relay(motor, Relay(d_V, 0.0, hysteresis_rad), start, duration_s, (sign, 1.0))
-
-
 def half_periods(events: tuple[Event, ...]) -> list[HalfPeriod]:
     """The half periods that the events complete, in order."""
     found = []

@@ -53,11 +53,6 @@ class LimitCycle:
         return -float(self.states[1, 1])
 
     @property
-    def integral_amplitude_rad_s(self) -> float:
-        """Largest |z|, reached at t1 + t2, rad s."""
-        return -float(self.states[2, 2])
-
-    @property
     def speed_rad_s(self) -> float:
         """Largest |v|, rad/s."""
         return float(np.abs(self.states[:, 0]).max())

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import pytest
+from directional_friction import directional
 from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, break_away, simulated_bench
 
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.relay import DualChannelRelay
 from rig.faults import Fault
 from rig.model.cycle_detector import CycleDetector
-from rig.model.friction import coulomb, directional
+from rig.model.friction import coulomb
 from rig.model.motor import Motor
 
 TARGET = CycleTarget(0.6, 1.0, 0.15)

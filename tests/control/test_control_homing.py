@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import pytest
+from directional_friction import directional
 from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, SimulatedBench, break_away, simulated_bench
 
 from rig.control.homing import Homing
 from rig.faults import Fault
-from rig.model.friction import coulomb, directional
+from rig.model.friction import coulomb
 from rig.model.motor import Motor
 
 LSB_RAD = CALIBRATION.lsb_rad

@@ -7,15 +7,15 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from directional_friction import directional
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from rig.model.friction import coulomb, directional, tustin
+from rig.model.friction import coulomb, tustin
 from rig.model.ideal_relay import (
     Relay,
     half_periods,
-    ideal_hysteretic_relay,
     ideal_relay,
     settled_cycle,
 )
@@ -70,7 +70,7 @@ def test_from_wherever_it_starts_on_the_grid_it_settles_in_that_cycle(tau, K, fc
     h2 = fc + beyond
     theory = limit_cycle(tau, K, fc, share * h2, h2)
     size = theory.amplitude_rad
-    start = State(v * theory.speed_rad_s, y * size, z * theory.integral_amplitude_rad_s)
+    start = State(v * theory.speed_rad_s, y * size, z * -theory.states[2, 2])
     cycle = settled_cycle(Motor(tau, K, coulomb(fc)), share * h2, h2, start)
     assert cycle.is_simple
     assert cycle.durations_s == pytest.approx(theory.durations_s, abs=1e-9)
@@ -203,6 +203,11 @@ def test_a_small_stribeck_effect_moves_the_cycle_a_little_and_viscous_friction_i
 
 
 # ------------------------------------------------------------------ the single hysteretic relay: theory section 6
+
+
+def ideal_hysteretic_relay(motor, d_V, hysteresis_rad, start, duration_s, sign=-1.0):
+    """One relay of +-d on the position, with hysteresis; ``sign`` is s_y at the start: the first drive is -sign d."""
+    return ideal_relay(motor, Relay(d_V, 0.0, hysteresis_rad), start, duration_s, (sign, 1.0))
 
 
 def test_before_the_first_switching_runs_of_two_relays_are_in_the_ratio_of_their_excess():

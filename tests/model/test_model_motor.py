@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from directional_friction import directional
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from rig.model.friction import NONE, Friction, coulomb, directional
+from rig.model.friction import NONE, Friction, coulomb
 from rig.model.motor import Motor, State, reversal_time
 
 taus = st.floats(0.02, 1.0)

@@ -138,16 +138,6 @@ def _reversals(tau: float, inputs: Array, edges: Array, out: Array) -> None:
 
 
 @njit(cache=True)
-def reversal_times(theta: Array, gains: tuple[float, float], edges: Array) -> tuple[float, float]:
-    """t1 of both halves, s; 0 where the motor stops before the RC edge."""
-    inputs, x = np.empty((2, 3)), np.empty((2, 4))
-    _inputs(theta, gains, inputs)
-    tau = math.exp(theta[0])
-    _reversals(tau, inputs, edges, x)
-    return tau * math.log(x[0, 0]), tau * math.log(x[1, 0])
-
-
-@njit(cache=True)
 def _stop(tau: float, drive: tuple[float, float, float], t1: float, rb: float) -> float:
     """When the motor would stop after the RB edge, s; inf if it would not."""
     speed = -drive[1] * math.expm1((t1 - rb) / tau)
