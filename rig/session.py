@@ -23,7 +23,7 @@ from rig.control.tracking import tracking_error
 from rig.faults import Fault
 from rig.identify import Identification, IdentifyError, identify
 from rig.loop.real_time import RealTime
-from rig.loop.runner import Loop
+from rig.loop.runner import STOPPING, Loop
 from rig.loop.stop_request import stop_on_signals
 from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
@@ -164,8 +164,10 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
         _write_result(session, outcome)
     try:
         write_report(session.folder, session.identification)
+    except RecordingError as error:
+        outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
     except OSError as error:
-        outcome.failures.append(f"report.html cannot be written: {error.strerror}")
+        outcome.failures.append(f"no report: {error}")
     return outcome
 
 
@@ -174,7 +176,7 @@ def _write_result(session: Session, outcome: Outcome) -> None:
     try:
         write_result(session.folder, outcome.result)
     except RecordingError as error:
-        outcome.failures.append(error.cause)
+        outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
 
 
 def _measure_tracking(session: Session) -> None:
@@ -290,4 +292,4 @@ def _stages(experiment: Experiment) -> list[str]:
     if experiment.relay.hysteretic is not None:
         relays += ["homing", *(f"hysteretic-{number}" for number in range(1, len(experiment.relay.hysteretic) + 1))]
     tracks = [] if experiment.tracking is None else [f"track:{method}" for method in experiment.tracking.methods]
-    return ["rest", "jog", "breakaway", "search", *relays, *tracks]
+    return ["rest", "jog", "breakaway", "search", *relays, *tracks, STOPPING]

@@ -187,7 +187,10 @@ class RelayDriver(Driver, Protocol):
         ...
 
     def read_rows(self) -> list[RelayRow]:
-        """The ticks that have come since the last call; does not wait. Raises Fault on any fault of link or device."""
+        """The ticks that have come since the last call; does not wait. Raises Fault on any fault of link or device.
+
+        Once after a ``safe_stop``: the last ticks before it that have come; without a fault.
+        """
         ...
 
     def stop_relay(self) -> list[RelayRow]:

@@ -105,11 +105,13 @@ class RelayStream:
         """Whether the last block of the run has come."""
         return self.last is not None and not self.last.status & frames.STATUS_RELAY
 
-    def take(self, packet: Packet, now_s: float) -> None:
-        """Take a packet of kind BLOCK. Raises Fault LINK_GAP where one before it is missing."""
-        if packet.seq != self._expected:
-            lost = (packet.seq - self._expected) % 2**16
-            raise Fault("LINK_GAP", f"block {packet.seq} came where {self._expected} was due: {lost} are missing")
+    def take(self, packet: Packet, now_s: float) -> bool:
+        """Take a packet of kind BLOCK; False where it has come before. Raises Fault LINK_GAP where one is missing."""
+        ahead = (packet.seq - self._expected) % 2**16
+        if ahead >= 2**15:
+            return False
+        if ahead:
+            raise Fault("LINK_GAP", f"block {packet.seq} came where {self._expected} was due: {ahead} missing")
         self._expected = (packet.seq + 1) % 2**16
         block = Block.unpack(packet.body)
         self.last = block
@@ -121,6 +123,7 @@ class RelayStream:
             y_rad, u_V = self._calibration.to_rad(counts), self._drive_map.to_volts(drive)
             self._rows.append(RelayRow(t_s, t_s + delay_s, y_rad, counts, u_V, packet.seq))
             t_s += step_s
+        return True
 
     def rows(self) -> list[RelayRow]:
         """The rows that have come since the last call, in order."""

@@ -306,11 +306,17 @@ class SerialDriver:
     def safe_stop(self) -> bool:
         """Tell the device to stop, up to three times; True once it confirms 0 drive, disarmed.
 
-        On False (or without the host at all) the device's watchdog does it.
+        On False (or without the host at all) the device's watchdog does it. The last ticks of a relay that ran are for
+        ``read_rows``.
         """
         self._armed = False
         self._unconfirmed = None
-        self._stream = None
+        stopped = self._is_stopped()
+        if self._stream is not None:
+            self._take_last(self._stream, until_s=self._transport.now_s() + (self._timeout_s if stopped else 0.0))
+        return stopped
+
+    def _is_stopped(self) -> bool:
         try:
             for _ in range(_ATTEMPTS):
                 packet = self._await(self._send(Kind.STOP), Kind.STOP_REPLY)
@@ -365,12 +371,26 @@ class SerialDriver:
         """Tell the device that the host lives: without this its relay ends when the watchdog time is over."""
         self._send(Kind.KEEP)
 
-    def read_rows(self) -> list[RelayRow]:
-        """The relay's ticks that have come since the last call; does not wait. Once there are no more:
+    def _take_last(self, stream: RelayStream, until_s: float) -> None:
+        """What has come of a relay that was stopped, up to the first block that is missing."""
+        try:
+            self._take_blocks(stream)
+            while not stream.ended and (left_s := until_s - self._transport.now_s()) > 0.0:
+                self._sort(self._reader.feed(self._transport.read(left_s)))
+                self._take_blocks(stream)
+        except Fault:  # the run has ended for a reason of its own
+            return
 
+    def read_rows(self) -> list[RelayRow]:
+        """The relay's ticks that have come since the last call; does not wait. After a ``safe_stop``: the last ones.
+
+        Once there are no more:
         Raises Fault LINK_GAP, LINK_LOST, LINK_TIMEOUT where blocks stay away, DEVICE_RESET, or what the device latched.
         """
         stream = self._running_stream()
+        if not self._armed:
+            self._stream = None
+            return stream.rows()
         for _ in range(_STALE_READS):
             if not (data := self._transport.read(0.0)):
                 break
@@ -422,7 +442,7 @@ class SerialDriver:
         blocks, self._blocks = self._blocks, []
         now_s = self._transport.now_s()
         for packet in blocks:
-            stream.take(packet, now_s)
+            self._stale_replies += not stream.take(packet, now_s)
 
     def _relay_fault(self, stream: RelayStream) -> Fault:
         """Why the relay ended without being told to."""

@@ -16,7 +16,7 @@ from rig.daq.calibration import Calibration, DriveMap
 from rig.daq.driver import DeviceInfo, DeviceWatchdog
 from rig.daq.relay_stream import TICK_S, RelayCommand, RelayRow, relay_command
 from rig.faults import Fault
-from rig.loop.runner import Loop
+from rig.loop.runner import STOPPING, Loop
 from rig.loop.stop_request import StopRequest
 from rig.recording.reader import Recording
 from rig.recording.record import NoRecord, Row
@@ -113,20 +113,23 @@ class Tape:
         self.next = 0
         self.asked_V = _NAN
         self.now_s = -period_s  # so that the loop's first tick, a period later, is at 0
-        self.stages: list[str] = recording.stage.tolist()
-        self.ticks: list[int] = recording.tick.tolist()
-        self.seq: list[int] = recording.seq.tolist()
-        self.t_s: list[float] = recording.t_s.tolist()
-        self.t_u_s: list[float] = recording.t_u_s.tolist()
-        self.y_rad: list[float] = recording.y_rad.tolist()
-        self.y_counts: list[int] = recording.y_counts.tolist()
-        self.v_rad_per_s: list[float] = recording.v_rad_per_s.tolist()
-        self.u_V: list[float] = recording.u_V.tolist()
-        self.z_rad_s: list[float] = recording.z_rad_s.tolist()
-        self.yd_rad: list[float] = recording.yd_rad.tolist()
-        self.flags: list[int] = recording.flags.tolist()
+        stages: list[str] = recording.stage.tolist()
+        # what came of a relay in the device after the loop had given up: nobody decided on it
+        end = stages.index(STOPPING) if STOPPING in stages else len(stages)
+        self.stages = stages[:end]
+        self.ticks: list[int] = recording.tick.tolist()[:end]
+        self.seq: list[int] = recording.seq.tolist()[:end]
+        self.t_s: list[float] = recording.t_s.tolist()[:end]
+        self.t_u_s: list[float] = recording.t_u_s.tolist()[:end]
+        self.y_rad: list[float] = recording.y_rad.tolist()[:end]
+        self.y_counts: list[int] = recording.y_counts.tolist()[:end]
+        self.v_rad_per_s: list[float] = recording.v_rad_per_s.tolist()[:end]
+        self.u_V: list[float] = recording.u_V.tolist()[:end]
+        self.z_rad_s: list[float] = recording.z_rad_s.tolist()[:end]
+        self.yd_rad: list[float] = recording.yd_rad.tolist()[:end]
+        self.flags: list[int] = recording.flags.tolist()[:end]
         # a row of the relay in the device took no time of the loop's
-        self.in_device: list[bool] = [math.isnan(late_us) for late_us in recording.late_us.tolist()]
+        self.in_device: list[bool] = [math.isnan(late_us) for late_us in recording.late_us.tolist()[:end]]
         self.stops: list[bool] = [bool(e.get("confirmed", True)) for e in recording.events if e.get("kind") == "stop"]
         self._is_whole = is_whole
         self._stop = stop
@@ -465,6 +468,9 @@ class ReplayLoop(Loop):
     ) -> None:
         """As ``Loop.run_in_device``."""
         super().run_in_device(_Heard(law, self.tape), command, stage, watch)
+
+    def _record_last_rows(self) -> None:
+        """None: a replay ends where the loop gives up."""
 
 
 class _Heard:

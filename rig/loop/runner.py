@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import math
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -17,6 +18,7 @@ from rig.loop.stop_request import StopRequest
 from rig.recording.record import Record
 from rig.signals import FLAG_SATURATED, FLAG_SKIPPED, Limits, Sample
 
+STOPPING = "stopping"  # stage of what the relay in the device did until it was stopped, after the loop had given up
 _CHECK_EVERY_TICKS = 25
 
 
@@ -54,6 +56,8 @@ class Loop:
         self.last_y_rad = math.nan  # position at the last tick
         self._last_t_s = math.nan
         self._last_row_s = math.nan  # of the relay in the device
+        self._relay: RelayDriver | None = None  # while it drives
+        self._untaken: deque[RelayRow] = deque()  # its rows that have come and are not in the record yet
         self.unconfirmed_stops = 0  # stops that the device did not answer: its watchdog has to do them
         self.latency_s = 0.0  # from sample to effect of the drive, smoothed
 
@@ -88,7 +92,9 @@ class Loop:
     def _stop_drive(self) -> bool:
         """Stop, whatever happens; False where the device did not confirm it."""
         try:
-            return self._stop_confirmed()
+            stopped = self._stop_confirmed()
+            self._record_last_rows()
+            return stopped
         finally:
             gc.enable()
             self._row_open = False
@@ -131,40 +137,45 @@ class Loop:
         self._finish_row()
         self.guard.pace(driver.tick_s, max(4.0 * self._period_s, WINDOW_S))
         driver.start_relay(command)
+        self._relay = driver
         self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
         self._last_row_s = math.nan
         while not law.finished:
             due_s, woke_s = self._await_tick()
             driver.keep()
-            for row in driver.read_rows():
-                self._take_row(row, driver, law, stage, watch)
+            self._take_rows(driver.read_rows(), driver, law, stage, watch)
             self.statistics.tick((woke_s - due_s) * 1e6, (self._clock.now_s() - woke_s) * 1e6)
             self._end_tick(due_s)
-        for row in driver.stop_relay():
-            self._take_row(row, driver, law, stage, watch)
+        self._take_rows(driver.stop_relay(), driver, law, stage, watch)
+        self._relay = None
         self.guard.pace(self._period_s)
         self._last_t_s = math.nan
         self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
+
+    def _take_rows(
+        self,
+        rows: list[RelayRow],
+        driver: RelayDriver,
+        law: Law,
+        stage: str,
+        watch: Callable[[float], None] | None,
+    ) -> None:
+        self._untaken.extend(rows)
+        while self._untaken:
+            self._take_row(self._untaken.popleft(), driver, law, stage, watch)
 
     def _take_row(
         self, row: RelayRow, driver: RelayDriver, law: Law, stage: str, watch: Callable[[float], None] | None
     ) -> None:
         """Record one tick of the device, then judge it."""
-        tick_s = driver.tick_s
         sample = Sample(self._since_start_s(row.t_s), row.y_rad, row.y_counts, seq=row.block)
-        since_s = sample.t_s - self._last_row_s
-        missed = max(round(since_s / tick_s) - 1, 0) if math.isfinite(since_s) else 0
-        self._last_row_s = sample.t_s
         self.last_y_rad = sample.y_rad
-        self.statistics.device_tick(tick_s, missed)
         try:
             decided_V = law.step(sample)
         finally:
-            flags = FLAG_SKIPPED if missed else 0
-            self._record.sample(self._tick, sample, stage, law.z_rad_s, law.yd_rad, row.u_V, math.nan, math.nan, flags)
-            self._record.complete(self._since_start_s(row.t_u_s), row.u_V)
+            self._record_row(row, sample, driver.tick_s, stage, law.z_rad_s, law.yd_rad)
         if row.u_V != decided_V:
-            driver.read_rows()  # where the device has stopped it by itself, it says why
+            self._untaken.extend(driver.read_rows())  # where the device has stopped it by itself, it says why
             raise Fault("DEVICE_RELAY", f"{row.u_V:+.3f} V at {row.y_counts} counts, not {decided_V:+.3f} V")
         passed_V, _ = self.guard.allow(sample, row.u_V)
         if passed_V != row.u_V:
@@ -175,6 +186,31 @@ class Loop:
             )
         if watch is not None:
             watch(sample.t_s)
+
+    def _record_row(
+        self, row: RelayRow, sample: Sample, tick_s: float, stage: str, z_rad_s: float, yd_rad: float
+    ) -> None:
+        since_s = sample.t_s - self._last_row_s
+        missed = max(round(since_s / tick_s) - 1, 0) if math.isfinite(since_s) else 0
+        self._last_row_s = sample.t_s
+        self.statistics.device_tick(tick_s, missed)
+        flags = FLAG_SKIPPED if missed else 0
+        self._record.sample(self._tick, sample, stage, z_rad_s, yd_rad, row.u_V, math.nan, math.nan, flags)
+        self._record.complete(self._since_start_s(row.t_u_s), row.u_V)
+
+    def _record_last_rows(self) -> None:
+        """What else has come of a relay in the device when the run ends while it drives: recorded, judged by nobody."""
+        driver, self._relay = self._relay, None
+        if driver is None:
+            return
+        try:
+            self._untaken.extend(driver.read_rows())
+        except Exception as error:  # noqa: BLE001 - a broken driver must not hide why the run ended
+            self._record.event(self.now_s, "rows_lost", error=repr(error))
+        while self._untaken:
+            row = self._untaken.popleft()
+            sample = Sample(self._since_start_s(row.t_s), row.y_rad, row.y_counts, seq=row.block)
+            self._record_row(row, sample, driver.tick_s, STOPPING, math.nan, math.nan)
 
     def _run_tick(self, law: Law, stage: str) -> Sample:
         now_s = self._clock.now_s

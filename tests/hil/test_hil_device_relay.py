@@ -469,3 +469,84 @@ def test_the_experiment_runs_either_way_by_one_key(where: str, tmp_path: Path, m
         assert estimate[name] == pytest.approx(truth, rel=0.02)
     assert math.isfinite(outcome.result["relays"][0]["period_s"])
     assert ("device" in outcome.result["loop"]) == (where == "device")
+
+
+def received(board: VirtualBoard) -> list[int]:
+    """Readings of all blocks that the host is given from now on, filled as they come."""
+    counts: list[int] = []
+    read, reader = board.read, FrameReader()
+
+    def listening(timeout_s: float) -> bytes:
+        data = read(timeout_s)
+        for packet in reader.feed(data):
+            if packet.kind == Kind.BLOCK:
+                counts.extend(row[0] for row in Block.unpack(packet.body).rows)
+        return data
+
+    board.read = listening  # type: ignore[method-assign]
+    return counts
+
+
+@pytest.mark.parametrize("cause", ["interrupted", "guard", "limit", "law"])
+def test_whatever_ends_the_run_each_row_that_came_is_in_the_record(cause: str) -> None:
+    bench = DeviceBench()
+    counts = received(bench.board)
+
+    def end(t_s: float) -> None:
+        if t_s > 1.2037:
+            if cause == "interrupted":
+                bench.stop.reason = "SIGINT"
+            elif cause == "limit":
+                bench.board.place(1.93)
+            else:
+                raise Fault("OVERSPEED" if cause == "guard" else "NO_CYCLE")
+
+    with pytest.raises(Fault):
+        bench.run(end)
+    rows = bench.record.rows
+    assert [row["y_rad"] for row in rows] == [CALIBRATION.to_rad(n) for n in counts]
+    assert np.diff([row["t_s"] for row in rows]) == pytest.approx(bench.driver.tick_s, abs=3e-6)
+    stopping = [row for row in rows if row["stage"] == "stopping"]
+    assert bool(stopping) == (cause != "limit")  # of itself the device tells in the test's own rows
+    assert all(math.isnan(row["z_rad_s"]) for row in stopping)
+    assert rows[-1]["u_V"] == 0.0 or cause != "limit"
+
+
+class Wire:
+    """Whole frames on their way to the host: ``passes`` says what becomes of each."""
+
+    def __init__(self, board: VirtualBoard, passes: Callable[[bytes], list[bytes]]) -> None:
+        self._read, self._pending, self._passes = board.read, b"", passes
+        board.read = self.read  # type: ignore[method-assign]
+
+    def read(self, timeout_s: float) -> bytes:
+        *frames, self._pending = (self._pending + self._read(timeout_s)).split(b"\0")
+        return b"".join(out for frame in frames for out in self._passes(frame + b"\0"))
+
+
+def test_blocks_before_the_one_that_is_missing_are_in_the_record() -> None:
+    """Three come at once, the second one damaged."""
+    bench, held = DeviceBench(), []
+
+    def three(frame: bytes) -> list[bytes]:
+        if bench.loop.now_s < 1.5 or len(held) >= 3:
+            return [frame]
+        held.append(frame)
+        return [held[0], held[1][:-9] + b"\0", held[2]] if len(held) == 3 else []
+
+    Wire(bench.board, three)
+    fault = fault_of(bench.run)
+    assert fault.code == "LINK_GAP" and fault.detail.endswith("1 missing")
+    (packet,) = FrameReader().feed(held[0])
+    told = [CALIBRATION.to_rad(counts) for counts, _ in Block.unpack(packet.body).rows]
+    assert [row["y_rad"] for row in bench.record.rows[-10:]] == told
+
+
+def test_a_block_that_comes_twice_is_taken_once() -> None:
+    board, driver = armed_driver()
+    start(board, driver)
+    rows = run_for(board, driver, 0.2)
+    Wire(board, lambda frame: [frame, frame])
+    rows += run_for(board, driver, 0.3)
+    assert np.diff([row.t_s for row in rows]) == pytest.approx(driver.tick_s, abs=3e-6)
+    assert driver.link_statistics["stale_replies"] > 20

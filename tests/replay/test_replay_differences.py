@@ -93,6 +93,15 @@ def test_a_relay_in_the_device_that_ended_its_run(tmp_path: Path) -> None:
     found = run.replay().difference
     assert found is not None and found.line == k + 2 and "LINK_GAP" in found.recorded
 
+    # what came before the device had stopped, too, is in the record: nobody decided on it
+    run.rows[k]["u_V"] = right_V
+    later = {name: repr(float(run.rows[k][name]) + 0.001) for name in ("t_s", "t_u_s")}
+    run.rows.append(run.rows[k] | later | {"stage": "stopping", "z_rad_s": "", "u_V": "0.0"})
+    assert run.replay().is_same
+    fault["code"] = "DEVICE_RELAY"
+    run.rows[k]["u_V"] = wrong_V
+    assert run.replay().is_same
+
 
 def test_a_sample_at_which_the_guard_would_have_braked(tmp_path: Path) -> None:
     """Within limits that leave the run just enough room, one reading 0.06 rad farther out where it needs most."""
