@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from rig.control.guard import VelocityWindow
+from rig.control.motion import CycleWatch
 from rig.control.relay import DualChannelRelay
 from rig.faults import Fault
 from rig.model.cycle_detector import CycleDetector
@@ -281,7 +282,9 @@ class GainSearch(_RelayLaw[DualChannelRelay]):
 class RelayTest(_RelayLaw[Relay]):
     """Run the relay at fixed gains until ``cycles`` settled periods have passed.
 
-    settled_start_s and settled_end_s frame them once finished. Raises Fault NO_CYCLE where ``timeout_s`` passes first.
+    settled_start_s and settled_end_s frame them once finished. Raises Fault NO_CYCLE where ``timeout_s`` passes first;
+    SENSOR_STUCK where the cycle has settled and then the reading stands as no limit cycle does (``CycleWatch``),
+    whatever the relays drive meanwhile.
     """
 
     def __init__(
@@ -297,12 +300,16 @@ class RelayTest(_RelayLaw[Relay]):
         self.timeout_s = timeout_s
         self.settled_start_s = math.nan
         self.settled_end_s = math.nan
+        self.watch = CycleWatch(detector.min_amplitude_rad)
         relay.h1_V, relay.h2_V = gains_V
         detector.forget()
 
     def step(self, sample: Sample) -> float:
         """Drive of the relay at this sample, V."""
         u_V, completed = self._run_relay(sample)
+        self.watch.step(sample)
+        if self.detector.settled:
+            self.watch.check(u_V)
         if sample.t_s - self._start_s > self.timeout_s:
             seen = self.detector.cycles
             last = f"; last: {seen[-1].reason}" if seen and seen[-1].reason else ""
@@ -312,6 +319,7 @@ class RelayTest(_RelayLaw[Relay]):
                 f"h2 {self.relay.h2_V:.2f} V, not settled{last}",
             )
         if completed:
+            self.watch.end_period(self.detector.cycles[-1])
             if not self.detector.settled:
                 self.settled_start_s = math.nan
             elif math.isnan(self.settled_start_s):

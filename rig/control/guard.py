@@ -6,6 +6,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
+from rig.control.motion import Gain, Standstill
 from rig.faults import Fault
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, Limits, Sample
 
@@ -36,6 +37,7 @@ class GuardSettings:
 
 WINDOW_S = 0.04  # that the velocity is taken from, at least; so it lags by half of that
 _LEAST_SAMPLES = 5
+_SETTLING_WINDOWS = 1.5  # of the velocity: it lags by half of one, and a drive acts up to two ticks later
 
 
 class VelocityWindow:
@@ -95,15 +97,18 @@ class Guard:
         self._samples = _LEAST_SAMPLES
         self._velocity = VelocityWindow()
         self._last: Sample | None = None
-        self._pushing: deque[tuple[float, float]] = deque()
         self._push_sign = 0
+        self._window_s = WINDOW_S
+        self._standstill = Standstill()
+        self._gain = Gain(_SETTLING_WINDOWS * WINDOW_S)
         self._inward_since: tuple[float, float] | None = None
 
     def rearm(self) -> None:
         """Forget the motion seen before a pause: time has passed unseen since."""
         self._velocity = VelocityWindow(self._samples)
         self._last = None
-        self._pushing.clear()
+        self._standstill.restart()
+        self._gain.restart()
         self._inward_since = None
 
     def pace(self, sample_s: float, window_s: float = WINDOW_S) -> None:
@@ -113,6 +118,8 @@ class Guard:
         """
         self._samples = max(_LEAST_SAMPLES, 1 + round(window_s / sample_s))
         self._velocity = VelocityWindow(self._samples, self.velocity_rad_s)
+        self._window_s = (self._samples - 1) * sample_s
+        self._gain = Gain(_SETTLING_WINDOWS * self._window_s)
 
     def allow(self, sample: Sample, asked_V: float) -> tuple[float, int]:
         """Drive that may go out for what a law asked, V, and the record's flags for it.
@@ -134,6 +141,12 @@ class Guard:
             raise
         self._last = sample
         return passed_V, flags
+
+    @property
+    def _clear_rad_s(self) -> float:
+        """Speed that noise cannot be taken for: twelve standard deviations of the velocity, and motion_rad a window."""
+        noise_rad_s = self.settings.noise_rad * math.sqrt(12.0 / self._samples) / self._window_s
+        return max(12.0 * noise_rad_s, self.settings.motion_rad / self._window_s)
 
     def _check_sensor(self, sample: Sample) -> None:
         low, high = self.settings.rail_counts
@@ -204,24 +217,28 @@ class Guard:
             )
 
     def _check_stuck(self, sample: Sample, u_V: float) -> None:
+        """A drive well above static friction moves a shaft that stands, and never slows one that it has sped up."""
         sign = 0
         if not math.isnan(self.static_V) and abs(u_V) > 1.4 * self.static_V:
             sign = 1 if u_V > 0.0 else -1
         if sign == 0 or sign != self._push_sign:
-            self._pushing.clear()
+            self._standstill.restart()
+            self._gain.restart()
         self._push_sign = sign
         if sign == 0:
             return
-        window = self._pushing
-        window.append((sample.t_s, sample.y_rad))
-        while window[-1][0] - window[0][0] > self.settings.stuck_s * 1.5:
-            window.popleft()
-        if window[-1][0] - window[0][0] < self.settings.stuck_s:
-            return
-        positions = [y for _, y in window]
-        if max(positions) - min(positions) < self.settings.motion_rad:
+        given_rad_s = self._gain.step(sample.t_s, self.velocity_rad_s, u_V)
+        if given_rad_s > self._clear_rad_s and self.velocity_rad_s * sign < 0.25 * given_rad_s:
             raise Fault(
                 "SENSOR_STUCK",
-                f"{u_V:+.2f} V for {window[-1][0] - window[0][0]:.2f} s moved the reading by "
-                f"{(max(positions) - min(positions)) * 1e3:.1f} mrad; it broke away at {self.static_V:.2f} V",
+                f"{u_V:+.2f} V had made it {given_rad_s:.1f} rad/s faster, and the reading now moves at "
+                f"{self.velocity_rad_s * sign:.1f} rad/s under the same drive",
+            )
+        still_s = self._standstill.step(sample.t_s, sample.y_rad, self.settings.motion_rad)
+        if still_s >= self.settings.stuck_s:
+            moved_rad = self._standstill.high_rad - self._standstill.low_rad
+            raise Fault(
+                "SENSOR_STUCK",
+                f"{u_V:+.2f} V for {still_s:.2f} s moved the reading by {moved_rad * 1e3:.1f} mrad; "
+                f"it broke away at {self.static_V:.2f} V",
             )
