@@ -13,20 +13,69 @@ from rig.emulate.rtu_slave import Disturbance, Line, RtuSlave
 from rig.model.bench import DriveWiring, SensorWiring
 
 
-class VirtualIoBlock(Plug):
-    """The block of a config, powered on at virtual time 0, behind a ``Transport`` that is a ``Clock`` too.
+class BlockInVirtualTime:
+    """The block of a config, powered on at virtual time 0, and its clock; what leads to it passes the time.
 
     modbus, emulated  plain values of the config's sections ``daq.modbus`` and ``emulated``
     seed              of the noise
-    baud              of the line
     polarity          +1: positive drive raises the position register; -1: lowers it
-    misbehaviour, disturbance   of the device, of the line; may be set at any time
     executed          drives that were written, in order
     outputs           (time s, drive at the output V) at each change of it, from (0, 0) on
     Raises EmulationError where a register cannot hold what it is for.
     """
 
     absolute = True  # of the clock: it sleeps until an instant, not for a while
+
+    def __init__(self, modbus: Mapping[str, Any], emulated: Mapping[str, Any], seed: int, polarity: int) -> None:
+        self.executed: list[ExecutedDrive] = []
+        self.outputs: list[tuple[float, float]] = [(0.0, 0.0)]
+        self.block = IoBlock.from_mapping(
+            modbus,
+            emulated,
+            seed,
+            polarity=polarity,
+            on_drive=self.executed.append,
+            on_output=lambda t_s, u_V: self.outputs.append((t_s, u_V)),
+        )
+        self._now_s = 0.0
+
+    def now_s(self) -> float:
+        """Virtual time, s."""
+        return self._now_s
+
+    def sleep_until(self, t_s: float) -> float:
+        """Let time pass to ``t_s``; none if that is past. Returns the time then."""
+        self._run_to(t_s)
+        return self._now_s
+
+    def _run_to(self, t_s: float) -> None:
+        self._now_s = max(self._now_s, t_s)
+        self._advance()
+
+    def _advance(self) -> None:
+        """Let block and link do what is due by now."""
+        raise NotImplementedError
+
+    def rewire(self, drive: DriveWiring = "ok", sensor: SensorWiring = "ok") -> None:
+        """Change the wiring from now on."""
+        self.block.rewire(drive=drive, sensor=sensor, fault_after_s=-math.inf)
+
+    def place(self, y_rad: float, v_rad_per_s: float = 0.0) -> None:
+        """Put the shaft somewhere, as a hand would."""
+        self.block.place(y_rad, v_rad_per_s)
+
+    def truth(self) -> IoBlockTruth:
+        """What is really the case now."""
+        return self.block.truth()
+
+
+class VirtualIoBlock(BlockInVirtualTime, Plug):
+    """The block behind an RTU line, as a ``Transport`` that is a ``Clock`` too.
+
+    modbus, emulated, seed, polarity   as of ``BlockInVirtualTime``
+    baud              of the line
+    misbehaviour, disturbance   of the device, of the line; may be set at any time
+    """
 
     def __init__(
         self,
@@ -39,20 +88,10 @@ class VirtualIoBlock(Plug):
         misbehaviour: Misbehaviour | None = None,
         disturbance: Disturbance | None = None,
     ) -> None:
-        super().__init__("virtual I/O block")
-        self.executed: list[ExecutedDrive] = []
-        self.outputs: list[tuple[float, float]] = [(0.0, 0.0)]
-        self.block = IoBlock.from_mapping(
-            modbus,
-            emulated,
-            seed,
-            polarity=polarity,
-            on_drive=self.executed.append,
-            on_output=lambda t_s, u_V: self.outputs.append((t_s, u_V)),
-        )
+        BlockInVirtualTime.__init__(self, modbus, emulated, seed, polarity)
+        Plug.__init__(self, "virtual I/O block")
         self.line = Line.from_mapping(modbus, baud)
         self._slave = RtuSlave(self.block, self.line, misbehaviour, disturbance)
-        self._now_s = 0.0
 
     # ------------------------------------------------------------------ port
 
@@ -73,19 +112,7 @@ class VirtualIoBlock(Plug):
         self._run_to(self._now_s)
         return self._slave.receive(self._now_s)
 
-    # ------------------------------------------------------------------ clock
-
-    def now_s(self) -> float:
-        """Virtual time, s."""
-        return self._now_s
-
-    def sleep_until(self, t_s: float) -> float:
-        """Let time pass to ``t_s``; none if that is past. Returns the time then."""
-        self._run_to(t_s)
-        return self._now_s
-
-    def _run_to(self, t_s: float) -> None:
-        self._now_s = max(self._now_s, t_s)
+    def _advance(self) -> None:
         self._slave.advance_to(self._now_s)
 
     # ------------------------------------------------------------------ what may happen, and what is the case
@@ -97,18 +124,6 @@ class VirtualIoBlock(Plug):
     def disturb(self, disturbance: Disturbance | None) -> None:
         """From now on the line does so; None: nothing."""
         self._slave.disturbance = disturbance
-
-    def rewire(self, drive: DriveWiring = "ok", sensor: SensorWiring = "ok") -> None:
-        """Change the wiring from now on."""
-        self.block.rewire(drive=drive, sensor=sensor, fault_after_s=-math.inf)
-
-    def place(self, y_rad: float, v_rad_per_s: float = 0.0) -> None:
-        """Put the shaft somewhere, as a hand would."""
-        self.block.place(y_rad, v_rad_per_s)
-
-    def truth(self) -> IoBlockTruth:
-        """What is really the case now."""
-        return self.block.truth()
 
     @property
     def requests(self) -> Mapping[str, int]:
