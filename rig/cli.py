@@ -290,9 +290,7 @@ def report(run_folder: Path) -> None:
     except RecordingError as error:
         _fail_input(error)
     except OSError as error:
-        _fail(
-            EXIT_FAILED, f"{run_folder}: the report cannot be written: {error.strerror}", "check space and permissions"
-        )
+        _fail(EXIT_FAILED, f"{run_folder}: cannot be read: {error.strerror}", "check the disk and its permissions")
     click.echo(path)
 
 
@@ -359,6 +357,10 @@ def replay(run_folder: Path, as_json: bool) -> None:
     help="Go on in this campaign folder.",
 )
 @click.option("--number", type=click.IntRange(1), default=None, help="So many experiments instead of the config's.")
+@click.option(
+    "--experiment", "only", metavar="K", type=click.IntRange(0), default=None,
+    help="Do number K alone, and print its row, or where it fails; nothing is written.",
+)  # fmt: skip
 @click.option("--jobs", type=click.IntRange(1, 1024), default=None, help="Processes; default: all cores.")
 @click.option("--backend", type=click.Choice(["joblib", "dask"]), default="joblib", show_default=True)
 @click.option("--scheduler", metavar="ADDRESS", default=None, help="Dask cluster to join; default: one started here.")
@@ -368,6 +370,7 @@ def campaign(
     out: Path,
     resume: Path | None,
     number: int | None,
+    only: int | None,
     jobs: int | None,
     backend: Literal["joblib", "dask"],
     scheduler: str | None,
@@ -382,9 +385,14 @@ def campaign(
         _fail(EXIT_BAD_INPUT, "--scheduler is an address of dask", "add --backend dask")
     asked = asked if number is None else asked.model_copy(update={"experiments": number})
     folder = resume or out
-    from rig.campaign.grid import CampaignError
+    from rig.campaign.grid import AllFailError, CampaignError
 
     try:
+        if only is not None:
+            from rig.campaign.trial import run_trial
+
+            click.echo(json_text(run_trial(asked, only)), nl=False)  # a defect ends here in its traceback
+            return
         from rig.campaign import results, session
 
         folder = resume or results.folder_for(out, asked)
@@ -393,7 +401,9 @@ def campaign(
                 asked, folder, jobs=jobs or os.cpu_count() or 1, backend=backend, scheduler=scheduler, on_progress=tell
             )
     except CampaignError as error:
-        _fail(EXIT_BAD_INPUT, error.cause, error.cure)
+        _fail(EXIT_FAILED if isinstance(error, AllFailError) else EXIT_BAD_INPUT, error.cause, error.cure)
+    except RecordingError as error:
+        _fail_input(error)
     except OSError as error:
         _fail(EXIT_FAILED, f"{folder}: {error.strerror}", "the rows so far are there; the same command goes on")
     except KeyboardInterrupt:
@@ -408,6 +418,7 @@ def campaign(
         click.echo(json_text(done.summary | {"folder": str(folder)}), nl=False)
     else:
         show_campaign(done.summary, folder)
+    sys.exit(EXIT_FAILED if done.summary["failed"] else 0)
 
 
 @main.command()

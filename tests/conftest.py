@@ -1,7 +1,11 @@
 """What holds for every test."""
 
+import contextlib
+import resource
 import signal
+from collections.abc import Callable, Iterator
 
+import pytest
 from hypothesis import settings
 
 # The same examples in every run, so that what fails says what changed; `make search` draws others.
@@ -14,3 +18,19 @@ def pytest_configure() -> None:
     """A runner that was started in the background ignores Ctrl-C, and so would the processes that tests send it to."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def largest_file() -> Callable[[int], contextlib.AbstractContextManager[None]]:
+    """In its block no file of this process grows beyond so many bytes: as a full disk, but EFBIG."""
+
+    @contextlib.contextmanager
+    def limited(size: int) -> Iterator[None]:
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))  # Python ignores SIGXFSZ
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    return limited

@@ -37,6 +37,10 @@ class CampaignError(Exception):
         super().__init__(f"{cause}\n{cure}")
 
 
+class AllFailError(CampaignError):
+    """A campaign whose experiments all fail: what is wrong is in none of them, but in the program or the machine."""
+
+
 @dataclass(frozen=True)
 class Draw:
     """One random experiment: motor, gains, bench. ``period_s`` is the describing function's."""

@@ -14,6 +14,7 @@ from rig.campaign import picture
 from rig.campaign.results import Table
 from rig.campaign.summary import MAIN
 from rig.config import Campaign, dump
+from rig.recording.folder import write_whole
 
 PICTURE = "campaign.png"
 REPORT = "report.html"
@@ -30,9 +31,9 @@ HEADINGS = ("", "RMS error", "bound", "RMS/bound", "RMS ratio", "median", "95 %"
 
 
 def write_report(folder: Path, campaign: Campaign, table: Table, found: dict[str, Any]) -> None:
-    """Write campaign.png and report.html into the campaign's folder. Raises OSError."""
+    """Write campaign.png and report.html into the campaign's folder. Raises CannotWriteError."""
     image = picture.draw(campaign, table)
-    (folder / PICTURE).write_bytes(image)
+    write_whole(folder / PICTURE, image)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.campaign", "."),
         autoescape=True,
@@ -54,7 +55,7 @@ def write_report(folder: Path, campaign: Campaign, table: Table, found: dict[str
         config=dump(campaign),
         version=rig.__version__,
     )
-    (folder / REPORT).write_text(page, encoding="utf-8")
+    write_whole(folder / REPORT, page.encode("utf-8"))
 
 
 def table_rows(sums: dict[str, Any]) -> list[tuple[str, ...]]:
@@ -85,6 +86,11 @@ def sentences(found: dict[str, Any]) -> list[str]:
         f"{found['number']} experiments: {verdicts}",
         f"called ok with an error above 5 % in tau, K or f_c: {len(off)}{_named(off)}",
     ]
+    failed = found["failed"]
+    if failed:
+        said.append(
+            f"failed, by a defect of the program: {len(failed)}{_named(failed)}; the first again: {found['repeat']}"
+        )
     if found["far"]:
         far = found["far"]
         said.append(f"an error above 5 times its bound, whatever the verdict: {len(far)}{_named(far)}")

@@ -121,11 +121,6 @@ def read(folder: Path, experiments: int | None = None) -> Table:
     return _table(row for row in _rows(path, whole) if experiments is None or int(row["number"]) < experiments)
 
 
-def table_of(rows: Iterable[Row]) -> Table:
-    """Rows as columns, by number."""
-    return _table(rows)
-
-
 # -- text ------------------------------------------------------------------------------------------------------------
 
 

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import joblib
 
 from rig.campaign.grid import CampaignError
-from rig.campaign.trial import Row, run_trial
+from rig.campaign.trial import Row, row_of
 from rig.config import Campaign
 
 Backend = Literal["joblib", "dask"]
@@ -30,15 +30,7 @@ def run_chunk(campaign: Campaign, numbers: Sequence[int]) -> list[Row]:
     """The rows of these experiments, one after the other."""
     if multiprocessing.parent_process() is not None:
         _end_with_parent()
-    return [_run(campaign, number) for number in numbers]
-
-
-def _run(campaign: Campaign, number: int) -> Row:
-    try:
-        return run_trial(campaign, number)
-    except Exception as error:
-        error.add_note(f"in experiment {number} of campaign {campaign.name}, seed {campaign.seed}")
-        raise
+    return [row_of(campaign, number) for number in numbers]
 
 
 @cache
@@ -115,10 +107,3 @@ def stream_trials(campaign: Campaign, numbers: Sequence[int]) -> Generator[list[
             joblib.delayed(run_chunk)(campaign, chunk) for chunk in chunks
         )
     yield from rows
-
-
-def run_trials(campaign: Campaign, numbers: Sequence[int], jobs: int = 2) -> list[Row]:
-    """Rows of the experiments, by number, from ``jobs`` processes of this machine."""
-    with workers("joblib", jobs):
-        rows = [row for chunk in stream_trials(campaign, numbers) for row in chunk]
-    return sorted(rows, key=lambda row: int(row["number"]))

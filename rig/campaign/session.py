@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 import warnings
 from collections.abc import Callable
@@ -11,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from rig.campaign import results, runner, summary
-from rig.campaign.grid import CampaignError
+from rig.campaign.grid import AllFailError, CampaignError
+from rig.campaign.trial import FAILED, Row
 from rig.config import Campaign
-from rig.recording.folder import json_text
+from rig.recording.folder import CONFIG, json_text, write_whole
 
 SUMMARY = "summary.json"
+SYSTEMATIC = 16  # experiments: where so many fail and none has not, all will
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,9 @@ def run(
     """Do the experiments that ``folder`` has no row of yet; write its summary.json, campaign.png and report.html.
 
     on_progress  told after each chunk: experiments done, of how many
-    Raises CampaignError as ``results.opened`` and ``runner.workers``, OSError where the folder cannot be written.
+    Raises CampaignError as ``results.opened`` and ``runner.workers``; AllFailError where the first ``SYSTEMATIC``
+    experiments of the folder, or all of fewer, fail: none of them is kept; OSError or RecordingError where the folder
+    cannot be written.
     """
     tell = on_progress or (lambda done, of: None)
     began = time.perf_counter()
@@ -86,9 +91,10 @@ def run(
             },
             **summary.summarise(table),
         }
+        found["repeat"] = repeated_by(folder, found["failed"][0]) if found["failed"] else None
         from rig.campaign.report import write_report  # matplotlib takes its time to load
 
-        (folder / SUMMARY).write_text(json_text(found), encoding="utf-8")
+        write_whole(folder / SUMMARY, json_text(found).encode("utf-8"))
         write_report(folder, campaign, table, found)
     return Session(folder, done, added, seconds, False, found)
 
@@ -99,7 +105,24 @@ def _fill(file: results.ResultFile, campaign: Campaign, missing: list[int], tell
         # joblib says so after a Ctrl-C, where it is what was asked for
         warnings.filterwarnings("ignore", ".*have been cancelled", UserWarning)
         left = len(missing)
+        held: list[Row] = []  # that failed, before there was one that did not
+        sound = bool(file.done)
         for rows in chunks:
-            file.append(rows)
+            held += rows
+            sound = sound or any(row["verdict"] != FAILED for row in rows)
             left -= len(rows)
-            tell(campaign.experiments - left, campaign.experiments)
+            if sound:
+                file.append(held)
+                held = []
+                tell(campaign.experiments - left, campaign.experiments)
+            elif len(held) >= min(SYSTEMATIC, len(missing)):
+                raise AllFailError(
+                    f"{file.folder}: the first {len(held)} experiments all failed, the first of them by "
+                    f"{held[0]['reasons']}",
+                    f"see where: {repeated_by(file.folder, held[0]['number'])}",
+                )
+
+
+def repeated_by(folder: Path, number: int) -> str:
+    """The command that does one experiment of a campaign folder again: it shows the row, or where it fails."""
+    return shlex.join(["rig", "campaign", str(folder / CONFIG), "--experiment", str(number)])

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.campaign.results import Table
+from rig.campaign.trial import FAILED
 from rig.identify.estimate import PARAMETERS
 
 Array = NDArray[np.float64]
@@ -24,7 +25,7 @@ MAIN = PARAMETERS[:3]  # whose errors are told relative to the truth; the others
 OFF = 0.05  # relative error that must not be called ok
 FAR = 5.0  # times the bound, beyond which an error is no matter of chance
 MOST_NAMED = 20
-VERDICTS = ("ok", "doubtful", "refused")
+VERDICTS = ("ok", "doubtful", "refused", FAILED)
 
 
 def summarise(table: Table) -> dict[str, Any]:
@@ -34,6 +35,7 @@ def summarise(table: Table) -> dict[str, Any]:
     verdicts      verdict -> count; ``reasons``: [reason with its numbers left out, count], most frequent first
     ok, estimated sums over the experiments called ok, and over all that have an estimate: ``parameters`` -> sums
     ok_but_off    numbers of experiments called ok with an error above 5 % in tau, K or fc
+    failed        numbers of experiments that an exception ended
     far           numbers of experiments with an error above 5 times its bound, whatever their verdict
     second        residual of the second test as predicted, over that of the true motor; absent without one
     """
@@ -48,6 +50,7 @@ def summarise(table: Table) -> dict[str, Any]:
         "ok": sums(table, ok & estimated),
         "estimated": sums(table, estimated),
         "ok_but_off": numbers(table, ok & np.any([relative_error(table, name) > OFF for name in MAIN], axis=0)),
+        "failed": numbers(table, table["verdict"] == FAILED),
         "far": numbers(table, np.any([np.abs(over_bound(table, name)) > FAR for name in MAIN], axis=0)),
     }
     second = (table["second_rms_rad"] / table["second_own_rms_rad"])[ok]

@@ -1,16 +1,20 @@
-"""One experiment of a campaign: simulated, identified as `rig identify` does, compared with the truth and its bound."""
+"""One experiment of a campaign: simulated, identified as `rig identify` does, compared with the truth and its bound.
+
+A defect of the program that one experiment runs into is that experiment's row, and no other's.
+"""
 
 from __future__ import annotations
 
 import math
 import time
+import traceback
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.campaign.grid import Draw, draw, simulate
+from rig.campaign.grid import CampaignError, Draw, draw, simulate
 from rig.config.campaign import Campaign
 from rig.identify import IdentifyError, identify, sampled_data
 from rig.identify.cramer_rao import PositionNoise, cramer_rao
@@ -22,6 +26,7 @@ from rig.recording.reader import Recording, RecordingError, from_columns
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
+FAILED = "failed"  # verdict of an experiment that an exception ended
 
 TRUTHS = ("h1_V", "h2_V", "period_s", "offset_rad", "start_rad", "clock_ratio")
 # Column -> int, float or str: the order of the result file. Estimates are nan where there is none.
@@ -44,8 +49,28 @@ COLUMNS: dict[str, type] = {
     "reasons": str,
     "seconds": float,
 }
-# What two runs of one experiment may differ in.
-UNREPEATABLE = ("seconds",)
+
+
+def row_of(campaign: Campaign, number: int) -> Row:
+    """Experiment ``number``: its row, of ``COLUMNS``, also where an exception ends it: then its verdict is ``failed``.
+
+    Raises CampaignError where the ranges give no experiment: that is no defect, and no other number helps.
+    """
+    began = time.perf_counter()
+    try:
+        return run_trial(campaign, number)
+    except CampaignError:
+        raise
+    except Exception as error:  # noqa: BLE001 - whatever it is, thousands of others are not to be lost for it
+        blank: Row = {name: {int: 0, float: math.nan, str: ""}[kind] for name, kind in COLUMNS.items()}
+        seconds = time.perf_counter() - began
+        return blank | {"number": number, "verdict": FAILED, "reasons": _in_words(error), "seconds": seconds}
+
+
+def _in_words(error: Exception) -> str:
+    """The exception and its place, e.g. ``ZeroDivisionError: division by zero (motor.py:120)``."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return " ".join(f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})".split())
 
 
 def run_trial(campaign: Campaign, number: int) -> Row:

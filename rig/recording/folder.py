@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from rig.recording.errors import CannotWriteError
+from rig.recording.errors import CannotWriteError, RecordingError
 
 CONFIG: Final = "config.yaml"
 META: Final = "meta.json"
@@ -37,10 +37,10 @@ def create_run(parent: Path, name: str, now_utc: datetime) -> Path:
             folder.mkdir()
         except FileExistsError as error:
             if not parent.is_dir():
-                raise _cannot_write(parent, error) from error
+                raise RecordingError(parent, *_cannot_write(error)) from error
             attempt += 1
         except OSError as error:
-            raise _cannot_write(folder, error) from error
+            raise RecordingError(folder, *_cannot_write(error)) from error
         else:
             return folder
 
@@ -78,7 +78,7 @@ def write_whole(path: Path, content: bytes) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             temporary.unlink()
-        raise _cannot_write(path, error) from error
+        raise CannotWriteError(path, *_cannot_write(error)) from error
 
 
 def json_text(value: Mapping[str, Any]) -> str:
@@ -101,7 +101,6 @@ def _strict(value: Any) -> Any:
     return value
 
 
-def _cannot_write(path: Path, error: OSError) -> CannotWriteError:
-    return CannotWriteError(
-        path, f"cannot be written: {error.strerror}", "check the disk's free space and the permissions of the folder"
-    )
+def _cannot_write(error: OSError) -> tuple[str, str]:
+    """Cause and cure."""
+    return f"cannot be written: {error.strerror}", "check the disk's free space and the permissions of the folder"

@@ -14,6 +14,7 @@ import jinja2
 import rig
 from rig.identify import Identification, IdentifyError, identify
 from rig.recording.errors import RecordingError
+from rig.recording.folder import write_whole
 from rig.report import checked, fitted, measured, transient
 from rig.report.fit import fits_of
 from rig.report.source import PREFERRED, Json, Run, load, mappings, number, section, texts
@@ -37,17 +38,15 @@ def write_report(run_folder: Path, identification: Identification | None = None)
     """Write ``report.html`` into a run folder and return its path.
 
     ``identification`` is what `rig.identify` made of this recording, where the caller has it already. Whatever is
-    missing from the folder is said on the page. Raises FileNotFoundError if ``run_folder`` is no folder, OSError where
-    the file cannot be written.
+    missing from the folder is said on the page. Raises FileNotFoundError if ``run_folder`` is no folder,
+    CannotWriteError where the file cannot be written.
     """
     run = load(Path(run_folder))
     if identification is None and not run.result:
         identification = _identify_unfinished(run)
     page = render_page(run, identification)
     path = run.folder / REPORT
-    half = path.with_name(f".{REPORT}.part")
-    half.write_text(page, encoding="utf-8")
-    half.replace(path)
+    write_whole(path, page.encode("utf-8"))
     return path
 
 

@@ -11,6 +11,9 @@ from rig.campaign.trial import COLUMNS
 from rig.config import Campaign
 from rig.identify.estimate import PARAMETERS
 
+# What two runs of one experiment may differ in.
+UNREPEATABLE = ("seconds",)
+
 
 def small(experiments: int = 24, **sections: Any) -> Campaign:
     """Fast motors and few cycles: about 10 ms an experiment."""

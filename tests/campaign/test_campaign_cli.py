@@ -9,9 +9,10 @@ import pytest
 from click.testing import CliRunner, Result
 from small_campaign import small
 
-from rig.campaign import report
+from rig.campaign import report, results, trial
+from rig.campaign.trial import Row, run_trial
 from rig.cli import main
-from rig.config import ConfigError, dump, load_campaign
+from rig.config import Campaign, ConfigError, dump, load_campaign
 
 ROOT = Path(__file__).resolve().parents[2]
 READY = sorted((ROOT / "config").glob("campaign*.yaml"))
@@ -146,3 +147,53 @@ def test_a_dumped_campaign_loads_back_equal(tmp_path, config):
     assert load_campaign(config) == campaign
     with pytest.raises(ConfigError, match="no such file"):
         load_campaign(tmp_path / "none.yaml")
+
+
+def failing(campaign: Campaign, number: int) -> Row:
+    if number == 1:
+        raise ZeroDivisionError("no way")
+    return run_trial(campaign, number)
+
+
+@pytest.mark.usefixtures("no_report")
+def test_a_failed_experiment_is_said_ends_in_status_1_and_can_be_repeated(tmp_path, config, monkeypatch):
+    monkeypatch.setattr(trial, "run_trial", failing)
+    result = rig("campaign", config, "--out", tmp_path, "--jobs", 1)
+    assert result.exit_code == 1, result.output
+    assert "3 experiments: 2 ok, 0 doubtful, 0 refused, 1 failed" in result.stdout
+    said = next(line for line in result.stdout.splitlines() if "failed, by a defect" in line)
+    words = said.split("the first again: rig ")[1].split()
+    assert words[-2:] == ["--experiment", "1"]
+    again = rig(*words)
+    assert isinstance(again.exception, ZeroDivisionError)
+    monkeypatch.undo()
+    row = json.loads(rig(*words).stdout)
+    assert (row["number"], row["verdict"]) == (1, "ok")
+    assert row["tau_s"] == run_trial(small(3), 1)["tau_s"]
+
+
+def test_where_all_fail_status_and_words_say_so(tmp_path, config, monkeypatch):
+    monkeypatch.setattr(trial, "run_trial", lambda *_: 1 / 0)
+    result = rig("campaign", config, "--out", tmp_path, "--jobs", 1)
+    assert result.exit_code == 1
+    assert len(result.stderr.splitlines()) == 2
+    assert "the first 3 experiments all failed" in result.stderr
+
+
+def test_a_full_disk_leaves_the_old_report_whole(tmp_path, config, monkeypatch, largest_file):
+    """What the page needs does not fit any more; rows still do."""
+    monkeypatch.setattr(report.picture, "draw", lambda *_: bytes(30_000))
+    folder = results.folder_for(tmp_path, small(3))
+    assert rig("campaign", config, "--out", tmp_path, "--jobs", 1, "--number", 2).exit_code == 0
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    with largest_file(20_000):
+        result = rig("campaign", config, "--out", tmp_path, "--jobs", 1)
+    assert result.exit_code == 1, result.output
+    cause, cure = result.stderr.splitlines()
+    assert cause == f"rig: {folder / 'campaign.png'}: cannot be written: File too large"
+    assert "free space" in cure
+    after = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert set(after) == set(before)
+    for name in ("report.html", "campaign.png"):
+        assert after[name] == before[name]
+    assert rig("campaign", config, "--out", tmp_path, "--jobs", 1).exit_code == 0

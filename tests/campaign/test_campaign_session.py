@@ -8,20 +8,22 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from distributed import LocalCluster
-from small_campaign import small
+from small_campaign import UNREPEATABLE, small
 
 from rig.campaign import report, results, runner, session
-from rig.campaign.grid import CampaignError
-from rig.campaign.trial import COLUMNS, UNREPEATABLE, run_trial
-from rig.config import dump
+from rig.campaign.grid import AllFailError, CampaignError
+from rig.campaign.trial import COLUMNS, Row, run_trial
+from rig.config import Campaign, dump
 
 COUNT = 24
-EXPECTED = results.table_of([run_trial(small(), k) for k in range(COUNT)])
+ROWS = [run_trial(small(), k) for k in range(COUNT)]
+EXPECTED = {name: np.array([row[name] for row in ROWS]) for name in COLUMNS}
 
 
 @pytest.fixture
@@ -162,8 +164,54 @@ def test_no_cluster_at_an_address_is_said(tmp_path, monkeypatch):
         session.run(small(1), tmp_path, jobs=1, backend="dask", scheduler="tcp://127.0.0.1:9")
 
 
-def test_a_defect_names_its_experiment(monkeypatch):
-    monkeypatch.setattr(runner, "run_trial", lambda campaign, number: 1 / 0)
-    with pytest.raises(ZeroDivisionError) as caught:
-        runner.run_trials(small(), [17], jobs=1)
-    assert "experiment 17 of campaign small" in caught.value.__notes__[0]
+def failing(*numbers: int) -> Callable[[Campaign, int], Row]:
+    """``run_trial`` with a defect that some experiments run into."""
+
+    def trial(campaign: Campaign, number: int) -> Row:
+        if number in numbers:
+            raise ZeroDivisionError("no\nway")
+        return run_trial(campaign, number)
+
+    return trial
+
+
+def test_a_defect_is_one_experiments_row_and_no_others(tmp_path, monkeypatch):
+    monkeypatch.setattr("rig.campaign.trial.run_trial", failing(0, 5))
+    done = session.run(small(COUNT), tmp_path, jobs=1)
+    table = results.read(tmp_path)
+    assert table["number"].tolist() == list(range(COUNT))
+    assert np.flatnonzero(table["verdict"] == "failed").tolist() == [0, 5]
+    assert table["reasons"][5].startswith("ZeroDivisionError: no way (test_campaign_session.py:")
+    assert np.isnan(table["tau_s"][5])
+    for name in ("tau_s", "true_tau_s", "verdict"):
+        assert np.delete(table[name], [0, 5]).tolist() == np.delete(EXPECTED[name], [0, 5]).tolist()
+    assert done.summary["failed"] == [0, 5]
+    assert done.summary["verdicts"]["failed"] == 2
+    assert sum(done.summary["verdicts"].values()) == COUNT
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "failed, by a defect of the program: 2 (0, 5)" in page
+    assert "ZeroDivisionError: no way" in page
+    assert f"rig campaign {tmp_path / 'config.yaml'} --experiment 0" in page
+
+
+@pytest.mark.usefixtures("no_report")
+def test_a_session_that_adds_experiments_survives_a_bad_one(tmp_path, monkeypatch):
+    session.run(small(10), tmp_path, jobs=1)
+    monkeypatch.setattr("rig.campaign.trial.run_trial", failing(10))
+    assert session.run(small(11), tmp_path, jobs=1).summary["failed"] == [10]
+
+
+@pytest.mark.parametrize("count", [3, 100])
+def test_where_all_fail_it_ends_at_once_and_keeps_no_row(tmp_path, monkeypatch, count):
+    seen = []
+    monkeypatch.setattr("rig.campaign.trial.run_trial", lambda campaign, number: seen.append(number) or 1 / 0)
+    with pytest.raises(AllFailError) as caught:
+        session.run(small(count), tmp_path, jobs=1)
+    assert f"the first {min(count, 16)} experiments all failed" in caught.value.cause
+    assert "ZeroDivisionError: division by zero (test_campaign_session.py:" in caught.value.cause
+    assert caught.value.cure == f"see where: rig campaign {tmp_path / 'config.yaml'} --experiment 0"
+    assert len(seen) < 40
+    assert results.read(tmp_path)["number"].size == 0
+    monkeypatch.undo()
+    with runner.workers("joblib", jobs=1):
+        assert len(list(runner.stream_trials(small(), [0]))) == 1

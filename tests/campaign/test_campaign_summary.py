@@ -65,7 +65,7 @@ def test_verdicts_are_counted_and_summed_apart():
     tau = [1.0, 1.1, 1.5, 3.0, math.nan]
     found = summary.summarise(table(5, verdict=verdicts, tau_s=tau))
     assert found["number"] == 5
-    assert found["verdicts"] == {"ok": 2, "doubtful": 1, "refused": 2}
+    assert found["verdicts"] == {"ok": 2, "doubtful": 1, "refused": 2, "failed": 0}
     assert found["ok"]["number"] == 2
     assert found["estimated"]["number"] == 4
     assert found["ok"]["parameters"]["tau_s"]["relative_max"] == pytest.approx(0.1)

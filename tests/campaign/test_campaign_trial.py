@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from small_campaign import small
+from small_campaign import UNREPEATABLE, small
 
 from rig.campaign import grid
-from rig.campaign.trial import COLUMNS, UNREPEATABLE, run_trial
+from rig.campaign.trial import COLUMNS, run_trial
 from rig.identify import identify, sampled_data
 from rig.identify.estimate import PARAMETERS
 from rig.recording.reader import read_csv
