@@ -289,7 +289,8 @@ def modbus_driver(
     experiment: Experiment, transport: Transport, name: str = "modbus", *, emulated: bool = False
 ) -> ModbusDriver:
     """The Modbus driver of the config on a transport, not opened yet; RTU or TCP as the config's port."""
-    from rig.daq.modbus import ModbusDriver, ModbusLine
+    from rig.daq.modbus import ModbusDriver
+    from rig.daq.modbus_client import ModbusLine
     from rig.daq.modbus_registers import RegisterMap
 
     daq = experiment.daq
