@@ -13,12 +13,13 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
+NO_BENCHMARKS = (Path(__file__).name, "solver_peer.py", "late_ticks.py")
 
 
 def main() -> int:
     """Run them one after the other; exit status 1 if one fails."""
     results: dict[str, object] = {"host": platform.platform(), "python": platform.python_version()}
-    scripts = sorted(path for path in HERE.glob("*.py") if path.name not in (Path(__file__).name, "solver_peer.py"))
+    scripts = sorted(path for path in HERE.glob("*.py") if path.name not in NO_BENCHMARKS)
     for script in scripts:
         print(f"{script.stem} ...", flush=True)
         done = subprocess.run([sys.executable, str(script), "--json"], capture_output=True, text=True, check=False)

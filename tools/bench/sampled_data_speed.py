@@ -20,7 +20,8 @@ from solver_peer import positions
 from rig.campaign.grid import draw, simulate
 from rig.config.campaign import Campaign
 from rig.identify import sampled_data
-from rig.identify.cycles import Cycle, find_cycle
+from rig.identify.cycles import find_cycle
+from rig.identify.mean_cycle import Cycle
 from rig.identify.record import Record
 
 STARTS = 3  # that are iterated, as our own fit does

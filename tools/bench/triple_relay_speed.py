@@ -15,7 +15,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import least_squares
 
-from rig.identify.cycles import Cycle, find_cycle
+from rig.identify.cycles import find_cycle
+from rig.identify.mean_cycle import Cycle
 from rig.identify.record import Record
 from rig.identify.sampled_data import Start, ridge_starts
 from rig.identify.triple_relay import Features, fit, solve, solve_cycle

@@ -5,6 +5,9 @@ python tools/bench/wake_up.py [--json] [--minutes M] [--loops ours,C] [--policie
 Blocks of half a second, each loop after the other, so that what else the machine does hits all of them alike: only
 ratios are read. Ours and the C loop (`peers/wake_up_loop.c`) have the same policy, the same spin, locked memory and no
 timer slack. cyclictest and loop-rate-limiters cannot spin. busy: a process that counts on every core, ordinary policy.
+
+The pair that the goal is for runs again, longer and with a witness (`peers/witness.c`) beside it, by which each late
+tick gets a cause: `late_ticks.py`. So do the loops of --loops.
 """
 
 from __future__ import annotations
@@ -15,21 +18,37 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
+from late_ticks import (
+    RESOLUTION_US,
+    WITNESS_PHASE_US,
+    Block,
+    Stalls,
+    Ticks,
+    by_cause,
+    machine,
+    ratio,
+    ratio_interval,
+    share_ratio,
+    summary,
+    verdict,
+    without_machine,
+)
 
 PEERS = Path(__file__).resolve().parent / "peers"
 PRIORITY = {"fifo": 60, "ordinary": 0}
 SPIN_US = 200
-RESOLUTION_US = 1.0  # below it a p99 is the pace of reading the clock, and a ratio of two says nothing of a loop
+WITNESS_PRIORITY = 90  # the largest that docs/timing.md and `rig doctor` have people ask for
+GOAL = 1.2
 BLOCK_S = 0.5
 CYCLICTEST_LONGEST_US = 100_000
 LOOPS = ("ours, spin", "C, spin", "ours", "C", "cyclictest", "loop-rate-limiters")
-PAIR, PAIR_ROUNDS = ("ours, spin", "C, spin"), 50  # of 600 ticks the p99 is the sixth largest: chance
+PAIR, PAIR_ROUNDS = ("ours, spin", "C, spin"), 50
 BURN = """
 import os, sys, threading
 threading.Thread(target=lambda: (sys.stdin.read(), os._exit(0)), daemon=True).start()
@@ -38,29 +57,22 @@ while True:
 """
 
 
-class Block(NamedTuple):
-    """How late each tick was, us; ticks skipped, None where the loop does not say."""
-
-    late_us: np.ndarray
-    skipped: int | None
-
-
-class TickingProcess:
-    """A loop in a process of its own, that runs when told to."""
+class Answering:
+    """A process that answers each line by a line of numbers."""
 
     def __init__(self, command: Sequence[str]) -> None:
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
-    def run(self, ticks: int, period_us: int) -> Block:
-        """So many ticks."""
+    def ask(self, line: str) -> list[int]:
+        """The answer."""
         process = self._process
         assert process.stdin is not None and process.stdout is not None
-        process.stdin.write(f"{ticks} {period_us}\n")
+        process.stdin.write(f"{line}\n")
         process.stdin.flush()
-        numbers = process.stdout.readline().split()
-        if not numbers:
+        answer = process.stdout.readline()
+        if not answer:
             raise RuntimeError(f"{process.args!r} has ended")
-        return Block(np.array(numbers[1:], dtype=float) / 1e3, int(numbers[0]))
+        return [int(number) for number in answer.split()]
 
     def close(self) -> None:
         """End it."""
@@ -68,6 +80,27 @@ class TickingProcess:
         self._process.stdin.close()
         self._process.stdout.close()
         self._process.wait()
+
+
+class TickingProcess(Answering):
+    """A loop in a process of its own, that runs when told to."""
+
+    def run(self, ticks: int, period_us: int) -> Block:
+        """So many ticks."""
+        skipped, columns, *numbers = self.ask(f"{ticks} {period_us}")
+        told = np.array(numbers, dtype=np.int64).reshape(-1, columns).T
+        return Block(told[0] / 1e3, skipped, Ticks(*told) if columns > 1 else None)
+
+
+class Witness(Answering):
+    """When a core stood still: `peers/witness.c`."""
+
+    def __init__(self, program: str) -> None:
+        super().__init__([program, str(WITNESS_PRIORITY), str(WITNESS_PHASE_US)])
+
+    def stalls(self) -> Stalls:
+        """Since it was last asked."""
+        return Stalls(*np.array(self.ask(""), dtype=np.int64).reshape(-1, 4).T)
 
 
 class Cyclictest:
@@ -93,11 +126,12 @@ class Cyclictest:
         """Nothing runs."""
 
 
-def build_c_loop(folder: Path) -> str:
-    """Compile the C loop."""
-    program = folder / "wake_up_loop"
-    source = PEERS / "wake_up_loop.c"
-    subprocess.run(["cc", "-O2", "-Wall", "-Wextra", "-Werror", str(source), "-o", str(program)], check=True)
+def build(peer: str, folder: Path) -> str:
+    """Compile one of the peers that are C."""
+    program, source = folder / peer, PEERS / f"{peer}.c"
+    subprocess.run(
+        ["cc", "-O2", "-Wall", "-Wextra", "-Werror", "-pthread", str(source), "-o", str(program)], check=True
+    )
     return str(program)
 
 
@@ -137,79 +171,112 @@ def available() -> tuple[str, ...]:
     return LOOPS if fifo_is_allowed() else tuple(loop for loop in LOOPS if loop != "cyclictest")
 
 
-def summary(blocks: Sequence[Block]) -> dict[str, float | int | None]:
-    """Quantiles over all blocks, us, and the ticks skipped."""
-    late_us = np.concatenate([block.late_us for block in blocks])
-    p50, p99, largest = np.quantile(late_us, [0.5, 0.99, 1.0], method="inverted_cdf")
-    skipped = [block.skipped for block in blocks if block.skipped is not None]
-    return {
-        "ticks": int(late_us.size),
-        "p50_us": round(float(p50), 2),
-        "p99_us": round(float(p99), 2),
-        "max_us": round(float(largest), 2),
-        "skipped": sum(skipped) if skipped else None,
-    }
-
-
-def ratio(ours: dict[str, float | int | None], peer: dict[str, float | int | None]) -> float:
-    """Our p99 over the peer's, either at least the resolution."""
-    a, b = (max(found["p99_us"] or 0.0, RESOLUTION_US) for found in (ours, peer))
-    return round(a / b, 3)
+def steal_ms() -> float:
+    """What the host owns up to having taken from all cores so far, ms: counted in hundredths of a second."""
+    with Path("/proc/stat").open(encoding="ascii") as file:
+        return 1e3 * int(file.readline().split()[8]) / os.sysconf("SC_CLK_TCK")
 
 
 def measure(
-    loops: Sequence[str], policies: Sequence[str], conditions: Sequence[str], period_us: int, rounds: int
+    loops: Sequence[str],
+    policies: Sequence[str],
+    conditions: Sequence[str],
+    period_us: int,
+    rounds: int,
+    witnessed: bool = False,
 ) -> dict[str, dict[str, dict[str, object]]]:
-    """Condition, policy, loop: its summary, and our ratios to the C loop's."""
+    """Condition, policy, loop: its summary, and our ratios to the C loop's; by cause where there is a witness."""
     ticks = round(1e6 * BLOCK_S / period_us)
     blocks: dict[tuple[str, str, str], list[Block]] = {
         (condition, policy, loop): [] for condition in conditions for policy in policies for loop in loops
     }
+    took_s, stolen_ms = dict.fromkeys(conditions, 0.0), dict.fromkeys(conditions, 0.0)
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        c_loop = build_c_loop(Path(folder))
+        c_loop = build("wake_up_loop", Path(folder))
         running = {(policy, loop): start(loop, policy, c_loop) for policy in policies for loop in loops}
         for process in running.values():
             stack.callback(process.close)
             process.run(5, period_us)  # imports, first pages
+        witness = Witness(build("witness", Path(folder))) if witnessed else None
+        if witness is not None:
+            stack.callback(witness.close)
         for _ in range(rounds):
             for condition in conditions:
                 with cores(condition):
                     for (policy, loop), process in running.items():
-                        blocks[condition, policy, loop].append(process.run(ticks, period_us))
+                        if witness is not None:
+                            witness.stalls()  # those before do not belong here
+                        begin_s, before_ms = time.monotonic(), steal_ms()
+                        block = process.run(ticks, period_us)
+                        if witness is not None:
+                            block = block._replace(stalls=witness.stalls())
+                        blocks[condition, policy, loop].append(block)
+                        took_s[condition] += time.monotonic() - begin_s
+                        stolen_ms[condition] += steal_ms() - before_ms
     result: dict[str, dict[str, dict[str, object]]] = {}
     for condition in conditions:
         result[condition] = {}
         for policy in policies:
-            found = {loop: summary(blocks[condition, policy, loop]) for loop in loops}
-            row: dict[str, object] = dict(found)
-            for ours, peer, name in (("ours, spin", "C, spin", "p99_ratio_spin"), ("ours", "C", "p99_ratio_no_spin")):
-                if ours in found and peer in found:
-                    row[name] = ratio(found[ours], found[peer])
+            row: dict[str, object] = {}
+            for loop in loops:
+                found = blocks[condition, policy, loop]
+                row[loop] = summary(found) | (by_cause(found, period_us) if witnessed else {})
+            for suffix, name in ((", spin", "spin"), ("", "no_spin")):
+                if f"ours{suffix}" in loops and f"C{suffix}" in loops:
+                    ours, peer = (blocks[condition, policy, loop + suffix] for loop in ("ours", "C"))
+                    row |= compare(ours, peer, name)
+                    if witnessed:
+                        ours, peer = (without_machine(found, period_us) for found in (ours, peer))
+                        row |= compare(ours, peer, f"{name}_without_machine")
             result[condition][policy] = row
+        if witnessed:
+            every = [block for key, found in blocks.items() if key[0] == condition for block in found]
+            stood = machine(every, took_s[condition], os.cpu_count() or 1)
+            result[condition]["machine"] = {**stood, "steal_ms": round(stolen_ms[condition])}
     return result
+
+
+def compare(ours: Sequence[Block], peer: Sequence[Block], name: str) -> dict[str, object]:
+    """The ratio of the p99s, its 95 % interval and what that says; that of late ticks; nothing of too few ticks."""
+    a, b = summary(ours)["p99_us"], summary(peer)["p99_us"]
+    if a is None or b is None:
+        return {}
+    interval = ratio_interval(ours, peer)
+    found: dict[str, object] = {
+        f"p99_ratio_{name}": ratio(a, b),
+        f"p99_ratio_{name}_95": interval,
+        f"p99_ratio_{name}_at_most_{GOAL}": verdict(interval, GOAL),
+    }
+    shares = share_ratio(ours, peer)
+    if shares is not None:
+        found |= {f"later_than_10_us_ratio_{name}": shares[0], f"later_than_10_us_ratio_{name}_95": shares[1]}
+    return found
 
 
 def table(result: dict[str, dict[str, dict[str, object]]]) -> str:
     """For people, as Markdown."""
     lines = ["| cores, policy, loop | ticks | p50 us | p99 us | max us | skipped |", "|---|---|---|---|---|---|"]
-    ratios = []
+    notes = []
     for condition, policies in result.items():
         for policy, row in policies.items():
             for name, found in row.items():
-                if isinstance(found, dict):
-                    skipped = "-" if found["skipped"] is None else found["skipped"]
-                    cells = f"{found['ticks']} | {found['p50_us']} | {found['p99_us']} | {found['max_us']} | {skipped}"
-                    lines.append(f"| {condition}, {policy}: {name} | {cells} |")
-                else:
-                    ratios.append(f"{condition}, {policy}: {name} {found}")
-    return "\n".join([*lines, "", *ratios])
+                if not isinstance(found, dict):
+                    notes.append(f"{condition}, {policy}: {name} {found}")
+                    continue
+                values = (found[key] for key in ("ticks", "p50_us", "p99_us", "max_us", "skipped"))
+                cells = " | ".join("-" if value is None else str(value) for value in values)
+                lines.append(f"| {condition}, {policy}: {name} | {cells} |")
+                for key in ("late_by_cause", "skipped_by_cause", "p99_without_machine_us"):
+                    if key in found:
+                        notes.append(f"{condition}, {policy}, {name}: {key} {found[key]}")
+    return "\n".join([*lines, "", *notes])
 
 
 def main() -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(description="How late loops wake up, side by side.")
     parser.add_argument("--minutes", type=float, default=None, help="of each loop in each condition (default: 3 s)")
-    parser.add_argument("--period-us", type=int, default=5000)
+    parser.add_argument("--period-us", type=int, default=2000)
     parser.add_argument("--loops", default=None, help="e.g. ours,C: these with a spin only")
     parser.add_argument("--policies", default="fifo,ordinary")
     parser.add_argument("--conditions", default="idle,busy")
@@ -224,10 +291,13 @@ def main() -> int:
             "SCHED_FIFO is refused to this user: `rig doctor` says what to type; without it no cyclictest either"
         )
     conditions = arguments.conditions.split(",")
-    result = measure(loops, policies, conditions, arguments.period_us, rounds)
+    witnessed = arguments.loops is not None and fifo_is_allowed() and set(loops) <= set(PAIR)
+    if arguments.period_us % 1000:
+        parser.error("--period-us: whole milliseconds, so that the witness keeps beside the ticks")
+    result = measure(loops, policies, conditions, arguments.period_us, rounds, witnessed)
     pair = {}
     if arguments.minutes is None and arguments.loops is None and "fifo" in policies:
-        pair = measure(PAIR, ["fifo"], conditions, arguments.period_us, PAIR_ROUNDS)
+        pair = measure(PAIR, ["fifo"], conditions, arguments.period_us, PAIR_ROUNDS, witnessed=True)
     numbers = {
         "period_us": arguments.period_us,
         "spin_us": SPIN_US,

@@ -1,11 +1,15 @@
-"""The loop of rig, on a bench that answers at once: for `wake_up.py`, which tells what comes in and goes out.
+"""The loop of rig, on a bench that answers at once: for `wake_up.py`, which tells what comes in.
 
 our_loop.py PRIORITY SPIN_US
+
+What goes out, and when ticks are due, is what `wake_up_loop.c` says.
 """
 
 from __future__ import annotations
 
 import math
+import os
+import resource
 import sys
 import time
 
@@ -53,17 +57,30 @@ class StillBench:
         """Nothing to close."""
 
 
-class Lateness(NoRecord):
-    """Keeps how late each tick was, us."""
+class Evidence:
+    """What the kernel counts of this thread."""
 
     def __init__(self) -> None:
-        self.late_us: list[float] = []
+        self._file = os.open("/proc/thread-self/schedstat", os.O_RDONLY)
+
+    def until_now(self) -> tuple[int, int]:
+        """Ready to run without running, ns; page faults."""
+        usage = resource.getrusage(resource.RUSAGE_THREAD)
+        return int(os.pread(self._file, 80, 0).split()[1]), usage.ru_minflt + usage.ru_majflt
+
+
+class Ticked(NoRecord):
+    """Keeps of each tick its number, how late it was (us), when that was over, and the evidence until then."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        self.ticks: list[tuple[int, float, int, tuple[int, int]]] = []
+        self._evidence = evidence
 
     def sample(self, *row: object) -> None:
-        """Keep that column."""
-        late_us = row[6]
-        assert isinstance(late_us, float)
-        self.late_us.append(late_us)
+        """Keep that."""
+        tick, late_us = row[0], row[6]
+        assert isinstance(tick, int) and isinstance(late_us, float)
+        self.ticks.append((tick, late_us, time.monotonic_ns(), self._evidence.until_now()))
 
 
 class Ticks:
@@ -88,14 +105,23 @@ def main() -> int:
     with real_time(RealTimeSettings(priority)) as done:
         for line in done.refused:
             print(f"our_loop: {line}", file=sys.stderr)
+        evidence = Evidence()
         for line in sys.stdin:
-            ticks, period_us = line.split()
-            record = Lateness()
-            clock = MonotonicClock(1e-6 * spin_us)
-            loop = Loop(StillBench(), clock, Guard(GUARD), record, 1e-6 * float(period_us), StopRequest())
+            ticks, period_us = map(int, line.split())
+            record, guard, clock = Ticked(evidence), Guard(GUARD), MonotonicClock(1e-6 * spin_us)
+            while not 480_000 < time.monotonic_ns() % 1_000_000 < 495_000:  # it takes a few us to t0
+                pass
+            loop = Loop(StillBench(), clock, guard, record, 1e-6 * period_us, StopRequest())
+            t0_ns = time.monotonic_ns() - round(1e9 * loop.now_s)
             with loop.armed(LIMITS):
-                loop.run(Ticks(int(ticks)), "still")
-            print(loop.statistics.skipped, *(f"{1e3 * late_us:.0f}" for late_us in record.late_us), flush=True)
+                before = evidence.until_now()
+                loop.run(Ticks(ticks), "still")
+            numbers = [loop.statistics.skipped, 5]
+            for tick, late_us, over_ns, (queued_ns, faults) in record.ticks:
+                due_ns = t0_ns + 1000 * period_us * tick
+                numbers += [round(1e3 * late_us), due_ns, over_ns - due_ns, queued_ns - before[0], faults - before[1]]
+                before = (queued_ns, faults)
+            print(*numbers, flush=True)
     return 0
 
 

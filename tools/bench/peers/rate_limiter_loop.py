@@ -33,7 +33,7 @@ def main() -> int:
                 rate.sleep()
                 late_s.append(perf_counter() - due_s)
             behind_s = perf_counter() - (first_s + 1e-6 * period_us * (ticks - 1))
-            print(int(behind_s / (1e-6 * period_us)), *(f"{1e9 * late:.0f}" for late in late_s), flush=True)
+            print(int(behind_s / (1e-6 * period_us)), 1, *(f"{1e9 * late:.0f}" for late in late_s), flush=True)
     return 0
 
 

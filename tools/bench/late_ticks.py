@@ -1,0 +1,227 @@
+"""What made a tick late, and what a ratio of two p99s is worth: the arithmetic of `wake_up.py`.
+
+A tick is looked into when its loop was late by more than LATE_NS, or when its work lasted into the next tick, which was
+then skipped. What was lost is the time from due to awake, else from awake to the end of the work. Its cause, the
+first of these that accounts for half of it:
+
+machine      the witness's timer on one of the cores came late, too: nothing ran there, not even an interrupt; or the
+             kernel kept interrupts off for so long, which looks the same from within
+queued       the loop was ready to run, and the scheduler (or the kernel on behalf of another task) did not let it
+loop         it waited for a page of memory, or its own work lasted
+unexplained  none of these
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+CAUSES = ("machine", "queued", "loop", "unexplained")
+MACHINE = 0
+LATE_NS = 250_000  # more than the spin: neither a wake-up from a deep sleep nor an interrupt makes a tick so late
+WITNESS_PERIOD_NS = 1_000_000
+WITNESS_PHASE_US = 600  # the loops' ticks are due at 500: one tick in a million is this late unseen
+FEWEST_TICKS = 500  # of fewer the p99 is one of the five largest
+RESOLUTION_US = 1.0  # below it a p99 is the pace of reading the clock, and a ratio of two says nothing of a loop
+LATER_US = 10.0
+RESAMPLES = 1000
+
+Whole = NDArray[np.int64]
+
+
+class Ticks(NamedTuple):
+    """Of each tick, ns: how late; when due; from due to the end of its work; ready but not running, since the tick
+    before; and page faults since then. Arrays of one length.
+    """
+
+    late_ns: Whole
+    due_ns: Whole
+    over_ns: Whole
+    queued_ns: Whole
+    faults: Whole
+
+
+class Stalls(NamedTuple):
+    """The witness's late instants: core; when due, ns; how late, ns; how much of that it was ready to run, ns."""
+
+    core: Whole
+    due_ns: Whole
+    late_ns: Whole
+    queued_ns: Whole
+
+    @property
+    def still_ns(self) -> Whole:
+        """How late its timer came, ns."""
+        return self.late_ns - self.queued_ns
+
+
+class Block(NamedTuple):
+    """How late each tick was, us; ticks skipped, None where the loop does not say; evidence, where there is some."""
+
+    late_us: NDArray[np.float64]
+    skipped: int | None
+    ticks: Ticks | None = None
+    stalls: Stalls | None = None
+
+
+class Disturbed(NamedTuple):
+    """Ticks looked into: which of the block's, the index of its cause in CAUSES, the ticks that it had skipped."""
+
+    tick: Whole
+    cause: Whole
+    skipped: Whole
+
+
+def stood_still_ns(stalls: Stalls, begin_ns: int, end_ns: int) -> int:
+    """For how long of that time a core stood still, ns; of the core where it was longest."""
+    overlap = np.minimum(stalls.due_ns + stalls.still_ns, end_ns) - np.maximum(stalls.due_ns, begin_ns)
+    return int(np.bincount(stalls.core, weights=np.maximum(overlap, 0), minlength=1).max())
+
+
+def disturbed(block: Block, period_ns: int) -> Disturbed:
+    """Look into a block's ticks. The block has evidence."""
+    ticks, stalls = block.ticks, block.stalls
+    assert ticks is not None and stalls is not None and block.skipped is not None
+    skipped = np.append(np.diff(ticks.due_ns) // period_ns - 1, 0)
+    skipped[-1] = block.skipped - skipped.sum()
+    chosen = np.flatnonzero((ticks.late_ns > LATE_NS) | (skipped > 0))
+    causes = []
+    for k in chosen:
+        waited = ticks.late_ns[k] > LATE_NS
+        begin_ns = int(ticks.due_ns[k] + (0 if waited else ticks.late_ns[k]))
+        end_ns = int(ticks.due_ns[k] + (ticks.late_ns[k] if waited else ticks.over_ns[k]))
+        # the witness knows nothing of the time before its first instant
+        seen_ns = begin_ns + (1000 * WITNESS_PHASE_US - begin_ns) % WITNESS_PERIOD_NS
+        if seen_ns < end_ns and 2 * stood_still_ns(stalls, seen_ns, end_ns) >= end_ns - seen_ns:
+            cause = "machine"
+        elif 2 * ticks.queued_ns[k] >= end_ns - begin_ns:
+            cause = "queued"
+        elif ticks.faults[k] > 0 or not waited:
+            cause = "loop"
+        else:
+            cause = "unexplained"
+        causes.append(CAUSES.index(cause))
+    return Disturbed(chosen, np.array(causes, dtype=np.int64), skipped[chosen])
+
+
+def p99_us(late_us: NDArray[np.float64]) -> float | None:
+    """One of the values; None of too few."""
+    if late_us.size < FEWEST_TICKS:
+        return None
+    return round(float(np.quantile(late_us, 0.99, method="inverted_cdf")), 2)
+
+
+def summary(blocks: Sequence[Block]) -> dict[str, float | int | None]:
+    """Quantiles over all blocks, us, and the ticks skipped."""
+    late_us = np.concatenate([block.late_us for block in blocks])
+    skipped = [block.skipped for block in blocks if block.skipped is not None]
+    return {
+        "ticks": int(late_us.size),
+        "p50_us": round(float(np.quantile(late_us, 0.5, method="inverted_cdf")), 2),
+        "p99_us": p99_us(late_us),
+        "max_us": round(float(late_us.max()), 2),
+        "later_than_10_us": round(float(np.mean(late_us > LATER_US)), 5),
+        "skipped": sum(skipped) if skipped else None,
+    }
+
+
+def by_cause(blocks: Sequence[Block], period_us: int) -> dict[str, object]:
+    """Late ticks and skipped ticks of each cause, and the p99 of the ticks that the machine did not make late."""
+    late, skipped = np.zeros(len(CAUSES), int), np.zeros(len(CAUSES), int)
+    for block in blocks:
+        found = disturbed(block, 1000 * period_us)
+        waited = block.late_us[found.tick] > LATE_NS / 1000
+        late += np.bincount(found.cause[waited], minlength=len(CAUSES))
+        skipped += np.bincount(found.cause, weights=found.skipped, minlength=len(CAUSES)).astype(int)
+    return {
+        "late_by_cause": dict(zip(CAUSES, late.tolist(), strict=True)),
+        "skipped_by_cause": dict(zip(CAUSES, skipped.tolist(), strict=True)),
+        "p99_without_machine_us": summary(without_machine(blocks, period_us))["p99_us"],
+    }
+
+
+def without_machine(blocks: Sequence[Block], period_us: int) -> list[Block]:
+    """The ticks that the machine did not make late."""
+    found = [disturbed(block, 1000 * period_us) for block in blocks]
+    return [
+        Block(np.delete(block.late_us, looked.tick[looked.cause == MACHINE]), None)
+        for block, looked in zip(blocks, found, strict=True)
+    ]
+
+
+def machine(blocks: Sequence[Block], duration_s: float, cores: int) -> dict[str, float | int]:
+    """How often and for how long the cores stood still, by the witness, in blocks that took ``duration_s`` together.
+
+    chance  the share of its instants late enough for a tick's cause to be "machine": how often it would be by chance
+    """
+    still_ns = np.concatenate([block.stalls.still_ns for block in blocks if block.stalls is not None])
+    instants = duration_s * cores * 1e9 / WITNESS_PERIOD_NS
+    stalls_ns = still_ns[still_ns > LATE_NS]
+    return {
+        "stalls": int(stalls_ns.size),
+        "stood_still_ms": round(1e-6 * float(stalls_ns.sum()), 1),
+        "longest_ms": round(1e-6 * float(stalls_ns.max(initial=0)), 1),
+        "of_ms": round(1e3 * duration_s * cores),
+        "chance": round(float(np.count_nonzero(still_ns > LATE_NS / 4) / instants), 4),
+    }
+
+
+def ratio(ours_us: float, peer_us: float) -> float:
+    """Our p99 over the peer's, either at least the resolution."""
+    return round(max(ours_us, RESOLUTION_US) / max(peer_us, RESOLUTION_US), 3)
+
+
+def ratio_interval(ours: Sequence[Block], peers: Sequence[Block]) -> tuple[float, float]:
+    """95 % interval of the ratio of the p99s: rounds drawn anew, with repetition, each with its block of either loop.
+
+    Ticks of one block are disturbed together, so that it is the blocks, not the ticks, that are drawn.
+    """
+    drawn = _draw(len(ours))
+    a, b = (np.maximum(_p99_of_drawn(blocks, drawn), RESOLUTION_US) for blocks in (ours, peers))
+    return _interval(a / b)
+
+
+def share_ratio(ours: Sequence[Block], peers: Sequence[Block]) -> tuple[float, tuple[float, float]] | None:
+    """Our share of ticks later than LATER_US over the peer's, and its 95 % interval; None where too few are.
+
+    The p99 is on a cliff where about one tick in a hundred is disturbed; the share of them is not.
+    """
+    a, b = (np.array([np.count_nonzero(block.late_us > LATER_US) for block in blocks]) for blocks in (ours, peers))
+    if min(a.sum(), b.sum()) < 20:
+        return None
+    more = sum(block.late_us.size for block in peers) / sum(block.late_us.size for block in ours)
+    drawn = _draw(len(ours))
+    return round(float(more * a.sum() / b.sum()), 3), _interval(more * (drawn @ a) / np.maximum(drawn @ b, 1))
+
+
+def _draw(rounds: int) -> NDArray[np.int64]:
+    """How often each round is in each of RESAMPLES draws."""
+    return np.random.default_rng(1).multinomial(rounds, np.full(rounds, 1.0 / rounds), size=RESAMPLES)
+
+
+def _interval(values: NDArray[np.float64]) -> tuple[float, float]:
+    low, high = np.quantile(values, [0.025, 0.975])
+    return round(float(low), 3), round(float(high), 3)
+
+
+def _p99_of_drawn(blocks: Sequence[Block], drawn: NDArray[np.int64]) -> NDArray[np.float64]:
+    late_us = np.concatenate([block.late_us for block in blocks])
+    block_of = np.repeat(np.arange(len(blocks)), [block.late_us.size for block in blocks])
+    order = np.argsort(late_us)
+    late_us, block_of = late_us[order], block_of[order]
+    p99s = []
+    for times in drawn:
+        up_to = np.cumsum(times[block_of])
+        p99s.append(late_us[np.searchsorted(up_to, 0.99 * up_to[-1])])
+    return np.array(p99s)
+
+
+def verdict(interval: tuple[float, float], goal: float) -> str:
+    """What the interval says of a ratio that should be at most ``goal``."""
+    low, high = interval
+    if high <= goal:
+        return "held"
+    return "missed" if low > goal else "this run cannot tell"
