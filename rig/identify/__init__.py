@@ -10,9 +10,9 @@ friction_law, friction_fit   which friction law the data ask for
 verdict               ok, doubtful or refused
 """
 
-from rig.identify.cycles import Cycle
 from rig.identify.estimate import Estimate
 from rig.identify.identification import METHODS, Identification, identify
+from rig.identify.mean_cycle import Cycle
 from rig.identify.record import IdentifyError, Record
 
 __all__ = ["METHODS", "Cycle", "Estimate", "Identification", "IdentifyError", "Record", "identify"]

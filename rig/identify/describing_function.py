@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.cycles import Cycle
 from rig.identify.estimate import Estimate, student_intervals
+from rig.identify.mean_cycle import Cycle
 from rig.identify.record import IdentifyError
 from rig.identify.sampled_data import Start
 

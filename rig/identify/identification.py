@@ -10,9 +10,10 @@ import numpy as np
 
 from rig.identify import describing_function, least_squares, sampled_data, triple_relay, verdict
 from rig.identify.breakaway import Breakaway, breakaway
-from rig.identify.cycles import Cycle, find_cycle
+from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
 from rig.identify.friction_law import Ladder, friction_law
+from rig.identify.mean_cycle import Cycle
 from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.record import IdentifyError, Record, from_recording
 from rig.identify.verdict import FEW_CYCLES

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.cycles import Bins, Cycle, MeanHalf
 from rig.identify.estimate import Estimate, student_intervals
+from rig.identify.mean_cycle import Bins, Cycle, MeanHalf
 from rig.identify.record import IdentifyError
 from rig.identify.sampled_data import Start, ridge_starts
 

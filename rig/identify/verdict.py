@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from rig.identify import describing_function, sampled_data
-from rig.identify.cycles import Cycle
 from rig.identify.estimate import PARAMETERS, Estimate
+from rig.identify.mean_cycle import Cycle
 from rig.identify.record import IdentifyError, Record
 from rig.model.motor import State
 from rig.model.sensitivity import Theta

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from synthetic import Bench, dcr, motor, record, simulate
 
-from rig.identify.cycles import Bins, Cycle, average, equivalent_edge, find_cycle, relay_gains
+from rig.identify.cycles import equivalent_edge, find_cycle, relay_gains
+from rig.identify.mean_cycle import Bins, Cycle, average
 from rig.identify.record import IdentifyError, Record
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import limit_cycle

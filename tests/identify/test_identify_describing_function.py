@@ -14,7 +14,8 @@ from scipy.optimize import fsolve
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 
 from rig.identify import describing_function, verdict
-from rig.identify.cycles import Cycle, find_cycle
+from rig.identify.cycles import find_cycle
+from rig.identify.mean_cycle import Cycle
 from rig.identify.record import IdentifyError
 from rig.model.describing_function import Oscillation, predict
 from rig.model.limit_cycle import limit_cycle

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from synthetic import LSB_RAD, motor
 
 from rig.identify import describing_function, triple_relay
-from rig.identify.cycles import Cycle, average, find_cycle
+from rig.identify.cycles import find_cycle
 from rig.identify.identification import identify
+from rig.identify.mean_cycle import Cycle, average
 from rig.identify.record import IdentifyError, Record
 from rig.identify.sampled_data import Start, ridge_starts
 from rig.identify.triple_relay import Features, residuals, solve, solve_cycle

@@ -12,7 +12,8 @@ from paper import surviving
 from paper.drawing import PARAMETERS, Array, finish, new_figure, zero
 from paper.page import Cell, Comparison, Paragraph, Remark, Section, Table, listed, number, significant
 from rig.identify import triple_relay
-from rig.identify.cycles import Cycle, average, find_cycle
+from rig.identify.cycles import find_cycle
+from rig.identify.mean_cycle import Cycle, average
 from rig.identify.record import IdentifyError, Record
 from rig.identify.sampled_data import ridge_starts
 from rig.identify.triple_relay import Features

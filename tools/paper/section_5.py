@@ -17,8 +17,8 @@ from paper.page import Cell, Comparison, Heading, Paragraph, Remark, Section, Ta
 from rig import experiment
 from rig.config import Experiment, load
 from rig.identify import Identification, identify
-from rig.identify.cycles import Cycle
 from rig.identify.estimate import Estimate
+from rig.identify.mean_cycle import Cycle
 from rig.identify.triple_relay import Features
 from rig.model.describing_function import RelayGains
 from rig.model.friction import coulomb
