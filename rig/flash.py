@@ -18,7 +18,7 @@ from typing import NamedTuple
 from serial.tools import list_ports
 
 from rig.daq.frames import BOARDS, FrameReader, Hello
-from rig.daq.serial_link import await_introduction
+from rig.daq.introduction import await_introduction
 from rig.daq.serial_port import SerialPort
 from rig.faults import Fault
 

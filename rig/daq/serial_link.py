@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 from rig.daq import frames
 from rig.daq.calibration import (
@@ -23,18 +22,18 @@ from rig.daq.calibration import (
 from rig.daq.device_clock import DeviceClock, TimedExchange, fit_device_clock
 from rig.daq.driver import DeviceInfo, DeviceWatchdog, Transport
 from rig.daq.frames import Code, Hello, Kind, Packet, RelaySetup, Setup, State
+from rig.daq.introduction import STALE_READS, await_introduction, refusal
 from rig.daq.relay_stream import TICK_S, RelayCommand, RelayRow, RelayStream, relay_command
 from rig.faults import Fault
 from rig.signals import Limits, Order, Sample
 
 LONGEST_WATCHDOG_S = 1.0  # that the device accepts
-_HELLO_INTERVAL_S = 0.2
 _SYNCHRONISE_S = 1.0
 _PAUSE_S = 0.002  # between two of the exchanges that measure the clock
 _ATTEMPTS = 3  # of a request outside the loop
+_READ_SHARES = (0.5, 1.0, 1.0)  # of the time-out: until when each of a tick's requests for the state is waited for
 _LOST_DRIVES = 3  # in a row: the drive that acts is no longer the host's
 _LEAST_FULL_UNITS = 50  # coarser, and no drive is near what was asked for
-_STALE_READS = 64  # more than any port keeps
 _SUPPLY_TOLERANCE = 0.15  # of the divider in front of the converter, and of a loaded supply
 
 # Share of the wire time of a HELLO exchange that passes before the device reads its clock.
@@ -54,43 +53,6 @@ _FAULT_OF_CODE: dict[int, str] = {
     Code.E_STOP: "DEVICE_ESTOP",
     Code.END_SWITCH: "DEVICE_END_SWITCH",
 }
-
-
-class Introduction(NamedTuple):
-    """What a device said of itself, after ``requests`` HELLOs of seq 1, 2, ..., and other replies meanwhile."""
-
-    hello: Hello
-    requests: int
-    stale_replies: int
-
-
-def await_introduction(transport: Transport, reader: frames.FrameReader, timeout_s: float) -> Introduction:
-    """Ask until the device introduces itself: it may be restarting, or in its boot loader.
-
-    Raises Fault LINK_HELLO after ``timeout_s``, LINK_VERSION, LINK_REJECTED or LINK_LOST.
-    """
-    for _ in range(_STALE_READS):  # what an earlier run left behind; a device that never falls silent leaves more
-        if not transport.read(0.0):
-            break
-    started_s = transport.now_s()
-    requests = stale_replies = 0
-    while transport.now_s() - started_s < timeout_s:
-        requests += 1
-        transport.write(frames.encode(Kind.HELLO, requests))
-        again_s = transport.now_s() + _HELLO_INTERVAL_S
-        while (left_s := again_s - transport.now_s()) > 0.0:
-            for packet in reader.feed(transport.read(left_s)):
-                if packet.version != frames.VERSION:
-                    raise Fault(
-                        "LINK_VERSION", f"the device speaks version {packet.version}, this rig version {frames.VERSION}"
-                    )
-                asked = 1 <= packet.seq <= requests
-                if asked and packet.kind == Kind.NACK:
-                    raise _refusal(packet)
-                if asked and packet.kind == Kind.HELLO_REPLY:
-                    return Introduction(Hello.unpack(packet.body), requests, stale_replies)
-                stale_replies += 1
-    raise Fault("LINK_HELLO", f"{requests} requests in {timeout_s:g} s, {reader.bad_frames} damaged frames came back")
 
 
 def setup_for(limits: Limits, calibration: Calibration, drive_map: DriveMap, rail_counts: tuple[int, int]) -> Setup:
@@ -172,6 +134,7 @@ class SerialDriver:
         self._exchanges = 0
         self._stale_replies = 0
         self._timeouts = 0
+        self._asked_again = 0
         self._drives_lost = 0
         self._lost_in_a_row = 0
         self._stream: RelayStream | None = None  # while the relay in the device runs
@@ -183,6 +146,7 @@ class SerialDriver:
 
         exchanges      requests that were waited for
         timeouts       of these, without a reply in time
+        asked_again    readings that were asked for more than once, since a reply was damaged or did not come
         stale_replies  intact replies that were not the awaited one: late, repeated, of another request
         bad_frames     damaged frames from the device
         drives_lost    DRIVE frames that the device never accepted
@@ -190,6 +154,7 @@ class SerialDriver:
         return {
             "exchanges": self._exchanges,
             "timeouts": self._timeouts,
+            "asked_again": self._asked_again,
             "stale_replies": self._stale_replies,
             "bad_frames": self._reader.bad_frames,
             "drives_lost": self._drives_lost,
@@ -247,18 +212,15 @@ class SerialDriver:
         self._armed = True
 
     def read(self) -> Sample:
-        """Ask for the state and wait for it.
+        """Ask for the state and wait for it; ask again where a reply was damaged or stays away, within one time-out.
 
         ``u_V`` is what acts at the pin by the device's own word, even if the last ``write`` was lost on the
         way (which ``link_statistics`` counts). Before arming it reads, too.
         Raises Fault LINK_TIMEOUT, LINK_LOST, DEVICE_RESET, or the fault that the device latched.
         """
-        seq = self._send(Kind.READ)
-        packet = self._await(seq, Kind.STATE)
-        if packet is None:
-            raise self._timeout(Kind.READ)
+        packet = self._ask_state()
         if packet.kind == Kind.NACK:
-            raise _refusal(packet)
+            raise refusal(packet)
         state = State.unpack(packet.body)
         if self._armed:
             if state.status & frames.STATUS_FAULT or not state.status & frames.STATUS_ARMED:
@@ -293,8 +255,27 @@ class SerialDriver:
             else tachometer.to_rad_per_s(state.tach),
             self._t_u_s if self._driven else math.nan,
             self.drive_map.to_volts(state.drive),
-            seq,
+            packet.seq,
         )
+
+    def _ask_state(self) -> Packet:
+        """READ, up to three times within one time-out: again at once where a damaged frame came, or after half of it.
+
+        A late answer to an earlier one of them will do: a state tells itself when it was sampled.
+        """
+        start_s = self._transport.now_s()
+        seqs: list[int] = []
+        for share in _READ_SHARES:
+            seqs.append(self._send(Kind.READ))
+            last = len(seqs) == len(_READ_SHARES)
+            packet = self._await(seqs, Kind.STATE, start_s + share * self._timeout_s, damage_ends=not last)
+            if packet is not None:
+                return packet
+            if self._transport.now_s() - start_s >= self._timeout_s:
+                break
+            self._asked_again += 1
+        self._timeouts += 1
+        raise self._timeout(Kind.READ)
 
     def write(self, u_V: float) -> None:
         """Send the drive, one way. Raises ValueError beyond supply and bridge, Fault LINK_LOST.
@@ -319,7 +300,7 @@ class SerialDriver:
     def _is_stopped(self) -> bool:
         try:
             for _ in range(_ATTEMPTS):
-                packet = self._await(self._send(Kind.STOP), Kind.STOP_REPLY)
+                packet = self._answer(self._send(Kind.STOP), Kind.STOP_REPLY)
                 if packet is not None and packet.kind == Kind.STOP_REPLY:
                     state = State.unpack(packet.body)
                     if state.drive == 0 and not state.status & frames.STATUS_ARMED:
@@ -356,11 +337,11 @@ class SerialDriver:
         for _ in range(_ATTEMPTS):
             # a relay whose confirmation was lost runs already: this ends it
             self._send(Kind.DRIVE, frames.pack_drive(0))
-            packet = self._await(self._send(Kind.RELAY, setup.pack()), Kind.RELAY_REPLY)
+            packet = self._answer(self._send(Kind.RELAY, setup.pack()), Kind.RELAY_REPLY)
             if packet is None:
                 continue
             if packet.kind == Kind.NACK:
-                raise _refusal(packet)
+                raise refusal(packet)
             if RelaySetup.unpack(packet.body) != setup:
                 raise Fault("ARM_READBACK", f"sent {setup}, stored {RelaySetup.unpack(packet.body)}")
             self._stream = RelayStream(self.calibration, self.drive_map, self._clock, self._transport.now_s())
@@ -391,7 +372,7 @@ class SerialDriver:
         if not self._armed:
             self._stream = None
             return stream.rows()
-        for _ in range(_STALE_READS):
+        for _ in range(STALE_READS):
             if not (data := self._transport.read(0.0)):
                 break
             self._sort(self._reader.feed(data))
@@ -507,7 +488,7 @@ class SerialDriver:
         until_s = now_s() + _SYNCHRONISE_S
         sent_s = now_s()
         while sent_s < until_s:
-            packet = self._await(self._send(Kind.HELLO), Kind.HELLO_REPLY)
+            packet = self._answer(self._send(Kind.HELLO), Kind.HELLO_REPLY)
             received_s = now_s()
             if packet is not None and packet.kind == Kind.HELLO_REPLY:
                 exchanges.append(TimedExchange(sent_s, received_s, Hello.unpack(packet.body).now_us))
@@ -525,18 +506,26 @@ class SerialDriver:
         self._transport.write(frames.encode(kind, seq, body))
         return seq
 
-    def _await(self, seq: int, kind: Kind) -> Packet | None:
-        """The reply of that seq and kind, or the refusal; None after the time-out. Anything else is stale."""
+    def _answer(self, seq: int, kind: Kind) -> Packet | None:
+        """The reply of that seq and kind, or the refusal; None after the time-out, which is counted."""
+        packet = self._await([seq], kind, self._transport.now_s() + self._timeout_s)
+        self._timeouts += packet is None
+        return packet
+
+    def _await(self, seqs: list[int], kind: Kind, until_s: float, damage_ends: bool = False) -> Packet | None:
+        """The reply of that kind to one of ``seqs``, or the refusal; None at ``until_s``. Anything else is stale.
+
+        ``damage_ends``: None as soon as a damaged frame has come, too, which may have been it.
+        """
         transport = self._transport
         self._exchanges += 1
-        until_s = transport.now_s() + self._timeout_s
-        left_s = self._timeout_s
-        while left_s > 0.0:
+        bad_frames = self._reader.bad_frames
+        while (left_s := until_s - transport.now_s()) > 0.0:
             reply = None
             for packet in self._reader.feed(transport.read(left_s)):
                 if (
                     reply is None
-                    and packet.seq == seq
+                    and packet.seq in seqs
                     and (packet.kind == kind or packet.kind == Kind.NACK)
                     and packet.version == frames.VERSION
                 ):
@@ -547,17 +536,17 @@ class SerialDriver:
                     self._sort([packet])
             if reply is not None:
                 return reply
-            left_s = until_s - transport.now_s()
-        self._timeouts += 1
+            if damage_ends and self._reader.bad_frames > bad_frames:
+                return None
         return None
 
     def _request(self, kind: Kind, body: bytes, reply: Kind) -> Packet:
         """Send until answered, a few times; raises Fault on refusal or silence."""
         for _ in range(_ATTEMPTS):
-            packet = self._await(self._send(kind, body), reply)
+            packet = self._answer(self._send(kind, body), reply)
             if packet is not None:
                 if packet.kind == Kind.NACK:
-                    raise _refusal(packet)
+                    raise refusal(packet)
                 return packet
         raise self._timeout(kind)
 
@@ -587,16 +576,6 @@ class SerialDriver:
             elif state.fault == Code.DRIVE_RANGE:
                 detail += f", largest drive {setup.max_drive} units"
         return Fault(_FAULT_OF_CODE.get(state.fault, "LINK_REJECTED"), detail)
-
-
-def _refusal(packet: Packet) -> Fault:
-    nack = frames.Nack.unpack(packet.body)
-    try:
-        request = Kind(nack.kind).name
-    except ValueError:
-        request = f"type {nack.kind}"
-    code = "LINK_VERSION" if nack.code == Code.VERSION else "LINK_REJECTED"
-    return Fault(code, f"{request} refused, {frames.code_name(nack.code)}, by a device of version {packet.version}")
 
 
 def _fields(setup: Setup, other: Setup) -> str:
