@@ -6,7 +6,9 @@ first of these that accounts for half of it:
 
 machine      the witness's timer on one of the cores came late, too: nothing ran there, not even an interrupt; or the
              kernel kept interrupts off for so long, which looks the same from within
-queued       the loop was ready to run, and the scheduler (or the kernel on behalf of another task) did not let it
+kernel       the loop was ready to run and did not, nor did the witness, which goes before all programs: the kernel
+             was at something that it does not interrupt
+outranked    the loop was ready to run and did not, but the witness could: a task went before the loop
 loop         it waited for a page of memory, or its own work lasted
 unexplained  none of these
 """
@@ -19,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-CAUSES = ("machine", "queued", "loop", "unexplained")
+CAUSES = ("machine", "kernel", "outranked", "loop", "unexplained")
 MACHINE = 0
 LATE_NS = 250_000  # more than the spin: neither a wake-up from a deep sleep nor an interrupt makes a tick so late
 WITNESS_PERIOD_NS = 1_000_000
@@ -75,10 +77,10 @@ class Disturbed(NamedTuple):
     skipped: Whole
 
 
-def stood_still_ns(stalls: Stalls, begin_ns: int, end_ns: int) -> int:
-    """For how long of that time a core stood still, ns; of the core where it was longest."""
-    overlap = np.minimum(stalls.due_ns + stalls.still_ns, end_ns) - np.maximum(stalls.due_ns, begin_ns)
-    return int(np.bincount(stalls.core, weights=np.maximum(overlap, 0), minlength=1).max())
+def overlap_ns(core: Whole, from_ns: Whole, to_ns: Whole, begin_ns: int, end_ns: int) -> int:
+    """How much of begin to end the intervals of one core cover, ns; of the core where that is most."""
+    overlap = np.minimum(to_ns, end_ns) - np.maximum(from_ns, begin_ns)
+    return int(np.bincount(core, weights=np.maximum(overlap, 0), minlength=1).max())
 
 
 def disturbed(block: Block, period_ns: int) -> Disturbed:
@@ -95,10 +97,13 @@ def disturbed(block: Block, period_ns: int) -> Disturbed:
         end_ns = int(ticks.due_ns[k] + (ticks.late_ns[k] if waited else ticks.over_ns[k]))
         # the witness knows nothing of the time before its first instant
         seen_ns = begin_ns + (1000 * WITNESS_PHASE_US - begin_ns) % WITNESS_PERIOD_NS
-        if seen_ns < end_ns and 2 * stood_still_ns(stalls, seen_ns, end_ns) >= end_ns - seen_ns:
+        half_ns = max((end_ns - seen_ns) / 2, 1)
+        timer_ns = stalls.due_ns + stalls.still_ns
+        if overlap_ns(stalls.core, stalls.due_ns, timer_ns, seen_ns, end_ns) >= half_ns:
             cause = "machine"
         elif 2 * ticks.queued_ns[k] >= end_ns - begin_ns:
-            cause = "queued"
+            queued_ns = overlap_ns(stalls.core, timer_ns, stalls.due_ns + stalls.late_ns, seen_ns, end_ns)
+            cause = "kernel" if queued_ns >= half_ns else "outranked"
         elif ticks.faults[k] > 0 or not waited:
             cause = "loop"
         else:
@@ -139,6 +144,7 @@ def by_cause(blocks: Sequence[Block], period_us: int) -> dict[str, object]:
     return {
         "late_by_cause": dict(zip(CAUSES, late.tolist(), strict=True)),
         "skipped_by_cause": dict(zip(CAUSES, skipped.tolist(), strict=True)),
+        "skipped_though_the_machine_ran": int(skipped.sum() - skipped[MACHINE]),
         "p99_without_machine_us": summary(without_machine(blocks, period_us))["p99_us"],
     }
 

@@ -266,7 +266,12 @@ def table(result: dict[str, dict[str, dict[str, object]]]) -> str:
                 values = (found[key] for key in ("ticks", "p50_us", "p99_us", "max_us", "skipped"))
                 cells = " | ".join("-" if value is None else str(value) for value in values)
                 lines.append(f"| {condition}, {policy}: {name} | {cells} |")
-                for key in ("late_by_cause", "skipped_by_cause", "p99_without_machine_us"):
+                for key in (
+                    "late_by_cause",
+                    "skipped_by_cause",
+                    "skipped_though_the_machine_ran",
+                    "p99_without_machine_us",
+                ):
                     if key in found:
                         notes.append(f"{condition}, {policy}, {name}: {key} {found[key]}")
     return "\n".join([*lines, "", *notes])
