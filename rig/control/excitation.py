@@ -283,8 +283,8 @@ class RelayTest(_RelayLaw[Relay]):
     """Run the relay at fixed gains until ``cycles`` settled periods have passed.
 
     settled_start_s and settled_end_s frame them once finished. Raises Fault NO_CYCLE where ``timeout_s`` passes first;
-    SENSOR_STUCK where the cycle has settled and then the reading stands as no limit cycle does (``CycleWatch``),
-    whatever the relays drive meanwhile.
+    SENSOR_STUCK where a cycle goes on and then the reading stands as none does (``CycleWatch``), whatever the relays
+    drive meanwhile.
     """
 
     def __init__(
@@ -307,9 +307,7 @@ class RelayTest(_RelayLaw[Relay]):
     def step(self, sample: Sample) -> float:
         """Drive of the relay at this sample, V."""
         u_V, completed = self._run_relay(sample)
-        self.watch.step(sample)
-        if self.detector.settled:
-            self.watch.check(u_V)
+        self.watch.step(sample, u_V)
         if sample.t_s - self._start_s > self.timeout_s:
             seen = self.detector.cycles
             last = f"; last: {seen[-1].reason}" if seen and seen[-1].reason else ""
@@ -319,7 +317,7 @@ class RelayTest(_RelayLaw[Relay]):
                 f"h2 {self.relay.h2_V:.2f} V, not settled{last}",
             )
         if completed:
-            self.watch.end_period(self.detector.cycles[-1])
+            self.watch.end_period(self.detector.cycles[-1], settled=self.detector.settled)
             if not self.detector.settled:
                 self.settled_start_s = math.nan
             elif math.isnan(self.settled_start_s):

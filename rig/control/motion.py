@@ -68,47 +68,55 @@ class Gain:
 
 
 class CycleWatch:
-    """A settled limit cycle never stands still much longer than it did before.
+    """A cycle of the relays that goes on never stands still for long, whatever the relays drive.
 
-    The shaft stands where it turns, and moves everywhere else, whatever the relays drive there. The longest stand of
-    the last periods is learned; ``LONGER`` times that is allowed, and the part ``LEAST`` of a period in any case.
+    The shaft stands where it turns, a little longer where the drive before it is below friction, and moves everywhere
+    else. It may stand for the part ``SETTLED`` of the longest of the last periods once the cycle has settled, for
+    ``UNSETTLED`` before. A cycle goes on where both last periods were accepted and the amplitude keeps or grows: one
+    that dies away may well stand, and is not judged.
 
     min_amplitude_rad  smallest amplitude of a limit cycle; a quarter of it, or the part ``SPAN`` of the amplitude, is
                        what a reading keeps within while the shaft stands
     """
 
-    LONGER = 3.0
-    LEAST = 1.0 / 6.0
+    SETTLED = 0.5
+    UNSETTLED = 1.0
     SPAN = 0.05
-    PERIODS = 3
+    PERIODS = 3  # the last ones
+    KEEPS = 0.9  # an amplitude of at least this part of the one before
 
     def __init__(self, min_amplitude_rad: float) -> None:
         self.still_s = 0.0
-        self.longest_s = 0.0
+        self.longest_s = 0.0  # stand of the last periods
         self.allowed_s = math.inf
         self._span_rad = self._least_rad = 0.25 * min_amplitude_rad
         self._standstill = Standstill()
         self._running_s = 0.0
-        self._last: deque[tuple[float, float]] = deque(maxlen=self.PERIODS)
+        self._last: deque[tuple[DetectedCycle, float]] = deque(maxlen=self.PERIODS)  # with its longest stand
 
-    def step(self, sample: Sample) -> None:
-        """Take one sample."""
+    def step(self, sample: Sample, u_V: float) -> None:
+        """Take one sample, and what drives, for the message. Raises Fault SENSOR_STUCK where it stands too long."""
         self.still_s = self._standstill.step(sample.t_s, sample.y_rad, self._span_rad)
         self._running_s = max(self._running_s, self.still_s)
-
-    def end_period(self, cycle: DetectedCycle) -> None:
-        """A period is over: learn from it."""
-        self._last.append((self._running_s, cycle.period_s))
-        self._running_s = 0.0
-        self._span_rad = max(self._least_rad, self.SPAN * cycle.amplitude_rad)
-        self.longest_s = max(still_s for still_s, _ in self._last)
-        self.allowed_s = max(self.LONGER * self.longest_s, self.LEAST * max(period_s for _, period_s in self._last))
-
-    def check(self, u_V: float) -> None:
-        """Raises Fault SENSOR_STUCK where the reading has stood too long. ``u_V`` is what drives, for the message."""
         if self.still_s > self.allowed_s:
             raise Fault(
                 "SENSOR_STUCK",
                 f"the reading has stood for {self.still_s:.2f} s, at {u_V:+.2f} V; in the cycles before it never stood "
                 f"longer than {self.longest_s:.2f} s",
             )
+
+    def end_period(self, cycle: DetectedCycle, *, settled: bool) -> None:
+        """A period is over: learn from it."""
+        before = self._last[-1][0] if self._last else None
+        self._last.append((cycle, self._running_s))
+        self._running_s = 0.0
+        self._span_rad = max(self._least_rad, self.SPAN * cycle.amplitude_rad)
+        self.longest_s = max(still_s for _, still_s in self._last)
+        goes_on = (
+            before is not None
+            and before.accepted
+            and cycle.accepted
+            and cycle.amplitude_rad > self.KEEPS * before.amplitude_rad
+        )
+        part = self.SETTLED if settled else self.UNSETTLED
+        self.allowed_s = part * max(one.period_s for one, _ in self._last) if goes_on else math.inf
