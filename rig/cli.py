@@ -278,13 +278,11 @@ def predict(tau: float, K: float, fc: float, fs: float | None, h1: float, h2: fl
 @click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
 def report(run_folder: Path) -> None:
     """Write a run's report anew, and print its path."""
+    from rig.recording.path_kind import require_run
     from rig.report import write_report
 
-    if not (run_folder / "meta.json").is_file() and not (run_folder / "samples.csv").is_file():
-        _fail(EXIT_BAD_INPUT, f"{run_folder}: is not a run folder", "give the path that `rig run` printed")
-    if (run_folder / "results.csv").is_file() and not (run_folder / "samples.csv").is_file():
-        _fail(EXIT_BAD_INPUT, f"{run_folder}: is a campaign's folder", "the same `rig campaign` writes its report anew")
     try:
+        require_run(run_folder)
         with patience("drawing the report"):
             path = write_report(run_folder)
     except RecordingError as error:

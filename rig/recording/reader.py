@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from rig.recording.columns import COLUMNS, KINDS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, RESULT
+from rig.recording.path_kind import no_recording, no_run
 from rig.recording.writer import EVENTS, SAMPLES
 
 __all__ = ["Recording", "RecordingError", "from_columns", "read", "read_csv", "read_result", "read_run"]
@@ -158,18 +159,19 @@ def from_columns(
 
 def read(path: Path) -> Recording:
     """Read a run folder or a CSV file, whichever ``path`` is. Raises RecordingError."""
+    mistaken = no_recording(path)
+    if mistaken is not None:
+        raise mistaken
     return read_run(path) if _is_folder(path) else read_csv(path)
 
 
 def read_run(folder: Path) -> Recording:
     """Read a run folder; what a killed run has not written yet is noted in ``notes``.
 
-    Raises RecordingError where samples.csv is missing or unusable, or another file of the folder is broken.
+    Raises RecordingError where this is no run, samples.csv is unusable, or another file of the folder is broken.
     """
-    if not _is_folder(folder):
-        raise RecordingError(folder, "is not a run folder", "give the folder that `rig run` printed")
-    if not (folder / SAMPLES).exists():
-        raise RecordingError(folder, f"has no {SAMPLES}", "give the folder that `rig run` printed")
+    if not _is_folder(folder) or not (folder / SAMPLES).exists():
+        raise no_run(folder)
     recording = read_csv(folder / SAMPLES)
     notes = list(recording.notes)
 

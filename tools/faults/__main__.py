@@ -12,6 +12,7 @@ from faults.backends import BACKENDS
 from faults.matrix import in_real_time, in_virtual_time
 from faults.page import render
 from faults.rows import ROWS
+from rig.recording.folder import write_whole
 
 OUT = Path("docs/fault-table.md")
 REAL_PHASES = 2
@@ -31,7 +32,7 @@ def main() -> int:
     lines = in_virtual_time(rows, backends, given.phases)
     real = in_real_time(REAL_PHASES) if given.only == "" and given.device is None else []
     made = str(datetime.datetime.now(datetime.UTC).date())
-    given.out.write_text(render(made, given.phases, lines, rows, backends, real), encoding="utf-8")
+    write_whole(given.out, render(made, given.phases, lines, rows, backends, real).encode("utf-8"))
     trouble = [words for line in lines for words in line.trouble]
     trouble += [f"{one.row}, real time, phase {one.phase:.2f}: {words}" for one in real for words in one.trouble]
     cases, took_s = sum(len(line.found) for line in lines) + len(real), time.monotonic() - began_s

@@ -22,6 +22,7 @@ from paper import (
 )
 from paper.drawing import style
 from paper.page import Report, Section, render_page
+from rig.recording.folder import write_whole
 
 
 def make_4_1(quick: bool) -> Section:
@@ -92,9 +93,7 @@ def build(out: Path, *, quick: bool = False, say: Callable[[str], None] = print)
     """
     report = Report(make_sections(quick, say))
     out.parent.mkdir(parents=True, exist_ok=True)
-    half = out.with_name(f".{out.name}.part")
-    half.write_text(render_page(report), encoding="utf-8")
-    half.replace(out)
+    write_whole(out, render_page(report).encode("utf-8"))
     return out
 
 

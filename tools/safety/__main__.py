@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 from rig.emulate.firmware_build import build_chip, source_folder
+from rig.recording.folder import write_whole
 from safety import garbage
 from safety.page import Found, is_kept, render, row
 from safety.promises import PROMISES, measure
@@ -46,7 +47,7 @@ def main() -> int:
     loads = {baud: chip_load(baud) for baud in BAUDS}
     chip = {baud: text for baud, (_, text) in loads.items()}
     found = Found(made, rows, thrown, errors, guesses, chip)
-    given.out.write_text(render(found), encoding="utf-8")
+    write_whole(given.out, render(found).encode("utf-8"))
     kept = is_kept(found) and all(is_well for is_well, _ in loads.values())
     print(f"{given.out}: {'all bounds hold' if kept else 'A BOUND IS BROKEN'}, {time.monotonic() - began_s:.0f} s")
     return 0 if kept else 1
