@@ -516,13 +516,17 @@ def flash(
     try:
         with _faults():
             avrdude = uno.find_avrdude()
+            if avrdude is None and not dry_run:
+                raise uno.no_avrdude()
             if port is None:
                 found = uno.only_candidate(uno.serial_ports())
                 click.echo(f"found: {found}")
                 port = found.device
-            command = uno.avrdude_command(avrdude, port, hex_file or build_uno(options))
+            command = uno.avrdude_command(avrdude or "avrdude", port, hex_file or build_uno(options))
             if dry_run:
                 click.echo(f"would run: {shlex.join(command)}")
+                if avrdude is None:
+                    click.echo(f"avrdude is missing here. {uno.no_avrdude().cure}")
                 return
             uno.check_port(port)
             click.echo(f"running: {shlex.join(command)}")

@@ -121,12 +121,14 @@ def only_candidate(ports: Iterable[Port]) -> Port:
     )
 
 
-def find_avrdude() -> str:
-    """Path of avrdude. Raises FlashError where it is missing."""
-    path = shutil.which("avrdude")
-    if path is None:
-        raise FlashError("`avrdude`, which writes to the board, is missing", "Debian: apt-get install avrdude")
-    return path
+def find_avrdude() -> str | None:
+    """Path of avrdude; None where it is missing."""
+    return shutil.which("avrdude")
+
+
+def no_avrdude() -> FlashError:
+    """That it is missing, and what to type."""
+    return FlashError("`avrdude`, which writes to the board, is missing", "Debian: apt-get install avrdude")
 
 
 def avrdude_command(avrdude: str, port: str, hex_file: Path) -> list[str]:

@@ -164,6 +164,26 @@ def test_a_dry_run_builds_and_says_the_command_and_touches_nothing(
     assert not (avrdude.parent / "told").exists()
 
 
+def test_a_dry_run_does_without_avrdude_and_a_real_one_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    hex_file = tmp_path / "rig uno.hex"
+    hex_file.write_text(":00000001FF\n")
+    dry = rig_flash("--dry-run", "--hex", hex_file, "--port", "/dev/ttyACM7")
+    assert (dry.exit_code, dry.stderr) == (0, "")
+    assert dry.stdout.splitlines() == [
+        f"would run: avrdude -p atmega328p -c arduino -b 115200 -P /dev/ttyACM7 -D -U 'flash:w:{hex_file}:i'",
+        "avrdude is missing here. Debian: apt-get install avrdude",
+    ]
+    real = rig_flash("--hex", hex_file, "--port", "/dev/ttyACM7")
+    assert real.exit_code == 1
+    assert real.stderr.splitlines() == [
+        "rig: `avrdude`, which writes to the board, is missing",
+        "     Debian: apt-get install avrdude",
+    ]
+
+
 def test_a_board_that_stays_silent_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     with board(boot_s=60.0) as port, pytest.raises(FlashError) as caught:
         flash.meet(port, 115200, timeout_s=0.3)
