@@ -240,5 +240,5 @@ class Guard:
             raise Fault(
                 "SENSOR_STUCK",
                 f"{u_V:+.2f} V for {still_s:.2f} s moved the reading by {moved_rad * 1e3:.1f} mrad; "
-                f"it broke away at {self.static_V:.2f} V",
+                f"it broke away at {self.static_V:.2f} V; {self._standstill.words()}",
             )

@@ -11,23 +11,44 @@ from rig.signals import Sample
 
 
 class Standstill:
-    """How long a reading has kept within a span: since it last left it, at the start since the first sample."""
+    """How long a reading has kept within a span: since it last left it, at the start since the first sample.
+
+    still_s           that time, s
+    low_rad, high_rad readings meanwhile
+    same_s            time for which the reading has not changed at all, s
+    """
 
     def __init__(self) -> None:
         self.restart()
 
     def restart(self) -> None:
         """Begin anew at the next sample."""
-        self._since_s = math.nan
+        self.still_s = 0.0
+        self.same_s = 0.0
         self.low_rad = math.inf
         self.high_rad = -math.inf
+        self._since_s = math.nan
+        self._changed_s = math.nan
+        self._last_rad = math.nan
 
     def step(self, t_s: float, y_rad: float, span_rad: float) -> float:
         """Time for which the reading has stood at this sample, s: readings nearer than ``span_rad`` are one place."""
         self.low_rad, self.high_rad = min(self.low_rad, y_rad), max(self.high_rad, y_rad)
         if self.high_rad - self.low_rad >= span_rad or math.isnan(self._since_s):
             self._since_s, self.low_rad, self.high_rad = t_s, y_rad, y_rad
-        return t_s - self._since_s
+        if y_rad != self._last_rad:
+            self._changed_s, self._last_rad = t_s, y_rad
+        self.still_s, self.same_s = t_s - self._since_s, t_s - self._changed_s
+        return self.still_s
+
+    def words(self) -> str:
+        """What the readings of a stand that should not be say about its cause, as far as they can."""
+        if self.same_s < 0.3 * self.still_s:
+            return "the reading still flickers, so the sensor lives: look at the drive's supply and the coupling first"
+        return (
+            f"the reading has not changed at all for {self.same_s:.2f} s: "
+            "if it flickers at rest, look at the wiper's wire first"
+        )
 
 
 class Gain:
@@ -71,38 +92,41 @@ class CycleWatch:
     """A cycle of the relays that goes on never stands still for long, whatever the relays drive.
 
     The shaft stands where it turns, a little longer where the drive before it is below friction, and moves everywhere
-    else. It may stand for the part ``SETTLED`` of the longest of the last periods once the cycle has settled, for
-    ``UNSETTLED`` before. A cycle goes on where both last periods were accepted and the amplitude keeps or grows: one
-    that dies away may well stand, and is not judged.
+    else. The longest stand of the last periods is learned, and ``LONGER`` times that is allowed; but not less than a
+    part of the longest of these periods (``SETTLED`` once the cycle has settled, ``GROWING`` before) nor more than
+    ``MOST``. A cycle goes on where both last periods were accepted, are nearly alike, and the amplitude keeps or grows:
+    one that dies away may well stand, and is not judged.
 
     min_amplitude_rad  smallest amplitude of a limit cycle; a quarter of it, or the part ``SPAN`` of the amplitude, is
                        what a reading keeps within while the shaft stands
     """
 
-    SETTLED = 0.5
-    UNSETTLED = 1.0
+    LONGER = 3.0
+    SETTLED = 1.0 / 3.0
+    GROWING = 0.5
+    MOST = 1.0
     SPAN = 0.05
     PERIODS = 3  # the last ones
     KEEPS = 0.9  # an amplitude of at least this part of the one before
+    ALIKE = 0.3  # largest relative difference of two periods
 
     def __init__(self, min_amplitude_rad: float) -> None:
-        self.still_s = 0.0
         self.longest_s = 0.0  # stand of the last periods
         self.allowed_s = math.inf
         self._span_rad = self._least_rad = 0.25 * min_amplitude_rad
-        self._standstill = Standstill()
+        self.standstill = Standstill()
         self._running_s = 0.0
         self._last: deque[tuple[DetectedCycle, float]] = deque(maxlen=self.PERIODS)  # with its longest stand
 
     def step(self, sample: Sample, u_V: float) -> None:
         """Take one sample, and what drives, for the message. Raises Fault SENSOR_STUCK where it stands too long."""
-        self.still_s = self._standstill.step(sample.t_s, sample.y_rad, self._span_rad)
-        self._running_s = max(self._running_s, self.still_s)
-        if self.still_s > self.allowed_s:
+        still_s = self.standstill.step(sample.t_s, sample.y_rad, self._span_rad)
+        self._running_s = max(self._running_s, still_s)
+        if still_s > self.allowed_s:
             raise Fault(
                 "SENSOR_STUCK",
-                f"the reading has stood for {self.still_s:.2f} s, at {u_V:+.2f} V; in the cycles before it never stood "
-                f"longer than {self.longest_s:.2f} s",
+                f"the reading has stood for {still_s:.2f} s, at {u_V:+.2f} V; in the cycles before it never stood "
+                f"longer than {self.longest_s:.2f} s; {self.standstill.words()}",
             )
 
     def end_period(self, cycle: DetectedCycle, *, settled: bool) -> None:
@@ -117,6 +141,8 @@ class CycleWatch:
             and before.accepted
             and cycle.accepted
             and cycle.amplitude_rad > self.KEEPS * before.amplitude_rad
+            and abs(cycle.period_s / before.period_s - 1.0) < self.ALIKE
         )
-        part = self.SETTLED if settled else self.UNSETTLED
-        self.allowed_s = part * max(one.period_s for one, _ in self._last) if goes_on else math.inf
+        period_s = max(one.period_s for one, _ in self._last)
+        least_s = period_s * (self.SETTLED if settled else self.GROWING)
+        self.allowed_s = min(max(self.LONGER * self.longest_s, least_s), self.MOST * period_s) if goes_on else math.inf
