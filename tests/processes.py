@@ -1,8 +1,14 @@
-"""Processes that a test watches."""
+"""Processes that a test watches, and what emulated devices write of themselves."""
 
 from __future__ import annotations
 
+import csv
 import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+PATIENCE_S = 60.0  # a shared machine may hold a process up for long
 
 
 def alive(pid: int) -> bool:
@@ -12,3 +18,18 @@ def alive(pid: int) -> bool:
     except ProcessLookupError:
         return False
     return True
+
+
+def wait_until(true: Callable[[], bool]) -> None:
+    """Return once it is so; fails where it never is."""
+    until_s = time.monotonic() + PATIENCE_S
+    while not true():
+        assert time.monotonic() < until_s, "it never happened"
+        time.sleep(0.02)
+
+
+def rows(trace: Path) -> list[dict[str, float]]:
+    """Whole rows of an emulated device's trace so far."""
+    lines = trace.read_text().splitlines(keepends=True)
+    whole = [line for line in lines if line.endswith("\n")]
+    return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(whole)]

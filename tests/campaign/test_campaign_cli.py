@@ -6,20 +6,15 @@ import json
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from command_line import rig
 from small_campaign import small
 
 from rig.campaign import report, results, trial
 from rig.campaign.trial import Row, run_trial
-from rig.cli import main
 from rig.config import Campaign, ConfigError, dump, load_campaign
 
 ROOT = Path(__file__).resolve().parents[2]
 READY = sorted((ROOT / "config").glob("campaign*.yaml"))
-
-
-def rig(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(a) for a in arguments])
 
 
 @pytest.fixture

@@ -11,15 +11,11 @@ import time
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from command_line import rig
 
 from rig.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def rig(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(a) for a in arguments])
 
 
 def test_predict_gives_the_check_values_of_theory_section_4() -> None:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import socket
 import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,7 @@ from modbus_device import (
     write,
     write_one,
 )
-from processes import alive
+from processes import alive, rows, wait_until
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
@@ -44,7 +43,6 @@ from rig.emulate.tcp_slave import Adu, Stream
 
 pytestmark = pytest.mark.realtime
 
-PATIENCE_S = 60.0
 LONG_WATCHDOG = (10_000, *SETTINGS[1:])
 
 HOST = """
@@ -64,20 +62,6 @@ for k in range(10**6):
     if k == 5:
         print("driving", flush=True)
 """
-
-
-def rows(trace: Path) -> list[dict[str, float]]:
-    """Whole rows of the trace so far."""
-    lines = trace.read_text().splitlines(keepends=True)
-    whole = [line for line in lines if line.endswith("\n")]
-    return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(whole)]
-
-
-def wait_until(true: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + PATIENCE_S
-    while not true():
-        assert time.monotonic() < until_s, "it never happened"
-        time.sleep(0.02)
 
 
 @contextlib.contextmanager

@@ -10,20 +10,15 @@ from pathlib import Path
 
 import pytest
 import yaml
-from click.testing import CliRunner, Result
+from command_line import rig
 
 from rig import experiment as script
 from rig import session
-from rig.cli import main
 from rig.control.law import Constant
 from rig.faults import Fault
 from rig.recording.reader import read_run
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def rig(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(a) for a in arguments])
 
 
 def quick(folder: Path, **changes: object) -> Path:

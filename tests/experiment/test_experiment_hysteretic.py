@@ -9,17 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner, Result
+from click.testing import Result
+from command_line import rig
 
-from rig.cli import main
 from rig.recording.reader import read_run
 
 ROOT = Path(__file__).resolve().parents[2]
 READY = ROOT / "config/least-squares.yaml"
-
-
-def rig(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(a) for a in arguments])
 
 
 def written(folder: Path, **sections: Any) -> Path:

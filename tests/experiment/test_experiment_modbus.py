@@ -9,19 +9,14 @@ from typing import Any
 
 import pytest
 import yaml
-from click.testing import CliRunner, Result
+from command_line import rig
 
-from rig.cli import main
 from rig.recording.reader import read_run
 
 ROOT = Path(__file__).resolve().parents[2]
 GAINS = [{"h1_V": 0.43, "h2_V": 0.80}, {"h1_V": 0.33, "h2_V": 0.74}]  # such as its own search finds
 _RUNS = 4
 _STALLED = {"LINK_TIMEOUT", "DEVICE_WATCHDOG", "STOP_UNCONFIRMED"}  # of a machine that stood still for a while
-
-
-def rig(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(a) for a in arguments])
 
 
 def example(name: str) -> dict[str, Any]:

@@ -8,16 +8,12 @@ from pathlib import Path
 
 import pytest
 import yaml
-from click.testing import CliRunner, Result
+from click.testing import Result
+from command_line import rig
 
-from rig.cli import main
 from rig.recording.reader import read_run
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def rig(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(a) for a in arguments])
 
 
 def written(folder: Path, **changes: object) -> Path:

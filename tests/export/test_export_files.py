@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from command_line import rig
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.io import loadmat
 
-from rig.cli import main
 from rig.export import export, matlab_names
 from rig.identify import identify
 from rig.recording.columns import COLUMNS
@@ -40,10 +39,6 @@ def run_folder(tmp_path: Path) -> Path:
     shutil.copytree(RUN, folder)
     write_result(folder, RESULT)
     return folder
-
-
-def rig(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(a) for a in arguments])
 
 
 def test_a_mat_file_has_columns_with_units_and_nested_structs(run_folder: Path, tmp_path: Path) -> None:

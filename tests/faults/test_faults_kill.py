@@ -20,19 +20,13 @@ from pathlib import Path
 import pytest
 import yaml
 from click.testing import CliRunner
+from processes import wait_until
 
 from rig.cli import main
 from rig.recording.reader import read_run
 
 ROOT = Path(__file__).resolve().parents[2]
 RIG = [sys.executable, "-m", "rig.cli"]
-
-
-def wait_for(condition, seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "waited in vain"
-        time.sleep(0.02)
 
 
 @pytest.mark.realtime
@@ -47,19 +41,19 @@ def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Sig
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
     device = subprocess.Popen([*RIG, "emulate", str(path), "--link", str(link), "--trace", str(trace)])
     try:
-        wait_for(link.exists)
+        wait_until(link.exists)
         loop = subprocess.Popen([*RIG, "run", str(path), "--out", str(runs)])
 
         def cycles() -> int:
             events = list(runs.glob("*/events.jsonl"))
             return events[0].read_text().count('"cycle"') if events else 0
 
-        wait_for(lambda: cycles() >= 9)
+        wait_until(lambda: cycles() >= 9)
         os.kill(loop.pid, number)
         killed_s = time.monotonic()
         status = loop.wait(timeout=60)
         assert status == (-9 if number == signal.SIGKILL else 1)
-        wait_for(lambda: time.monotonic() > killed_s + 0.5)
+        wait_until(lambda: time.monotonic() > killed_s + 0.5)
     finally:
         device.send_signal(signal.SIGINT)
         device.wait(timeout=10)

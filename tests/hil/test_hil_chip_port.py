@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
+from processes import PATIENCE_S, rows, wait_until
 
 from rig.bench import calibration_of, drive_map_of, limits_of
 from rig.config import check
@@ -23,20 +22,6 @@ from rig.emulate.chip_board import ChipBoard
 from rig.emulate.firmware_build import EmulationError
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
-PATIENCE_S = 60.0
-
-
-def wait_until(true: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + PATIENCE_S
-    while not true():
-        assert time.monotonic() < until_s, "it never happened"
-        time.sleep(0.02)
-
-
-def rows(trace: Path) -> list[dict[str, float]]:
-    """Whole rows of the trace so far."""
-    lines = trace.read_text().splitlines(keepends=True)
-    return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(lines) if len(row) == 5]
 
 
 def drive_until_it_moves(port: str, experiment: Experiment) -> float:

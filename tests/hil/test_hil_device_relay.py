@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raised import fault_of
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListRecord
 from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, VirtualHost, armed_host
 
@@ -245,12 +246,6 @@ def test_a_start_whose_confirmation_gets_lost_is_repeated() -> None:
     assert lost
     rows = run_for(board, driver, 0.3)
     assert rows[0].block == 0 and np.diff([row.t_s for row in rows]) == pytest.approx(driver.tick_s, abs=3e-6)
-
-
-def fault_of(call: Callable[[], object]) -> Fault:
-    with pytest.raises(Fault) as caught:
-        call()
-    return caught.value
 
 
 @pytest.mark.parametrize("damage", ["lost", "a bit"])

@@ -3,11 +3,11 @@
 import math
 
 import pytest
+from raised import fault_of
 
 from rig.daq.calibration import Calibration, DriveMap, TachometerScale
 from rig.daq.serial_link import SerialDriver
 from rig.emulate.virtual_board import VirtualBoard
-from rig.faults import Fault
 from rig.model.bench import BenchParameters
 from rig.model.friction import Friction
 from rig.model.motor import Motor
@@ -43,12 +43,6 @@ def ticks(board, driver, u_V, n):
         driver.write(u_V)
         board.sleep_until(board.now_s() + PERIOD_S)
     return pairs
-
-
-def fault_of(call, *arguments):
-    with pytest.raises(Fault) as caught:
-        call(*arguments)
-    return caught.value
 
 
 # ---------------------------------------------------------------------- opening, and time

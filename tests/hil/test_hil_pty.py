@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from processes import alive
+from processes import PATIENCE_S, alive, rows, wait_until
 
 from rig.config.schema import Emulated, EmulatedMotor
 from rig.daq.frames import FrameReader, Hello, Kind, Packet, Setup, encode
@@ -25,7 +23,6 @@ pytestmark = pytest.mark.realtime
 
 EMULATED = Emulated(motor=EmulatedMotor(tau_s=0.17, K_rad_s_V=6.5, fc_plus_V=5.0, fc_minus_V=5.0)).model_dump()
 SETUP = Setup(49, 975, 5, 1018, 512, 200, 1000, 1)
-PATIENCE_S = 60.0
 
 # A host that arms, drives for as long as it lives, and says when it does.
 HOST = """
@@ -54,19 +51,6 @@ print(board.pid, flush=True)
 """
     + HOST
 )
-
-
-def rows(trace: Path) -> list[dict[str, float]]:
-    """Whole rows of the trace so far."""
-    lines = trace.read_text().splitlines(keepends=True)
-    return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(lines) if len(row) == 5]
-
-
-def wait_until(true: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + PATIENCE_S
-    while not true():
-        assert time.monotonic() < until_s, "it never happened"
-        time.sleep(0.02)
 
 
 def ask(port: SerialPort, kind: Kind) -> Packet:

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from command_line import rig
 from run_copy import GOLDEN, RunCopy
 
 from rig import config, experiment
-from rig.cli import main
 from rig.config import Experiment
 from rig.daq.simulated import SimulatedDriver
 from rig.faults import Fault
@@ -108,10 +107,6 @@ def test_a_start_outside_the_limits(tmp_path: Path) -> None:
 
 
 # ---------------------------------------------------------------------- the command
-
-
-def rig(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(a) for a in arguments])
 
 
 def test_the_command_says_the_same() -> None:

@@ -1,0 +1,17 @@
+"""What a call raises, for tests that look at it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from rig.faults import Fault
+
+
+def fault_of(call: Callable[..., object], *arguments: Any) -> Fault:
+    """The fault that the call raises; fails where it raises none."""
+    with pytest.raises(Fault) as caught:
+        call(*arguments)
+    return caught.value
