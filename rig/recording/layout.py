@@ -29,6 +29,7 @@ STARTING: Final = 0
 READY: Final = 1
 CANNOT_OPEN: Final = 2  # the files could not be created: the reason is in the memory
 CANNOT_WRITE: Final = 3  # writing failed later: likewise
+MOVED: Final = 4  # writing failed later, and goes on in another place: likewise
 
 # tick seq t_s y counts v u z yd stage late io flags | t_u u flags number
 # The part after the bar is written by ``complete``; its last field is 1 + the row's number once that is done.

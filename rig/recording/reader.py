@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from glob import escape
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,7 +24,16 @@ from rig.recording.folder import CONFIG, META, RESULT
 from rig.recording.path_kind import no_recording, no_run
 from rig.recording.writer import EVENTS, SAMPLES
 
-__all__ = ["Recording", "RecordingError", "from_columns", "read", "read_csv", "read_result", "read_run"]
+__all__ = [
+    "Recording",
+    "RecordingError",
+    "from_columns",
+    "read",
+    "read_csv",
+    "read_result",
+    "read_run",
+    "whole_content",
+]
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -204,7 +214,10 @@ def read_csv(path: Path) -> Recording:
     columns and no decimal point occurs. A last line without a line end is taken as torn: left out and noted.
     Raises RecordingError.
     """
-    whole, notes = _without_torn_line(path, _with_line_feeds(_csv_bytes(path)))
+    content, moved = whole_content(path)
+    _check_magic(path, content)
+    whole, notes = _without_torn_line(path, _with_line_feeds(content))
+    notes = [*moved, *notes]
     lines = _text(path, whole).split("\n")
     numbers = [k for k, line in enumerate(lines, 1) if line.strip() and not line.startswith(("#", "sep="))]
     if not numbers:
@@ -267,12 +280,27 @@ def _unreadable(path: Path, error: Exception) -> RecordingError:
     return RecordingError(path, f"cannot be read: {reason}", "check the path and its permissions")
 
 
-def _csv_bytes(path: Path) -> bytes:
-    content = _bytes(path)
+def whole_content(path: Path) -> tuple[bytes, list[str]]:
+    """The content of a file of a run, with what its recorder had to write beside it, and a note on each such part.
+
+    The rules are those of ``writer``. Raises RecordingError where it cannot be read.
+    """
+    content, notes = _bytes(path), []
+    beside = [(part, part.name.rpartition(".from-")[2]) for part in path.parent.glob(f"{escape(path.name)}.from-*")]
+    for part, number in sorted(((part, int(text)) for part, text in beside if text.isdecimal()), key=lambda p: p[1]):
+        missing = number - len(content)
+        notes.append(f"the disk failed: from byte {number} on it is {part.name}")
+        if missing > 0:
+            content = content[: content.rfind(b"\n") + 1]
+            notes.append(f"it is torn before that, {missing} bytes are lost")
+        content = content[:number] + _bytes(part)
+    return content, notes
+
+
+def _check_magic(path: Path, content: bytes) -> None:
     for magic, (cause, cure) in _NO_CSV.items():
         if content.startswith(magic):
             raise RecordingError(path, cause, cure)
-    return content
 
 
 def _with_line_feeds(content: bytes) -> bytes:
@@ -488,11 +516,11 @@ def _add_absent(columns: dict[str, NDArray[Any]], count: int) -> None:
 
 
 def _read_events(path: Path, notes: list[str]) -> list[dict[str, Any]]:
-    content = _bytes(path)
+    content, moved = whole_content(path)
     if not content:
         return []
     whole, torn = _without_torn_line(path, content)
-    notes.extend(f"{EVENTS}: {note}" for note in torn)
+    notes.extend(f"{EVENTS}: {note}" for note in [*moved, *torn])
     lines = _text(path, whole).split("\n")
     return [_parse_object(path, line, number) for number, line in enumerate(lines, 1) if line.strip()]
 

@@ -206,7 +206,8 @@ class Recorder:
         """Write everything, the open row included, and end the writer; at most ``close_timeout_s`` (twice, if killed).
 
         If the writer was killed a second one writes what it left; if it was stopped it is told to go on. Raises Fault
-        RECORDER_DEAD where rows or events are lost or not yet on disk. A second call does nothing.
+        RECORDER_DEAD where rows or events are lost, not yet on disk, or in another place than they should be. A second
+        call does nothing.
         """
         if self._closed:
             return
@@ -218,7 +219,7 @@ class Recorder:
             if self._process.returncode < 0:  # killed: the rows are still in memory, and the files say how far it got
                 self._process = self._start_writer(subprocess.DEVNULL)
                 self._await_end()
-            reason = self._unwritten() or self._lost()
+            reason = self._unwritten() or self._lost() or self._moved()
             if reason:
                 raise Fault("RECORDER_DEAD", reason)
         finally:
@@ -247,7 +248,7 @@ class Recorder:
 
     def _ended(self) -> str:
         status = self._process.poll()
-        if self._counters[layout.STATE] in (layout.CANNOT_OPEN, layout.CANNOT_WRITE):
+        if self._counters[layout.STATE] in (layout.CANNOT_OPEN, layout.CANNOT_WRITE, layout.MOVED):
             return self._shared.reason()
         if status is None:
             return ""
@@ -257,6 +258,9 @@ class Recorder:
     def _lost(self) -> str:
         rows, events = self._counters[layout.ROWS_LOST], self._counters[layout.EVENTS_LOST]
         return f"{rows} rows and {events} events were dropped, the memory was full" if rows or events else ""
+
+    def _moved(self) -> str:
+        return self._shared.reason() if self._counters[layout.STATE] == layout.MOVED else ""
 
     def _far_behind(self) -> str:
         rows = self._opened - self._counters[layout.ROWS_TAKEN]

@@ -4,6 +4,11 @@ Started by ``recorder.Recorder`` as ``python -m rig.recording.writer FD PARENT C
 STAGE...``. Its standard input is a pipe that nobody writes to: its end says that the loop's process has closed the
 record or is gone; then whatever is in the memory is written, the row still open included, and the process ends.
 
+A disk that takes no more, or fails, costs no row that is in the memory: the file goes on in another one, which begins
+with all that was written since the file was last known to be on the disk. ``samples.csv.from-12345`` holds what is to
+be in samples.csv from byte 12345 on; it is beside it, or in a new folder where temporary files go. The reader takes
+along what is beside it.
+
 It resumes where the files end, so a second writer can finish the work of one that was killed. It keeps some room on the
 disk: when the disk is full it says so, and still writes there what is in the memory and what comes until the loop has
 ended.
@@ -12,14 +17,16 @@ Light on purpose (no numpy, no json): it has to be ready before a motor may move
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import select
 import signal
 import stat
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -41,15 +48,25 @@ _NAN: Final = float("nan")
 class AppendOnlyFile:
     """A file that only grows; what ``write`` returned from survives the death of this process.
 
-    makes_room  asked when the disk is full: True where it is no longer
+    makes_room  asked when writing fails: True where it may be tried again
+    elsewhere   folders to go on in where it may not: they are tried in turn; default: none
+    moved       told where it goes on, and why
     Raises OSError with the file's name, from every method.
     """
 
-    def __init__(self, path: Path, makes_room: Callable[[OSError], bool] = lambda _: False) -> None:
+    def __init__(
+        self,
+        path: Path,
+        makes_room: Callable[[OSError], bool] = lambda _: False,
+        elsewhere: Callable[[], Iterator[Path]] = lambda: iter(()),
+        moved: Callable[[Path, OSError], None] = lambda _, __: None,
+    ) -> None:
         self._path = path
-        self._makes_room = makes_room
+        self._name = path.name
+        self._makes_room, self._elsewhere, self._moved = makes_room, elsewhere, moved
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
-        self._dirty = False
+        self._safe_bytes = 0  # known to be on the disk
+        self._since = bytearray()  # written after them
 
     def whole_lines(self) -> tuple[int, int]:
         """Number and bytes of the lines that are there; a torn last line is cut off."""
@@ -64,28 +81,56 @@ class AppendOnlyFile:
             position += len(block)
         if end < position:
             os.ftruncate(self._descriptor, end)
+        self._safe_bytes = end
         return lines, end
 
     def write(self, data: bytes | memoryview) -> None:
-        """Append all of ``data``. Raises OSError, with the file's name, where the disk takes no more."""
+        """Append ``data``, whole lines. Raises OSError, with the file's name, where no place takes it."""
+        self._since += data
         rest = memoryview(data)
-        self._dirty = self._dirty or len(rest) > 0
         while rest:
             try:
                 rest = rest[os.write(self._descriptor, rest) :]
             except OSError as error:
                 named = self._named(error)
                 if not self._makes_room(named):
-                    raise named from error
+                    self._go_on_elsewhere(named)
+                    return
 
     def sync(self) -> None:
         """Put what was written on the disk, if anything was since the last time. Raises OSError as ``write``."""
-        if self._dirty:
+        if not self._since:
+            return
+        try:
+            os.fsync(self._descriptor)
+        except OSError as error:
+            # what is in the kernel's memory alone may never reach the disk, and nobody is told twice
+            self._go_on_elsewhere(self._named(error))
+        self._safe_bytes += len(self._since)
+        self._since.clear()
+
+    def _go_on_elsewhere(self, error: OSError) -> None:
+        """Write what the disk may not have into a new file, and go on there. Raises ``error`` where none takes it."""
+        for folder in self._elsewhere():
+            path = folder / f"{self._name}.from-{self._safe_bytes}"
             try:
-                os.fsync(self._descriptor)
-            except OSError as error:
-                raise self._named(error) from error
-            self._dirty = False
+                descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o666)
+            except OSError:
+                continue
+            try:
+                rest = memoryview(bytes(self._since))
+                while rest:
+                    rest = rest[os.write(descriptor, rest) :]
+                os.fsync(descriptor)
+            except OSError:
+                os.close(descriptor)
+                path.unlink(missing_ok=True)
+                continue
+            os.close(self._descriptor)
+            self._path, self._descriptor = path, descriptor
+            self._moved(path, error)
+            return
+        raise error
 
     def _named(self, error: OSError) -> OSError:
         return OSError(error.errno, error.strerror, str(self._path))
@@ -122,9 +167,12 @@ class Writer:
         self._shared = shared
         self._stages = stages
         self._folder = folder
-        self._samples = AppendOnlyFile(folder / SAMPLES, self._makes_room)
-        self._events = AppendOnlyFile(folder / EVENTS, self._makes_room)
+        files = (AppendOnlyFile(folder / n, self._makes_room, self._elsewhere, self._moved) for n in (SAMPLES, EVENTS))
+        self._samples, self._events = files
         self._room: KeptRoom | None = None
+        self._serves = False  # before, a failing disk is a refusal
+        self._other_folder: Path | None = None
+        self._moves: list[tuple[Path, str]] = []
         self._last_t_s = _NAN
 
     def resume(self) -> None:
@@ -150,8 +198,25 @@ class Writer:
         room.give_up()
         return True
 
+    def _elsewhere(self) -> Iterator[Path]:
+        """Folders that files may go on in."""
+        if not self._serves:
+            return
+        yield self._folder
+        with contextlib.suppress(OSError):
+            if self._other_folder is None:
+                self._other_folder = Path(tempfile.mkdtemp(prefix=f"{self._folder.name}-"))
+            yield self._other_folder
+
+    def _moved(self, path: Path, error: OSError) -> None:
+        """Tell the loop to end, and where the rest is."""
+        self._moves.append((path, _in_words(error)))
+        places = "; ".join(f"{why}, so it goes on in {place}" for place, why in self._moves)
+        self._shared.fail(layout.MOVED, places)
+
     def serve(self, is_over: select.poll, parent: int) -> None:
         """Write until the loop's side is over, then to the last row."""
+        self._serves = True
         counters = self._shared.counters
         next_sync_s = time.monotonic() + SYNC_EVERY_S
         while True:
@@ -213,6 +278,13 @@ class Writer:
         lost_rows, lost_events = counters[layout.ROWS_LOST], counters[layout.EVENTS_LOST]
         if lost_rows or lost_events:
             text = f'{{"t_s": {t_s}, "kind": "record_lost", "rows": {lost_rows}, "events": {lost_events}}}\n'
+            self._events.write(text.encode("ascii"))
+        for path, why in self._moves:
+            import json  # only now: see above
+
+            text = (
+                f'{{"t_s": {t_s}, "kind": "record_moved", "to": {json.dumps(str(path))}, "why": {json.dumps(why)}}}\n'
+            )
             self._events.write(text.encode("ascii"))
         if not counters[layout.CLOSED]:
             self._events.write(f'{{"t_s": {t_s}, "kind": "loop_died"}}\n'.encode("ascii"))

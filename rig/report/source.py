@@ -14,7 +14,7 @@ import yaml
 from numpy.typing import NDArray
 
 from rig.faults import FAULTS
-from rig.recording.reader import Recording, RecordingError, read_csv
+from rig.recording.reader import Recording, RecordingError, read_csv, whole_content
 from rig.report.style import AbsentError, stage_kind
 
 Array = NDArray[np.float64]
@@ -233,7 +233,7 @@ def _events(path: Path, missing: list[str]) -> list[Json]:
         return []
     events: list[Json] = []
     broken = 0
-    for text in path.read_text(encoding="utf-8", errors="replace").splitlines():
+    for text in whole_content(path)[0].decode("utf-8", errors="replace").splitlines():
         try:
             value = json.loads(text) if text.strip() else None
         except json.JSONDecodeError:
