@@ -16,6 +16,8 @@ from pathlib import Path
 from serial.tools import list_ports
 
 from rig.doctor.finding import Finding, State
+from rig.loop import kernel_workers as kernel_workers_module
+from rig.loop.kernel_workers import workers
 from rig.loop.real_time import real_time
 
 ROOT = Path("/")
@@ -36,6 +38,7 @@ def examine(run_folder: Path, root: Path = ROOT) -> Iterator[Finding]:
     yield governor(root)
     yield cores(root)
     yield from scheduling()
+    yield kernel_workers(root)
     yield from serial_ports()
     yield from latency_timers(root)
     yield modem_manager(root)
@@ -120,6 +123,25 @@ def scheduling() -> Iterator[Finding]:
     for line in done.refused:
         words, _, cure = line.partition(": ")
         yield Finding("real time", "poor", words, cure)
+
+
+def kernel_workers(root: Path = ROOT) -> Finding:
+    """Whether a run that was killed has left the kernel's worker threads at the priority that `raise_workers` gives."""
+    stats = (_text(root / f"proc/{worker}/stat") or "" for worker in workers(root / "proc"))
+    # proc(5): after the name in brackets, which may have blanks in it, fields 3 and on; 41 is the policy
+    policies = (text.rpartition(")")[2].split()[38:39] for text in stats)
+    raised = sum(policy == [str(os.SCHED_FIFO)] for policy in policies)
+    if raised == 0:
+        return Finding("workers", "good", "the kernel's workers have their ordinary priority")
+    keeper = Path(kernel_workers_module.__file__).name
+    if any(keeper in (_text(line) or "") for line in (root / "proc").glob("[0-9]*/cmdline")):
+        return Finding("workers", "note", f"{raised} of the kernel's workers go first, for a run that is going on")
+    return Finding(
+        "workers",
+        "poor",
+        f"{raised} of the kernel's workers have real-time priority, and no run that raised them: it was killed",
+        "`for p in $(pgrep '^kworker/u'); do sudo chrt --other --pid 0 $p; done`; a restart, too, gives it back",
+    )
 
 
 def serial_ports() -> Iterator[Finding]:

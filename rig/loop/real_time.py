@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
+
+from rig.loop.kernel_workers import raised_workers
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_TIMERSLACK = 29
@@ -56,7 +58,7 @@ def real_time(settings: RealTimeSettings = AS_USUAL) -> Iterator[RealTime]:
         return
     libc = ctypes.CDLL(None, use_errno=True)
     scheduler, parameter, cores = os.sched_getscheduler(0), os.sched_getparam(0), os.sched_getaffinity(0)
-    raised: list[int] = []
+    until_then = ExitStack()
     try:
         # the ordinary scheduler lets a sleep lengthen by 50 us unless it is told not to
         libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0)
@@ -67,12 +69,10 @@ def real_time(settings: RealTimeSettings = AS_USUAL) -> Iterator[RealTime]:
         if settings.priority > 0:
             _go_first(settings.priority, done)
         if settings.raise_workers:
-            _raise_workers(max(settings.priority - 1, 1), raised, done)
+            _raise_workers(max(settings.priority - 1, 1), until_then, done)
         yield done
     finally:
-        for worker in raised:
-            with suppress(OSError):  # it may have ended
-                os.sched_setscheduler(worker, os.SCHED_OTHER, os.sched_param(0))
+        until_then.close()
         # once set, the flag is not a user's to take back; it does nothing to an ordinary process
         os.sched_setscheduler(0, scheduler | (os.sched_getscheduler(0) & os.SCHED_RESET_ON_FORK), parameter)
         libc.munlockall()
@@ -107,17 +107,15 @@ def _go_first(priority: int, done: RealTime) -> None:
         done.granted.append(f"SCHED_FIFO at priority {priority}")
 
 
-def _raise_workers(priority: int, raised: list[int], done: RealTime) -> None:
-    """Those that are there now, also where a run that was killed has left them raised; ``raised`` takes their ids."""
-    for comm in Path("/proc").glob("[0-9]*/comm"):
+def _raise_workers(priority: int, until_then: ExitStack, done: RealTime) -> None:
+    """Raise them until ``until_then`` is closed, or this process is gone."""
+    why = os.strerror(errno.EPERM)
+    if os.geteuid() == 0:
         try:
-            if comm.read_bytes().startswith(b"kworker/u"):
-                worker = int(comm.parent.name)
-                os.sched_setscheduler(worker, os.SCHED_FIFO, os.sched_param(priority))
-                raised.append(worker)
-        except (FileNotFoundError, ProcessLookupError):
-            continue  # it has just ended
+            count, why = until_then.enter_context(raised_workers(priority))
         except OSError as error:
-            done.refused.append(f"raised kernel workers refused ({error.strerror}): only root may have them")
-            return
-    done.granted.append(f"{len(raised)} kernel workers at priority {priority}")
+            why = error.strerror or str(error)
+    if why:
+        done.refused.append(f"raised kernel workers refused ({why}): only root may have them")
+    else:
+        done.granted.append(f"{count} kernel workers at priority {priority}")

@@ -57,6 +57,31 @@ def test_modem_manager_is_found_by_its_process(tmp_path: Path) -> None:
     assert "systemctl" in found.cure
 
 
+def stat(worker: int, name: str, policy: int, priority: int) -> str:
+    """/proc/PID/stat: 52 fields, of which 40 is the real-time priority and 41 the policy."""
+    fields = ["S", *map(str, range(4, 40)), str(priority), str(policy), *["0"] * 11]
+    assert len(fields) == 50
+    return f"{worker} ({name}) {' '.join(fields)}"
+
+
+def test_workers_that_a_killed_run_left_raised_are_found_with_what_to_type(tmp_path: Path) -> None:
+    for worker, policy in ((31, 1), (32, 0), (33, 1)):
+        put(tmp_path, f"proc/{worker}/comm", "kworker/u8:1 (x)")
+        put(tmp_path, f"proc/{worker}/stat", stat(worker, "kworker/u8:1 (x)", policy, 59 * policy))
+    put(tmp_path, "proc/34/comm", "irq/9-acpi")
+    put(tmp_path, "proc/34/stat", stat(34, "irq/9-acpi", 1, 50))
+    found = machine.kernel_workers(tmp_path)
+    assert found.state == "poor"
+    assert found.words.startswith("2 of the kernel's workers have real-time priority, and no run that raised them")
+    assert "chrt --other --pid 0" in found.cure
+    put(tmp_path, "proc/77/cmdline", "python\0-I\0-S\0/x/rig/loop/kernel_workers.py\00059\0/proc")
+    going_on = machine.kernel_workers(tmp_path)
+    assert (going_on.state, going_on.cure) == ("note", "")
+    for worker in (31, 33):
+        put(tmp_path, f"proc/{worker}/stat", stat(worker, "kworker/u8:1 (x)", 0, 0))
+    assert machine.kernel_workers(tmp_path).state == "good"
+
+
 def test_a_virtual_machine_is_told_apart(tmp_path: Path) -> None:
     put(tmp_path, "proc/cpuinfo", "flags\t\t: fpu tsc hypervisor sse2")
     assert "virtual machine" in machine.cores(tmp_path).words

@@ -1,0 +1,120 @@
+"""The kernel's workers are raised for a run, and given back whatever ends it."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from rig.loop import kernel_workers
+from rig.loop.kernel_workers import main, raised_workers, workers
+
+RUN = """
+import sys, time
+from pathlib import Path
+from rig.loop.kernel_workers import raised_workers
+with raised_workers(7, Path(sys.argv[1])) as said:
+    print(*said, flush=True)
+    time.sleep(60)
+"""
+
+
+def put(proc: Path, number: int, name: str) -> None:
+    (proc / str(number)).mkdir(parents=True)
+    (proc / str(number) / "comm").write_text(f"{name}\n", encoding="ascii")
+
+
+@pytest.fixture
+def worker(tmp_path: Path) -> Iterator[int]:
+    """A process of the test's own that a folder in place of /proc calls a worker of the kernel's."""
+    with subprocess.Popen(["sleep", "60"]) as process:
+        put(tmp_path, process.pid, "kworker/u8:1")
+        yield process.pid
+        process.kill()
+
+
+def may_raise(worker: int) -> bool:
+    """Whether this user may; leaves it as it was."""
+    try:
+        os.sched_setscheduler(worker, os.SCHED_FIFO, os.sched_param(7))
+    except PermissionError:
+        return False
+    os.sched_setscheduler(worker, os.SCHED_OTHER, os.sched_param(0))
+    return True
+
+
+def test_only_those_bound_to_no_core_are_meant(tmp_path: Path) -> None:
+    for number, name in ((11, "kworker/u8:1-events_unbound"), (12, "kworker/0:1"), (13, "bash"), (14, "kworker/u4:0")):
+        put(tmp_path, number, name)
+    put(tmp_path / "self", 15, "kworker/u8:2")
+    assert sorted(workers(tmp_path)) == [11, 14]
+
+
+@pytest.mark.realtime
+def test_within_the_block_they_go_first_and_after_it_no_longer(worker: int, tmp_path: Path) -> None:
+    allowed = may_raise(worker)
+    with raised_workers(7, tmp_path) as (count, refusal):
+        assert (count, refusal) == ((1, "") if allowed else (0, "Operation not permitted"))
+        assert os.sched_getscheduler(worker) == (os.SCHED_FIFO if allowed else os.SCHED_OTHER)
+        assert os.sched_getparam(worker).sched_priority == (7 if allowed else 0)
+    assert os.sched_getscheduler(worker) == os.SCHED_OTHER
+
+
+@pytest.mark.realtime
+def test_kill_9_of_the_run_gives_them_back(worker: int, tmp_path: Path) -> None:
+    allowed = may_raise(worker)
+    with subprocess.Popen([sys.executable, "-c", RUN, str(tmp_path)], stdout=subprocess.PIPE, text=True) as run:
+        assert run.stdout is not None
+        assert run.stdout.readline().startswith("1" if allowed else "0")
+        assert os.sched_getscheduler(worker) == (os.SCHED_FIFO if allowed else os.SCHED_OTHER)
+        run.kill()
+    deadline_s = time.monotonic() + 20.0
+    while os.sched_getscheduler(worker) != os.SCHED_OTHER:
+        assert time.monotonic() < deadline_s, "they are still raised"
+        time.sleep(0.005)
+
+
+class Scheduler:
+    """Grants all but some, and keeps what it was asked for."""
+
+    def __init__(self, *, gone: int = 0, forbidden: int = 0) -> None:
+        self.gone, self.forbidden = gone, forbidden
+        self.asked: list[tuple[int, int, int]] = []
+
+    def set(self, worker: int, policy: int, parameter: os.sched_param) -> None:
+        if worker == self.gone:
+            raise ProcessLookupError
+        if worker == self.forbidden:
+            raise PermissionError(1, "Operation not permitted")
+        self.asked.append((worker, policy, parameter.sched_priority))
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "said", "raised"),
+    [
+        (Scheduler(), "3 \n", [21, 22, 23]),
+        (Scheduler(gone=22), "2 \n", [21, 23]),
+        (Scheduler(forbidden=22), "1 Operation not permitted\n", [21]),
+    ],
+)
+def test_what_was_raised_is_given_back_and_nothing_else(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    scheduler: Scheduler,
+    said: str,
+    raised: list[int],
+) -> None:
+    monkeypatch.setattr(kernel_workers, "workers", lambda proc: iter([21, 22, 23]))
+    monkeypatch.setattr(kernel_workers.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(os, "sched_setscheduler", scheduler.set)
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    assert main(["59", "/proc"]) == 0
+    assert capsys.readouterr().out == said
+    first = [(worker, os.SCHED_FIFO, 59) for worker in raised]
+    assert scheduler.asked == first + [(worker, os.SCHED_OTHER, 0) for worker in raised]
