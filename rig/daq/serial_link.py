@@ -31,7 +31,8 @@ LONGEST_WATCHDOG_S = 1.0  # that the device accepts
 _SYNCHRONISE_S = 1.0
 _PAUSE_S = 0.002  # between two of the exchanges that measure the clock
 _ATTEMPTS = 3  # of a request outside the loop
-_READ_SHARES = (0.5, 1.0, 1.0)  # of the time-out: until when each of a tick's requests for the state is waited for
+_READ_SHARES = (2 / 3, 1.0, 1.0)  # of the time-out: until when each of a tick's requests for the state is waited for
+_READ_AGAIN = 3  # readings in a row that had to be asked for again: the link is not fit for the period
 _LOST_DRIVES = 3  # in a row: the drive that acts is no longer the host's
 _LEAST_FULL_UNITS = 50  # coarser, and no drive is near what was asked for
 _SUPPLY_TOLERANCE = 0.15  # of the divider in front of the converter, and of a loaded supply
@@ -135,6 +136,7 @@ class SerialDriver:
         self._stale_replies = 0
         self._timeouts = 0
         self._asked_again = 0
+        self._again_in_a_row = 0
         self._drives_lost = 0
         self._lost_in_a_row = 0
         self._stream: RelayStream | None = None  # while the relay in the device runs
@@ -206,6 +208,7 @@ class SerialDriver:
         self.failsafe = DeviceWatchdog(1e-3 * setup.watchdog_ms)
         self._unconfirmed = None
         self._lost_in_a_row = 0
+        self._again_in_a_row = 0
         self._driven = False
         self._stream = None
         self._blocks.clear()
@@ -259,9 +262,10 @@ class SerialDriver:
         )
 
     def _ask_state(self) -> Packet:
-        """READ, up to three times within one time-out: again at once where a damaged frame came, or after half of it.
+        """READ, up to three times within one time-out: again at once where a damaged frame came, or when most is over.
 
-        A late answer to an earlier one of them will do: a state tells itself when it was sampled.
+        A late answer to an earlier one of them will do: a state tells itself when it was sampled. Raises Fault
+        LINK_TIMEOUT without any, and where the two readings before had to be asked for again, too.
         """
         start_s = self._transport.now_s()
         seqs: list[int] = []
@@ -270,7 +274,11 @@ class SerialDriver:
             last = len(seqs) == len(_READ_SHARES)
             packet = self._await(seqs, Kind.STATE, start_s + share * self._timeout_s, damage_ends=not last)
             if packet is not None:
-                return packet
+                self._again_in_a_row = 0 if len(seqs) == 1 else self._again_in_a_row + 1
+                if self._again_in_a_row < _READ_AGAIN:
+                    return packet
+                state = "refused" if packet.kind == Kind.NACK else self._where(State.unpack(packet.body))
+                raise self._timeout(Kind.READ, f"{_READ_AGAIN} readings in a row had to be asked for again; {state}")
             if self._transport.now_s() - start_s >= self._timeout_s:
                 break
             self._asked_again += 1
@@ -550,11 +558,12 @@ class SerialDriver:
                 return packet
         raise self._timeout(kind)
 
-    def _timeout(self, kind: Kind) -> Fault:
+    def _timeout(self, kind: Kind, what: str = "") -> Fault:
+        what = what or f"no reply to {kind.name} within {1e3 * self._timeout_s:g} ms"
         return Fault(
             "LINK_TIMEOUT",
-            f"no reply to {kind.name} within {1e3 * self._timeout_s:g} ms; so far {self._reader.bad_frames} damaged "
-            f"frames, {self._stale_replies} stale replies in {self._exchanges} exchanges",
+            f"{what}; so far {self._reader.bad_frames} damaged frames, {self._stale_replies} stale replies in "
+            f"{self._exchanges} exchanges",
         )
 
     def _where(self, state: State) -> str:

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from raised import fault_of
 
 from rig.daq import frames
 from rig.daq.calibration import Calibration, DriveMap, TachometerScale
@@ -127,12 +128,6 @@ def armed(**options):
     driver.arm(LIMITS)
     assert not port.script
     return port, driver
-
-
-def fault_of(call, *arguments):
-    with pytest.raises(Fault) as caught:
-        call(*arguments)
-    return caught.value
 
 
 # ---------------------------------------------------------------------- opening
@@ -433,6 +428,7 @@ def test_late_replies_are_never_taken_for_the_next_ones():
     port, driver = armed()
     late = port.next_seq()
     port.expect(Kind.READ, b"", (TIMEOUT_S + 0.001, encode(Kind.STATE, late, port.state(counts=111))))
+    port.expect(Kind.READ)  # again, when most of the time-out is over
     assert fault_of(driver.read).code == "LINK_TIMEOUT"
     now = port.next_seq()
     port.expect(Kind.READ, b"", (0.002, encode(Kind.STATE, now, port.state(counts=222))))
@@ -440,6 +436,33 @@ def test_late_replies_are_never_taken_for_the_next_ones():
     assert (sample.y_counts, sample.seq) == (222, now)
     assert driver.link_statistics["stale_replies"] == 1
     assert driver.link_statistics["timeouts"] == 1
+
+
+def test_a_lost_reply_is_asked_for_again_before_the_time_out():
+    port, driver = armed()
+    port.expect(Kind.READ)
+    port.expect(Kind.READ, b"", (0.002, encode(Kind.STATE, port.next_seq(), port.state(counts=222))))
+    started_s = port.t_s
+    assert driver.read().y_counts == 222
+    assert port.t_s - started_s == pytest.approx(2 / 3 * TIMEOUT_S + 0.002)
+    assert (driver.link_statistics["asked_again"], driver.link_statistics["timeouts"]) == (1, 0)
+
+
+def test_a_late_reply_to_what_was_asked_twice_will_do_and_says_when_it_was_sampled():
+    port, driver = armed()
+    sampled_us = port.device_us()
+    first = encode(Kind.STATE, port.next_seq(), port.state(counts=222, t_sample_us=sampled_us))
+    second = encode(Kind.STATE, port.next_seq(2), port.state(counts=223))
+    port.expect(Kind.READ, b"", (0.8 * TIMEOUT_S, first))
+    port.expect(Kind.READ, b"", (0.5 * TIMEOUT_S, second))
+    started_s = port.t_s
+    sample = driver.read()
+    assert sample.y_counts == 222
+    assert sample.t_s == pytest.approx(started_s, abs=1e-4)
+    port.t_s += 0.5 * TIMEOUT_S
+    port.expect_read(counts=224)
+    assert driver.read().y_counts == 224  # not the second, which came meanwhile
+    assert driver.link_statistics["stale_replies"] == 1
 
 
 @pytest.mark.parametrize("together", [True, False])
@@ -475,30 +498,61 @@ def test_foreign_replies_are_passed_over(foreign):
     assert driver.link_statistics["stale_replies"] == 1
 
 
-def test_a_garbled_reply_ends_in_the_time_out_never_in_another_reading():
+def test_a_garbled_reply_is_asked_for_again_at_once_and_is_never_another_reading():
     """Whichever bit of the reply is flipped."""
     port, driver = armed()
-    for bit in range(8 * len(encode(Kind.STATE, 1, port.state()))):
+    bits = 8 * len(encode(Kind.STATE, 1, port.state()))
+    for bit in range(bits):
+        port.expect_read(counts=221)
+        driver.read()
         reply = bytearray(encode(Kind.STATE, port.next_seq(), port.state(counts=222)))
         reply[bit // 8] ^= 1 << bit % 8
         port.expect(Kind.READ, b"", (0.001, bytes(reply)), (0.002, b"\0"))
+        port.expect_read(counts=223)
         started_s = port.t_s
-        assert fault_of(driver.read).code == "LINK_TIMEOUT"
-        assert port.t_s - started_s == pytest.approx(TIMEOUT_S)
+        assert driver.read().y_counts == 223
+        assert port.t_s - started_s <= 0.003 + 1e-9
+    assert driver.link_statistics["asked_again"] == bits
+    assert driver.link_statistics["timeouts"] == 0
+
+
+def test_three_garbled_replies_end_in_the_time_out():
+    port, driver = armed()
+    for _ in range(3):
+        port.expect(Kind.READ, b"", (0.001, b"\x55\0"))
+    started_s = port.t_s
+    assert fault_of(driver.read).code == "LINK_TIMEOUT"
+    assert port.t_s - started_s == pytest.approx(TIMEOUT_S)
+    assert not port.script
     port.expect_read(counts=223)
     assert driver.read().y_counts == 223
+
+
+def test_three_readings_in_a_row_that_had_to_be_asked_for_again_end_the_run():
+    port, driver = armed()
+    for k in range(3):
+        port.expect(Kind.READ, b"", (0.001, b"\x55\0"))
+        port.expect_read(counts=223)
+        if k < 2:
+            assert driver.read().y_counts == 223
+    fault = fault_of(driver.read)
+    assert fault.code == "LINK_TIMEOUT"
+    assert "3 readings in a row" in fault.detail
+    assert "223 counts" in fault.detail  # the reading that ends the run is in no row
 
 
 def test_a_reply_in_pieces():
     port, driver = armed()
     reply = encode(Kind.STATE, port.next_seq(), port.state(counts=222))
-    port.expect(Kind.READ, b"", *((0.001 * k, reply[k : k + 1]) for k in range(len(reply))))
+    port.expect(Kind.READ, b"", *((0.0005 * k, reply[k : k + 1]) for k in range(len(reply))))
     assert driver.read().y_counts == 222
 
 
 def test_a_trickle_of_noise_does_not_stretch_the_time_out():
     port, driver = armed()
     port.expect(Kind.READ, b"", *((0.001 * k, b"\x55\0") for k in range(100)))
+    port.expect(Kind.READ)
+    port.expect(Kind.READ)
     started_s = port.t_s
     assert fault_of(driver.read).code == "LINK_TIMEOUT"
     assert port.t_s - started_s == pytest.approx(TIMEOUT_S, abs=0.0011)
