@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import math
 import random
 import re
 from dataclasses import replace
@@ -15,16 +16,17 @@ from faults import damage, realtime
 from faults.backends import BACKENDS, BOARD, CHIP, Backend
 from faults.bounds import bound
 from faults.case import measure, new_stand, restart, undisturbed
-from faults.language import ModbusLanguage, SerialLanguage
+from faults.language import ModbusLanguage, Reading, SerialLanguage, is_drive
 from faults.page import Line, line, render
 from faults.realtime import REAL_ROWS
 from faults.rows import FREEZE_S, ROWS, Row
-from rig.daq.frames import Kind, State, encode, pack_drive
+from rig.daq.frames import Block, Kind, RelaySetup, State, encode, pack_drive
 from rig.emulate.rtu_slave import frame
+from rig.emulate.tcp_slave import Adu
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "fault-table.md"
-CASES = [(row, backend) for backend in BACKENDS for row in ROWS if backend.key not in row.absent]
+CASES = [(row, backend) for backend in BACKENDS for row in ROWS if row.is_for(backend.traits)]
 
 
 @pytest.mark.parametrize(("row", "backend"), CASES, ids=lambda value: getattr(value, "name", None) or value.key)
@@ -123,17 +125,59 @@ def test_what_is_needed_of_the_wire_is_read_off_it() -> None:
     assert serial.asked(encode(Kind.READ, 9)) == 9 and serial.asked(drive) is None
     state = encode(Kind.STATE, 9, State(1, 512, 0, 2, 3, 4, 1, 0).pack())
     assert serial.replies(state[:5]) == [] and serial.replies(state[5:] + b"\1") == [state]
-    reading = serial.reading(state)
-    assert reading is not None and (reading.key, reading.counts) == (9, 512)
-    assert serial.reading(bytes((state[0], state[1] ^ 1)) + state[2:]) is None
+    assert serial.readings(state) == [Reading(9, 512, state)]
+    assert serial.readings(bytes((state[0], state[1] ^ 1)) + state[2:]) == []
 
     request = frame(1, bytes((23, 0, 16, 0, 4, 0, 0, 0, 2, 4)) + (-500).to_bytes(2, "big", signed=True) + b"\0\5")
     assert modbus.drive_V(request) == -0.6 and modbus.asked(request) == 1
     assert modbus.is_stop(frame(1, bytes((6, 0, 8, 0, 0)))) and not modbus.is_stop(frame(1, bytes((6, 0, 8, 0, 1))))
     reply = frame(1, bytes((23, 8, 2, 0, 0, 5, 0, 0, 0, 1)))
-    reading = modbus.reading(reply)
-    assert reading is not None and (reading.key, reading.counts) == (1, 512)
-    assert modbus.reading(frame(1, bytes((23, 8, 2, 0, 0, 4, 0, 0, 0, 1)))) is None  # to another drive
+    assert modbus.readings(reply) == [Reading(1, 512, reply)]
+    assert modbus.readings(frame(1, bytes((23, 8, 2, 0, 0, 4, 0, 0, 0, 1)))) == []  # to another drive
+
+
+def test_what_a_relay_in_the_device_tells_is_read_off_the_wire_up_to_a_gap() -> None:
+    serial = SerialLanguage(0.03)
+
+    def block(number: int) -> bytes:
+        return encode(Kind.BLOCK, number, Block(0, 1000, 200, 10, 0, ((500, 15), (501, 15))).pack())
+
+    assert serial.drive_V(encode(Kind.KEEP, 3)) is not None and math.isnan(serial.drive_V(encode(Kind.KEEP, 3)) or 0.0)
+    start = encode(Kind.RELAY, 2, RelaySetup((1, 1, -1, -1), 8192, 99, 1, 10).pack())
+    assert serial.hands_over(start) and not serial.hands_over(encode(Kind.KEEP, 3))
+    serial.drive_V(start)
+    assert serial.readings(block(0)) == [Reading(0, 500, block(0), 0), Reading(0, 501, block(0), 1)]
+    assert serial.readings(block(0)) == [] and len(serial.readings(block(1))) == 2
+    assert serial.readings(block(3)) == serial.readings(block(2)) == serial.readings(block(4)) == []
+    serial.drive_V(start)
+    assert len(serial.readings(block(0))) == 2
+
+
+def test_separate_requests_count_readings_of_a_tick_only() -> None:
+    modbus = ModbusLanguage(0.0012, separate=True)
+    read, arm, stop = (frame(1, bytes(pdu)) for pdu in ((3, 0, 16, 0, 4), (6, 0, 8, 0, 1), (6, 0, 8, 0, 0)))
+    write = frame(1, bytes((16, 0, 0, 0, 2, 4)) + (750).to_bytes(2, "big") + b"\0\5")
+    assert modbus.asked(read) is None  # before it is armed
+    assert modbus.asked(arm) is None and modbus.asked(read) is None  # whether it is
+    assert modbus.asked(read) == 1 and modbus.asked(write) is None and modbus.asked(read) == 2
+    assert (
+        modbus.drive_V(write) == pytest.approx(0.9)
+        and modbus.drive_V(stop) == 0.0
+        and is_drive(write)
+        and not is_drive(read)
+    )
+    reply = frame(1, bytes((3, 8, 2, 0, 0, 5, 2, 238, 0, 1)))
+    assert modbus.readings(reply) == [Reading(2, 512, reply)]
+    assert modbus.asked(stop) is None and modbus.asked(read) is None
+
+
+def test_replies_of_a_tcp_stream_are_taken_apart() -> None:
+    modbus = ModbusLanguage(0.0012, tcp=True)
+    request = Adu(1, 1, bytes((23, 0, 16, 0, 4, 0, 0, 0, 2, 4)) + (-500).to_bytes(2, "big", signed=True) + b"\0\5")
+    assert modbus.asked(request.pack()) == 1 and modbus.drive_V(request.pack()) == -0.6
+    one = Adu(1, 1, bytes((23, 8, 2, 0, 0, 5, 0, 0, 0, 1))).pack()
+    assert modbus.replies(one + one[:9]) == [one] and modbus.replies(one[9:]) == [one]
+    assert modbus.readings(one) == [Reading(1, 512, one)] and modbus.readings(one[:-1]) == []
 
 
 def test_damage_is_what_it_says() -> None:
@@ -177,8 +221,10 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
             cells[1].strip(): cells for cells in (text.split("|") for text in section.splitlines()) if len(cells) > 7
         }
         for row in ROWS:
-            if backend.key in row.absent:
-                assert f"* {row.name}: does not apply: {row.absent[backend.key]}." in section
+            if why := row.why_absent(backend.traits):
+                assert f"* {row.name}: does not apply: {why}." in section
+            if not row.is_for(backend.traits):
+                assert row.name not in lines
                 continue
             cells = lines[row.name]
             assert re.search(r"\d", cells[2]) and re.search(r"\d", cells[3]), cells

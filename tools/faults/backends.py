@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,15 +12,18 @@ import yaml
 
 from faults.bounds import Times
 from faults.language import Language, ModbusLanguage, SerialLanguage
+from faults.stand import Stand
 from rig.bench import emulated_io_block, truth_of
-from rig.config.link_budget import bits_per_byte, link_budget, silence_s
+from rig.config.link_budget import bits_per_byte, block_share, link_budget, longest_transaction_s, silence_s
+from rig.config.modbus import is_tcp
 from rig.config.schema import Experiment
 from rig.daq import frames
-from rig.daq.frames import Kind
+from rig.daq.frames import BLOCK_ROWS, Kind
 from rig.emulate.firmware_build import UnoOptions
 from rig.emulate.virtual_board import VirtualBoard
 from rig.emulate.virtual_chip import VirtualChip
 from rig.emulate.virtual_io_block import VirtualIoBlock
+from rig.emulate.virtual_tcp_block import VirtualTcpBlock
 from rig.experiment import RELAY_TIMEOUT_PERIODS
 from rig.model.bench import BenchParameters
 from rig.model.motor import State
@@ -35,6 +38,7 @@ _BOARD_UNITS = 799
 _MODBUS_UNITS = 10000
 _STOP_BYTES = 8  # of FC06
 _BYTE_BITS = 11
+_BROWN_OUT, _BOOT_S = 4, 0.05
 _LOOKS_APART = 25  # ticks between two looks at the recorder
 
 
@@ -43,22 +47,26 @@ class Backend:
     """One of the devices.
 
     key, title   short, and as the table has it
-    daq          what the config's section has
+    traits       by which rows tell devices apart, from the general to the particular
+    changes      of config/demo.yaml, section by section
     stop_s       that the frame that says stop takes, until it is executed
     hardware_s   from a hang until the chip resets itself, at most; nan where nothing can hang
     device       powers it on
     language     of its wire
-    place        name in rig.bench of what gives the loop its device
+    places       functions of rig.bench that give the loop its device, and what gives it the stand instead
+    remark       what else is to be said of it
     """
 
     key: str
     title: str
-    daq: Mapping[str, Any]
+    traits: tuple[str, ...]
+    changes: Mapping[str, Any]
     stop_s: Callable[[Experiment], float]
     hardware_s: float
     device: Callable[[Experiment], Any]
     language: Callable[[Experiment], Language]
-    place: str
+    places: Callable[[Stand], Mapping[str, Callable[..., Any]]]
+    remark: str = ""
 
     def config(self) -> dict[str, Any]:
         """Of a relay test of a few cycles with given gains, on the bench of config/demo.yaml."""
@@ -67,8 +75,16 @@ class Backend:
         config["name"] = f"fault-{self.key}"
         config["breakaway"]["ramp_V_s"] = RAMP_V_S
         config["relay"] = {"gains": [{"h1_V": GAINS_V[0], "h2_V": GAINS_V[1]}], "cycles": CYCLES}
-        config["daq"] |= self.daq
+        for section, change in self.changes.items():
+            config[section] = config[section] | change if isinstance(change, Mapping) else change
         return config
+
+    def spare_s(self, experiment: Experiment) -> float:
+        """What the time-out leaves beside the longest question and its answer; all of it where blocks come unasked."""
+        if experiment.relay.where == "device":
+            return experiment.daq.timeout_s
+        answer_s = longest_transaction_s(experiment) or _on_the_wire_s(experiment)
+        return experiment.daq.timeout_s - answer_s
 
     def times(self, experiment: Experiment, cycle_s: float) -> Times:
         """What bounds are made of."""
@@ -79,7 +95,7 @@ class Backend:
             timeout=experiment.daq.timeout_s,
             watchdog=experiment.daq.watchdog_s,
             frame=self.stop_s(experiment),
-            exchange=link_budget(experiment).total_s,
+            exchange=_on_the_wire_s(experiment),
             hardware=self.hardware_s,
             cycle=cycle_s,
             stuck=STUCK_S,
@@ -87,7 +103,15 @@ class Backend:
             breakaway=2.0 * b.max_V / b.ramp_V_s + 12.0 * b.rest_s,
             relay=RELAY_TIMEOUT_PERIODS * CYCLES * 2.0,
             runaway=_runaway_s(experiment),
+            block=BLOCK_ROWS * 0.001 if experiment.relay.where == "device" else math.nan,
         )
+
+
+def _on_the_wire_s(experiment: Experiment) -> float:
+    """A tick's question, answer and drive; of the relay in the device a block."""
+    if experiment.relay.where == "device":
+        return block_share(experiment.daq.baud) * BLOCK_ROWS * 0.001
+    return link_budget(experiment).total_s
 
 
 def _bench(experiment: Experiment) -> BenchParameters:
@@ -124,12 +148,13 @@ def _board(experiment: Experiment) -> VirtualBoard:
 
 
 class BlockOnStand:
-    """The virtual I/O block, as the stand looks at a device."""
+    """A virtual I/O block, as the stand looks at a device; what else it can is the block's own."""
 
-    def __init__(self, block: VirtualIoBlock) -> None:
+    def __init__(self, block: VirtualIoBlock | VirtualTcpBlock) -> None:
         self._block = block
-        self.write, self.read, self.rewire, self.place = block.write, block.read, block.rewire, block.place
-        self.sleep_until, self.now_s = block.sleep_until, block.now_s
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._block, name)
 
     def truth(self) -> BlockTruth:
         """What is really the case."""
@@ -139,8 +164,11 @@ class BlockOnStand:
         )
 
     def reset(self, cause: int) -> None:
-        """Its supply fails for a moment."""
-        self._block.block.power_off()
+        """Its supply fails for a moment; a brown-out lets it start anew, which only a network sees."""
+        if isinstance(self._block, VirtualTcpBlock):
+            self._block.reset(_BOOT_S if cause == _BROWN_OUT else 0.0)
+        else:
+            self._block.block.power_off()
 
     def forget(self) -> None:
         """Drop the log of executed drives and all but the last of the output's changes, which the block keeps."""
@@ -163,49 +191,115 @@ def _serial_stop_s(experiment: Experiment) -> float:
 
 
 def _modbus_stop_s(experiment: Experiment) -> float:
-    """Two silences of the line: before the frame, and the one that ends it."""
+    """Two silences of the line: before the frame, and the one that ends it. Of a network the turnaround alone."""
     modbus = experiment.daq.modbus
     if modbus is None:
         raise ValueError("the config has no section daq.modbus")
+    if is_tcp(experiment.daq.port):
+        return modbus.turnaround_s
     wire_s = _STOP_BYTES * bits_per_byte(modbus) / experiment.daq.baud
     return wire_s + 2.0 * silence_s(modbus, experiment.daq.baud) + modbus.turnaround_s
 
 
-def _modbus_daq() -> dict[str, Any]:
-    daq: dict[str, Any] = yaml.safe_load((ROOT / "config" / "modbus-rtu.yaml").read_text(encoding="utf-8"))["daq"]
-    return daq | {"port": "emulated-virtual"}
+def _modbus_daq(name: str, port: str) -> dict[str, Any]:
+    daq: dict[str, Any] = yaml.safe_load((ROOT / "config" / name).read_text(encoding="utf-8"))["daq"]
+    return daq | {"port": port}
 
 
-_SERIAL = {"port": "emulated-chip", "timeout_s": 0.02}
+def _separate() -> dict[str, Any]:
+    daq = _modbus_daq("modbus-rtu.yaml", "emulated-virtual")
+    return daq | {"modbus": daq["modbus"] | {"requests": "separate"}}
+
+
+def _tcp_block(experiment: Experiment) -> BlockOnStand:
+    if experiment.emulated is None or experiment.daq.modbus is None:
+        raise ValueError("the matrix needs an emulated block")
+    emulated = experiment.emulated.model_dump()
+    return BlockOnStand(VirtualTcpBlock(experiment.daq.modbus.model_dump(), emulated, experiment.seed))
+
+
+def _instead(name: str) -> Callable[[Stand], Mapping[str, Callable[..., Any]]]:
+    """The stand for what one function of rig.bench gives."""
+    return lambda stand: {name: lambda experiment: stand}
+
+
+def _over_tcp(stand: Stand) -> Mapping[str, Callable[..., Any]]:
+    """Each run connects anew, and lives in the stand's time."""
+    return {"_modbus_transport": lambda experiment, port: stand.connected(), "_clock_of": lambda experiment: stand}
+
+
+def _block_language(experiment: Experiment) -> ModbusLanguage:
+    modbus = experiment.daq.modbus
+    separate = modbus is not None and modbus.requests == "separate"
+    tcp = is_tcp(experiment.daq.port)
+    return ModbusLanguage(experiment.drive.supply_V / _MODBUS_UNITS, separate=separate, tcp=tcp)
+
+
+_SERIAL = {"daq": {"port": "emulated-chip", "timeout_s": 0.02}}
+# samples are older: at the same limits a little less speed than with the host's relay
+_RELAY = _SERIAL | {"relay": {"where": "device", "cycles": CYCLES + 2}, "limits": {"max_speed_rad_s": 4.6}}
 
 CHIP = Backend(
     "chip",
     "the Uno's emulated chip",
+    ("serial", "chip"),
     _SERIAL,
     _serial_stop_s,
     0.150,
     _chip,
     lambda e: SerialLanguage(e.drive.supply_V / _CHIP_UNITS),
-    "emulated_chip",
+    _instead("emulated_chip"),
 )
 BOARD = Backend(
     "board",
     "the host-board device",
+    ("serial", "board"),
     _SERIAL,
     _serial_stop_s,
     0.121,
     _board,
     lambda e: SerialLanguage(e.drive.supply_V / _BOARD_UNITS),
-    "emulated_chip",
+    _instead("emulated_chip"),
 )
 MODBUS = Backend(
     "modbus",
     "the Modbus I/O block",
-    _modbus_daq(),
+    ("modbus", "rtu", "fc23"),
+    {"daq": _modbus_daq("modbus-rtu.yaml", "emulated-virtual")},
     _modbus_stop_s,
     math.nan,
     lambda e: BlockOnStand(emulated_io_block(e)),
-    lambda e: ModbusLanguage(e.drive.supply_V / _MODBUS_UNITS),
-    "emulated_io_block",
+    _block_language,
+    _instead("emulated_io_block"),
 )
-BACKENDS = (CHIP, BOARD, MODBUS)
+CHIP_RELAY = replace(
+    CHIP,
+    key="chip-relay",
+    title="the Uno's emulated chip, whose own relay drives",
+    traits=(*CHIP.traits, "relay"),
+    changes=_RELAY,
+)
+BOARD_RELAY = replace(
+    BOARD,
+    key="board-relay",
+    title="the host-board device, whose own relay drives",
+    traits=(*BOARD.traits, "relay"),
+    changes=_RELAY,
+)
+SEPARATE = replace(
+    MODBUS,
+    key="separate",
+    title="the Modbus I/O block, asked by FC03 and then FC16",
+    traits=("modbus", "rtu", "separate"),
+    changes={"daq": _separate(), "period_s": 0.016, "limits": {"max_speed_rad_s": 4.8}},
+)
+TCP = replace(
+    MODBUS,
+    key="tcp",
+    title="the Modbus I/O block on TCP",
+    traits=("modbus", "fc23", "tcp"),
+    changes={"daq": _modbus_daq("modbus-tcp.yaml", "tcp://192.168.0.5"), "relay": {"cycles": CYCLES + 2}},
+    device=_tcp_block,
+    places=_over_tcp,
+)
+BACKENDS = (CHIP, BOARD, MODBUS, CHIP_RELAY, BOARD_RELAY, SEPARATE, TCP)

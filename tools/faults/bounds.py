@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ class Times(NamedTuple):
     breakaway   both ramps of the breakaway check, to their end, and the rests around them
     relay       time-out of the relay test
     runaway     that a shaft takes from one hard limit, at full speed the other way, to the other, at the relay's drive
+    block       that passes until the rows of a relay in the device are sent together; nan where the host's relay drives
     """
 
     tick: float
@@ -37,6 +39,7 @@ class Times(NamedTuple):
     breakaway: float
     relay: float
     runaway: float
+    block: float = math.nan
 
 
 _WORDS = {"timeout": "time-out", "hardware": "hardware watchdog", "stuck": "stuck time", "relay": "relay time-out"}

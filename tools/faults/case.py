@@ -12,8 +12,9 @@ import random
 import signal
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -28,6 +29,7 @@ import rig.session
 from faults.backends import Backend
 from faults.bounds import Times
 from faults.fork import fork
+from faults.language import ASKED
 from faults.rows import Row
 from faults.stand import Stand
 from rig import experiment as script
@@ -109,10 +111,10 @@ class Undisturbed:
 @contextmanager
 def patched(stand: Stand, backend: Backend) -> Iterator[None]:
     """Rig connects to the stand instead of a new device; no figures are drawn."""
-    with (
-        patch.object(rig.bench, backend.place, lambda experiment: stand),
-        patch.object(rig.session, "write_report", lambda *_: None),
-    ):
+    with ExitStack() as patches:
+        for name, place in backend.places(stand).items():
+            patches.enter_context(patch.object(rig.bench, name, place))
+        patches.enter_context(patch.object(rig.session, "write_report", lambda *_: None))
         yield
 
 
@@ -162,8 +164,10 @@ def undisturbed(backend: Backend) -> Undisturbed:
         run = relay_run(stand, backend)
         if run.status or missing(stand, run):
             raise RuntimeError(f"{backend.key}: the run fails where nothing goes wrong: {run.output}")
+        if len(stand.readings) < len(run.rows):
+            raise RuntimeError(f"{backend.key}: {len(run.rows)} rows, and only {len(stand.readings)} seen on the wire")
         asked_s = dict(stand.read_at)
-        row = run.rows[len(run.rows) // 2]
+        row = run.rows[0]
         offset_s = asked_s[int(row["seq"])] - float(row["t_s"])
         ends = [float(e["t_s"]) for e in run.events if e["kind"] == "cycle"]
         period_s = ends[FIRST_CYCLE] - ends[FIRST_CYCLE - 1]
@@ -174,7 +178,7 @@ def undisturbed(backend: Backend) -> Undisturbed:
 def measure(row: Row, backend: Backend, phase: float, restarts: bool = False) -> Found:
     """Run it. ``phase`` 0 to 1 of the limit cycle, or of where an early one starts; restarts: try the next run, too."""
     undisturbed(backend)
-    row = row.on(backend.key)
+    row = row.on(backend.traits)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if not row.alone:
@@ -220,7 +224,7 @@ def _measure(row: Row, backend: Backend, phase: float, restarts: bool, folder: P
     if row.early:
         config["emulated"]["motor"]["start_rad"] = START_RAD * (2.0 * phase - 1.0)
     stand, experiment = new_stand(backend, config, folder, rng.randrange(2**32))
-    stand.spare_s = plain.times.timeout - plain.times.exchange
+    stand.spare_s = backend.spare_s(experiment)
     if row.early:
         row.act(stand)
         stand.schedule(0.0, lambda _: None)
@@ -304,19 +308,37 @@ def _decided(rows: list[dict[str, str]]) -> list[tuple[str, ...]]:
     return [tuple(row[name] for name in ("tick", "seq", "t_s", "t_u_s", "y_counts", "u_V", "stage")) for row in rows]
 
 
+def recorded_keys(rows: list[dict[str, str]]) -> set[tuple[int, int]]:
+    """Key of each sample in a record, and its row in a block of the relay in the device, else ASKED."""
+    in_block: Counter[int] = Counter()
+    keys = set()
+    for row in rows:
+        key, unasked = int(row["seq"]), row["io_us"] == ""
+        keys.add((key, in_block[key] if unasked else ASKED))
+        in_block[key] += unasked
+    return keys
+
+
 def missing(stand: Stand, run: Run) -> list[int]:
     """Keys of samples that the device has told of, in time, and that the record has not.
 
     The one that ended the run is in the record, too, where the fault's event has its counts, or its reply. The last
-    exchange before a stop without a fault is none: it only asks what came of the last drive.
+    exchange before a stop without a fault is none: it only asks what came of the last drive; so does that before a
+    relay in the device.
     """
-    recorded = {int(row["seq"]) for row in run.rows}
+    recorded = recorded_keys(run.rows)
     detail = "" if run.fault is None else str(run.fault["detail"])
     lost = []
     for reading in stand.readings:
         in_detail = f"{reading.counts} counts" in detail or reading.reply.hex(" ") in detail
-        only_asks = reading.key in stand.closing and run.fault is None
-        if reading.key not in recorded and not only_asks and not (in_detail and reading is stand.readings[-1]):
+        only_asks = reading.row == ASKED and (
+            reading.key in stand.handing_over or (reading.key in stand.closing and run.fault is None)
+        )
+        if (
+            (reading.key, reading.row) not in recorded
+            and not only_asks
+            and not (in_detail and reading is stand.readings[-1])
+        ):
             lost.append(reading.key)
     return lost
 

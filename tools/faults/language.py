@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple, Protocol
 
 from rig.daq import frames
-from rig.daq.frames import FrameReader, Kind, State
+from rig.daq.frames import Block, FrameReader, Kind, State
 from rig.emulate.rtu_slave import check_sum
+
+ASKED = -1
 
 
 class Reading(NamedTuple):
@@ -15,11 +18,13 @@ class Reading(NamedTuple):
     key     that the record has in its column ``seq``
     counts  of the sensor
     reply   in which it came
+    row     of a block of the relay in the device, from 0; ASKED for the reply to a question
     """
 
     key: int
     counts: int
     reply: bytes
+    row: int = ASKED
 
 
 class Language(Protocol):
@@ -34,15 +39,19 @@ class Language(Protocol):
         ...
 
     def drive_V(self, request: bytes) -> float | None:
-        """Drive that a request carries, V."""
+        """Drive that a request carries, V; nan where it lets the device choose."""
         ...
 
     def is_stop(self, request: bytes) -> bool:
         """Whether a request says stop."""
         ...
 
-    def reading(self, reply: bytes) -> Reading | None:
-        """The sample in an intact reply."""
+    def hands_over(self, request: bytes) -> bool:
+        """Whether a request lets a relay in the device drive from now on."""
+        ...
+
+    def readings(self, reply: bytes) -> list[Reading]:
+        """The samples in an intact reply."""
         ...
 
 
@@ -52,6 +61,7 @@ class SerialLanguage:
     def __init__(self, unit_V: float) -> None:
         self._unit_V = unit_V
         self._pending = b""
+        self._next_block: float = 0  # that is due; inf where one is missing
 
     def replies(self, data: bytes) -> list[bytes]:
         """Whole frames, delimiter included."""
@@ -64,8 +74,11 @@ class SerialLanguage:
         return packet.seq if packet is not None and packet.kind == Kind.READ else None
 
     def drive_V(self, request: bytes) -> float | None:
-        """DRIVE; a STOP is 0 V."""
+        """DRIVE; a STOP is 0 V; RELAY and KEEP let the device choose."""
         packet = _packet(request)
+        if packet is not None and packet.kind in (Kind.RELAY, Kind.KEEP):
+            self._next_block = 0 if packet.kind == Kind.RELAY else self._next_block
+            return math.nan
         if packet is None or packet.kind not in (Kind.DRIVE, Kind.STOP):
             return None
         return frames.unpack_drive(packet.body) * self._unit_V if packet.kind == Kind.DRIVE else 0.0
@@ -75,62 +88,118 @@ class SerialLanguage:
         packet = _packet(request)
         return packet is not None and packet.kind == Kind.STOP
 
-    def reading(self, reply: bytes) -> Reading | None:
-        """STATE."""
+    def hands_over(self, request: bytes) -> bool:
+        """RELAY."""
+        packet = _packet(request)
+        return packet is not None and packet.kind == Kind.RELAY
+
+    def readings(self, reply: bytes) -> list[Reading]:
+        """STATE; BLOCK where it is the next one, until one is missing: what comes after that belongs to no record."""
         packet = _packet(reply)
-        if packet is None or packet.kind != Kind.STATE:
-            return None
-        return Reading(packet.seq, State.unpack(packet.body).counts, reply)
+        if packet is not None and packet.kind == Kind.STATE:
+            return [Reading(packet.seq, State.unpack(packet.body).counts, reply)]
+        if packet is None or packet.kind != Kind.BLOCK or packet.seq < self._next_block:
+            return []
+        if packet.seq > self._next_block:
+            self._next_block = math.inf
+            return []
+        self._next_block += 1
+        rows = Block.unpack(packet.body).rows
+        return [Reading(packet.seq, counts, reply, row) for row, (counts, _) in enumerate(rows)]
 
 
 class ModbusLanguage:
-    """RTU frames of FC23 in a tick and FC06 to stop, for the register map of config/modbus-rtu.yaml.
+    """Requests and replies for the register map of config/modbus-rtu.yaml: FC23 in a tick, or FC03 and then FC16.
 
-    unit_V  what one unit of the drive register is
+    unit_V    what one unit of the drive register is
+    separate  a tick reads, then writes
+    tcp       frames of Modbus TCP; else of RTU
     """
 
-    def __init__(self, unit_V: float) -> None:
+    def __init__(self, unit_V: float, *, separate: bool = False, tcp: bool = False) -> None:
         self._unit_V = unit_V
+        self._reads = bytes((3, 0, 16, 0, 4)) if separate else bytes((23,))
+        self._pdu = _tcp_pdu if tcp else _rtu_pdu
+        self._tcp = tcp
+        self._separate = separate
         self._asked = 0  # readings in the tick, which the record counts, too
         self._sequence = 0
+        self._armed = False
+        self._in_a_tick = not separate  # FC23 is only asked in one
+        self._pending = b""
 
     def replies(self, data: bytes) -> list[bytes]:
-        """A reply arrives whole."""
-        return [data] if data else []
+        """On a line a reply arrives whole; of a stream what its header says."""
+        if not self._tcp:
+            return [data] if data else []
+        self._pending += data
+        whole = []
+        while len(self._pending) >= (length := 6 + int.from_bytes(self._pending[4:6], "big")) > 6:
+            whole.append(self._pending[:length])
+            self._pending = self._pending[length:]
+        return whole
 
     def asked(self, request: bytes) -> int | None:
-        """FC23; the number that goes with the drive must come back."""
-        if not _is_rtu(request, 23):
+        """What asks for the position in a tick; the number that went with the drive must come back."""
+        pdu = self._pdu(request)
+        if pdu in (_ARM, _STOP):
+            self._armed, self._in_a_tick = pdu == _ARM, not self._separate
+        if pdu[:1] in (_FC16, _FC23):
+            self._sequence = int.from_bytes(pdu[-2:], "big")
+        if not pdu.startswith(self._reads):
+            return None
+        if not self._in_a_tick:
+            self._in_a_tick = self._armed  # the first one after arming looks whether it is
             return None
         self._asked += 1
-        self._sequence = int.from_bytes(request[13:15], "big")
         return self._asked
 
     def drive_V(self, request: bytes) -> float | None:
-        """The drive in FC23, and in FC06 to the drive register; a stop is 0 V."""
-        if _is_rtu(request, 23):
-            return int.from_bytes(request[11:13], "big", signed=True) * self._unit_V
+        """The drive in FC23 and FC16; a stop is 0 V."""
+        pdu = self._pdu(request)
+        if pdu[:1] in (_FC16, _FC23):
+            return int.from_bytes(pdu[-4:-2], "big", signed=True) * self._unit_V
         return 0.0 if self.is_stop(request) else None
 
     def is_stop(self, request: bytes) -> bool:
         """FC06, control to 0."""
-        return _is_rtu(request, 6) and request[2:6] == bytes((0, 8, 0, 0))
+        return self._pdu(request) == _STOP
 
-    def reading(self, reply: bytes) -> Reading | None:
-        """Registers 16 and 17: the position, and the number of the drive that was asked with."""
-        if not _is_rtu(reply, 23) or int.from_bytes(reply[5:7], "big") != self._sequence:
-            return None
-        return Reading(self._asked, int.from_bytes(reply[3:5], "big"), reply)
+    def hands_over(self, request: bytes) -> bool:
+        """Never."""
+        return False
+
+    def readings(self, reply: bytes) -> list[Reading]:
+        """Registers 16 and 17: the position, and the number of the drive that was asked with, or the last one."""
+        pdu = self._pdu(reply)
+        if pdu[:2] != self._reads[:1] + bytes((8,)) or int.from_bytes(pdu[4:6], "big") != self._sequence:
+            return []
+        return [Reading(self._asked, int.from_bytes(pdu[2:4], "big"), reply)]
 
 
-def _is_rtu(frame: bytes, function: int) -> bool:
-    return len(frame) >= 8 and frame[1] == function and check_sum(frame[:-2]) == frame[-2:]
+_FC16, _FC23 = bytes((16,)), bytes((23,))
+_ARM, _STOP = bytes((6, 0, 8, 0, 1)), bytes((6, 0, 8, 0, 0))
+
+
+def _rtu_pdu(frame: bytes) -> bytes:
+    """Function code and data of a whole frame; empty of anything else."""
+    return frame[1:-2] if len(frame) >= 8 and check_sum(frame[:-2]) == frame[-2:] else b""
+
+
+def _tcp_pdu(frame: bytes) -> bytes:
+    return frame[7:] if len(frame) >= 9 and int.from_bytes(frame[4:6], "big") == len(frame) - 6 else b""
 
 
 def is_drive(request: bytes) -> bool:
-    """Whether a serial request is a DRIVE."""
+    """Whether a serial request is a DRIVE, or a Modbus one writes some registers (FC16)."""
     packet = _packet(request)
-    return packet is not None and packet.kind == Kind.DRIVE
+    return (packet is not None and packet.kind == Kind.DRIVE) or _rtu_pdu(request)[:1] == b"\x10"
+
+
+def is_keep(request: bytes) -> bool:
+    """Whether a serial request is a KEEP."""
+    packet = _packet(request)
+    return packet is not None and packet.kind == Kind.KEEP
 
 
 def _packet(frame: bytes) -> frames.Packet | None:

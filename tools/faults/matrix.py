@@ -22,12 +22,12 @@ _BY_NAME = {row.name: row for row in ROWS}
 
 def in_virtual_time(rows: Sequence[Row], backends: Sequence[Backend], phases: int) -> list[Line]:
     """Each row on each device that it applies to, at so many phases of the limit cycle."""
-    pairs = [(row, backend) for backend in backends for row in rows if backend.key not in row.absent]
+    pairs = [(row, backend) for backend in backends for row in rows if row.is_for(backend.traits)]
     cases = [(row.name, backend.key, k, phases) for row, backend in pairs for k in range(phases)]
     found: list[Found] = Parallel(n_jobs=os.cpu_count() or 1, batch_size=4)(delayed(_virtual)(*case) for case in cases)
     return [
         Line(
-            row.on(backend.key),
+            row.on(backend.traits),
             backend,
             undisturbed(backend).times,
             tuple(one for one in found if (one.row, one.backend) == (row.name, backend.key)),

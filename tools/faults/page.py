@@ -135,9 +135,7 @@ def render(
     for backend in backends:
         own = [one for one in lines if one.backend is backend]
         parts.append(f"## On {backend.title}\n\n{_TABLE}\n" + "\n".join(line(one) for one in own) + "\n")
-        absent = [
-            f"* {row.name}: does not apply: {row.absent[backend.key]}." for row in rows if backend.key in row.absent
-        ]
+        absent = [f"* {row.name}: does not apply: {why}." for row in rows if (why := row.why_absent(backend.traits))]
         if absent:
             parts.append("\n".join(absent) + "\n")
     if real:

@@ -62,8 +62,8 @@ class Day:
 
 def rows_for(backend: Backend) -> tuple[Row, ...]:
     """The rows that a device which stays powered can meet in a run, in this process."""
-    rows = (row.on(backend.key) for row in ROWS)
-    return tuple(row for row in rows if not (row.early or row.alone or row.same or backend.key in row.absent))
+    rows = (row.on(backend.traits) for row in ROWS if row.is_for(backend.traits))
+    return tuple(row for row in rows if not (row.early or row.alone or row.same))
 
 
 def spend(key: str, hours: float, seed: int) -> Day:
@@ -82,7 +82,7 @@ def spend(key: str, hours: float, seed: int) -> Day:
         while (stand.now_s() - began_s) < 3600.0 * hours:
             row = rng.choice(rows_for(backend)) if rng.random() < FAULTY else NOTHING
             stand = Stand(device, language(experiment), limits, timeout_s, folder, rng.randrange(2**32))
-            stand.spare_s = times.timeout - times.exchange
+            stand.spare_s = backend.spare_s(experiment)
             phase = rng.uniform(0.0, CYCLES - 5.0)
             stand.schedule(stand.now_s() + plain.cycle_s + phase * plain.period_s, row.act)
             for words in _one(row, backend, phase, stand, times, experiment):

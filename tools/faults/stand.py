@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from faults.damage import Damage
 from faults.fork import fork
-from faults.language import Language, Reading
+from faults.language import ASKED, Language, Reading
 from rig.emulate.virtual_chip import Contact
 from rig.faults import Fault
 
@@ -73,6 +73,7 @@ class Stand:
         self.is_watched = False
         self.readings: list[Reading] = []
         self.closing: set[int] = set()  # keys of readings after which the host said stop
+        self.handing_over: set[int] = set()  # and after which it let the device's relay drive
         self.beyond_rad = 0.0
         self.astray_s = 0.0  # longest time in which the drive was not what the host had said
         self.stale_s = 0.0  # longest time between two words of the host on the drive
@@ -85,7 +86,7 @@ class Stand:
         self._held: list[tuple[float, int, bytes]] = []  # on the way to the host
         self._count = 0
         self._asked: tuple[int, float] | None = None
-        self._said_V = 0.0
+        self._said_V = 0.0  # nan: the device chooses
         self._said_s = math.nan
         self._since_s = math.nan  # that the drive is not what the host said
         self._is_interrupted = False
@@ -98,7 +99,7 @@ class Stand:
 
     def forget(self) -> None:
         """A new run begins: what was seen so far is another's."""
-        self.readings, self.closing, self.read_at = [], set(), []
+        self.readings, self.closing, self.handing_over, self.read_at = [], set(), set(), []
         self.first_drive_s = math.nan
         self._held.clear()
 
@@ -176,7 +177,7 @@ class Stand:
             return
         low, high = self.hard_rad
         self.beyond_rad = max(self.beyond_rad, truth.y_rad - high, low - truth.y_rad)
-        if abs(truth.pin_V - self._said_V) < _CLOSE_V:
+        if math.isnan(self._said_V) or abs(truth.pin_V - self._said_V) < _CLOSE_V:
             self._since_s = math.nan
         elif math.isnan(self._since_s):
             self._since_s = truth.t_s
@@ -199,6 +200,8 @@ class Stand:
             self._said(drive_V)
         if self._language.is_stop(data) and self.readings:
             self.closing.add(self.readings[-1].key)
+        if self._language.hands_over(data) and self.readings:
+            self.handing_over.add(self.readings[-1].key)
         key = self._language.asked(data)
         if key is not None:
             self._asked = key, self.now_s()
@@ -232,6 +235,13 @@ class Stand:
     def close(self) -> None:
         """The device lives on."""
 
+    def connected(self) -> Stand:
+        """The host's end of a new connection, where the device is behind a network. Raises Fault LINK_OPEN."""
+        if self.is_gone:
+            raise Fault("LINK_OPEN", "there is no network")
+        self.device.connect()
+        return self
+
     def _take(self, data: bytes) -> None:
         for reply in self._language.replies(data):
             for delay_s, piece in [(0.0, reply)] if self.down is None else self.down(reply, self.rng):
@@ -247,11 +257,12 @@ class Stand:
         return b"".join(pieces)
 
     def _note(self, piece: bytes, now_s: float) -> None:
-        """Remember a sample that reached the host intact, asked for, and in time."""
-        reading = self._language.reading(piece)
-        if reading is None or self._asked is None:
-            return
-        key, asked_s = self._asked
-        if reading.key == key and now_s <= asked_s + self._timeout_s:
-            self.readings.append(reading)
-            self._asked = None
+        """Remember what reached the host intact: the sample that it asked for, in time, and what comes unasked."""
+        for reading in self._language.readings(piece):
+            if reading.row != ASKED:
+                self.readings.append(reading)
+            elif self._asked is not None:
+                key, asked_s = self._asked
+                if reading.key == key and now_s <= asked_s + self._timeout_s:
+                    self.readings.append(reading)
+                    self._asked = None
