@@ -144,9 +144,9 @@ class Guard:
 
     @property
     def _clear_rad_s(self) -> float:
-        """Speed that noise cannot be taken for: twelve standard deviations of the velocity, and motion_rad a window."""
+        """Speed that noise cannot be taken for: ten standard deviations of the velocity, and motion_rad a window."""
         noise_rad_s = self.settings.noise_rad * math.sqrt(12.0 / self._samples) / self._window_s
-        return max(12.0 * noise_rad_s, self.settings.motion_rad / self._window_s)
+        return max(10.0 * noise_rad_s, self.settings.motion_rad / self._window_s)
 
     def _check_sensor(self, sample: Sample) -> None:
         low, high = self.settings.rail_counts

@@ -113,6 +113,7 @@ class CycleWatch:
     def __init__(self, min_amplitude_rad: float) -> None:
         self.longest_s = 0.0  # stand of the last periods
         self.allowed_s = math.inf
+        self._granted_s = math.inf
         self._span_rad = self._least_rad = 0.25 * min_amplitude_rad
         self.standstill = Standstill()
         self._running_s = 0.0
@@ -122,7 +123,9 @@ class CycleWatch:
         """Take one sample, and what drives, for the message. Raises Fault SENSOR_STUCK where it stands too long."""
         still_s = self.standstill.step(sample.t_s, sample.y_rad, self._span_rad)
         self._running_s = max(self._running_s, still_s)
-        if still_s > self.allowed_s:
+        if still_s == 0.0:
+            self._granted_s = self.allowed_s  # for this stand, also where the relays' integral ends a period meanwhile
+        if still_s > self._granted_s:
             raise Fault(
                 "SENSOR_STUCK",
                 f"the reading has stood for {still_s:.2f} s, at {u_V:+.2f} V; in the cycles before it never stood "

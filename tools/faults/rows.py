@@ -93,6 +93,8 @@ HEARD = bound("the loop waits a time-out for its next reply, then says stop", pe
 SEEN = bound("the loop sees it in its next reading, and says stop", period=1, exchange=1, frame=1, tick=2)
 DEVICE = bound("the device checks each tick", tick=3)
 AT_ONCE = bound("by itself", tick=1)
+AGAIN = bound("the reading is asked for again within the time-out", timeout=1, period=1, exchange=1)
+AGAIN_AND_AGAIN = bound("three readings in a row within a time-out each", timeout=3, period=3, frame=1, tick=2)
 RUNNING = bound("no drive is older", period=2, exchange=1)
 RAMP = bound("the breakaway check ends", breakaway=1)
 LOOKED = bound("the loop looks at the recorder every 25 ticks", check=1, period=1, exchange=1, frame=1, tick=2)
@@ -255,6 +257,7 @@ NO_SPACE = "cannot be written: No space left on device"
 NO_PERMISSION = "cannot be written: Permission denied"
 NO_LINK = ("LINK_HELLO", "LINK_TIMEOUT", "LINK_REPLY", "LINK_OPEN")
 MISFIT: Changes = {"modbus": {"codes": ("LINK_REPLY", "LINK_TIMEOUT")}}
+NO_SECOND: Changes = {"modbus": {"codes": ("LINK_REPLY", "LINK_TIMEOUT"), "bound": HEARD}}  # nothing is asked again
 MISSED: Changes = {"relay": {"bound": GAP, "codes": ("LINK_GAP",)}}
 UNHEARD: Changes = {"relay": {"bound": SILENT}}
 DEAF: Changes = {"relay": {"codes": ("DEVICE_WATCHDOG", "LINK_TIMEOUT")}}
@@ -369,9 +372,9 @@ ROWS = (
         "one bit flip",
         "in one reply",
         _down(lambda: damage.first(1, damage.flipped)),
-        HEARD,
-        ("LINK_TIMEOUT",),
-        other=MISFIT | MISSED,
+        AGAIN,
+        (RUNS_ON,),
+        other=NO_SECOND | MISSED,
         absent={"tcp": TCP_IS_WHOLE},
     ),
     Row(
@@ -429,9 +432,9 @@ ROWS = (
         "one reply lost",
         "never comes",
         _down(lambda: damage.first(1, damage.lost)),
-        HEARD,
-        ("LINK_TIMEOUT",),
-        other=MISSED,
+        AGAIN,
+        (RUNS_ON,),
+        other=NO_SECOND | MISSED,
     ),
     Row(
         "replies lost",
@@ -472,21 +475,21 @@ ROWS = (
         "replies reordered",
         "each second one first",
         _down(damage.reordered),
-        HEARD,
+        AGAIN_AND_AGAIN,
         ("LINK_TIMEOUT",),
         True,
         (*NO_LINK, "DEVICE_WATCHDOG"),
-        other=MISFIT | MISSED,
+        other=NO_SECOND | MISSED,
     ),
     Row(
         "replies stale",
         "each is the one before",
         _down(damage.stale),
-        HEARD,
+        AGAIN_AND_AGAIN,
         ("LINK_TIMEOUT",),
         True,
         (*NO_LINK, "DEVICE_WATCHDOG"),
-        other=MISFIT,
+        other=NO_SECOND,
         absent={"relay": "nothing is asked: a block that comes in another's place is out of order"},
     ),
     # the device
