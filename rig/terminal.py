@@ -72,7 +72,8 @@ def show_run(outcome: Outcome) -> None:
     for line in loop.get("real_time", {}).get("refused", ()):
         click.echo(f"loop: {line}")
     click.echo(f"run:    {outcome.folder}")
-    click.echo(f"report: {outcome.folder / 'report.html'}")
+    if (outcome.folder / "report.html").is_file():  # else the failure says why
+        click.echo(f"report: {outcome.folder / 'report.html'}")
     if outcome.failure:
         click.echo(f"rig: {outcome.failure}", err=True)
         if outcome.fault is not None:

@@ -8,18 +8,21 @@ import json
 import math
 import shutil
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from html.parser import HTMLParser
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from synthetic_run import BACKEND, write_run
 
+from rig.cli import main
 from rig.faults import FAULTS, Fault
 from rig.report import write_report
 from rig.report.page import render_page
@@ -327,6 +330,23 @@ def test_virtual_time_has_no_timing_figure(run: Path) -> None:
     page = page_of(run)
     assert "simulated in virtual time: its clock waits for the computation" in page.words
     assert "Timing of the loop, counts" not in page.words
+
+
+def test_a_full_disk_leaves_the_old_page_whole(
+    run: Path, monkeypatch: pytest.MonkeyPatch, largest_file: Callable[[int], AbstractContextManager[None]]
+) -> None:
+    (run / "report.html").write_text("the old page")
+    there = sorted(path.name for path in run.iterdir())
+    monkeypatch.setattr("rig.report.page.render_page", lambda *_: "a new page " * 1000)
+    with largest_file(5000):
+        result = CliRunner().invoke(main, ["report", str(run)])
+    assert result.exit_code == 1
+    assert result.stderr.splitlines() == [
+        f"rig: {run / 'report.html'}: cannot be written: File too large",
+        "     check the disk's free space and the permissions of the folder",
+    ]
+    assert (run / "report.html").read_text() == "the old page"
+    assert sorted(path.name for path in run.iterdir()) == there
 
 
 def test_a_folder_that_is_none_is_an_error(tmp_path: Path) -> None:

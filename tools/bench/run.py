@@ -11,6 +11,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from rig.recording.folder import write_whole
+
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 NO_BENCHMARKS = (Path(__file__).name, "solver_peer.py", "late_ticks.py")
@@ -28,7 +30,7 @@ def main() -> int:
             return 1
         results[script.stem] = json.loads(done.stdout)
         print(json.dumps(results[script.stem], indent=2))
-    (ROOT / "bench.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    write_whole(ROOT / "bench.json", (json.dumps(results, indent=2) + "\n").encode("utf-8"))
     print("written: bench.json")
     return 0
 
