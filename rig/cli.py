@@ -383,7 +383,7 @@ def campaign(
         _fail(EXIT_BAD_INPUT, "--scheduler is an address of dask", "add --backend dask")
     asked = asked if number is None else asked.model_copy(update={"experiments": number})
     folder = resume or out
-    from rig.campaign.grid import AllFailError, CampaignError
+    from rig.campaign.grid import BrokenOffError, CampaignError
 
     try:
         if only is not None:
@@ -399,7 +399,7 @@ def campaign(
                 asked, folder, jobs=jobs or os.cpu_count() or 1, backend=backend, scheduler=scheduler, on_progress=tell
             )
     except CampaignError as error:
-        _fail(EXIT_FAILED if isinstance(error, AllFailError) else EXIT_BAD_INPUT, error.cause, error.cure)
+        _fail(EXIT_FAILED if isinstance(error, BrokenOffError) else EXIT_BAD_INPUT, error.cause, error.cure)
     except RecordingError as error:
         _fail_input(error)
     except OSError as error:

@@ -37,8 +37,8 @@ class CampaignError(Exception):
         super().__init__(f"{cause}\n{cure}")
 
 
-class AllFailError(CampaignError):
-    """A campaign whose experiments all fail: what is wrong is in none of them, but in the program or the machine."""
+class BrokenOffError(CampaignError):
+    """A campaign that ended for what is not in its config: all experiments fail, or a worker process was killed."""
 
 
 @dataclass(frozen=True)

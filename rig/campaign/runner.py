@@ -9,6 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
 from functools import cache
 from multiprocessing import resource_tracker
@@ -16,7 +17,7 @@ from typing import Any, Literal
 
 import joblib
 
-from rig.campaign.grid import CampaignError
+from rig.campaign.grid import BrokenOffError, CampaignError
 from rig.campaign.trial import Row, row_of
 from rig.config import Campaign
 
@@ -100,10 +101,19 @@ def workers(backend: Backend, jobs: int, scheduler: str | None = None) -> Iterat
 
 
 def stream_trials(campaign: Campaign, numbers: Sequence[int]) -> Generator[list[Row]]:
-    """Rows of the experiments, a chunk at a time, in whatever order the chunks get ready; on the ``workers``."""
+    """Rows of the experiments, a chunk at a time, in whatever order the chunks get ready; on the ``workers``.
+
+    Raises BrokenOffError where a process of this machine was killed.
+    """
     chunks = [list(numbers[k : k + CHUNK]) for k in range(0, len(numbers), CHUNK)]
     with _interrupts_held():
         rows = joblib.Parallel(return_as="generator_unordered")(
             joblib.delayed(run_chunk)(campaign, chunk) for chunk in chunks
         )
-    yield from rows
+    try:
+        yield from rows
+    except BrokenProcessPool as error:
+        raise BrokenOffError(
+            "a worker process was killed: the machine ran out of memory, or somebody did it",
+            "the rows so far are there; the same command goes on, and needs less memory with fewer --jobs",
+        ) from error

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.campaign import results, runner, summary
-from rig.campaign.grid import AllFailError, CampaignError
+from rig.campaign.grid import BrokenOffError, CampaignError
 from rig.campaign.trial import FAILED, Row
 from rig.config import Campaign
 from rig.recording.folder import CONFIG, json_text, write_whole
@@ -52,7 +52,7 @@ def run(
     """Do the experiments that ``folder`` has no row of yet; write its summary.json, campaign.png and report.html.
 
     on_progress  told after each chunk: experiments done, of how many
-    Raises CampaignError as ``results.opened`` and ``runner.workers``; AllFailError where the first ``SYSTEMATIC``
+    Raises CampaignError as ``results.opened`` and ``runner.workers``; BrokenOffError where the first ``SYSTEMATIC``
     experiments of the folder, or all of fewer, fail: none of them is kept; OSError or RecordingError where the folder
     cannot be written.
     """
@@ -116,7 +116,7 @@ def _fill(file: results.ResultFile, campaign: Campaign, missing: list[int], tell
                 held = []
                 tell(campaign.experiments - left, campaign.experiments)
             elif len(held) >= min(SYSTEMATIC, len(missing)):
-                raise AllFailError(
+                raise BrokenOffError(
                     f"{file.folder}: the first {len(held)} experiments all failed, the first of them by "
                     f"{held[0]['reasons']}",
                     f"see where: {repeated_by(file.folder, held[0]['number'])}",

@@ -18,12 +18,6 @@ READY = sorted((ROOT / "config").glob("campaign*.yaml"))
 
 
 @pytest.fixture
-def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A page takes a second to draw; it is tested elsewhere."""
-    monkeypatch.setattr(report, "write_report", lambda *_: None)
-
-
-@pytest.fixture
 def config(tmp_path: Path) -> Path:
     path = tmp_path / "small.yaml"
     path.write_text(dump(small(3)), encoding="utf-8")

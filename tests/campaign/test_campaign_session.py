@@ -8,28 +8,23 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from distributed import LocalCluster
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 from small_campaign import UNREPEATABLE, small
 
-from rig.campaign import report, results, runner, session
-from rig.campaign.grid import AllFailError, CampaignError
+from rig.campaign import results, runner, session
+from rig.campaign.grid import BrokenOffError, CampaignError
 from rig.campaign.trial import COLUMNS, Row, run_trial
 from rig.config import Campaign, dump
 
 COUNT = 24
 ROWS = [run_trial(small(), k) for k in range(COUNT)]
 EXPECTED = {name: np.array([row[name] for row in ROWS]) for name in COLUMNS}
-
-
-@pytest.fixture
-def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A page takes a second to draw; it is tested elsewhere."""
-    monkeypatch.setattr(report, "write_report", lambda *_: None)
 
 
 def assert_rows(folder: Path, count: int = COUNT) -> None:
@@ -164,6 +159,20 @@ def test_no_cluster_at_an_address_is_said(tmp_path, monkeypatch):
         session.run(small(1), tmp_path, jobs=1, backend="dask", scheduler="tcp://127.0.0.1:9")
 
 
+def test_a_killed_worker_is_said_and_keeps_the_rows_so_far(tmp_path, monkeypatch):
+    first = [run_trial(small(), k) for k in range(runner.CHUNK)]
+
+    def chunks(*_: object) -> Iterator[list[Row]]:
+        yield first
+        raise TerminatedWorkerError("killed")
+
+    monkeypatch.setattr(runner.joblib, "Parallel", lambda **_: chunks)
+    with pytest.raises(BrokenOffError, match="a worker process was killed") as caught:
+        session.run(small(COUNT), tmp_path, jobs=2)
+    assert "the same command goes on" in caught.value.cure
+    assert_rows(tmp_path, runner.CHUNK)
+
+
 def failing(*numbers: int) -> Callable[[Campaign, int], Row]:
     """``run_trial`` with a defect that some experiments run into."""
 
@@ -205,7 +214,7 @@ def test_a_session_that_adds_experiments_survives_a_bad_one(tmp_path, monkeypatc
 def test_where_all_fail_it_ends_at_once_and_keeps_no_row(tmp_path, monkeypatch, count):
     seen = []
     monkeypatch.setattr("rig.campaign.trial.run_trial", lambda campaign, number: seen.append(number) or 1 / 0)
-    with pytest.raises(AllFailError) as caught:
+    with pytest.raises(BrokenOffError) as caught:
         session.run(small(count), tmp_path, jobs=1)
     assert f"the first {min(count, 16)} experiments all failed" in caught.value.cause
     assert "ZeroDivisionError: division by zero (test_campaign_session.py:" in caught.value.cause
