@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.identify.record import Record
+from rig.model.describing_function import predict
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
 
@@ -88,6 +90,14 @@ def motor(
     return Motor(tau_s, K_rad_s_V, coulomb(fc_V, fs_V), asym_V)
 
 
+def drawn(rng: np.random.Generator) -> tuple[float, float, float, float, float]:
+    """A motor and gains at random, as in theory section 8, with an amplitude of 0.8 rad: tau, K, fc, h1, h2."""
+    tau, fc = math.exp(rng.uniform(math.log(0.08), math.log(0.5))), rng.uniform(0.1, 0.5)
+    h2 = fc + rng.uniform(0.3, 1.0)
+    h1 = rng.uniform(0.4, 1.0) * h2
+    return tau, 0.8 / predict(tau, 1.0, fc, h1, h2).amplitude_rad, fc, h1, h2
+
+
 def record(samples: Samples, t_u_known: bool = True, first: int = 0) -> Record:
     """The samples as estimators read them, from row ``first`` on."""
     times = samples.t_u_s if t_u_known else None
@@ -105,4 +115,4 @@ def write_csv(path: Path, samples: Samples, t_u_known: bool = True, stage: str =
     return path
 
 
-__all__ = ["LSB_RAD", "Bench", "Samples", "dcr", "motor", "record", "simulate", "write_csv"]
+__all__ = ["LSB_RAD", "Bench", "Samples", "dcr", "drawn", "motor", "record", "simulate", "write_csv"]

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import fsolve
-from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
+from synthetic import LSB_RAD, Bench, dcr, drawn, motor, record, simulate
 
 from rig.identify import describing_function, verdict
 from rig.identify.cycles import find_cycle
@@ -88,10 +88,7 @@ def grid(count: int):
     """Motors as in theory section 8, with the gains of two tests of one frequency (DF) and 1.3 x the amplitude."""
     rng = np.random.default_rng(5)
     while count:
-        tau, fc = math.exp(rng.uniform(math.log(0.08), math.log(0.5))), rng.uniform(0.1, 0.5)
-        h2 = fc + rng.uniform(0.3, 1.0)
-        h1 = rng.uniform(0.4, 1.0) * h2
-        K = 0.8 / predict(tau, 1.0, fc, h1, h2).amplitude_rad
+        tau, K, fc, h1, h2 = drawn(rng)
         if predict(tau, K, fc, h1, h2).period_s >= 0.3:
             count -= 1
             yield (tau, K, fc), [(h1, h2), (1.3 * h1, fc + 1.3 * (h2 - fc))]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic import LSB_RAD, motor
+from synthetic import LSB_RAD, drawn, motor
 
 from rig.identify import describing_function, triple_relay
 from rig.identify.cycles import find_cycle
@@ -244,10 +244,7 @@ def grid(count: int):
     """Motors as in theory section 8: parameters, relay, delay in ticks, asymmetry."""
     rng = np.random.default_rng(12)
     while count:
-        tau, fc = math.exp(rng.uniform(math.log(0.08), math.log(0.5))), rng.uniform(0.1, 0.5)
-        h2 = fc + rng.uniform(0.3, 1.0)
-        h1 = rng.uniform(0.4, 1.0) * h2
-        K = 0.8 / predict(tau, 1.0, fc, h1, h2).amplitude_rad
+        tau, K, fc, h1, h2 = drawn(rng)
         ticks, asym = rng.uniform(0.05, 0.95), rng.uniform(-0.05, 0.05)
         if predict(tau, K, fc, h1, h2).period_s >= 0.3:
             count -= 1
