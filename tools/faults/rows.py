@@ -458,7 +458,7 @@ ROWS = (
         "some KEEPs lost",
         "five in a row",
         _up(lambda: damage.first(5, damage.only(is_keep, damage.lost))),
-        bound("no KEEP is older, as the device hears them; the host says one each period", period=2, exchange=1),
+        bound("the device waits for the next one as long as its watchdog", watchdog=1),
         (RUNS_ON,),
         only=("relay",),
     ),

@@ -76,7 +76,7 @@ class Stand:
         self.handing_over: set[int] = set()  # and after which it let the device's relay drive
         self.beyond_rad = 0.0
         self.astray_s = 0.0  # longest time in which the drive was not what the host had said
-        self.stale_s = 0.0  # longest time between two words of the host on the drive
+        self.stale_s = 0.0  # longest time between two words of the host on the drive that reached the device
         self.first_drive_s = math.nan  # of a run, at the pin
         self.read_at: list[tuple[int, float]] = []  # key and time of each question
         self._language = language
@@ -195,25 +195,31 @@ class Stand:
         """A request of the host."""
         if self.is_gone:
             raise Fault("LINK_LOST", "the port is gone")
+        pieces = [(0.0, data)] if self.up is None else self.up(data, self.rng)
         drive_V = self._language.drive_V(data)
         if drive_V is not None:
-            self._said(drive_V)
-        if self._language.is_stop(data) and self.readings:
-            self.closing.add(self.readings[-1].key)
+            self._said(drive_V, is_heard=any(piece == data for _, piece in pieces))
+        if self._language.is_stop(data):
+            self._asked = None  # a reply still to come is waited for by nobody
+            if self.readings:
+                self.closing.add(self.readings[-1].key)
         if self._language.hands_over(data) and self.readings:
             self.handing_over.add(self.readings[-1].key)
         key = self._language.asked(data)
         if key is not None:
             self._asked = key, self.now_s()
             self.read_at.append(self._asked)
-        for _, piece in [(0.0, data)] if self.up is None else self.up(data, self.rng):
+        for _, piece in pieces:
             self.device.write(piece)
 
-    def _said(self, drive_V: float) -> None:
+    def _said(self, drive_V: float, *, is_heard: bool) -> None:
         now_s = self.now_s()
+        self._said_V = drive_V
+        if not is_heard:
+            return
         if self.is_watched and not math.isnan(self._said_s):
             self.stale_s = max(self.stale_s, now_s - self._said_s)
-        self._said_V, self._said_s = drive_V, now_s
+        self._said_s = now_s
 
     def read(self, timeout_s: float) -> bytes:
         """What has arrived at the host."""
