@@ -4,11 +4,11 @@ A tick is looked into when its loop was late by more than LATE_NS, or when its w
 then skipped. What was lost is the time from due to awake, else from awake to the end of the work. Its cause, the
 first of these that accounts for half of it:
 
-machine      the witness's timer on one of the cores came late, too: nothing ran there, not even an interrupt; or the
-             kernel kept interrupts off for so long, which looks the same from within
-kernel       the loop was ready to run and did not, nor did the witness, which goes before all programs: the kernel
-             was at something that it does not interrupt
-outranked    the loop was ready to run and did not, but the witness could: a task went before the loop
+machine      the witness was late, too, and mostly because its timer was: nothing ran on its core, not even an
+             interrupt; or the kernel kept interrupts off for so long, which looks the same from within
+kernel       the witness was late, too, mostly between its timer and its turn, though it goes before all programs: the
+             kernel was at something that it does not interrupt, or the machine stood still just then
+outranked    the witness was not late, and the loop was ready to run and did not: a task went before it
 loop         it waited for a page of memory, or its own work lasted
 unexplained  none of these
 """
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CAUSES = ("machine", "kernel", "outranked", "loop", "unexplained")
-MACHINE = 0
+NOBODYS = (0, 1)  # where even the witness did not run, no program would have
 LATE_NS = 250_000  # more than the spin: neither a wake-up from a deep sleep nor an interrupt makes a tick so late
 WITNESS_PERIOD_NS = 1_000_000
 WITNESS_PHASE_US = 600  # the loops' ticks are due at 500: one tick in a million is this late unseen
@@ -94,16 +94,19 @@ def disturbed(block: Block, period_ns: int) -> Disturbed:
     for k in chosen:
         waited = ticks.late_ns[k] > LATE_NS
         begin_ns = int(ticks.due_ns[k] + (0 if waited else ticks.late_ns[k]))
-        end_ns = int(ticks.due_ns[k] + (ticks.late_ns[k] if waited else ticks.over_ns[k]))
+        # ours tells its end when the row is written; a tick that skipped others lasted at least into the last of them
+        over_ns = max(ticks.over_ns[k], skipped[k] * period_ns)
+        end_ns = int(ticks.due_ns[k] + (ticks.late_ns[k] if waited else over_ns))
         # the witness knows nothing of the time before its first instant
         seen_ns = begin_ns + (1000 * WITNESS_PHASE_US - begin_ns) % WITNESS_PERIOD_NS
+        timer_ns, ran_ns = stalls.due_ns + stalls.still_ns, stalls.due_ns + stalls.late_ns
         half_ns = max((end_ns - seen_ns) / 2, 1)
-        timer_ns = stalls.due_ns + stalls.still_ns
-        if overlap_ns(stalls.core, stalls.due_ns, timer_ns, seen_ns, end_ns) >= half_ns:
-            cause = "machine"
+        if overlap_ns(stalls.core, stalls.due_ns, ran_ns, seen_ns, end_ns) >= half_ns:
+            still_ns = overlap_ns(stalls.core, stalls.due_ns, timer_ns, seen_ns, end_ns)
+            queued_ns = overlap_ns(stalls.core, timer_ns, ran_ns, seen_ns, end_ns)
+            cause = "machine" if still_ns >= queued_ns else "kernel"
         elif 2 * ticks.queued_ns[k] >= end_ns - begin_ns:
-            queued_ns = overlap_ns(stalls.core, timer_ns, stalls.due_ns + stalls.late_ns, seen_ns, end_ns)
-            cause = "kernel" if queued_ns >= half_ns else "outranked"
+            cause = "outranked"
         elif ticks.faults[k] > 0 or not waited:
             cause = "loop"
         else:
@@ -134,7 +137,7 @@ def summary(blocks: Sequence[Block]) -> dict[str, float | int | None]:
 
 
 def by_cause(blocks: Sequence[Block], period_us: int) -> dict[str, object]:
-    """Late ticks and skipped ticks of each cause, and the p99 of the ticks that the machine did not make late."""
+    """Late ticks and skipped ticks of each cause; and the p99 without those that no program could have made."""
     late, skipped = np.zeros(len(CAUSES), int), np.zeros(len(CAUSES), int)
     for block in blocks:
         found = disturbed(block, 1000 * period_us)
@@ -144,35 +147,37 @@ def by_cause(blocks: Sequence[Block], period_us: int) -> dict[str, object]:
     return {
         "late_by_cause": dict(zip(CAUSES, late.tolist(), strict=True)),
         "skipped_by_cause": dict(zip(CAUSES, skipped.tolist(), strict=True)),
-        "skipped_though_the_machine_ran": int(skipped.sum() - skipped[MACHINE]),
-        "p99_without_machine_us": summary(without_machine(blocks, period_us))["p99_us"],
+        "skipped_though_the_witness_ran": int(skipped.sum() - skipped[list(NOBODYS)].sum()),
+        "p99_while_the_witness_ran_us": summary(while_the_witness_ran(blocks, period_us))["p99_us"],
     }
 
 
-def without_machine(blocks: Sequence[Block], period_us: int) -> list[Block]:
-    """The ticks that the machine did not make late."""
+def while_the_witness_ran(blocks: Sequence[Block], period_us: int) -> list[Block]:
+    """The blocks without the ticks that were late while even the witness did not run."""
     found = [disturbed(block, 1000 * period_us) for block in blocks]
     return [
-        Block(np.delete(block.late_us, looked.tick[looked.cause == MACHINE]), None)
+        Block(np.delete(block.late_us, looked.tick[np.isin(looked.cause, NOBODYS)]), None)
         for block, looked in zip(blocks, found, strict=True)
     ]
 
 
 def machine(blocks: Sequence[Block], duration_s: float, cores: int) -> dict[str, float | int]:
-    """How often and for how long the cores stood still, by the witness, in blocks that took ``duration_s`` together.
+    """How often and for how long the witness did not run, in blocks that took ``duration_s`` together, ms of all cores.
 
-    chance  the share of its instants late enough for a tick's cause to be "machine": how often it would be by chance
+    chance  the share of its instants late enough to account for a late tick: how often that is one by chance
     """
-    still_ns = np.concatenate([block.stalls.still_ns for block in blocks if block.stalls is not None])
+    told = [block.stalls for block in blocks if block.stalls is not None]
+    still_ns, queued_ns, late_ns = (
+        np.concatenate([getattr(stalls, name) for stalls in told]) for name in ("still_ns", "queued_ns", "late_ns")
+    )
+    result: dict[str, float | int] = {"of_ms": round(1e3 * duration_s * cores)}
+    for name, lost_ns in (("machine", still_ns), ("kernel", queued_ns)):
+        long_ns = lost_ns[lost_ns > LATE_NS]
+        result[f"{name}_times"] = int(long_ns.size)
+        result[f"{name}_ms"] = round(1e-6 * float(long_ns.sum()), 1)
+        result[f"{name}_longest_ms"] = round(1e-6 * float(long_ns.max(initial=0)), 1)
     instants = duration_s * cores * 1e9 / WITNESS_PERIOD_NS
-    stalls_ns = still_ns[still_ns > LATE_NS]
-    return {
-        "stalls": int(stalls_ns.size),
-        "stood_still_ms": round(1e-6 * float(stalls_ns.sum()), 1),
-        "longest_ms": round(1e-6 * float(stalls_ns.max(initial=0)), 1),
-        "of_ms": round(1e3 * duration_s * cores),
-        "chance": round(float(np.count_nonzero(still_ns > LATE_NS / 4) / instants), 4),
-    }
+    return result | {"chance": round(float(np.count_nonzero(late_ns > LATE_NS / 4) / instants), 4)}
 
 
 def ratio(ours_us: float, peer_us: float) -> float:

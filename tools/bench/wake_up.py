@@ -37,7 +37,7 @@ from late_ticks import (
     share_ratio,
     summary,
     verdict,
-    without_machine,
+    while_the_witness_ran,
 )
 
 PEERS = Path(__file__).resolve().parent / "peers"
@@ -226,8 +226,8 @@ def measure(
                     ours, peer = (blocks[condition, policy, loop + suffix] for loop in ("ours", "C"))
                     row |= compare(ours, peer, name)
                     if witnessed:
-                        ours, peer = (without_machine(found, period_us) for found in (ours, peer))
-                        row |= compare(ours, peer, f"{name}_without_machine")
+                        ours, peer = (while_the_witness_ran(found, period_us) for found in (ours, peer))
+                        row |= compare(ours, peer, f"{name}_while_the_witness_ran")
             result[condition][policy] = row
         if witnessed:
             every = [block for key, found in blocks.items() if key[0] == condition for block in found]
@@ -269,8 +269,8 @@ def table(result: dict[str, dict[str, dict[str, object]]]) -> str:
                 for key in (
                     "late_by_cause",
                     "skipped_by_cause",
-                    "skipped_though_the_machine_ran",
-                    "p99_without_machine_us",
+                    "skipped_though_the_witness_ran",
+                    "p99_while_the_witness_ran_us",
                 ):
                     if key in found:
                         notes.append(f"{condition}, {policy}, {name}: {key} {found[key]}")
