@@ -52,14 +52,21 @@ def step_clock(stand: Stand) -> None:
 
 
 def own_mounts() -> None:
-    """From here on this process may mount file systems that nobody else sees. Raises PermissionError."""
+    """From here on this process may mount file systems that nobody else sees.
+
+    Raises PermissionError, and OSError in a chroot whose root is no mount point.
+    """
     libc = ctypes.CDLL(None, use_errno=True)
     uid = os.getuid()
     if libc.unshare(_CLONE_NEWNS if uid == 0 else _CLONE_NEWNS | _CLONE_NEWUSER) != 0:
         raise PermissionError("a small disk is a file system of its own: be root, or allow user namespaces")
     if uid != 0:
         Path("/proc/self/uid_map").write_text(f"0 {uid} 1", encoding="ascii")
-    _must(libc.mount(None, b"/", None, _MS_REC | _MS_PRIVATE, None))
+    if libc.mount(None, b"/", None, _MS_REC | _MS_PRIVATE, None) != 0:
+        number = ctypes.get_errno()
+        raise OSError(
+            number, f"mounts stay shared, {os.strerror(number)}; the root of a chroot: bind it to itself first"
+        )
 
 
 def small_disk(folder: Path, size: int) -> None:
