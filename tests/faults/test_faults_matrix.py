@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from faults import damage, realtime
-from faults.backends import BACKENDS, BOARD, CHIP, Backend
+from faults.backends import BACKENDS, BOARD, CHIP, CHIP_RELAY, OTHERS, PLAIN, SEPARATE, TCP, Backend
 from faults.bounds import bound
 from faults.case import measure, new_stand, restart, undisturbed
 from faults.language import ModbusLanguage, Reading, SerialLanguage, is_drive
@@ -26,7 +26,18 @@ from rig.emulate.tcp_slave import Adu
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "fault-table.md"
-CASES = [(row, backend) for backend in BACKENDS for row in ROWS if row.is_for(backend.traits)]
+
+
+def share() -> list[tuple[Row, Backend]]:
+    """Of the other devices the rows that are theirs or other there; each of the rest on one of them, in turn."""
+    own = {CHIP_RELAY: "relay", SEPARATE: "separate", TCP: "tcp"}
+    cases = [(row, backend) for row in ROWS for backend, trait in own.items() if trait in (*row.only, *row.other)]
+    plain = [row for row in ROWS if not any(trait in (*row.only, *row.other) for trait in own.values())]
+    cases += [(row, OTHERS[k % len(OTHERS)]) for k, row in enumerate(plain)]
+    return [(row, backend) for row, backend in cases if row.is_for(backend.traits)]
+
+
+CASES = [(row, backend) for backend in PLAIN for row in ROWS if row.is_for(backend.traits)] + share()
 
 
 @pytest.mark.parametrize(("row", "backend"), CASES, ids=lambda value: getattr(value, "name", None) or value.key)
@@ -239,7 +250,7 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
 def test_the_page_is_what_the_command_writes(tmp_path: Path) -> None:
     row = next(row for row in ROWS if row.name == "port gone")
     one = Line(row, BOARD, undisturbed(BOARD).times, (measure(row, BOARD, 0.1, restarts=True),))
-    page = render("today", 1, [one], [row], [BOARD])
+    page = render("today", [one], [row], [BOARD])
     for text in ("## On the host-board device", "| port gone |", "refused: LINK_LOST; mended: moves", "2 tick"):
         assert text in page
     head = next(text for text in page.splitlines() if text.startswith("| fault | drive 0"))

@@ -272,12 +272,18 @@ MODBUS = Backend(
     _block_language,
     _instead("emulated_io_block"),
 )
+_IN_DEVICE = (
+    "`relay.where: device`, 115200 baud, largest speed 4.6 rad/s ([device-relay.md](device-relay.md)). The rows come\n"
+    "in blocks of ten; the host's only word is KEEP, one each period. Where the run goes on, *drive 0* is the longest\n"
+    "time between two of these that arrived."
+)
 CHIP_RELAY = replace(
     CHIP,
     key="chip-relay",
     title="the Uno's emulated chip, whose own relay drives",
     traits=(*CHIP.traits, "relay"),
     changes=_RELAY,
+    remark=_IN_DEVICE,
 )
 BOARD_RELAY = replace(
     BOARD,
@@ -285,6 +291,7 @@ BOARD_RELAY = replace(
     title="the host-board device, whose own relay drives",
     traits=(*BOARD.traits, "relay"),
     changes=_RELAY,
+    remark=_IN_DEVICE,
 )
 SEPARATE = replace(
     MODBUS,
@@ -292,6 +299,7 @@ SEPARATE = replace(
     title="the Modbus I/O block, asked by FC03 and then FC16",
     traits=("modbus", "rtu", "separate"),
     changes={"daq": _separate(), "period_s": 0.016, "limits": {"max_speed_rad_s": 4.8}},
+    remark="RTU with `requests: separate`, for a device without FC23: two transactions a tick, a period of 16 ms.",
 )
 TCP = replace(
     MODBUS,
@@ -300,6 +308,10 @@ TCP = replace(
     traits=("modbus", "fc23", "tcp"),
     changes={"daq": _modbus_daq("modbus-tcp.yaml", "tcp://192.168.0.5"), "relay": {"cycles": CYCLES + 2}},
     device=_tcp_block,
+    remark="A network in virtual time, 10 Mbit/s: what it loses is sent again after 0.2 s, and what follows waits; its\n"
+    "ways may be blocked, and its connections end. No frame is damaged; a gateway may answer late, twice or not at all.",
     places=_over_tcp,
 )
-BACKENDS = (CHIP, BOARD, MODBUS, CHIP_RELAY, BOARD_RELAY, SEPARATE, TCP)
+PLAIN = (CHIP, BOARD, MODBUS)
+OTHERS = (CHIP_RELAY, BOARD_RELAY, SEPARATE, TCP)  # which differ from these in the link, or in where the relay runs
+BACKENDS = PLAIN + OTHERS

@@ -10,20 +10,25 @@ from functools import lru_cache
 from joblib import Parallel, delayed
 
 from faults import realtime
-from faults.backends import BACKENDS, Backend
+from faults.backends import BACKENDS, PLAIN, Backend
 from faults.case import Found, measure, undisturbed
 from faults.page import Line
 from faults.realtime import REAL_ROWS, RealFound
 from faults.rows import ROWS, Row
 
+OTHERS_SHARE = 0.4
 _BY_KEY = {backend.key: backend for backend in BACKENDS}
 _BY_NAME = {row.name: row for row in ROWS}
 
 
 def in_virtual_time(rows: Sequence[Row], backends: Sequence[Backend], phases: int) -> list[Line]:
-    """Each row on each device that it applies to, at so many phases of the limit cycle."""
+    """Each row on each device that it applies to, at so many phases of the limit cycle; fewer on ``OTHERS``."""
     pairs = [(row, backend) for backend in backends for row in rows if row.is_for(backend.traits)]
-    cases = [(row.name, backend.key, k, phases) for row, backend in pairs for k in range(phases)]
+    cases = [
+        (row.name, backend.key, k, phases_on(backend, phases))
+        for row, backend in pairs
+        for k in range(phases_on(backend, phases))
+    ]
     found: list[Found] = Parallel(n_jobs=os.cpu_count() or 1, batch_size=4)(delayed(_virtual)(*case) for case in cases)
     return [
         Line(
@@ -34,6 +39,11 @@ def in_virtual_time(rows: Sequence[Row], backends: Sequence[Backend], phases: in
         )
         for row, backend in pairs
     ]
+
+
+def phases_on(backend: Backend, phases: int) -> int:
+    """Of the limit cycle, where the devices of ``PLAIN`` have ``phases``."""
+    return phases if backend in PLAIN else max(round(OTHERS_SHARE * phases), 1)
 
 
 def in_real_time(phases: int) -> list[RealFound]:

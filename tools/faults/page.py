@@ -10,19 +10,23 @@ from faults.backends import Backend
 from faults.bounds import Times
 from faults.case import Found
 from faults.realtime import RealFound
-from faults.rows import Row
+from faults.rows import SILENCE, Row
 
 _HEAD = """\
 # What goes wrong, and what the bench does
 
 Made by `make faults`, {made}. The command fails if a bound is broken, a sample is lost, a code is another than
-expected, or the next run does what it should not. It is in [tools/faults](../tools/faults); `make test` runs each row
-at one phase.
+expected, or the next run does what it should not. It is in [tools/faults](../tools/faults); `make test` runs, at one
+phase, each row on the first three devices, and on the others those that are theirs or are other there, and each of the
+rest on one of them.
 
 The real `rig relay` runs in each case: the breakaway check, then a relay test whose limit cycle has settled to its
-amplitude when the fault comes, at {phases} phases of the cycle, and at any time within the loop's tick. The devices are
+amplitude when the fault comes, at several phases of the cycle, and at any time within the loop's tick. The devices are
 in virtual time, so each number is exact and the same again. Bench and limits are those of
-[config/demo.yaml](../config/demo.yaml); the loop's period is {period_ms:g} ms, the watchdog {watchdog_ms:g} ms.
+[config/demo.yaml](../config/demo.yaml) unless the device's section says otherwise; the loop's period is
+{period_ms:g} ms, the watchdog {watchdog_ms:g} ms.
+
+{summary}
 
 * *Drive 0*: from the fault until the drive is 0 for good, at the device's own output, the worst phase. Where the run
   goes on: the longest time that one drive acted without a new word of the host, or that the output was not what the
@@ -32,7 +36,10 @@ in virtual time, so each number is exact and the same again. Bench and limits ar
 * *Shown*: the fault's code, and `rig`'s exit status.
 * *Lost*: samples that the device told of, and that reached the host intact and in time, but are not in the record. A
   reading that came with the fault is in the fault's event, with its counts or its bytes. Of a host that was killed the
-  recorder, which lives on, writes what there is.
+  recorder, which lives on, writes what there is. Of a relay in the device each row of a block counts, up to the first
+  block that is missing: that one ends the run.
+* *Host silent*: the worst of the rows that only the device's own watchdog can end. *Wrong*: cases with anything that
+  should not be.
 * *Next run*: tried, as far as the breakaway check: first with the cause still there, then *mended*.
 """
 
@@ -66,6 +73,8 @@ class Line:
 
 
 def _time(s: float) -> str:
+    if math.isnan(s):
+        return "-"
     if math.isinf(s):
         return "never"
     if s >= 1.0:
@@ -111,9 +120,29 @@ def _real_line(found: Sequence[RealFound]) -> str:
     )
 
 
+def summary(lines: Sequence[Line], backends: Sequence[Backend]) -> str:
+    """One line a device: how much was tried, what came of it."""
+    told = [_summary_line(backend, own) for backend in backends if (own := [o for o in lines if o.backend is backend])]
+    return (
+        "| device | rows | phases | host silent: drive 0 | within | nearest to its bound | lost | wrong |\n"
+        "|---|---|---|---|---|---|---|---|\n" + "\n".join(told)
+    )
+
+
+def _summary_line(backend: Backend, own: Sequence[Line]) -> str:
+    silent = [one for one in own if one.row.bound is SILENCE]
+    silent_s = max((f.off_s for one in silent for f in one.found), default=math.nan)
+    within_s = max((one.row.bound.seconds(one.times) for one in silent), default=math.nan)
+    share, name = max((max(f.off_s for f in one.found) / one.row.bound.seconds(one.times), one.row.name) for one in own)
+    found = [f for one in own for f in one.found]
+    return (
+        f"| {backend.title} | {len(own)} | {len(found) // len(own)} | {_time(silent_s)} | {_time(within_s)} | "
+        f"{name}, {100.0 * share:.0f} % | {sum(f.lost for f in found)} | {sum(bool(f.trouble) for f in found)} |"
+    )
+
+
 def render(
     made: str,
-    phases: int,
     lines: Sequence[Line],
     rows: Sequence[Row],
     backends: Sequence[Backend],
@@ -125,7 +154,7 @@ def render(
     parts = [
         _HEAD.format(
             made=made,
-            phases=phases,
+            summary=summary(lines, backends),
             period_ms=1e3 * first.times.period,
             watchdog_ms=1e3 * first.times.watchdog,
             low=low,
@@ -134,7 +163,8 @@ def render(
     ]
     for backend in backends:
         own = [one for one in lines if one.backend is backend]
-        parts.append(f"## On {backend.title}\n\n{_TABLE}\n" + "\n".join(line(one) for one in own) + "\n")
+        remark = f"{backend.remark}\n\n" if backend.remark else ""
+        parts.append(f"## On {backend.title}\n\n{remark}{_TABLE}\n" + "\n".join(line(one) for one in own) + "\n")
         absent = [f"* {row.name}: does not apply: {why}." for row in rows if (why := row.why_absent(backend.traits))]
         if absent:
             parts.append("\n".join(absent) + "\n")

@@ -595,7 +595,8 @@ ROWS = (
         AWAY,
         True,
         ("POLARITY", "START_OUTSIDE", "TRAVEL_HARD", "DEVICE_TRAVEL", "DEVICE_SENSOR"),
-        other={"relay": {"bound": AWAY_IN_BLOCK, "codes": (*AWAY, "RELAY_STOPPED")}},
+        other={"relay": {"bound": AWAY_IN_BLOCK, "codes": (*AWAY, "RELAY_STOPPED", "SENSOR_STUCK")}},
+        remark="a shaft that slows down where it should not may also be taken for a reading that stands",
     ),
     Row(
         "drive dead",

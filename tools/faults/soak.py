@@ -21,7 +21,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from faults.backends import BACKENDS, Backend, BlockOnStand
+from faults.backends import PLAIN, Backend, BlockOnStand
 from faults.bounds import Times
 from faults.case import SETTLE_S, judged, new_stand, relay_run, restart, undisturbed
 from faults.rows import ROWS, RUNNING, RUNS_ON, Row
@@ -68,7 +68,7 @@ def rows_for(backend: Backend) -> tuple[Row, ...]:
 
 def spend(key: str, hours: float, seed: int) -> Day:
     """Run after run on the device of that key, until its time is spent."""
-    backend = next(b for b in BACKENDS if b.key == key)
+    backend = next(b for b in PLAIN if b.key == key)
     rng, day = random.Random(f"{backend.key} {seed}"), Day(backend.key)
     plain = undisturbed(backend)
     config = backend.config()
@@ -127,8 +127,8 @@ def main() -> int:
     given = options.parse_args()
     started_s, failed = time.monotonic(), False
     with ProcessPoolExecutor(2) as pool:
-        share = given.hours / len(BACKENDS)
-        for day in pool.map(spend, [b.key for b in BACKENDS], [share] * len(BACKENDS), [given.seed] * len(BACKENDS)):
+        share = given.hours / len(PLAIN)
+        for day in pool.map(spend, [b.key for b in PLAIN], [share] * len(PLAIN), [given.seed] * len(PLAIN)):
             wrong = sum(count for name, count in day.rows.items() if name != NOTHING.name)
             print(
                 f"{day.backend}: {day.hours:.2f} h of its time, {day.runs} runs, {wrong} with one of "
