@@ -24,7 +24,6 @@ from rig.emulate.virtual_board import VirtualBoard
 from rig.emulate.virtual_chip import VirtualChip
 from rig.emulate.virtual_io_block import VirtualIoBlock
 from rig.emulate.virtual_tcp_block import VirtualTcpBlock
-from rig.experiment import RELAY_TIMEOUT_PERIODS
 from rig.model.bench import BenchParameters
 from rig.model.motor import State
 
@@ -32,7 +31,6 @@ ROOT = Path(__file__).resolve().parents[2]
 GAINS_V = (0.45, 0.9)
 CYCLES = 3
 RAMP_V_S = 0.8
-STUCK_S = 0.45
 _CHIP_UNITS = 400
 _BOARD_UNITS = 799
 _MODBUS_UNITS = 10000
@@ -98,10 +96,8 @@ class Backend:
             exchange=_on_the_wire_s(experiment),
             hardware=self.hardware_s,
             cycle=cycle_s,
-            stuck=STUCK_S,
             check=_LOOKS_APART * experiment.period_s,
             breakaway=2.0 * b.max_V / b.ramp_V_s + 12.0 * b.rest_s,
-            relay=RELAY_TIMEOUT_PERIODS * CYCLES * 2.0,
             runaway=_runaway_s(experiment),
             block=BLOCK_ROWS * 0.001 if experiment.relay.where == "device" else math.nan,
         )
@@ -298,7 +294,12 @@ SEPARATE = replace(
     key="separate",
     title="the Modbus I/O block, asked by FC03 and then FC16",
     traits=("modbus", "rtu", "separate"),
-    changes={"daq": _separate(), "period_s": 0.016, "limits": {"max_speed_rad_s": 4.8}},
+    changes={
+        "daq": _separate(),
+        "period_s": 0.016,
+        "relay": {"cycles": CYCLES + 2},
+        "limits": {"max_speed_rad_s": 4.8},
+    },
     remark="RTU with `requests: separate`, for a device without FC23: two transactions a tick, a period of 16 ms.",
 )
 TCP = replace(
@@ -308,8 +309,8 @@ TCP = replace(
     traits=("modbus", "fc23", "tcp"),
     changes={"daq": _modbus_daq("modbus-tcp.yaml", "tcp://192.168.0.5"), "relay": {"cycles": CYCLES + 2}},
     device=_tcp_block,
-    remark="A network in virtual time, 10 Mbit/s: what it loses is sent again after 0.2 s, and what follows waits; its\n"
-    "ways may be blocked, and its connections end. No frame is damaged; a gateway may answer late, twice or not at all.",
+    remark="A network in virtual time, 10 Mbit/s: what it loses is sent again after 0.2 s, and what follows waits.\n"
+    "Its ways may be blocked, its connections end. No frame is damaged; a gateway may answer late, twice or not at all.",
     places=_over_tcp,
 )
 PLAIN = (CHIP, BOARD, MODBUS)

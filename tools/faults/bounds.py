@@ -18,10 +18,8 @@ class Times(NamedTuple):
     exchange    on the wire: a reading, question and answer, and the drive that follows
     hardware    hardware watchdog of the chip, with what its own oscillator may be off
     cycle       of the limit cycle
-    stuck       that a drive must be on, well above friction, until a shaft that does not move counts as stuck
     check       25 ticks, between two looks at the recorder
     breakaway   both ramps of the breakaway check, to their end, and the rests around them
-    relay       time-out of the relay test
     runaway     that a shaft takes from one hard limit, at full speed the other way, to the other, at the relay's drive
     block       that passes until the rows of a relay in the device are sent together; nan where the host's relay drives
     """
@@ -34,15 +32,13 @@ class Times(NamedTuple):
     exchange: float
     hardware: float
     cycle: float
-    stuck: float
     check: float
     breakaway: float
-    relay: float
     runaway: float
     block: float = math.nan
 
 
-_WORDS = {"timeout": "time-out", "hardware": "hardware watchdog", "stuck": "stuck time", "relay": "relay time-out"}
+_WORDS = {"timeout": "time-out", "hardware": "hardware watchdog"}
 
 
 @dataclass(frozen=True)
