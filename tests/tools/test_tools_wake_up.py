@@ -30,7 +30,7 @@ from late_ticks import (
     while_the_witness_ran,
 )
 
-from bench.wake_up import TickingProcess, Witness, available, build, fifo_is_allowed, start
+from bench.wake_up import WITNESS_PRIORITY, TickingProcess, Witness, available, build, fifo_is_allowed, start
 
 PERIOD_NS = 2_000_000
 T0_NS = 500_000  # the loops' phase
@@ -79,7 +79,7 @@ def test_the_evidence_of_both_loops_belongs_to_their_ticks(loop: str, tmp_path: 
 @pytest.mark.realtime
 def test_the_witness_notes_that_it_stood_still(tmp_path: Path) -> None:
     witness = Witness(build("witness", tmp_path))
-    if not fifo_is_allowed():
+    if not fifo_is_allowed(WITNESS_PRIORITY):
         with pytest.raises(RuntimeError, match="has ended"):
             witness.stalls()
         witness.close()

@@ -28,6 +28,7 @@ WITNESS_PERIOD_NS = 1_000_000
 WITNESS_PHASE_US = 600  # the loops' ticks are due at 500: one tick in a million is this late unseen
 FEWEST_TICKS = 500  # of fewer the p99 is one of the five largest
 RESOLUTION_US = 1.0  # below it a p99 is the pace of reading the clock, and a ratio of two says nothing of a loop
+FEWEST_BLOCKS = 20  # an interval drawn from fewer is too narrow
 LATER_US = 10.0
 RESAMPLES = 1000
 

@@ -25,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 from late_ticks import (
+    FEWEST_BLOCKS,
     RESOLUTION_US,
     WITNESS_PHASE_US,
     Block,
@@ -160,9 +161,9 @@ def cores(condition: str) -> Iterator[None]:
             burner.wait()
 
 
-def fifo_is_allowed() -> bool:
+def fifo_is_allowed(priority: int = PRIORITY["fifo"]) -> bool:
     """Whether this user may have SCHED_FIFO."""
-    command = ["chrt", "--fifo", str(PRIORITY["fifo"]), "true"]
+    command = ["chrt", "--fifo", str(priority), "true"]
     return subprocess.run(command, stderr=subprocess.DEVNULL, check=False).returncode == 0
 
 
@@ -241,6 +242,8 @@ def compare(ours: Sequence[Block], peer: Sequence[Block], name: str) -> dict[str
     a, b = summary(ours)["p99_us"], summary(peer)["p99_us"]
     if a is None or b is None:
         return {}
+    if len(ours) < FEWEST_BLOCKS:
+        return {f"p99_ratio_{name}": ratio(a, b)}
     interval = ratio_interval(ours, peer)
     found: dict[str, object] = {
         f"p99_ratio_{name}": ratio(a, b),
@@ -296,13 +299,18 @@ def main() -> int:
             "SCHED_FIFO is refused to this user: `rig doctor` says what to type; without it no cyclictest either"
         )
     conditions = arguments.conditions.split(",")
-    witnessed = arguments.loops is not None and fifo_is_allowed() and set(loops) <= set(PAIR)
+    witness_allowed = fifo_is_allowed(WITNESS_PRIORITY)
+    if not witness_allowed:
+        notes.append(
+            f"no witness: SCHED_FIFO {WITNESS_PRIORITY} is refused to this user; late ticks have no cause here"
+        )
+    witnessed = arguments.loops is not None and witness_allowed and set(loops) <= set(PAIR)
     if arguments.period_us % 1000:
         parser.error("--period-us: whole milliseconds, so that the witness keeps beside the ticks")
     result = measure(loops, policies, conditions, arguments.period_us, rounds, witnessed)
     pair = {}
     if arguments.minutes is None and arguments.loops is None and "fifo" in policies:
-        pair = measure(PAIR, ["fifo"], conditions, arguments.period_us, PAIR_ROUNDS, witnessed=True)
+        pair = measure(PAIR, ["fifo"], conditions, arguments.period_us, PAIR_ROUNDS, witness_allowed)
     numbers = {
         "period_us": arguments.period_us,
         "spin_us": SPIN_US,
