@@ -15,6 +15,7 @@
 #define TRACE_EVERY_NS 10000000
 #define STALL_S 1.0 /* after a longer one than this the chip goes on where it stood, instead of running after the time */
 #define POWER_ON 1u
+#define RESET_INPUT 2u
 
 typedef struct {
     process process;
@@ -110,6 +111,10 @@ int main(int argc, char **argv)
     process_announce(&self.process);
     while (process_wait(&self.process, self.start_s + 1e-9 * (double)(virtual_now_ns(self.chip) + QUANTUM_NS))) {
         run_to_now(&self);
+        if (process_reset_asked()) {
+            virtual_boot(self.chip, RESET_INPUT, 0.0);
+            trace(&self);
+        }
         carry_bytes(&self);
     }
     run_to_now(&self);

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import select
+import signal
 import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -74,6 +76,10 @@ class BoardProcess:
         if self._process is None:
             raise EmulationError("this emulated board does not run")
         return self._process.pid
+
+    def reset(self) -> None:
+        """Press the device's reset button. Raises EmulationError when none runs."""
+        os.kill(self.pid, signal.SIGUSR1)
 
     def check(self) -> None:
         """Raise EmulationError where the process has ended by itself, or runs no more."""

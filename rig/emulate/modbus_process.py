@@ -17,6 +17,7 @@ import pty
 import select
 import signal
 import socket
+import struct
 import sys
 import termios
 import time
@@ -53,6 +54,10 @@ class _Port(Protocol):
         """Take what has come in, without waiting."""
         ...
 
+    def forget(self) -> None:
+        """The device was reset: it knows of no connection."""
+        ...
+
     def next_event_s(self) -> float:
         """When it has something to do next; inf for never."""
         ...
@@ -82,6 +87,9 @@ class _Pty:
         if self._pty in ready:
             with contextlib.suppress(BlockingIOError):
                 self._slave.send(os.read(self._pty, 4096), t_s)
+
+    def forget(self) -> None:
+        """A line has none."""
 
     def next_event_s(self) -> float:
         return self._slave.next_event_s()
@@ -140,6 +148,12 @@ class _Tcp:
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._open[connection.fileno()] = connection, Stream()
+
+    def forget(self) -> None:
+        """Each connection ends with a reset, as where a segment comes that the device knows nothing of."""
+        for number, (connection, _) in list(self._open.items()):
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            self._drop(number)
 
     def _drop(self, number: int) -> None:
         self._open.pop(number)[0].close()
@@ -235,7 +249,11 @@ def _run(block: IoBlock, port: _Port, trace: _Trace, start_s: float, ends: int, 
         ready = set(select.select(files, [], [], max(until_s - now_s, 0.0))[0])
         now_s = time.monotonic() - start_s
         if ends in ready:
-            return
+            if os.read(ends, 1)[0] != signal.SIGUSR1:
+                return
+            block.advance_to(now_s)
+            block.power_off()
+            port.forget()
         if stdin in ready and not os.read(stdin, 64):
             watches_stdin, end_s = False, now_s + ORPHAN_S
         trace.rows_to(now_s, block, port)
@@ -244,10 +262,10 @@ def _run(block: IoBlock, port: _Port, trace: _Trace, start_s: float, ends: int, 
 
 
 def _signals() -> int:
-    """A file that can be read once a signal asks for the end."""
+    """A file that can be read once a signal has come: its number."""
     ends, told = os.pipe()
     os.set_blocking(told, False)
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
         signal.signal(number, lambda number, frame: None)
     signal.set_wakeup_fd(told)
     return ends

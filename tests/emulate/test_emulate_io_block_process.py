@@ -302,3 +302,36 @@ def test_a_reply_is_one_header_and_its_data() -> None:
     packed = Adu(0x0102, 5, b"\x03\x02\x00\x07").pack()
     assert packed == struct.pack(">HHHB", 0x0102, 0, 5, 5) + b"\x03\x02\x00\x07"
     assert Stream().feed(packed) == [Adu(0x0102, 5, b"\x03\x02\x00\x07")]
+
+
+@pytest.mark.parametrize("tcp", [False, True])
+def test_its_reset_button_cuts_the_drive_disarms_it_and_ends_its_connections(tcp: bool, tmp_path: Path) -> None:
+    trace = tmp_path / "trace.csv"
+    with ModbusBoard() as board:
+        port = board.start(modbus(), emulated(), 1, trace=trace, tcp_port=0 if tcp else None)
+
+        def connect() -> ModbusSerialClient | ModbusTcpClient:
+            client = (
+                ModbusTcpClient("127.0.0.1", port=int(port.rsplit(":", 1)[1]))
+                if tcp
+                else ModbusSerialClient(port, baudrate=115200)
+            )
+            assert client.connect()
+            return client
+
+        client = connect()
+        assert not client.write_registers(WATCHDOG, list(LONG_WATCHDOG), device_id=1).isError()
+        client.write_register(CONTROL, 1, device_id=1)
+        client.write_register(DRIVE, 800, device_id=1)
+        assert client.read_holding_registers(STATUS, count=1, device_id=1).registers == [1]
+        board.reset()
+        wait_until(lambda: trace.read_text(encoding="ascii").splitlines()[-1].split(",")[1] == "0.000000")
+        if tcp:
+            with pytest.raises(OSError):
+                client.socket.send(b"\0")
+                client.socket.recv(1)
+            client.close()
+            client = connect()
+        assert client.read_holding_registers(STATUS, count=1, device_id=1).registers == [0]
+        board.check()
+        client.close()

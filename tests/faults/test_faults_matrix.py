@@ -18,7 +18,7 @@ from faults.bounds import bound
 from faults.case import measure, new_stand, restart, undisturbed
 from faults.language import ModbusLanguage, Reading, SerialLanguage, is_drive
 from faults.page import Line, line, render
-from faults.realtime import REAL_ROWS
+from faults.realtime import DEVICES, REAL_ROWS
 from faults.rows import FREEZE_S, ROWS, Row
 from rig.daq.frames import Block, Kind, RelaySetup, State, encode, pack_drive
 from rig.emulate.rtu_slave import frame
@@ -73,7 +73,7 @@ def test_the_next_run_says_why_the_device_was_reset(name: str, cause: str, backe
 def test_a_process_that_is_stopped_in_real_time(name: str) -> None:
     """The bound is longer by what this machine was late in this run, device and loop."""
     row = next(row for row in REAL_ROWS if row.name == name)
-    found = realtime.measure(row, 0.6)
+    found = realtime.measure(row, DEVICES[0], 0.6)
     assert found.trouble == ()
     assert found.off_s <= found.bound_s and found.lost == 0
 
@@ -241,9 +241,10 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
             assert re.search(r"\d", cells[2]) and re.search(r"\d", cells[3]), cells
             assert cells[6].strip() == "0", cells  # samples lost
             assert cells[7].strip().endswith("moves"), cells
-    real = page.split("## The host's process, in real time\n")[1].split("\n## ")[0]
+    real = page.split("## Host and link in real time\n")[1].split("\n## ")[0]
     for real_row in REAL_ROWS:
-        assert f"| {real_row.name} |" in real
+        for device in DEVICES:
+            assert (f"| {real_row.name} | {device.key} |" in real) == (not real_row.only or device.key in real_row.only)
     assert "**broken**" not in page
 
 

@@ -10,6 +10,7 @@ from rig.config.schema import Emulated
 from rig.daq.calibration import Calibration, DriveMap
 from rig.daq.serial_link import SerialDriver
 from rig.daq.serial_port import SerialPort
+from rig.emulate.chip_board import ChipBoard
 from rig.emulate.host_board import HostBoard
 from rig.faults import Fault
 from rig.signals import Limits
@@ -60,3 +61,22 @@ def test_the_device_disappears():
             driver.read()
         assert caught.value.code == "LINK_LOST"
         assert driver.safe_stop() is False
+
+
+@pytest.mark.parametrize("device", [HostBoard, ChipBoard])
+def test_the_reset_button_is_seen_by_the_run_and_told_to_the_next(device):
+    with device() as board:
+        port = board.start(EMULATED.model_dump(), 1)
+        with contextlib.closing(connect(port)) as driver:
+            driver.open()
+            driver.arm(LIMITS)
+            driver.read()
+            driver.write(0.2)
+            board.reset()
+            with pytest.raises(Fault) as caught:
+                for _ in range(100):
+                    driver.read()
+                    time.sleep(0.005)
+            assert caught.value.code in ("DEVICE_RESET", "LINK_TIMEOUT")  # what was on the way may be lost
+        with contextlib.closing(connect(port)) as driver:
+            assert driver.open().reset_cause == "external"

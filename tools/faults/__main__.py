@@ -15,7 +15,7 @@ from faults.rows import ROWS
 from rig.recording.folder import write_whole
 
 OUT = Path("docs/fault-table.md")
-REAL_PHASES = 2
+REAL_PHASES = 1
 
 
 def main() -> int:
@@ -39,7 +39,9 @@ def main() -> int:
     made = str(datetime.datetime.now(datetime.UTC).date())
     write_whole(given.out, render(made, lines, rows, backends, real).encode("utf-8"))
     trouble = [words for line in lines for words in line.trouble]
-    trouble += [f"{one.row}, real time, phase {one.phase:.2f}: {words}" for one in real for words in one.trouble]
+    trouble += [
+        f"{one.row}, {one.device}, real time, phase {one.phase:.2f}: {words}" for one in real for words in one.trouble
+    ]
     cases, took_s = sum(len(line.found) for line in lines) + len(real), time.monotonic() - began_s
     print("\n".join(trouble))
     print(f"{given.out}: {cases} cases, {len(trouble)} not as they should be, {took_s:.0f} s")

@@ -310,7 +310,7 @@ TCP = replace(
     changes={"daq": _modbus_daq("modbus-tcp.yaml", "tcp://192.168.0.5"), "relay": {"cycles": CYCLES + 2}},
     device=_tcp_block,
     remark="A network in virtual time, 10 Mbit/s: what it loses is sent again after 0.2 s, and what follows waits.\n"
-    "Its ways may be blocked, its connections end. No frame is damaged; a gateway may answer late, twice or not at all.",
+    "Its ways may be blocked, connections end. No frame is damaged; a gateway may be late or silent, or answer twice.",
     places=_over_tcp,
 )
 PLAIN = (CHIP, BOARD, MODBUS)

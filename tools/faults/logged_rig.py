@@ -1,31 +1,104 @@
-"""`rig`, with a log of every byte that its serial port hands to it: python -m faults.logged_rig LOG ARGUMENT..."""
+"""`rig` with a hand in its wires: python -m faults.logged_rig LOG HAND ARGUMENT...
+
+LOG gets every byte that the link hands to the host. While HAND holds a word that happens to the link: `cut`, nothing
+passes either way; `gone`, the operating system says that there is no such port, or no such connection, any more.
+"""
 
 from __future__ import annotations
 
 import os
+import socket
+import struct
 import sys
+import time
+from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import rig.bench
 import rig.session
 from rig.cli import main
 from rig.daq.serial_port import SerialPort
+from rig.daq.tcp_link import TcpTransport
 
 
-def run(log: str, arguments: list[str]) -> None:
-    """Run the command; what the host has received is in the file before the host looks at it."""
-    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+def _hung_up_terminal() -> int:
+    """A terminal whose other end is closed: what a port is like whose device was pulled out."""
+    ours, theirs = os.openpty()
+    os.close(ours)
+    return theirs
 
-    class Logged(SerialPort):
+
+def _reset_connection() -> int:
+    """A connection that its other end has reset."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        ours = socket.create_connection(server.getsockname())
+        theirs, _ = server.accept()
+        theirs.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        theirs.close()
+    return ours.detach()
+
+
+class Hand:
+    """Looks at the file at each use of the link."""
+
+    def __init__(self, log: int, word: Path) -> None:
+        self._log, self._word = log, word
+        self._is_gone = False
+
+    def is_cut(self, descriptor: int, dead: Any) -> bool:
+        """Whether nothing passes; where the link is to be gone the dead one takes its place."""
+        try:
+            word = self._word.read_text(encoding="ascii")
+        except FileNotFoundError:
+            return False
+        if word == "gone" and not self._is_gone:
+            self._is_gone = True
+            os.dup2(dead(), descriptor)
+        return word == "cut"
+
+    def note(self, data: bytes) -> None:
+        """What the host has received is in the file before the host looks at it."""
+        os.write(self._log, data)
+
+
+def run(log: str, word: str, arguments: list[str]) -> None:
+    """Run the command."""
+    hand = Hand(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644), Path(word))
+
+    class Port(SerialPort):
+        def write(self, data: bytes) -> None:
+            if not hand.is_cut(self._fd, _hung_up_terminal):
+                super().write(data)
+
         def read(self, timeout_s: float) -> bytes:
+            if hand.is_cut(self._fd, _hung_up_terminal):
+                time.sleep(timeout_s)
+                return b""
             data = super().read(timeout_s)
-            os.write(descriptor, data)
+            hand.note(data)
             return data
 
-    no_report = patch.object(rig.session, "write_report", lambda *_: None)
-    with patch.object(rig.bench, "SerialPort", Logged), no_report:
+    class Connection(TcpTransport):
+        def write(self, data: bytes) -> None:
+            if not hand.is_cut(self._socket.fileno(), _reset_connection):
+                super().write(data)
+
+        def read(self, timeout_s: float) -> bytes:
+            if hand.is_cut(self._socket.fileno(), _reset_connection):
+                time.sleep(timeout_s)
+                return b""
+            data = super().read(timeout_s)
+            hand.note(data)
+            return data
+
+    with (
+        patch.object(rig.bench, "SerialPort", Port),
+        patch.object(rig.bench, "TcpTransport", Connection),
+        patch.object(rig.session, "write_report", lambda *_: None),
+    ):
         main(arguments)
 
 
 if __name__ == "__main__":
-    run(sys.argv[1], sys.argv[2:])
+    run(sys.argv[1], sys.argv[2], sys.argv[3:])

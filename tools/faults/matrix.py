@@ -13,7 +13,7 @@ from faults import realtime
 from faults.backends import BACKENDS, PLAIN, Backend
 from faults.case import Found, measure, undisturbed
 from faults.page import Line
-from faults.realtime import REAL_ROWS, RealFound
+from faults.realtime import DEVICES, REAL_ROWS, RealFound
 from faults.rows import ROWS, Row
 
 OTHERS_SHARE = 0.4
@@ -47,8 +47,17 @@ def phases_on(backend: Backend, phases: int) -> int:
 
 
 def in_real_time(phases: int) -> list[RealFound]:
-    """What may happen to the host's process: two at a time, they mostly sleep; those that load the machine alone."""
-    cases = [(number, k, phases) for number in range(len(REAL_ROWS)) for k in range(phases)]
+    """What may happen to the host's process and its link, at so many phases of the limit cycle.
+
+    Two at a time, they mostly sleep; those that load the machine alone.
+    """
+    cases = [
+        (number, which, k, phases)
+        for number, row in enumerate(REAL_ROWS)
+        for which, device in enumerate(DEVICES)
+        if not row.only or device.key in row.only
+        for k in range(phases)
+    ]
     together = [case for case in cases if not REAL_ROWS[case[0]].alone]
     found: list[RealFound] = Parallel(n_jobs=2)(delayed(_real)(*case) for case in together)
     return found + [_real(*case) for case in cases if case not in together]
@@ -60,8 +69,8 @@ def _virtual(name: str, key: str, k: int, phases: int) -> Found:
     return measure(_BY_NAME[name], _BY_KEY[key], (k + 0.5) / phases, restarts=k == 0)
 
 
-def _real(number: int, k: int, phases: int) -> RealFound:
-    return realtime.measure(REAL_ROWS[number], (k + 0.5) / phases, restarts=k == 0)
+def _real(number: int, which: int, k: int, phases: int) -> RealFound:
+    return realtime.measure(REAL_ROWS[number], DEVICES[which], (k + 0.5) / phases, restarts=k == 0)
 
 
 @lru_cache

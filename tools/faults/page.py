@@ -46,14 +46,15 @@ in virtual time, so each number is exact and the same again. Bench and limits ar
 _TABLE = "| fault | drive 0 | within | beyond, rad | shown | lost | next run |\n|---|---|---|---|---|---|---|"
 
 _REAL_HEAD = """\
-## The host's process, in real time
+## Host and link in real time
 
-`rig relay` as a process of its own, the host-board device behind a pseudo-terminal; the drive is that of the device's
-own trace. *Late* is by how much this machine let device and loop wait in that run, which the bound is longer by.
-*Skipped* are ticks of the loop.
+`rig relay` as a process of its own, and the device as another, behind a pseudo-terminal or on a TCP port of this
+machine; the drive is that of the device's own trace. *Late* is by how much this machine let device and loop wait in
+that run, which the bound is longer by. *Skipped* are ticks of the loop. A Modbus run ends with the first reply that is
+late, by design: an overloaded host mostly ends it.
 
-| fault | drive 0 | within | late | beyond, rad | shown | lost | skipped | next run |
-|---|---|---|---|---|---|---|---|---|
+| fault | device | drive 0 | within | late | beyond, rad | shown | lost | skipped | next run |
+|---|---|---|---|---|---|---|---|---|---|
 """
 
 
@@ -101,8 +102,8 @@ def line(measured: Line) -> str:
 
 def real_table(found: Sequence[RealFound]) -> str:
     """The table of what was measured in real time."""
-    names = list(dict.fromkeys(one.row for one in found))
-    lines = [_real_line([one for one in found if one.row == name]) for name in names]
+    names = list(dict.fromkeys((one.row, one.device) for one in found))
+    lines = [_real_line([one for one in found if (one.row, one.device) == name]) for name in names]
     return _REAL_HEAD + "\n".join(lines) + "\n"
 
 
@@ -113,7 +114,7 @@ def _real_line(found: Sequence[RealFound]) -> str:
     broken = "" if all(one.off_s <= one.bound_s for one in found) else " **broken**"
     runs_on = "runs on; " if worst.code == "" and worst.status >= 0 else ""
     return (
-        f"| {worst.row} | {runs_on}{_time(worst.off_s)}{broken} | "
+        f"| {worst.row} | {worst.device} | {runs_on}{_time(worst.off_s)}{broken} | "
         f"{_time(worst.bound_s)} | {_time(worst.late_s)} | {f'{beyond:.2f}' if beyond > 0.0 else '-'} | "
         f"{'; '.join(shown)} | {sum(one.lost for one in found)} | {max(one.skipped for one in found)} | "
         f"{'; '.join(sorted({one.restart for one in found if one.restart}))} |"

@@ -1,7 +1,8 @@
-"""What may happen to the host, in real time: `rig relay` as a process of its own, the host board behind a pty.
+"""What may happen to host and link, in real time: `rig relay` as a process of its own, each device as another.
 
 The drive is that of the device's own trace. A shared machine is late now and then: by as much as the device missed its
-ticks, and the loop its, in that run, a bound is longer.
+ticks, and the loop its, in that run, a bound is longer. The chip and the I/O block catch up with ticks that they
+missed, in their own time; of these it is by how much the longest exchange took more than it should.
 """
 
 from __future__ import annotations
@@ -23,12 +24,17 @@ from typing import Any
 
 import yaml
 
-from faults.backends import BOARD, ROOT
+from faults.backends import BOARD, CHIP, MODBUS, ROOT, TCP, Backend
 from faults.bounds import Bound, bound
-from faults.rows import FREEZE_S, SEEN, SILENCE
+from faults.rows import AT_ONCE, FREEZE_S, SEEN, SILENCE
 from rig.config import check
+from rig.config.schema import Experiment
 from rig.daq.frames import FrameReader, Kind
+from rig.emulate.board_process import BoardProcess
+from rig.emulate.chip_board import ChipBoard
 from rig.emulate.host_board import HostBoard
+from rig.emulate.modbus_board import ModbusBoard
+from rig.emulate.rtu_slave import check_sum
 
 FIRST_CYCLE = 2
 TIMEOUT_S = 0.06  # as in config/demo.yaml
@@ -37,17 +43,51 @@ _WAIT_S = 60.0
 _ATTEMPTS = 3
 
 
+@dataclass(frozen=True, eq=False)
+class RealDevice:
+    """A device as a process; its rows' bounds and config are those of a backend.
+
+    is_kept  its trace has a row for each of its ticks that came late; else it catches up, in its own time
+    start    its process, config, folder: starts it, returns its port
+    """
+
+    backend: Backend
+    process: Callable[[], Any]
+    start: Callable[[Any, Experiment, Path], str]
+    changes: Mapping[str, Any]
+    told: Callable[[bytes], list[int]]
+    is_kept: bool = False
+
+    @property
+    def key(self) -> str:
+        """Of its backend."""
+        return self.backend.key
+
+
+@dataclass(frozen=True)
+class Case:
+    """What an act gets: the host's process, the device's, and the file that says what happens to the link."""
+
+    host: subprocess.Popen[str]
+    device: BoardProcess
+    hand: Path
+
+
 @dataclass(frozen=True)
 class RealRow:
-    """What happens to the host's process; the rest as in ``rows.Row``."""
+    """What happens to the host's process, or to the link; the rest as in ``rows.Row``.
+
+    codes, status  by the key of a device, "" for all others
+    """
 
     name: str
     how: str
-    act: Callable[[subprocess.Popen[str]], None]
+    act: Callable[[Case], None]
     bound: Bound
-    codes: tuple[str, ...]
+    codes: Mapping[str, tuple[str, ...]]
     status: tuple[int, ...]
     alone: bool = False
+    only: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -55,6 +95,7 @@ class RealFound:
     """As ``case.Found``; late_s: by how much device and loop together were late; skipped: ticks of the loop."""
 
     row: str
+    device: str
     phase: float
     off_s: float
     bound_s: float
@@ -68,37 +109,108 @@ class RealFound:
     trouble: tuple[str, ...]
 
 
-def _send(number: signal.Signals) -> Callable[[subprocess.Popen[str]], None]:
-    return lambda host: host.send_signal(number)
+def _send(number: signal.Signals) -> Callable[[Case], None]:
+    return lambda case: case.host.send_signal(number)
 
 
-def _freeze(host: subprocess.Popen[str]) -> None:
-    host.send_signal(signal.SIGSTOP)
+def _freeze(case: Case) -> None:
+    case.host.send_signal(signal.SIGSTOP)
     time.sleep(FREEZE_S)
-    host.send_signal(signal.SIGCONT)
+    case.host.send_signal(signal.SIGCONT)
 
 
-def _overload(host: subprocess.Popen[str]) -> None:
+def _say(word: str) -> Callable[[Case], None]:
+    """To the hand in the wires, in one piece."""
+
+    def act(case: Case) -> None:
+        fresh = case.hand.with_suffix(".new")
+        fresh.write_text(word, encoding="ascii")
+        fresh.rename(case.hand)
+
+    return act
+
+
+def _overload(case: Case) -> None:
     burners = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2 * (os.cpu_count() or 1))]
     try:
-        host.wait(_WAIT_S)
+        case.host.wait(_WAIT_S)
     finally:
         for burner in burners:
             burner.kill()
             burner.wait()
 
 
+def _serial_start(board: Any, experiment: Experiment, folder: Path) -> str:
+    assert experiment.emulated is not None
+    board.start(experiment.emulated.model_dump(), 1, folder / "device", folder / "trace.csv")
+    return str(folder / "device")
+
+
+def _modbus_start(tcp_port: int | None) -> Callable[[Any, Experiment, Path], str]:
+    def start(board: Any, experiment: Experiment, folder: Path) -> str:
+        assert experiment.emulated is not None and experiment.daq.modbus is not None
+        modbus, emulated = experiment.daq.modbus.model_dump(), experiment.emulated.model_dump()
+        return str(board.start(modbus, emulated, 1, trace=folder / "trace.csv", tcp_port=tcp_port))
+
+    return start
+
+
+def _states(log: bytes) -> list[int]:
+    """Keys of the samples in what a host has received of a serial device."""
+    return [packet.seq for packet in FrameReader().feed(log) if packet.kind == Kind.STATE]
+
+
+def _rtu_replies(log: bytes) -> list[int]:
+    """Of an I/O block: its replies to FC23 are counted from 1, as in the record."""
+    length, found, at = 13, 0, 0
+    while (at := log.find(bytes((1, 23, 8)), at)) >= 0:
+        whole = log[at : at + length]
+        is_one = len(whole) == length and check_sum(whole[:-2]) == whole[-2:]
+        found, at = found + is_one, at + (length if is_one else 1)
+    return list(range(1, found + 1))
+
+
+def _tcp_replies(log: bytes) -> list[int]:
+    return list(range(1, log.count(bytes((0, 0, 0, 11, 1, 23, 8))) + 1))
+
+
+_PATIENT = {"timeout_s": TIMEOUT_S}
+DEVICES = (
+    RealDevice(BOARD, HostBoard, _serial_start, _PATIENT, _states, is_kept=True),
+    RealDevice(CHIP, ChipBoard, _serial_start, _PATIENT, _states),
+    RealDevice(MODBUS, ModbusBoard, _modbus_start(None), {}, _rtu_replies),
+    RealDevice(TCP, ModbusBoard, _modbus_start(0), {}, _tcp_replies),
+)
+_DROPPED = ("", "LINK_TIMEOUT", "DEVICE_WATCHDOG", "LINK_REPLY")  # a Modbus run ends with the first reply that is late
+
 REAL_ROWS = (
-    RealRow("host SIGINT", "Ctrl-C", _send(signal.SIGINT), SEEN, ("INTERRUPTED",), (1,)),
-    RealRow("host SIGTERM", "kill", _send(signal.SIGTERM), SEEN, ("INTERRUPTED",), (1,)),
-    RealRow("host SIGKILL", "kill -9", _send(signal.SIGKILL), SILENCE, ("",), (-9,)),
-    RealRow("host SIGSTOP, 1 s", "and SIGCONT", _freeze, SILENCE, ("DEVICE_WATCHDOG",), (1,)),
+    RealRow("cable out", "nothing passes", _say("cut"), SILENCE, {"": ("LINK_TIMEOUT",)}, (1,)),
+    RealRow(
+        "port gone",
+        "the port's other end is closed; of TCP the connection is reset",
+        _say("gone"),
+        SILENCE,
+        {"": ("LINK_LOST",)},
+        (1,),
+    ),
+    RealRow(
+        "device reset",
+        "by its reset input",
+        lambda case: case.device.reset(),
+        AT_ONCE,
+        {"": ("DEVICE_RESET", "LINK_TIMEOUT", "DEVICE_NOT_ARMED"), "tcp": ("LINK_LOST",)},
+        (1,),
+    ),
+    RealRow("host SIGINT", "Ctrl-C", _send(signal.SIGINT), SEEN, {"": ("INTERRUPTED",)}, (1,), only=("board",)),
+    RealRow("host SIGTERM", "kill", _send(signal.SIGTERM), SEEN, {"": ("INTERRUPTED",)}, (1,), only=("board",)),
+    RealRow("host SIGKILL", "kill -9", _send(signal.SIGKILL), SILENCE, {"": ("",)}, (-9,)),
+    RealRow("host SIGSTOP, 1 s", "and SIGCONT", _freeze, SILENCE, {"": ("DEVICE_WATCHDOG",)}, (1,)),
     RealRow(
         "host overloaded",
         "two busy processes for each core",
         _overload,
         bound("no drive is older than the watchdog allows", watchdog=1, tick=2),
-        ("",),
+        {"": ("",), "chip": ("", "LINK_TIMEOUT", "DEVICE_WATCHDOG"), "modbus": _DROPPED, "tcp": _DROPPED},
         (0, 1),
         alone=True,
     ),
@@ -109,46 +221,47 @@ class EndedBefore(Exception):
     """The run ended before anything was done to it."""
 
 
-def measure(row: RealRow, phase: float, restarts: bool = False) -> RealFound:
+def measure(row: RealRow, device: RealDevice, phase: float, restarts: bool = False) -> RealFound:
     """Run it. ``phase`` 0 to 1 of the limit cycle, as far as a process can be hit.
 
-    A busy machine may starve the pseudo-terminal until the run ends by itself, before anything was done to it: then it
-    is run again. Raises EndedBefore where that happens three times.
+    A busy machine may starve the link until the run ends by itself, before anything was done to it: then it is run
+    again. Raises EndedBefore where that happens three times.
     """
     for _ in range(_ATTEMPTS - 1):
         with contextlib.suppress(EndedBefore):
-            return _measure(row, phase, restarts)
-    return _measure(row, phase, restarts)
+            return _measure(row, device, phase, restarts)
+    return _measure(row, device, phase, restarts)
 
 
-def _measure(row: RealRow, phase: float, restarts: bool) -> RealFound:
+def _measure(row: RealRow, device: RealDevice, phase: float, restarts: bool) -> RealFound:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        config = BOARD.config()
-        config["daq"] |= {"port": str(folder / "device"), "timeout_s": TIMEOUT_S}
+        config = device.backend.config()
+        config["daq"] |= {"port": str(folder / "device"), **device.changes}
         config["loop"] = {"raise_workers": True}  # of the kernel, that carry a pseudo-terminal's bytes
         path = folder / "fault.yaml"
         path.write_text(yaml.safe_dump(config), encoding="utf-8")
-        experiment = check(path)[0]
-        assert experiment.emulated is not None
-        with HostBoard() as board:
-            board.start(experiment.emulated.model_dump(), 1, folder / "device", folder / "trace.csv")
+        with device.process() as board:
+            config["daq"]["port"] = device.start(board, check(path)[0], folder)
+            path.write_text(yaml.safe_dump(config), encoding="utf-8")
+            experiment = check(path)[0]
             with _rig(folder, "relay") as host:
                 period_s = _await_cycle(folder, host)
                 time.sleep(phase * period_s)
                 happened_s = time.monotonic()
-                row.act(host)
+                row.act(Case(host, board, folder / "hand"))
                 output = host.communicate(timeout=_WAIT_S)[0]
             time.sleep(experiment.daq.watchdog_s + 0.2)
             trace = _trace(folder)
+            (folder / "hand").unlink(missing_ok=True)
             restart = _restart(folder) if restarts else ""
-        return _judged(row, phase, folder, config, (host.returncode, output), happened_s, trace, restart)
+        return _judged(row, device, phase, folder, experiment, (host.returncode, output), happened_s, trace, restart)
 
 
 @contextlib.contextmanager
 def _rig(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     command, *options = arguments
-    logged = [sys.executable, "-m", "faults.logged_rig", str(folder / f"{command}.log")]
+    logged = [sys.executable, "-m", "faults.logged_rig", str(folder / f"{command}.log"), str(folder / "hand")]
     host = subprocess.Popen(
         [*logged, command, str(folder / "fault.yaml"), *options, "--out", str(folder / f"{command}-runs")],
         stdout=subprocess.PIPE,
@@ -196,9 +309,10 @@ def _trace(folder: Path) -> list[tuple[float, float, float]]:
 
 def _judged(
     row: RealRow,
+    device: RealDevice,
     phase: float,
     folder: Path,
-    config: Mapping[str, Any],
+    experiment: Experiment,
     ended: tuple[int, str],
     happened_s: float,
     trace: list[tuple[float, float, float]],
@@ -216,27 +330,30 @@ def _judged(
     with next((folder / "relay-runs").glob("*/samples.csv")).open(encoding="ascii") as file:
         rows = list(csv.DictReader(file))
 
-    seen = [one for one in trace if one[0] >= happened_s - 0.1]
-    device_late_s = max(b[0] - a[0] for a, b in itertools.pairwise(seen)) - _DEVICE_PERIOD_S
+    times = device.backend.times(experiment, 1.0)
+    late_s = _device_late_s(device, trace, happened_s, rows, times.exchange)
     # the loop's own lateness is part of what a signal waits for; while it is stopped it is what is measured
-    counted = [r for r in rows if code == "INTERRUPTED" or code == ""]
-    loop_late_s = max((1e-6 * float(r["late_us"]) for r in counted), default=0.0)
-    late_s = max(device_late_s, 0.0) + loop_late_s
+    counted = [r for r in rows if code in ("INTERRUPTED", "")]
+    late_s += max((1e-6 * float(r["late_us"]) for r in counted), default=0.0)
     if code == "" and status >= 0:
         acted_s = [float(r["t_u_s"]) for r in rows if r["t_u_s"] and r["stage"].startswith("relay")]
         off_s = max(b - a for a, b in itertools.pairwise(acted_s))
     else:
+        began_s = happened_s
+        if row.alone:  # the run went on until a fault ended it: since the last drive
+            acted_s = [float(r["t_u_s"]) for r in rows if r["t_u_s"]]
+            driven_s = next(float(r["t_u_s"]) for r in rows if r["t_u_s"] and float(r["u_V"]) != 0.0)
+            began_s = next(t_s for t_s, u_V, _ in trace if u_V != 0.0) + acted_s[-1] - driven_s
         last = max((k for k, one in enumerate(trace) if one[1] != 0.0), default=0)
-        off_s = max(trace[last + 1][0] - happened_s, 0.0) if last + 1 < len(trace) else float("inf")
-    low, high = config["limits"]["hard_rad"]
-    times = BOARD.times(check(folder / "fault.yaml")[0], 1.0)
+        off_s = max(trace[last + 1][0] - began_s, 0.0) if last + 1 < len(trace) else float("inf")
+    low, high = experiment.limits.hard_rad
     bound_s = row.bound.seconds(times) + late_s
-    lost = _lost(folder, rows, fault, killed=status == -signal.SIGKILL)
+    lost = _lost(device.told((folder / "relay.log").read_bytes()), rows, fault, killed=status == -signal.SIGKILL)
     skipped = sum(int(b["tick"]) - int(a["tick"]) - 1 for a, b in itertools.pairwise(rows))
     trouble = []
     if not off_s <= bound_s:
         trouble.append(f"drive on for {1e3 * off_s:.1f} ms, bound {1e3 * bound_s:.1f} ms")
-    if code not in row.codes or status not in row.status:
+    if code not in row.codes.get(device.key, row.codes[""]) or status not in row.status:
         trouble.append(f"{code or 'no fault'}, exit status {status}: {output[-300:]}")
     if lost:
         trouble.append(f"{lost} samples lost")
@@ -244,17 +361,41 @@ def _judged(
         trouble.append(f"the next run: {restart}")
     beyond_rad = max(0.0, *(max(y - high, low - y) for _, _, y in trace))
     return RealFound(
-        row.name, phase, off_s, bound_s, late_s, beyond_rad, code, status, lost, skipped, restart, tuple(trouble)
+        row.name,
+        device.key,
+        phase,
+        off_s,
+        bound_s,
+        late_s,
+        beyond_rad,
+        code,
+        status,
+        lost,
+        skipped,
+        restart,
+        tuple(trouble),
     )
 
 
-def _lost(folder: Path, rows: list[dict[str, str]], fault: Mapping[str, Any] | None, *, killed: bool) -> int:
+def _device_late_s(
+    device: RealDevice,
+    trace: list[tuple[float, float, float]],
+    happened_s: float,
+    rows: list[dict[str, str]],
+    exchange_s: float,
+) -> float:
+    """By how much this machine let the device wait in that run, s. Not in its last row: what happened may be in it."""
+    if device.is_kept:
+        seen = [one for one in trace if one[0] >= happened_s - 0.1]
+        return max(max(b[0] - a[0] for a, b in itertools.pairwise(seen)) - _DEVICE_PERIOD_S, 0.0)
+    return max(max(1e-6 * float(r["io_us"]) for r in rows[:-1]) - exchange_s, 0.0)
+
+
+def _lost(told: list[int], rows: list[dict[str, str]], fault: Mapping[str, Any] | None, *, killed: bool) -> int:
     """Samples that the host received and the record has not.
 
     The last one of a killed host may have been received and not yet looked at; of a run without a fault it is no row.
     """
-    packets = FrameReader().feed((folder / "relay.log").read_bytes())
-    told = [packet.seq for packet in packets if packet.kind == Kind.STATE]
     first = int(rows[0]["seq"])
     recorded = {int(row["seq"]) for row in rows}
     told = told[told.index(first) :]

@@ -104,6 +104,11 @@ int main(int argc, char **argv)
     device_init(&self.device, &params, transmit, drive_changed, &self);
     process_announce(&self.process);
     while (process_wait(&self.process, self.start_s + device_next_tick_s(&self.device))) {
+        if (process_reset_asked()) {
+            advance_to_now(&self);
+            device_reset(&self.device, RIG_RESET_EXTERNAL);
+            trace_row(&self);
+        }
         serve_bytes(&self); /* first: what waited through a stall of this process was not late on the wire */
         serve_tick(&self);
     }

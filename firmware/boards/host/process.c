@@ -12,13 +12,16 @@
 #include <time.h>
 #include <unistd.h>
 
-static volatile sig_atomic_t stop_requested = 0;
+static volatile sig_atomic_t stop_requested = 0, reset_requested = 0;
 static sigset_t while_waiting; /* signals blocked while it waits: not those that end it */
 
 static void on_signal(int number)
 {
-    (void)number;
-    stop_requested = 1;
+    if (number == SIGUSR1) {
+        reset_requested = 1;
+    } else {
+        stop_requested = 1;
+    }
 }
 
 double process_now_s(void)
@@ -157,14 +160,17 @@ static void take_signals(void)
     sigemptyset(&blocked);
     sigaddset(&blocked, SIGINT);
     sigaddset(&blocked, SIGTERM);
+    sigaddset(&blocked, SIGUSR1);
     sigprocmask(SIG_BLOCK, &blocked, &while_waiting);
     sigdelset(&while_waiting, SIGINT);
     sigdelset(&while_waiting, SIGTERM);
+    sigdelset(&while_waiting, SIGUSR1);
     struct sigaction action;
     memset(&action, 0, sizeof action);
     action.sa_handler = on_signal;
     sigaction(SIGINT, &action, NULL);
     sigaction(SIGTERM, &action, NULL);
+    sigaction(SIGUSR1, &action, NULL);
 }
 
 void process_open(process *self, const char *columns)
@@ -208,6 +214,13 @@ void process_close(process *self)
 }
 
 /* ---- waiting ---- */
+
+bool process_reset_asked(void)
+{
+    const bool is_asked = reset_requested != 0;
+    reset_requested = 0;
+    return is_asked;
+}
 
 bool process_wait(process *self, double until_s)
 {

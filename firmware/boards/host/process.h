@@ -48,6 +48,9 @@ void process_announce(const process *self);
 /* Sleeps until a byte comes or until `until_s`. False when it is time to exit. */
 bool process_wait(process *self, double until_s);
 
+/* Whether somebody has pressed the reset button (SIGUSR1) since it was asked last. */
+bool process_reset_asked(void);
+
 /* Bytes from the host that wait; 0 for none. */
 size_t process_read(const process *self, uint8_t *bytes, size_t n);
 
