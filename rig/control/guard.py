@@ -22,7 +22,8 @@ class GuardSettings:
     reaction_s         time at full speed to add to that: a tick, the latency and the watchdog time, so that the
                        shaft stays inside even if the host dies at this instant
     noise_rad          sensor noise, standard deviation, at least one LSB
-    stuck_s, motion_rad  a drive well above static friction for stuck_s must move the shaft by motion_rad
+    stuck_s, motion_rad  a drive well above static friction for stuck_s must move the shaft by motion_rad, or for twice
+                       the longest time that the shaft has needed so far
     """
 
     limits: Limits
@@ -235,7 +236,8 @@ class Guard:
                 f"{self.velocity_rad_s * sign:.1f} rad/s under the same drive",
             )
         still_s = self._standstill.step(sample.t_s, sample.y_rad, self.settings.motion_rad)
-        if still_s >= self.settings.stuck_s:
+        # a slow shaft with coarse counts has shown that it takes longer
+        if still_s >= max(self.settings.stuck_s, 2.0 * self._standstill.longest_s):
             moved_rad = self._standstill.high_rad - self._standstill.low_rad
             raise Fault(
                 "SENSOR_STUCK",

@@ -16,9 +16,11 @@ class Standstill:
     still_s           that time, s
     low_rad, high_rad readings meanwhile
     same_s            time for which the reading has not changed at all, s
+    longest_s         longest stand so far that the reading has left, s
     """
 
     def __init__(self) -> None:
+        self.longest_s = 0.0
         self.restart()
 
     def restart(self) -> None:
@@ -34,7 +36,10 @@ class Standstill:
     def step(self, t_s: float, y_rad: float, span_rad: float) -> float:
         """Time for which the reading has stood at this sample, s: readings nearer than ``span_rad`` are one place."""
         self.low_rad, self.high_rad = min(self.low_rad, y_rad), max(self.high_rad, y_rad)
-        if self.high_rad - self.low_rad >= span_rad or math.isnan(self._since_s):
+        leaves = self.high_rad - self.low_rad >= span_rad
+        if leaves:
+            self.longest_s = max(self.longest_s, t_s - self._since_s)
+        if leaves or math.isnan(self._since_s):
             self._since_s, self.low_rad, self.high_rad = t_s, y_rad, y_rad
         if y_rad != self._last_rad:
             self._changed_s, self._last_rad = t_s, y_rad

@@ -93,6 +93,19 @@ def test_the_guard_finds_a_reading_that_freezes_while_the_drive_speeds_the_shaft
     assert t_s - frozen_s <= 0.04
 
 
+def test_a_slow_shaft_teaches_the_guard_its_own_pace() -> None:
+    """Steps of 25 mrad, one in 0.25 s: then the next may take up to 0.5 s; it takes 0.45 s, and 0.9 s are too long."""
+    guard = Guard(GUARD)
+    guard.static_V = 0.5
+    moves_s, y, t_s = [0.25, 0.5, 0.95], 0.0, 0.0
+    with pytest.raises(Fault, match="SENSOR_STUCK"):
+        for k in range(300):
+            t_s = 0.01 * k
+            y = 0.025 * sum(t_s >= move_s - 1e-9 for move_s in moves_s)
+            guard.allow(Sample(t_s, y, round(CALIBRATION.to_counts(y))), 0.8)
+    assert t_s == pytest.approx(0.95 + 2.0 * 0.45, abs=0.02)
+
+
 def cycle(period_s: float, amplitude_rad: float, reason: str = "") -> DetectedCycle:
     return DetectedCycle(0.0, period_s, amplitude_rad, not reason, reason)
 
