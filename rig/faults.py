@@ -113,7 +113,7 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "RELAY_STOPPED": FaultEntry(
         "the relay in the device drove where the guard does not let it",
-        "lower the relay's amplitude, or widen the limits",
+        "lower the relay's amplitude, or widen the limits; where it ran well before, check the motor's wires",
     ),
     # guard
     "TRAVEL_HARD": FaultEntry(

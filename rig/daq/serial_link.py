@@ -392,8 +392,12 @@ class SerialDriver:
             raise self._relay_fault(stream)
         silent_s = self._transport.now_s() - stream.heard_s
         if silent_s > frames.BLOCK_ROWS * TICK_S + self._timeout_s:
-            self.read()  # the device may say why
-            raise Fault("LINK_TIMEOUT", f"the relay runs, but no block came for {1e3 * silent_s:.0f} ms")
+            sample = self.read()  # the device may say why
+            raise Fault(
+                "LINK_TIMEOUT",
+                f"the relay runs, but no block came for {1e3 * silent_s:.0f} ms; {sample.y_rad:.4f} rad, "
+                f"{sample.y_counts} counts",
+            )
         return rows
 
     def stop_relay(self) -> list[RelayRow]:

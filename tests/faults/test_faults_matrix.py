@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import json
 import math
+import os
 import random
 import re
+import socket
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from faults import damage, realtime
+from faults import damage, logged_rig, realtime
 from faults.backends import BACKENDS, BOARD, CHIP, CHIP_RELAY, OTHERS, PLAIN, SEPARATE, TCP, Backend
 from faults.bounds import bound
 from faults.case import measure, new_stand, restart, undisturbed
 from faults.language import ModbusLanguage, Reading, SerialLanguage, is_drive
-from faults.page import Line, line, render
+from faults.page import Line, line, render, summary
 from faults.realtime import DEVICES, REAL_ROWS
 from faults.rows import FREEZE_S, ROWS, Row
 from rig.daq.frames import Block, Kind, RelaySetup, State, encode, pack_drive
@@ -203,6 +206,28 @@ def test_damage_is_what_it_says() -> None:
     assert [first(piece, rng) for piece in (b"a", b"b")] == [[], [(0.0, b"b")]]
 
 
+def test_what_a_host_was_told_in_real_time_is_counted() -> None:
+    rtu, tcp = {device.key: device.told for device in DEVICES}["modbus"], DEVICES[3].told
+    reply = bytes((23, 8, 2, 0, 0, 5, 0, 0, 0, 1))
+    log = frame(1, bytes((3, 2, 1, 23))) + frame(1, reply) + frame(1, reply)[:-1] + b"\0" + frame(1, reply)
+    assert rtu(log) == [1, 2]  # the one between is damaged
+    assert tcp(Adu(1, 1, bytes((3, 2, 1, 23))).pack() + 2 * Adu(2, 1, reply).pack()) == [1, 2]
+    assert DEVICES[0].told(encode(Kind.STATE, 9, State(1, 512, 0, 2, 3, 4, 1, 0).pack())) == [9]
+
+
+def test_a_dead_terminal_and_a_dead_connection_are_dead(tmp_path: Path) -> None:
+    terminal, connection = logged_rig.hung_up_terminal(), logged_rig.reset_connection()
+    with contextlib.closing(socket.socket(fileno=connection)) as dead, pytest.raises(ConnectionResetError):
+        dead.recv(1)
+    with pytest.raises(OSError):
+        os.read(terminal, 1)
+    os.close(terminal)
+    hand = logged_rig.Hand(0, tmp_path / "hand")
+    assert not hand.is_cut(0, lambda: 0)
+    realtime.say("cut")(realtime.Case(None, None, tmp_path / "hand"))  # type: ignore[arg-type]
+    assert hand.is_cut(0, lambda: 0)
+
+
 # ---------------------------------------------------------------------- clocks
 
 
@@ -254,6 +279,10 @@ def test_the_page_is_what_the_command_writes(tmp_path: Path) -> None:
     page = render("today", [one], [row], [BOARD])
     for text in ("## On the host-board device", "| port gone |", "refused: LINK_LOST; mended: moves", "2 tick"):
         assert text in page
+    silent_s, within_s = one.found[0].off_s, one.found[0].bound_s
+    assert f"| {BOARD.title} | 1 | 1 | {1e3 * silent_s:.1f} ms | {1e3 * within_s:.1f} ms | port gone, " in page
+    wrong = replace(one, found=(replace(one.found[0], lost=3, trouble=("3 samples lost",)),))
+    assert summary([wrong], [BOARD]).endswith("% | 3 | 1 |")
     head = next(text for text in page.splitlines() if text.startswith("| fault | drive 0"))
     assert head in PAGE.read_text(encoding="utf-8")
 

@@ -196,6 +196,12 @@ def is_drive(request: bytes) -> bool:
     return (packet is not None and packet.kind == Kind.DRIVE) or _rtu_pdu(request)[:1] == b"\x10"
 
 
+def is_block(reply: bytes) -> bool:
+    """Whether a serial reply is a BLOCK."""
+    packet = _packet(reply)
+    return packet is not None and packet.kind == Kind.BLOCK
+
+
 def is_keep(request: bytes) -> bool:
     """Whether a serial request is a KEEP."""
     packet = _packet(request)

@@ -22,14 +22,14 @@ from rig.daq.serial_port import SerialPort
 from rig.daq.tcp_link import TcpTransport
 
 
-def _hung_up_terminal() -> int:
+def hung_up_terminal() -> int:
     """A terminal whose other end is closed: what a port is like whose device was pulled out."""
     ours, theirs = os.openpty()
     os.close(ours)
     return theirs
 
 
-def _reset_connection() -> int:
+def reset_connection() -> int:
     """A connection that its other end has reset."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         ours = socket.create_connection(server.getsockname())
@@ -68,11 +68,11 @@ def run(log: str, word: str, arguments: list[str]) -> None:
 
     class Port(SerialPort):
         def write(self, data: bytes) -> None:
-            if not hand.is_cut(self._fd, _hung_up_terminal):
+            if not hand.is_cut(self._fd, hung_up_terminal):
                 super().write(data)
 
         def read(self, timeout_s: float) -> bytes:
-            if hand.is_cut(self._fd, _hung_up_terminal):
+            if hand.is_cut(self._fd, hung_up_terminal):
                 time.sleep(timeout_s)
                 return b""
             data = super().read(timeout_s)
@@ -81,11 +81,11 @@ def run(log: str, word: str, arguments: list[str]) -> None:
 
     class Connection(TcpTransport):
         def write(self, data: bytes) -> None:
-            if not hand.is_cut(self._socket.fileno(), _reset_connection):
+            if not hand.is_cut(self._socket.fileno(), reset_connection):
                 super().write(data)
 
         def read(self, timeout_s: float) -> bytes:
-            if hand.is_cut(self._socket.fileno(), _reset_connection):
+            if hand.is_cut(self._socket.fileno(), reset_connection):
                 time.sleep(timeout_s)
                 return b""
             data = super().read(timeout_s)

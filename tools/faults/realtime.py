@@ -119,7 +119,7 @@ def _freeze(case: Case) -> None:
     case.host.send_signal(signal.SIGCONT)
 
 
-def _say(word: str) -> Callable[[Case], None]:
+def say(word: str) -> Callable[[Case], None]:
     """To the hand in the wires, in one piece."""
 
     def act(case: Case) -> None:
@@ -184,11 +184,11 @@ DEVICES = (
 _DROPPED = ("", "LINK_TIMEOUT", "DEVICE_WATCHDOG", "LINK_REPLY")  # a Modbus run ends with the first reply that is late
 
 REAL_ROWS = (
-    RealRow("cable out", "nothing passes", _say("cut"), SILENCE, {"": ("LINK_TIMEOUT",)}, (1,)),
+    RealRow("cable out", "nothing passes", say("cut"), SILENCE, {"": ("LINK_TIMEOUT",)}, (1,)),
     RealRow(
         "port gone",
         "the port's other end is closed; of TCP the connection is reset",
-        _say("gone"),
+        say("gone"),
         SILENCE,
         {"": ("LINK_LOST",)},
         (1,),

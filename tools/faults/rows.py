@@ -12,7 +12,7 @@ from typing import Any
 
 from faults import damage, host
 from faults.bounds import Bound, bound
-from faults.language import is_drive, is_keep
+from faults.language import is_block, is_drive, is_keep
 from faults.stand import Stand
 from rig.emulate.virtual_chip import VirtualChip
 
@@ -445,6 +445,14 @@ ROWS = (
         True,
         NO_LINK,
         other=UNHEARD,
+    ),
+    Row(
+        "blocks lost",
+        "none comes, and what is asked is answered",
+        _down(lambda: damage.only(is_block, damage.lost)),
+        SILENT,
+        ("LINK_TIMEOUT",),
+        only=("relay",),
     ),
     Row(
         "KEEPs lost",
