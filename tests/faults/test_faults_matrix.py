@@ -219,8 +219,9 @@ def test_a_dead_terminal_and_a_dead_connection_are_dead(tmp_path: Path) -> None:
     terminal, connection = logged_rig.hung_up_terminal(), logged_rig.reset_connection()
     with contextlib.closing(socket.socket(fileno=connection)) as dead, pytest.raises(ConnectionResetError):
         dead.recv(1)
+    assert os.read(terminal, 1) == b""  # its end
     with pytest.raises(OSError):
-        os.read(terminal, 1)
+        os.write(terminal, b"a")
     os.close(terminal)
     hand = logged_rig.Hand(0, tmp_path / "hand")
     assert not hand.is_cut(0, lambda: 0)
