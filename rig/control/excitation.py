@@ -317,7 +317,7 @@ class RelayTest(_RelayLaw[Relay]):
                 f"h2 {self.relay.h2_V:.2f} V, not settled{last}",
             )
         if completed:
-            self.watch.end_period(self.detector.cycles[-1], settled=self.detector.settled)
+            self.watch.end_period(self.detector.cycles[-1])
             if not self.detector.settled:
                 self.settled_start_s = math.nan
             elif math.isnan(self.settled_start_s):

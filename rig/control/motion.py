@@ -98,17 +98,16 @@ class CycleWatch:
 
     The shaft stands where it turns, a little longer where the drive before it is below friction, and moves everywhere
     else. The longest stand of the last periods is learned, and ``LONGER`` times that is allowed; but not less than a
-    part of the longest of these periods (``SETTLED`` once the cycle has settled, ``GROWING`` before) nor more than
-    ``MOST``. A cycle goes on where both last periods were accepted, are nearly alike, and the amplitude keeps or grows:
-    one that dies away may well stand, and is not judged.
+    part ``LEAST`` of the longest of these periods, nor more than ``MOST`` of it. A cycle goes on where both last
+    periods were accepted, are nearly alike, and the amplitude keeps or grows: one that dies away may well stand, and is
+    not judged.
 
     min_amplitude_rad  smallest amplitude of a limit cycle; a quarter of it, or the part ``SPAN`` of the amplitude, is
                        what a reading keeps within while the shaft stands
     """
 
     LONGER = 3.0
-    SETTLED = 1.0 / 3.0
-    GROWING = 0.5
+    LEAST = 0.6
     MOST = 1.0
     SPAN = 0.05
     PERIODS = 3  # the last ones
@@ -137,7 +136,7 @@ class CycleWatch:
                 f"longer than {self.longest_s:.2f} s; {self.standstill.words()}",
             )
 
-    def end_period(self, cycle: DetectedCycle, *, settled: bool) -> None:
+    def end_period(self, cycle: DetectedCycle) -> None:
         """A period is over: learn from it."""
         before = self._last[-1][0] if self._last else None
         self._last.append((cycle, self._running_s))
@@ -152,5 +151,6 @@ class CycleWatch:
             and abs(cycle.period_s / before.period_s - 1.0) < self.ALIKE
         )
         period_s = max(one.period_s for one, _ in self._last)
-        least_s = period_s * (self.SETTLED if settled else self.GROWING)
-        self.allowed_s = min(max(self.LONGER * self.longest_s, least_s), self.MOST * period_s) if goes_on else math.inf
+        self.allowed_s = (
+            min(max(self.LONGER * self.longest_s, self.LEAST * period_s), self.MOST * period_s) if goes_on else math.inf
+        )

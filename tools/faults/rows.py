@@ -98,8 +98,8 @@ AGAIN_AND_AGAIN = bound("three readings in a row within a time-out each", timeou
 RUNNING = bound("no drive is older", period=2, exchange=1)
 RAMP = bound("the breakaway check ends", breakaway=1)
 LOOKED = bound("the loop looks at the recorder every 25 ticks", check=1, period=1, exchange=1, frame=1, tick=2)
-STANDS = "no cycle that goes on stands for half of its longest period, whatever drives; periods jitter by some ticks"
-COASTS = "the shaft comes to rest within half a period; no cycle that goes on stands for another half"
+STANDS = "no cycle that goes on stands for 0.6 of its longest period, whatever drives; periods jitter by some ticks"
+COASTS = "the shaft comes to rest within 0.4 of a period; no cycle that goes on stands for the other 0.6"
 RUN_AWAY = bound("until it is at the limit", cycle=0.5, runaway=1, exchange=1, frame=1, tick=2)
 # of a relay in the device, whose rows come in blocks
 GAP = bound(
@@ -549,11 +549,11 @@ ROWS = (
         "sensor stuck",
         "it holds its reading",
         _rewire(sensor="stuck"),
-        bound(STANDS, cycle=0.5, exchange=1, period=3, frame=1, tick=2),
+        bound(STANDS, cycle=0.6, exchange=1, period=3, frame=1, tick=2),
         ("SENSOR_STUCK",),
         True,
         ("NO_MOTION",),
-        other={"relay": {"bound": bound(STANDS, cycle=0.5, block=1, exchange=1, period=3, frame=1, tick=2)}},
+        other={"relay": {"bound": bound(STANDS, cycle=0.6, block=1, exchange=1, period=3, frame=1, tick=2)}},
         remark="under the relay's whole drive it is found in some 40 ms (a window of the velocity), or in 0.3 s "
         "where the shaft was just turning; else the inner level drives. In the first two periods of a test, and "
         "in the search for gains, only a drive well above friction finds it: where the inner level lasts, not before "
