@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterator
 import pytest
 from hypothesis import settings
 
-# The same examples in every run, so that what fails says what changed; `make search` draws others.
-settings.register_profile("same", derandomize=True)
-settings.register_profile("search", derandomize=False, print_blob=True)
+# The same examples in every run, so that what fails says what changed; `make search` draws others. No deadline: times
+# are ratios to a peer, in tools/bench.
+settings.register_profile("same", derandomize=True, deadline=None)
+settings.register_profile("search", derandomize=False, print_blob=True, deadline=None)
 settings.load_profile("same")
 
 
