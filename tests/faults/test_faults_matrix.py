@@ -20,6 +20,7 @@ from faults.backends import BACKENDS, BOARD, CHIP, CHIP_RELAY, OTHERS, PLAIN, SE
 from faults.bounds import bound
 from faults.case import measure, new_stand, restart, undisturbed
 from faults.language import ModbusLanguage, Reading, SerialLanguage, is_drive
+from faults.matrix import phases_on
 from faults.page import Line, line, render, summary
 from faults.realtime import DEVICES, REAL_ROWS
 from faults.rows import FREEZE_S, ROWS, Row
@@ -28,6 +29,7 @@ from rig.emulate.rtu_slave import frame
 from rig.emulate.tcp_slave import Adu
 
 ROOT = Path(__file__).resolve().parents[2]
+PHASES = 5  # that `make faults` takes
 PAGE = ROOT / "docs" / "fault-table.md"
 
 
@@ -47,7 +49,7 @@ CASES = [(row, backend) for backend in PLAIN for row in ROWS if row.is_for(backe
 def test_every_fault_ends_within_its_bound_with_its_code_and_no_sample_lost(row: Row, backend: Backend) -> None:
     found = measure(row, backend, random.Random(f"{row.name} {backend.key}").random())
     assert found.trouble == ()
-    assert found.off_s <= found.bound_s and found.lost == 0
+    assert found.off_s <= found.bound_s and found.lost <= row.on(backend.traits).may_lose
 
 
 @pytest.mark.parametrize("name", ["port gone", "device reset", "sensor wire broken", "drive reversed", "host SIGKILL"])
@@ -265,7 +267,7 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
                 continue
             cells = lines[row.name]
             assert re.search(r"\d", cells[2]) and re.search(r"\d", cells[3]), cells
-            assert cells[6].strip() == "0", cells  # samples lost
+            assert int(cells[6]) <= row.on(backend.traits).may_lose * phases_on(backend, PHASES), cells
             assert cells[7].strip().endswith("moves"), cells
     real = page.split("## Host and link in real time\n")[1].split("\n## ")[0]
     for real_row in REAL_ROWS:

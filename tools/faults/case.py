@@ -297,7 +297,7 @@ def _trouble(found: Found, row: Row, backend: Backend, run: Run) -> Iterator[str
         yield "a relay ran"
     if row.same and _decided(run.rows) != _decided(undisturbed(backend).rows):
         yield "the record is another"
-    if found.lost:
+    if found.lost > row.may_lose:
         yield f"{found.lost} samples lost"
     if "Traceback" in run.output or any(e["kind"] == "traceback" for e in run.events):
         yield "a traceback"

@@ -49,6 +49,8 @@ class RealDevice:
 
     is_kept  its trace has a row for each of its ticks that came late; else it catches up, in its own time
     start    its process, config, folder: starts it, returns its port
+    changes  of the config's section daq
+    told     keys of the samples in what its host has received; ``apart``: least distance between two of them
     """
 
     backend: Backend
@@ -56,6 +58,7 @@ class RealDevice:
     start: Callable[[Any, Experiment, Path], str]
     changes: Mapping[str, Any]
     told: Callable[[bytes], list[int]]
+    apart: int
     is_kept: bool = False
 
     @property
@@ -176,10 +179,10 @@ def _tcp_replies(log: bytes) -> list[int]:
 
 _PATIENT = {"timeout_s": TIMEOUT_S}
 DEVICES = (
-    RealDevice(BOARD, HostBoard, _serial_start, _PATIENT, _states, is_kept=True),
-    RealDevice(CHIP, ChipBoard, _serial_start, _PATIENT, _states),
-    RealDevice(MODBUS, ModbusBoard, _modbus_start(None), {}, _rtu_replies),
-    RealDevice(TCP, ModbusBoard, _modbus_start(0), {}, _tcp_replies),
+    RealDevice(BOARD, HostBoard, _serial_start, _PATIENT, _states, 2, is_kept=True),
+    RealDevice(CHIP, ChipBoard, _serial_start, _PATIENT, _states, 2),
+    RealDevice(MODBUS, ModbusBoard, _modbus_start(None), {}, _rtu_replies, 1),
+    RealDevice(TCP, ModbusBoard, _modbus_start(0), {}, _tcp_replies, 1),
 )
 _DROPPED = ("", "LINK_TIMEOUT", "DEVICE_WATCHDOG", "LINK_REPLY")  # a Modbus run ends with the first reply that is late
 
@@ -348,7 +351,9 @@ def _judged(
         off_s = max(trace[last + 1][0] - began_s, 0.0) if last + 1 < len(trace) else float("inf")
     low, high = experiment.limits.hard_rad
     bound_s = row.bound.seconds(times) + late_s
-    lost = _lost(device.told((folder / "relay.log").read_bytes()), rows, fault, killed=status == -signal.SIGKILL)
+    lost = _lost(
+        device.told((folder / "relay.log").read_bytes()), device.apart, rows, fault, killed=status == -signal.SIGKILL
+    )
     skipped = sum(int(b["tick"]) - int(a["tick"]) - 1 for a, b in itertools.pairwise(rows))
     trouble = []
     if not off_s <= bound_s:
@@ -391,14 +396,20 @@ def _device_late_s(
     return max(max(1e-6 * float(r["io_us"]) for r in rows[:-1]) - exchange_s, 0.0)
 
 
-def _lost(told: list[int], rows: list[dict[str, str]], fault: Mapping[str, Any] | None, *, killed: bool) -> int:
+def _lost(
+    told: list[int], apart: int, rows: list[dict[str, str]], fault: Mapping[str, Any] | None, *, killed: bool
+) -> int:
     """Samples that the host received and the record has not.
 
-    The last one of a killed host may have been received and not yet looked at; of a run without a fault it is no row.
+    apart  least distance between the keys of two samples; what is nearer was asked for again, and answered twice
+
+    The last one of a killed host may have been received and not yet looked at; of a run without a fault it is no row;
+    and after a time-out it came too late.
     """
     first = int(rows[0]["seq"])
     recorded = {int(row["seq"]) for row in rows}
     told = told[told.index(first) :]
-    missing = [seq for seq in told if seq not in recorded]
-    may_miss = killed or fault is None or "counts" in str(fault["detail"])
+    missing = [seq for seq in told if recorded.isdisjoint(range(seq - apart + 1, seq + apart))]
+    too_late = fault is not None and fault["code"] in ("LINK_TIMEOUT", "LINK_REPLY")
+    may_miss = killed or fault is None or too_late or "counts" in str(fault["detail"])
     return len(missing) - (may_miss and missing[-1:] == told[-1:])

@@ -46,6 +46,7 @@ class Row:
     absent   traits of devices to which it does not apply, and why
     only_seen  the motor is driven on, whatever the device puts out
     other    what is otherwise on a device: fields by a trait; of several, in the order of the device's traits
+    may_lose samples that are lost by chance; the remark says why
     remark   what else is to be said
     """
 
@@ -66,6 +67,7 @@ class Row:
     absent: Mapping[str, str] = field(default_factory=dict)
     only_seen: bool = False
     other: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    may_lose: int = 0
     remark: str = ""
 
     def on(self, traits: Sequence[str]) -> Row:
@@ -739,7 +741,9 @@ ROWS = (
         ("",),
         alone=True,
         status=(-signal.SIGKILL,),
-        remark="the record ends with `loop_died`",
+        other={"separate": {"may_lose": 1}},
+        remark="the record ends with `loop_died`. Where drives are confirmed (FC16) the sample of a tick is recorded "
+        "once its drive is: a host that is killed in between takes it along",
     ),
     Row(
         "host SIGSTOP, 1 s",
