@@ -34,8 +34,13 @@ def main() -> int:
     began_s = time.monotonic()
     rows = [row for row in ROWS if given.only in row.name]
     backends = [backend for backend in BACKENDS if given.device in (None, backend.key)]
+    if not any(row.is_for(backend.traits) for row in rows for backend in backends):
+        parser.error(f"no row with {given.only!r} in its name is for that device")
+    is_part = given.only != "" or given.device is not None
+    if is_part and given.out == OUT:
+        parser.error(f"a part of the table would replace {OUT}: name another file with --out")
     lines = in_virtual_time(rows, backends, given.phases)
-    real = in_real_time(REAL_PHASES) if given.only == "" and given.device is None else []
+    real = [] if is_part else in_real_time(REAL_PHASES)
     made = str(datetime.datetime.now(datetime.UTC).date())
     write_whole(given.out, render(made, lines, rows, backends, real).encode("utf-8"))
     trouble = [words for line in lines for words in line.trouble]
