@@ -27,7 +27,7 @@ from rig.control.relay import RelayOnCounts
 from rig.daq.calibration import DriveMap
 from rig.daq.driver import RelayDriver
 from rig.daq.frames import STATUS_RELAY, Block, Code, FrameReader, Kind, Nack, RelaySetup, encode
-from rig.daq.relay_stream import RelayCommand
+from rig.daq.relay_stream import RelayCommand, RelayRow
 from rig.daq.serial_link import SerialDriver
 from rig.emulate.virtual_board import VirtualBoard
 from rig.faults import Fault
@@ -505,6 +505,28 @@ def test_whatever_ends_the_run_each_row_that_came_is_in_the_record(cause: str) -
     assert bool(stopping) == (cause != "limit")  # of itself the device tells in the test's own rows
     assert all(math.isnan(row["z_rad_s"]) for row in stopping)
     assert rows[-1]["u_V"] == 0.0 or cause != "limit"
+
+
+@pytest.mark.parametrize(("cause", "code"), [("the device", "DEVICE_RELAY"), ("the guard", "OVERSPEED")])
+def test_what_is_wrong_with_the_last_ticks_ends_the_run_by_its_name(cause: str, code: str) -> None:
+    """The relay was stopped before they are judged: nothing more can come of it, and nothing is lost."""
+    bench = DeviceBench()
+    stop_relay, last = bench.driver.stop_relay, []
+
+    def stopped() -> list[RelayRow]:
+        first, *others = stop_relay()
+        last.extend([first._replace(u_V=-first.u_V) if cause == "the device" else first, *others])
+        return list(last)
+
+    def judge(t_s: float) -> None:
+        if last:
+            raise Fault("OVERSPEED")
+
+    bench.driver.stop_relay = stopped  # type: ignore[method-assign]
+    assert fault_of(lambda: bench.run(judge)).code == code
+    assert [row["y_rad"] for row in bench.record.rows[-len(last) :]] == [row.y_rad for row in last]
+    assert {event["kind"] for event in bench.record.events} == {"stage", "stop"}
+    assert bench.board.truth().pin_V == 0.0
 
 
 class Wire:
