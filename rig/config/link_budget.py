@@ -14,6 +14,7 @@ from rig.config.modbus import Modbus, is_tcp, read_in_a_tick, span_of, written_i
 from rig.config.schema import Experiment
 
 LINK_SHARE = 0.8  # of the period that the exchange may take; measured, the whole tick
+REPLY_SHARE = 2 / 3  # of daq.timeout_s, after which the serial driver asks for a reading again
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000, 921600, 1_000_000, 2_000_000)
 
 # Wire format version 1: bytes of the body of each frame of one tick (host asks, device tells, host drives)

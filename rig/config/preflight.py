@@ -6,12 +6,22 @@ where another has already refused what it builds on, so that one mistake gives o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
 
 from rig.config.backend import CHIP_BAUDS, CHIP_PORTS, EMULATED_PORTS, is_plug_in
-from rig.config.link_budget import BAUD_RATES, LINK_SHARE, block_share, block_sum, link_budget, link_sum
+from rig.config.link_budget import (
+    BAUD_RATES,
+    LINK_SHARE,
+    REPLY_SHARE,
+    block_share,
+    block_sum,
+    link_budget,
+    link_sum,
+    reading_budget,
+)
 from rig.config.modbus import is_tcp
 from rig.config.modbus_rules import modbus_rules, reads_too_far_apart
 from rig.config.plan import plan
@@ -101,6 +111,21 @@ def _link_budget(e: Experiment) -> Iterator[Problem]:
     hint = f"{way_out}period_s of {period_s:.2g} and more" if period_s <= 0.1 else way_out.removesuffix(", or ")
     key = "period_s" if is_tcp(e.daq.port) else "daq.baud"
     yield wrong(key, f"too slow for the period: {link_sum(e)}", hint)
+
+
+def _reply_time(e: Experiment) -> Iterator[Problem]:
+    """Three readings in a row that are asked for again end a run: of a sound link none is."""
+    reading = reading_budget(e)
+    if e.daq.driver != "serial" or not _fits(e, e.daq.baud):
+        return
+    if reading.total_s > REPLY_SHARE * e.daq.timeout_s * (1 + _SLACK):
+        least_ms = math.ceil(1e4 * reading.total_s / REPLY_SHARE) / 10
+        yield wrong(
+            "daq.timeout_s",
+            f"{1e3 * e.daq.timeout_s:g} ms is too short for a reading: {reading.written}; after two thirds of the "
+            "time-out it is asked for again, and three such in a row end the run",
+            f"{least_ms / 1e3:g} seconds and more, or a higher daq.baud",
+        )
 
 
 def _spin(e: Experiment) -> Iterator[Problem]:
@@ -415,6 +440,7 @@ _RULES: tuple[Rule, ...] = (
     modbus_rules,
     _spin,
     _link_budget,
+    _reply_time,
     _device_relay,
     _watchdog,
     _limits,

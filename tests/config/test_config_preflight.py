@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from rig.config import ConfigError, Experiment, check, load, preflight
-from rig.daq import frames
+from rig.config.link_budget import REPLY_SHARE
+from rig.daq import frames, serial_link
 from rig.daq.calibration import Calibration
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
@@ -149,6 +150,12 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "daq.baud",
         "READ 8 + STATE 26 + DRIVE 10 = 44 bytes x 11 bits / 9600 baud = 50.42 ms, + 1 ms turnaround = 51.42 ms; "
         "80% of the period is 8.00 ms",
+    ),
+    "time-out too short for a reading": (
+        {"daq__timeout_s": 0.006},
+        "daq.timeout_s",
+        "6 ms is too short for a reading: READ 8 + STATE 26 = 34 bytes x 11 bits / 115200 baud = 3.25 ms, + 1 ms "
+        "turnaround = 4.25 ms; after two thirds of the time-out it is asked for again",
     ),
     "serial without port": ({"daq__port": None}, "daq.port", "`driver: serial` needs a port"),
     "simulated with port": ({"daq__driver": "simulated"}, "daq.port", "`driver: simulated` has no port"),
@@ -292,6 +299,13 @@ def test_frames_are_as_long_as_the_link_budget_says() -> None:
     block = frames.Block(0, 0, 0, 0, 0, ((0, 0),) * frames.BLOCK_ROWS).pack()
     in_device = experiment(relay__where="device", limits__max_speed_rad_s=4.5)
     assert f"BLOCK {len(frames.encode(frames.Kind.BLOCK, 7, block))} bytes" in "\n".join(preflight(in_device).lines)
+
+
+def test_a_time_out_that_is_hinted_at_passes_and_the_driver_asks_again_when_the_rule_says() -> None:
+    (problem,) = preflight(experiment(daq__timeout_s=0.006)).problems
+    assert problem.hint == "0.0064 seconds and more, or a higher daq.baud"
+    assert not preflight(experiment(daq__timeout_s=0.0064)).problems
+    assert serial_link._READ_SHARES[0] == REPLY_SHARE
 
 
 def test_sensor_range_is_that_of_the_calibration_used_by_the_driver(tmp_path: Path) -> None:
