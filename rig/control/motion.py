@@ -10,6 +10,14 @@ from rig.model.cycle_detector import DetectedCycle
 from rig.signals import Sample
 
 
+def is_obeyed(asked_V: float, acting_V: float) -> bool:
+    """Whether the drive that a device reports is the one asked for, as far as its steps allow.
+
+    Half a percent and 50 mV are more than steps of 8 bits can explain.
+    """
+    return abs(acting_V - asked_V) <= 0.05 + 0.005 * abs(asked_V)
+
+
 class Standstill:
     """How long a reading has kept within a span: since it last left it, at the start since the first sample.
 
@@ -100,7 +108,8 @@ class CycleWatch:
     else. The longest stand of the last periods is learned, and ``LONGER`` times that is allowed; but not less than a
     part ``LEAST`` of the longest of these periods, nor more than ``MOST`` of it. A cycle goes on where both last
     periods were accepted, are nearly alike, and the amplitude keeps or grows: one that dies away may well stand, and is
-    not judged.
+    not judged. Where another drive has acted than the relays asked for (the guard has braked), the shaft may stop
+    anywhere, and an inner level below friction leaves it there until the integral turns: what was learned is forgotten.
 
     min_amplitude_rad  smallest amplitude of a limit cycle; a quarter of it, or the part ``SPAN`` of the amplitude, is
                        what a reading keeps within while the shaft stands
@@ -113,6 +122,7 @@ class CycleWatch:
     PERIODS = 3  # the last ones
     KEEPS = 0.9  # an amplitude of at least this part of the one before
     ALIKE = 0.3  # largest relative difference of two periods
+    ASKED = 4  # last drives asked for, of which one acts: some may get lost, or be told of later
 
     def __init__(self, min_amplitude_rad: float) -> None:
         self.longest_s = 0.0  # stand of the last periods
@@ -122,9 +132,15 @@ class CycleWatch:
         self.standstill = Standstill()
         self._running_s = 0.0
         self._last: deque[tuple[DetectedCycle, float]] = deque(maxlen=self.PERIODS)  # with its longest stand
+        self._asked_V: deque[float] = deque(maxlen=self.ASKED)
 
     def step(self, sample: Sample, u_V: float) -> None:
-        """Take one sample, and what drives, for the message. Raises Fault SENSOR_STUCK where it stands too long."""
+        """Take one sample, and what the relays ask for on it. Raises Fault SENSOR_STUCK where it stands too long."""
+        # a relay in the device tells of no effect here: its rows have been compared with what the law decides
+        if math.isfinite(sample.t_u_s) and not any(is_obeyed(asked_V, sample.u_V) for asked_V in self._asked_V):
+            self._last.clear()
+            self.allowed_s = self._granted_s = math.inf
+        self._asked_V.append(u_V)
         still_s = self.standstill.step(sample.t_s, sample.y_rad, self._span_rad)
         self._running_s = max(self._running_s, still_s)
         if still_s == 0.0:

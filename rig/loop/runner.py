@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 from rig.control.guard import WINDOW_S, Guard
 from rig.control.law import Law
+from rig.control.motion import is_obeyed
 from rig.daq.driver import Clock, Driver, RelayDriver
 from rig.daq.relay_stream import RelayCommand, RelayRow
 from rig.faults import Fault
@@ -262,9 +263,8 @@ class Loop:
 
     def _complete_row(self, sample: Sample) -> None:
         if self._row_open:
-            # half a percent and 50 mV: more than the quantisation of 8 bits can explain
             accepted = sample.t_u_s >= self._last_t_s  # else the drive was lost, and the one before still acts
-            clipped = accepted and abs(sample.u_V - self._asked_V) > 0.05 + 0.005 * abs(self._asked_V)
+            clipped = accepted and not is_obeyed(self._asked_V, sample.u_V)
             self._record.complete(sample.t_u_s, sample.u_V, FLAG_SATURATED if clipped else 0)
             self._row_open = False
 

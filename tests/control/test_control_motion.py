@@ -147,6 +147,27 @@ def test_a_cycle_that_stands_by_itself_may_go_on_to_do_so(stand_s: float, allowe
         watch.step(Sample(2.0 + 1.01 * allowed_s, 1.0, 0), -1.35)
 
 
+@pytest.mark.parametrize(
+    ("acting_V", "t_u_s", "allowed_s"),
+    [(-1.35, 1.99, 0.6), (0.45, 1.99, 0.6), (3.0, 1.99, math.inf), (0.0, 1.99, math.inf), (0.0, math.nan, 0.6)],
+    ids=["as asked", "the one before is late", "the guard brakes", "the guard clips", "relay in the device"],
+)
+def test_a_cycle_that_others_drive_in_goes_on_when_it_has_shown_so_again(
+    acting_V: float, t_u_s: float, allowed_s: float
+) -> None:
+    watch = CycleWatch(0.08)
+    watch.step(Sample(1.97, 0.1, 0), 0.45)
+    watch.step(Sample(1.98, 0.1, 0), -1.35)
+    for _ in range(2):
+        watch.end_period(cycle(1.0, 0.5))
+    watch.step(Sample(1.99, 0.2, 0, t_u_s=t_u_s, u_V=acting_V), -1.35)
+    assert watch.allowed_s == pytest.approx(allowed_s)
+    watch.end_period(cycle(1.0, 0.5))
+    assert watch.allowed_s == pytest.approx(allowed_s)
+    watch.end_period(cycle(1.0, 0.5))
+    assert watch.allowed_s == pytest.approx(0.6)
+
+
 # ---------------------------------------------------------------------- on the bench
 
 
@@ -196,6 +217,28 @@ def no_cycle_is_no_alarm() -> Iterator[None]:
     except Fault as fault:
         if fault.code != "NO_CYCLE":
             raise
+
+
+@pytest.mark.parametrize("phase", [0.15, 0.2, 0.55, 0.7])
+def test_a_cycle_that_the_guard_has_braked_may_stand_until_the_relays_turn(phase: float) -> None:
+    """The inner level, 0.2 V, does not start the shaft again: the relays' integral has to come back first."""
+    gains_V, whole = (0.6, 0.8), simulated_bench()
+    test = relay_test(5, gains_V)
+    with whole.loop.armed(LIMITS):
+        break_away(whole.loop)
+        whole.loop.run(test, "relay")
+    fifth = test.detector.cycles[4]
+    brake_s = fifth.start_s + phase * fifth.period_s
+    bench, again = simulated_bench(), relay_test(8, gains_V)
+
+    def brake(t_s: float) -> None:
+        fast = abs(bench.driver.bench.state.v) > 0.6 and brake_s <= t_s < brake_s + 0.3
+        bench.guard.settings = replace(GUARD, coast_tau_s=9.0) if fast else GUARD
+
+    with bench.loop.armed(LIMITS):
+        break_away(bench.loop)
+        bench.loop.run(again, "relay", brake)
+    assert bench.guard.braked_ticks > 3 and again.finished
 
 
 GRID = Campaign(name="grid", experiments=1, seed=5)
