@@ -205,7 +205,8 @@ class Recorder:
     def close(self) -> None:
         """Write everything, the open row included, and end the writer; at most ``close_timeout_s`` (twice, if killed).
 
-        If the writer was killed a second one writes what it left; if it was stopped it is told to go on. Raises Fault
+        If the writer was killed a second one writes what it left, except where the disk had failed it before: then that
+        is lost, and said; if it was stopped it is told to go on. Raises Fault
         RECORDER_DEAD where rows or events are lost, not yet on disk, or in another place than they should be. A second
         call does nothing.
         """
@@ -216,7 +217,8 @@ class Recorder:
         try:
             self._process.send_signal(signal.SIGCONT)
             self._await_end()
-            if self._process.returncode < 0:  # killed: the rows are still in memory, and the files say how far it got
+            # killed: the rows are still in memory, and the files say how far it got, unless they go on elsewhere
+            if self._process.returncode < 0 and not self._moved():
                 self._process = self._start_writer(subprocess.DEVNULL)
                 self._await_end()
             reason = self._unwritten() or self._lost() or self._moved()

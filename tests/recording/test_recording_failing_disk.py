@@ -6,6 +6,7 @@ import errno
 import os
 import select
 import shutil
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
 from rig.recording.writer import AppendOnlyFile, Writer
 from rig.report.source import load
+from rig.signals import Sample
 
 EIO = OSError(errno.EIO, os.strerror(errno.EIO))
 OS_WRITE, OS_FSYNC, OS_OPEN = os.write, os.fsync, os.open
@@ -198,3 +200,19 @@ def test_the_run_ends_and_says_where_the_rest_is(tmp_path: Path) -> None:
         recorder.check()
     with pytest.raises(Fault, match=r"RECORDER_DEAD.*goes on in y"):
         recorder.close()
+
+
+def test_a_writer_that_is_killed_after_the_disk_failed_is_not_followed_by_one_that_hides_the_loss(
+    tmp_path: Path,
+) -> None:
+    """A second one would go on at the end of the first file: the reader takes what is beside it instead."""
+    recorder = Recorder(tmp_path, ["relay-1"])
+    recorder._shared.fail(layout.MOVED, "x: Input/output error, so it goes on in y")
+    os.kill(recorder.writer_pid, signal.SIGSTOP)
+    size = (tmp_path / "samples.csv").stat().st_size
+    for k in range(2):
+        recorder.sample(k, Sample(0.01 * k, 0.1, 5), "relay-1", 0.0, 0.0, 1.0, 0.0, 0.0, 0)
+    os.kill(recorder.writer_pid, signal.SIGKILL)
+    with pytest.raises(Fault, match=r"RECORDER_DEAD.*goes on in y; 2 rows and 0 bytes of events are lost"):
+        recorder.close()
+    assert (tmp_path / "samples.csv").stat().st_size == size
