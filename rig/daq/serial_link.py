@@ -281,7 +281,7 @@ class SerialDriver:
                 raise self._timeout(Kind.READ, f"{_READ_AGAIN} readings in a row had to be asked for again; {state}")
             if self._transport.now_s() - start_s >= self._timeout_s:
                 break
-            self._asked_again += 1
+            self._asked_again += len(seqs) == 1  # however often
         self._timeouts += 1
         raise self._timeout(Kind.READ)
 

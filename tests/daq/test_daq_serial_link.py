@@ -524,6 +524,7 @@ def test_three_garbled_replies_end_in_the_time_out():
     assert fault_of(driver.read).code == "LINK_TIMEOUT"
     assert port.t_s - started_s == pytest.approx(TIMEOUT_S)
     assert not port.script
+    assert (driver.link_statistics["asked_again"], driver.link_statistics["timeouts"]) == (1, 1)
     port.expect_read(counts=223)
     assert driver.read().y_counts == 223
 
