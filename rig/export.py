@@ -90,12 +90,15 @@ def export(run_folder: Path, to: Path, stage: str | None = None, *, overwrite: b
     written = FORMATS.get(to.suffix.lower())
     if written is None:
         raise RecordingError(to, f"ends in none of {', '.join(FORMATS)}", "name the file so: its end says the format")
-    if to.is_dir():
-        raise RecordingError(to, "is a folder", f"name a file in it, such as {to / ('run' + to.suffix)}")
-    if not to.parent.is_dir():
-        raise RecordingError(to.parent, "is no folder", "make it first, or name a file elsewhere")
-    if to.exists() and not overwrite:
-        raise RecordingError(to, "is there already", "name another file, or add --force to replace it")
+    try:
+        if to.is_dir():
+            raise RecordingError(to, "is a folder", f"name a file in it, such as {to / ('run' + to.suffix)}")
+        if not to.parent.is_dir():
+            raise RecordingError(to.parent, "is no folder", "make it first, or name a file elsewhere")
+        if to.exists() and not overwrite:
+            raise RecordingError(to, "is there already", "name another file, or add --force to replace it")
+    except OSError as error:
+        raise RecordingError(to, f"cannot be written: {error.strerror}", "name a file elsewhere") from error
     run = load(run_folder, stage)
     write_whole(to, written(run))
     return run

@@ -161,6 +161,7 @@ def test_a_torn_folder_is_exported_as_far_as_it_is_there(run_folder: Path, tmp_p
         (["--to", "a"], "a: ends in none of .mat, .npz, .csv, .json"),
         (["--to", "none/a.mat"], "none: is no folder"),
         (["--to", "folder.mat"], "folder.mat: is a folder"),
+        (["--to", f"{'a' * 300}.mat"], "a.mat: cannot be written: File name too long"),
         (["--to", "a.csv", "--stage", "relay-9"], "has no stage 'relay-9'"),
     ],
 )
