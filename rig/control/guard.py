@@ -230,10 +230,16 @@ class Guard:
             return
         given_rad_s = self._gain.step(sample.t_s, self.velocity_rad_s, u_V)
         if given_rad_s > self._clear_rad_s and self.velocity_rad_s * sign < 0.25 * given_rad_s:
+            turns_back = self.velocity_rad_s * sign < -0.1 * given_rad_s  # a reading that freezes only slows down
             raise Fault(
                 "SENSOR_STUCK",
                 f"{u_V:+.2f} V had made it {given_rad_s:.1f} rad/s faster, and the reading now moves at "
-                f"{self.velocity_rad_s * sign:.1f} rad/s under the same drive",
+                f"{self.velocity_rad_s * sign:.1f} rad/s under the same drive"
+                + (
+                    "; it turns back, so the sensor lives: look at the bridge and the motor's wires"
+                    if turns_back
+                    else ""
+                ),
             )
         still_s = self._standstill.step(sample.t_s, sample.y_rad, self.settings.motion_rad)
         # a slow shaft with coarse counts has shown that it takes longer

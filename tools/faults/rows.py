@@ -267,6 +267,7 @@ TCP_IS_WHOLE = (
     "TCP hands over each byte once, whole and in order, or late: see the rows of lost packets; what comes damaged has "
     "passed its check sum"
 )
+UNLIKE = ("SENSOR_STUCK", "SENSOR_RAIL")  # what the reading does is not what the drive must make it do
 AWAY = ("POLARITY", "TRAVEL_HARD", "DEVICE_TRAVEL", "OVERSPEED")
 BREAKAWAY = "it ends in the breakaway check, before any relay runs: as where the host's relay drives"
 
@@ -589,11 +590,11 @@ ROWS = (
         "a quarter of the supply, whatever is commanded",
         _rewire(drive="stuck_on"),
         RUN_AWAY,
-        (*AWAY, "SENSOR_RAIL", "DEVICE_SENSOR"),
+        (*AWAY, *UNLIKE, "DEVICE_SENSOR"),
         True,
         ("START_OUTSIDE", "DEVICE_SENSOR", "DEVICE_TRAVEL", "TRAVEL_HARD", "OVERSPEED"),
         only_seen=True,
-        other={"relay": {"bound": AWAY_IN_BLOCK, "codes": (*AWAY, "SENSOR_RAIL", "DEVICE_SENSOR", "RELAY_STOPPED")}},
+        other={"relay": {"bound": AWAY_IN_BLOCK, "codes": (*AWAY, *UNLIKE, "DEVICE_SENSOR", "RELAY_STOPPED")}},
         remark="can only be detected: the device's output is 0, the motor's is not, and the shaft runs to its stop. "
         "Wire the e-stop, and end switches, into the motor's supply",
     ),
@@ -602,11 +603,11 @@ ROWS = (
         "the motor's wires are swapped",
         _rewire(drive="reversed"),
         RUN_AWAY,
-        AWAY,
+        (*AWAY, "SENSOR_STUCK"),
         True,
         ("POLARITY", "START_OUTSIDE", "TRAVEL_HARD", "DEVICE_TRAVEL", "DEVICE_SENSOR"),
         other={"relay": {"bound": AWAY_IN_BLOCK, "codes": (*AWAY, "RELAY_STOPPED", "SENSOR_STUCK")}},
-        remark="a shaft that slows down where it should not may also be taken for a reading that stands",
+        remark="a shaft that slows down under a drive that should speed it up is SENSOR_STUCK, too",
     ),
     Row(
         "drive dead",
