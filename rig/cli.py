@@ -233,9 +233,11 @@ def identify(paths: Sequence[Path], methods: Sequence[str], as_json: bool) -> No
     """Identify gain, time constant and friction from run folders or CSV files (t_s,u_V,y_rad)."""
     from rig.identify import IdentifyError
     from rig.identify import identify as identify_recordings
+    from rig.recording.path_kind import require_distinct
     from rig.recording.reader import read
 
     try:
+        require_distinct(paths)
         with patience("reading and identifying"):
             found = identify_recordings([read(path) for path in paths], tuple(methods) or None)
     except (RecordingError, IdentifyError) as error:
@@ -519,9 +521,16 @@ def flash(
             if avrdude is None and not dry_run:
                 raise uno.no_avrdude()
             if port is None:
-                found = uno.only_candidate(uno.serial_ports())
-                click.echo(f"found: {found}")
-                port = found.device
+                try:
+                    found = uno.only_candidate(uno.serial_ports())
+                except uno.FlashError as none:
+                    if not dry_run:
+                        raise
+                    click.echo(f"{none.cause}: PORT stands for its port")
+                    port = "PORT"
+                else:
+                    click.echo(f"found: {found}")
+                    port = found.device
             command = uno.avrdude_command(avrdude or "avrdude", port, hex_file or build_uno(options))
             if dry_run:
                 click.echo(f"would run: {shlex.join(command)}")

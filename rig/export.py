@@ -31,6 +31,7 @@ from rig.config.yaml12 import parse
 from rig.recording.columns import COLUMNS, KINDS, UNITS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import RESULT, json_text, write_whole
+from rig.recording.path_kind import is_file_of_a_run
 from rig.recording.reader import Recording, read_result, read_run
 
 LONGEST_NAME: Final = 63  # of a MATLAB variable or field: namelengthmax
@@ -84,7 +85,8 @@ def export(run_folder: Path, to: Path, stage: str | None = None, *, overwrite: b
     """Write the run to the file ``to``, whose suffix says how: one of ``FORMATS``. What was written is returned.
 
     stage  the rows of this stage alone
-    Raises RecordingError where there is no run, no such suffix or no such stage, or ``to`` is there already;
+    Raises RecordingError where there is no run, no such suffix or no such stage, ``to`` is there already,
+    or is a file of a run;
     CannotWriteError where it cannot be written.
     """
     written = FORMATS.get(to.suffix.lower())
@@ -95,6 +97,10 @@ def export(run_folder: Path, to: Path, stage: str | None = None, *, overwrite: b
             raise RecordingError(to, "is a folder", f"name a file in it, such as {to / ('run' + to.suffix)}")
         if not to.parent.is_dir():
             raise RecordingError(to.parent, "is no folder", "make it first, or name a file elsewhere")
+        if is_file_of_a_run(to):
+            raise RecordingError(
+                to, "is a file of the run itself", f"name another file, such as {to.parent / ('run' + to.suffix)}"
+            )
         if to.exists() and not overwrite:
             raise RecordingError(to, "is there already", "name another file, or add --force to replace it")
     except OSError as error:

@@ -139,7 +139,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "NO_MOTION": FaultEntry(
         "no motion up to the largest breakaway drive",
-        "check the motor's supply and wires, that it turns by hand, or raise breakaway.max_V",
+        "check the motor's supply and wires, that it turns by hand, and that the reading follows it (wiper, coupling); "
+        "where all that is well, raise breakaway.max_V",
     ),
     "DRIVE_STUCK_ON": FaultEntry(
         "the shaft moves although the drive is at 0 V",
@@ -151,7 +152,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "OVERSPEED": FaultEntry(
         "the shaft is faster than limits.max_speed_rad_s",
-        "lower the gains or the amplitude, or raise the limit if the room for stopping allows it",
+        "lower the gains or the amplitude, or raise the limit if the room for stopping allows it; "
+        "where the drive was 0 V, check the bridge and the sensor",
     ),
     # loop and record
     "RECORDER_DEAD": FaultEntry(

@@ -23,7 +23,7 @@ class GuardSettings:
                        shaft stays inside even if the host dies at this instant
     noise_rad          sensor noise, standard deviation, at least one LSB
     stuck_s, motion_rad  a drive well above static friction for stuck_s must move the shaft by motion_rad, or for twice
-                       the longest time that the shaft has needed so far
+                       the longest time that the shaft has needed so far, at most four times stuck_s
     """
 
     limits: Limits
@@ -243,7 +243,8 @@ class Guard:
             )
         still_s = self._standstill.step(sample.t_s, sample.y_rad, self.settings.motion_rad)
         # a slow shaft with coarse counts has shown that it takes longer
-        if still_s >= max(self.settings.stuck_s, 2.0 * self._standstill.longest_s):
+        stuck_s = self.settings.stuck_s
+        if still_s >= min(max(stuck_s, 2.0 * self._standstill.longest_s), 4.0 * stuck_s):
             moved_rad = self._standstill.high_rad - self._standstill.low_rad
             raise Fault(
                 "SENSOR_STUCK",

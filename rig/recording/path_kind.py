@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from shlex import quote
@@ -16,6 +16,7 @@ from rig.recording.writer import EVENTS, SAMPLES
 CAMPAIGN_ROWS: Final = "results.csv"
 _CONFIGS: Final = (".yaml", ".yml")
 _OF_A_RUN: Final = (SAMPLES, EVENTS, META, RESULT, CONFIG, "report.html")
+_OTHER_EXPORTS: Final = (".mat", ".npz", ".json")
 _PRINTED: Final = "give the folder that `rig run` printed"
 _HEAD_BYTES: Final = 65536
 
@@ -33,12 +34,28 @@ def require_run(path: Path) -> None:
     raise no_run(path)
 
 
+def is_file_of_a_run(path: Path) -> bool:
+    """Whether a path names one of the files that a run folder is made of, and lies in one."""
+    return path.name in _OF_A_RUN and is_run(path.parent)
+
+
+def require_distinct(paths: Iterable[Path]) -> None:
+    """Raise RecordingError where two paths are the same recording: the same rows twice tell no more than once."""
+    seen = set()
+    for path in paths:
+        with _looking_at(path):
+            recording = (path.parent if path.name == SAMPLES and is_run(path.parent) else path).resolve()
+        if recording in seen:
+            raise RecordingError(path, "is given twice: the same rows would count twice", "name it once")
+        seen.add(recording)
+
+
 def no_run(path: Path) -> RecordingError:
     """What ``path``, which is no run folder with samples, is instead, and what to type."""
     with _looking_at(path):
         if path.is_dir():
             return _folder(path)
-        if path.name == SAMPLES and is_run(path.parent):
+        if is_file_of_a_run(path):
             return _file_of_a_run(path)
         found = no_recording(path)
         if found is not None:
@@ -57,10 +74,16 @@ def no_recording(path: Path) -> RecordingError | None:
             return None if (path / SAMPLES).exists() else _folder(path)
         if not path.exists():
             return _missing(path)
-        if path.name in _OF_A_RUN and path.name != SAMPLES and is_run(path.parent):
+        if path.name != SAMPLES and is_file_of_a_run(path):
             return _file_of_a_run(path)
         if path.is_file() and path.suffix.lower() in _CONFIGS:
             return _config(path)
+        if path.is_file() and path.suffix.lower() in _OTHER_EXPORTS:
+            return RecordingError(
+                path,
+                "is neither run folder nor CSV file",
+                "give the run folder, or what `rig export RUN --to FILE.csv` wrote",
+            )
     return None
 
 

@@ -142,6 +142,20 @@ def test_a_stuck_sensor_is_found_while_driven_and_not_while_at_rest() -> None:
             guard.allow(reading(0.01 * k, 0.1), 1.0)
 
 
+def test_a_shaft_that_moves_in_ever_rarer_jerks_is_stuck_in_the_end() -> None:
+    """What it has needed so far is allowed twice, but not for ever: four times the stuck time at most."""
+    guard = Guard(GUARD)
+    guard.static_V = 0.5
+    k, y_rad = 0, 0.0
+    with pytest.raises(Fault, match="SENSOR_STUCK") as caught:
+        for stand_s in (0.28, 0.5, 0.9, 1.15, 2.0):
+            y_rad += 0.03
+            for _ in range(round(stand_s / PERIOD_S)):
+                guard.allow(reading(PERIOD_S * k, y_rad), 1.0)
+                k += 1
+    assert "for 1.20 s" in caught.value.detail
+
+
 def test_drive_outward_of_soft_that_persists_while_inward_is_commanded_is_a_polarity_fault() -> None:
     """Wires swapped after the start: the bench accelerates outward although the guard brakes."""
     wide = replace(GUARD, limits=replace(LIMITS, soft_rad=(-0.3, 0.3), hard_rad=(-2.0, 2.0)))

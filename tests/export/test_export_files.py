@@ -129,6 +129,27 @@ def test_the_command_says_what_it_wrote(run_folder: Path, tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.iterdir() if path != run_folder] == ["a.mat"]
 
 
+@pytest.mark.parametrize("name", ["samples.csv", "result.json", "meta.json"])
+def test_a_file_of_the_run_itself_is_never_replaced(run_folder: Path, name: str) -> None:
+    before = (run_folder / name).read_bytes()
+    for force in ([], ["--force"]):
+        result = rig("export", run_folder, "--to", run_folder / name, *force)
+        assert result.exit_code == 2
+        assert result.stderr.splitlines()[0] == f"rig: {run_folder / name}: is a file of the run itself"
+    assert (run_folder / name).read_bytes() == before
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".npz", ".json"])
+def test_what_identify_cannot_read_back_is_said(run_folder: Path, tmp_path: Path, suffix: str) -> None:
+    to = tmp_path / f"a{suffix}"
+    assert rig("export", run_folder, "--to", to).exit_code == 0
+    result = rig("identify", to)
+    assert result.exit_code == 2
+    cause, cure = result.stderr.splitlines()
+    assert cause == f"rig: {to}: is neither run folder nor CSV file"
+    assert "--to FILE.csv" in cure
+
+
 def test_a_torn_folder_is_exported_as_far_as_it_is_there(run_folder: Path, tmp_path: Path) -> None:
     """As `kill -9` leaves it: no result, half a line, and no meta.json where it came that early."""
     for name in ("result.json", "meta.json", "config.yaml"):

@@ -184,6 +184,17 @@ def test_a_dry_run_does_without_avrdude_and_a_real_one_does_not(
     ]
 
 
+def test_a_dry_run_does_without_a_board(avrdude: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plugged(monkeypatch, Port("/dev/ttyS0"))
+    result = rig_flash("--dry-run")
+    assert (result.exit_code, result.stderr) == (0, "")
+    none, command = result.stdout.splitlines()
+    assert none == "no Arduino Uno on USB: PORT stands for its port"
+    assert command.startswith(f"would run: {avrdude} -p atmega328p -c arduino -b 115200 -P PORT -D -U flash:w:")
+    assert rig_flash().exit_code == 1
+    assert not (avrdude.parent / "told").exists()
+
+
 def test_a_board_that_stays_silent_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     with board(boot_s=60.0) as port, pytest.raises(FlashError) as caught:
         flash.meet(port, 115200, timeout_s=0.3)

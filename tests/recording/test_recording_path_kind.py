@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from rig.cli import main
-from rig.recording.path_kind import is_run, no_recording, no_run
+from rig.recording.path_kind import is_run, no_recording, no_run, require_distinct
 
 ROOT = Path(__file__).resolve().parents[2]
 RUN = ROOT / "tests/golden/simulated-fault"
@@ -65,6 +65,19 @@ def test_every_command_says_what_it_was_given_and_what_to_type(place: Path, comm
         assert len(said) == 2, (name, said)
         assert said[0].startswith(f"rig: {place / name}: {cause}"), said
         assert cure.replace("{}", str(place)) in said[1], said
+
+
+def test_a_recording_given_twice_is_refused(place: Path) -> None:
+    """Its rows would count twice, and the intervals be too narrow by the square root of two."""
+    once = place / "my runs/a"
+    (place / "link").symlink_to(once)
+    for again in (once, place / "my runs/../my runs/a", once / "samples.csv", place / "link"):
+        result = CliRunner().invoke(main, ["identify", str(once), str(again)])
+        assert result.exit_code == 2
+        cause, cure = result.stderr.splitlines()
+        assert cause == f"rig: {again}: is given twice: the same rows would count twice"
+        assert cure.strip() == "name it once"
+    require_distinct([once, place / "my runs/b", place / "log.csv"])
 
 
 def test_a_run_that_has_only_begun_has_a_report_and_nothing_else(place: Path) -> None:
