@@ -44,6 +44,12 @@ def test_median_95th_percentile_and_largest_are_relative_to_the_truth():
     assert "relative_median" not in absolute
 
 
+def test_what_was_known_has_no_coverage():
+    found = summary.summarise(table(10, se_delay_s=0.0))["ok"]["parameters"]
+    assert math.isnan(found["delay_s"]["coverage"])
+    assert math.isfinite(found["tau_s"]["coverage"])
+
+
 def test_coverage_counts_intervals_that_hold_the_truth():
     low = np.array([0.9] * 90 + [1.01] * 6 + [math.nan] * 4)
     found = summary.summarise(table(100, low_tau_s=low))["ok"]["parameters"]["tau_s"]
