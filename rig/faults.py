@@ -134,7 +134,7 @@ FAULTS: dict[str, FaultEntry] = {
         "check for a loose wiper or the potentiometer's dead zone; limits.max_speed_rad_s must be true",
     ),
     "SENSOR_STUCK": FaultEntry(
-        "the position reading does not do what the drive must make it do: it is frozen, or the drive is not as told",
+        "the reading does not do what the drive must make it do: it is frozen or noisy, or the drive is not as told",
         "check the wiper's wire, the coupling of the potentiometer, the motor's wires, its supply and the bridge",
     ),
     "NO_MOTION": FaultEntry(

@@ -235,11 +235,7 @@ class Guard:
                 "SENSOR_STUCK",
                 f"{u_V:+.2f} V had made it {given_rad_s:.1f} rad/s faster, and the reading now moves at "
                 f"{self.velocity_rad_s * sign:.1f} rad/s under the same drive"
-                + (
-                    "; it turns back, so the sensor lives: look at the bridge and the motor's wires"
-                    if turns_back
-                    else ""
-                ),
+                + ("; it turns back: look at the bridge and the motor's wires, then for noise" if turns_back else ""),
             )
         still_s = self._standstill.step(sample.t_s, sample.y_rad, self.settings.motion_rad)
         # a slow shaft with coarse counts has shown that it takes longer

@@ -20,7 +20,7 @@ from faults.backends import BACKENDS, BOARD, CHIP, CHIP_RELAY, OTHERS, PLAIN, SE
 from faults.bounds import bound
 from faults.case import measure, new_stand, restart, undisturbed
 from faults.language import ModbusLanguage, Reading, SerialLanguage, is_drive
-from faults.matrix import phases_on
+from faults.matrix import PHASES, phases_on
 from faults.page import Line, line, render, summary
 from faults.realtime import DEVICES, REAL_ROWS
 from faults.rows import FREEZE_S, ROWS, Row
@@ -29,7 +29,6 @@ from rig.emulate.rtu_slave import frame
 from rig.emulate.tcp_slave import Adu
 
 ROOT = Path(__file__).resolve().parents[2]
-PHASES = 5  # that `make faults` takes
 PAGE = ROOT / "docs" / "fault-table.md"
 
 

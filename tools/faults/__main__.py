@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from faults.backends import BACKENDS
-from faults.matrix import in_real_time, in_virtual_time
+from faults.matrix import PHASES, in_real_time, in_virtual_time
 from faults.page import render
 from faults.rows import ROWS
 from rig.recording.folder import write_whole
@@ -24,8 +24,8 @@ def main() -> int:
     parser.add_argument(
         "--phases",
         type=int,
-        default=5,
-        help="of the limit cycle, two fifths of it on the devices that differ in the link alone (default: 5)",
+        default=PHASES,
+        help=f"of the limit cycle, a quarter of them on the devices that differ in the link alone (default: {PHASES})",
     )
     parser.add_argument("--only", default="", help="rows whose name contains this, in virtual time")
     parser.add_argument("--device", choices=[backend.key for backend in BACKENDS], help="one device, in virtual time")

@@ -580,7 +580,7 @@ ROWS = (
         bound(
             "a reading that no motion explains: by chance one in two or three", period=12, exchange=1, frame=1, tick=2
         ),
-        ("SENSOR_JUMP", "OVERSPEED", "DEVICE_TRAVEL"),
+        ("SENSOR_JUMP", "OVERSPEED", "SENSOR_STUCK", "DEVICE_TRAVEL"),
         True,
         ("SENSOR_NOISY", "SENSOR_JUMP", "OVERSPEED"),
     ),
