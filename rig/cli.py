@@ -384,6 +384,8 @@ def campaign(
     if scheduler is not None and backend != "dask":
         _fail(EXIT_BAD_INPUT, "--scheduler is an address of dask", "add --backend dask")
     asked = asked if number is None else asked.model_copy(update={"experiments": number})
+    if only is not None and only >= asked.experiments:
+        _fail(EXIT_BAD_INPUT, f"there is no experiment {only}", f"this campaign has 0 to {asked.experiments - 1}")
     folder = resume or out
     from rig.campaign.grid import BrokenOffError, CampaignError
 

@@ -131,7 +131,7 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "SENSOR_JUMP": FaultEntry(
         "the position jumped farther than the shaft can move in that time",
-        "check for a loose wiper or the potentiometer's dead zone; limits.max_speed_rad_s must be true",
+        "check for a loose wiper, swapped wires or the potentiometer's dead zone; limits.max_speed_rad_s must be true",
     ),
     "SENSOR_STUCK": FaultEntry(
         "the reading does not do what the drive must make it do: it is frozen or noisy, or the drive is not as told",

@@ -161,6 +161,12 @@ def test_a_failed_experiment_is_said_ends_in_status_1_and_can_be_repeated(tmp_pa
     assert row["tau_s"] == run_trial(small(3), 1)["tau_s"]
 
 
+def test_an_experiment_that_the_campaign_does_not_have_is_refused(config):
+    result = rig("campaign", config, "--experiment", 3)
+    assert result.exit_code == 2
+    assert "there is no experiment 3" in result.stderr and "0 to 2" in result.stderr
+
+
 def test_where_all_fail_status_and_words_say_so(tmp_path, config, monkeypatch):
     monkeypatch.setattr(trial, "run_trial", lambda *_: 1 / 0)
     result = rig("campaign", config, "--out", tmp_path, "--jobs", 1)
