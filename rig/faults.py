@@ -137,6 +137,10 @@ FAULTS: dict[str, FaultEntry] = {
         "the reading does not do what the drive must make it do: it is frozen or noisy, or the drive is not as told",
         "check the wiper's wire, the coupling of the potentiometer, the motor's wires, its supply and the bridge",
     ),
+    "SAMPLE_STALE": FaultEntry(
+        "readings come, but all of the same instant: the device takes no new samples",
+        "power the device off and on; if that comes again flash its firmware anew, or mend the plug-in driver's times",
+    ),
     "NO_MOTION": FaultEntry(
         "no motion up to the largest breakaway drive",
         "check the motor's supply and wires, that it turns by hand, and that the reading follows it (wiper, coupling); "

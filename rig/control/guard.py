@@ -38,6 +38,7 @@ class GuardSettings:
 
 WINDOW_S = 0.04  # that the velocity is taken from, at least; so it lags by half of that
 _LEAST_SAMPLES = 5
+_STALE_SAMPLES = 2  # in a row; one may come where a loop is as quick as its device
 _SETTLING_WINDOWS = 1.5  # of the velocity: it lags by half of one, and a drive acts up to two ticks later
 
 
@@ -76,8 +77,8 @@ class VelocityWindow:
 class Guard:
     """Passes, reduces, reverses or refuses the drive that a law asks for.
 
-    Faults raised: LAW_FAILED (no finite drive), SENSOR_RAIL, SENSOR_JUMP, SENSOR_STUCK, TRAVEL_HARD, POLARITY,
-    OVERSPEED. Once one was raised it is latched: ``allow`` raises it again until a new guard is made.
+    Faults raised: LAW_FAILED (no finite drive), SAMPLE_STALE, SENSOR_RAIL, SENSOR_JUMP, SENSOR_STUCK, TRAVEL_HARD,
+    POLARITY, OVERSPEED. Once one was raised it is latched: ``allow`` raises it again until a new guard is made.
     ``sign_proven`` is set by the experiment after the breakaway check; before that the guard never drives by itself,
     since it does not know which way is inward. ``static_V`` is the breakaway level, nan until it is known.
     ``recovering`` lets a shaft that stands outside be jogged inward.
@@ -98,6 +99,7 @@ class Guard:
         self._samples = _LEAST_SAMPLES
         self._velocity = VelocityWindow()
         self._last: Sample | None = None
+        self._same_instant = 0  # samples in a row that are no later than the one before
         self._push_sign = 0
         self._window_s = WINDOW_S
         self._standstill = Standstill()
@@ -125,8 +127,8 @@ class Guard:
     def allow(self, sample: Sample, asked_V: float) -> tuple[float, int]:
         """Drive that may go out for what a law asked, V, and the record's flags for it.
 
-        Raises Fault LAW_FAILED, SENSOR_RAIL, SENSOR_JUMP, SENSOR_STUCK, TRAVEL_HARD, POLARITY or OVERSPEED; it is
-        latched: every later call raises it again.
+        Raises Fault LAW_FAILED, SAMPLE_STALE, SENSOR_RAIL, SENSOR_JUMP, SENSOR_STUCK, TRAVEL_HARD, POLARITY or
+        OVERSPEED; it is latched: every later call raises it again.
         """
         if self.fault is not None:
             raise self.fault
@@ -150,6 +152,9 @@ class Guard:
         return max(10.0 * noise_rad_s, self.settings.motion_rad / self._window_s)
 
     def _check_sensor(self, sample: Sample) -> None:
+        self._same_instant = 0 if self._last is None or sample.t_s > self._last.t_s else self._same_instant + 1
+        if self._same_instant >= _STALE_SAMPLES:
+            raise Fault("SAMPLE_STALE", f"{1 + self._same_instant} in a row of {sample.t_s:.4f} s or before")
         low, high = self.settings.rail_counts
         if not low < sample.y_counts < high:
             raise Fault("SENSOR_RAIL", f"reading {sample.y_counts} counts; the rails are {low} and {high}")

@@ -18,10 +18,10 @@ _TELL_EVERY_ROWS = 2000
 _NAN = math.nan
 # Faults that guard and loop raise on a sample
 OF_GUARD = frozenset(
-    (
-        *("LAW_FAILED", "SENSOR_RAIL", "SENSOR_JUMP", "SENSOR_STUCK", "TRAVEL_HARD", "POLARITY", "OVERSPEED"),
-        "RELAY_STOPPED",
-    )
+    {
+        *("LAW_FAILED", "SAMPLE_STALE", "SENSOR_RAIL", "SENSOR_JUMP", "SENSOR_STUCK"),
+        *("TRAVEL_HARD", "POLARITY", "OVERSPEED", "RELAY_STOPPED"),
+    }
 )
 # and those of laws: the same samples must bring them out again. Any other came from the device, the link, a signal or
 # the disk.

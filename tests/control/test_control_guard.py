@@ -118,6 +118,8 @@ def test_more_than_the_largest_drive_is_cut_and_flagged() -> None:
         ("SENSOR_JUMP", [reading(0.0, 0.0), reading(0.01, 0.4)]),
         ("TRAVEL_HARD", [reading(0.0, 1.95)]),
         ("OVERSPEED", [reading(0.01 * k, 0.08 * k - 0.5) for k in range(8)]),
+        ("SAMPLE_STALE", [reading(0.01 * min(k, 4), 0.001 * k) for k in range(7)]),
+        ("SAMPLE_STALE", [reading(0.5, 0.0) for _ in range(3)]),
     ],
 )
 def test_sensor_and_travel_faults_have_their_code_and_latch(code: str, samples: list[Sample]) -> None:
@@ -130,6 +132,13 @@ def test_sensor_and_travel_faults_have_their_code_and_latch(code: str, samples: 
     with pytest.raises(Fault) as again:
         guard.allow(reading(1.0, 0.0), 0.0)
     assert again.value is caught.value
+
+
+def test_a_sample_may_come_twice_where_the_loop_is_as_quick_as_the_device() -> None:
+    guard = Guard(GUARD)
+    for k in range(200):
+        guard.allow(reading(0.001 * (k - k % 2), 0.0), 0.1)
+    assert math.isfinite(guard.velocity_rad_s)
 
 
 def test_a_stuck_sensor_is_found_while_driven_and_not_while_at_rest() -> None:

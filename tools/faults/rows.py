@@ -517,7 +517,7 @@ ROWS = (
         "main loop, interrupts, clock or converter stop for good",
         _hang,
         bound("the chip's own watchdog", hardware=1),
-        ("LINK_TIMEOUT", "DEVICE_RESET", "DEVICE_WATCHDOG"),
+        ("LINK_TIMEOUT", "SAMPLE_STALE", "DEVICE_RESET", "DEVICE_WATCHDOG"),
         absent={"modbus": "the block is emulated by its registers, it has no program; a real one's is its maker's"},
     ),
     Row(
