@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -118,6 +119,9 @@ def test_identify_from_two_csv_files(ready_run: tuple[Result, dict[str, Any]], t
     assert one.exit_code == 2
     assert len(one.stderr.splitlines()) == 2
     twice = rig("identify", "--method", "least-squares", pair[0], pair[0], "--json")
+    assert twice.exit_code == 2  # the same rows are no second run
+    copy = shutil.copy(pair[0], tmp_path / "copy.csv")
+    twice = rig("identify", "--method", "least-squares", pair[0], copy, "--json")
     assert twice.exit_code == 1
     assert "do not differ" in json.loads(twice.stdout)["least-squares"]["reasons"][0]
 
