@@ -10,10 +10,10 @@ help:  ## list the targets
 demo: .venv/.ready firmware  ## the whole experiment in real time, on the emulated serial device; CHIP=1: on the Uno's emulated chip
 	$(RIG) run $(CONFIG)
 
-# what needs a real clock runs alone, after the rest
+# what needs a real clock, or pytest's own process, runs alone, after the rest
 test: check firmware  ## check, then every test, the firmware's own included
-	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -m "not realtime" -n $$(nproc) --maxprocesses 8 --dist loadfile
-	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -m realtime
+	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -m "not (realtime or alone)" -n $$(nproc) --maxprocesses 8 --dist loadfile
+	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest -m "realtime or alone"
 
 search: .venv/.ready firmware  ## the properties among the tests, with other random examples each time: TIMES=10 over
 	@for round in $$(seq $(or $(TIMES),10)); do echo "round $$round"; OPENBLAS_NUM_THREADS=1 .venv/bin/pytest \

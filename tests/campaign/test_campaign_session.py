@@ -133,6 +133,7 @@ def test_ctrl_c_on_the_terminal_is_two_lines_that_say_how_to_go_on(tmp_path):
     assert "goes on" in lines[1]
 
 
+@pytest.mark.alone
 @pytest.mark.usefixtures("no_report")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:distributed")
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
