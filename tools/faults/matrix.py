@@ -16,7 +16,7 @@ from faults.page import Line
 from faults.realtime import DEVICES, REAL_ROWS, RealFound
 from faults.rows import ROWS, Row
 
-PHASES = 4  # of the limit cycle; with `make bench` the whole stays below a quarter of an hour on two cores
+PHASES = 4  # of the limit cycle; `make faults` and `make bench` together are to stay below a quarter of an hour
 OTHERS_SHARE = 0.25
 _BY_KEY = {backend.key: backend for backend in BACKENDS}
 _BY_NAME = {row.name: row for row in ROWS}
