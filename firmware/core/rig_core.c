@@ -53,7 +53,7 @@ static uint32_t get_u32(const uint8_t *at)
 static int32_t get_i32(const uint8_t *at)
 {
     const uint32_t raw = get_u32(at);
-    const uint32_t below = 0xFFFFFFFFUL - raw; /* -1 */
+    const uint32_t below = ~raw; /* how far below -1 */
     return raw < 0x80000000UL ? (int32_t)raw : -1 - (int32_t)below;
 }
 
@@ -186,7 +186,7 @@ static void disarm(rig_core *core)
 
 static uint16_t bit_of(enum rig_code code)
 {
-    const uint32_t bit = 1UL << (uint8_t)code;
+    const uint32_t bit = (uint32_t)1u << (uint8_t)code;
     return (uint16_t)bit;
 }
 
