@@ -100,6 +100,7 @@ class SerialDriver:
     tachometer      scale of the velocity channel; None: not used
     counts_max      the ADC's largest reading that the calibration was made for; None: not checked
     bridge          what the board's outputs are wired for, a value of ``frames.BRIDGES``; None: not told
+    session         number of this session, 1 to 2**32 - 1; None: a random one
     name            of the port, for ``backend``
     emulated        True where it is known that no real motor is behind the port
     """
@@ -119,6 +120,7 @@ class SerialDriver:
         *,
         counts_max: int | None = None,
         bridge: str | None = None,
+        session: int | None = None,
         name: str = "serial",
         emulated: bool = False,
     ) -> None:
@@ -138,7 +140,7 @@ class SerialDriver:
         self._reader = frames.FrameReader()
         self._clock = DeviceClock(0.0, 0, 1.0)
         self._seq = 0
-        self._session = secrets.randbelow(2**32 - 1) + 1
+        self._session = secrets.randbelow(2**32 - 1) + 1 if session is None else session
         self._setup: Setup | None = None  # that the device has confirmed
         self._armed = False
         self._unconfirmed: int | None = None  # seq of a DRIVE frame that no STATE has told of yet
