@@ -7,7 +7,6 @@ to which whole chunks are appended. A last line that was torn is cut off; its ex
 from __future__ import annotations
 
 import csv
-import fcntl
 import hashlib
 import io
 import json
@@ -78,6 +77,12 @@ def opened(folder: Path, campaign: Campaign) -> Iterator[ResultFile]:
 
     Raises CampaignError where the folder holds another campaign, or another process writes it, or it is broken.
     """
+    try:
+        import fcntl  # not everywhere
+    except ImportError as error:
+        raise CampaignError(
+            "no campaign on this system: its folder could not be locked against a second one", "run it on Linux"
+        ) from error
     if folder.is_dir() and not (folder / META).exists() and any(folder.iterdir()):
         raise CampaignError(f"{folder}: is no campaign's folder, and not empty", "choose another folder")
     try:

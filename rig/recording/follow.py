@@ -7,7 +7,6 @@ process that started it is gone (end of file on standard input).
 from __future__ import annotations
 
 import json
-import select
 import signal
 import subprocess
 import sys
@@ -23,6 +22,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rig.recording.columns import COLUMNS
+from rig.recording.end_of_input import end_of_input
 
 REFRESH_S = 0.2
 BAR_WIDTH = 41
@@ -134,12 +134,11 @@ def main(arguments: list[str]) -> int:
     folder = Path(arguments[0])
     events, samples = Tail(folder / "events.jsonl"), Tail(folder / "samples.csv")
     progress = Progress()
-    waiting = select.poll()
-    waiting.register(sys.stdin, select.POLLIN | select.POLLHUP)
+    waiting = end_of_input()
     with Live(console=Console(stderr=True), auto_refresh=False, transient=False) as live:
         over = False
         while not over:
-            over = bool(waiting.poll(int(REFRESH_S * 1e3)))
+            over = waiting.wait(REFRESH_S)
             for line in events.lines():
                 progress.take_event(json.loads(line))
             rows = samples.lines()
