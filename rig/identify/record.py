@@ -225,6 +225,7 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[Record
             )
         scale = clock.ratio
         notes.append(f"{name}: times divided by the clock ratio over the run, {scale:.6f} +- {clock.error:.6f}")
+    first += recording.first_row
     t_s = recording.t_s[rows] / scale
     t_u_s = recording.t_u_s[rows] / scale
     y_rad, u_V = recording.y_rad[rows], recording.u_V[rows]

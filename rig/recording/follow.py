@@ -1,7 +1,8 @@
 """Follow a run folder as it grows, in a process of its own: live progress that cannot hold up the loop.
 
 ``python -m rig.recording.follow FOLDER`` shows the stage, the last readings and the cycles until the run ends or the
-process that started it is gone (end of file on standard input).
+process that started it is gone (end of file on standard input). Where standard error is no terminal it is one plain
+line a stage, when that begins.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rig.recording.columns import COLUMNS
-from rig.recording.end_of_input import end_of_input
+from rig.recording.end_of_input import EndOfInput, end_of_input
 
 REFRESH_S = 0.2
 BAR_WIDTH = 41
@@ -128,13 +129,42 @@ class Progress:
         return table
 
 
+def stage_line(event: dict[str, Any]) -> str | None:
+    """One plain line for an event that begins a stage, or is a fault; None for others and rests between stages."""
+    if event.get("kind") == "stage" and event["name"] != "rest":
+        words = event["name"]
+    elif event.get("kind") == "fault":
+        words = f"{event['code']}: {event['cause']}"
+    else:
+        return None
+    return f"{event['t_s'] or 0.0:7.1f} s  {words}"
+
+
+def tell_stages(events: Tail, waiting: EndOfInput) -> None:
+    """Write each stage's line until the input ends; a pipe that nobody reads any more ends it, too."""
+    over = False
+    while not over:
+        over = waiting.wait(REFRESH_S)
+        for line in events.lines():
+            told = stage_line(json.loads(line))
+            if told is not None:
+                try:
+                    sys.stderr.write(told + "\n")
+                    sys.stderr.flush()
+                except OSError:
+                    return
+
+
 def main(arguments: list[str]) -> int:
     """Show the run folder named first until it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     folder = Path(arguments[0])
     events, samples = Tail(folder / "events.jsonl"), Tail(folder / "samples.csv")
-    progress = Progress()
     waiting = end_of_input()
+    if not sys.stderr.isatty():
+        tell_stages(events, waiting)
+        return 0
+    progress = Progress()
     with Live(console=Console(stderr=True), auto_refresh=False, transient=False) as live:
         over = False
         while not over:

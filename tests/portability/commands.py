@@ -1,7 +1,11 @@
-"""Commands of rig one after the other in one process, each an argument of this module: what they exit with, at its end."""
+"""Commands of rig one after the other in one process, each an argument of this module: what they exit with, at its end.
+
+A word with a * in it is a path, as a shell has it.
+"""
 
 from __future__ import annotations
 
+import glob
 import json
 import multiprocessing
 import shlex
@@ -12,8 +16,9 @@ from rig.cli import main
 if __name__ == "__main__":
     statuses = []
     for line in sys.argv[1:]:
+        words = [path for word in shlex.split(line) for path in (glob.glob(word) if "*" in word else [word])]
         try:
-            main(shlex.split(line))
+            main(words)
         except SystemExit as end:
             statuses.append(end.code)
     print(json.dumps({"statuses": statuses, "start": multiprocessing.get_start_method()}))

@@ -110,7 +110,7 @@ def main(arguments: list[str]) -> None:
     while rest and rest[0] in ("-S", "-P", "-I", "-s", "-E"):
         rest.pop(0)
     assert rest[0] == "-m", rest
-    sys.path[:] = [entry for entry in sys.path if Path(entry).absolute() != Path(__file__).absolute().parent]
+    sys.path.pop(0)  # this file's folder
     if not rest[1].startswith("rig.recording"):  # these load nothing but Python's own
         for module in LOADED_BEFORE:
             importlib.import_module(module)
