@@ -228,7 +228,11 @@ def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool)
 
     experiment = _load_bench(config_path)
     if not abs(u_V) <= experiment.drive.max_V:
-        _fail(EXIT_BAD_INPUT, f"--u-V {u_V:g} is beyond drive.max_V {experiment.drive.max_V:g}", "ask for less")
+        _fail(
+            EXIT_BAD_INPUT,
+            f"--u-V {u_V:g} is beyond drive.max_V {experiment.drive.max_V:g}",
+            f"ask for --u-V between {-experiment.drive.max_V:g} and {experiment.drive.max_V:g}, or raise drive.max_V",
+        )
     outcome = _perform(lambda _: script.jog(experiment, u_V, seconds, out), as_json)
     moved = outcome.result.get("jog")
     if moved is not None and not as_json:

@@ -20,6 +20,12 @@ if TYPE_CHECKING:  # each loads slowly
     from rig.session import Outcome
 
 
+RECORD_ANEW = (
+    "to record anew: `rig relay CONFIG`; more cycles: relay.cycles; slower, larger or other ones: relay.target or "
+    "relay.gains; a part of a record: --rows FIRST:LAST"
+)
+
+
 def show_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """A table as wide as the terminal, whose first column, names that are typed, is never cut; plain in a pipe."""
     if not sys.stdout.isatty():
@@ -169,6 +175,8 @@ def show_estimates(
     for method, estimate in estimates.items():
         for reason in estimate["reasons"]:
             click.echo(f"{method}: {reason}")
+    if any("record" in reason for estimate in estimates.values() for reason in estimate["reasons"]):
+        click.echo(RECORD_ANEW)
     for method, check_run in (tracking or {}).items():
         if "not_run" in check_run:
             click.echo(f"tracking with {method}: not run: {check_run['not_run']}")

@@ -119,7 +119,7 @@ def identify(
     found.hysteretic = [least_squares.Transient.of(record).as_dict() for record in hysteretic]
     records = records or hysteretic
     if not records:
-        raise IdentifyError("no hysteretic run got as far as its first drive", "run the experiment again")
+        raise IdentifyError("no hysteretic run got as far as its first drive", "record it again: `rig relay CONFIG`")
     for method in METHODS:
         if method not in wanted or (method == least_squares.METHOD and not hysteretic and not methods):
             continue
@@ -158,7 +158,8 @@ def identify(
         found.estimates[method] = estimate
     if not found.estimates:
         raise complaints[0]
-    odd = disagreement(opinions(of_recordings)) if len(recordings) > 1 else None
+    several = len(recordings) > 1 and wanted != (least_squares.METHOD,)
+    odd = disagreement(opinions(of_recordings)) if several else None
     if odd is not None:
         found.estimates = {method: e.judged("doubtful", odd) for method, e in found.estimates.items()}
     shown = _add_breakaway(recordings, found)
@@ -194,7 +195,7 @@ def _records(recording: Recording, several: bool, notes: list[str]) -> tuple[lis
         if not relays:
             raise IdentifyError(
                 f"{name} has no relay test (stages: {', '.join(stages)})",
-                "run `rig relay` or `rig run`, and identify that",
+                "run `rig relay CONFIG` or `rig run CONFIG`, and identify that",
             )
         chosen = [(recording.stage_rows(stage), f"{name}:{stage}" if several else stage) for stage in relays]
     tests: list[Record] = []
@@ -238,7 +239,7 @@ def _sampled_data(records: Sequence[Record], cycles: Sequence[Cycle], periods_s:
 def _triple_relay(records: Sequence[Record], cycles: Sequence[Cycle], complaints: Sequence[IdentifyError]) -> Estimate:
     """Of several tests, the estimate whose cycles scatter least."""
     if not cycles:
-        raise complaints[-1] if complaints else IdentifyError("there is no relay test", "record one")
+        raise complaints[-1] if complaints else IdentifyError("there is no relay test", "record one: `rig relay CONFIG`")
     first = None
     if len(cycles) > 1:
         try:
