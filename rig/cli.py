@@ -187,9 +187,9 @@ def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
 @JSON
 def relay(config_path: Path, out: Path, as_json: bool) -> None:
     """Run breakaway, gain search and relay tests alone, and identify them."""
+    experiment = _load_bench(config_path)
     from rig import experiment as script
 
-    experiment = _load_bench(config_path)
     _finish(_perform(partial(script.run_relay, experiment, out), as_json), as_json)
 
 
@@ -202,11 +202,11 @@ def relay(config_path: Path, out: Path, as_json: bool) -> None:
 @JSON
 def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
     """Run the tracking check alone, with the models of an earlier run."""
+    experiment = _load_bench(config_path)
     from rig import experiment as script
     from rig.identify import IdentifyError, identify
     from rig.recording.reader import read_run
 
-    experiment = _load_bench(config_path)
     if experiment.tracking is None:
         _fail(EXIT_BAD_INPUT, f"{config_path}: no section tracking", "add one; config/demo.yaml shows how")
     try:
@@ -224,9 +224,9 @@ def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
 @JSON
 def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool) -> None:
     """Drive the shaft by hand for a moment, within the limits; after a limit it recovers inward."""
+    experiment = _load_bench(config_path)
     from rig import experiment as script
 
-    experiment = _load_bench(config_path)
     if not abs(u_V) <= experiment.drive.max_V:
         _fail(
             EXIT_BAD_INPUT,

@@ -119,7 +119,7 @@ def export(
 
 
 def load(run_folder: Path, stage: str | None = None, rows: tuple[int | None, int | None] | None = None) -> Run:
-    """The run, its rows those of ``stage``, and of these ``rows``, alone where such are named. Raises RecordingError."""
+    """The run, or of it the rows of ``stage`` alone, and of these rows ``rows`` alone. Raises RecordingError."""
     recording = read_run(run_folder)
     notes = list(recording.notes)
     result = read_result(run_folder)

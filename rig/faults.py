@@ -23,7 +23,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LINK_LOST": FaultEntry(
         "the port died while in use",
-        "check the cable and the device's supply; `rig doctor CONFIG` tries the link without driving; then start the run "
+        "check the cable and the device's supply; `rig doctor CONFIG` tries the link without driving; then start the "
+        "run "
         "again: a port is never reopened by itself",
     ),
     "LINK_TIMEOUT": FaultEntry(
@@ -51,7 +52,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LINK_HELLO": FaultEntry(
         "the device did not introduce itself",
-        "flash the firmware (`rig flash`), check daq.port and daq.baud; an Arduino needs two seconds after the port opens",
+        "flash the firmware (`rig flash`), check daq.port and daq.baud; an Arduino needs two seconds after the port "
+        "opens",
     ),
     "LINK_VERSION": FaultEntry(
         "the firmware speaks another version of the protocol",
@@ -72,7 +74,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "ARM_READBACK": FaultEntry(
         "the limits read back from the device are not those that were sent",
-        "start again; if it persists, flash the firmware (`rig flash`); a Modbus device: correct address and type of that "
+        "start again; if it persists, flash the firmware (`rig flash`); a Modbus device: correct address and type of "
+        "that "
         "register in daq.modbus.registers, or give a value that the device can hold",
     ),
     "DEVICE_RESET": FaultEntry(
@@ -95,7 +98,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "DEVICE_NOT_ARMED": FaultEntry(
         "the device refused drive because it is not armed",
-        "start the run again, which arms it anew; if that persists, see by `rig doctor CONFIG` whether it answers, and check "
+        "start the run again, which arms it anew; if that persists, see by `rig doctor CONFIG` whether it answers, "
+        "and check "
         "its supply",
     ),
     "DEVICE_DRIVE_RANGE": FaultEntry(
@@ -112,11 +116,13 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "DEVICE_RELAY": FaultEntry(
         "the relay in the device decided otherwise than the law does on the same counts",
-        "flash the firmware of this rig (`rig flash`); if it is that, report this run, and set relay.where to host meanwhile",
+        "flash the firmware of this rig (`rig flash`); if it is that, report this run, and set relay.where to host "
+        "meanwhile",
     ),
     "RELAY_STOPPED": FaultEntry(
         "the relay in the device drove where the guard does not let it",
-        "lower relay.target.amplitude_rad or relay.gains, or widen limits.hard_rad; where it ran well before, check the "
+        "lower relay.target.amplitude_rad or relay.gains, or widen limits.hard_rad; where it ran well before, check "
+        "the "
         "motor's wires",
     ),
     # guard
@@ -130,7 +136,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "SENSOR_RAIL": FaultEntry(
         "the position sensor reads at its rail",
-        "check the wiper's wire and the supply of the potentiometer; centre the shaft away from the ends; readings inside "
+        "check the wiper's wire and the supply of the potentiometer; centre the shaft away from the ends; readings "
+        "inside "
         "sensor.rail_counts are good; a Modbus device: check type and scale in daq.modbus.registers.position, and "
         "daq.modbus.word_order",
     ),
@@ -155,7 +162,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "DRIVE_STUCK_ON": FaultEntry(
         "the shaft moves although the drive is at 0 V",
-        "cut the motor's supply; check the H-bridge, the enable pull-down, and that `rig flash --bridge` was told the inputs "
+        "cut the motor's supply; check the H-bridge, the enable pull-down, and that `rig flash --bridge` was told the "
+        "inputs "
         "that it has. Software cannot stop such a drive",
     ),
     "SENSOR_NOISY": FaultEntry(
@@ -164,13 +172,15 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "OVERSPEED": FaultEntry(
         "the shaft is faster than limits.max_speed_rad_s",
-        "lower relay.gains or relay.target.amplitude_rad, or raise limits.max_speed_rad_s if `rig check` has room to stop; "
+        "lower relay.gains or relay.target.amplitude_rad, or raise limits.max_speed_rad_s if `rig check` has room to "
+        "stop; "
         "where the drive was 0 V, check the bridge and the sensor",
     ),
     # loop and record
     "RECORDER_DEAD": FaultEntry(
         "the recorder stopped taking rows",
-        "check the disk's free space and permissions of the run folder, or name a folder on another disk with `rig run --out`",
+        "check the disk's free space and permissions of the run folder, or name a folder on another disk with `rig "
+        "run --out`",
     ),
     "INTERRUPTED": FaultEntry(
         "the run was interrupted",
@@ -178,7 +188,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LAW_FAILED": FaultEntry(
         "the program asked for a drive that is no number",
-        "this is a defect of rig: please report it with the run folder, which `rig export RUN --to run.json` makes one file",
+        "this is a defect of rig: please report it with the run folder, which `rig export RUN --to run.json` makes "
+        "one file",
     ),
     "INTERNAL": FaultEntry(
         "the program failed",
@@ -187,7 +198,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "STOP_UNCONFIRMED": FaultEntry(
         "the device did not confirm the stop",
-        "its watchdog sets 0 V; cut the motor's supply if the shaft still turns, then check the cable; `rig doctor CONFIG` "
+        "its watchdog sets 0 V; cut the motor's supply if the shaft still turns, then check the cable; `rig doctor "
+        "CONFIG` "
         "tries it without driving",
     ),
     # experiment
@@ -201,7 +213,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "NOT_HOME": FaultEntry(
         "the shaft could not be brought to rest at zero",
-        "check for play, a spring or a load that moves it; turn it near the centre by hand or by `rig jog`, and start again",
+        "check for play, a spring or a load that moves it; turn it near the centre by hand or by `rig jog`, and start "
+        "again",
     ),
     "DRIVE_TOO_SMALL": FaultEntry(
         "a hysteretic relay's drive does not move the shaft from rest",

@@ -56,10 +56,11 @@ class Outcome:
                 why.append(f"the {method} estimate was refused: " + "; ".join(estimate["reasons"]))
         return "; ".join(why)
 
-
     def as_json(self) -> dict[str, Any]:
         """What `--json` prints: result.json, where it is, whether all is well, and if not why and what to do."""
-        said = {} if not self.failure else {"cause": self.failure, "cure": "" if self.fault is None else self.fault.cure}
+        said = (
+            {} if not self.failure else {"cause": self.failure, "cure": "" if self.fault is None else self.fault.cure}
+        )
         return {"ok": not self.failure, "folder": str(self.folder), **said, **self.result}
 
 

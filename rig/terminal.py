@@ -42,7 +42,7 @@ def show_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]
 
 
 def plain_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table that a program can read, too: columns two blanks or more apart, a dash where there is nothing."""
+    """Lines of a table that a program can read, too: columns two blanks or more apart, a dash where nothing is."""
     cells = [[cell or "-" for cell in row] for row in [headings, *rows]]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells]

@@ -91,7 +91,9 @@ def opened(folder: Path, campaign: Campaign) -> Iterator[ResultFile]:
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder / RESULTS, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
     except OSError as error:
-        raise CampaignError(f"{folder}: cannot be written: {error.strerror}", "choose another folder with --out") from error
+        raise CampaignError(
+            f"{folder}: cannot be written: {error.strerror}", "choose another folder with --out"
+        ) from error
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -198,7 +200,9 @@ def _same_campaign(folder: Path, campaign: Campaign) -> None:
         meta = json.loads(path.read_text(encoding="utf-8"))
         config, program, there = meta["config_sha256"], meta["program_sha256"], dict(meta["campaign"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CampaignError(f"{path}: does not say which campaign this is", "choose another folder with --out") from error
+        raise CampaignError(
+            f"{path}: does not say which campaign this is", "choose another folder with --out"
+        ) from error
     if config != config_hash(campaign):
         changed = _difference(there, _keys(campaign))
         raise CampaignError(

@@ -239,7 +239,9 @@ def _sampled_data(records: Sequence[Record], cycles: Sequence[Cycle], periods_s:
 def _triple_relay(records: Sequence[Record], cycles: Sequence[Cycle], complaints: Sequence[IdentifyError]) -> Estimate:
     """Of several tests, the estimate whose cycles scatter least."""
     if not cycles:
-        raise complaints[-1] if complaints else IdentifyError("there is no relay test", "record one: `rig relay CONFIG`")
+        raise (
+            complaints[-1] if complaints else IdentifyError("there is no relay test", "record one: `rig relay CONFIG`")
+        )
     first = None
     if len(cycles) > 1:
         try:

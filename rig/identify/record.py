@@ -70,7 +70,9 @@ class Record:
                     "leave these rows out, by --rows FIRST:LAST, or record again: `rig relay CONFIG`",
                 )
         if self.t_s.size < 2:
-            raise IdentifyError(f"{self.name}: {self.t_s.size} rows are too few", "record at least ten cycles: relay.cycles")
+            raise IdentifyError(
+                f"{self.name}: {self.t_s.size} rows are too few", "record at least ten cycles: relay.cycles"
+            )
         back = np.flatnonzero(np.diff(self.t_s) <= 0.0)
         if back.size:
             raise IdentifyError(
@@ -212,7 +214,8 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[Record
     first, stop, _ = rows.indices(len(recording))
     if stop - first < FEWEST_ROWS:
         raise IdentifyError(
-            f"{name}: {max(0, stop - first)} rows are too few to fit", "record at least three cycles, better ten: relay.cycles"
+            f"{name}: {max(0, stop - first)} rows are too few to fit",
+            "record at least three cycles, better ten: relay.cycles",
         )
     notes: list[str] = []
     scale = 1.0

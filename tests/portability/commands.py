@@ -5,18 +5,20 @@ A word with a * in it is a path, as a shell has it.
 
 from __future__ import annotations
 
-import glob
 import json
 import multiprocessing
 import shlex
 import sys
+from pathlib import Path
 
 from rig.cli import main
 
 if __name__ == "__main__":
     statuses = []
     for line in sys.argv[1:]:
-        words = [path for word in shlex.split(line) for path in (glob.glob(word) if "*" in word else [word])]
+        words: list[str] = []
+        for word in shlex.split(line):
+            words += map(str, Path().glob(word)) if "*" in word else [word]
         try:
             main(words)
         except SystemExit as end:

@@ -1,4 +1,4 @@
-"""Python as it would be on another system, as far as this one can pretend: ``other_platform.py PLATFORM [-m MODULE] ...``
+"""Python as on another system, as far as this one can pretend: ``other_platform.py PLATFORM -m MODULE ...``
 
 Runs like ``python``, and so do the processes that it starts: what only Linux has is hidden before rig is imported. The
 packages that rig uses are loaded before that, since on another system they are that system's.
@@ -35,12 +35,43 @@ NOT_ON_WINDOWS = (
     (os, ("getuid", "fchmod", "killpg", "O_CLOEXEC", "O_NONBLOCK", "O_NOCTTY", "O_NOFOLLOW", "O_DIRECTORY")),
     (mmap, ("MAP_SHARED", "MAP_PRIVATE")),
     (select, ("poll", "epoll")),
-    (signal, ("SIGHUP", "SIGCONT", "SIGSTOP", "SIGUSR1", "SIGUSR2", "SIGALRM", "SIGKILL", "SIGCHLD", "pthread_sigmask")),
+    (
+        signal,
+        ("SIGHUP", "SIGCONT", "SIGSTOP", "SIGUSR1", "SIGUSR2", "SIGALRM", "SIGKILL", "SIGCHLD", "pthread_sigmask"),
+    ),
 )
-LOADED_BEFORE = ("numpy", "scipy.optimize", "scipy.signal", "scipy.io", "scipy.linalg", "scipy.special", "numba", "yaml")
-LOADED_BEFORE += ("pydantic", "click", "rich.console", "rich.table", "rich.progress", "rich.live", "jinja2", "click.testing")
+LOADED_BEFORE = (
+    "numpy",
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.io",
+    "scipy.linalg",
+    "scipy.special",
+    "numba",
+    "yaml",
+)
+LOADED_BEFORE += (
+    "pydantic",
+    "click",
+    "rich.console",
+    "rich.table",
+    "rich.progress",
+    "rich.live",
+    "jinja2",
+    "click.testing",
+)
 LOADED_BEFORE += ("matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_svg", "tempfile")
-LOADED_BEFORE += ("asyncio", "concurrent.futures", "importlib.metadata", "joblib", "json", "csv", "shutil", "logging", "uuid")
+LOADED_BEFORE += (
+    "asyncio",
+    "concurrent.futures",
+    "importlib.metadata",
+    "joblib",
+    "json",
+    "csv",
+    "shutil",
+    "logging",
+    "uuid",
+)
 
 
 def pretend(name: str) -> None:
