@@ -1,8 +1,8 @@
 """The writer process: takes rows and events out of shared memory and appends them to the run folder.
 
 Started by ``recorder.Recorder`` as ``python -m rig.recording.writer MEMORY PARENT CAPACITY_ROWS CAPACITY_EVENT_BYTES
-FOLDER STAGE...``; MEMORY is a descriptor, or the path of a file. Its standard input is a pipe that nobody writes to: its
-end says that the loop's process has closed the record or is gone; then whatever is in the memory is written, the row
+FOLDER STAGE...``; MEMORY is a descriptor, or the path of a file. Its standard input is a pipe that nobody writes to:
+its end says that the loop's process has closed the record or is gone; then whatever is in the memory is written, the row
 still open included, and the process ends.
 
 A disk that takes no more, or fails, costs no row that is in the memory: the file goes on in another one, which begins

@@ -84,3 +84,12 @@ def test_real_time_says_what_it_cannot_promise(platform: str, name: str, monkeyp
     with real_time() as done:
         assert done.granted == []
     assert done.refused[0].startswith(f"{name} has not been tried in real time: no priority, no locked memory")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp437", "cp1252", "utf-8"])
+def test_a_letter_that_a_pipe_has_no_code_for_is_no_traceback(encoding: str) -> None:
+    program = "from rig.__main__ import never_stop_at_a_letter as n; n(); print('0.17 \u00b10.01 \u2713')"
+    environment = {**os.environ, "PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True, cwd=ROOT, env=environment)
+    assert done.stdout.decode(encoding).strip().startswith("0.17 ")
+    assert (b"?" in done.stdout) == (encoding != "utf-8")
