@@ -2,8 +2,8 @@
 
 Started by ``recorder.Recorder`` as ``python -m rig.recording.writer MEMORY PARENT CAPACITY_ROWS CAPACITY_EVENT_BYTES
 FOLDER STAGE...``; MEMORY is a descriptor, or the path of a file. Its standard input is a pipe that nobody writes to:
-its end says that the loop's process has closed the record or is gone; then whatever is in the memory is written, the row
-still open included, and the process ends.
+its end says that the loop's process has closed the record or is gone; then whatever is in the memory is written, the
+row still open included, and the process ends.
 
 A disk that takes no more, or fails, costs no row that is in the memory: the file goes on in another one, which begins
 with all that was written since the file was last known to be on the disk. ``samples.csv.from-12345`` holds what is to
