@@ -180,6 +180,7 @@ def from_columns(
         config_text=None,
         events=(),
         notes=(),
+        first_row=0,
     )
 
 
@@ -268,6 +269,7 @@ def read_csv(path: Path, *, own: bool = False) -> Recording:
         config_text=None,
         events=(),
         notes=tuple(notes),
+        first_row=0,
     )
 
 
