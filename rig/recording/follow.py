@@ -15,15 +15,13 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-
-from rich.console import Console
-from rich.live import Live
-from rich.table import Table
-from rich.text import Text
+from typing import TYPE_CHECKING, Any
 
 from rig.recording.columns import COLUMNS
 from rig.recording.end_of_input import EndOfInput, end_of_input
+
+if TYPE_CHECKING:  # it loads slowly, and plain lines do without
+    from rich.table import Table
 
 REFRESH_S = 0.2
 BAR_WIDTH = 41
@@ -31,7 +29,14 @@ BAR_WIDTH = 41
 
 @contextmanager
 def following(folder: Path) -> Iterator[None]:
-    """Show the progress of ``folder`` on standard error for the block."""
+    """Show the progress of ``folder`` on standard error for the block; nothing where that is not the process's own."""
+    try:
+        is_shared = sys.stderr.fileno() == 2  # what another process writes to
+    except (OSError, ValueError):
+        is_shared = False
+    if not is_shared:
+        yield
+        return
     viewer = subprocess.Popen(
         [sys.executable, "-m", "rig.recording.follow", str(folder)], stdin=subprocess.PIPE, start_new_session=True
     )
@@ -117,6 +122,9 @@ class Progress:
 
     def picture(self) -> Table:
         """Stages that are done, the running one, and the shaft as a mark on a line."""
+        from rich.table import Table
+        from rich.text import Text
+
         table = Table.grid(padding=(0, 2))
         for end, stage, detail in self.done:
             table.add_row(Text(end, style="green" if end == "done" else "red"), stage, detail)
@@ -164,6 +172,9 @@ def main(arguments: list[str]) -> int:
     if not sys.stderr.isatty():
         tell_stages(events, waiting)
         return 0
+    from rich.console import Console
+    from rich.live import Live
+
     progress = Progress()
     with Live(console=Console(stderr=True), auto_refresh=False, transient=False) as live:
         over = False
