@@ -45,7 +45,7 @@ EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 
 
-class _Rows(click.ParamType):
+class _Rows(click.ParamType):  # type: ignore[type-arg]
     """``FIRST:LAST``; either may be left out."""
 
     name = "rows"

@@ -107,7 +107,7 @@ def _differences(odd: Opinion, mean: Array, covariance: Array) -> str:
     """The parameters by which it differs by three standard errors and more, at least the one that differs most."""
     errors = np.sqrt(np.diag(odd.covariance + covariance))
     distances = np.abs(odd.values - mean) / errors
-    told = []
+    told: list[str] = []
     for k in np.argsort(-distances):
         if told and distances[k] < 3.0:
             break
