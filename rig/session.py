@@ -65,6 +65,13 @@ class Outcome:
                 why.append(f"the {method} estimate was refused: " + "; ".join(estimate["reasons"]))
         return "; ".join(why)
 
+    def as_json(self) -> dict[str, Any]:
+        """What `--json` prints: result.json, where it is, whether all is well, and if not why and what to do."""
+        said = (
+            {} if not self.failure else {"cause": self.failure, "cure": "" if self.fault is None else self.fault.cure}
+        )
+        return {"ok": not self.failure, "folder": str(self.folder), **said, **self.result}
+
 
 @dataclass
 class Session:
@@ -106,7 +113,7 @@ def record(
     started = datetime.now(UTC)
     with stop_on_signals() as stop:
         with connect(experiment) as bench:
-            folder = create_run(parent, experiment.name, started)
+            folder = create_run(parent, f"{what['name']}-{experiment.name}", started)
             write_config(folder, dump(experiment))
             meta = _meta(experiment, bench, started) | {"script": what}
             write_meta(folder, meta)

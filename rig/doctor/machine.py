@@ -5,7 +5,6 @@ Every function takes ``root``, the folder that stands for ``/``.
 
 from __future__ import annotations
 
-import grp
 import os
 import platform
 import shutil
@@ -22,6 +21,7 @@ from rig.loop.real_time import real_time
 
 ROOT = Path("/")
 _FAST_CLOCKS = ("tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter")
+_FIFO = "1"  # SCHED_FIFO, as the kernel writes it
 _LATENCY_MS = 1
 _LEAST_FREE_BYTES = 200e6
 _NO_RUN_BYTES = 20e6  # one run with its report takes 4 to 11
@@ -130,7 +130,7 @@ def kernel_workers(root: Path = ROOT) -> Finding:
     stats = (_text(root / f"proc/{worker}/stat") or "" for worker in workers(root / "proc"))
     # proc(5): after the name in brackets, which may have blanks in it, fields 3 and on; 41 is the policy
     policies = (text.rpartition(")")[2].split()[38:39] for text in stats)
-    raised = sum(policy == [str(os.SCHED_FIFO)] for policy in policies)
+    raised = sum(policy == [_FIFO] for policy in policies)
     if raised == 0:
         return Finding("workers", "good", "the kernel's workers have their ordinary priority")
     keeper = Path(kernel_workers_module.__file__).name
@@ -165,8 +165,10 @@ def serial_port(device: Path) -> Finding:
     if os.access(device, os.R_OK | os.W_OK):
         return Finding("serial port", "good", f"{device} may be opened")
     try:
+        import grp  # not everywhere
+
         group = grp.getgrgid(device.stat().st_gid).gr_name
-    except KeyError:
+    except (ImportError, KeyError):
         group = "dialout"
     return Finding(
         "serial port",

@@ -67,10 +67,12 @@ class Record:
                 raise IdentifyError(
                     f"{self.name}: {key} is not a number in row {self.first_row + int(bad[0])}"
                     + (f" and {bad.size - 1} more" if bad.size > 1 else ""),
-                    "remove these rows, or record again",
+                    "leave these rows out, by --rows FIRST:LAST, or record again: `rig relay CONFIG`",
                 )
         if self.t_s.size < 2:
-            raise IdentifyError(f"{self.name}: {self.t_s.size} rows are too few", "record at least ten cycles")
+            raise IdentifyError(
+                f"{self.name}: {self.t_s.size} rows are too few", "record at least ten cycles: relay.cycles"
+            )
         back = np.flatnonzero(np.diff(self.t_s) <= 0.0)
         if back.size:
             raise IdentifyError(
@@ -212,7 +214,8 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[Record
     first, stop, _ = rows.indices(len(recording))
     if stop - first < FEWEST_ROWS:
         raise IdentifyError(
-            f"{name}: {max(0, stop - first)} rows are too few to fit", "record at least three cycles, better ten"
+            f"{name}: {max(0, stop - first)} rows are too few to fit",
+            "record at least three cycles, better ten: relay.cycles",
         )
     notes: list[str] = []
     scale = 1.0
@@ -225,6 +228,7 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[Record
             )
         scale = clock.ratio
         notes.append(f"{name}: times divided by the clock ratio over the run, {scale:.6f} +- {clock.error:.6f}")
+    first += recording.first_row
     t_s = recording.t_s[rows] / scale
     t_u_s = recording.t_u_s[rows] / scale
     y_rad, u_V = recording.y_rad[rows], recording.u_V[rows]
