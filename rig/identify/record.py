@@ -259,7 +259,8 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[Record
 
 
 def _times_error_s(recording: Recording) -> float:
-    """What meta.json says that the times may be wrong by; a plain CSV file and a run of an older version say nothing."""
+    """What meta.json says that the times may be wrong by; a CSV file and a run of an older version say nothing."""
     said = recording.meta.get("times_error_s")
-    known = isinstance(said, int | float) and not isinstance(said, bool) and 0.0 <= said < np.inf
-    return float(said) if known else TIMES_ERROR_S
+    if isinstance(said, int | float) and not isinstance(said, bool) and 0.0 <= said < np.inf:
+        return float(said)
+    return TIMES_ERROR_S

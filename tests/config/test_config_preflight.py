@@ -427,6 +427,6 @@ def test_preflight_never_fails_on_what_the_schema_takes(
 
 def test_rules_are_pure() -> None:
     """Same experiment, same answer; nothing of it changes (it is frozen), nothing is opened."""
-    e = experiment(daq__port="/dev/there-is-no-such-port")
+    e = experiment(daq__port="/dev/there-is-no-such-port", daq__adapter="none")
     assert preflight(e) == preflight(e)
     assert preflight(e).problems == ()

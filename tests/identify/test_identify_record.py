@@ -89,7 +89,8 @@ def test_a_true_clock_is_left_alone_and_a_wild_one_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("said", "error_s"), [(3.5e-4, 3.5e-4), (0, 0.0), (None, TIMES_ERROR_S), ("none", TIMES_ERROR_S), (True, TIMES_ERROR_S)]
+    ("said", "error_s"),
+    [(3.5e-4, 3.5e-4), (0, 0.0), (None, TIMES_ERROR_S), ("none", TIMES_ERROR_S), (True, TIMES_ERROR_S)],
 )
 def test_what_the_times_may_be_wrong_by_is_metas_word_or_the_default_of_an_older_run(tmp_path, said, error_s):
     one = recording(tmp_path, 1.0)
