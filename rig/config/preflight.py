@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import partial
 from pathlib import PurePosixPath
 
 from rig.config.backend import CHIP_BAUDS, CHIP_PORTS, EMULATED_PORTS, adapter_of, is_plug_in
@@ -130,7 +131,12 @@ def _link_budget(e: Experiment) -> Iterator[Problem]:
         bauds: tuple[int, ...] = ()
     else:
         bauds = CHIP_BAUDS if adapter_of(e) == "16u2" or e.daq.port in CHIP_PORTS else BAUD_RATES
-    quicker = _quicker_adapter(e, lambda adapter: _fits(e, e.daq.baud, adapter))
+    quicker = ""
+    for baud in (e.daq.baud, *bauds):
+        quicker = _quicker_adapter(e, partial(_fits, e, baud))
+        if quicker:
+            quicker += "" if baud == e.daq.baud else f", and daq.baud {baud}"
+            break
     fitting = [f"daq.baud {baud} fits" for baud in bauds if _fits(e, baud)]
     period_s = _ceil(link_budget(e).total_s / LINK_SHARE)
     longer = [f"period_s of {period_s:g} and more"] if period_s <= 0.1 else []

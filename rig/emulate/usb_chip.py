@@ -10,6 +10,8 @@ from collections import deque
 
 from rig.usb_serial import CHIPS, FRAME_S, Adapter
 
+_ROUNDING = 1e-6  # of a frame
+
 
 class UsbChip:
     """One adapter, plugged in at time 0, at which its timer and the frames of USB begin.
@@ -68,7 +70,7 @@ class UsbChip:
 
 
 def _next_frame_s(t_s: float) -> float:
-    return math.ceil(t_s / FRAME_S) * FRAME_S
+    return math.ceil(t_s / FRAME_S - _ROUNDING) * FRAME_S
 
 
 def _due(queue: deque[tuple[float, bytes]], t_s: float) -> bytes:
