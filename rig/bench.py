@@ -256,7 +256,7 @@ def emulated_board(
         board: ChipBoard | HostBoard
         if chip or experiment.daq.port in CHIP_PORTS:
             board = stack.enter_context(ChipBoard())
-            board.start(emulated, seed, own_link, trace, tachometer, experiment.daq.baud)
+            board.start(emulated, seed, own_link, trace, tachometer, experiment.daq.baud, experiment.drive.bridge)
         else:
             board = stack.enter_context(HostBoard())
             board.start(emulated, seed, own_link, trace, tachometer)
@@ -376,7 +376,11 @@ def emulated_chip(experiment: Experiment) -> VirtualChip:
         raise ValueError("the config has no section `emulated`")
     tachometer = None if experiment.tachometer is None else experiment.tachometer.model_dump()
     return VirtualChip.from_mapping(
-        experiment.emulated.model_dump(), experiment.seed, tachometer, baud=experiment.daq.baud
+        experiment.emulated.model_dump(),
+        experiment.seed,
+        tachometer,
+        baud=experiment.daq.baud,
+        bridge=experiment.drive.bridge,
     )
 
 
@@ -398,6 +402,7 @@ def _driver(experiment: Experiment, transport: Transport, name: str, *, emulated
         experiment.daq.open_timeout_s,
         None if t is None else TachometerScale(t.rad_s_per_count, t.zero_counts, t.gear_ratio),
         counts_max=experiment.sensor.counts_max,
+        bridge=experiment.drive.bridge,
         name=name,
         emulated=emulated,
     )

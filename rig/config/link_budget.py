@@ -20,8 +20,8 @@ LINK_SHARE = 0.8  # of the period that the exchange may take; measured, the whol
 REPLY_SHARE = 2 / 3  # of daq.timeout_s, after which the serial driver asks for a reading again
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000, 921600, 1_000_000, 2_000_000)
 
-# Wire format version 1: bytes of the body of each frame of one tick (host asks, device tells, host drives)
-_BODY_BYTES = {"READ": 0, "STATE": 18, "DRIVE": 2}
+# Wire format version 2: bytes of the body of each frame of one tick (host asks, device tells, host drives)
+_BODY_BYTES = {"READ": 0, "STATE": 24, "DRIVE": 2}
 # around each body: version, type, seq (4), CRC (2), COBS (1), delimiter (1)
 _FRAME_BYTES = 4 + 2 + 1 + 1
 _BITS_PER_BYTE = 11  # start, 8 data, stop, and the pause that is seen between bytes
@@ -30,7 +30,7 @@ _STAMPS_S = 1e-4  # a device's own times: a conversion (0.11 ms), a period of th
 _ROUNDED_S = 1e-6  # in the record
 
 # A relay in the device: every 10 of its 1 ms ticks a BLOCK of 10 (reading, drive) comes unasked
-_BLOCK_BYTES = 10 + 10 * 4 + _FRAME_BYTES
+_BLOCK_BYTES = 18 + 10 * 4 + _FRAME_BYTES
 _BLOCK_S = 0.010
 
 _RTU_BYTES = 1 + 2  # unit and CRC, around the function code and its data
