@@ -15,6 +15,7 @@ from typing import Any
 import rig
 from rig.bench import Bench, connect, guard_settings_of
 from rig.config import Experiment, dump
+from rig.config.link_budget import times_error_s
 from rig.config.room_to_stop import device_watchdog_s
 from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import GainSearch
@@ -310,6 +311,7 @@ def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, 
         "order": bench.driver.order,
         "period_s": experiment.period_s,
         "drive_units": bench.info.drive_units,
+        "times_error_s": times_error_s(experiment),
         "firmware": {
             "board": bench.info.board,
             "build": bench.info.build,

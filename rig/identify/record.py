@@ -18,6 +18,7 @@ LATENCY_PERIODS, LATENCY_S = 10.0, 0.1  # between a sample and its row's drive, 
 LEAST_DELAY_S = (
     0.01  # a serial link and a driver take as much, however fast the samples (of a record 100 times as long)
 )
+TIMES_ERROR_S = 1e-4  # by which times may be wrong where nobody says: a converter's step, a PWM period, an interrupt
 ALIKE = 0.8  # correlation of a drive with itself, later, that makes it periodic
 
 
@@ -41,6 +42,7 @@ class Record:
     u_V        n drives, V, after saturation and quantisation
     first_row  index of row 0 in the file it comes from
     name       what to call it in a message
+    times_error_s  by how much t_u_s may be wrong against t_s, s, at least 0: by so little beside it the drive may act
     Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite, times that do
     not increase, or drives that act far before or after their samples.
     """
@@ -51,6 +53,7 @@ class Record:
     u_V: Array
     first_row: int = 0
     name: str = "recording"
+    times_error_s: float = TIMES_ERROR_S
 
     def __post_init__(self) -> None:
         columns = {"t_s": self.t_s, "y_rad": self.y_rad, "u_V": self.u_V}
@@ -136,7 +139,15 @@ class Record:
         """Rows ``first`` to ``stop`` (exclusive)."""
         cut = slice(first, stop)
         times = None if self.t_u_s is None else self.t_u_s[cut]
-        return Record(self.t_s[cut], self.y_rad[cut], times, self.u_V[cut], self.first_row + first, self.name)
+        return Record(
+            self.t_s[cut],
+            self.y_rad[cut],
+            times,
+            self.u_V[cut],
+            self.first_row + first,
+            self.name,
+            self.times_error_s,
+        )
 
     def resolution_rad(self) -> float:
         """Step between neighbouring distinct positions, rad; 0 if they do not look quantised.
@@ -247,4 +258,13 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[Record
             f"{name}: t_u_s missing in {missing} rows, filled in with the median latency of {1e3 * latency:.2f} ms"
         )
         filled = np.maximum.accumulate(filled)
-    return Record(t_s[start:], y_rad[start:], filled, u_V[start:], first + start, name), notes
+    error_s = _times_error_s(recording)
+    return Record(t_s[start:], y_rad[start:], filled, u_V[start:], first + start, name, error_s), notes
+
+
+def _times_error_s(recording: Recording) -> float:
+    """What meta.json says that the times may be wrong by; a CSV file and a run of an older version say nothing."""
+    said = recording.meta.get("times_error_s")
+    if isinstance(said, int | float) and not isinstance(said, bool) and 0.0 <= said < np.inf:
+        return float(said)
+    return TIMES_ERROR_S
