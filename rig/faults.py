@@ -231,6 +231,21 @@ FAULTS: dict[str, FaultEntry] = {
 }
 
 
+# what a device may have latched before a command opened it, in few words; of any other its cause
+_SINCE_THE_LAST_RUN = {
+    "DEVICE_ESTOP": "e-stop pressed",
+    "DEVICE_WATCHDOG": "the device's watchdog took the drive off",
+    "DEVICE_TRAVEL": "the shaft was beyond a hard limit",
+    "DEVICE_SENSOR": "the position sensor was at its rail",
+    "DEVICE_END_SWITCH": "an end switch opened",
+}
+
+
+def since_the_last_run(code: str) -> str:
+    """What it means that opening a device has cleared this fault, for the person who gave the command."""
+    return f"{_SINCE_THE_LAST_RUN.get(code, FAULTS[code].cause)} since the last run: the device had latched {code}"
+
+
 class Fault(Exception):
     """A latched fault: code, cause, cure, and what was seen here.
 

@@ -21,7 +21,7 @@ from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import GainSearch
 from rig.control.guard import Guard
 from rig.control.tracking import tracking_error
-from rig.faults import FAULTS, Fault
+from rig.faults import Fault, since_the_last_run
 from rig.identify import Identification, IdentifyError, identify
 from rig.loop.real_time import RealTime
 from rig.loop.runner import STOPPING, Loop
@@ -35,14 +35,6 @@ from rig.report import write_report
 
 FADE_S = 1.5  # of the tracking reference; errors count after it
 _LONG_GAP_S = 0.1  # between two readings of a device that latches no e-stop
-# what opening the device has cleared
-_SINCE_THE_LAST_RUN = {
-    "DEVICE_ESTOP": "e-stop pressed",
-    "DEVICE_WATCHDOG": "the device's watchdog took the drive off",
-    "DEVICE_TRAVEL": "the shaft was beyond a hard limit",
-    "DEVICE_SENSOR": "the position sensor was at its rail",
-    "DEVICE_END_SWITCH": "an end switch opened",
-}
 
 
 @dataclass
@@ -118,7 +110,7 @@ def record(
             write_config(folder, dump(experiment))
             meta = _meta(experiment, bench, started) | {"script": what}
             write_meta(folder, meta)
-            said = tuple(_cleared(code) for code in bench.info.acknowledged)
+            said = tuple(since_the_last_run(code) for code in bench.info.acknowledged)
             recorder = Recorder(folder, _stages(experiment))
             try:
                 if on_start is not None:
@@ -133,11 +125,6 @@ def record(
         _measure_tracking(session, outcome)
         _write_result(session, outcome)
     return _conclude(session, outcome)
-
-
-def _cleared(code: str) -> str:
-    words = _SINCE_THE_LAST_RUN.get(code, FAULTS[code].cause)
-    return f"{words} since the last run: the device had latched {code}"
 
 
 def _run_script(script: Script, session: Session) -> Fault | None:
