@@ -19,6 +19,8 @@ LEAST_DELAY_S = (
     0.01  # a serial link and a driver take as much, however fast the samples (of a record 100 times as long)
 )
 ALIKE = 0.8  # correlation of a drive with itself, later, that makes it periodic
+# No bench shows more or less in any unit, and squares and cubes of what lies between are numbers.
+LARGEST, SMALLEST = 1e12, 1e-12
 
 
 class IdentifyError(Exception):
@@ -41,8 +43,9 @@ class Record:
     u_V        n drives, V, after saturation and quantisation
     first_row  index of row 0 in the file it comes from
     name       what to call it in a message
-    Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite, times that do
-    not increase, or drives that act far before or after their samples.
+    Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite or that no bench
+    shows (beyond 1e12, or a whole column within 1e-12 of zero that is not zero), times that do not increase, or drives
+    that act far before or after their samples.
     """
 
     t_s: Array
@@ -68,6 +71,12 @@ class Record:
                     f"{self.name}: {key} is not a number in row {self.first_row + int(bad[0])}"
                     + (f" and {bad.size - 1} more" if bad.size > 1 else ""),
                     "remove these rows, or record again",
+                )
+            largest = float(np.abs(column).max(initial=0.0))
+            if largest > LARGEST or 0.0 < largest < SMALLEST:
+                raise IdentifyError(
+                    f"{self.name}: {key} reaches {largest:.3g}, which no bench shows",
+                    "give t_s in seconds, u_V in volts and y_rad in radians, and see that each is in its own column",
                 )
         if self.t_s.size < 2:
             raise IdentifyError(f"{self.name}: {self.t_s.size} rows are too few", "record at least ten cycles")
