@@ -14,7 +14,7 @@ from typing import Any
 
 import rig
 from rig.bench import Bench, connect, guard_settings_of
-from rig.config import Experiment, dump
+from rig.config import Experiment, dump, notes
 from rig.config.room_to_stop import device_watchdog_s
 from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import GainSearch
@@ -207,6 +207,7 @@ def _result(session: Session, fault: Fault | None) -> dict[str, Any]:
         | ({} if session.real_time is None else {"real_time": asdict(session.real_time)}),
         "link": dict(session.bench.driver.link_statistics),
         "faults": [] if fault is None else [fault.as_dict()],
+        "config_notes": list(notes(session.experiment)),
         "notes": [*session.notes, *([] if identification is None else identification.notes)],
     }
     eps_rad = {f"hysteretic-{k}": run.eps_rad for k, run in enumerate(session.experiment.relay.hysteretic or (), 1)}

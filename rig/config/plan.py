@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import isclose
 
 from rig.config.backend import backend_words, is_emulated, is_plug_in
+from rig.config.emulated_bench import differences
 from rig.config.link_budget import block_sum, link_budget, link_sum
 from rig.config.modbus import as_in_a_manual, read_in_a_tick, written_at_arming, written_in_a_tick
 from rig.config.problems import bracketed
@@ -33,28 +33,25 @@ def plan(e: Experiment) -> Iterator[str]:
         yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
     yield from _device_drives(e)
     yield _failsafe(e)
-    if e.emulated is not None and is_emulated(e) and not isclose(e.emulated.supply_V, full_V):
-        yield (
-            f"note: the emulated bridge gives {e.emulated.supply_V:g} V, the config believes {full_V:g} V: "
-            "K and f_c will come out scaled"
-        )
-    if e.emulated is not None and is_emulated(e) and e.emulated.potentiometer.counts_max != e.sensor.counts_max:
-        yield (
-            f"note: the emulated potentiometer reads 0 to {e.emulated.potentiometer.counts_max} counts, "
-            f"sensor.counts_max is {e.sensor.counts_max}: describe it in emulated.potentiometer"
-        )
+    for note in notes(e):
+        yield f"note: {note}"
+
+
+def notes(e: Experiment) -> Iterator[str]:
+    """What a person has to know who reads the results: `rig check` says it before a run, and the run with them."""
+    yield from differences(e)
     if e.daq.modbus is not None:
         r = e.daq.modbus.registers
         if words := as_in_a_manual((*written_in_a_tick(r), *read_in_a_tick(r), *written_at_arming(r))):
-            yield f"note: {words}"
+            yield words
     low, high = e.limits.soft_rad
     if e.emulated is not None and not low <= e.emulated.motor.start_rad <= high:
-        yield "note: the emulated shaft starts outside the soft limits: a run refuses until `rig jog` has it inside"
+        yield "the emulated shaft starts outside the soft limits: a run refuses until `rig jog` has it inside"
     if e.emulated is not None and not is_emulated(e):
         if is_plug_in(e):
-            yield "note: section `emulated` counts as the truth only if the driver says that its device is emulated"
+            yield "section `emulated` counts as the truth only if the driver says that its device is emulated"
         else:
-            yield f"note: section `emulated` is not used with port {e.daq.port}"
+            yield f"section `emulated` is not used with port {e.daq.port}"
 
 
 def _stage_lines(e: Experiment) -> Iterator[str]:
