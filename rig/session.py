@@ -31,6 +31,7 @@ from rig.recording.reader import read_run
 from rig.recording.record import Record
 from rig.recording.recorder import Recorder
 from rig.report import write_report
+from rig.report.words import NOTHING_TO_IDENTIFY
 
 FADE_S = 1.5  # of the tracking reference; errors count after it
 
@@ -160,7 +161,7 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
             if any(stage.startswith(("relay-", "hysteretic-")) for stage in recording.stages()):
                 session.identification = identify([recording])
         except (IdentifyError, RecordingError) as error:
-            session.notes.append(f"nothing to identify: {error.cause}")
+            session.notes.append(f"{NOTHING_TO_IDENTIFY}: {error.cause}")
         _write_result(session, outcome)
     try:
         write_report(session.folder, session.identification)
