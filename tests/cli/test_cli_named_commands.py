@@ -1,4 +1,4 @@
-"""Every command that a sentence of the program or of its pages names is there, with the options that it names."""
+"""Every command that a sentence of the program names is there, with its options; tools/check_docs.py holds the pages."""
 
 from __future__ import annotations
 
@@ -15,20 +15,15 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def named() -> Iterator[tuple[str, str]]:
-    """File and command: in backticks in sentences, and lines of the shell in the pages."""
+    """File and command, in the backticks of its sentences and the code of its pages."""
     for path in sorted([*(ROOT / "rig").rglob("*.py"), *(ROOT / "rig").rglob("*.j2")]):
         text = re.sub(r'"\s*\n\s*f?"', "", path.read_text(encoding="utf-8"))  # one literal over several lines
         yield from ((path.name, command) for command in re.findall(r"(?:`|<code>)(rig [a-z][^`<]*)[`<]", text))
-    for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
-        text = path.read_text(encoding="utf-8")
-        inline = re.findall(r"`(rig [a-z][^`\n]*)`", text)
-        lines = re.findall(r"^(?:\$ )?(rig [a-z].*?)(?: +#.*)?$", text, re.M)
-        yield from ((path.name, command) for command in inline + lines)
 
 
 def test_every_named_command_and_option_exists() -> None:
     seen = list(named())
-    assert len(seen) > 80
+    assert len(seen) > 20
     wrong = []
     for place, command in seen:
         words = shlex.split(command.split(" | ")[0].replace("...", ""), comments=True)[1:]
