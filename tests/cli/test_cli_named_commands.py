@@ -1,4 +1,4 @@
-"""Every command that a sentence of the program names is there, with its options; tools/check_docs.py holds the pages."""
+"""Every command that a sentence of the program names is there, with its options; tools/check_docs.py does the pages."""
 
 from __future__ import annotations
 
