@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rig.config.backend import backend_words, is_emulated, is_plug_in
+from rig.config.backend import adapter_of, backend_words, is_emulated, is_plug_in
 from rig.config.emulated_bench import differences
-from rig.config.link_budget import block_sum, link_budget, link_sum
+from rig.config.link_budget import block_sum, link_budget, link_sum, sample_to_drive_s
 from rig.config.modbus import as_in_a_manual, read_in_a_tick, written_at_arming, written_in_a_tick
 from rig.config.problems import bracketed
 from rig.config.room_to_stop import overshoot_terms, peak_speed_rad_s, room_rad, stopping_sum, stopping_terms
 from rig.config.schema import Experiment
 from rig.config.sensor import range_rad
+from rig.usb_serial import CHIPS
 
 _DRIVE_UNITS = 799  # of the firmware at full duty
 
@@ -29,6 +30,8 @@ def plan(e: Experiment) -> Iterator[str]:
     yield f"stopping {stopping_sum(e)}; room from the centre of travel: {room_rad(e):.3f} rad"
     if link_budget(e).terms:
         yield f"link: {link_sum(e)}"
+    if e.daq.driver == "serial":
+        yield f"delay: a drive acts up to {1e3 * sample_to_drive_s(e):.2f} ms after its sample, and what the host takes"
     if is_plug_in(e):
         yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
     yield from _device_drives(e)
@@ -40,6 +43,7 @@ def plan(e: Experiment) -> Iterator[str]:
 def notes(e: Experiment) -> Iterator[str]:
     """What a person has to know who reads the results: `rig check` says it before a run, and the run with them."""
     yield from differences(e)
+    yield from _adapter(e)
     if e.daq.modbus is not None:
         r = e.daq.modbus.registers
         if words := as_in_a_manual((*written_in_a_tick(r), *read_in_a_tick(r), *written_at_arming(r))):
@@ -52,6 +56,24 @@ def notes(e: Experiment) -> Iterator[str]:
             yield "section `emulated` counts as the truth only if the driver says that its device is emulated"
         else:
             yield f"section `emulated` is not used with port {e.daq.port}"
+
+
+def _adapter(e: Experiment) -> Iterator[str]:
+    """What is reckoned with between USB and the line, where it is not certain."""
+    if e.daq.driver != "serial":
+        return
+    adapter = adapter_of(e)
+    chip = CHIPS.get(adapter)
+    if chip is not None and e.daq.adapter is None:
+        yield (
+            f"daq.adapter is not given; by the port's name it is reckoned with {chip.words} ({adapter}): "
+            "`rig doctor` says which is there"
+        )
+    if chip is not None and chip.assumed:
+        yield (
+            f"nobody says how long {chip.words} waits; {1e3 * chip.wait_s:g} ms is assumed: `rig doctor` on this "
+            "config measures it"
+        )
 
 
 def _stage_lines(e: Experiment) -> Iterator[str]:
