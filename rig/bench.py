@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
@@ -194,7 +194,7 @@ def unopened(experiment: Experiment) -> Iterator[Unopened]:
             clock,
             truth,
             calibration_of(experiment),
-            drive_map_of(experiment),
+            replace(drive_map_of(experiment), full_units=truth.drive_counts),  # as a real device says of itself
             experiment.sensor.rail_counts,
             latency,
             experiment.seed,

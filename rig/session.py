@@ -14,7 +14,7 @@ from typing import Any
 
 import rig
 from rig.bench import Bench, connect, guard_settings_of
-from rig.config import Experiment, dump
+from rig.config import Experiment, dump, notes
 from rig.config.link_budget import times_error_s
 from rig.config.room_to_stop import device_watchdog_s
 from rig.control.breakaway import BreakawayCheck
@@ -32,6 +32,7 @@ from rig.recording.reader import read_run
 from rig.recording.record import Record
 from rig.recording.recorder import Recorder
 from rig.report import write_report
+from rig.report.words import NOTHING_TO_IDENTIFY
 
 FADE_S = 1.5  # of the tracking reference; errors count after it
 _LONG_GAP_S = 0.1  # between two readings of a device that latches no e-stop
@@ -178,7 +179,7 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
             if any(stage.startswith(("relay-", "hysteretic-")) for stage in recording.stages()):
                 session.identification = identify([recording])
         except (IdentifyError, RecordingError) as error:
-            session.notes.append(f"nothing to identify: {error.cause}")
+            session.notes.append(f"{NOTHING_TO_IDENTIFY}: {error.cause}")
         except Exception as error:  # noqa: BLE001 - the result that is written already stays, and says so
             outcome.failures.append(f"the record was not identified: {_defect(error)}")
         _write_result(session, outcome)
@@ -237,6 +238,7 @@ def _result(session: Session, fault: Fault | None) -> dict[str, Any]:
         | ({} if session.real_time is None else {"real_time": asdict(session.real_time)}),
         "link": dict(session.bench.driver.link_statistics),
         "faults": [] if fault is None else [fault.as_dict()],
+        "config_notes": list(notes(session.experiment)),
         "notes": [*session.notes, *([] if identification is None else identification.notes)],
     }
     eps_rad = {f"hysteretic-{k}": run.eps_rad for k, run in enumerate(session.experiment.relay.hysteretic or (), 1)}

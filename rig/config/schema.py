@@ -7,7 +7,7 @@ checked here; what keys say together (room to stop, link budget, ...) in ``rig.c
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -106,6 +106,13 @@ class Sensor(_Section):
                     f"{a.counts} counts ({a.rad:g} rad) and {b.counts} counts ({b.rad:g} rad)"
                 )
         return points
+
+    @property
+    def straight(self) -> tuple[float, float]:
+        """Rad for each count, and the reading at 0 rad, of the straight line through the calibration's end points."""
+        points = sorted((point.counts, point.rad) for point in self.calibration)
+        (low, low_rad), (high, high_rad) = points[0], points[-1]
+        return (high_rad - low_rad) / (high - low), low - low_rad * (high - low) / (high_rad - low_rad)
 
     @field_validator("rail_counts")
     @classmethod
@@ -301,13 +308,26 @@ class EmulatedMotor(_Section):
 
 
 class EmulatedPotentiometer(_Section):
-    """The true potentiometer."""
+    """The true potentiometer: straight; by default the line through the end points of sensor.calibration."""
 
-    rad_per_count: float = Field(4.2 / 1024, description="negative: readings fall with position")
-    centre_counts: float = Field(512.0, description="reading at position 0 (with offset_rad 0)")
-    counts_max: Annotated[int, Field(ge=15, le=65535)] = Field(1023, description="largest reading of the ADC")
+    rad_per_count: float | None = Field(
+        None, description="negative: readings fall with position; not 0; default: as sensor.calibration"
+    )
+    centre_counts: float | None = Field(
+        None, description="reading at position 0 (with offset_rad 0); default: as sensor.calibration"
+    )
+    counts_max: Annotated[int, Field(ge=15, le=65535)] | None = Field(
+        None, description="largest reading of the ADC; default: sensor.counts_max"
+    )
     noise_rad: NonNegative = Field(0.0, description="standard deviation of white noise before quantisation")
     offset_rad: float = Field(0.0, description="true zero against the calibration's")
+
+    @field_validator("rad_per_count")
+    @classmethod
+    def _turns(cls, rad_per_count: float | None) -> float | None:
+        if rad_per_count == 0.0:
+            raise ValueError("must not be 0: the reading has to change with the position")
+        return rad_per_count
 
 
 class EmulatedWiring(_Section):
@@ -321,18 +341,34 @@ class EmulatedWiring(_Section):
 
 
 class Emulated(_Section):
-    """The emulated bench: what is really behind `driver: simulated` or `port: emulated`."""
+    """The emulated bench: what is really behind `driver: simulated` or `port: emulated`.
+
+    What the config believes of sensor, bridge and tachometer is true of it, but for what is said here. In an
+    ``Experiment`` every default is filled in.
+    """
 
     motor: EmulatedMotor = Field(description="the true motor, which the report compares estimates with")
     potentiometer: EmulatedPotentiometer = Field(EmulatedPotentiometer(), description="the true potentiometer")
-    supply_V: Positive = Field(12.0, description="true motor supply")
+    supply_V: Positive | None = Field(None, description="true motor supply; default: drive.supply_V")
+    bridge_drop_V: NonNegative | None = Field(
+        None, description="truly lost in the bridge while driving; default: drive.bridge_drop_V"
+    )
+    dead_band_duty: DeadBand | None = Field(
+        None, description="duty below which the bridge truly passes nothing; default: drive.dead_band_duty"
+    )
+    reversed: bool | None = Field(
+        None, description="positive duty truly turns the shaft to falling positions; default: drive.reversed"
+    )
     drive_counts: Annotated[int, Field(ge=50, le=32767)] = Field(799, description="PWM counts at full duty")
     latency_s: NonNegative = Field(0.0012, description="simulated: mean time from sample to effect of the drive")
     latency_jitter_s: NonNegative = Field(0.0003, description="simulated: uniform half-width around the mean")
     clock_error_ppm: Annotated[float, Field(ge=-20000, le=20000)] = Field(
         0.0, description="device clock against the host's (a ceramic resonator: 5000)"
     )
-    tachometer: bool = Field(False, description="has a velocity channel, scaled as in section tachometer")
+    tachometer: bool | None = Field(
+        None,
+        description="has a velocity channel, scaled as in section tachometer; default: where there is that section",
+    )
     wiring: EmulatedWiring = Field(EmulatedWiring(), description="faults that the bench is built with")
 
 
@@ -354,3 +390,34 @@ class Experiment(_Section):
     relay: Relay = Field(description="the relay experiment")
     tracking: Tracking | None = Field(None, description="leave out to skip the tracking check")
     emulated: Emulated | None = Field(None, description="the bench behind `driver: simulated` or `port: emulated`")
+
+    @model_validator(mode="after")
+    def _emulated_as_believed(self) -> Self:
+        """The emulated bench is the one that the other sections describe, but for what its own section says."""
+        if self.emulated is not None:
+            rad_per_count, centre_counts = self.sensor.straight
+            potentiometer = _filled(
+                self.emulated.potentiometer,
+                rad_per_count=rad_per_count,
+                centre_counts=centre_counts,
+                counts_max=self.sensor.counts_max,
+            )
+            emulated = _filled(
+                self.emulated.model_copy(update={"potentiometer": potentiometer}),
+                supply_V=self.drive.supply_V,
+                bridge_drop_V=self.drive.bridge_drop_V,
+                dead_band_duty=self.drive.dead_band_duty,
+                reversed=self.drive.reversed,
+                tachometer=self.tachometer is not None,
+            )
+            object.__setattr__(self, "emulated", emulated)  # frozen: this is the one place that completes it
+        return self
+
+
+_AnySection = TypeVar("_AnySection", bound=_Section)
+
+
+def _filled(section: _AnySection, **believed: Any) -> _AnySection:
+    """The section with a value for each of these keys that has none."""
+    missing = {key: value for key, value in believed.items() if getattr(section, key) is None}
+    return section.model_copy(update=missing)
