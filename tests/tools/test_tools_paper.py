@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from paper import build, surviving
+from paper import build, surviving, switching
 from paper.example_4_1 import Result as Result41
 from paper.example_4_1 import below_rests, monotone
 from paper.gauss_newton import features_of, iterate
@@ -92,6 +92,41 @@ class TestExample41:
 def small_4_1() -> Result41:
     """Example 4.1 with few points."""
     return build.example_4_1.compute(4)
+
+
+class TestTheorem21:
+    """Only one set of positive solutions, over a = h1 / h2 and b = fc / h2; the large map is `make paper`'s."""
+
+    @pytest.mark.parametrize("b", [0.0, 0.5, 0.95])
+    @pytest.mark.parametrize("a", [0.05, 0.8, 1.3, 3.0])
+    def test_one_set_of_durations_by_a_scan_and_from_random_starts(self, a: float, b: float) -> None:
+        assert switching.by_scan(a, b) == (1, 1)
+        search = switching.from_random_starts(a, b, 3, np.random.default_rng(5))
+        assert search.arrived == 3
+        (only,) = search.solutions
+        assert only == pytest.approx(limit_cycle(1.0, 1.0, b, a, 1.0).durations_s, rel=1e-6)
+
+    @pytest.mark.parametrize("b", [1.0, 1.1])
+    @pytest.mark.parametrize("a", [0.05, 0.8, 3.0])
+    def test_none_where_friction_is_not_exceeded_by_h2(self, a: float, b: float) -> None:
+        assert switching.by_scan(a, b).crossings == 0
+        assert switching.from_random_starts(a, b, 1, np.random.default_rng(5)).solutions == ()
+
+    def test_a_wrong_condition_would_be_noticed(self) -> None:
+        found = np.array(limit_cycle(1.0, 1.0, 0.5, 0.8, 1.0).durations_s)
+        assert np.abs(switching.residuals(found, 0.8, 0.5)).max() < 1e-9
+        for k in range(3):
+            other = found.copy()
+            other[k] *= 1.001
+            assert np.abs(switching.residuals(other, 0.8, 0.5)).max() > 1e-5
+
+    def test_the_loop_returns_as_theorem_2_2_says_and_reaches_the_cycle_from_anywhere_unless_h1_is_large(self) -> None:
+        result = build.theorem_2_1.compute(2, 1, 3, 2)
+        assert build.theorem_2_1.derived(result).holds
+        assert build.theorem_2_1.reached(result).holds
+        assert all(v.arrived == v.starts for v in result.visited_where(False))
+        assert result.trapped == "chatter"  # at h1 > h2 + fc there is rest beside the cycle
+        assert all(place.radius < 1.0 for place in result.below)
 
 
 class TestExample42:
@@ -229,8 +264,8 @@ class TestSection5:
 class TestPage:
     def test_holds_every_example_in_the_papers_order(self, page: str) -> None:
         order = [page.index(f'<h2 id="{key}">') for key in (
-            "summary", "example-4-1", "example-4-2a", "example-4-2b", "example-4-2c", "noise", "example-4-3",
-            "section-5", "sampling",
+            "summary", "example-4-1", "theorem-2-1", "example-4-2a", "example-4-2b", "example-4-2c", "noise",
+            "example-4-3", "section-5", "sampling",
         )]  # fmt: skip
         assert order == sorted(order)
 

@@ -19,6 +19,7 @@ from paper import (
     noise,
     sampling,
     section_5,
+    theorem_2_1,
 )
 from paper.drawing import style
 from paper.page import Report, Section, render_page
@@ -28,6 +29,11 @@ from rig.recording.folder import write_whole
 def make_4_1(quick: bool) -> Section:
     """Example 4.1."""
     return example_4_1.section(example_4_1.compute(9 if quick else 31))
+
+
+def make_2_1(quick: bool) -> Section:
+    """Theorem 2.1."""
+    return theorem_2_1.section(theorem_2_1.compute(4, 2, 3, 3) if quick else theorem_2_1.compute())
 
 
 def make_4_2a(_quick: bool) -> Section:
@@ -75,6 +81,7 @@ class Step(NamedTuple):
 
 STEPS = (
     Step("Example 4.1: the limit cycle", make_4_1, 0.03),
+    Step("Theorem 2.1: existence, uniqueness, convergence", make_2_1, 0.3),
     Step("Example 4.2 (a): least squares", make_4_2a, 0.02),
     Step("Example 4.2 (b): describing function", make_4_2b, 0.01),
     Step("Example 4.2 (c), (d): triple relay, two-stage", make_4_2c, 0.1),

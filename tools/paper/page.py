@@ -21,6 +21,24 @@ Agreement = Literal["agrees", "differs", "not comparable"]
 RemarkKind = Literal["agrees", "differs", "chosen", "ours"]
 
 
+class Claim(NamedTuple):
+    """Something that the computed numbers say or do not say; every verdict on the page is made from one.
+
+    The words that follow it are chosen by ``says``, so that no sentence can contradict its verdict.
+    """
+
+    holds: bool
+
+    @property
+    def agreement(self) -> Literal["agrees", "differs"]:
+        """The verdict."""
+        return "agrees" if self.holds else "differs"
+
+    def says(self, yes: str, no: str) -> str:
+        """The words for what was computed."""
+        return yes if self.holds else no
+
+
 class Cell(NamedTuple):
     """One entry of a table: its text (HTML), the exact number behind it, and whose number it is."""
 
