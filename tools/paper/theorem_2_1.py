@@ -173,7 +173,7 @@ def _place(a: float, b: float, searches: int, rng: np.random.Generator) -> Place
 
 def _sizes(cycle: LimitCycle) -> Array:
     """Largest v, y and z of the cycle."""
-    return np.abs(cycle.states).max(axis=0)
+    return np.asarray(np.abs(cycle.states).max(axis=0))
 
 
 def _visit(a: float, b: float, starts: int, rng: np.random.Generator) -> Visit:
@@ -182,7 +182,7 @@ def _visit(a: float, b: float, starts: int, rng: np.random.Generator) -> Visit:
     arrived = rested = 0
     worst = 0.0
     for _ in range(starts):
-        factors = np.exp(rng.uniform(*np.log(FACTORS), 3)) * rng.choice((-1.0, 1.0), 3)
+        factors = np.exp(rng.uniform(math.log(FACTORS[0]), math.log(FACTORS[1]), 3)) * rng.choice((-1.0, 1.0), 3)
         start = State(*(factors * _sizes(cycle)).tolist())
         try:
             half = settled_cycle(motor, a, 1.0, start, TOLERANCE, MOST_HALF_PERIODS)
@@ -206,7 +206,7 @@ def _derivative(motor: Motor, relay: Relay, cycle: LimitCycle, step: float = 1e-
         start = State(v + float(shift[0] * scale[0]), y + float(shift[1] * scale[1]), 0.0)
         run = ideal_relay(motor, relay, start, 0.8 * cycle.period_s, (-1.0, -1.0))
         state = next(event.state for event in run.events if event.kind == "integral")
-        return np.array([state.v, state.y]) / scale
+        return np.asarray(np.array([state.v, state.y]) / scale)
 
     columns = [(next_one(step * unit) - next_one(-step * unit)) / (2.0 * step) for unit in np.eye(2)]
     values = np.linalg.eigvals(np.column_stack(columns))
