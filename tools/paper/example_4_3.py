@@ -248,9 +248,9 @@ def section(result: Result) -> Section:
             f"The check {holds(result).says('holds', 'does not hold')}: the identified τ/K is "
             f"{significant(float(case.theta[0] / case.theta[1]), 5)} V s²/rad, the motor's own "
             f"{significant(case.motor.tau_s / case.motor.K_rad_s_V, 5)} "
-            f"({100 * case.ratio_error:+.2f} %), though τ itself is "
+            f"({100 * case.ratio_error:+.2f} %), {nearer(result).says('though', 'and')} τ itself is "
             f"{100 * (float(case.theta[0]) / case.motor.tau_s - 1.0):+.1f} % off the motor's. With viscous friction "
-            f"alone the absorption is exact: τ<sub>eff</sub> = {significant(tau, 6)} s and K<sub>eff</sub> = "
+            f"alone τ<sub>eff</sub> = {significant(tau, 6)} s and K<sub>eff</sub> = "
             f"{significant(K, 6)} (rad/s)/V are found to "
             f"{significant(float(np.abs(_errors(viscous)).max()), 1)}.".replace("-", "−"),
         ),
