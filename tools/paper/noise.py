@@ -237,7 +237,7 @@ def section(result: Result) -> Section:
             f"by the {EQUATIONS}, {filter_hurts(result).says('more', 'not more')} than the "
             f"{significant(rms[0], 2)} % of one period as it is. Without any noise "
             f"{significant(quiet[EQUATIONS], 2)} % "
-            "are left, which no averaging removes.",
+            "are left.",
         ),
         Remark(
             "ours",
@@ -285,7 +285,8 @@ def _averaging_remark(result: Result, form: str) -> Remark:
     values = listed([f"{significant(result.errors_at(form, n), 2)} % with {n}" for n in (1, FEWEST, MOST)])
     return Remark(
         averaging_helps(result, form).agreement,
-        f"By the {form} the worst parameter's RMS error {_course_words(result, form)}: {values}.",
+        f"By {form if form.startswith('the ') else 'the ' + form} the worst parameter's RMS error "
+        f"{_course_words(result, form)}: {values}.",
     )
 
 
