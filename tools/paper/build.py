@@ -19,6 +19,7 @@ from paper import (
     noise,
     sampling,
     section_5,
+    table_1,
     theorem_2_1,
 )
 from paper.drawing import style
@@ -49,6 +50,11 @@ def make_4_2b(quick: bool) -> Section:
 def make_4_2c(quick: bool) -> Section:
     """Example 4.2 (c), (d)."""
     return example_4_2c.section(example_4_2c.compute(7, 5) if quick else example_4_2c.compute())
+
+
+def make_table_1(_quick: bool) -> Section:
+    """Table I."""
+    return table_1.section(table_1.compute())
 
 
 def make_noise(quick: bool) -> Section:
@@ -85,6 +91,7 @@ STEPS = (
     Step("Example 4.2 (a): least squares", make_4_2a, 0.02),
     Step("Example 4.2 (b): describing function", make_4_2b, 0.01),
     Step("Example 4.2 (c), (d): triple relay, two-stage", make_4_2c, 0.1),
+    Step("Table I: the methods in one place", make_table_1, 0.02),
     Step("Noise: Remarks 3.1 and 3.2", make_noise, 0.1),
     Step("Example 4.3: Tustin's friction", make_4_3, 0.02),
     Step("Section V: the bench", make_5, 0.5),

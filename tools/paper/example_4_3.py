@@ -147,6 +147,10 @@ def _numbers(cycle: HalfPeriod) -> tuple[float, ...]:
     return (*cycle.durations_s, max(abs(y) for y in cycle.y_events_rad))
 
 
+def _gains_words() -> str:
+    return f"({surviving.GAINS[0].h1_V:g}, {surviving.GAINS[0].h2_V:g})"
+
+
 def _law_words(motor: Motor) -> str:
     f = motor.friction
     return (
@@ -198,7 +202,8 @@ def section(result: Result) -> Section:
         Paragraph(
             "Model uncertainty: the motor's friction follows Tustin's law, f(v) = (f<sub>c</sub> + (f<sub>s</sub> − "
             "f<sub>c</sub>) e<sup>−|v|/v<sub>s</sub></sup>) sgn v + f<sub>v</sub>v, and is identified as if it were "
-            "Coulomb's, gains (0.8, 1). The viscous part cannot be told from the motor's own damping: it is absorbed, "
+            f"Coulomb's, gains {_gains_words()}. The viscous part cannot be told from the motor's own damping: it is "
+            "absorbed, "
             "τ<sub>eff</sub> = τ/(1 + Kf<sub>v</sub>) and K<sub>eff</sub> = K/(1 + Kf<sub>v</sub>). So τ/K survives, "
             "and is the check. The cycle here is in continuous time, from crossing to crossing."
         ),
@@ -374,7 +379,7 @@ def _duration_table(result: Result) -> Table:
             (Cell("same τ and K, no Stribeck effect"), *(fixed(t, 5) for t in _numbers(result.without_stribeck))),
             (Cell("another K, with a Stribeck effect"), *(fixed(t, 5) for t in _numbers(result.reproducing))),
         ),
-        "The cycle under Tustin's friction at (h<sub>1</sub>, h<sub>2</sub>) = (0.8, 1).",
+        f"The cycle under Tustin's friction at (h<sub>1</sub>, h<sub>2</sub>) = {_gains_words()}.",
     )
 
 

@@ -297,7 +297,7 @@ def _table(result: Result) -> Table:
         cells = [number(100.0 * float(v), 2) for form in FORMS for v in result.rms(form)[k]]
         rows.append((Cell(f"N = {periods}"), *cells))
     low = [100.0 * float(v) for form in FORMS for v in np.sqrt(np.nanmean(result.filtered[form] ** 2, axis=0))]
-    rows.append((Cell(f"N = 1, low-pass {CUTOFF_HZ:.0f} Hz"), *(number(v, 2) for v in low)))
+    rows.append((Cell(f"N = {PERIODS[0]}, low-pass {CUTOFF_HZ:.0f} Hz"), *(number(v, 2) for v in low)))
     quiet = [100.0 * abs(float(v)) for form in FORMS for v in result.without_noise[form]]
     rows.append((Cell(f"N = {PERIODS[-1]}, no noise"), *(number(v, 2) for v in quiet)))
     lost = sum(int(np.isnan(result.errors[form]).any(axis=2).sum()) for form in FORMS)

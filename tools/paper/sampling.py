@@ -124,7 +124,9 @@ def section(result: Result) -> Section:
         "not comparable",
         "medians; the truth is known on the emulated motor only",
     )
-    return Section("sampling", "Sampling", "What sampling at 10 ms does to the triple relay", blocks, (comparison,))
+    return Section(
+        "sampling", "Sampling", f"What sampling at {last:g} ms does to the triple relay", blocks, (comparison,)
+    )
 
 
 def _table(result: Result) -> Table:

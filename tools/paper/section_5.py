@@ -214,8 +214,9 @@ def section(result: Result) -> Section:
     blocks = (
         Paragraph(
             "The whole experiment of the program (breakaway, relay tests, identification, tracking) in virtual time: "
-            "gains (1, 1.25) and (1.2, 1.35), ten periods averaged, 10 ms, a potentiometer on the slave shaft and a "
-            "tachometer on the motor behind a gear of 9: these are the paper's. Velocity for the tracking law comes "
+            f"gains {_bench_words()}, a potentiometer on the slave shaft and a tachometer on the motor behind a gear "
+            "of "
+            f"{surviving.BENCH_GEAR_RATIO:g}: these are the paper's. Velocity for the tracking law comes "
             "from the tachometer and the potentiometer by an observer on the identified model."
         ),
         Remark(
@@ -277,6 +278,11 @@ def section(result: Result) -> Section:
                    _comparisons(result))  # fmt: skip
 
 
+def _bench_words() -> str:
+    gains = " and ".join(f"({g.h1_V:g}, {g.h2_V:g})" for g in surviving.BENCH_GAINS)
+    return f"{gains}, {surviving.BENCH_PERIODS} periods averaged, {1e3 * surviving.BENCH_PERIOD_S:g} ms"
+
+
 def _chosen_words(config: Experiment) -> str:
     """The rest of what was chosen, as bench.yaml has it."""
     emulated, tracking = config.emulated, config.tracking
@@ -298,7 +304,7 @@ def takes_four(result: Result) -> Claim:
 
 
 def tracks_better(result: Result, method: str) -> Claim:
-    """This method's model tracks better than DF's, by the median of the seeds."""
+    """The method's model tracks better than DF's, by the median of the seeds."""
     return Claim(result.rms_rad(method) < result.rms_rad(DF))
 
 

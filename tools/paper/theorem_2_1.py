@@ -305,7 +305,7 @@ def section(result: Result) -> Section:
             one.agreement,
             f"{one.says('Only one set of positive solutions', 'Not one set of positive solutions')} at "
             f"{len(below) - len(exceptions)} of {len(below)} pairs of a and b with h<sub>2</sub> &gt; f<sub>c</sub>, "
-            f"a from {A_RANGE[0]:g} to {A_RANGE[1]:g} and b from 0 to {B_MOST:g}"
+            f"a from {A_RANGE[0]:g} to {A_RANGE[1]:g} and b from {result.b[0]:g} to {B_MOST:g}"
             f"{_exception_words(exceptions)}. The program's own solver differs from it by at most "
             f"{significant(apart, 1)}, and no relay switches additionally there. This is a computation, not a proof.",
         ),
@@ -387,7 +387,7 @@ def _reach_remark(result: Result) -> Remark:
         result.trapped
     ]
     return Remark(
-        "differs" if lost.holds or not claim.holds else "agrees",
+        Claim(claim.holds and not lost.holds).agreement,
         f"Where h<sub>1</sub> ≤ h<sub>2</sub> + f<sub>c</sub> {_counted(weak)} come to the cycle of Theorem 2.1 "
         f"(durations within {significant(worst, 1)}). Where h<sub>1</sub> &gt; h<sub>2</sub> + f<sub>c</sub> "
         f"{_counted(strong)} do, and from {sum(visit.rested for visit in strong)} the loop comes to rest or switches "
@@ -493,7 +493,8 @@ def _map_figure(result: Result) -> Picture:
         "Maps over h1/h2 and fc/h2: number of solutions, largest eigenvalue, periods to settle, share of starts.",
         "Over a = h1/h2 (logarithmic) and b = fc/h2, which stand for all gains and motors: how many sets of positive "
         "durations there are (none above the red line, h2 = fc); the largest eigenvalue of the half period; how many "
-        "periods it takes until a small distance is 1 % of itself, as a power of ten; the share of random initial "
+        f"periods it takes until a small distance is {100.0 * SETTLED:g} % of itself, as a power of ten; the share "
+        "of random initial "
         "states from which the loop came to the cycle. White dashes: h1 = h2 + fc.",
     )
 
