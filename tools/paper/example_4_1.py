@@ -395,7 +395,8 @@ def _property_words(result: Result) -> str:
     told = monotone(result).says(
         "So does the exact cycle at every one of the", "The exact cycle does not at all of the"
     )
-    return f"{told} {_pairs(result)} pairs of gains computed here; the sine's amplitude is up to {100 * worst:.0f} % off it."
+    off = f"the sine's amplitude is up to {100 * worst:.0f} % off it"
+    return f"{told} {_pairs(result)} pairs of gains computed here; {off}."
 
 
 def _courses(result: Result) -> Picture:

@@ -271,7 +271,7 @@ def _duration_errors(result: Result) -> Array:
 
 def _relative(cycle: HalfPeriod) -> Array:
     """How far t1, t2, t3 and the largest position are off the paper's."""
-    return np.array(_numbers(cycle)) / np.array(PAPER) - 1.0
+    return np.asarray(np.array(_numbers(cycle)) / np.array(PAPER) - 1.0)
 
 
 def _percent(share: float) -> str:

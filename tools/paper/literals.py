@@ -29,7 +29,8 @@ REFERENCES = re.compile(
     | <su[bp]>[^<]*</su[bp]>                  # indices and exponents
     | \b[htkJ]\d\b | \bT/2\b                  # names
     | \by\(0\) | \bz\(0\) | \(0\)
-    | 1/√N | 1/τ | ω/4 | \(1\s\+ | ^0$ | (from|at|At|starts?\sat)\s0(?=[\s,]) | stages?\s\d | \b[hv]\d\s? | [=≠]\s0\b | \#[0-9a-fA-F]{6}
+    | 1/√N | 1/τ | ω/4 | \(1\s\+ | ^0$ | [=≠]\s0\b | \#[0-9a-fA-F]{6}
+    | (from|at|At|starts?\sat)\s0(?=[\s,]) | stages?\s\d
     """,
     re.VERBOSE,
 )

@@ -170,7 +170,7 @@ def _averaged(test: RelayTest) -> Averaged:
     y = np.array([test.y_rad[k : k + rows] for k in begins])
     u = np.array([test.u_V[k : k + rows] for k in begins])
     return Averaged(
-        SAMPLING_S * np.arange(rows), y[0], {n: y[:n].mean(axis=0) for n in surviving.AVERAGED_PERIODS}, u.mean(axis=0),
+        np.arange(rows) * np.float64(SAMPLING_S), y[0], {n: y[:n].mean(axis=0) for n in surviving.AVERAGED_PERIODS}, u.mean(axis=0),
         course(exact, rows)["y"],
     )  # fmt: skip
 
@@ -229,7 +229,8 @@ def section(result: Result) -> Section:
         ),
         _table(result),
         _figure(result),
-        *(_averaging_remark(result, form) for form in FORMS),
+        _averaging_remark(result, EQUATIONS),
+        _averaging_remark(result, PROGRAM),
         Remark(
             filter_hurts(result).agreement,
             f"Do not low-pass filter, says the paper: {CUTOFF_HZ:.0f} Hz on one period give "

@@ -543,7 +543,7 @@ def _tracking_figure(result: Result) -> Picture:
         figure,
         "Tracking with the DF, TR and sampled-data models: position and error.",
         "Tracking by feedback linearisation with each model (Fig. 17 and 18 of the paper: TR and DF), each from where "
-        f"the shaft stood before, seed {result.first.seed}. The RMS counts from 1.5 s on, once the trajectory has "
-        "faded in.",
+        f"the shaft stood before, seed {result.first.seed}. The RMS counts once the trajectory has faded "
+        "in.",
         BACKEND,
     )
