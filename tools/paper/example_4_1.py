@@ -296,7 +296,7 @@ def _segments_words(result: Result) -> str:
     expanding = [f"{name} ({significant(value, 5)})" for name, value in named if value > EXPANDS]
     others = [f"{name} ({significant(value, 5)})" for name, value in named if value <= EXPANDS]
     return (
-        f"Of the {len(named)} segments of both cycles, single and two in a row, {len(expanding)} expand: "
+        f"Of the {len(named)} segments of both cycles, single and two in a row, these expand: "
         f"{listed(expanding) if expanding else 'none'}. "
         f"The others do not: {listed(others) if others else 'none'}."
     )

@@ -408,7 +408,7 @@ def _identified_table(result: Result) -> Table:
 def _law_figure(result: Result) -> Picture:
     case = result.tustin
     figure = new_figure(3.3)
-    left, right = figure.subplots(1, 2)
+    left, right, plane = figure.subplots(1, 3)
     speeds = np.concatenate((np.linspace(-5.0, -1e-6, 400), np.linspace(1e-6, 5.0, 400)))
     left.plot(speeds, [case.motor.friction.level(float(v)) for v in speeds], color="#1f2328", label="Tustin's law")
     # as identified: the damping beyond the motor's own counts as viscous
@@ -423,24 +423,31 @@ def _law_figure(result: Result) -> Picture:
     period = 2.0 * case.cycle.duration_s
     t = np.linspace(0.0, period * 0.999, 400)
     run = ideal_relay(case.motor, Relay(*gains), case.cycle.start, period, (-1.0, -1.0))
-    right.plot(t, run.states(t)[:, 1], color="#1f2328", label="Tustin's friction")
+    states = run.states(t)
+    right.plot(t, states[:, 1], color="#1f2328", label="Tustin's friction")
+    plane.plot(states[:, 1], states[:, 0], color="#1f2328")
     # the identified motor under the drive of that run
     edges = [step.begin_s for step in run.steps]
     drives = [step.u_V for step in run.steps]
     model = Motor(tau, K, tustin(fc, fc, 0.0))
     start = State(case.cycle.start.v, case.cycle.start.y, 0.0)
-    right.plot(t, model.response(start, t, edges, drives)[:, 1], "--", color="#D55E00", label="identified model")
-    right.set_xlabel("time since the drive stepped up, s")
+    predicted = model.response(start, t, edges, drives)
+    right.plot(t, predicted[:, 1], "--", color="#D55E00", label="identified model")
+    plane.plot(predicted[:, 1], predicted[:, 0], "--", color="#D55E00")
+    plane.set_xlabel("position y, rad")
+    plane.set_ylabel("velocity v, rad/s")
+    right.set_xlabel("time since RC stepped up, s")
     right.set_ylabel("position y, rad")
     low, high = right.get_ylim()
-    right.set_ylim(low, high + 0.25 * (high - low))
-    right.legend(loc="upper left", ncols=2)
+    right.set_ylim(low, high + 0.45 * (high - low))
+    right.legend(loc="upper left")
     zero(right)
     return finish(
         figure,
         "Tustin's friction law and what is identified of it; the cycle and the identified model's prediction.",
-        "Left: Tustin's friction and what is identified of it, Coulomb's level and the absorbed viscous slope. Right: "
-        "one period under Tustin's friction, and the identified model under the same drive.",
+        "Left: Tustin's friction and what is identified of it, Coulomb's level and the absorbed viscous slope. Middle "
+        "and right: one period under Tustin's friction and in its phase plane, and the identified model under the same "
+        "drive.",
     )
 
 

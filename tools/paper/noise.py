@@ -170,7 +170,8 @@ def _averaged(test: RelayTest) -> Averaged:
     y = np.array([test.y_rad[k : k + rows] for k in begins])
     u = np.array([test.u_V[k : k + rows] for k in begins])
     return Averaged(
-        np.arange(rows) * np.float64(SAMPLING_S), y[0], {n: y[:n].mean(axis=0) for n in surviving.AVERAGED_PERIODS}, u.mean(axis=0),
+        np.arange(rows) * np.float64(SAMPLING_S), y[0],
+        {n: y[:n].mean(axis=0) for n in surviving.AVERAGED_PERIODS}, u.mean(axis=0),
         course(exact, rows)["y"],
     )  # fmt: skip
 
@@ -312,26 +313,29 @@ def _table(result: Result) -> Table:
 
 def _averaged_figure(result: Result) -> Picture:
     a = result.averaged
-    figure = new_figure(4.0)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
-    top.plot(a.t_s, a.one_rad, ".", ms=1.5, color="#b9bfc7", label="one period, as read")
-    for (n, mean), ink in zip(a.means_rad.items(), ("#56B4E9", "#0072B2"), strict=True):
-        top.plot(a.t_s, mean, color=ink, lw=1.1, label=f"mean of {n} periods")
+    figure = new_figure(5.2)
+    top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(1.6, 1.6, 1.0))
+    top.plot(a.t_s, a.one_rad, ".", ms=1.5, color="#9aa3ad", label="one period, as read")
+    middle.plot(a.t_s, 1e3 * (a.one_rad - a.exact_rad), ".", ms=1.2, color="#b9bfc7", label="one period, as read")
+    for (n, mean), ink in zip(a.means_rad.items(), ("#D55E00", "#0072B2"), strict=True):
+        middle.plot(a.t_s, 1e3 * (mean - a.exact_rad), color=ink, lw=1.0, label=f"mean of {n} periods")
     top.plot(a.t_s, a.exact_rad, "--", color="#009E73", lw=1.1, label="exact cycle, no noise, no sampling")
-    low, high = top.get_ylim()
-    top.set_ylim(low, high + 0.35 * (high - low))
-    top.legend(loc="upper left", ncols=2)
+    for axes in (top, middle):
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high + 0.35 * (high - low))
+        axes.legend(loc="upper left", ncols=3)
     bottom.step(a.t_s, a.mean_V, where="post", color="#0072B2", lw=1.1)
-    for axes in (top, bottom):
+    for axes in (top, middle, bottom):
         zero(axes)
     top.set_ylabel("position y, rad")
+    middle.set_ylabel("less the exact, mrad")
     bottom.set_ylabel(f"drive u, V\n(mean of {MOST})")
     bottom.set_xlabel("time since RC stepped up, s")
     return finish(
         figure,
         "One period of the limit cycle with noise, averaged over several periods, and the exact one.",
         "The noisy limit cycle and its averages (Remark 3.1): position as read in one period, averaged point by point "
-        f"over {FEWEST} and {MOST} periods from RC's step on, beside the exact cycle; below, the averaged drive.",
+        f"over {FEWEST} and {MOST} periods from RC's step on, less the exact cycle; below, the averaged drive.",
     )
 
 

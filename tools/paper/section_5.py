@@ -495,7 +495,7 @@ def _cycle_figure(result: Result) -> Picture:
         top.plot(exact["t"], exact["y"], "--", color="#009E73", lw=1.2, label="exact cycle, not sampled")
         for axes in (top, bottom):
             zero(axes)
-        top.set_title(f"h1 = {cycle.h1_V:g} V,  h2 = {cycle.h2_V:g} V")
+        top.set_title(f"h1 = {cycle.h1_V:.4g} V,  h2 = {cycle.h2_V:.4g} V")
         low, high = top.get_ylim()
         top.set_ylim(low, high + 0.3 * (high - low))
         bottom.set_xlabel("time since RC stepped up, s")

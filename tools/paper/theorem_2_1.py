@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from paper import switching
@@ -32,6 +33,7 @@ FACTORS = (0.01, 10.0)  # random initial states, in the cycle's own largest v, y
 MOST_HALF_PERIODS = 2000
 TRAPPED = (3.0, 0.2, (0.0, 0.5, 20.0))  # a, b; v, y, z in the cycle's own: rest beside the cycle
 SCALES = ((0.17, 6.5, 1.0), (0.35, 3.0, 1.35), (2.0, 0.4, 7.0))  # tau, s, K, (rad/s)/V, h2, V
+COUNTED = ListedColormap(["#d9b8b8", "#8fc9a8", "#9a1b1b"])  # none, one, more
 SEED = 21
 
 
@@ -381,13 +383,13 @@ def _reach_words(result: Result) -> str:
 def _reach_remark(result: Result) -> Remark:
     weak, strong = result.visited_where(False), result.visited_where(True)
     worst = max(visit.worst for visit in weak)
-    claim, lost = reached(result), not_always_reached(result)
+    claim = reached(result)
     a, b, factors = TRAPPED
     trapped = {"chatter": "comes to rest on y = 0", "held": "is held by friction", "time": "still moves"}[
         result.trapped
     ]
     return Remark(
-        Claim(claim.holds and not lost.holds).agreement,
+        "ours",
         f"Where h<sub>1</sub> ≤ h<sub>2</sub> + f<sub>c</sub> {_counted(weak)} come to the cycle of Theorem 2.1 "
         f"(durations within {significant(worst, 1)}). Where h<sub>1</sub> &gt; h<sub>2</sub> + f<sub>c</sub> "
         f"{_counted(strong)} do, and from {sum(visit.rested for visit in strong)} the loop comes to rest or switches "
@@ -434,9 +436,13 @@ def _comparisons(result: Result) -> tuple[Comparison, ...]:
             "",
             f"{_counted(weak)} where h<sub>1</sub> ≤ h<sub>2</sub> + f<sub>c</sub>, {_counted(strong)} elsewhere",
             "not comparable",
-            "the theorem does not say; beyond, some come to rest at y = 0",
+            f"the theorem does not say; {sum(visit.rested for visit in strong)} of the latter come to rest",
         ),
     )
+
+
+def _whole(count: int) -> Cell:
+    return Cell(str(count), float(count))
 
 
 def _count_table(result: Result) -> Table:
@@ -449,10 +455,10 @@ def _count_table(result: Result) -> Table:
         scans = sorted({place.scan.crossings for place in places})
         searched = sorted({len(place.search.solutions) for place in places})
         rows.append((
-            Cell(name), number(len(places), 3), Cell(" or ".join(map(str, scans)), float(max(scans))),
+            Cell(name), _whole(len(places)), Cell(" or ".join(map(str, scans)), float(max(scans))),
             Cell(" or ".join(map(str, searched)), float(max(searched))),
-            number(sum(place.search.arrived for place in places), 5),
-            number(sum(place.cycle is not None for place in places), 3),
+            _whole(sum(place.search.arrived for place in places)),
+            _whole(sum(place.cycle is not None for place in places)),
         ))  # fmt: skip
     return Table(
         ("", "pairs (a, b)", "solutions by scan", "solutions from random starts", "starts that came to one",
@@ -466,10 +472,10 @@ def _map_figure(result: Result) -> Picture:
     figure = new_figure(7.4)
     panels = figure.subplots(2, 2)
     a, b = result.a, result.b
-    counts = np.array([[place.scan.crossings for place in row] for row in result.places], dtype=float)
+    counts = np.array([[min(place.scan.crossings, 2) for place in row] for row in result.places], dtype=float)
     radius = np.array([[place.radius for place in row] for row in result.places])
     settle = np.array([[place.cycles_to_settle for place in row] for row in result.places])
-    _shown(figure, panels[0, 0], a, b, counts, "sets of positive solutions", "RdYlGn", (0.0, 2.0))
+    _shown(figure, panels[0, 0], a, b, counts, "sets of positive solutions", COUNTED, (-0.5, 2.5), (0, 1, 2))
     _shown(figure, panels[0, 1], a, b, radius, "largest |eigenvalue| of a half period", "viridis", (0.5, 1.0))
     _shown(figure, panels[1, 0], a, b, np.log10(settle), "log10 of the periods to 1 %", "magma", None)
     visits = result.visits
@@ -481,7 +487,7 @@ def _map_figure(result: Result) -> Picture:
     )
     line = np.linspace(0.0, B_MOST, 50)
     for axes in panels.flat:
-        axes.plot(1.0 + line, line, "--", color="#ffffff", lw=1.4)
+        axes.plot(1.0 + line, line, "--", color="#1f2328", lw=1.3)
         axes.axhline(1.0, color="#9a1b1b", lw=1.2)
         axes.set_ylim(-0.04, 1.14)
     for axes in panels[1]:
@@ -495,12 +501,12 @@ def _map_figure(result: Result) -> Picture:
         "durations there are (none above the red line, h2 = fc); the largest eigenvalue of the half period; how many "
         f"periods it takes until a small distance is {100.0 * SETTLED:g} % of itself, as a power of ten; the share "
         "of random initial "
-        "states from which the loop came to the cycle. White dashes: h1 = h2 + fc.",
+        "states from which the loop came to the cycle. Dashes: h1 = h2 + fc.",
     )
 
 
-def _shown(figure: Figure, axes: Axes, a: Array, b: Array, values: Array, title: str, colours: str,
-           limits: tuple[float, float] | None) -> None:  # fmt: skip
+def _shown(figure: Figure, axes: Axes, a: Array, b: Array, values: Array, title: str, colours: str | ListedColormap,
+           limits: tuple[float, float] | None, ticks: tuple[float, ...] | None = None) -> None:  # fmt: skip
     low, high = limits if limits is not None else (float(np.nanmin(values)), float(np.nanmax(values)))
     axes.set_facecolor("#d9d3d3")
     image = axes.pcolormesh(a, b, np.ma.masked_invalid(values), cmap=colours, vmin=low, vmax=high, shading="nearest",
@@ -508,4 +514,4 @@ def _shown(figure: Figure, axes: Axes, a: Array, b: Array, values: Array, title:
     axes.set_xscale("log")
     axes.grid(visible=False)
     axes.set_title(title)
-    figure.colorbar(image, ax=[axes], pad=0.02)
+    figure.colorbar(image, ax=[axes], pad=0.02, ticks=ticks)
