@@ -226,9 +226,8 @@ def section(result: Result) -> Section:
             "tracking errors compare in order and ratio only.",
         ),
         Paragraph(
-            f"Every number of this section is the median of {count} seeds (noise and delay), one record may suit any "
-            "of "
-            "the models by chance; the figures show the first."
+            f"Where no seed is named the numbers are medians of {count} seeds (noise and delay): one record may suit any "
+            "of the models by chance. The figures show the first."
         ),
         _cycle_figure(result),
         Heading("Estimates"),
