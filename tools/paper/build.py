@@ -69,7 +69,7 @@ def make_4_3(quick: bool) -> Section:
 
 def make_5(quick: bool) -> Section:
     """Section V."""
-    return section_5.section(section_5.compute(3, 4.0) if quick else section_5.compute())
+    return section_5.section(section_5.compute(3, 4.0, law=False) if quick else section_5.compute())
 
 
 def make_sampling(quick: bool) -> Section:
