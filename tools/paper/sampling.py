@@ -104,7 +104,7 @@ def section(result: Result) -> Section:
         _table(result),
         _figure(result),
         Remark(
-            "differs",
+            "ours",
             f"At {last:g} ms the equations as they stand are off by {at[PLAIN]:.0f} % in the worst parameter (median), "
             f"and the describing function by {at[DF]:.0f} %; even at {first:g} ms it is {fast[PLAIN]:.0f} %. What the "
             "paper says of this did not survive; on its bench there was no truth to compare with.",
@@ -125,7 +125,9 @@ def section(result: Result) -> Section:
         "not comparable",
         "medians; the truth is known on the emulated motor only",
     )
-    return Section("sampling", "Sampling", "What sampling at 10 ms does to the triple relay", blocks, (comparison,))
+    return Section(
+        "sampling", "Sampling", f"What sampling at {last:g} ms does to the triple relay", blocks, (comparison,)
+    )
 
 
 def _table(result: Result) -> Table:
@@ -160,5 +162,5 @@ def _figure(result: Result) -> Picture:
         figure,
         "Error of the worst parameter over the sampling period, by method.",
         "Error of the worst of τ, K and f<sub>c</sub> over the sampling period: a mark for each trial, lines through "
-        f"the medians. About {CYCLES} cycles each; the drive acts a third of a period after its sample.",
+        f"the medians. About {CYCLES} cycles each; the drive acts {DELAY:g} of a period after its sample.",
     )
