@@ -142,9 +142,10 @@ FAULTS: dict[str, FaultEntry] = {
         "power the device off and on; if that comes again flash its firmware anew, or mend the plug-in driver's times",
     ),
     "NO_MOTION": FaultEntry(
-        "no motion up to the largest breakaway drive",
-        "check the motor's supply and wires, that it turns by hand, and that the reading follows it (wiper, coupling); "
-        "where all that is well, raise breakaway.max_V",
+        "no motion was seen up to the largest breakaway drive",
+        "prove the sensor before anything else: supply off, turn the shaft by hand, and see the reading of "
+        "`rig jog --u-V 0` follow it (wiper, coupling). Then check the motor's supply, wires and bridge. Only where "
+        "all that is well is friction higher than thought: then raise breakaway.max_V, by a fifth at a time",
     ),
     "DRIVE_STUCK_ON": FaultEntry(
         "the shaft moves although the drive is at 0 V",

@@ -16,7 +16,7 @@ import rig
 from rig.bench import Bench, connect, guard_settings_of
 from rig.config import Experiment, dump
 from rig.config.room_to_stop import device_watchdog_s
-from rig.control.breakaway import BreakawayCheck
+from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import GainSearch
 from rig.control.guard import Guard
 from rig.control.tracking import tracking_error
@@ -68,7 +68,7 @@ class Session:
     loop: Loop
     meta: dict[str, Any]
     real_time: RealTime | None = None  # what the machine granted the loop, once it was asked
-    breakaway: BreakawayCheck | None = None
+    breakaway: BreakawayLaw | None = None
     search: GainSearch | None = None
     identification: Identification | None = None
     models_from: Path | None = None  # the run that identified them, where it is another

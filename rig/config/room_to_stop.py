@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from math import log
+from math import ceil, log
+from typing import NamedTuple
 
 from rig.config.backend import writes_first
 from rig.config.schema import Experiment
@@ -81,6 +82,60 @@ def stopping_sum(e: Experiment) -> str:
     terms = stopping_terms(e)
     written = " + ".join(f"{rad:.3f} {words}" for words, rad in terms)
     return f"at {e.limits.max_speed_rad_s:g} rad/s: {written} = {sum(rad for _, rad in terms):.3f} rad"
+
+
+UNSEEN_RAD = 0.5  # the most that a shaft may turn in the breakaway check while the sensor does not show it
+FRICTION_DIFFERS = 0.1  # by so much, at most, of its mean that of one way from the mean of both
+_LONGEST_STROKE_S = 0.08
+_LEAST_CYCLE_S = 0.16  # a stroke and the pause after it: what averages the noise, and keeps the pairs few
+_LEAST_PAUSE_PERIODS = 4
+_MOST_PAIRS = 10_000
+_ROUNDING = 1e-9
+
+
+class BreakawayStrokes(NamedTuple):
+    """The strokes of the breakaway check.
+
+    stroke_s, pause_s  lengths, whole periods
+    step_V             by how much the level rises from pair to pair
+    pairs              until breakaway.max_V
+    unseen_rad         what the shaft turns at most, at any time in the check, if the sensor shows nothing of it
+    """
+
+    stroke_s: float
+    pause_s: float
+    step_V: float
+    pairs: int
+    unseen_rad: float
+
+
+def breakaway_strokes(e: Experiment, max_V: float | None = None) -> BreakawayStrokes | None:
+    """The longest strokes whose unseen travel is within ``UNSEEN_RAD``; None where those of one period exceed it.
+
+    max_V  instead of the config's
+    Raises ValueError where the config does not tell the motor's speed.
+
+    A stroke of level u and length s moves a shaft of gain K from rest by K (u - f) s at most, whatever its time
+    constant, and the stroke back takes that back. What n pairs leave is what friction f (1 +- d) makes of the
+    difference, largest without inertia: 2 d f K s for each pair above f. With f = p max_V the sum is
+    K max_V s (2 d n p (1 - p) + 1 - p (1 - d)), here at the worst p. K is no more than the no-load speed by the supply.
+    """
+    if e.motor is None:
+        raise ValueError("the config does not say motor.no_load_speed_rad_s")
+    max_V = e.breakaway.max_V if max_V is None else max_V
+    top_rad_s = e.motor.no_load_speed_rad_s * max_V / e.drive.supply_V
+    for periods in range(max(int(_LONGEST_STROKE_S / e.period_s + _ROUNDING), 1), 0, -1):
+        cycle = max(2 * periods, periods + _LEAST_PAUSE_PERIODS, ceil(_LEAST_CYCLE_S / e.period_s - _ROUNDING))
+        step_V = e.breakaway.ramp_V_s * cycle * e.period_s
+        if max_V > _MOST_PAIRS * step_V:
+            continue  # it would take hours
+        pairs = max(ceil(max_V / step_V - _ROUNDING), 1)
+        drift = 2.0 * FRICTION_DIFFERS * pairs
+        p = max(0.5 * (1.0 - (1.0 - FRICTION_DIFFERS) / drift), 0.0)
+        unseen_rad = top_rad_s * periods * e.period_s * (drift * p * (1.0 - p) + 1.0 - p * (1.0 - FRICTION_DIFFERS))
+        if unseen_rad <= UNSEEN_RAD:
+            return BreakawayStrokes(periods * e.period_s, (cycle - periods) * e.period_s, step_V, pairs, unseen_rad)
+    return None
 
 
 def peak_speed_rad_s(amplitude_rad: float, period_s: float) -> float:
