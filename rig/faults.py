@@ -1,11 +1,13 @@
 """The one table of faults: a code, what it means, what to do.
 
-Any room may import this module; it imports none.
+Any room may import this module; it imports only ``rig.signals``.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
+
+from rig.signals import plain
 
 
 class FaultEntry(NamedTuple):
@@ -213,7 +215,7 @@ class Fault(Exception):
     """A latched fault: code, cause, cure, and what was seen here.
 
     code    a key of ``FAULTS``
-    detail  the numbers of this case, e.g. "y = 1.52 rad, hard limit 1.50 rad"
+    detail  the numbers of this case, e.g. "y = 1.52 rad, hard limit 1.50 rad"; in it may be what a device said
     """
 
     def __init__(self, code: str, detail: str = "") -> None:
@@ -221,7 +223,7 @@ class Fault(Exception):
         self.code = code
         self.cause = entry.cause
         self.cure = entry.cure
-        self.detail = detail
+        self.detail = detail = plain(detail)
         super().__init__(f"{code}: {entry.cause}" + (f" ({detail})" if detail else ""))
 
     def as_dict(self) -> dict[str, str]:

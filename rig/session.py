@@ -260,6 +260,7 @@ def _truth(bench: Bench) -> dict[str, float] | None:
 
 
 def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, Any]:
+    watchdog_s = device_watchdog_s(experiment)
     return {
         "schema": 1,
         "name": experiment.name,
@@ -276,8 +277,8 @@ def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, 
             **({} if math.isnan(bench.info.supply_V) else {"supply_V": bench.info.supply_V}),
         },
         "failsafe": "none: the device holds its last drive"
-        if bench.driver.failsafe is None
-        else f"device watchdog, {device_watchdog_s(experiment) * 1e3:.0f} ms",
+        if bench.driver.failsafe is None or watchdog_s is None
+        else f"device watchdog, {watchdog_s * 1e3:.0f} ms",
         "started_utc": started.isoformat(timespec="milliseconds"),
         "versions": {"rig": rig.__version__, "python": platform.python_version()},
         "host": {"system": platform.platform(), "machine": platform.machine()},

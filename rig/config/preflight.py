@@ -29,6 +29,7 @@ from rig.config.problems import Path, Problem, bracketed, printable, wrong
 from rig.config.room_to_stop import (
     UNSEEN_RAD,
     breakaway_strokes,
+    device_watchdog_s,
     limits_are_ordered,
     overshoot_terms,
     peak_speed_rad_s,
@@ -40,6 +41,7 @@ from rig.config.room_to_stop import (
 )
 from rig.config.schema import BUILT_IN_DRIVERS, Experiment, Gains, RelayTarget
 from rig.config.sensor import count_rad, range_rad
+from rig.signals import plain
 
 Rule = Callable[[Experiment], Iterator[Problem]]
 
@@ -63,7 +65,7 @@ class Preflight:
 def preflight(experiment: Experiment) -> Preflight:
     """Check an experiment offline. The problems have paths but no places: ``rig.config.check`` adds these."""
     problems = tuple(problem for rule in _RULES for problem in rule(experiment))
-    return Preflight(tuple(plan(experiment)), problems)
+    return Preflight(tuple(plain(line) for line in plan(experiment)), problems)
 
 
 def unknown_driver(name: str, installed: Collection[str] = ()) -> Problem:
@@ -224,7 +226,9 @@ def _room_to_stop(e: Experiment) -> Iterator[Problem]:
         "limits.max_speed_rad_s",
         f"no room to stop: {stopping_sum(e)}, but from the centre of travel (0 rad) "
         f"the nearer hard limit is {room:.3f} rad away",
-        f"at most {_floor(slower):g} rad/s, or a shorter daq.watchdog_s, or wider limits.hard_rad",
+        f"at most {_floor(slower):g} rad/s"
+        + (", or a shorter daq.watchdog_s" if device_watchdog_s(e) is not None else "")
+        + ", or wider limits.hard_rad",
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from math import ceil, log
 from typing import NamedTuple
 
-from rig.config.backend import writes_first
+from rig.config.backend import is_plug_in, writes_first
 from rig.config.schema import Experiment
 
 _REACTION_PERIODS = 3  # of the loop: one until the next tick, two by which the guard's velocity lags
@@ -35,11 +35,20 @@ def _further_lag_s(e: Experiment) -> float:
     return max(_VELOCITY_LAG_S - 2.0 * e.period_s, 0.0)
 
 
-def device_watchdog_s(experiment: Experiment) -> float:
-    """Silence of the host after which the device drives 0 V, s."""
+def device_watchdog_s(experiment: Experiment) -> float | None:
+    """Silence of the host after which the device drives 0 V, s; None where it has no watchdog.
+
+    Of a plug-in driver's device the config does not tell: what it is armed with, if it has one.
+    """
     modbus = experiment.daq.modbus
-    fixed_s = modbus.device_watchdog_s if modbus is not None else None
-    return experiment.daq.watchdog_s if fixed_s is None else fixed_s
+    if modbus is None or modbus.registers.watchdog is not None:
+        return experiment.daq.watchdog_s
+    return modbus.device_watchdog_s
+
+
+def known_reaction_s(experiment: Experiment) -> float:
+    """``reaction_s``, one reply that never comes, and the device's watchdog where it has one, s."""
+    return reaction_s(experiment) + experiment.daq.timeout_s + (device_watchdog_s(experiment) or 0.0)
 
 
 def limits_are_ordered(e: Experiment) -> bool:
@@ -61,6 +70,9 @@ def reach_rad(e: Experiment) -> float:
 def stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
     """What the shaft travels from the largest speed if the host dies, term by term: words, rad.
 
+    A device without a watchdog holds its last drive then, and nothing bounds the way: the sum is that of a host that
+    lives, and ``stopping_sum`` says so.
+
     Coasting is at 0 V, terminals shorted, without the help of friction: speed times time constant. Each term is at the
     largest speed: the guard ends anything faster while the host lives. What the drive adds to it between the host's
     death and the device's watchdog depends on K and tau, which the experiment has yet to find: no sum over a config can
@@ -68,11 +80,12 @@ def stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
     """
     v = e.limits.max_speed_rad_s
     lag_s = _further_lag_s(e)
+    watchdog_s = device_watchdog_s(e)
     return (
         (f"{reaction_periods(e)} periods", v * reaction_periods(e) * e.period_s),
         *((("velocity window", v * lag_s),) if lag_s > 0.0 else ()),
         ("reply time-out", v * e.daq.timeout_s),
-        ("watchdog", v * device_watchdog_s(e)),
+        *((("watchdog", v * watchdog_s),) if watchdog_s is not None else ()),
         ("coasting", v * e.limits.coast_tau_s),
     )
 
@@ -81,7 +94,12 @@ def stopping_sum(e: Experiment) -> str:
     """``stopping_terms`` and what they add up to, for people."""
     terms = stopping_terms(e)
     written = " + ".join(f"{rad:.3f} {words}" for words, rad in terms)
-    return f"at {e.limits.max_speed_rad_s:g} rad/s: {written} = {sum(rad for _, rad in terms):.3f} rad"
+    total = f"at {e.limits.max_speed_rad_s:g} rad/s: {written} = {sum(rad for _, rad in terms):.3f} rad"
+    if device_watchdog_s(e) is None:
+        return f"{total} while the host lives; if it dies nothing bounds it: the device has no watchdog"
+    if is_plug_in(e) and e.daq.accept_no_watchdog:
+        return f"{total} if the plug-in driver's device has a watchdog; without one nothing bounds it if the host dies"
+    return total
 
 
 UNSEEN_RAD = 0.5  # the most that a shaft may turn in the breakaway check while the sensor does not show it

@@ -372,7 +372,7 @@ def test_following_the_hint_on_speed_passes() -> None:
         {"breakaway__ramp_V_s": 1000.0},
         {"breakaway__ramp_V_s": 2.0},
         {"breakaway__motion_rad": 1.5},
-        {"motor__no_load_speed_rad_s": 300.0},
+        {"motor__no_load_speed_rad_s": 350.0},
         {"motor__no_load_speed_rad_s": 900.0},
     ],
 )
