@@ -320,7 +320,21 @@ def identify_recorded(session: Session) -> None:
     session.recorder.drain()
     session.note("stage", name="identify")
     session.identification = identify([read_run(session.folder)])
+    _compare_with_data_sheet(session, session.identification)
     session.loop.check_stop()
+
+
+def _compare_with_data_sheet(session: Session, identification: Identification) -> None:
+    """Say where the motor is faster than the data sheet's speed, on which the bound of unseen travel rests."""
+    e, best = session.experiment, identification.best
+    if e.motor is None or best is None:
+        return
+    no_load_rad_s = best.K_rad_s_V * (e.drive.supply_V - best.fc_V)
+    if no_load_rad_s > 1.1 * e.motor.no_load_speed_rad_s:
+        session.notes.append(
+            f"motor.no_load_speed_rad_s is {e.motor.no_load_speed_rad_s:g}, but by this estimate the shaft would reach "
+            f"{no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V: correct it, the breakaway check's strokes rest on it"
+        )
 
 
 def verify_models(session: Session) -> None:
