@@ -1,11 +1,13 @@
 """The one table of faults: a code, what it means, what to do.
 
-Any room may import this module; it imports none.
+Any room may import this module; it imports only ``rig.signals``.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
+
+from rig.signals import plain
 
 
 class FaultEntry(NamedTuple):
@@ -156,9 +158,10 @@ FAULTS: dict[str, FaultEntry] = {
         "driver's times",
     ),
     "NO_MOTION": FaultEntry(
-        "no motion up to the largest breakaway drive",
-        "check the motor's supply and wires, that it turns by hand, and that the reading follows it (wiper, coupling); "
-        "where all that is well, raise breakaway.max_V",
+        "no motion was seen up to the largest breakaway drive",
+        "prove the sensor before anything else: supply off, turn the shaft by hand, and see the reading of "
+        "`rig jog --u-V 0` follow it (wiper, coupling). Then check the motor's supply, wires and bridge. Only where "
+        "all that is well is friction higher than thought: then raise breakaway.max_V, by a fifth at a time",
     ),
     "DRIVE_STUCK_ON": FaultEntry(
         "the shaft moves although the drive is at 0 V",
@@ -250,7 +253,7 @@ class Fault(Exception):
     """A latched fault: code, cause, cure, and what was seen here.
 
     code    a key of ``FAULTS``
-    detail  the numbers of this case, e.g. "y = 1.52 rad, hard limit 1.50 rad"
+    detail  the numbers of this case, e.g. "y = 1.52 rad, hard limit 1.50 rad"; in it may be what a device said
     """
 
     def __init__(self, code: str, detail: str = "") -> None:
@@ -258,7 +261,7 @@ class Fault(Exception):
         self.code = code
         self.cause = entry.cause
         self.cure = entry.cure
-        self.detail = detail
+        self.detail = detail = plain(detail)
         super().__init__(f"{code}: {entry.cause}" + (f" ({detail})" if detail else ""))
 
     def as_dict(self) -> dict[str, str]:

@@ -17,7 +17,7 @@ from rig.bench import Bench, connect, guard_settings_of
 from rig.config import Experiment, dump, notes
 from rig.config.link_budget import times_error_s
 from rig.config.room_to_stop import device_watchdog_s
-from rig.control.breakaway import BreakawayCheck
+from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import GainSearch
 from rig.control.guard import Guard
 from rig.control.tracking import tracking_error
@@ -78,7 +78,7 @@ class Session:
     loop: Loop
     meta: dict[str, Any]
     real_time: RealTime | None = None  # what the machine granted the loop, once it was asked
-    breakaway: BreakawayCheck | None = None
+    breakaway: BreakawayLaw | None = None
     search: GainSearch | None = None
     identification: Identification | None = None
     models_from: Path | None = None  # the run that identified them, where it is another
@@ -292,6 +292,7 @@ def _truth(bench: Bench) -> dict[str, float] | None:
 
 
 def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, Any]:
+    watchdog_s = device_watchdog_s(experiment)
     return {
         "schema": 1,
         "name": experiment.name,
@@ -309,8 +310,8 @@ def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, 
             **({} if math.isnan(bench.info.supply_V) else {"supply_V": bench.info.supply_V}),
         },
         "failsafe": "none: the device holds its last drive"
-        if bench.driver.failsafe is None
-        else f"device watchdog, {device_watchdog_s(experiment) * 1e3:.0f} ms",
+        if bench.driver.failsafe is None or watchdog_s is None
+        else f"device watchdog, {watchdog_s * 1e3:.0f} ms",
         "started_utc": started.isoformat(timespec="milliseconds"),
         "versions": {"rig": rig.__version__, "python": platform.python_version()},
         "host": {"system": platform.platform(), "machine": platform.machine()},

@@ -9,7 +9,14 @@ from rig.config.emulated_bench import differences
 from rig.config.link_budget import block_sum, link_budget, link_sum, sample_to_drive_s
 from rig.config.modbus import as_in_a_manual, read_in_a_tick, written_at_arming, written_in_a_tick
 from rig.config.problems import bracketed
-from rig.config.room_to_stop import overshoot_terms, peak_speed_rad_s, room_rad, stopping_sum, stopping_terms
+from rig.config.room_to_stop import (
+    breakaway_strokes,
+    overshoot_terms,
+    peak_speed_rad_s,
+    room_rad,
+    stopping_sum,
+    stopping_terms,
+)
 from rig.config.schema import Experiment
 from rig.config.sensor import range_rad
 from rig.usb_serial import CHIPS
@@ -77,11 +84,17 @@ def _adapter(e: Experiment) -> Iterator[str]:
 
 
 def _stage_lines(e: Experiment) -> Iterator[str]:
-    """The stages with the longest times to expect; strokes and pauses double the time of a ramp."""
+    """The stages with the longest times to expect."""
     b, r = e.breakaway, e.relay
-    breakaway_s = 3.0 * b.rest_s + 2.0 * 2.0 * b.max_V / b.ramp_V_s
+    breakaway_s = 2.0 * b.rest_s + 2.0 * b.max_V / b.ramp_V_s
     total_s = breakaway_s
-    yield f"stage breakaway: {b.ramp_V_s:g} V/s each way, up to {b.max_V:g} V; at most about {breakaway_s:.0f} s"
+    strokes = None if e.motor is None else breakaway_strokes(e)
+    if strokes is not None:
+        yield (
+            f"stage breakaway: strokes of {1e3 * strokes.stroke_s:.3g} ms to and fro, {1e3 * strokes.step_V:.3g} mV "
+            f"stronger each time, up to {b.max_V:g} V; at most about {breakaway_s:.0f} s; with a stuck or uncoupled "
+            f"sensor the shaft turns at most {strokes.unseen_rad:.2f} rad"
+        )
     if r.target is not None:
         amplitudes = r.target.amplitude_rad, r.target.amplitude_rad * r.second_ratio
         tests_s = 2.0 * r.cycles * r.target.period_s

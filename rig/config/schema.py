@@ -168,14 +168,23 @@ class TravelLimits(_Section):
     coast_tau_s: Positive = Field(description="longest velocity time constant to expect, for the stopping distance")
 
 
-class Breakaway(_Section):
-    """The check before any relay: a slow ramp each way until the shaft moves."""
+class Motor(_Section):
+    """What the motor's data sheet says; the rest is identified."""
 
-    ramp_V_s: Positive = Field(0.4, description="how fast the drive rises, V/s")
-    max_V: Positive = Field(2.0, description="drive at which the check gives up")
+    no_load_speed_rad_s: Positive = Field(
+        description="speed of the measured shaft at drive.supply_V without load, behind its gear; it bounds what the "
+        "shaft travels where the sensor does not show it: rather too high than too low"
+    )
+
+
+class Breakaway(_Section):
+    """The check before any relay: strokes to and fro, slowly stronger, until both have moved the shaft."""
+
+    ramp_V_s: Positive = Field(0.4, description="how fast the drive of each way rises, V/s")
+    max_V: Positive = Field(2.0, description="drive at which the check gives up; two to three times static friction")
     motion_rad: Positive = Field(0.02, description="displacement that counts as motion")
     rest_s: Annotated[float, Field(ge=0.1)] = Field(
-        0.4, description="rest before and between the ramps, and for measuring the noise"
+        0.4, description="rest before and after the strokes, and for measuring the noise"
     )
 
 
@@ -385,6 +394,9 @@ class Experiment(_Section):
     sensor: Sensor = Field(description="the potentiometer: counts to rad")
     drive: Drive = Field(description="the H-bridge: V to duty")
     tachometer: Tachometer | None = Field(None, description="velocity channel; leave out where there is none")
+    motor: Motor | None = Field(
+        None, description="what its data sheet says; a run needs it, only records of older versions have none"
+    )
     limits: TravelLimits = Field(description="where the shaft may be, and how fast")
     breakaway: Breakaway = Field(Breakaway(), description="the check before any relay")
     relay: Relay = Field(description="the relay experiment")
