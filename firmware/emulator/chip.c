@@ -55,7 +55,7 @@ enum { UPE0_TO_FE0 = 0x1C };
 
 /* Whose writes are looked at besides those that libsimavr itself tells of. */
 static const avr_io_addr_t WATCHED[] = {
-    DDRB, PORTB, PORTD, TCCR1A, TCCR1B, TCCR1C, TCNT1L, TCNT1H, ICR1L, ICR1H, OCR1AL, OCR1AH, OCR1BL, OCR1BH,
+    DDRB, PORTB, PORTD, TCCR1A, TCCR1B, TCNT1L, TCNT1H, ICR1L, ICR1H, OCR1AL, OCR1AH, OCR1BL, OCR1BH,
     ADMUX, UCSR0A, UCSR0C, UBRR0L, UBRR0H, WDTCSR
 };
 #define WATCHED_COUNT (sizeof WATCHED / sizeof WATCHED[0])

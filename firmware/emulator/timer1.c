@@ -139,16 +139,6 @@ const char *timer1_write(timer1 *t, uint64_t cycle, uint16_t address, uint8_t va
         return write_mode(t, (t->mode & 0xCu) | (value & 3u), t->clock);
     case TCCR1B:
         return write_mode(t, ((value >> 1) & 0xCu) | (t->mode & 3u), value & 7u);
-    case TCCR1C:
-        if (t->mode != NORMAL) {
-            return "a match forced in a PWM mode, section 16.11.3";
-        }
-        for (unsigned i = 0; i < 2u; i++) {
-            if ((value & (0x80u >> i)) != 0u) {
-                match(t, i);
-            }
-        }
-        return NULL;
     case TCNT1H:
     case ICR1H:
     case OCR1AH:

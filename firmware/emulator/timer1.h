@@ -5,7 +5,6 @@
  *   - OCR1x is double buffered in PWM, and its buffer comes into force at BOTTOM; that a write in normal mode reaches the
  *     buffer, too, is not said: it does not here;
  *   - an output's level OC1x is kept while no pin shows it, and only a match changes it;
- *   - a match can be forced in normal mode only;
  *   - the high bytes of all 16-bit registers share one temporary one.
  */
 #ifndef RIG_TIMER1_H
@@ -16,7 +15,7 @@
 
 /* Addresses in data space. */
 enum {
-    TCCR1A = 0x80, TCCR1B = 0x81, TCCR1C = 0x82, TCNT1L = 0x84, TCNT1H = 0x85, ICR1L = 0x86, ICR1H = 0x87,
+    TCCR1A = 0x80, TCCR1B = 0x81, TCNT1L = 0x84, TCNT1H = 0x85, ICR1L = 0x86, ICR1H = 0x87,
     OCR1AL = 0x88, OCR1AH = 0x89, OCR1BL = 0x8A, OCR1BH = 0x8B
 };
 
