@@ -330,6 +330,15 @@ static void timer1_changed(void *context)
     levels_may_have_changed(b, b->timer1.at);
 }
 
+/* A pulse that has begun in the last period begins anew in each. */
+static void timer1_skips(void *context, uint64_t cycles)
+{
+    virtual_board *b = context;
+    if (b->timer1.at - cycles - b->conducts_from < 2u * (uint64_t)b->timer1.top) {
+        b->conducts_from += cycles;
+    }
+}
+
 static void pins_may_have_changed(virtual_board *b)
 {
     const int32_t units = (int32_t)lround(conducted(b, bridge_duty(b)) * DRIVE_STEPS);
@@ -385,7 +394,7 @@ static void hold_to_rules(virtual_board *b, avr_io_addr_t address, uint8_t value
     case DDRB:
     case PORTB:
     case PORTD:
-        hold_to(b, !interrupts || writes_one_bit(avr), "a port read, changed and written with interrupts on, section 14.2");
+        hold_to(b, !interrupts || writes_one_bit(avr), "a port read, changed and written with interrupts on, section 14.1");
         break;
     case TCNT1H:
     case ICR1H:
@@ -526,7 +535,7 @@ static void connect(virtual_board *b)
         b->watched[i] = (watched){b, WATCHED[i]};
         avr_irq_register_notify(avr_iomem_getirq(avr, WATCHED[i], NULL, AVR_IOMEM_IRQ_ALL), register_written, &b->watched[i]);
     }
-    b->timer1 = (timer1){.changed = timer1_changed, .context = b};
+    b->timer1 = (timer1){.changed = timer1_changed, .skips = timer1_skips, .context = b};
     avr_irq_register_notify(avr_iomem_getirq(avr, TIMSK2, NULL, AVR_IOMEM_IRQ_ALL), timer2_mask_written, b);
     uint32_t flags = 0;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
@@ -631,12 +640,12 @@ const char *virtual_start(virtual_board *b, int64_t byte_ns)
 
 /* ---- running ---- */
 
+/* Until another stop takes its place, so that a program that falls asleep just then does not sleep past it. */
 static avr_cycle_count_t stop_here(avr_t *avr, avr_cycle_count_t when, void *context)
 {
-    (void)avr;
     (void)when;
     (void)context;
-    return 0;
+    return avr->cycle + 1u;
 }
 
 /* Cycles of the interrupt that an instruction belonged to; none: the main program. */

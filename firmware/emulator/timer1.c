@@ -7,14 +7,16 @@
 #define PWM_TO_ICR1 8u /* WGM13 alone */
 #define NO_PRESCALER 1u
 #define LARGEST 0xFFFFu
+#define ALIKE 3u /* periods after a write, from which on all are the same */
 
 enum { NOTHING, TOGGLE, CLEAR, SET }; /* COM1x; in PWM: CLEAR upwards and SET downwards, or SET upwards and CLEAR downwards */
 
 void timer1_reset(timer1 *t, uint64_t cycle)
 {
     void (*const changed)(void *) = t->changed;
+    void (*const skips)(void *, uint64_t) = t->skips;
     void *const context = t->context;
-    *t = (timer1){.changed = changed, .context = context, .at = cycle};
+    *t = (timer1){.changed = changed, .skips = skips, .context = context, .at = cycle};
 }
 
 static bool runs(const timer1 *t)
@@ -62,6 +64,7 @@ static void reach(timer1 *t, uint16_t count)
         t->compare[1] = t->buffer[1];
     } else if (t->mode != NORMAL && count == t->top) {
         t->down = true;
+        t->periods = (uint8_t)(t->periods < ALIKE ? t->periods + 1u : ALIKE);
     }
     for (unsigned i = 0; i < 2u; i++) {
         if (t->compare[i] == count) {
@@ -83,6 +86,12 @@ void timer1_advance(timer1 *t, uint64_t cycle)
         }
         t->at += far;
         reach(t, next);
+        if (t->periods == ALIKE && t->down && t->count == t->top) {
+            const uint64_t period = 2u * (uint64_t)t->top;
+            const uint64_t skipped = (cycle - t->at) / period * period;
+            t->at += skipped;
+            t->skips(t->context, skipped);
+        }
     }
     t->at = t->at < cycle ? cycle : t->at;
 }
@@ -131,6 +140,7 @@ static const char *write_mode(timer1 *t, unsigned mode, unsigned clock)
 const char *timer1_write(timer1 *t, uint64_t cycle, uint16_t address, uint8_t value)
 {
     timer1_advance(t, cycle);
+    t->periods = 0;
     switch (address) {
     case TCCR1A:
         t->output[0] = value >> 6;

@@ -23,9 +23,11 @@ typedef struct timer1 timer1;
 struct timer1 {
     /* An output's level changed at `cycle`, which `at` says. */
     void (*changed)(void *context);
+    /* It passes over so many cycles, whole periods that are all alike. */
+    void (*skips)(void *context, uint64_t cycles);
     void *context;
     uint64_t at; /* cycle that it has been advanced to */
-    uint8_t mode, clock, temporary, temporary_of;
+    uint8_t mode, clock, temporary, temporary_of, periods;
     uint8_t output[2]; /* COM1A, COM1B */
     bool level[2];     /* OC1A, OC1B */
     bool down;

@@ -5,7 +5,9 @@ A defect is put into a copy of the sources, which is built; the table of the rul
 
 from __future__ import annotations
 
+import itertools
 import random
+import re
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
@@ -44,6 +46,7 @@ DEFECTS: dict[str, tuple[str, str, str]] = {
         "    TCCR1A = output;\n    TCCR1B = (uint8_t)(PWM | RUNS);",
         "    TCCR1B = (uint8_t)(PWM | RUNS);\n    TCCR1A = output;",
     ),
+    "TCNT1 in PWM": ("bridge.c", "    *compare = size; /* now", "    TCNT1 = 0;\n    *compare = size; /* now"),
     "begun anywhere": ("bridge.c", "    TCNT1 = 0;\n", ""),
     "ICR1 before the mode": (
         "bridge.c",
@@ -254,10 +257,11 @@ def test_the_firmware_keeps_every_rule_that_the_emulator_knows(options: UnoOptio
     [
         ("as it was", "16.6"),
         ("ICR1 before the mode", "16.6"),
+        ("TCNT1 in PWM", "16.7.3"),
         ("the low byte first", "16.3"),
         ("ICR1 while it counts", "16.9.5"),
         ("interrupts on in a drive", "interrupts on, section 16.3"),
-        ("the LED and its neighbour", "14.2"),
+        ("the LED and its neighbour", "14.1"),
         ("ADMUX in a conversion", "24.5"),
         ("a fast converter", "24.4"),
         ("error flags written", "20.11.2"),
@@ -278,3 +282,77 @@ def test_a_broken_rule_is_named(name: str, rule: str, build_with: Callable[[str,
         host.arm()
         visit(host)
     assert rule in board.broken_rule()
+
+
+def test_sleep_follows_sei() -> None:
+    """No interrupt between the last look and sleep: it would be slept through."""
+    sei, sleep = bytes.fromhex("7894"), bytes.fromhex("8895")
+    code = b""
+    for line in firmware_build.build_chip().hex.read_text().split():
+        record = bytes.fromhex(line[1:])
+        code += record[4 : 4 + record[0]] if record[3] == 0 else b""
+    assert code.count(sleep) == code.count(sei + sleep) == 1
+
+
+# ---------------------------------------------------------------------- the table in the documents
+
+ROOT = Path(__file__).parents[2]
+WRITES = re.compile(
+    r"^\s+(?P<register>[A-Z][A-Z0-9]{2,}) [|&^]?= "
+    r"|\b(?:set|clear)_bits\(&(?P<port>[A-Z]+),"
+    r"|\b(?P<macro>(?:wdt|sleep)_[a-z]+)\(",
+    re.MULTILINE,
+)
+HARMLESS = {"wdt_reset", "sleep_cpu"}  # instructions, no writes
+
+
+def rows() -> list[list[str]]:
+    """Of the table: rule, section, what keeps it, test."""
+    text = (ROOT / "docs" / "firmware.md").read_text(encoding="utf-8")
+    table = text.split("## Registers against the data sheet")[1].split("\n\n| first drive")[0]
+    lines = [line for line in table.splitlines() if line.startswith("| ") and not line.startswith("| rule")]
+    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
+
+
+def kept_by(cell: str) -> list[tuple[str, str]]:
+    """Files and lines that a cell names."""
+    places, where = [], ""
+    for quoted in re.findall(r"`([^`]+)`", cell):
+        if quoted.endswith(".c"):
+            where = quoted
+        else:
+            places.append((where, quoted))
+    return places
+
+
+def test_each_row_of_the_table_is_in_the_source_and_has_its_test() -> None:
+    tests = "".join(path.read_text(encoding="utf-8") for path in Path(__file__).parent.glob("test_*.py"))
+    for rule, section, kept, test in rows():
+        assert re.fullmatch(r"[0-9.]+((, | to )[0-9.]+)*", section), rule
+        for where, line in kept_by(kept):
+            assert line in (BRIDGE.parent / where).read_text(), f"{rule}: {line!r} is not in {where}"
+        names = re.findall(r"`([^`]+)`", test)
+        assert names or test.startswith("by reading"), rule
+        for name in names:
+            assert name in DEFECTS or f"def {name}(" in tests, f"{rule}: no test {name}"
+    assert set(DEFECTS) <= set(re.findall(r"`([^`]+)`", " ".join(row[3] for row in rows()))) | {
+        "as it was, with the mode before ICR1"
+    }
+
+
+def test_each_write_to_a_register_has_its_row() -> None:
+    told = {where: "" for where, _ in itertools.chain(*(kept_by(row[2]) for row in rows()))}
+    for where, line in itertools.chain(*(kept_by(row[2]) for row in rows())):
+        told[where] += line + "\n"
+    written = {
+        (path.name, name)
+        for path in BRIDGE.parent.glob("*.c")
+        for found in WRITES.finditer(path.read_text())
+        for name in found.groups()
+        if name is not None and name not in HARMLESS
+    }
+    assert len(written) > 25
+    for where, name in sorted(written):
+        assert re.search(rf"\b{name}\b", told.get(where, "")), (
+            f"{where} writes {name}: docs/firmware.md has no row for it"
+        )
