@@ -40,7 +40,7 @@ static inline void off(void)
 }
 
 /* From off. */
-static inline void begin(uint8_t output, volatile uint16_t *compare, uint16_t size)
+static inline void start_pwm(uint8_t output, volatile uint16_t *compare, uint16_t size)
 {
     *compare = size; /* in normal mode: in force at once */
     TCCR1B = PWM;
@@ -62,7 +62,7 @@ static inline void drive(uint16_t size, bool reverse)
     if (TCCR1A != 0u) {
         OCR1A = size; /* it drives already: in force from the next period on */
     } else {
-        begin(OUTPUT_A, &OCR1A, size);
+        start_pwm(OUTPUT_A, &OCR1A, size);
     }
 }
 
@@ -74,7 +74,7 @@ static inline void drive_by(uint8_t output, volatile uint16_t *compare, uint16_t
         *compare = size; /* it drives already: in force from the next period on */
     } else {
         off();
-        begin(output, compare, size);
+        start_pwm(output, compare, size);
     }
 }
 
