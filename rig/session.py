@@ -15,12 +15,13 @@ from typing import Any
 import rig
 from rig.bench import Bench, connect, guard_settings_of
 from rig.config import Experiment, dump
+from rig.config.link_budget import times_error_s
 from rig.config.room_to_stop import device_watchdog_s
 from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import GainSearch
 from rig.control.guard import Guard
 from rig.control.tracking import tracking_error
-from rig.faults import Fault
+from rig.faults import FAULTS, Fault
 from rig.identify import Identification, IdentifyError, identify
 from rig.loop.real_time import RealTime
 from rig.loop.runner import STOPPING, Loop
@@ -33,6 +34,15 @@ from rig.recording.recorder import Recorder
 from rig.report import write_report
 
 FADE_S = 1.5  # of the tracking reference; errors count after it
+_LONG_GAP_S = 0.1  # between two readings of a device that latches no e-stop
+# what opening the device has cleared
+_SINCE_THE_LAST_RUN = {
+    "DEVICE_ESTOP": "e-stop pressed",
+    "DEVICE_WATCHDOG": "the device's watchdog took the drive off",
+    "DEVICE_TRAVEL": "the shaft was beyond a hard limit",
+    "DEVICE_SENSOR": "the position sensor was at its rail",
+    "DEVICE_END_SWITCH": "an end switch opened",
+}
 
 
 @dataclass
@@ -55,6 +65,13 @@ class Outcome:
             if not why and estimate is not None and estimate["verdict"] == "refused":
                 why.append(f"the {method} estimate was refused: " + "; ".join(estimate["reasons"]))
         return "; ".join(why)
+
+    def as_json(self) -> dict[str, Any]:
+        """What `--json` prints: result.json, where it is, whether all is well, and if not why and what to do."""
+        said = (
+            {} if not self.failure else {"cause": self.failure, "cure": "" if self.fault is None else self.fault.cure}
+        )
+        return {"ok": not self.failure, "folder": str(self.folder), **said, **self.result}
 
 
 @dataclass
@@ -82,7 +99,7 @@ class Session:
 
 
 Script = Callable[[Session], None]
-OnStart = Callable[[Path], None]
+OnStart = Callable[[Path, tuple[str, ...]], None]  # told of the run folder, and of what the device had latched
 
 
 def record(
@@ -97,24 +114,30 @@ def record(
     started = datetime.now(UTC)
     with stop_on_signals() as stop:
         with connect(experiment) as bench:
-            folder = create_run(parent, experiment.name, started)
+            folder = create_run(parent, f"{what['name']}-{experiment.name}", started)
             write_config(folder, dump(experiment))
             meta = _meta(experiment, bench, started) | {"script": what}
             write_meta(folder, meta)
+            said = tuple(_cleared(code) for code in bench.info.acknowledged)
             recorder = Recorder(folder, _stages(experiment))
             try:
                 if on_start is not None:
-                    on_start(folder)
+                    on_start(folder, said)
                 guard = Guard(guard_settings_of(experiment))
                 loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
-                session = Session(experiment, folder, bench, recorder, loop, meta)
+                session = Session(experiment, folder, bench, recorder, loop, meta, notes=list(said))
                 fault = _run_script(script, session)
             finally:
                 lost = _close(recorder)
         outcome = Outcome(session.folder, {}, fault or lost)
-        _measure_tracking(session)
+        _measure_tracking(session, outcome)
         _write_result(session, outcome)
     return _conclude(session, outcome)
+
+
+def _cleared(code: str) -> str:
+    words = _SINCE_THE_LAST_RUN.get(code, FAULTS[code].cause)
+    return f"{words} since the last run: the device had latched {code}"
 
 
 def _run_script(script: Script, session: Session) -> Fault | None:
@@ -130,6 +153,8 @@ def _run_script(script: Script, session: Session) -> Fault | None:
     except Exception as error:  # noqa: BLE001 - whatever it is, the run ends with its record and a result
         fault = Fault("INTERNAL", f"{type(error).__name__}: {error}")
         session.note("traceback", text="".join(traceback.format_exception(error))[-2000:])
+    finally:
+        session.loop.close()
     if fault is not None:
         session.note("fault", **fault.as_dict())
     braked = session.loop.guard.braked_ticks
@@ -139,6 +164,12 @@ def _run_script(script: Script, session: Session) -> Fault | None:
         )
     if session.loop.unconfirmed_stops:
         session.notes.append("the device did not confirm the stop: its watchdog sets 0 V; see that the shaft stands")
+    gap_s = session.loop.pause_watch.longest_gap_s
+    if gap_s > _LONG_GAP_S:
+        session.notes.append(
+            f"in a pause the device was not asked for {1e3 * gap_s:.0f} ms: an e-stop opened for less may have passed "
+            "unseen; wire the e-stop so that it cuts the motor's supply"
+        )
     session.note("end")
     return fault
 
@@ -161,6 +192,8 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
                 session.identification = identify([recording])
         except (IdentifyError, RecordingError) as error:
             session.notes.append(f"nothing to identify: {error.cause}")
+        except Exception as error:  # noqa: BLE001 - the result that is written already stays, and says so
+            outcome.failures.append(f"the record was not identified: {_defect(error)}")
         _write_result(session, outcome)
     try:
         write_report(session.folder, session.identification)
@@ -168,7 +201,13 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
         outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
     except OSError as error:
         outcome.failures.append(f"no report: {error}")
+    except Exception as error:  # noqa: BLE001 - record and result are there
+        outcome.failures.append(f"no report: {_defect(error)}")
     return outcome
+
+
+def _defect(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}; please report this with the run folder"
 
 
 def _write_result(session: Session, outcome: Outcome) -> None:
@@ -179,18 +218,22 @@ def _write_result(session: Session, outcome: Outcome) -> None:
         outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
 
 
-def _measure_tracking(session: Session) -> None:
+def _measure_tracking(session: Session, outcome: Outcome) -> None:
     """Errors of the tracking runs that came to their end."""
     finished = [method for method, entry in session.tracking.items() if not entry]
-    if not finished:
-        return
-    recording = read_run(session.folder)
     for method in finished:
-        rows = recording.stage_rows(f"track:{method}")
-        rms_rad, max_rad = tracking_error(
-            recording.t_s[rows], recording.y_rad[rows], recording.yd_rad[rows], after_s=FADE_S
-        )
-        session.tracking[method] = {"rms_rad": rms_rad, "max_rad": max_rad}
+        try:
+            recording = read_run(session.folder)
+            rows = recording.stage_rows(f"track:{method}")
+            rms_rad, max_rad = tracking_error(
+                recording.t_s[rows], recording.y_rad[rows], recording.yd_rad[rows], after_s=FADE_S
+            )
+        except Exception as error:  # noqa: BLE001 - whatever it is, the run has its result
+            words = error.cause if isinstance(error, RecordingError) else _defect(error)
+            session.tracking[method] = {"not_run": f"it ran, but its record cannot be read: {words}"}
+            outcome.failures.append(f"no tracking error of {method}: {words}")
+        else:
+            session.tracking[method] = {"rms_rad": rms_rad, "max_rad": max_rad}
 
 
 def _result(session: Session, fault: Fault | None) -> dict[str, Any]:
@@ -268,6 +311,7 @@ def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, 
         "order": bench.driver.order,
         "period_s": experiment.period_s,
         "drive_units": bench.info.drive_units,
+        "times_error_s": times_error_s(experiment),
         "firmware": {
             "board": bench.info.board,
             "build": bench.info.build,

@@ -14,6 +14,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from rig.config.modbus import Modbus
 from rig.config.section import Interval, NonNegative, Positive
 from rig.config.section import Section as _Section
+from rig.usb_serial import Adapter
 
 Method = Literal["sampled-data", "triple-relay", "describing-function"]
 BUILT_IN_DRIVERS = ("simulated", "serial", "modbus")
@@ -36,6 +37,12 @@ class Daq(_Section):
     )
     baud: Annotated[int, Field(ge=9600, le=4_000_000)] = Field(
         115200, description="bits per second of the serial link, as the firmware was built"
+    )
+    adapter: Adapter | None = Field(
+        None,
+        description="driver serial: what sits between USB and the line, and delays every reply (docs/timing.md); "
+        "`rig doctor` finds it. Default: what the port's name gives away, else `ftdi`, the slowest; an emulated port "
+        "has none, unless it is given here: then it delays like that one",
     )
     timeout_s: Positive = Field(0.03, description="longest wait for one reply")
     open_timeout_s: Positive = Field(5.0, description="longest wait for the device to introduce itself")
@@ -121,6 +128,10 @@ class Drive(_Section):
     """The H-bridge: V to duty."""
 
     supply_V: Positive = Field(description="motor supply; K and f_c scale with it")
+    bridge: Literal["pwm-dir", "in1-in2"] | None = Field(
+        None,
+        description="inputs of the bridge, which the firmware must be for: with the wrong one 0 V can be full drive",
+    )
     bridge_drop_V: NonNegative = Field(0.0, description="lost in the bridge while driving (an L298: about 2 V)")
     dead_band_duty: DeadBand = Field(DeadBand(), description="duty below which the bridge passes nothing")
     max_V: Positive = Field(description="largest drive that anything may command")

@@ -78,6 +78,7 @@ class Recording:
     columns_present   the columns that the file has, in its order, those unknown to us included
     meta, config_text, events   of a run folder; {}, None and () for a plain CSV file
     notes        in words, what was tolerated: a torn last line, a missing meta.json
+    first_row    number that the first row has in the file; not 0 where rows were selected
     """
 
     t_s: Floats
@@ -100,6 +101,7 @@ class Recording:
     config_text: str | None
     events: tuple[dict[str, Any], ...]
     notes: tuple[str, ...]
+    first_row: int = 0
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -118,7 +120,9 @@ class Recording:
         first, end = int(rows[0]), int(rows[-1]) + 1
         if end - first != len(rows):
             raise RecordingError(
-                self.source, f"stage {name!r} is interrupted by another", "choose its rows by number instead"
+                self.source,
+                f"stage {name!r} is interrupted by another at row {first + int(np.argmax(np.diff(rows) > 1)) + 1}",
+                f"choose its rows by number: --rows {first}:{end - 1}, or a part of them",
             )
         return slice(first, end)
 
@@ -129,7 +133,19 @@ class Recording:
         """
         if not 0 <= first <= last < len(self):
             raise IndexError(f"rows {first} to {last} of a recording of {len(self)}")
-        return replace(self, **{name: getattr(self, name)[first : last + 1] for name in COLUMNS})
+        chosen = {name: getattr(self, name)[first : last + 1] for name in COLUMNS}
+        return replace(self, first_row=self.first_row + first, **chosen)
+
+    def only_rows(self, first: int | None, last: int | None) -> Recording:
+        """As ``select``, None for the first or the last row there is. Raises RecordingError for rows that are not."""
+        start, end = 0 if first is None else first, len(self) - 1 if last is None else last
+        if not 0 <= start <= end < len(self):
+            raise RecordingError(
+                self.source,
+                f"has no rows {start} to {end}: they are numbered 0 to {len(self) - 1}",
+                f"give --rows within 0:{len(self) - 1}, the smaller number first",
+            )
+        return self.select(start, end)
 
 
 def from_columns(
@@ -164,6 +180,7 @@ def from_columns(
         config_text=None,
         events=(),
         notes=(),
+        first_row=0,
     )
 
 
@@ -182,7 +199,7 @@ def read_run(folder: Path) -> Recording:
     """
     if not _is_folder(folder) or not (folder / SAMPLES).exists():
         raise no_run(folder)
-    recording = read_csv(folder / SAMPLES)
+    recording = read_csv(folder / SAMPLES, own=True)
     notes = list(recording.notes)
 
     meta: dict[str, Any] = {}
@@ -206,12 +223,13 @@ def read_result(folder: Path) -> dict[str, Any] | None:
     return _parse_object(path, _text(path, _bytes(path)), None) if path.exists() else None
 
 
-def read_csv(path: Path) -> Recording:
+def read_csv(path: Path, *, own: bool = False) -> Recording:
     """Read a CSV file: a line of column names, then at least three rows; comma, semicolon, tab or blanks between.
 
     Needs t_s, u_V and y_rad; takes every other column of samples.csv that is there, in any order. Lines that begin
     with # and blank lines are skipped, so is Excel's ``sep=``. Decimal commas are read where no comma separates
     columns and no decimal point occurs. A last line without a line end is taken as torn: left out and noted.
+    own  of a run folder: it ends where its time stands still or goes back, as the device's did; that is noted
     Raises RecordingError.
     """
     content, moved = whole_content(path)
@@ -236,6 +254,9 @@ def read_csv(path: Path) -> Recording:
         for k in range(0, len(row_numbers), _ROWS_AT_ONCE)
     ]
     columns = {name: np.concatenate([chunk[name] for chunk in chunks]) for name in chunks[0]}
+    if own:
+        columns = _while_time_rises(columns, row_numbers, notes)
+        row_numbers = row_numbers[: len(columns["t_s"])]
     _check_time(path, columns["t_s"], row_numbers)
     _add_absent(columns, len(row_numbers))
     for array in columns.values():
@@ -248,6 +269,7 @@ def read_csv(path: Path) -> Recording:
         config_text=None,
         events=(),
         notes=tuple(notes),
+        first_row=0,
     )
 
 
@@ -483,6 +505,22 @@ def _is_number(text: str) -> bool:
 
 def _shown(text: str) -> str:
     return repr(text if len(text) <= 40 else text[:40] + "...")
+
+
+def _while_time_rises(
+    columns: dict[str, NDArray[Any]], numbers: Sequence[int], notes: list[str]
+) -> dict[str, NDArray[Any]]:
+    """The rows before the first whose time does not rise; all where that would leave too few."""
+    t_s = columns["t_s"]
+    bad = np.flatnonzero(t_s[1:] <= t_s[:-1])
+    if len(bad) == 0 or bad[0] + 1 < MIN_ROWS:
+        return columns
+    kept = int(bad[0]) + 1
+    notes.append(
+        f"line {numbers[kept]}: t_s = {t_s[kept]:.9g} after {t_s[kept - 1]:.9g}, the device's clock stood still or "
+        f"went back; from there on {len(t_s) - kept} rows are left out"
+    )
+    return {name: values[:kept] for name, values in columns.items()}
 
 
 def _check_time(path: Path, t_s: Floats, numbers: Sequence[int]) -> None:

@@ -4,9 +4,6 @@
 
 #include "wiring.h"
 
-#define BRIDGE_PWM_DIR 1
-#define BRIDGE_IN1_IN2 2
-
 /* Each of Timer1's outputs has a level of its own, OC1x: a pin shows it from the moment it is given to the timer, and only
  * a compare match changes it. So each drive begins at BOTTOM, in the middle of a pulse: whichever level is left over from
  * the drive before, the first match ends it in time. Why in this order: docs/firmware.md. */
