@@ -366,6 +366,10 @@ class TestPage:
         )
         assert [found.text for found in literals.typed_numbers({"m": source})] == [" and 3.7 % off"]
         assert len(literals.typed_verdicts({"m": source})) == 3
+        words = (
+            'def _said(x: float) -> str:\n    """At 7."""\n    text = f"{x:.4f} against 3.7"\n    return f"{text} here"'
+        )
+        assert [found.text for found in literals.typed_numbers({"m": words})] == [" against 3.7"]
 
     def test_every_surviving_count_of_iterations_is_compared(self, page: str) -> None:
         summary = page[page.index('<h2 id="summary">') : page.index('<h2 id="example-4-1">')]
