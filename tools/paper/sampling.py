@@ -10,6 +10,7 @@ from paper import surviving
 from paper.drawing import Array, finish, new_figure
 from paper.page import Cell, Comparison, Paragraph, Remark, Section, Table, number
 from paper.section_5 import CONFIG, DF, NAMES, PLAIN, SD, TR, motor_of, plain_iteration, theta
+from rig.bench import truth_of
 from rig.config import Experiment, load
 from rig.identify import IdentifyError, describing_function, sampled_data, triple_relay
 from rig.identify.cycles import find_cycle
@@ -59,7 +60,7 @@ def compute(trials: int = 4, periods_s: tuple[float, ...] = PERIODS_S) -> Result
 
 
 def _worst(config: Experiment, motor: Motor, truth: Array, period_s: float, seed: int) -> dict[str, float]:
-    pot = config.emulated.potentiometer if config.emulated is not None else None
+    pot = truth_of(config)
     noise, lsb = (pot.noise_rad, abs(pot.rad_per_count)) if pot is not None else (0.0, 0.0)
     rng = np.random.default_rng(seed)
     records, cycles = [], []

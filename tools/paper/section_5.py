@@ -29,6 +29,7 @@ from paper.page import (
     significant,
 )
 from rig import experiment
+from rig.bench import truth_of
 from rig.config import Experiment, load
 from rig.identify import Identification, identify
 from rig.identify.estimate import Estimate
@@ -284,10 +285,9 @@ def _bench_words() -> str:
 
 def _chosen_words(config: Experiment) -> str:
     """The rest of what was chosen, as bench.yaml has it."""
-    emulated, tracking = config.emulated, config.tracking
-    if emulated is None or tracking is None:
+    emulated, tracking, pot = config.emulated, config.tracking, truth_of(config)
+    if emulated is None or tracking is None or pot is None:
         raise ValueError(f"{CONFIG.name} needs the sections `emulated` and `tracking`")
-    pot = emulated.potentiometer
     sines = " + ".join(f"{c.amplitude_rad:g} sin {c.omega_rad_s:g}t" for c in tracking.trajectory)
     return (
         f"static friction {emulated.motor.fs_plus_V:g} V, {1e3 * pot.noise_rad:g} mrad of noise, "
@@ -336,9 +336,9 @@ def _wins(result: Result, method: str) -> int:
 
 def _sensor_rad(result: Result) -> float:
     """Standard deviation of the position reading, rad: noise and resolution."""
-    if result.config.emulated is None:
+    pot = truth_of(result.config)
+    if pot is None:
         return float("nan")
-    pot = result.config.emulated.potentiometer
     return float(np.hypot(pot.noise_rad, abs(pot.rad_per_count) / np.sqrt(12.0)))
 
 
