@@ -270,10 +270,14 @@ def test_a_bridge_that_is_the_configs_or_none(told, config):
 def meeting(*latched, refuses=()):
     """A port whose device has these codes latched, and refuses to clear some."""
     port = ScriptedPort()
-    codes, write = list(latched), port.write
+    codes, write, reader = list(latched), port.write, frames.FrameReader()
 
     def answer(data):
-        (request,) = frames.FrameReader().feed(data)
+        requests = reader.feed(data)
+        if not requests or requests[0].kind == Kind.HELLO:  # spelled
+            write(data)
+            return
+        (request,) = requests
         port.seq = request.seq
         status = frames.STATUS_FAULT if codes else 0
         if request.kind == Kind.ACK:
