@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import random
 import signal
 from collections.abc import Callable, Mapping, Sequence
@@ -24,6 +25,8 @@ FREEZE_S = 1.0
 FOR_TICKS = 50  # that a disturbance lasts which the run survives
 STALL_S = 0.03  # of an overloaded host, at most
 SMALL_DISK = 2 << 20
+_SHORTEST_ROW = 60  # bytes, in the record
+_TICK_S = 0.005  # less than any period
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ class Row:
     only_seen  the motor is driven on, whatever the device puts out
     other    what is otherwise on a device: fields by a trait; of several, in the order of the device's traits
     may_lose samples that are lost by chance; the remark says why
+    leaves_result   there is a result.json, whatever ended the run
     remark   what else is to be said
     """
 
@@ -68,11 +72,19 @@ class Row:
     only_seen: bool = False
     other: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     may_lose: int = 0
+    leaves_result: bool = True
     remark: str = ""
 
+    @property
+    def runs_on(self) -> bool:
+        """Whether the run survives it."""
+        return self.codes == (RUNS_ON,) and all(status in (0, 1) for status in self.status)
+
     def on(self, traits: Sequence[str]) -> Row:
-        """The row as it is for one device."""
+        """The row as it is for one device, or for one in a stage (``stages.Stage.traits``)."""
         changes: dict[str, Any] = {}
+        if not self.runs_on and any(trait in traits for trait in ("rest", "pause", "arming")):
+            changes["bound"] = STAYS
         for trait in traits:
             changes |= self.other.get(trait, {})
         return replace(self, **changes)
@@ -88,6 +100,7 @@ class Row:
 
 # ---------------------------------------------------------------------- bounds
 
+STAYS = bound("the drive is 0, and stays so")
 SILENCE = bound(
     "the device's watchdog counts from the last drive, which may still be on its way", watchdog=1, frame=1, tick=2
 )
@@ -98,11 +111,36 @@ AT_ONCE = bound("by itself", tick=1)
 AGAIN = bound("the reading is asked for again within the time-out", timeout=1, period=1, exchange=1)
 AGAIN_AND_AGAIN = bound("three readings in a row within a time-out each", timeout=3, period=3, frame=1, tick=2)
 RUNNING = bound("no drive is older", period=2, exchange=1)
-RAMP = bound("the breakaway check ends", breakaway=1)
+RAMP = bound("the ramp comes to its largest drive, and the loop says stop", ramp=1, period=1, exchange=1, frame=1, tick=2)
 LOOKED = bound("the loop looks at the recorder every 25 ticks", check=1, period=1, exchange=1, frame=1, tick=2)
 STANDS = "no cycle that goes on stands for 0.6 of its longest period, whatever drives; periods jitter by some ticks"
 COASTS = "the shaft comes to rest within 0.4 of a period; no cycle that goes on stands for the other 0.6"
-RUN_AWAY = bound("until it is at the limit", cycle=0.5, runaway=1, exchange=1, frame=1, tick=2)
+FLUNG = bound(
+    "until it is faster than any shaft may be, and the loop sees it",
+    fling=1,
+    window=1,
+    period=1,
+    exchange=1,
+    frame=1,
+    tick=2,
+)
+RUN_AWAY = bound(
+    "until it is faster than any shaft may be, or at the limit, and the loop sees it",
+    reversal=1,
+    window=1,
+    period=1,
+    exchange=1,
+    frame=1,
+    tick=2,
+)
+UNMOVED = bound(
+    "the law asks for a drive well above friction, which moves the reading not, or not as it must",
+    unmoved=1,
+    period=1,
+    exchange=1,
+    frame=1,
+    tick=2,
+)
 # of a relay in the device, whose rows come in blocks
 GAP = bound(
     "the block after the one that is missing tells of it, and the loop says stop",
@@ -121,7 +159,26 @@ SILENT = bound(
     frame=1,
     tick=2,
 )
-AWAY_IN_BLOCK = bound("until it is at the limit", cycle=0.5, runaway=1, block=1, exchange=1, period=1, frame=1, tick=2)
+FLUNG_IN_BLOCK = bound(
+    "until it is faster than any shaft may be, and the loop sees it when its block has come",
+    fling=1,
+    window=1,
+    block=1,
+    exchange=1,
+    period=1,
+    frame=1,
+    tick=2,
+)
+AWAY_IN_BLOCK = bound(
+    "until it is faster than any shaft may be, or at the limit, and the loop sees it when its block has come",
+    reversal=1,
+    window=1,
+    block=1,
+    exchange=1,
+    period=1,
+    frame=1,
+    tick=2,
+)
 IN_BLOCK = bound(
     "the loop sees it when its block has come, and says stop", block=1, exchange=1, period=1, frame=1, tick=2
 )
@@ -208,11 +265,49 @@ def _thrown(stand: Stand) -> None:
 THROWN_RAD_S = 5.0
 
 
-def _contact(which: str) -> Act:
+PUSH_RAD_S = 1.0
+
+
+def _pushed(stand: Stand) -> None:
+    """A hand, or a load, pushes the shaft over the nearer limit, slower than a drive would; the fault begins there."""
+    low, high = stand.hard_rad
+    from_rad, from_s = stand.device.truth().y_rad, stand.now_s()
+    side = 1.0 if from_rad >= 0.0 else -1.0
+    to_rad = high + 0.02 if side > 0.0 else low - 0.02
+    stand.fault_s = math.inf
+
+    def hand() -> None:
+        went_rad = PUSH_RAD_S * (stand.now_s() - from_s)
+        if stand.fault_s == math.inf and went_rad >= abs(to_rad - from_rad) - 0.02:
+            stand.happens_now()
+        stand.device.place(from_rad + side * min(went_rad, abs(to_rad - from_rad)), 0.0)
+
+    stand.hand = hand
+
+
+def _contact(*which: str, for_s: float = math.inf) -> Act:
+    """Contacts open, for a while."""
+
     def act(stand: Stand) -> None:
-        stand.device.contact(which, is_open=True)
+        for one in which:
+            stand.device.contact(one, is_open=True)
+        if for_s < math.inf:
+            stand.later(for_s, lambda: [stand.device.contact(one, is_open=False) for one in which])
 
     return act
+
+
+def _moment(act: Act, undo: Act) -> Act:
+    """Something happens, and is undone ``MOMENT_S`` later."""
+
+    def both(stand: Stand) -> None:
+        act(stand)
+        stand.later(MOMENT_S, lambda: undo(stand))
+
+    return both
+
+
+MOMENT_S = 0.05
 
 
 def _end_switch(stand: Stand) -> None:
@@ -230,8 +325,13 @@ def _overload(stand: Stand) -> None:
 
 
 def _fill_disk(stand: Stand) -> None:
-    host.fill_disk(stand.folder / "runs")
-    stand.paced = True
+    """Nothing more fits, in the last page of the record either: it is put off until that page has no room for a row."""
+    stand.written()
+    samples = next((stand.folder / "runs").glob("*/samples.csv"))
+    if -samples.stat().st_size % os.sysconf("SC_PAGE_SIZE") >= _SHORTEST_ROW:
+        stand.schedule(stand.now_s() + _TICK_S, _fill_disk)
+    else:
+        host.fill_disk(stand.folder / "runs")
 
 
 def _close_folder(stand: Stand) -> None:
@@ -540,6 +640,13 @@ ROWS = (
         ("DEVICE_SENSOR",),
     ),
     Row(
+        "sensor at a rail, for a moment",
+        f"it reads full scale for {1e3 * MOMENT_S:.0f} ms",
+        _moment(_rewire(sensor="broken_high"), _rewire()),
+        DEVICE,
+        ("DEVICE_SENSOR",),
+    ),
+    Row(
         "sensor wire broken",
         "the pull-down has it read 0",
         _rewire(sensor="broken_low"),
@@ -706,6 +813,15 @@ ROWS = (
         other={"relay": {"codes": ("DEVICE_TRAVEL", "SENSOR_JUMP", "RELAY_STOPPED", "OVERSPEED")}},
     ),
     Row(
+        "pushed over a limit",
+        f"a hand pushes the shaft over the nearer one at {PUSH_RAD_S:g} rad/s, slower than any drive would",
+        _pushed,
+        DEVICE,
+        ("DEVICE_TRAVEL",),
+        True,
+        ("START_OUTSIDE", "DEVICE_TRAVEL"),
+    ),
+    Row(
         "end switch",
         "opens on the side that is driven to",
         _end_switch,
@@ -723,6 +839,22 @@ ROWS = (
         ("DEVICE_ESTOP",),
         True,
         ("DEVICE_ESTOP",),
+        absent={"board": NO_CONTACTS, "modbus": NO_INPUTS},
+    ),
+    Row(
+        "e-stop, for a moment",
+        f"opens for {1e3 * MOMENT_S:.0f} ms",
+        _contact("e_stop", for_s=MOMENT_S),
+        AT_ONCE,
+        ("DEVICE_ESTOP",),
+        absent={"board": NO_CONTACTS, "modbus": NO_INPUTS},
+    ),
+    Row(
+        "both end switches, for a moment",
+        f"their common wire opens for {1e3 * MOMENT_S:.0f} ms",
+        _contact("end_low", "end_high", for_s=MOMENT_S),
+        DEVICE,
+        ("DEVICE_END_SWITCH",),
         absent={"board": NO_CONTACTS, "modbus": NO_INPUTS},
     ),
     # the host
