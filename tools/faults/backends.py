@@ -207,9 +207,7 @@ def _unmoved_s(experiment: Experiment) -> float:
         held_s, side = 0.0, 0
         for t_s in (t for t in times_s if t >= from_s):
             at = reference.at(t_s)
-            u_V = linearising_drive(
-                motor, State(0.0, from_rad), at, tracking.k1_1_s, tracking.k2_1_s2, at.v_rad_s
-            )
+            u_V = linearising_drive(motor, State(0.0, from_rad), at, tracking.k1_1_s, tracking.k2_1_s2, at.v_rad_s)
             now = (u_V > well_V) - (u_V < -well_V)
             held_s, side = (held_s + experiment.period_s if now == side != 0 else 0.0), now
             if held_s >= 2.0 * GuardSettings.stuck_s:
@@ -301,7 +299,7 @@ def _separate() -> dict[str, Any]:
 
 
 def _bare() -> dict[str, Any]:
-    """The block's registers without its own limits, rails, largest drive, status and control: an output and an input."""
+    """The block's registers without limits, rails, largest drive, status and control of its own."""
     daq = _modbus_daq("modbus-rtu.yaml", "emulated-virtual")
     kept = {name: daq["modbus"]["registers"][name] for name in ("drive", "sequence", "watchdog", "position")}
     return daq | {"modbus": daq["modbus"] | {"registers": kept}}
@@ -424,5 +422,11 @@ BARE = replace(
     "drive, status or control. What is beyond a limit only the loop sees; the watchdog is all that the block knows.",
 )
 PLAIN = (CHIP, BOARD, MODBUS)
-OTHERS = (CHIP_RELAY, BOARD_RELAY, SEPARATE, TCP, BARE)  # which differ from these in the link, or in where the relay runs
+OTHERS = (
+    CHIP_RELAY,
+    BOARD_RELAY,
+    SEPARATE,
+    TCP,
+    BARE,
+)  # which differ from these in the link, or in where the relay runs
 BACKENDS = PLAIN + OTHERS

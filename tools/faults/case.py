@@ -79,6 +79,14 @@ class Found:
     restart: str = ""
     trouble: tuple[str, ...] = ()
 
+    def in_words(self) -> str:
+        """One line."""
+        return (
+            f"{self.row}, {self.backend}, {self.stage}, phase {self.phase:.2f}: {self.code or 'no fault'}, "
+            f"exit status {self.status}, drive on for {1e3 * self.off_s:.2f} of {1e3 * self.bound_s:.2f} ms, "
+            f"{self.lost} samples lost"
+        )
+
 
 @dataclass
 class Run:
@@ -187,7 +195,9 @@ def undisturbed(backend: Backend, course: Course = "relay") -> Undisturbed:
         if found.status or missing(stand, found):
             raise RuntimeError(f"{backend.key}: the run fails where nothing goes wrong: {found.output}")
         if len(stand.readings) < len(found.rows):
-            raise RuntimeError(f"{backend.key}: {len(found.rows)} rows, and only {len(stand.readings)} seen on the wire")
+            raise RuntimeError(
+                f"{backend.key}: {len(found.rows)} rows, and only {len(stand.readings)} seen on the wire"
+            )
         if course == "run" and not any(stage.startswith("track:") for stage in found.stages):
             raise RuntimeError(f"{backend.key}: nothing was tracked: {found.output}")
         return Undisturbed(_windows(stand, found, course), found.rows, found.identification)

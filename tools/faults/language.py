@@ -126,9 +126,7 @@ class ModbusLanguage:
     bare      of that map only drive, sequence and position are there: a drive arms it, one of 0 by itself is a stop
     """
 
-    def __init__(
-        self, unit_V: float, *, separate: bool = False, tcp: bool = False, bare: bool = False
-    ) -> None:
+    def __init__(self, unit_V: float, *, separate: bool = False, tcp: bool = False, bare: bool = False) -> None:
         self._unit_V = unit_V
         self._stop = _NO_DRIVE if bare else _STOP
         self._bare = bare
@@ -192,7 +190,10 @@ class ModbusLanguage:
     def readings(self, reply: bytes) -> list[Reading]:
         """Registers 16 and 17: the position, and the number of the drive that was asked with, or the last one."""
         pdu = self._pdu(reply)
-        if pdu[:2] != self._reads[:1] + bytes((self._reply_bytes,)) or int.from_bytes(pdu[4:6], "big") != self._sequence:
+        if (
+            pdu[:2] != self._reads[:1] + bytes((self._reply_bytes,))
+            or int.from_bytes(pdu[4:6], "big") != self._sequence
+        ):
             return []
         return [Reading(self._asked, int.from_bytes(pdu[2:4], "big"), reply)]
 
