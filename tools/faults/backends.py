@@ -28,7 +28,7 @@ from rig.daq import frames
 from rig.daq.frames import BLOCK_ROWS, Kind
 from rig.emulate.firmware_build import UnoOptions
 from rig.emulate.virtual_board import VirtualBoard
-from rig.emulate.virtual_chip import VirtualChip
+from rig.emulate.virtual_chip import Contact, VirtualChip
 from rig.emulate.virtual_io_block import VirtualIoBlock
 from rig.emulate.virtual_tcp_block import VirtualTcpBlock
 from rig.model.bench import BenchParameters
@@ -256,6 +256,13 @@ class BlockOnStand:
             self._block.reset(_BOOT_S if cause == _BROWN_OUT else 0.0)
         else:
             self._block.block.power_off()
+
+    def contact(self, which: Contact, *, is_open: bool) -> None:
+        """Open or close the e-stop, the only contact that the block has."""
+        if which == "e_stop":
+            self._block.block.e_stop_open = is_open
+        elif is_open:
+            raise ValueError(f"the block has no contact {which}")
 
     def forget(self) -> None:
         """Drop the log of executed drives and all but the last of the output's changes, which the block keeps."""

@@ -196,6 +196,7 @@ IN_BLOCK = bound(
 )
 
 NO_CONTACTS = "the contacts are the Uno's; the firmware's core alone has none"
+NO_STATUS = "the block has no register that would tell: wire it into the motor's supply"
 NO_INPUTS = "the block has no such input: wire it into the motor's supply"
 
 
@@ -915,7 +916,8 @@ ROWS = (
         ("DEVICE_ESTOP",),
         True,
         ("DEVICE_ESTOP",),
-        absent={"board": NO_CONTACTS, "modbus": NO_INPUTS},
+        other={"modbus": {"bound": DEVICE}},
+        absent={"board": NO_CONTACTS, "bare": NO_STATUS},
     ),
     Row(
         "e-stop, for a moment",
@@ -923,7 +925,8 @@ ROWS = (
         _contact("e_stop", for_s=MOMENT_S),
         AT_ONCE,
         ("DEVICE_ESTOP",),
-        absent={"board": NO_CONTACTS, "modbus": NO_INPUTS},
+        other={"modbus": {"bound": DEVICE}},
+        absent={"board": NO_CONTACTS, "bare": NO_STATUS},
     ),
     Row(
         "both end switches, for a moment",

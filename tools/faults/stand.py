@@ -92,7 +92,7 @@ class Stand:
         self._asked: tuple[int, float] | None = None
         self._said_V = 0.0  # nan: the device chooses
         self._said_s = math.nan
-        self._is_pausing = False
+        self._is_disarmed = True
         self._since_s = math.nan  # that the drive is not what the host said
         self._is_interrupted = False
 
@@ -228,18 +228,18 @@ class Stand:
             self._said(drive_V, is_heard=any(piece == data for _, piece in pieces))
         if self._language.is_arm(data):
             self.moments.append(("to arm", self.now_s()))
-            self._is_pausing = False
+            self._is_disarmed = False
         if self._language.is_stop(data):
             self.moments.append(("to stop", self.now_s()))
             self._asked = None  # a reply still to come is waited for by nobody
-            self._is_pausing = True
+            self._is_disarmed = True
             self._said_s = math.nan  # 0 V need not be said again
             if self.readings:
                 self.closing.add(self.readings[-1].key)
         if self._language.hands_over(data) and self.readings:
             self.handing_over.add(self.readings[-1].key)
         key = self._language.asked(data)
-        if key is not None and not self._is_pausing:
+        if key is not None and not self._is_disarmed:
             self._asked = key, self.now_s()
             self.read_at.append(self._asked)
         for _, piece in pieces:

@@ -18,6 +18,10 @@ LONGER = 1.5
 GRAIN_S = 0.001  # of what is measured, about: a tick of the device
 
 
+class Longer(UserWarning):
+    """A drive that was on for longer than was ever recorded."""
+
+
 def key(found: Found) -> str:
     """Row, device and stage."""
     return f"{found.row} | {found.backend} | {found.stage}"
