@@ -38,7 +38,7 @@ from rig.signals import Sample
 
 ROOT = Path(__file__).resolve().parents[2]
 GAINS_V = (0.45, 0.9)
-CYCLES = 3
+CYCLES = 5
 RAMP_V_S = 0.8
 TRACKING_S = 4.5
 # a search that takes a step or two: it starts near a cycle that it is content with
@@ -339,7 +339,7 @@ def _block_language(experiment: Experiment) -> ModbusLanguage:
 
 _SERIAL = {"daq": {"port": "emulated-chip", "timeout_s": 0.02}}
 # samples are older: at the same limits a little less speed than with the host's relay
-_RELAY = _SERIAL | {"relay": {"where": "device", "cycles": CYCLES + 2}, "limits": {"max_speed_rad_s": 4.6}}
+_RELAY = _SERIAL | {"relay": {"where": "device"}, "limits": {"max_speed_rad_s": 4.6}}
 
 CHIP = Backend(
     "chip",
@@ -403,7 +403,6 @@ SEPARATE = replace(
     changes={
         "daq": _separate(),
         "period_s": 0.016,
-        "relay": {"cycles": CYCLES + 2},
         "limits": {"max_speed_rad_s": 4.8},
     },
     remark="RTU with `requests: separate`, for a device without FC23: two transactions a tick, a period of 16 ms.",
@@ -413,7 +412,7 @@ TCP = replace(
     key="tcp",
     title="the Modbus I/O block on TCP",
     traits=("modbus", "fc23", "tcp"),
-    changes={"daq": _modbus_daq("modbus-tcp.yaml", "tcp://192.168.0.5"), "relay": {"cycles": CYCLES + 2}},
+    changes={"daq": _modbus_daq("modbus-tcp.yaml", "tcp://192.168.0.5")},
     device=_tcp_block,
     remark="A network in virtual time, 10 Mbit/s: what it loses is sent again after 0.2 s, and what follows waits.\n"
     "Its ways may be blocked, connections end. No frame is damaged; a gateway may be late or silent, or answer twice.",

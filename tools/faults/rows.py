@@ -652,7 +652,8 @@ ROWS = (
             "chip": {
                 "codes": ("LINK_TIMEOUT", "SAMPLE_STALE"),
                 "either": "the main loop answers on, of the same sample, where only clock or converter stand",
-            }
+            },
+            "pause": {"codes": ("DEVICE_RESET",), "either": ""},
         },
         absent={"modbus": "the block is emulated by its registers, it has no program; a real one's is its maker's"},
     ),
