@@ -1,0 +1,92 @@
+"""What a driver whose device latches no e-stop is asked in a pause."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from raised import fault_of
+
+from rig.faults import Fault
+from rig.loop.clock import MonotonicClock, VirtualClock
+from rig.loop.pause_watch import VIRTUAL_PAUSE_S, PauseWatch
+
+PATIENCE_S = 60.0
+
+
+class Device:
+    """A driver that counts readings, and may have something to say at one of them."""
+
+    latches_stops = False
+
+    def __init__(self, fault: Exception | None = None, at: int = 5) -> None:
+        self.readings = 0
+        self.enough = threading.Event()
+        self._fault, self._at = fault, at
+
+    def read(self) -> None:
+        self.readings += 1
+        if self.readings >= self._at:
+            self.enough.set()
+            if self._fault is not None:
+                raise self._fault
+
+
+def watch(device: Device, *, real: bool = False) -> PauseWatch:
+    return PauseWatch(device, MonotonicClock() if real else VirtualClock(), 0.01)  # type: ignore[arg-type]
+
+
+def test_in_virtual_time_it_is_read_each_period_of_a_pause() -> None:
+    device = Device()
+    pause = watch(device)
+    pause.end()  # none has begun
+    assert device.readings == 0
+    pause.begin()
+    pause.end()
+    assert device.readings == round(VIRTUAL_PAUSE_S / 0.01)
+    pause.end()
+    assert device.readings == round(VIRTUAL_PAUSE_S / 0.01)
+
+
+def test_a_fault_in_virtual_time_ends_the_pause() -> None:
+    pause = watch(Device(Fault("DEVICE_ESTOP")))
+    pause.begin()
+    assert fault_of(pause.end).code == "DEVICE_ESTOP"
+
+
+def test_in_real_time_it_is_read_meanwhile_and_left_alone_afterwards() -> None:
+    device = Device(at=10)
+    pause = watch(device, real=True)
+    pause.begin()
+    assert device.enough.wait(PATIENCE_S)
+    pause.end()
+    readings = device.readings
+    assert threading.active_count() == 1 or not any(t.name == "pause watch" for t in threading.enumerate())
+    assert pause.longest_gap_s > 0.0
+    pause.begin()  # the next pause
+    pause.give_up()
+    pause.give_up()
+    assert device.readings >= readings
+
+
+@pytest.mark.parametrize(
+    ("seen", "code"), [(Fault("DEVICE_ESTOP"), "DEVICE_ESTOP"), (ZeroDivisionError("a defect"), "INTERNAL")]
+)
+def test_what_is_seen_in_real_time_is_raised_before_anything_arms(seen: Exception, code: str) -> None:
+    device = Device(seen)
+    pause = watch(device, real=True)
+    pause.begin()
+    assert device.enough.wait(PATIENCE_S)
+    pause.give_up()
+    assert device.readings == 5  # and it is not asked again
+    assert fault_of(pause.check).code == code
+    assert fault_of(pause.end).code == code
+
+
+def test_a_device_that_latches_is_left_alone() -> None:
+    device = Device()
+    device.latches_stops = True
+    pause = watch(device, real=True)
+    pause.begin()
+    pause.end()
+    assert device.readings == 0
