@@ -131,6 +131,10 @@ class ModbusLanguage:
         self._stop = _NO_DRIVE if bare else _STOP
         self._bare = bare
         self._reply_bytes = 4 if bare else 8
+        self._looks = bytes((3, 0, 16, 0, self._reply_bytes // 2))
+        self._was_armed = False
+        self._confirms = False  # the next look is at whether it has stopped
+        self._is_poll = False  # the last request was a reading in a pause, which the record's numbers count, too
         self._reads = bytes((3, 0, 16, 0, 4)) if separate else bytes((23,))
         self._pdu = _tcp_pdu if tcp else _rtu_pdu
         self._tcp = tcp
@@ -157,6 +161,11 @@ class ModbusLanguage:
         pdu = self._pdu(request)
         if self.is_arm(request) or self.is_stop(request):
             self._armed, self._in_a_tick = self.is_arm(request), not self._separate
+            self._was_armed |= self._armed
+            self._confirms = not self._bare
+        self._is_poll = False
+        if pdu == self._looks and not self._armed and self._was_armed:
+            self._is_poll, self._confirms = not self._confirms, False
         if pdu[:1] in (_FC16, _FC23):
             self._sequence = int.from_bytes(pdu[-2:], "big")
         if not pdu.startswith(self._reads):
@@ -190,6 +199,10 @@ class ModbusLanguage:
     def readings(self, reply: bytes) -> list[Reading]:
         """Registers 16 and 17: the position, and the number of the drive that was asked with, or the last one."""
         pdu = self._pdu(reply)
+        if self._is_poll:
+            self._asked += pdu[:2] == bytes((3, self._reply_bytes))
+            self._is_poll = False
+            return []
         if (
             pdu[:2] != self._reads[:1] + bytes((self._reply_bytes,))
             or int.from_bytes(pdu[4:6], "big") != self._sequence

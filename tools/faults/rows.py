@@ -387,6 +387,21 @@ TCP_IS_WHOLE = (
     "passed its check sum"
 )
 ELSEWHERE: dict[str, Any] = {"codes": (RUNS_ON,), "bound": RUNNING, "status": (0, 1)}
+IN_A_PAUSE = (
+    "A Modbus device gets all its settings each time that it is armed, and tells no time: while it is disarmed it has "
+    "nothing to lose"
+)
+ARMED_ANEW: Changes = {
+    "modbus, pause": {"codes": (RUNS_ON,), "bound": RUNNING},
+    "modbus, arming": {
+        "codes": ("DEVICE_NOT_ARMED", RUNS_ON),
+        "bound": RUNNING,
+        "either": "it runs on where the block was not armed yet",
+        "status": (0, 1),
+    },
+    "tcp, pause": {"codes": ("LINK_LOST",), "bound": STAYS},
+    "tcp, arming": {"codes": ("LINK_LOST",), "bound": STAYS, "either": "", "status": ()},
+}
 # the block has no rails of its own: the loop sees it
 BARE_RAIL: Changes = {"bare": {"bound": SEEN, "codes": ("SENSOR_RAIL",), "refused": ("SENSOR_RAIL",)}}
 DRIVEN: Changes = {
@@ -640,7 +655,8 @@ ROWS = (
         lambda stand: stand.device.reset(2),
         AT_ONCE,
         ("DEVICE_RESET",),
-        other={"fc23": {"codes": ("DEVICE_NOT_ARMED",)}, "tcp": {"codes": ("LINK_LOST",)}},
+        other={"fc23": {"codes": ("DEVICE_NOT_ARMED",)}, "tcp": {"codes": ("LINK_LOST",)}} | ARMED_ANEW,
+        remark=IN_A_PAUSE,
     ),
     Row(
         "firmware hang",
@@ -668,8 +684,11 @@ ROWS = (
             "relay": {"codes": ("DEVICE_RESET",)},
             "fc23": {"codes": ("DEVICE_NOT_ARMED",)},
             "tcp": {"codes": ("LINK_LOST",)},
-        },
-        remark="while the chip starts it does not answer: LINK_TIMEOUT; the next run's meta.json names the cause",
+            "pause": {"codes": ("DEVICE_RESET",)},
+        }
+        | ARMED_ANEW,
+        remark="while the chip starts it does not answer: LINK_TIMEOUT; the next run's meta.json names the cause. "
+        + IN_A_PAUSE,
     ),
     # the sensor
     Row(
