@@ -377,7 +377,9 @@ NO_PERMISSION = "cannot be written: Permission denied"
 NO_LINK = ("LINK_HELLO", "LINK_TIMEOUT", "LINK_REPLY", "LINK_OPEN")
 FITS_OR_NOT = "what comes may begin as the reply does, and never end (LINK_TIMEOUT), or be none (LINK_REPLY)"
 MISFIT: Changes = {"modbus": {"codes": ("LINK_REPLY", "LINK_TIMEOUT"), "either": FITS_OR_NOT}}
-NO_SECOND: Changes = {"modbus": {"codes": ("LINK_TIMEOUT",), "bound": HEARD}}  # nothing is asked again
+# nothing is asked again in a tick, whatever is needed up to three times outside of one
+PATIENT: Changes = {"modbus, pause": {"codes": (RUNS_ON,), "bound": RUNNING}}
+NO_SECOND: Changes = {"modbus": {"codes": ("LINK_TIMEOUT",), "bound": HEARD}}
 NO_SECOND_LOOK: Changes = {"modbus": {"codes": ("LINK_REPLY",), "bound": HEARD}}
 MISSED: Changes = {"relay": {"bound": GAP, "codes": ("LINK_GAP",)}}
 UNHEARD: Changes = {"relay": {"bound": SILENT}}
@@ -402,8 +404,11 @@ ARMED_ANEW: Changes = {
     "tcp, pause": {"codes": ("LINK_LOST",), "bound": STAYS},
     "tcp, arming": {"codes": ("LINK_LOST",), "bound": STAYS, "either": "", "status": ()},
 }
-# the block has no rails of its own: the loop sees it
-BARE_RAIL: Changes = {"bare": {"bound": SEEN, "codes": ("SENSOR_RAIL",), "refused": ("SENSOR_RAIL",)}}
+# a block without rails of its own leaves it to the loop, and any block does so while it is disarmed
+RAIL: Changes = {
+    "bare": {"bound": SEEN, "codes": ("SENSOR_RAIL",), "refused": ("SENSOR_RAIL",)},
+    "modbus, pause": {"codes": ("SENSOR_RAIL",)},
+}
 DRIVEN: Changes = {
     name: {"bound": UNMOVED} for name in ("rest", "pause", "arming", "tracking")
 }  # seen once it has to move
@@ -515,7 +520,7 @@ ROWS = (
         _down(lambda: damage.first(1, damage.flipped)),
         AGAIN,
         (RUNS_ON,),
-        other=NO_SECOND_LOOK | MISSED,
+        other=NO_SECOND_LOOK | MISSED | PATIENT,
         absent={"tcp": TCP_IS_WHOLE},
     ),
     Row(
@@ -582,7 +587,7 @@ ROWS = (
         _down(lambda: damage.first(1, damage.lost)),
         AGAIN,
         (RUNS_ON,),
-        other=NO_SECOND | MISSED,
+        other=NO_SECOND | MISSED | PATIENT,
     ),
     Row(
         "replies lost",
@@ -635,7 +640,7 @@ ROWS = (
         ("LINK_TIMEOUT",),
         True,
         (*NO_LINK, "DEVICE_WATCHDOG"),
-        other=NO_SECOND | MISSED,
+        other=NO_SECOND | MISSED | {"modbus, pause": {"codes": ("DEVICE_WATCHDOG",)}},
     ),
     Row(
         "replies stale",
@@ -645,7 +650,7 @@ ROWS = (
         ("LINK_TIMEOUT",),
         True,
         (*NO_LINK, "DEVICE_WATCHDOG"),
-        other=NO_SECOND,
+        other=NO_SECOND | {"modbus, pause": {"codes": ("LINK_REPLY",)}},
         absent={"relay": "nothing is asked: a block that comes in another's place is out of order"},
     ),
     # the device
@@ -699,7 +704,7 @@ ROWS = (
         ("DEVICE_SENSOR",),
         True,
         ("DEVICE_SENSOR",),
-        other=BARE_RAIL,
+        other=RAIL,
     ),
     Row(
         "sensor at a rail, for a moment",
@@ -707,7 +712,7 @@ ROWS = (
         _moment(_rewire(sensor="broken_high"), _rewire()),
         DEVICE,
         ("DEVICE_SENSOR",),
-        other=BARE_RAIL,
+        other=RAIL,
     ),
     Row(
         "sensor wire broken",
@@ -717,7 +722,7 @@ ROWS = (
         ("DEVICE_SENSOR",),
         True,
         ("DEVICE_SENSOR",),
-        other=BARE_RAIL,
+        other=RAIL,
     ),
     Row(
         "sensor stuck",
@@ -778,6 +783,7 @@ ROWS = (
             "relay": {"bound": FLUNG_IN_BLOCK, "codes": ("OVERSPEED",), "either": ""},
             "rest": {"bound": FLUNG, "codes": ("OVERSPEED",), "either": ""},
             "pause": {"codes": ("DEVICE_SENSOR",), "either": ""},
+            "modbus, pause": {"codes": ("SENSOR_RAIL",)},
             "arming": {"bound": FLUNG, "codes": ("OVERSPEED",), "either": ""},
         },
         remark="can only be detected: the device's output is 0, the motor's is not, and the shaft runs to its stop. "
@@ -903,7 +909,7 @@ ROWS = (
                 "refused": ("START_OUTSIDE", "SENSOR_RAIL"),
             },
             "pause": {"codes": ("DEVICE_SENSOR",), "either": ""},
-            "bare, pause": {"codes": ("SENSOR_RAIL",)},
+            "modbus, pause": {"codes": ("SENSOR_RAIL",)},
         },
     ),
     Row(
