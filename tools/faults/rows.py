@@ -377,8 +377,15 @@ NO_PERMISSION = "cannot be written: Permission denied"
 NO_LINK = ("LINK_HELLO", "LINK_TIMEOUT", "LINK_REPLY", "LINK_OPEN")
 FITS_OR_NOT = "what comes may begin as the reply does, and never end (LINK_TIMEOUT), or be none (LINK_REPLY)"
 MISFIT: Changes = {"modbus": {"codes": ("LINK_REPLY", "LINK_TIMEOUT"), "either": FITS_OR_NOT}}
+
+
+def _unhurried(**changes: Any) -> Changes:
+    """Of a Modbus device outside of the tick."""
+    return {"modbus, pause": changes, "modbus, arming": changes}
+
+
 # nothing is asked again in a tick, whatever is needed up to three times outside of one
-PATIENT: Changes = {"modbus, pause": {"codes": (RUNS_ON,), "bound": RUNNING}}
+PATIENT = _unhurried(codes=(RUNS_ON,), bound=RUNNING)
 NO_SECOND: Changes = {"modbus": {"codes": ("LINK_TIMEOUT",), "bound": HEARD}}
 NO_SECOND_LOOK: Changes = {"modbus": {"codes": ("LINK_REPLY",), "bound": HEARD}}
 MISSED: Changes = {"relay": {"bound": GAP, "codes": ("LINK_GAP",)}}
@@ -640,7 +647,7 @@ ROWS = (
         ("LINK_TIMEOUT",),
         True,
         (*NO_LINK, "DEVICE_WATCHDOG"),
-        other=NO_SECOND | MISSED | {"modbus, pause": {"codes": ("DEVICE_WATCHDOG",)}},
+        other=NO_SECOND | MISSED | _unhurried(codes=("DEVICE_WATCHDOG",)),
     ),
     Row(
         "replies stale",
@@ -650,7 +657,7 @@ ROWS = (
         ("LINK_TIMEOUT",),
         True,
         (*NO_LINK, "DEVICE_WATCHDOG"),
-        other=NO_SECOND | {"modbus, pause": {"codes": ("LINK_REPLY",)}},
+        other=NO_SECOND | _unhurried(codes=("LINK_REPLY",)),
         absent={"relay": "nothing is asked: a block that comes in another's place is out of order"},
     ),
     # the device
@@ -910,6 +917,10 @@ ROWS = (
             },
             "pause": {"codes": ("DEVICE_SENSOR",), "either": ""},
             "modbus, pause": {"codes": ("SENSOR_RAIL",)},
+            "arming": {
+                "codes": ("TRAVEL_HARD", "DEVICE_TRAVEL"),
+                "either": "TRAVEL_HARD where it was out before the device was armed, which then waits for it to come in",
+            },
         },
     ),
     Row(
@@ -989,8 +1000,15 @@ ROWS = (
         lambda stand: stand.freeze_host(FREEZE_S),
         SILENCE,
         ("DEVICE_WATCHDOG",),
-        other={"pause": {"codes": (RUNS_ON,), "bound": RUNNING, "status": (0,)}},
-        remark="in the pause the device is disarmed, and may wait",
+        other={
+            "pause": {"codes": (RUNS_ON,), "bound": RUNNING, "status": (0,)},
+            "arming": {
+                "codes": ("DEVICE_WATCHDOG", RUNS_ON),
+                "bound": RUNNING,
+                "status": (0, 1),
+                "either": "a device that is disarmed, or not armed yet, may wait",
+            },
+        },
     ),
     Row(
         "host overloaded",
@@ -1011,6 +1029,9 @@ ROWS = (
         ("RECORDER_DEAD",),
         True,
         ("RECORDER_DEAD", NO_SPACE),
+        other={name: {"bound": LOOKED} for name in AT_ZERO},
+        remark="the disk is full once the page that the record ends in is, too: up to half a second later, and in "
+        "another stage",
         prepare=_small,
         alone=True,
     ),
