@@ -324,7 +324,7 @@ def _moment(act: Act, undo: Act) -> Act:
     return both
 
 
-MOMENT_S = 0.05
+MOMENT_S = 0.1  # what is shorter may pass unseen on a device that has to be looked at (``rig.session``)
 
 
 def _end_switch(stand: Stand) -> None:
@@ -919,7 +919,11 @@ ROWS = (
             "modbus, pause": {"codes": ("SENSOR_RAIL",)},
             "arming": {
                 "codes": ("TRAVEL_HARD", "DEVICE_TRAVEL"),
-                "either": "TRAVEL_HARD where it was out before the device was armed, which then waits for it to come in",
+                "either": "TRAVEL_HARD where it was out before the device was armed, which waits for it to come in",
+            },
+            "modbus, arming": {
+                "codes": ("DEVICE_SENSOR", "TRAVEL_HARD"),
+                "either": "DEVICE_SENSOR where it was at the sensor's rail before the device was armed",
             },
         },
     ),
