@@ -18,6 +18,7 @@ from faults.stand import Stand
 from rig.bench import emulated_io_block, guard_settings_of, truth_of
 from rig.config.link_budget import bits_per_byte, block_share, link_budget, longest_transaction_s, silence_s
 from rig.config.modbus import is_tcp
+from rig.config.room_to_stop import breakaway_strokes
 from rig.config.schema import Experiment
 from rig.control.guard import WINDOW_S, GuardSettings
 from rig.control.motion import CycleWatch
@@ -115,7 +116,9 @@ class Backend:
 
     def times(self, experiment: Experiment, cycle_s: float) -> Times:
         """What bounds are made of."""
-        b = experiment.breakaway
+        strokes = breakaway_strokes(experiment)
+        if strokes is None:
+            raise ValueError("the breakaway check of the matrix's bench has no strokes")
         return Times(
             tick=0.001,
             period=experiment.period_s,
@@ -126,7 +129,7 @@ class Backend:
             hardware=self.hardware_s,
             cycle=cycle_s,
             check=_LOOKS_APART * experiment.period_s,
-            ramp=b.max_V / b.ramp_V_s,
+            ramp=2.0 * strokes.pairs * (strokes.stroke_s + strokes.pause_s),
             window=1.5 * WINDOW_S,
             fling=_fling_s(experiment),
             reversal=_reversal_s(experiment, cycle_s),

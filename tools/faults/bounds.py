@@ -19,7 +19,7 @@ class Times(NamedTuple):
     hardware    hardware watchdog of the chip, with what its own oscillator may be off
     cycle       of the limit cycle
     check       25 ticks, between two looks at the recorder
-    ramp        of the breakaway check, to its largest drive: breakaway.max_V / ramp_V_s
+    ramp        of the breakaway check, to its largest drive: two strokes and two pauses for each pair of them
     window      of the guard's velocity, and half as much for its lag
     fling       that a quarter of the supply takes the shaft from the largest speed the other way to 1.2 times it
     reversal    that relay and guard whose drive is reversed take to have the shaft at 1.2 times the largest speed, at a

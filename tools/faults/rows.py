@@ -112,7 +112,7 @@ AGAIN = bound("the reading is asked for again within the time-out", timeout=1, p
 AGAIN_AND_AGAIN = bound("three readings in a row within a time-out each", timeout=3, period=3, frame=1, tick=2)
 RUNNING = bound("no drive is older", period=2, exchange=1)
 RAMP = bound(
-    "the ramp comes to its largest drive, and the loop says stop", ramp=1, period=1, exchange=1, frame=1, tick=2
+    "the strokes come to their largest drive, and the loop says stop", ramp=1, period=1, exchange=1, frame=1, tick=2
 )
 LOOKED = bound("the loop looks at the recorder every 25 ticks", check=1, period=1, exchange=1, frame=1, tick=2)
 STANDS = "no cycle that goes on stands for 0.6 of its longest period, whatever drives; periods jitter by some ticks"
@@ -828,7 +828,7 @@ ROWS = (
         "drive stuck on, from the start",
         "as soon as it is armed",
         _nothing,
-        bound("before the first ramp", tick=0),
+        bound("before the first stroke", tick=0),
         ("OVERSPEED",),
         True,
         ("START_OUTSIDE", "DEVICE_SENSOR", "DEVICE_TRAVEL", "TRAVEL_HARD", "OVERSPEED"),
@@ -890,7 +890,7 @@ ROWS = (
         "sensor noisy, from the start",
         "25 counts more",
         _nothing,
-        bound("before the first ramp", tick=0),
+        bound("before the first stroke", tick=0),
         ("SENSOR_JUMP", "OVERSPEED"),
         True,
         ("SENSOR_NOISY", "SENSOR_JUMP", "OVERSPEED"),
