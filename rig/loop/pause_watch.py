@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 
 from rig.daq.driver import Clock, Driver
@@ -17,14 +18,23 @@ class PauseWatch:
     A driver whose device latches (``latches_stops``) is left alone: arming tells what has happened. In virtual time the
     pause comes at its end, and takes VIRTUAL_PAUSE_S.
 
+    A reading at or beyond ``rail_counts`` is the fault SENSOR_RAIL: the guard, which says so otherwise, rests as well.
+
     longest_gap_s  the longest time between two readings so far, s: a contact that opens for less may be missed
     """
 
-    def __init__(self, driver: Driver, clock: Clock, period_s: float) -> None:
+    def __init__(
+        self,
+        driver: Driver,
+        clock: Clock,
+        period_s: float,
+        rail_counts: tuple[float, float] = (-math.inf, math.inf),
+    ) -> None:
         self.longest_gap_s = 0.0
         self._driver = driver
         self._clock = clock
         self._period_s = period_s
+        self._rail_counts = rail_counts
         self._needed = not getattr(driver, "latches_stops", False)
         self._in_real_time = isinstance(clock, MonotonicClock)
         self._thread: threading.Thread | None = None
@@ -49,7 +59,7 @@ class PauseWatch:
             start_s = self._clock.now_s()
             for tick in range(1, round(VIRTUAL_PAUSE_S / self._period_s) + 1):
                 self._clock.sleep_until(start_s + tick * self._period_s)
-                self._driver.read()
+                self._look()
         self._is_pause = False
         self.check()
 
@@ -65,11 +75,16 @@ class PauseWatch:
             self._thread.join()
             self._thread = None
 
+    def _look(self) -> None:
+        counts, (low, high) = self._driver.read().y_counts, self._rail_counts
+        if not low < counts < high:
+            raise Fault("SENSOR_RAIL", f"in a pause: reading {counts} counts; the rails are {low:g} and {high:g}")
+
     def _watch(self) -> None:
         before_s = self._clock.now_s()
         while not self._over.wait(self._period_s):
             try:
-                self._driver.read()
+                self._look()
             except Exception as error:  # noqa: BLE001 - whatever it is belongs to the run, which is another thread's
                 self._seen = error if isinstance(error, Fault) else Fault("INTERNAL", f"in a pause: {error!r}")
                 return

@@ -50,7 +50,7 @@ class Loop:
         # a drive that goes out with the next tick's exchange acts a period later than one that goes out at once
         self._longest_latency_s = period_s * (2.0 if driver.order == "write_first" else 1.0)
         self._stop = stop
-        self.pause_watch = PauseWatch(driver, clock, period_s)
+        self.pause_watch = PauseWatch(driver, clock, period_s, guard.settings.rail_counts)
         self._t0_s = clock.now_s() + period_s
         self._tick = 0
         self._row_open = False

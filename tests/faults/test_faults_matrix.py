@@ -10,20 +10,23 @@ import os
 import random
 import re
 import socket
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from faults import damage, logged_rig, realtime
-from faults.backends import BACKENDS, BOARD, CHIP, CHIP_RELAY, OTHERS, PLAIN, SEPARATE, TCP, Backend
-from faults.bounds import bound
-from faults.case import measure, new_stand, restart, undisturbed
+from faults import damage, logged_rig, realtime, worst
+from faults.backends import BACKENDS, BARE, BOARD, CHIP, CHIP_RELAY, OTHERS, PLAIN, SEPARATE, TCP, Backend
+from faults.bounds import Times, bound
+from faults.case import Found, measure, new_stand, restart, times, undisturbed
 from faults.language import ModbusLanguage, Reading, SerialLanguage, is_drive
-from faults.matrix import PHASES, phases_on
+from faults.matrix import phase_at, phases_of, stages_of
 from faults.page import Line, line, render, summary
 from faults.realtime import DEVICES, REAL_ROWS
 from faults.rows import FREEZE_S, ROWS, Row
+from faults.stages import ARMING, BY_KEY, CYCLE, OTHER_STAGES, PAUSE, START, Stage
+from rig.control.guard import Guard
 from rig.daq.frames import Block, Kind, RelaySetup, State, encode, pack_drive
 from rig.emulate.rtu_slave import frame
 from rig.emulate.tcp_slave import Adu
@@ -32,23 +35,118 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "fault-table.md"
 
 
+# rows that are the loop's own matter: what device is behind it makes no difference
+ALIKE = (
+    "host SIGINT", "host SIGTERM", "host overloaded", "clock stepped", "disk full", "folder unwritable",
+    "folder unwritable, in the run", "recorder killed", "config changed in the run", "friction too high to start",
+)  # fmt: skip
+
+
+def is_alike(row: Row) -> bool:
+    """Whether one device stands for all."""
+    return row.name in ALIKE or row.early
+
+
 def share() -> list[tuple[Row, Backend]]:
     """Of the other devices the rows that are theirs or other there; each of the rest on one of them, in turn."""
-    own = {CHIP_RELAY: "relay", SEPARATE: "separate", TCP: "tcp"}
+    own = {CHIP_RELAY: "relay", SEPARATE: "separate", TCP: "tcp", BARE: "bare"}
     cases = [(row, backend) for row in ROWS for backend, trait in own.items() if trait in (*row.only, *row.other)]
     plain = [row for row in ROWS if not any(trait in (*row.only, *row.other) for trait in own.values())]
-    cases += [(row, OTHERS[k % len(OTHERS)]) for k, row in enumerate(plain)]
+    cases += [(row, OTHERS[k % len(OTHERS)]) for k, row in enumerate(plain) if not is_alike(row)]
     return [(row, backend) for row, backend in cases if row.is_for(backend.traits)]
 
 
-CASES = [(row, backend) for backend in PLAIN for row in ROWS if row.is_for(backend.traits)] + share()
+CASES = [
+    (row, backend)
+    for backend in PLAIN
+    for row in ROWS
+    if row.is_for(backend.traits) and (backend is BOARD or not is_alike(row))
+] + share()
 
 
-@pytest.mark.parametrize(("row", "backend"), CASES, ids=lambda value: getattr(value, "name", None) or value.key)
+def staged() -> list[tuple[Row, Backend, Stage]]:
+    """Each row in one of the other stages, in turn; and wherever else a device may be disarmed and armed again."""
+    cases = []
+    for k, row in enumerate(ROWS):
+        places = [
+            (backend, stage) for backend in BACKENDS for stage in stages_of(row, backend) if stage in OTHER_STAGES
+        ]
+        mine = [place for place in places if place[0] is BOARD] or places
+        chosen = [mine[k % len(mine)]] if mine else []
+        if row.name in PAUSED:
+            chosen += [place for place in places if place[1] in (PAUSE, ARMING)]
+        if row.name in BARELY:
+            chosen += [place for place in places if place[0] is BARE]
+        cases += [(row, *place) for place in dict.fromkeys(chosen)]
+    return cases
+
+
+PAUSED = (
+    "cable out", "device reset", "brown-out", "sensor at a rail, for a moment", "e-stop", "e-stop, for a moment",
+    "both end switches, for a moment", "host SIGINT", "recorder killed",
+)  # fmt: skip
+BARELY = ("pushed over a limit",)
+
+
+def one_phase(name: str, backend: Backend, stage: Stage) -> float:
+    """One of the phases of `make faults`: what is measured there is in docs/fault-worst.json, too."""
+    phases = phases_of(backend, stage)
+    return phase_at(random.Random(f"{name} {backend.key} {stage.key}").randrange(phases), phases)
+
+
+def warn(found: Found) -> None:
+    """Say in the test's output where it took longer than it ever did."""
+    for words in worst.longer([found], worst.recorded()):
+        warnings.warn(worst.Longer(words), stacklevel=2)
+
+
+def _id(value: Row | Backend | Stage) -> str:
+    return value.name if isinstance(value, Row) else value.key
+
+
+@pytest.mark.filterwarnings("default::faults.worst.Longer")
+@pytest.mark.parametrize(("row", "backend"), CASES, ids=_id)
 def test_every_fault_ends_within_its_bound_with_its_code_and_no_sample_lost(row: Row, backend: Backend) -> None:
-    found = measure(row, backend, random.Random(f"{row.name} {backend.key}").random())
+    found = measure(row, backend, one_phase(row.name, backend, START if row.early else CYCLE))
     assert found.trouble == ()
     assert found.off_s <= found.bound_s and found.lost <= row.on(backend.traits).may_lose
+    warn(found)
+
+
+@pytest.mark.filterwarnings("default::faults.worst.Longer")
+@pytest.mark.parametrize(("row", "backend", "stage"), staged(), ids=_id)
+def test_every_fault_in_the_other_stages(row: Row, backend: Backend, stage: Stage) -> None:
+    found = measure(row, backend, one_phase(row.name, backend, stage), stage)
+    assert found.trouble == ()
+    assert found.off_s <= found.bound_s
+    warn(found)
+
+
+def test_each_place_has_one_code_or_two_with_a_reason_and_a_bound_from_the_config() -> None:
+    for backend in BACKENDS:
+        for row in ROWS:
+            for stage in stages_of(row, backend):
+                here = row.on(stage.traits(backend.traits))
+                assert 1 <= len(here.codes) <= 2, (row.name, backend.key, stage.key)
+                assert len(here.codes) == 1 or here.either, (row.name, backend.key, stage.key)
+                assert math.isfinite(here.bound.seconds(KNOWN)), (row.name, backend.key, stage.key)
+
+
+# every time but those that a device may not have
+KNOWN = Times(**dict.fromkeys(Times._fields, 1.0))
+
+
+def test_each_row_is_tried_in_each_stage_or_the_page_says_why_not() -> None:
+    for row in ROWS:
+        tried = {stage for backend in BACKENDS for stage in stages_of(row, backend)}
+        if row.early:
+            assert tried == {START}
+        elif set(row.only) <= {"relay"} and row.only:
+            assert tried == {CYCLE}
+        elif "tcp" in row.only:
+            assert tried == {CYCLE, PAUSE, ARMING}
+        else:
+            assert tried | {BY_KEY[key] for key in row.absent if key in BY_KEY} == {CYCLE, *OTHER_STAGES}, row.name
 
 
 @pytest.mark.parametrize("name", ["port gone", "device reset", "sensor wire broken", "drive reversed", "host SIGKILL"])
@@ -105,8 +203,7 @@ def test_a_bound_that_is_too_tight_and_a_code_that_is_another_are_found() -> Non
     found = measure(wrong, BOARD, 0.5)
     assert any("drive on for" in words for words in found.trouble)
     assert any("LINK_TIMEOUT" in words for words in found.trouble)
-    plain = undisturbed(BOARD)
-    told = line(Line(wrong, BOARD, plain.times, (found,)))
+    told = line(Line(wrong, BOARD, CYCLE, times(BOARD), (found,)))
     assert "**broken**" in told and "LINK_TIMEOUT, 1" in told
 
 
@@ -125,6 +222,33 @@ def test_a_sample_that_the_record_has_not_is_found(monkeypatch: pytest.MonkeyPat
     found = measure(next(row for row in ROWS if row.name == "host SIGTERM"), BOARD, 0.5)
     assert found.lost > 5
     assert any("samples lost" in words for words in found.trouble)
+
+
+@pytest.mark.parametrize("stage", [CYCLE, PAUSE], ids=_id)
+def test_a_guard_whose_travel_rule_does_nothing_is_found(monkeypatch: pytest.MonkeyPatch, stage: Stage) -> None:
+    """On a device without limits of its own nobody else would stop a shaft that is pushed slowly over one."""
+    undisturbed(BARE), undisturbed(BARE, stage.course)
+    monkeypatch.setattr(Guard, "_limit_travel", lambda self, sample, asked_V: (asked_V, 0))
+    row = next(row for row in ROWS if row.name == "pushed over a limit")
+    assert measure(row, BARE, one_phase(row.name, BARE, stage), stage).trouble != ()
+
+
+def test_what_takes_longer_than_ever_is_said(tmp_path: Path) -> None:
+    row = next(row for row in ROWS if row.name == "port gone")
+    found = measure(row, BOARD, 0.5)
+    place = tmp_path / "worst.json"
+    assert worst.recorded(place) == {}
+    worst.write([replace(found, off_s=0.02), replace(found, off_s=0.05)], {}, place)
+    before_s = worst.recorded(place)
+    assert before_s == {"port gone | board | cycle": 0.05}
+    assert worst.longer([replace(found, off_s=0.07)], before_s) == []
+    slow = replace(found, off_s=0.08)
+    assert worst.longer([slow], before_s) == [
+        "port gone | board | cycle: drive on for 80.0 ms; recorded are 50.0 ms at most"
+    ]
+    worst.write([slow], before_s, place)
+    assert worst.recorded(place) == before_s  # until somebody accepts it
+    assert worst.longer([replace(found, off_s=0.0005)], {"port gone | board | cycle": 0.0}) == []  # less than a tick
 
 
 def test_a_record_that_is_another_is_found() -> None:
@@ -266,8 +390,24 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
                 continue
             cells = lines[row.name]
             assert re.search(r"\d", cells[2]) and re.search(r"\d", cells[3]), cells
-            assert int(cells[6]) <= row.on(backend.traits).may_lose * phases_on(backend, PHASES), cells
+            phases = phases_of(backend, START if row.early else CYCLE)
+            assert int(cells[6]) <= row.on(backend.traits).may_lose * phases, cells
             assert cells[7].strip().endswith("moves"), cells
+    stages = page.split("## In the other stages\n")[1].split("\n## ")[0]
+    for backend in BACKENDS:
+        title = f"### {backend.title[0].upper()}{backend.title[1:]}, by stage\n"
+        table = stages.split(title)[1].split("\n### ")[0] if title in stages else ""
+        for row in ROWS:
+            tried = [stage for stage in stages_of(row, backend) if stage in OTHER_STAGES]
+            lines_of_row = [text.split("|") for text in table.splitlines() if text.startswith(f"| {row.name} |")]
+            assert len(lines_of_row) == bool(tried), (row.name, backend.key)
+            if tried:
+                assert len([cell for cell in lines_of_row[0][2:-1] if cell.strip()]) == len(tried), lines_of_row
+    recorded = set(worst.recorded())
+    for backend in BACKENDS:
+        for row in ROWS:
+            for stage in stages_of(row, backend):
+                assert f"{row.name} | {backend.key} | {stage.key}" in recorded
     real = page.split("## Host and link in real time\n")[1].split("\n## ")[0]
     for real_row in REAL_ROWS:
         for device in DEVICES:
@@ -277,7 +417,7 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
 
 def test_the_page_is_what_the_command_writes(tmp_path: Path) -> None:
     row = next(row for row in ROWS if row.name == "port gone")
-    one = Line(row, BOARD, undisturbed(BOARD).times, (measure(row, BOARD, 0.1, restarts=True),))
+    one = Line(row, BOARD, CYCLE, times(BOARD), (measure(row, BOARD, 0.1, restarts=True),))
     page = render("today", [one], [row], [BOARD])
     for text in ("## On the host-board device", "| port gone |", "refused: LINK_LOST; mended: moves", "2 tick"):
         assert text in page

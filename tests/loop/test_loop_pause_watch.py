@@ -10,30 +10,34 @@ from raised import fault_of
 from rig.faults import Fault
 from rig.loop.clock import MonotonicClock, VirtualClock
 from rig.loop.pause_watch import VIRTUAL_PAUSE_S, PauseWatch
+from rig.signals import Sample
 
 PATIENCE_S = 60.0
+RAILS = (5, 1018)
 
 
 class Device:
     """A driver that counts readings, and may have something to say at one of them."""
 
     latches_stops = False
+    counts = 512
 
     def __init__(self, fault: Exception | None = None, at: int = 5) -> None:
         self.readings = 0
         self.enough = threading.Event()
         self._fault, self._at = fault, at
 
-    def read(self) -> None:
+    def read(self) -> Sample:
         self.readings += 1
         if self.readings >= self._at:
             self.enough.set()
             if self._fault is not None:
                 raise self._fault
+        return Sample(0.0, 0.0, self.counts)
 
 
 def watch(device: Device, *, real: bool = False) -> PauseWatch:
-    return PauseWatch(device, MonotonicClock() if real else VirtualClock(), 0.01)  # type: ignore[arg-type]
+    return PauseWatch(device, MonotonicClock() if real else VirtualClock(), 0.01, RAILS)  # type: ignore[arg-type]
 
 
 def test_in_virtual_time_it_is_read_each_period_of_a_pause() -> None:
@@ -52,6 +56,16 @@ def test_a_fault_in_virtual_time_ends_the_pause() -> None:
     pause = watch(Device(Fault("DEVICE_ESTOP")))
     pause.begin()
     assert fault_of(pause.end).code == "DEVICE_ESTOP"
+
+
+@pytest.mark.parametrize("counts", [5, 1018])
+def test_a_sensor_at_its_rail_ends_the_pause(counts: int) -> None:
+    device = Device()
+    device.counts = counts
+    pause = watch(device)
+    pause.begin()
+    assert fault_of(pause.end).code == "SENSOR_RAIL"
+    assert device.readings == 1
 
 
 def test_in_real_time_it_is_read_meanwhile_and_left_alone_afterwards() -> None:

@@ -1,4 +1,8 @@
-"""Runs the whole matrix and writes the page: `make faults`, or `PYTHONPATH=tools python -m faults`."""
+"""Runs the whole matrix and writes the page: `make faults`, or `PYTHONPATH=tools python -m faults`.
+
+A part of it, in virtual time: `python -m faults --only "cable out" --device board --stage pause`; the page is then
+written only where --out says so, and each case is a line.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +12,12 @@ import sys
 import time
 from pathlib import Path
 
+from faults import worst
 from faults.backends import BACKENDS
 from faults.matrix import PHASES, in_real_time, in_virtual_time
 from faults.page import render
 from faults.rows import ROWS
+from faults.stages import BY_KEY
 from rig.recording.folder import write_whole
 
 OUT = Path("docs/fault-table.md")
@@ -29,27 +35,39 @@ def main() -> int:
     )
     parser.add_argument("--only", default="", help="rows whose name contains this, in virtual time")
     parser.add_argument("--device", choices=[backend.key for backend in BACKENDS], help="one device, in virtual time")
-    parser.add_argument("--out", type=Path, default=OUT, help=f"where the page goes (default: {OUT})")
+    parser.add_argument("--stage", choices=list(BY_KEY), help="one stage, in virtual time")
+    parser.add_argument("--out", type=Path, help=f"where the page goes (default: {OUT}, of a part nowhere)")
+    parser.add_argument("--accept", action="store_true", help="record what is longer than the recorded worst, too")
     given = parser.parse_args()
     began_s = time.monotonic()
     rows = [row for row in ROWS if given.only in row.name]
     backends = [backend for backend in BACKENDS if given.device in (None, backend.key)]
-    if not any(row.is_for(backend.traits) for row in rows for backend in backends):
-        parser.error(f"no row with {given.only!r} in its name is for that device")
-    is_part = given.only != "" or given.device is not None
+    stages = None if given.stage is None else (BY_KEY[given.stage],)
+    is_part = given.only != "" or given.device is not None or stages is not None
     if is_part and given.out == OUT:
         parser.error(f"a part of the table would replace {OUT}: name another file with --out")
-    lines = in_virtual_time(rows, backends, given.phases)
+    lines = in_virtual_time(rows, backends, given.phases, stages)
+    if not lines:
+        parser.error("no such row on that device in that stage")
+    found = [one for line in lines for one in line.found]
     real = [] if is_part else in_real_time(REAL_PHASES)
-    made = str(datetime.datetime.now(datetime.UTC).date())
-    write_whole(given.out, render(made, lines, rows, backends, real).encode("utf-8"))
     trouble = [words for line in lines for words in line.trouble]
     trouble += [
         f"{one.row}, {one.device}, real time, phase {one.phase:.2f}: {words}" for one in real for words in one.trouble
     ]
-    cases, took_s = sum(len(line.found) for line in lines) + len(real), time.monotonic() - began_s
-    print("\n".join(trouble))
-    print(f"{given.out}: {cases} cases, {len(trouble)} not as they should be, {took_s:.0f} s")
+    before_s = worst.recorded()
+    longer = worst.longer(found, before_s)
+    out = given.out or (None if is_part else OUT)
+    if out is not None:
+        made = str(datetime.datetime.now(datetime.UTC).date())
+        write_whole(out, render(made, lines, rows, backends, real).encode("utf-8"))
+    if is_part:
+        print("\n".join(one.in_words() for one in found))
+    else:
+        worst.write(found, {} if given.accept else before_s)
+    print("\n".join(trouble + [f"warning: {words}" for words in longer]))
+    cases, took_s = len(found) + len(real), time.monotonic() - began_s
+    print(f"{out or 'no page'}: {cases} cases, {len(trouble)} not as they should be, {took_s:.0f} s")
     return 1 if trouble else 0
 
 

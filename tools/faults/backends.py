@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -12,25 +13,41 @@ import yaml
 
 from faults.bounds import Times
 from faults.language import Language, ModbusLanguage, SerialLanguage
+from faults.stages import Course
 from faults.stand import Stand
-from rig.bench import emulated_io_block, truth_of
+from rig.bench import emulated_io_block, guard_settings_of, truth_of
 from rig.config.link_budget import bits_per_byte, block_share, link_budget, longest_transaction_s, silence_s
 from rig.config.modbus import is_tcp
+from rig.config.room_to_stop import breakaway_strokes
 from rig.config.schema import Experiment
+from rig.control.guard import WINDOW_S, GuardSettings
+from rig.control.motion import CycleWatch
+from rig.control.relay import DualChannelRelay
+from rig.control.tracking import linearising_drive
+from rig.control.trajectory import SumOfSines
 from rig.daq import frames
 from rig.daq.frames import BLOCK_ROWS, Kind
 from rig.emulate.firmware_build import UnoOptions
 from rig.emulate.virtual_board import VirtualBoard
-from rig.emulate.virtual_chip import VirtualChip
+from rig.emulate.virtual_chip import Contact, VirtualChip
 from rig.emulate.virtual_io_block import VirtualIoBlock
 from rig.emulate.virtual_tcp_block import VirtualTcpBlock
 from rig.model.bench import BenchParameters
 from rig.model.motor import State
+from rig.session import FADE_S
+from rig.signals import Sample
 
 ROOT = Path(__file__).resolve().parents[2]
 GAINS_V = (0.45, 0.9)
-CYCLES = 3
+CYCLES = 5
 RAMP_V_S = 0.8
+TRACKING_S = 4.5
+# a search that takes a step or two: it starts near a cycle that it is content with
+SEARCH = {
+    "target": {"amplitude_rad": 0.4, "period_s": 1.0, "tolerance": 0.25},
+    "search": {"h1_start_V": 0.45, "h2_start_V": 0.8},
+    "cycles": CYCLES,
+}
 _CHIP_UNITS = 400
 _BOARD_UNITS = 799
 _MODBUS_UNITS = 10000
@@ -38,6 +55,12 @@ _STOP_BYTES = 8  # of FC06
 _BYTE_BITS = 11
 _BROWN_OUT, _BOOT_S = 4, 0.05
 _LOOKS_APART = 25  # ticks between two looks at the recorder
+_STEP_S = 0.002  # of the model
+_SETTLED_S = 6.0  # by when the relay with GAINS_V has its cycle
+OVERSPEED = 1.2  # times the largest speed: the guard's
+_WELL_ABOVE = 1.4  # times static friction: as the guard has it
+_LOOKS_S = 15.0  # of the reference
+_APART = 10  # ticks between the instants that a shaft may stop at
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,15 +89,22 @@ class Backend:
     places: Callable[[Stand], Mapping[str, Callable[..., Any]]]
     remark: str = ""
 
-    def config(self) -> dict[str, Any]:
-        """Of a relay test of a few cycles with given gains, on the bench of config/demo.yaml."""
+    def config(self, course: Course = "relay") -> dict[str, Any]:
+        """Of a relay test of a few cycles with given gains, on the bench of config/demo.yaml.
+
+        course  "search": the gains are searched; "run": a short tracking check follows
+        """
         config: dict[str, Any] = yaml.safe_load((ROOT / "config" / "demo.yaml").read_text(encoding="utf-8"))
-        del config["tracking"]
+        tracking = config.pop("tracking")
         config["name"] = f"fault-{self.key}"
         config["breakaway"]["ramp_V_s"] = RAMP_V_S
         config["relay"] = {"gains": [{"h1_V": GAINS_V[0], "h2_V": GAINS_V[1]}], "cycles": CYCLES}
         for section, change in self.changes.items():
             config[section] = config[section] | change if isinstance(change, Mapping) else change
+        if course == "search":
+            config["relay"] = SEARCH
+        if course == "run":
+            config["tracking"] = tracking | {"duration_s": TRACKING_S, "methods": ["sampled-data"]}
         return config
 
     def spare_s(self, experiment: Experiment) -> float:
@@ -86,7 +116,9 @@ class Backend:
 
     def times(self, experiment: Experiment, cycle_s: float) -> Times:
         """What bounds are made of."""
-        b = experiment.breakaway
+        strokes = breakaway_strokes(experiment)
+        if strokes is None:
+            raise ValueError("the breakaway check of the matrix's bench has no strokes")
         return Times(
             tick=0.001,
             period=experiment.period_s,
@@ -97,8 +129,12 @@ class Backend:
             hardware=self.hardware_s,
             cycle=cycle_s,
             check=_LOOKS_APART * experiment.period_s,
-            breakaway=2.0 * b.max_V / b.ramp_V_s + 12.0 * b.rest_s,
-            runaway=_runaway_s(experiment),
+            ramp=2.0 * strokes.pairs * (strokes.stroke_s + strokes.pause_s),
+            window=1.5 * WINDOW_S,
+            fling=_fling_s(experiment),
+            reversal=_reversal_s(experiment, cycle_s),
+            stuck=GuardSettings.stuck_s,
+            unmoved=_unmoved_s(experiment),
             block=BLOCK_ROWS * 0.001 if experiment.relay.where == "device" else math.nan,
         )
 
@@ -121,13 +157,71 @@ def _clock_error_ppm(experiment: Experiment) -> float:
     return 0.0 if experiment.emulated is None else experiment.emulated.clock_error_ppm
 
 
-def _runaway_s(experiment: Experiment) -> float:
-    low_rad, high_rad = experiment.limits.hard_rad
-    motor = _bench(experiment).motor
-    time_s, state = 0.0, State(-experiment.limits.max_speed_rad_s, low_rad)
-    while state.y < high_rad:
-        state, time_s = motor.advance(state, sum(GAINS_V), 0.001), time_s + 0.001
+def _fling_s(experiment: Experiment) -> float:
+    """As ``Times.fling``."""
+    motor, top_rad_s = _bench(experiment).motor, experiment.limits.max_speed_rad_s
+    time_s, state = 0.0, State(-top_rad_s, 0.0)
+    while state.v < OVERSPEED * top_rad_s:
+        state, time_s = motor.advance(state, 0.25 * experiment.drive.supply_V, _STEP_S), time_s + _STEP_S
     return time_s
+
+
+def _reversal_s(experiment: Experiment, cycle_s: float) -> float:
+    """As ``Times.reversal``."""
+    motor, settings = _bench(experiment).motor, guard_settings_of(experiment)
+    low_rad, high_rad = settings.limits.hard_rad
+    ahead_s = settings.reaction_s + settings.coast_tau_s
+
+    def step(state: State, relay: DualChannelRelay, t_s: float, way: float) -> State:
+        u_V, stop_rad = relay.step(Sample(t_s, state.y, 0)), state.y + ahead_s * state.v
+        if not low_rad < stop_rad < high_rad:
+            u_V = -math.copysign(settings.limits.max_u_V, stop_rad)  # the guard brakes
+        return motor.advance(state, way * u_V, _STEP_S)
+
+    def found_s(state: State, relay: DualChannelRelay, from_s: float) -> float:
+        t_s, stood_s = from_s, 0.0
+        while (
+            abs(state.v) < OVERSPEED * settings.max_speed_rad_s
+            and low_rad < state.y < high_rad
+            and stood_s < CycleWatch.LEAST * cycle_s
+        ):
+            state, t_s = step(state, relay, t_s, -1.0), t_s + _STEP_S
+            stood_s = stood_s + _STEP_S if state.v == 0.0 else 0.0
+        return t_s - from_s
+
+    state, relay, worst_s = State(), DualChannelRelay(*GAINS_V, math.inf), 0.0
+    for k in range(round(_SETTLED_S / _STEP_S)):
+        if k * _STEP_S >= _SETTLED_S - cycle_s and k % _APART == 0:
+            worst_s = max(worst_s, found_s(state, copy.copy(relay), k * _STEP_S))
+        state = step(state, relay, k * _STEP_S, 1.0)
+    return worst_s
+
+
+def _unmoved_s(experiment: Experiment) -> float:
+    """As ``Times.unmoved``: a shaft that stands where the reference is at some instant, and does not move on."""
+    if experiment.tracking is None:
+        return math.nan
+    tracking, motor = experiment.tracking, _bench(experiment).motor
+    reference = SumOfSines([(c.amplitude_rad, c.omega_rad_s) for c in tracking.trajectory], fade_s=FADE_S)
+    well_V = _WELL_ABOVE * max(motor.friction.static_plus_V, motor.friction.static_minus_V)
+    times_s = [k * experiment.period_s for k in range(round(_LOOKS_S / experiment.period_s))]
+
+    def until_s(from_s: float) -> float:
+        held_s, side = 0.0, 0
+        for t_s in (t for t in times_s if t >= from_s):
+            at = reference.at(t_s)
+            u_V = linearising_drive(motor, State(0.0, from_rad), at, tracking.k1_1_s, tracking.k2_1_s2, at.v_rad_s)
+            now = (u_V > well_V) - (u_V < -well_V)
+            held_s, side = (held_s + experiment.period_s if now == side != 0 else 0.0), now
+            if held_s >= 2.0 * GuardSettings.stuck_s:
+                return t_s - from_s
+        raise ValueError("the tracking law never asks a shaft that stands for enough")
+
+    worst_s = 0.0
+    for from_s in times_s[: round(tracking.duration_s / experiment.period_s) : _APART]:
+        from_rad = reference.at(from_s).y_rad
+        worst_s = max(worst_s, until_s(from_s))
+    return worst_s
 
 
 def _chip(experiment: Experiment) -> VirtualChip:
@@ -165,6 +259,13 @@ class BlockOnStand:
             self._block.reset(_BOOT_S if cause == _BROWN_OUT else 0.0)
         else:
             self._block.block.power_off()
+
+    def contact(self, which: Contact, *, is_open: bool) -> None:
+        """Open or close the e-stop, the only contact that the block has."""
+        if which == "e_stop":
+            self._block.block.e_stop_open = is_open
+        elif is_open:
+            raise ValueError(f"the block has no contact {which}")
 
     def forget(self) -> None:
         """Drop the log of executed drives and all but the last of the output's changes, which the block keeps."""
@@ -207,6 +308,13 @@ def _separate() -> dict[str, Any]:
     return daq | {"modbus": daq["modbus"] | {"requests": "separate"}}
 
 
+def _bare() -> dict[str, Any]:
+    """The block's registers without limits, rails, largest drive, status and control of its own."""
+    daq = _modbus_daq("modbus-rtu.yaml", "emulated-virtual")
+    kept = {name: daq["modbus"]["registers"][name] for name in ("drive", "sequence", "watchdog", "position")}
+    return daq | {"modbus": daq["modbus"] | {"registers": kept}}
+
+
 def _tcp_block(experiment: Experiment) -> BlockOnStand:
     if experiment.emulated is None or experiment.daq.modbus is None:
         raise ValueError("the matrix needs an emulated block")
@@ -228,12 +336,13 @@ def _block_language(experiment: Experiment) -> ModbusLanguage:
     modbus = experiment.daq.modbus
     separate = modbus is not None and modbus.requests == "separate"
     tcp = is_tcp(experiment.daq.port)
-    return ModbusLanguage(experiment.drive.supply_V / _MODBUS_UNITS, separate=separate, tcp=tcp)
+    bare = modbus is not None and modbus.registers.control is None
+    return ModbusLanguage(experiment.drive.supply_V / _MODBUS_UNITS, separate=separate, tcp=tcp, bare=bare)
 
 
 _SERIAL = {"daq": {"port": "emulated-chip", "timeout_s": 0.02}}
 # samples are older: at the same limits a little less speed than with the host's relay
-_RELAY = _SERIAL | {"relay": {"where": "device", "cycles": CYCLES + 2}, "limits": {"max_speed_rad_s": 4.6}}
+_RELAY = _SERIAL | {"relay": {"where": "device"}, "limits": {"max_speed_rad_s": 4.6}}
 
 CHIP = Backend(
     "chip",
@@ -297,7 +406,6 @@ SEPARATE = replace(
     changes={
         "daq": _separate(),
         "period_s": 0.016,
-        "relay": {"cycles": CYCLES + 2},
         "limits": {"max_speed_rad_s": 4.8},
     },
     remark="RTU with `requests: separate`, for a device without FC23: two transactions a tick, a period of 16 ms.",
@@ -307,12 +415,27 @@ TCP = replace(
     key="tcp",
     title="the Modbus I/O block on TCP",
     traits=("modbus", "fc23", "tcp"),
-    changes={"daq": _modbus_daq("modbus-tcp.yaml", "tcp://192.168.0.5"), "relay": {"cycles": CYCLES + 2}},
+    changes={"daq": _modbus_daq("modbus-tcp.yaml", "tcp://192.168.0.5")},
     device=_tcp_block,
     remark="A network in virtual time, 10 Mbit/s: what it loses is sent again after 0.2 s, and what follows waits.\n"
     "Its ways may be blocked, connections end. No frame is damaged; a gateway may be late or silent, or answer twice.",
     places=_over_tcp,
 )
+BARE = replace(
+    MODBUS,
+    key="bare",
+    title="a Modbus I/O block without limits of its own",
+    traits=("modbus", "rtu", "fc23", "bare"),
+    changes={"daq": _bare()},
+    remark="Registers for drive, its number, position and output time-out are all there is: no limits, rails, largest\n"
+    "drive, status or control. What is beyond a limit only the loop sees; the watchdog is all that the block knows.",
+)
 PLAIN = (CHIP, BOARD, MODBUS)
-OTHERS = (CHIP_RELAY, BOARD_RELAY, SEPARATE, TCP)  # which differ from these in the link, or in where the relay runs
+OTHERS = (
+    CHIP_RELAY,
+    BOARD_RELAY,
+    SEPARATE,
+    TCP,
+    BARE,
+)  # which differ from these in the link, or in where the relay runs
 BACKENDS = PLAIN + OTHERS

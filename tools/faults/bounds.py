@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 
 class Times(NamedTuple):
-    """What bounds are made of, s.
+    """What bounds are made of, s; each follows from the config, the device and the guard's own constants.
 
     tick        of the device
     period      of the loop
@@ -19,8 +19,14 @@ class Times(NamedTuple):
     hardware    hardware watchdog of the chip, with what its own oscillator may be off
     cycle       of the limit cycle
     check       25 ticks, between two looks at the recorder
-    breakaway   both ramps of the breakaway check, to their end, and the rests around them
-    runaway     that a shaft takes from one hard limit, at full speed the other way, to the other, at the relay's drive
+    ramp        of the breakaway check, to its largest drive: two strokes and two pauses for each pair of them
+    window      of the guard's velocity, and half as much for its lag
+    fling       that a quarter of the supply takes the shaft from the largest speed the other way to 1.2 times it
+    reversal    that relay and guard whose drive is reversed take to have the shaft at 1.2 times the largest speed, at a
+                hard limit, or standing for 0.6 of a cycle: from the worst instant of the cycle, in the bench's model
+    stuck       for which a drive well above friction may leave the reading where it is: the guard's 0.3 s
+    unmoved     until the tracking law has asked a shaft that stands for 1.4 times static friction for twice ``stuck``,
+                the worst instant of the reference; nan where nothing is tracked
     block       that passes until the rows of a relay in the device are sent together; nan where the host's relay drives
     """
 
@@ -33,8 +39,12 @@ class Times(NamedTuple):
     hardware: float
     cycle: float
     check: float
-    breakaway: float
-    runaway: float
+    ramp: float
+    window: float
+    fling: float
+    reversal: float
+    stuck: float
+    unmoved: float = math.nan
     block: float = math.nan
 
 
@@ -57,7 +67,7 @@ class Bound:
 
     def formula(self) -> str:
         """The sum in words."""
-        return " + ".join(_term(name, count) for name, count in self.terms)
+        return "0" if not self.terms else " + ".join(_term(name, count) for name, count in self.terms)
 
 
 def bound(why: str, **terms: float) -> Bound:

@@ -1,4 +1,4 @@
-"""One case: a row of the matrix, on one device, at one phase of the limit cycle."""
+"""One case: a row of the matrix, on one device, in one stage of the experiment, at one phase of that."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NoReturn
 from unittest.mock import patch
@@ -25,22 +25,29 @@ import yaml
 from click.testing import CliRunner
 
 import rig.bench
+import rig.experiment
 import rig.session
 from faults.backends import Backend
 from faults.bounds import Times
 from faults.fork import fork
 from faults.language import ASKED
+from faults.patient import PatientRecorder
 from faults.rows import Row
+from faults.stages import ARMING, CYCLE, PAUSE, REST, SEARCH, START, TRACKING, Course, Stage
 from faults.stand import Stand
 from rig import experiment as script
 from rig.cli import main
 from rig.config import check
 from rig.config.schema import Experiment
 from rig.faults import Fault
+from rig.identify import Identification, IdentifyError, identify
 from rig.recording.errors import RecordingError
+from rig.recording.reader import read_run
 
 FIRST_CYCLE = 4  # the fault comes in the one after it: the amplitude is that of the limit cycle by then
 SETTLE_S = 1.5  # after the run: the watchdog acts, the shaft stops
+PAUSE_S = 0.5  # that a pause takes where nothing happens in it, and virtual time would stand still
+UNJUDGED_S = 1.5  # of the end of tracking: what goes wrong then need not show any more
 START_RAD = 0.5  # farthest from the centre that a run starts at where there is no cycle yet
 
 
@@ -53,7 +60,7 @@ class Found:
     beyond_rad farthest of the shaft beyond a hard limit
     code       of the fault that the run shows; empty: none
     status     exit status
-    stage      that the run was in when it ended
+    stage      that it went wrong in
     lost       samples that the device has told of and the record has not
     restart    what the next run does, in words; empty where it was not tried
     trouble    what should not be; empty where all is well
@@ -61,26 +68,36 @@ class Found:
 
     row: str
     backend: str
+    stage: str
     phase: float
     off_s: float
     bound_s: float
     beyond_rad: float
     code: str
     status: int
-    stage: str
     lost: int
     restart: str = ""
     trouble: tuple[str, ...] = ()
 
+    def in_words(self) -> str:
+        """One line."""
+        return (
+            f"{self.row}, {self.backend}, {self.stage}, phase {self.phase:.2f}: {self.code or 'no fault'}, "
+            f"exit status {self.status}, drive on for {1e3 * self.off_s:.2f} of {1e3 * self.bound_s:.2f} ms, "
+            f"{self.lost} samples lost"
+        )
+
 
 @dataclass
 class Run:
-    """A finished run: how it ended, and its record."""
+    """A finished run: how it ended, and its record; the folder is None where there was none."""
 
     status: int
     output: str
     rows: list[dict[str, str]]
     events: list[dict[str, Any]]
+    folder: Path | None
+    identification: Identification | None = None  # of its pause
 
     @property
     def fault(self) -> dict[str, Any] | None:
@@ -97,25 +114,37 @@ class Run:
 class Undisturbed:
     """The run in which nothing goes wrong.
 
-    cycle_s  device time at which the cycle after FIRST_CYCLE begins; period_s: its length
-    times    that bounds are made of
+    windows  device time at which each stage begins, and ends, s; the cycle is the one after FIRST_CYCLE
     rows     of its record
+    identification   of it, where the run has a pause for that
     """
 
-    cycle_s: float
-    period_s: float
-    times: Times
+    windows: Mapping[str, tuple[float, float]]
     rows: list[dict[str, str]]
+    identification: Identification | None
 
 
 @contextmanager
-def patched(stand: Stand, backend: Backend) -> Iterator[None]:
-    """Rig connects to the stand instead of a new device; no figures are drawn."""
+def patched(stand: Stand, backend: Backend, known: Identification | None = None) -> Iterator[list[Identification]]:
+    """Rig connects to the stand instead of a new device; no figures are drawn; no time depends on this machine.
+
+    known  what the pause would identify: it is what came before the fault. Gives what was identified
+    """
+    identified: list[Identification] = []
+
+    def identify_in_time(recordings: Any) -> Identification:
+        if "serial" in backend.traits:  # a device that is watched in the pause has its time by that
+            stand.watch(PAUSE_S)
+        identified.append(identify(recordings) if known is None else known)
+        return identified[-1]
+
     with ExitStack() as patches:
         for name, place in backend.places(stand).items():
             patches.enter_context(patch.object(rig.bench, name, place))
         patches.enter_context(patch.object(rig.session, "write_report", lambda *_: None))
-        yield
+        patches.enter_context(patch.object(rig.session, "Recorder", partial(PatientRecorder, stand)))
+        patches.enter_context(patch.object(rig.experiment, "identify", identify_in_time))
+        yield identified
 
 
 def merged(config: dict[str, Any], emulated: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -136,54 +165,91 @@ def new_stand(backend: Backend, config: dict[str, Any], folder: Path, seed: int)
     return Stand(device, language, limits.hard_rad, timeout_s, folder, seed), experiment
 
 
-def relay_run(stand: Stand, backend: Backend) -> Run:
-    """`rig relay`, to its end."""
+def run(stand: Stand, backend: Backend, course: Course = "relay", known: Identification | None = None) -> Run:
+    """`rig relay`, or `rig run`, to its end; ``known`` as of ``patched``."""
     folder = stand.folder
-    with patched(stand, backend):
-        result = CliRunner().invoke(main, ["relay", str(folder / "fault.yaml"), "--out", str(folder / "runs")])
+    command = "run" if course == "run" else "relay"
+    with patched(stand, backend, known) as identified:
+        result = CliRunner().invoke(main, [command, str(folder / "fault.yaml"), "--out", str(folder / "runs")])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
-    return finished(folder, result.exit_code, result.output)
+    return replace(finished(folder, result.exit_code, result.output), identification=next(iter(identified), None))
 
 
 def finished(folder: Path, status: int, output: str) -> Run:
     """What there is of the run below ``folder / "runs"``."""
-    rows, events = [], []
+    rows, events, run_folder = [], [], None
     for run_folder in (folder / "runs").glob("*/"):
         with (run_folder / "samples.csv").open(encoding="ascii") as file:
             rows = list(csv.DictReader(file))
         events = [json.loads(line) for line in (run_folder / "events.jsonl").read_text(encoding="ascii").splitlines()]
-    return Run(status, output, rows, events)
+    return Run(status, output, rows, events, run_folder)
 
 
 @lru_cache
-def undisturbed(backend: Backend) -> Undisturbed:
+def undisturbed(backend: Backend, course: Course = "relay") -> Undisturbed:
     """The run in which nothing goes wrong. Raises RuntimeError where something does."""
     with tempfile.TemporaryDirectory() as name:
-        stand, experiment = new_stand(backend, backend.config(), Path(name), 1)
-        run = relay_run(stand, backend)
-        if run.status or missing(stand, run):
-            raise RuntimeError(f"{backend.key}: the run fails where nothing goes wrong: {run.output}")
-        if len(stand.readings) < len(run.rows):
-            raise RuntimeError(f"{backend.key}: {len(run.rows)} rows, and only {len(stand.readings)} seen on the wire")
+        stand, _ = new_stand(backend, backend.config(course), Path(name), 1)
+        found = run(stand, backend, course)
+        if found.status or missing(stand, found):
+            raise RuntimeError(f"{backend.key}: the run fails where nothing goes wrong: {found.output}")
+        if len(stand.readings) < len(found.rows):
+            raise RuntimeError(
+                f"{backend.key}: {len(found.rows)} rows, and only {len(stand.readings)} seen on the wire"
+            )
+        if course == "run" and not any(stage.startswith("track:") for stage in found.stages):
+            raise RuntimeError(f"{backend.key}: nothing was tracked: {found.output}")
+        return Undisturbed(_windows(stand, found, course), found.rows, found.identification)
+
+
+def _windows(stand: Stand, run: Run, course: Course) -> dict[str, tuple[float, float]]:
+    """When which stage began and ended, in the stand's time, s."""
+    moments, names = stand.moments, [name for name, _ in stand.moments]
+    if course == "search":
+        at = names.index("search")
+        return {SEARCH.key: (moments[at][1], moments[at + 1][1])}
+    if course == "relay":
         asked_s = dict(stand.read_at)
         row = run.rows[0]
         offset_s = asked_s[int(row["seq"])] - float(row["t_s"])
-        ends = [float(e["t_s"]) for e in run.events if e["kind"] == "cycle"]
-        period_s = ends[FIRST_CYCLE] - ends[FIRST_CYCLE - 1]
-        times = backend.times(experiment, period_s)
-        return Undisturbed(ends[FIRST_CYCLE - 1] + offset_s, period_s, times, run.rows)
+        ends = [float(e["t_s"]) + offset_s for e in run.events if e["kind"] == "cycle"]
+        return {START.key: (0.0, 0.0), CYCLE.key: (ends[FIRST_CYCLE - 1], ends[FIRST_CYCLE])}
+    stopped = names.index("stop")
+    armed = names.index("to arm", stopped)
+    arming = armed - 1 - names[armed - 1 :: -1].index("to stop")
+    tracking = next(k for k, name in enumerate(names) if name.startswith("track:"))
+    rest_s = max(t_s for name, t_s in moments[:stopped] if name == "rest")
+    first_s = next(t_s for _, t_s in stand.read_at if t_s > moments[armed][1])
+    return {
+        REST.key: (rest_s, moments[stopped][1]),
+        PAUSE.key: (moments[stopped][1], moments[arming][1]),
+        ARMING.key: (moments[arming][1], first_s),
+        TRACKING.key: (moments[tracking][1], moments[tracking + 1][1] - UNJUDGED_S),
+    }
 
 
-def measure(row: Row, backend: Backend, phase: float, restarts: bool = False) -> Found:
-    """Run it. ``phase`` 0 to 1 of the limit cycle, or of where an early one starts; restarts: try the next run, too."""
-    undisturbed(backend)
-    row = row.on(backend.traits)
+@lru_cache
+def times(backend: Backend, course: Course = "relay") -> Times:
+    """What bounds are made of on a device, in an experiment."""
+    begin_s, end_s = undisturbed(backend).windows[CYCLE.key]
+    with tempfile.TemporaryDirectory() as name:
+        return backend.times(new_stand(backend, backend.config(course), Path(name), 1)[1], end_s - begin_s)
+
+
+def measure(row: Row, backend: Backend, phase: float, stage: Stage | None = None, restarts: bool = False) -> Found:
+    """Run it. ``phase`` 0 to 1 of the stage, or of where an early one starts; restarts: try the next run, too.
+
+    stage  default: the one that the row is written for, START where it is early, else CYCLE
+    """
+    stage = stage or (START if row.early else CYCLE)
+    undisturbed(backend), undisturbed(backend, stage.course)
+    row = row.on(stage.traits(backend.traits))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if not row.alone:
-            return _measure(row, backend, phase, restarts, folder, None)
-        return _in_own_process(lambda done: _measure(row, backend, phase, restarts, folder, done))
+            return _measure(row, backend, stage, phase, restarts, folder, None)
+        return _in_own_process(lambda done: _measure(row, backend, stage, phase, restarts, folder, done))
 
 
 Done = Callable[[Found], NoReturn]
@@ -217,10 +283,13 @@ def _in_own_process(work: Callable[[Done], Found]) -> Found:
     return replace(found, status=status) if status < 0 else found
 
 
-def _measure(row: Row, backend: Backend, phase: float, restarts: bool, folder: Path, done: Done | None) -> Found:
-    plain = undisturbed(backend)
-    rng = random.Random(f"{row.name} {backend.key} {phase}")
-    config = merged(backend.config(), row.emulated)
+def _measure(
+    row: Row, backend: Backend, stage: Stage, phase: float, restarts: bool, folder: Path, done: Done | None
+) -> Found:
+    plain = undisturbed(backend, stage.course)
+    where = "" if stage in (START, CYCLE) else f" {stage.key}"
+    rng = random.Random(f"{row.name} {backend.key}{where} {phase}")
+    config = merged(backend.config(stage.course), row.emulated)
     if row.early:
         config["emulated"]["motor"]["start_rad"] = START_RAD * (2.0 * phase - 1.0)
     stand, experiment = new_stand(backend, config, folder, rng.randrange(2**32))
@@ -229,14 +298,16 @@ def _measure(row: Row, backend: Backend, phase: float, restarts: bool, folder: P
         row.act(stand)
         stand.schedule(0.0, lambda _: None)
     else:
+        begin_s, end_s = plain.windows[stage.key]
         # within the loop's tick, too, it comes at any time
-        stand.schedule(plain.cycle_s + phase * plain.period_s + rng.uniform(0.0, experiment.period_s), row.act)
+        jitter_s = rng.uniform(0.0, experiment.period_s) if stage is not ARMING else 0.0
+        stand.schedule(begin_s + phase * (end_s - begin_s) + jitter_s, row.act)
     if row.prepare is not None:
         row.prepare(folder)
 
     def conclude(run: Run) -> Found:
         stand.watch(SETTLE_S)
-        found = judged(row, backend, phase, stand, plain.times, run)
+        found = judged(row, backend, stage, phase, stand, times(backend, stage.course), run)
         return _restarted(found, row, backend, stand, experiment) if restarts else found
 
     if done is not None:
@@ -246,7 +317,7 @@ def _measure(row: Row, backend: Backend, phase: float, restarts: bool, folder: P
             done(conclude(finished(folder, -signal.SIGKILL, "")))
 
         stand.after_death = after_death
-    return conclude(relay_run(stand, backend))
+    return conclude(run(stand, backend, stage.course, plain.identification))
 
 
 def _await_last_words(folder: Path) -> None:
@@ -259,7 +330,7 @@ def _await_last_words(folder: Path) -> None:
         time.sleep(0.005)
 
 
-def judged(row: Row, backend: Backend, phase: float, stand: Stand, times: Times, run: Run) -> Found:
+def judged(row: Row, backend: Backend, stage: Stage, phase: float, stand: Stand, times: Times, run: Run) -> Found:
     """What was measured, and what of it should not be."""
     truth = stand.device.truth()
     code = "" if run.fault is None else str(run.fault["code"])
@@ -267,25 +338,25 @@ def judged(row: Row, backend: Backend, phase: float, stand: Stand, times: Times,
     if runs_on:
         off_s = max(stand.stale_s, stand.astray_s)
     else:
-        began_s = stand.first_drive_s if row.early else stand.fault_s
+        began_s = max(stand.driven_s, stand.fault_s) if stage.at_zero else stand.fault_s
         off_s = math.inf if truth.pin_V != 0.0 else max(truth.pin_changed_s - began_s, 0.0)
         off_s = 0.0 if math.isnan(began_s) else off_s  # it never drove
     found = Found(
         row.name,
         backend.key,
+        stage.key,
         phase,
         off_s,
         row.bound.seconds(times),
         stand.beyond_rad,
         code,
         run.status,
-        run.stages[-1] if run.stages else "",
         len(missing(stand, run)),
     )
-    return replace(found, trouble=tuple(_trouble(found, row, backend, run)))
+    return replace(found, trouble=tuple(_trouble(found, row, backend, stage, run)))
 
 
-def _trouble(found: Found, row: Row, backend: Backend, run: Run) -> Iterator[str]:
+def _trouble(found: Found, row: Row, backend: Backend, stage: Stage, run: Run) -> Iterator[str]:
     shown = found.code or "no fault"
     if not found.off_s <= found.bound_s:
         yield f"drive on for {1e3 * found.off_s:.2f} ms, bound {1e3 * found.bound_s:.2f} ms"
@@ -293,14 +364,32 @@ def _trouble(found: Found, row: Row, backend: Backend, run: Run) -> Iterator[str
         yield f"{shown} ({'' if run.fault is None else run.fault['detail']})"
     if found.status not in (row.status or (int(found.code != ""),)):
         yield f"exit status {found.status} with {shown}: {run.output[-300:]}"
-    if row.early and any(stage.startswith("relay") for stage in run.stages):
+    if row.early and any(name.startswith("relay") for name in run.stages):
         yield "a relay ran"
-    if row.same and _decided(run.rows) != _decided(undisturbed(backend).rows):
+    if row.same and _decided(run.rows) != _decided(undisturbed(backend, stage.course).rows):
         yield "the record is another"
     if found.lost > row.may_lose:
         yield f"{found.lost} samples lost"
     if "Traceback" in run.output or any(e["kind"] == "traceback" for e in run.events):
         yield "a traceback"
+    if found.status in (0, 1) and row.leaves_result and not (run.folder and (run.folder / "result.json").exists()):
+        yield "no result.json"
+    if stage.course == "run":
+        yield from _unidentified(run)
+
+
+def _unidentified(run: Run) -> Iterator[str]:
+    """What keeps a record from being identified that holds a whole relay test."""
+    if run.folder is None:
+        yield "no record"
+        return
+    try:
+        estimate = identify([read_run(run.folder)]).estimates["sampled-data"]
+    except (IdentifyError, RecordingError) as error:
+        yield f"the record cannot be identified: {error.cause}"
+    else:
+        if estimate.verdict == "refused":
+            yield f"the record is refused: {'; '.join(estimate.reasons)}"
 
 
 def _decided(rows: list[dict[str, str]]) -> list[tuple[str, ...]]:
@@ -332,7 +421,9 @@ def missing(stand: Stand, run: Run) -> list[int]:
     for reading in stand.readings:
         in_detail = f"{reading.counts} counts" in detail or reading.reply.hex(" ") in detail
         only_asks = reading.row == ASKED and (
-            reading.key in stand.handing_over or (reading.key in stand.closing and run.fault is None)
+            reading.key in stand.handing_over
+            or reading.key in stand.closed
+            or (reading.key in stand.closing and run.fault is None)
         )
         if (
             (reading.key, reading.row) not in recorded

@@ -46,6 +46,10 @@ class Language(Protocol):
         """Whether a request says stop."""
         ...
 
+    def is_arm(self, request: bytes) -> bool:
+        """Whether a request allows drive from now on."""
+        ...
+
     def hands_over(self, request: bytes) -> bool:
         """Whether a request lets a relay in the device drive from now on."""
         ...
@@ -88,6 +92,11 @@ class SerialLanguage:
         packet = _packet(request)
         return packet is not None and packet.kind == Kind.STOP
 
+    def is_arm(self, request: bytes) -> bool:
+        """ARM."""
+        packet = _packet(request)
+        return packet is not None and packet.kind == Kind.ARM
+
     def hands_over(self, request: bytes) -> bool:
         """RELAY."""
         packet = _packet(request)
@@ -114,10 +123,18 @@ class ModbusLanguage:
     unit_V    what one unit of the drive register is
     separate  a tick reads, then writes
     tcp       frames of Modbus TCP; else of RTU
+    bare      of that map only drive, sequence and position are there: a drive arms it, one of 0 by itself is a stop
     """
 
-    def __init__(self, unit_V: float, *, separate: bool = False, tcp: bool = False) -> None:
+    def __init__(self, unit_V: float, *, separate: bool = False, tcp: bool = False, bare: bool = False) -> None:
         self._unit_V = unit_V
+        self._stop = _NO_DRIVE if bare else _STOP
+        self._bare = bare
+        self._reply_bytes = 4 if bare else 8
+        self._looks = bytes((3, 0, 16, 0, self._reply_bytes // 2))
+        self._was_armed = False
+        self._confirms = False  # the next look is at whether it has stopped
+        self._is_poll = False  # the last request was a reading in a pause, which the record's numbers count, too
         self._reads = bytes((3, 0, 16, 0, 4)) if separate else bytes((23,))
         self._pdu = _tcp_pdu if tcp else _rtu_pdu
         self._tcp = tcp
@@ -142,8 +159,13 @@ class ModbusLanguage:
     def asked(self, request: bytes) -> int | None:
         """What asks for the position in a tick; the number that went with the drive must come back."""
         pdu = self._pdu(request)
-        if pdu in (_ARM, _STOP):
-            self._armed, self._in_a_tick = pdu == _ARM, not self._separate
+        if self.is_arm(request) or self.is_stop(request):
+            self._armed, self._in_a_tick = self.is_arm(request), not self._separate
+            self._was_armed |= self._armed
+            self._confirms = not self._bare
+        self._is_poll = False
+        if pdu == self._looks and not self._armed and self._was_armed:
+            self._is_poll, self._confirms = not self._confirms, False
         if pdu[:1] in (_FC16, _FC23):
             self._sequence = int.from_bytes(pdu[-2:], "big")
         if not pdu.startswith(self._reads):
@@ -162,8 +184,13 @@ class ModbusLanguage:
         return 0.0 if self.is_stop(request) else None
 
     def is_stop(self, request: bytes) -> bool:
-        """FC06, control to 0."""
-        return self._pdu(request) == _STOP
+        """FC06, control to 0; without control the drive."""
+        return self._pdu(request) == self._stop
+
+    def is_arm(self, request: bytes) -> bool:
+        """FC06, control to 1; without control FC16, a drive outside the tick."""
+        pdu = self._pdu(request)
+        return pdu[:1] == _FC16 if self._bare else pdu == _ARM
 
     def hands_over(self, request: bytes) -> bool:
         """Never."""
@@ -172,13 +199,21 @@ class ModbusLanguage:
     def readings(self, reply: bytes) -> list[Reading]:
         """Registers 16 and 17: the position, and the number of the drive that was asked with, or the last one."""
         pdu = self._pdu(reply)
-        if pdu[:2] != self._reads[:1] + bytes((8,)) or int.from_bytes(pdu[4:6], "big") != self._sequence:
+        if self._is_poll:
+            self._asked += pdu[:2] == bytes((3, self._reply_bytes))
+            self._is_poll = False
+            return []
+        if (
+            pdu[:2] != self._reads[:1] + bytes((self._reply_bytes,))
+            or int.from_bytes(pdu[4:6], "big") != self._sequence
+        ):
             return []
         return [Reading(self._asked, int.from_bytes(pdu[2:4], "big"), reply)]
 
 
 _FC16, _FC23 = bytes((16,)), bytes((23,))
 _ARM, _STOP = bytes((6, 0, 8, 0, 1)), bytes((6, 0, 8, 0, 0))
+_NO_DRIVE = bytes((6, 0, 0, 0, 0))
 
 
 def _rtu_pdu(frame: bytes) -> bytes:

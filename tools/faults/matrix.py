@@ -10,41 +10,84 @@ from functools import lru_cache
 from joblib import Parallel, delayed
 
 from faults import realtime
-from faults.backends import BACKENDS, PLAIN, Backend
-from faults.case import Found, measure, undisturbed
+from faults.backends import BACKENDS, BARE, BOARD, CHIP, MODBUS, PLAIN, TCP, Backend
+from faults.case import Found, measure, times, undisturbed
 from faults.page import Line
 from faults.realtime import DEVICES, REAL_ROWS, RealFound
 from faults.rows import ROWS, Row
+from faults.stages import ARMING, BY_KEY, CYCLE, OTHER_STAGES, PAUSE, START, Stage
 
-PHASES = 4  # of the limit cycle; `make faults` and `make bench` together are to stay below a quarter of an hour
+PHASES = 4  # of the limit cycle
 OTHERS_SHARE = 0.25
 _BY_KEY = {backend.key: backend for backend in BACKENDS}
 _BY_NAME = {row.name: row for row in ROWS}
 
 
-def in_virtual_time(rows: Sequence[Row], backends: Sequence[Backend], phases: int) -> list[Line]:
-    """Each row on each device that it applies to, at so many phases of the limit cycle; fewer on ``OTHERS``."""
-    pairs = [(row, backend) for backend in backends for row in rows if row.is_for(backend.traits)]
+def stages_of(row: Row, backend: Backend) -> tuple[Stage, ...]:
+    """Where a row is tried on a device.
+
+    In the relay cycle on each. In the other stages each on the board, and on other devices what is other there: the
+    chip's own inputs and resets, what a block without limits does not see; and on the I/O block all that may happen
+    while it is disarmed, or armed again, where it is asked otherwise than in a tick.
+    """
+    if row.early:
+        stages: tuple[Stage, ...] = (START,)
+    elif backend is BOARD:
+        stages = (CYCLE, *OTHER_STAGES)
+    elif backend is MODBUS:
+        stages = (CYCLE, *(OTHER_STAGES if _is_contact(row) else (PAUSE, ARMING)))
+    elif (backend is CHIP and (_is_contact(row) or "chip" in row.other)) or (backend is BARE and "bare" in row.other):
+        stages = (CYCLE, *OTHER_STAGES)
+    elif backend is TCP and row.only:
+        stages = (CYCLE, PAUSE, ARMING)
+    else:
+        stages = (CYCLE,)
+    return tuple(stage for stage in stages if row.is_for(stage.traits(backend.traits)))
+
+
+def _is_contact(row: Row) -> bool:
+    return "board" in row.absent
+
+
+def phases_of(backend: Backend, stage: Stage, phases: int = PHASES) -> int:
+    """How many of a stage are tried where the limit cycle has ``phases`` on the devices of ``PLAIN``."""
+    if stage not in (START, CYCLE):
+        return stage.phases
+    return phases if backend in PLAIN else max(round(OTHERS_SHARE * phases), 1)
+
+
+def phase_at(k: int, phases: int) -> float:
+    """The k-th of so many."""
+    return (k + 0.5) / phases
+
+
+def in_virtual_time(
+    rows: Sequence[Row], backends: Sequence[Backend], phases: int, stages: Sequence[Stage] | None = None
+) -> list[Line]:
+    """Each row on each device in each stage that it is tried in, or in these; in the cycle at so many phases."""
+    places = [
+        (row, backend, stage)
+        for backend in backends
+        for row in rows
+        for stage in stages_of(row, backend)
+        if stages is None or stage in stages
+    ]
     cases = [
-        (row.name, backend.key, k, phases_on(backend, phases))
-        for row, backend in pairs
-        for k in range(phases_on(backend, phases))
+        (row.name, backend.key, stage.key, k, phases_of(backend, stage, phases))
+        for row, backend, stage in places
+        for k in range(phases_of(backend, stage, phases))
     ]
     found: list[Found] = Parallel(n_jobs=os.cpu_count() or 1, batch_size=4)(delayed(_virtual)(*case) for case in cases)
     return [
         Line(
-            row.on(backend.traits),
+            row.on(stage.traits(backend.traits)),
             backend,
-            undisturbed(backend).times,
-            tuple(one for one in found if (one.row, one.backend) == (row.name, backend.key)),
+            stage,
+            times(backend, stage.course),
+            tuple(one for one in found if (one.row, one.backend, one.stage) == (row.name, backend.key, stage.key)),
         )
-        for row, backend in pairs
+        for row, backend, stage in places
     ]
-
-
-def phases_on(backend: Backend, phases: int) -> int:
-    """Of the limit cycle, where the devices of ``PLAIN`` have ``phases``."""
-    return phases if backend in PLAIN else max(round(OTHERS_SHARE * phases), 1)
 
 
 def in_real_time(phases: int) -> list[RealFound]:
@@ -64,14 +107,16 @@ def in_real_time(phases: int) -> list[RealFound]:
     return found + [_real(*case) for case in cases if case not in together]
 
 
-def _virtual(name: str, key: str, k: int, phases: int) -> Found:
-    """One case; the first phase also tries the next run."""
+def _virtual(name: str, key: str, stage_key: str, k: int, phases: int) -> Found:
+    """One case; the first phase of the cycle, or from the start, also tries the next run."""
+    stage = BY_KEY[stage_key]
     _warm(key)
-    return measure(_BY_NAME[name], _BY_KEY[key], (k + 0.5) / phases, restarts=k == 0)
+    restarts = k == 0 and stage in (START, CYCLE)
+    return measure(_BY_NAME[name], _BY_KEY[key], phase_at(k, phases), stage, restarts)
 
 
 def _real(number: int, which: int, k: int, phases: int) -> RealFound:
-    return realtime.measure(REAL_ROWS[number], DEVICES[which], (k + 0.5) / phases, restarts=k == 0)
+    return realtime.measure(REAL_ROWS[number], DEVICES[which], phase_at(k, phases), restarts=k == 0)
 
 
 @lru_cache

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from faults.backends import Backend
@@ -11,18 +11,24 @@ from faults.bounds import Times
 from faults.case import Found
 from faults.realtime import RealFound
 from faults.rows import SILENCE, Row
+from faults.stages import CYCLE, OTHER_STAGES, START, Stage
 
 _HEAD = """\
 # What goes wrong, and what the bench does
 
 Made by `make faults`, {made}. The command fails if a bound is broken, a sample is lost, a code is another than
-expected, or the next run does what it should not. It is in [tools/faults](../tools/faults); `make test` runs, at one
-phase, each row on the first three devices, and on the others those that are theirs or are other there, and each of the
-rest on one of them.
+expected, a record with a whole relay test cannot be identified, `result.json` is missing, or the next run does what it
+should not. It warns where a drive was on for 1.5 times the worst that was recorded, in
+[fault-worst.json](fault-worst.json). It is in [tools/faults](../tools/faults); `make test` runs, at one of the phases,
+each row on the first three devices (on one where the device makes no difference), on the others those that are theirs
+or are other there, and each of the rest on one of them; in the other stages each row once, and all that may happen to
+a device in a pause.
 
-The real `rig relay` runs in each case: the breakaway check, then a relay test whose limit cycle has settled to its
-amplitude when the fault comes, at several phases of the cycle, and at any time within the loop's tick. The devices are
-in virtual time, so each number is exact and the same again. Bench and limits are those of
+The real `rig relay` runs in each case of the first tables: the breakaway check, then a relay test whose limit cycle has
+settled to its amplitude when the fault comes, at several phases of the cycle, and at any time within the loop's tick.
+The [other stages](#in-the-other-stages) are those of a `rig run` with a short search or a short tracking check. The
+devices are in virtual time, which waits for the recorder's process, so each number is exact and the same again. Bench
+and limits are those of
 [config/demo.yaml](../config/demo.yaml) unless the device's section says otherwise; the loop's period is
 {period_ms:g} ms, the watchdog {watchdog_ms:g} ms.
 
@@ -60,17 +66,25 @@ late, by design: an overloaded host mostly ends it.
 
 @dataclass(frozen=True)
 class Line:
-    """A row of the matrix on one device, over all phases; the row as it is for that device."""
+    """A row of the matrix on one device in one stage, over all phases; the row as it is there."""
 
     row: Row
     backend: Backend
+    stage: Stage
     times: Times
     found: tuple[Found, ...]
 
     @property
     def trouble(self) -> list[str]:
         """What should not be."""
-        return [f"{f.row}, {f.backend}, phase {f.phase:.2f}: {words}" for f in self.found for words in f.trouble]
+        return [
+            f"{f.row}, {f.backend}, {f.stage}, phase {f.phase:.2f}: {words}" for f in self.found for words in f.trouble
+        ]
+
+    @property
+    def worst_s(self) -> float:
+        """Longest time that the drive was on, s."""
+        return max(f.off_s for f in self.found)
 
 
 def _time(s: float) -> str:
@@ -88,7 +102,7 @@ def line(measured: Line) -> str:
     row, found = measured.row, measured.found
     shown = sorted({f"{f.code or '-'}, {f.status}" for f in found})
     runs_on = all(f.code == "" and f.status in (0, 1) for f in found)
-    worst = ("runs on; " if runs_on else "") + _time(max(f.off_s for f in found))
+    worst = ("runs on; " if runs_on else "") + _time(measured.worst_s)
     worst += " at the device, never at the motor" if row.only_seen else ""
     bound_s = row.bound.seconds(measured.times)
     broken = "" if all(f.off_s <= f.bound_s for f in found) else " **broken**"
@@ -98,6 +112,60 @@ def line(measured: Line) -> str:
         f"| {row.name} | {worst}{broken} | {_time(bound_s)} | "
         f"{f'{beyond:.2f}' if beyond > 0.0 else '-'} | {'; '.join(shown)} | {sum(f.lost for f in found)} | {next_run} |"
     )
+
+
+_STAGES_HEAD = """\
+## In the other stages
+
+When the fault comes in the gain search, at rest (armed, 0 V, after the relay tests), in the pause (disarmed, while the
+record is identified), while the device is armed again, in tracking. At rest, in the pause and at re-arming the drive is
+0: there *0* means that nothing drove any more, and a time counts from the first drive after the fault. A cell has the
+fault's code, how long the drive was on, and the bound; *runs on*: the longest time that one drive acted without a new
+word.
+
+Each row is tried in each stage on the host-board device; on the others what is other there: the contacts, resets and
+hangs of the Uno's chip, all that may happen to a Modbus I/O block while it is disarmed or armed again (it is asked
+otherwise then), and what a block without limits of its own leaves to the loop. "From the start" is a stage of its own.
+A relay in the device is the cycle alone; whatever else such a run does, the host drives.
+"""
+
+
+def stage_tables(lines: Sequence[Line], rows: Sequence[Row], backends: Sequence[Backend]) -> str:
+    """What was measured in the stages besides the cycle, a table a device; why a row cannot occur in one of them."""
+    parts = [_STAGES_HEAD]
+    for backend in backends:
+        own = {(one.row.name, one.stage): one for one in lines if one.backend is backend}
+        shown = [row for row in rows if any((row.name, stage) in own for stage in OTHER_STAGES)]
+        if not shown:
+            continue
+        stages = [stage for stage in OTHER_STAGES if any((row.name, stage) in own for row in shown)]
+        head = f"| fault | {' | '.join(stage.title for stage in stages)} |\n|---|{'---|' * len(stages)}"
+        body = [
+            f"| {row.name} | " + " | ".join(_cell(own.get((row.name, stage))) for stage in stages) + " |"
+            for row in shown
+        ]
+        title = backend.title[0].upper() + backend.title[1:]
+        parts.append(f"### {title}, by stage\n\n{head}\n" + "\n".join(body) + "\n")
+    absent = {
+        f"* {row.name}, {stage.title}: {row.absent[stage.key]}."
+        for row in rows
+        for stage in OTHER_STAGES
+        if stage.key in row.absent
+    }
+    if absent:
+        parts.append("\n".join(sorted(absent)) + "\n")
+    return "\n".join(parts)
+
+
+def _cell(measured: Line | None) -> str:
+    if measured is None:
+        return ""
+    codes = sorted({f.code or ("killed" if f.status < 0 else "runs on") for f in measured.found})
+    off_s, bound_s = measured.worst_s, measured.row.bound.seconds(measured.times)
+    broken = "" if all(f.off_s <= f.bound_s for f in measured.found) else " **broken**"
+    within = "0" if off_s == bound_s == 0.0 else f"{_time(off_s)} of {_time(bound_s)}"
+    beyond = max(f.beyond_rad for f in measured.found)
+    return f"{'; '.join(codes)}, {within}{broken}" + (f", {beyond:.2f} rad beyond" if beyond > 0.0 else "")
 
 
 def real_table(found: Sequence[RealFound]) -> str:
@@ -125,19 +193,24 @@ def summary(lines: Sequence[Line], backends: Sequence[Backend]) -> str:
     """One line a device: how much was tried, what came of it."""
     told = [_summary_line(backend, own) for backend in backends if (own := [o for o in lines if o.backend is backend])]
     return (
-        "| device | rows | phases | host silent: drive 0 | within | nearest to its bound | lost | wrong |\n"
+        "| device | rows | cases | host silent: drive 0 | within | nearest to its bound | lost | wrong |\n"
         "|---|---|---|---|---|---|---|---|\n" + "\n".join(told)
     )
 
 
 def _summary_line(backend: Backend, own: Sequence[Line]) -> str:
-    silent = [one for one in own if one.row.bound is SILENCE]
+    silent = [one for one in own if one.row.bound is SILENCE and one.stage is CYCLE]
     silent_s = max((f.off_s for one in silent for f in one.found), default=math.nan)
     within_s = max((one.row.bound.seconds(one.times) for one in silent), default=math.nan)
-    share, name = max((max(f.off_s for f in one.found) / one.row.bound.seconds(one.times), one.row.name) for one in own)
+    share, name = max(
+        (one.worst_s / one.row.bound.seconds(one.times), f"{one.row.name}, {one.stage.title}")
+        for one in own
+        if one.row.bound.terms
+    )
     found = [f for one in own for f in one.found]
+    rows = len({one.row.name for one in own})
     return (
-        f"| {backend.title} | {len(own)} | {len(found) // len(own)} | {_time(silent_s)} | {_time(within_s)} | "
+        f"| {backend.title} | {rows} | {len(found)} | {_time(silent_s)} | {_time(within_s)} | "
         f"{name}, {100.0 * share:.0f} % | {sum(f.lost for f in found)} | {sum(bool(f.trouble) for f in found)} |"
     )
 
@@ -163,12 +236,16 @@ def render(
         )
     ]
     for backend in backends:
-        own = [one for one in lines if one.backend is backend]
+        own = [one for one in lines if one.backend is backend and one.stage in (START, CYCLE)]
+        if not own:
+            continue
         remark = f"{backend.remark}\n\n" if backend.remark else ""
         parts.append(f"## On {backend.title}\n\n{remark}{_TABLE}\n" + "\n".join(line(one) for one in own) + "\n")
         absent = [f"* {row.name}: does not apply: {why}." for row in rows if (why := row.why_absent(backend.traits))]
         if absent:
             parts.append("\n".join(absent) + "\n")
+    if any(one.stage in OTHER_STAGES for one in lines):
+        parts.append(stage_tables(lines, rows, backends))
     if real:
         parts.append(real_table(real))
     parts.append("## The bounds\n\n" + _bounds(lines, backends))
@@ -180,19 +257,19 @@ def _bounds(lines: Sequence[Line], backends: Sequence[Backend]) -> str:
     head = "| fault | within | why |\n|---|---|---|\n"
     seen: dict[tuple[str, str, str], list[str]] = {}
     for one in lines:
-        key = (one.row.name, one.row.bound.formula(), one.row.bound.why)
-        seen.setdefault(key, []).append(one.backend.key)
+        where = one.backend.key if one.stage in (START, CYCLE) else f"{one.backend.key} {one.stage.title}"
+        seen.setdefault((one.row.name, one.row.bound.formula(), one.row.bound.why), []).append(where)
     keys = {one.row.name: {k[0:2] for k in seen if k[0] == one.row.name} for one in lines}
     body = [
         f"| {name}{'' if len(keys[name]) == 1 else ' (' + ', '.join(where) + ')'} | {formula} | {why} |"
         for (name, formula, why), where in seen.items()
+        if formula != "0"
     ]
     times = [
         f"* {backend.title}: "
         + ", ".join(
             f"{name} {_time(value)}"
-            for name, value in next(o.times for o in lines if o.backend is backend)._asdict().items()
-            if math.isfinite(value)
+            for name, value in _known(one.times for one in lines if one.backend is backend).items()
         )
         for backend in backends
         if any(o.backend is backend for o in lines)
@@ -200,5 +277,12 @@ def _bounds(lines: Sequence[Line], backends: Sequence[Backend]) -> str:
     return head + "\n".join(body) + "\n\n" + "\n".join(times) + "\n"
 
 
+def _known(times: Iterable[Times]) -> dict[str, float]:
+    """Of several, the numbers that there are."""
+    return {name: value for some in times for name, value in reversed(some._asdict().items()) if math.isfinite(value)}
+
+
 def _notes(rows: Sequence[Row]) -> str:
-    return "\n".join(f"* {row.name}: {row.how}{'. ' + row.remark if row.remark else ''}." for row in rows) + "\n"
+    return (
+        "\n".join(f"* {row.name}: {'. '.join(filter(None, (row.how, row.remark, row.either)))}." for row in rows) + "\n"
+    )

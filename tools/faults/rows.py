@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import random
 import signal
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +14,7 @@ from typing import Any
 from faults import damage, host
 from faults.bounds import Bound, bound
 from faults.language import is_block, is_drive, is_keep
+from faults.stages import STAGES, START
 from faults.stand import Stand
 from rig.emulate.virtual_chip import VirtualChip
 
@@ -20,10 +22,13 @@ Act = Callable[[Stand], None]
 Changes = dict[str, dict[str, Any]]  # of a row's fields, by a trait of the device
 
 RUNS_ON = ""  # no fault
+AT_ZERO = {stage.key for stage in STAGES if stage.at_zero and stage is not START}  # the drive is 0 there
 FREEZE_S = 1.0
 FOR_TICKS = 50  # that a disturbance lasts which the run survives
 STALL_S = 0.03  # of an overloaded host, at most
 SMALL_DISK = 2 << 20
+_SHORTEST_ROW = 60  # bytes, in the record
+_TICK_S = 0.005  # less than any period
 
 
 @dataclass(frozen=True)
@@ -32,8 +37,9 @@ class Row:
 
     name     what goes wrong; ``how`` it is done
     act      does it
-    bound    for the drive at the device
-    codes    that the run may end with; RUNS_ON: it goes on
+    bound    for the drive at the device; at rest, in the pause and at re-arming STAYS unless ``other`` says otherwise
+    codes    that the run may end with, one, or two where ``either`` says when which; RUNS_ON: it goes on
+    either   why there are two codes
     lasting  it stays until somebody mends it
     refused  codes that the next run may end with meanwhile, before any relay runs
     early    it is so from before the run: the breakaway check has to find it, no relay may run
@@ -43,10 +49,11 @@ class Row:
     status   exit status where it is not that of the code: one of these
     same     the record must be that of a run in which nothing happens, to the last bit
     only     it is of devices with one of these traits (``backends.Backend``); empty: of all
-    absent   traits of devices to which it does not apply, and why
+    absent   traits of devices, or of stages (``stages.Stage.traits``), to which it does not apply, and why
     only_seen  the motor is driven on, whatever the device puts out
     other    what is otherwise on a device: fields by a trait; of several, in the order of the device's traits
     may_lose samples that are lost by chance; the remark says why
+    leaves_result   there is a result.json, whatever ended the run
     remark   what else is to be said
     """
 
@@ -68,12 +75,17 @@ class Row:
     only_seen: bool = False
     other: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     may_lose: int = 0
+    leaves_result: bool = True
+    either: str = ""
     remark: str = ""
 
     def on(self, traits: Sequence[str]) -> Row:
-        """The row as it is for one device."""
+        """The row as it is for one device, or for one in a stage (``stages.Stage.traits``)."""
         changes: dict[str, Any] = {}
         for trait in traits:
+            runs_on = changes.get("codes", self.codes) == (RUNS_ON,) and -signal.SIGKILL not in self.status
+            if trait in AT_ZERO and not runs_on:
+                changes["bound"] = STAYS
             changes |= self.other.get(trait, {})
         return replace(self, **changes)
 
@@ -88,6 +100,7 @@ class Row:
 
 # ---------------------------------------------------------------------- bounds
 
+STAYS = bound("the drive is 0, and stays so")
 SILENCE = bound(
     "the device's watchdog counts from the last drive, which may still be on its way", watchdog=1, frame=1, tick=2
 )
@@ -98,11 +111,48 @@ AT_ONCE = bound("by itself", tick=1)
 AGAIN = bound("the reading is asked for again within the time-out", timeout=1, period=1, exchange=1)
 AGAIN_AND_AGAIN = bound("three readings in a row within a time-out each", timeout=3, period=3, frame=1, tick=2)
 RUNNING = bound("no drive is older", period=2, exchange=1)
-RAMP = bound("the breakaway check ends", breakaway=1)
+RAMP = bound(
+    "the strokes come to their largest drive, and the loop says stop", ramp=1, period=1, exchange=1, frame=1, tick=2
+)
 LOOKED = bound("the loop looks at the recorder every 25 ticks", check=1, period=1, exchange=1, frame=1, tick=2)
 STANDS = "no cycle that goes on stands for 0.6 of its longest period, whatever drives; periods jitter by some ticks"
 COASTS = "the shaft comes to rest within 0.4 of a period; no cycle that goes on stands for the other 0.6"
-RUN_AWAY = bound("until it is at the limit", cycle=0.5, runaway=1, exchange=1, frame=1, tick=2)
+FLUNG = bound(
+    "until it is faster than any shaft may be, and the loop sees it",
+    fling=1,
+    window=1,
+    period=1,
+    exchange=1,
+    frame=1,
+    tick=2,
+)
+RUN_AWAY = bound(
+    "until it is faster than any shaft may be, or at the limit, and the loop sees it",
+    reversal=1,
+    window=1,
+    period=1,
+    exchange=1,
+    frame=1,
+    tick=2,
+)
+SEARCHED = bound(
+    "the search gives up a cycle that has stuck after 3.5 of its periods; from then on both relays drive the same way, "
+    "and the guard waits for 0.3 s, or twice the longest stand so far, four times 0.3 s at most",
+    cycle=3.5,
+    stuck=4,
+    period=1,
+    exchange=1,
+    frame=1,
+    tick=2,
+)
+UNMOVED = bound(
+    "the law asks for a drive well above friction, which moves the reading not, or not as it must",
+    unmoved=1,
+    period=1,
+    exchange=1,
+    frame=1,
+    tick=2,
+)
 # of a relay in the device, whose rows come in blocks
 GAP = bound(
     "the block after the one that is missing tells of it, and the loop says stop",
@@ -121,12 +171,32 @@ SILENT = bound(
     frame=1,
     tick=2,
 )
-AWAY_IN_BLOCK = bound("until it is at the limit", cycle=0.5, runaway=1, block=1, exchange=1, period=1, frame=1, tick=2)
+FLUNG_IN_BLOCK = bound(
+    "until it is faster than any shaft may be, and the loop sees it when its block has come",
+    fling=1,
+    window=1,
+    block=1,
+    exchange=1,
+    period=1,
+    frame=1,
+    tick=2,
+)
+AWAY_IN_BLOCK = bound(
+    "until it is faster than any shaft may be, or at the limit, and the loop sees it when its block has come",
+    reversal=1,
+    window=1,
+    block=1,
+    exchange=1,
+    period=1,
+    frame=1,
+    tick=2,
+)
 IN_BLOCK = bound(
     "the loop sees it when its block has come, and says stop", block=1, exchange=1, period=1, frame=1, tick=2
 )
 
 NO_CONTACTS = "the contacts are the Uno's; the firmware's core alone has none"
+NO_STATUS = "the block has no register that would tell: wire it into the motor's supply"
 NO_INPUTS = "the block has no such input: wire it into the motor's supply"
 
 
@@ -208,11 +278,53 @@ def _thrown(stand: Stand) -> None:
 THROWN_RAD_S = 5.0
 
 
-def _contact(which: str) -> Act:
+PUSH_RAD_S = 1.0
+OFF_RAD = 0.03  # that the sensor may be off
+
+
+def _pushed(stand: Stand) -> None:
+    """A hand, or a load, pushes the shaft over the nearer limit, slower than a drive would.
+
+    The fault begins where the sensor must see it.
+    """
+    low, high = stand.hard_rad
+    from_rad, from_s = stand.device.truth().y_rad, stand.now_s()
+    side = 1.0 if from_rad >= 0.0 else -1.0
+    over_rad = abs((high if side > 0.0 else low) - from_rad) + OFF_RAD
+    stand.fault_s = math.inf
+
+    def hand() -> None:
+        went_rad = PUSH_RAD_S * (stand.now_s() - from_s)
+        if stand.fault_s == math.inf and went_rad >= over_rad:
+            stand.happens_now()
+        stand.device.place(from_rad + side * min(went_rad, over_rad + OFF_RAD), 0.0)
+
+    stand.hand = hand
+
+
+def _contact(*which: str, for_s: float = math.inf) -> Act:
+    """Contacts open, for a while."""
+
     def act(stand: Stand) -> None:
-        stand.device.contact(which, is_open=True)
+        for one in which:
+            stand.device.contact(one, is_open=True)
+        if for_s < math.inf:
+            stand.later(for_s, lambda: [stand.device.contact(one, is_open=False) for one in which])
 
     return act
+
+
+def _moment(act: Act, undo: Act) -> Act:
+    """Something happens, and is undone ``MOMENT_S`` later."""
+
+    def both(stand: Stand) -> None:
+        act(stand)
+        stand.later(MOMENT_S, lambda: undo(stand))
+
+    return both
+
+
+MOMENT_S = 0.1  # what is shorter may pass unseen on a device that has to be looked at (``rig.session``)
 
 
 def _end_switch(stand: Stand) -> None:
@@ -230,8 +342,13 @@ def _overload(stand: Stand) -> None:
 
 
 def _fill_disk(stand: Stand) -> None:
-    host.fill_disk(stand.folder / "runs")
-    stand.paced = True
+    """Nothing more fits, in the last page of the record either: it is put off until that page has no room for a row."""
+    stand.written()
+    samples = next((stand.folder / "runs").glob("*/samples.csv"))
+    if -samples.stat().st_size % os.sysconf("SC_PAGE_SIZE") >= _SHORTEST_ROW:
+        stand.schedule(stand.now_s() + _TICK_S, _fill_disk)
+    else:
+        host.fill_disk(stand.folder / "runs")
 
 
 def _close_folder(stand: Stand) -> None:
@@ -258,17 +375,50 @@ def _change_config(stand: Stand) -> None:
 NO_SPACE = "cannot be written: No space left on device"
 NO_PERMISSION = "cannot be written: Permission denied"
 NO_LINK = ("LINK_HELLO", "LINK_TIMEOUT", "LINK_REPLY", "LINK_OPEN")
-MISFIT: Changes = {"modbus": {"codes": ("LINK_REPLY", "LINK_TIMEOUT")}}
-NO_SECOND: Changes = {"modbus": {"codes": ("LINK_REPLY", "LINK_TIMEOUT"), "bound": HEARD}}  # nothing is asked again
+FITS_OR_NOT = "what comes may begin as the reply does, and never end (LINK_TIMEOUT), or be none (LINK_REPLY)"
+MISFIT: Changes = {"modbus": {"codes": ("LINK_REPLY", "LINK_TIMEOUT"), "either": FITS_OR_NOT}}
+
+
+def _unhurried(**changes: Any) -> Changes:
+    """Of a Modbus device outside of the tick."""
+    return {"modbus, pause": changes, "modbus, arming": changes}
+
+
+# nothing is asked again in a tick, whatever is needed up to three times outside of one
+PATIENT = _unhurried(codes=(RUNS_ON,), bound=RUNNING)
+NO_SECOND: Changes = {"modbus": {"codes": ("LINK_TIMEOUT",), "bound": HEARD}}
+NO_SECOND_LOOK: Changes = {"modbus": {"codes": ("LINK_REPLY",), "bound": HEARD}}
 MISSED: Changes = {"relay": {"bound": GAP, "codes": ("LINK_GAP",)}}
 UNHEARD: Changes = {"relay": {"bound": SILENT}}
-DEAF: Changes = {"relay": {"codes": ("DEVICE_WATCHDOG", "LINK_TIMEOUT")}}
+DEAF: Changes = {"relay": {"codes": ("DEVICE_WATCHDOG",)}}
 TCP_IS_WHOLE = (
     "TCP hands over each byte once, whole and in order, or late: see the rows of lost packets; what comes damaged has "
     "passed its check sum"
 )
-UNLIKE = ("SENSOR_STUCK", "SENSOR_RAIL")  # what the reading does is not what the drive must make it do
-AWAY = ("POLARITY", "TRAVEL_HARD", "DEVICE_TRAVEL", "OVERSPEED")
+ELSEWHERE: dict[str, Any] = {"codes": (RUNS_ON,), "bound": RUNNING, "status": (0, 1)}
+IN_A_PAUSE = (
+    "A Modbus device gets all its settings each time that it is armed, and tells no time: while it is disarmed it has "
+    "nothing to lose"
+)
+ARMED_ANEW: Changes = {
+    "modbus, pause": {"codes": (RUNS_ON,), "bound": RUNNING},
+    "modbus, arming": {
+        "codes": ("DEVICE_NOT_ARMED", RUNS_ON),
+        "bound": RUNNING,
+        "either": "it runs on where the block was not armed yet",
+        "status": (0, 1),
+    },
+    "tcp, pause": {"codes": ("LINK_LOST",), "bound": STAYS},
+    "tcp, arming": {"codes": ("LINK_LOST",), "bound": STAYS, "either": "", "status": ()},
+}
+# a block without rails of its own leaves it to the loop, and any block does so while it is disarmed
+RAIL: Changes = {
+    "bare": {"bound": SEEN, "codes": ("SENSOR_RAIL",), "refused": ("SENSOR_RAIL",)},
+    "modbus, pause": {"codes": ("SENSOR_RAIL",)},
+}
+DRIVEN: Changes = {
+    name: {"bound": UNMOVED} for name in ("rest", "pause", "arming", "tracking")
+}  # seen once it has to move
 BREAKAWAY = "it ends in the breakaway check, before any relay runs: as where the host's relay drives"
 
 
@@ -377,7 +527,7 @@ ROWS = (
         _down(lambda: damage.first(1, damage.flipped)),
         AGAIN,
         (RUNS_ON,),
-        other=NO_SECOND | MISSED,
+        other=NO_SECOND_LOOK | MISSED | PATIENT,
         absent={"tcp": TCP_IS_WHOLE},
     ),
     Row(
@@ -402,7 +552,14 @@ ROWS = (
         other=DEAF,
         absent={"tcp": TCP_IS_WHOLE},
     ),
-    Row("duplicated replies", "each comes twice", _down(lambda: damage.duplicated), RUNNING, (RUNS_ON,), other=MISFIT),
+    Row(
+        "duplicated replies",
+        "each comes twice",
+        _down(lambda: damage.duplicated),
+        RUNNING,
+        (RUNS_ON,),
+        other={"modbus": {"codes": ("LINK_REPLY",)}},
+    ),
     Row(
         "duplicated requests",
         "each goes twice, at once",
@@ -437,7 +594,7 @@ ROWS = (
         _down(lambda: damage.first(1, damage.lost)),
         AGAIN,
         (RUNS_ON,),
-        other=NO_SECOND | MISSED,
+        other=NO_SECOND | MISSED | PATIENT,
     ),
     Row(
         "replies lost",
@@ -490,7 +647,7 @@ ROWS = (
         ("LINK_TIMEOUT",),
         True,
         (*NO_LINK, "DEVICE_WATCHDOG"),
-        other=NO_SECOND | MISSED,
+        other=NO_SECOND | MISSED | _unhurried(codes=("DEVICE_WATCHDOG",)),
     ),
     Row(
         "replies stale",
@@ -500,7 +657,7 @@ ROWS = (
         ("LINK_TIMEOUT",),
         True,
         (*NO_LINK, "DEVICE_WATCHDOG"),
-        other=NO_SECOND,
+        other=NO_SECOND | _unhurried(codes=("LINK_REPLY",)),
         absent={"relay": "nothing is asked: a block that comes in another's place is out of order"},
     ),
     # the device
@@ -509,15 +666,23 @@ ROWS = (
         "by its reset input",
         lambda stand: stand.device.reset(2),
         AT_ONCE,
-        ("DEVICE_RESET", "LINK_TIMEOUT", "DEVICE_NOT_ARMED"),
-        other={"tcp": {"codes": ("LINK_LOST",)}},
+        ("DEVICE_RESET",),
+        other={"fc23": {"codes": ("DEVICE_NOT_ARMED",)}, "tcp": {"codes": ("LINK_LOST",)}} | ARMED_ANEW,
+        remark=IN_A_PAUSE,
     ),
     Row(
         "firmware hang",
         "main loop, interrupts, clock or converter stop for good",
         _hang,
         bound("the chip's own watchdog", hardware=1),
-        ("LINK_TIMEOUT", "SAMPLE_STALE", "DEVICE_RESET", "DEVICE_WATCHDOG"),
+        ("LINK_TIMEOUT",),
+        other={
+            "chip": {
+                "codes": ("LINK_TIMEOUT", "SAMPLE_STALE"),
+                "either": "the main loop answers on, of the same sample, where only clock or converter stand",
+            },
+            "pause": {"codes": ("DEVICE_RESET",), "either": ""},
+        },
         absent={"modbus": "the block is emulated by its registers, it has no program; a real one's is its maker's"},
     ),
     Row(
@@ -525,9 +690,17 @@ ROWS = (
         "of the chip's supply",
         _brown_out,
         AT_ONCE,
-        ("DEVICE_RESET", "LINK_TIMEOUT", "DEVICE_NOT_ARMED"),
-        other={"tcp": {"codes": ("LINK_LOST", "LINK_TIMEOUT")}},
-        remark="while the chip starts it does not answer: LINK_TIMEOUT; the next run's meta.json names the cause",
+        ("DEVICE_RESET",),
+        other={
+            "chip": {"codes": ("LINK_TIMEOUT",)},
+            "relay": {"codes": ("DEVICE_RESET",)},
+            "fc23": {"codes": ("DEVICE_NOT_ARMED",)},
+            "tcp": {"codes": ("LINK_LOST",)},
+            "pause": {"codes": ("DEVICE_RESET",)},
+        }
+        | ARMED_ANEW,
+        remark="while the chip starts it does not answer: LINK_TIMEOUT; the next run's meta.json names the cause. "
+        + IN_A_PAUSE,
     ),
     # the sensor
     Row(
@@ -538,6 +711,15 @@ ROWS = (
         ("DEVICE_SENSOR",),
         True,
         ("DEVICE_SENSOR",),
+        other=RAIL,
+    ),
+    Row(
+        "sensor at a rail, for a moment",
+        f"it reads full scale for {1e3 * MOMENT_S:.0f} ms",
+        _moment(_rewire(sensor="broken_high"), _rewire()),
+        DEVICE,
+        ("DEVICE_SENSOR",),
+        other=RAIL,
     ),
     Row(
         "sensor wire broken",
@@ -547,6 +729,7 @@ ROWS = (
         ("DEVICE_SENSOR",),
         True,
         ("DEVICE_SENSOR",),
+        other=RAIL,
     ),
     Row(
         "sensor stuck",
@@ -556,7 +739,11 @@ ROWS = (
         ("SENSOR_STUCK",),
         True,
         ("NO_MOTION",),
-        other={"relay": {"bound": bound(STANDS, cycle=0.6, block=1, exchange=1, period=3, frame=1, tick=2)}},
+        other={
+            "relay": {"bound": bound(STANDS, cycle=0.6, block=1, exchange=1, period=3, frame=1, tick=2)},
+            "search": {"bound": SEARCHED},
+        }
+        | DRIVEN,
         remark="under the relay's whole drive it is found in some 40 ms (a window of the velocity), or in 0.3 s "
         "where the shaft was just turning; else the inner level drives. In the first two periods of a test, and "
         "in the search for gains, only a drive well above friction finds it: where the inner level lasts, not before "
@@ -570,8 +757,9 @@ ROWS = (
         ("SENSOR_JUMP",),
         True,
         ("", "START_OUTSIDE", "DEVICE_TRAVEL"),
-        other={"relay": {"bound": IN_BLOCK, "codes": ("SENSOR_JUMP", "DEVICE_TRAVEL")}},
-        remark="a reading that is wrong by a constant is another position: look at the centre before the next run",
+        other={"relay": {"bound": IN_BLOCK}, "pause": ELSEWHERE, "arming": ELSEWHERE},
+        remark="a reading that is wrong by a constant is another position: look at the centre before the next run. In "
+        "the pause nobody reads it, and it may be a hand that has turned the shaft: the run goes on from there",
     ),
     Row(
         "sensor noisy",
@@ -580,21 +768,31 @@ ROWS = (
         bound(
             "a reading that no motion explains: by chance one in two or three", period=12, exchange=1, frame=1, tick=2
         ),
-        ("SENSOR_JUMP", "OVERSPEED", "SENSOR_STUCK", "DEVICE_TRAVEL"),
+        ("SENSOR_JUMP", "SENSOR_STUCK"),
         True,
         ("SENSOR_NOISY", "SENSOR_JUMP", "OVERSPEED"),
+        either="by chance of the noise: a step that is too long, or a shaft that seems to slow down under a full drive",
+        other={name: {"codes": ("SENSOR_JUMP",), "either": ""} for name in ("rest", "pause", "arming")},
     ),
     # the drive
     Row(
         "drive stuck on",
         "a quarter of the supply, whatever is commanded",
         _rewire(drive="stuck_on"),
-        RUN_AWAY,
-        (*AWAY, *UNLIKE, "DEVICE_SENSOR"),
+        FLUNG,
+        ("OVERSPEED", "SENSOR_STUCK"),
         True,
         ("START_OUTSIDE", "DEVICE_SENSOR", "DEVICE_TRAVEL", "TRAVEL_HARD", "OVERSPEED"),
         only_seen=True,
-        other={"relay": {"bound": AWAY_IN_BLOCK, "codes": (*AWAY, *UNLIKE, "DEVICE_SENSOR", "RELAY_STOPPED")}},
+        either="OVERSPEED where the motor goes on as it was driven; SENSOR_STUCK where it turns back under a drive "
+        "that had sped it up, which is seen first",
+        other={
+            "relay": {"bound": FLUNG_IN_BLOCK, "codes": ("OVERSPEED",), "either": ""},
+            "rest": {"bound": FLUNG, "codes": ("OVERSPEED",), "either": ""},
+            "pause": {"codes": ("DEVICE_SENSOR",), "either": ""},
+            "modbus, pause": {"codes": ("SENSOR_RAIL",)},
+            "arming": {"bound": FLUNG, "codes": ("OVERSPEED",), "either": ""},
+        },
         remark="can only be detected: the device's output is 0, the motor's is not, and the shaft runs to its stop. "
         "Wire the e-stop, and end switches, into the motor's supply",
     ),
@@ -603,10 +801,12 @@ ROWS = (
         "the motor's wires are swapped",
         _rewire(drive="reversed"),
         RUN_AWAY,
-        (*AWAY, "SENSOR_STUCK"),
+        ("OVERSPEED", "SENSOR_STUCK"),
         True,
         ("POLARITY", "START_OUTSIDE", "TRAVEL_HARD", "DEVICE_TRAVEL", "DEVICE_SENSOR"),
-        other={"relay": {"bound": AWAY_IN_BLOCK, "codes": (*AWAY, "RELAY_STOPPED", "SENSOR_STUCK")}},
+        either="OVERSPEED where the guard's brake speeds it up; SENSOR_STUCK where it slows down before under a drive "
+        "that had sped it up",
+        other={"relay": {"bound": AWAY_IN_BLOCK, "codes": ("RELAY_STOPPED",), "either": ""}} | DRIVEN,
         remark="a shaft that slows down under a drive that should speed it up is SENSOR_STUCK, too",
     ),
     Row(
@@ -617,15 +817,19 @@ ROWS = (
         ("SENSOR_STUCK",),
         True,
         ("NO_MOTION",),
-        other={"relay": {"bound": bound(COASTS, cycle=1, block=1, exchange=1, period=3, frame=1, tick=2)}},
+        other={
+            "relay": {"bound": bound(COASTS, cycle=1, block=1, exchange=1, period=3, frame=1, tick=2)},
+            "search": {"bound": SEARCHED},
+        }
+        | DRIVEN,
         remark="as in sensor stuck; the shaft only coasts",
     ),
     Row(
         "drive stuck on, from the start",
         "as soon as it is armed",
         _nothing,
-        bound("before the first ramp", breakaway=1),
-        ("DRIVE_STUCK_ON", "TRAVEL_HARD", "DEVICE_TRAVEL", "OVERSPEED", "DEVICE_SENSOR"),
+        bound("before the first stroke", tick=0),
+        ("OVERSPEED",),
         True,
         ("START_OUTSIDE", "DEVICE_SENSOR", "DEVICE_TRAVEL", "TRAVEL_HARD", "OVERSPEED"),
         early=True,
@@ -686,12 +890,13 @@ ROWS = (
         "sensor noisy, from the start",
         "25 counts more",
         _nothing,
-        RAMP,
-        ("SENSOR_NOISY", "SENSOR_JUMP", "OVERSPEED"),
+        bound("before the first stroke", tick=0),
+        ("SENSOR_JUMP", "OVERSPEED"),
         True,
         ("SENSOR_NOISY", "SENSOR_JUMP", "OVERSPEED"),
         early=True,
         emulated={"wiring": {"sensor": "noisy"}},
+        either="by chance of the noise, which is seen before it is measured",
         absent={"relay": BREAKAWAY},
     ),
     # the way
@@ -703,7 +908,36 @@ ROWS = (
         ("DEVICE_TRAVEL", "SENSOR_JUMP"),
         True,
         ("START_OUTSIDE", "DEVICE_SENSOR"),
-        other={"relay": {"codes": ("DEVICE_TRAVEL", "SENSOR_JUMP", "RELAY_STOPPED", "OVERSPEED")}},
+        either="SENSOR_JUMP where the reading of before is old enough for the step to be too long",
+        other={
+            "bare": {
+                "bound": SEEN,
+                "codes": ("SENSOR_JUMP", "TRAVEL_HARD"),
+                "refused": ("START_OUTSIDE", "SENSOR_RAIL"),
+            },
+            "pause": {"codes": ("DEVICE_SENSOR",), "either": ""},
+            "modbus, pause": {"codes": ("SENSOR_RAIL",)},
+            "arming": {
+                "codes": ("TRAVEL_HARD", "DEVICE_TRAVEL"),
+                "either": "TRAVEL_HARD where it was out before the device was armed, which waits for it to come in",
+            },
+            "modbus, arming": {
+                "codes": ("DEVICE_SENSOR", "TRAVEL_HARD"),
+                "either": "DEVICE_SENSOR where it was at the sensor's rail before the device was armed",
+            },
+        },
+    ),
+    Row(
+        "pushed over a limit",
+        f"a hand pushes the shaft over the nearer one at {PUSH_RAD_S:g} rad/s, slower than any drive would",
+        _pushed,
+        DEVICE,
+        ("DEVICE_TRAVEL", "POLARITY"),
+        True,
+        ("START_OUTSIDE",),
+        either="POLARITY where the loop has braked before: the hand moves the shaft against its drive",
+        other={"bare": {"bound": SEEN, "codes": ("TRAVEL_HARD", "POLARITY")}},
+        remark="where the drive is 0 it is over the limit once the device is disarmed: seen at re-arming",
     ),
     Row(
         "end switch",
@@ -723,6 +957,24 @@ ROWS = (
         ("DEVICE_ESTOP",),
         True,
         ("DEVICE_ESTOP",),
+        other={"modbus": {"bound": DEVICE}},
+        absent={"board": NO_CONTACTS, "bare": NO_STATUS},
+    ),
+    Row(
+        "e-stop, for a moment",
+        f"opens for {1e3 * MOMENT_S:.0f} ms",
+        _contact("e_stop", for_s=MOMENT_S),
+        AT_ONCE,
+        ("DEVICE_ESTOP",),
+        other={"modbus": {"bound": DEVICE}},
+        absent={"board": NO_CONTACTS, "bare": NO_STATUS},
+    ),
+    Row(
+        "both end switches, for a moment",
+        f"their common wire opens for {1e3 * MOMENT_S:.0f} ms",
+        _contact("end_low", "end_high", for_s=MOMENT_S),
+        DEVICE,
+        ("DEVICE_END_SWITCH",),
         absent={"board": NO_CONTACTS, "modbus": NO_INPUTS},
     ),
     # the host
@@ -752,6 +1004,15 @@ ROWS = (
         lambda stand: stand.freeze_host(FREEZE_S),
         SILENCE,
         ("DEVICE_WATCHDOG",),
+        other={
+            "pause": {"codes": (RUNS_ON,), "bound": RUNNING, "status": (0,)},
+            "arming": {
+                "codes": ("DEVICE_WATCHDOG", RUNS_ON),
+                "bound": RUNNING,
+                "status": (0, 1),
+                "either": "a device that is disarmed, or not armed yet, may wait",
+            },
+        },
     ),
     Row(
         "host overloaded",
@@ -768,10 +1029,13 @@ ROWS = (
         "disk full",
         "nothing more fits on the run folder's disk",
         _fill_disk,
-        bound("the recorder tries to write, and the loop looks every 25 ticks", check=2, period=1, exchange=1, frame=1),
+        LOOKED,
         ("RECORDER_DEAD",),
         True,
         ("RECORDER_DEAD", NO_SPACE),
+        other={name: {"bound": LOOKED} for name in AT_ZERO},
+        remark="the disk is full once the page that the record ends in is, too: up to half a second later, and in "
+        "another stage",
         prepare=_small,
         alone=True,
     ),
@@ -799,6 +1063,7 @@ ROWS = (
         prepare=lambda folder: host.obey_permissions(),
         alone=True,
         status=(1,),
+        leaves_result=False,
         remark="what is open is written to the end; no result.json, and it says so",
     ),
     Row("recorder killed", "kill -9 to the recorder's process", host.kill_recorder, LOOKED, ("RECORDER_DEAD",)),

@@ -23,8 +23,11 @@ from pathlib import Path
 
 from faults.backends import PLAIN, Backend, BlockOnStand
 from faults.bounds import Times
-from faults.case import SETTLE_S, judged, new_stand, relay_run, restart, undisturbed
+from faults.case import SETTLE_S, judged, new_stand, restart, undisturbed
+from faults.case import run as run_on
+from faults.case import times as times_of
 from faults.rows import ROWS, RUNNING, RUNS_ON, Row
+from faults.stages import CYCLE
 from faults.stand import Stand
 from rig.config.schema import Experiment
 
@@ -62,7 +65,8 @@ class Day:
 
 def rows_for(backend: Backend) -> tuple[Row, ...]:
     """The rows that a device which stays powered can meet in a run, in this process."""
-    rows = (row.on(backend.traits) for row in ROWS if row.is_for(backend.traits))
+    traits = CYCLE.traits(backend.traits)
+    rows = (row.on(traits) for row in ROWS if row.is_for(traits))
     return tuple(row for row in rows if not (row.early or row.alone or row.same))
 
 
@@ -77,14 +81,14 @@ def spend(key: str, hours: float, seed: int) -> Day:
         folder = Path(name)
         stand, experiment = new_stand(backend, config, folder, rng.randrange(2**32))
         language, limits = backend.language, experiment.limits.hard_rad
-        times = backend.times(experiment, plain.period_s)
+        times, (cycle_s, next_s) = times_of(backend), plain.windows[CYCLE.key]
         device, timeout_s, began_s = stand.device, experiment.daq.timeout_s, stand.now_s()
         while (stand.now_s() - began_s) < 3600.0 * hours:
             row = rng.choice(rows_for(backend)) if rng.random() < FAULTY else NOTHING
             stand = Stand(device, language(experiment), limits, timeout_s, folder, rng.randrange(2**32))
             stand.spare_s = backend.spare_s(experiment)
             phase = rng.uniform(0.0, CYCLES - 5.0)
-            stand.schedule(stand.now_s() + plain.cycle_s + phase * plain.period_s, row.act)
+            stand.schedule(stand.now_s() + cycle_s + phase * (next_s - cycle_s), row.act)
             for words in _one(row, backend, phase, stand, times, experiment):
                 day.trouble.append(f"run {day.runs + 1}, {row.name} at cycle {phase:.2f}: {words}")
             if isinstance(device, BlockOnStand):
@@ -99,9 +103,9 @@ def spend(key: str, hours: float, seed: int) -> Day:
 
 def _one(row: Row, backend: Backend, phase: float, stand: Stand, times: Times, experiment: Experiment) -> list[str]:
     """One run, and after what went wrong a mended bench that has to move again; what should not be."""
-    run = relay_run(stand, backend)
+    run = run_on(stand, backend)
     stand.watch(SETTLE_S)
-    trouble = list(judged(row, backend, phase, stand, times, run).trouble)
+    trouble = list(judged(row, backend, CYCLE, phase, stand, times, run).trouble)
     stand.cure()
     if row.lasting:
         stand.bring_home()

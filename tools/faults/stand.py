@@ -6,7 +6,6 @@ import math
 import os
 import random
 import signal
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
@@ -68,26 +67,32 @@ class Stand:
         self.after_death: Callable[[], None] | None = None  # what a killed host leaves to do
         self.spare_s = 0.0  # of the time-out, beside the exchange
         self.to_undo: list[Callable[[], None]] = []
-        self.paced = False  # no faster than real time, so that other processes have theirs
+        self.written: Callable[[], None] = lambda: None  # waits until the recorder has written what it was told
+        self.hand: Callable[[], None] | None = None  # on the shaft, from the fault on
         self.fault_s = math.inf
         self.is_watched = False
         self.readings: list[Reading] = []
         self.closing: set[int] = set()  # keys of readings after which the host said stop
+        self.closed: set[int] = set()  # of these, those after which the run went on
+        self.moments: list[tuple[str, float]] = []  # stages and stops of the run, and requests "to stop", "to arm"
         self.handing_over: set[int] = set()  # and after which it let the device's relay drive
         self.beyond_rad = 0.0
         self.astray_s = 0.0  # longest time in which the drive was not what the host had said
         self.stale_s = 0.0  # longest time between two words of the host on the drive that reached the device
         self.first_drive_s = math.nan  # of a run, at the pin
+        self.driven_s = math.nan  # first instant from the fault on at which there was a drive at the pin
         self.read_at: list[tuple[int, float]] = []  # key and time of each question
         self._language = language
         self._timeout_s = timeout_s
         self.rng = random.Random(seed)
         self._act: Callable[[Stand], None] | None = None
+        self._later: tuple[float, Callable[[], object]] | None = None
         self._held: list[tuple[float, int, bytes]] = []  # on the way to the host
         self._count = 0
         self._asked: tuple[int, float] | None = None
         self._said_V = 0.0  # nan: the device chooses
         self._said_s = math.nan
+        self._is_disarmed = True
         self._since_s = math.nan  # that the drive is not what the host said
         self._is_interrupted = False
 
@@ -99,13 +104,28 @@ class Stand:
 
     def forget(self) -> None:
         """A new run begins: what was seen so far is another's."""
-        self.readings, self.closing, self.handing_over, self.read_at = [], set(), set(), []
+        self.readings, self.closing, self.closed, self.handing_over, self.read_at = [], set(), set(), set(), []
         self.first_drive_s = math.nan
         self._held.clear()
 
+    def later(self, in_s: float, act: Callable[[], object]) -> None:
+        """Let something happen a while after the fault."""
+        self._later = self.now_s() + in_s, act
+
+    def happens_now(self) -> None:
+        """What counts as the fault begins only now."""
+        self.fault_s = self.now_s()
+
+    def comes_to(self, moment: str) -> None:
+        """The run begins a stage, or says that it has stopped the drive ("stop")."""
+        self.moments.append((moment, self.now_s()))
+        if moment != "stop":
+            self.closed |= self.closing
+            self.closing = set()
+
     def cure(self) -> None:
-        """Wire, port and host are whole again."""
-        self.down = self.up = self.stall_s = None
+        """Wire, port, shaft and host are whole again."""
+        self.down = self.up = self.stall_s = self.hand = None
         self.is_gone = False
         while self.to_undo:
             self.to_undo.pop()()
@@ -146,8 +166,6 @@ class Stand:
     def sleep_until(self, t_s: float) -> float:
         """Let time pass; a signal ends it. Returns when that was."""
         self._is_interrupted = False
-        if self.paced:
-            time.sleep(max(t_s - self.now_s(), 0.0))
         self._pass(t_s)
         if self.stall_s is not None:
             self._pass(self.now_s() + self.stall_s(self.rng))
@@ -165,16 +183,25 @@ class Stand:
         return min(until_s, now_s + GRAIN_S) if self.is_watched else until_s
 
     def _look(self) -> None:
+        if not self.is_watched and self.first_drive_s == self.first_drive_s and self.now_s() < self.fault_s:
+            return  # nothing to see yet
         truth: Truth = self.device.truth()
         if self._act is not None and truth.t_s >= self.fault_s:
             act, self._act = self._act, None
-            self.is_watched = True
             act(self)
+            self.is_watched = self._act is None  # else it has put it off
             return
         if math.isnan(self.first_drive_s) and truth.pin_V != 0.0:
             self.first_drive_s = truth.pin_changed_s
         if not self.is_watched:
             return
+        if self.hand is not None:
+            self.hand()
+        if self._later is not None and truth.t_s >= self._later[0]:
+            (_, act_later), self._later = self._later, None
+            act_later()
+        if math.isnan(self.driven_s) and truth.pin_V != 0.0:
+            self.driven_s = max(truth.pin_changed_s, self.fault_s)
         low, high = self.hard_rad
         self.beyond_rad = max(self.beyond_rad, truth.y_rad - high, low - truth.y_rad)
         if math.isnan(self._said_V) or abs(truth.pin_V - self._said_V) < _CLOSE_V:
@@ -199,14 +226,20 @@ class Stand:
         drive_V = self._language.drive_V(data)
         if drive_V is not None:
             self._said(drive_V, is_heard=any(piece == data for _, piece in pieces))
+        if self._language.is_arm(data):
+            self.moments.append(("to arm", self.now_s()))
+            self._is_disarmed = False
         if self._language.is_stop(data):
+            self.moments.append(("to stop", self.now_s()))
             self._asked = None  # a reply still to come is waited for by nobody
+            self._is_disarmed = True
+            self._said_s = math.nan  # 0 V need not be said again
             if self.readings:
                 self.closing.add(self.readings[-1].key)
         if self._language.hands_over(data) and self.readings:
             self.handing_over.add(self.readings[-1].key)
         key = self._language.asked(data)
-        if key is not None:
+        if key is not None and not self._is_disarmed:
             self._asked = key, self.now_s()
             self.read_at.append(self._asked)
         for _, piece in pieces:

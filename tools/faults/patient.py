@@ -1,0 +1,61 @@
+"""The recorder of a run in virtual time: its writer is a process in real time, which that time waits for."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from faults.stand import Stand
+from rig.recording import layout
+from rig.recording.record import JsonScalar
+from rig.recording.recorder import Recorder
+
+_WAIT_S = 60.0
+_MOMENT_S = 0.0005
+
+
+class PatientRecorder(Recorder):
+    """As ``Recorder``, but no call depends on how fast this machine is: what was published is written, or has failed.
+
+    The stand is told of stages and stops as they come.
+    """
+
+    close_timeout_s = _WAIT_S
+    stall_timeout_s = _WAIT_S
+
+    def __init__(self, stand: Stand, folder: Path, stages: Sequence[str], **capacities: Any) -> None:
+        super().__init__(folder, stages, **capacities)
+        self._stand = stand
+        stand.written = self.await_writer
+
+    def check(self) -> None:
+        """As that of ``Recorder``, of a writer that has come to everything."""
+        self.await_writer()
+        super().check()
+
+    def drain(self, timeout_s: float = _WAIT_S) -> None:
+        """As that of ``Recorder``, without haste."""
+        super().drain(timeout_s)
+
+    def event(self, t_s: float, kind: str, **fields: JsonScalar) -> None:
+        """As that of ``Recorder``."""
+        super().event(t_s, kind, **fields)
+        if kind in ("stage", "stop"):
+            self._stand.comes_to(kind if kind == "stop" else str(fields["name"]))
+
+    def await_writer(self) -> None:
+        """Until the writer has written each finished row and each event, or has ended, or has failed."""
+        counters, deadline_s = self._counters, time.monotonic() + _WAIT_S
+        while (
+            counters[layout.STATE] == layout.READY
+            and self._process.poll() is None
+            and (
+                counters[layout.ROWS_TAKEN] < self._finished_rows()
+                or counters[layout.EVENT_BYTES_TAKEN] < counters[layout.EVENT_BYTES]
+            )
+        ):
+            if time.monotonic() > deadline_s:
+                raise RuntimeError(f"the recorder's writer has written nothing for {_WAIT_S:g} s")
+            time.sleep(_MOMENT_S)
