@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from simulated_bench import DEMO_MOTOR, LIMITS, simulated_bench
 
@@ -9,6 +11,7 @@ from rig.control.breakaway import BreakawayCheck
 from rig.faults import Fault
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
+from rig.signals import Sample
 
 
 def check() -> BreakawayCheck:
@@ -49,6 +52,14 @@ def test_each_wrong_bench_is_named_and_left_at_zero(wiring, code: str) -> None:
     assert bench.driver.bench.pin_counts == 0
     # a stuck sensor cannot show the motion: the strokes keep it short
     assert abs(bench.driver.bench.state.y) < 0.5
+
+
+def test_one_reading_beyond_the_noise_is_no_motion_and_two_are() -> None:
+    for seen in ({100}, {100, 101}):
+        law = check()
+        drives = [law.step(Sample(0.01 * k, 0.1 if k in seen else 0.0, 512)) for k in range(120)]
+        goes_on = max(drives[102:]) > max(drives[:100]) > 0.0
+        assert goes_on == math.isnan(law.plus_V) == (len(seen) == 1)
 
 
 def test_a_drive_that_is_stuck_on_is_noticed_though_no_software_can_stop_it() -> None:

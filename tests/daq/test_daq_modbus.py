@@ -224,6 +224,34 @@ def test_stop_is_confirmed_by_the_registers(rig: Rig) -> None:
     assert rig.block.truth().output_V != 0.0
 
 
+def test_a_block_that_goes_on_driving_does_not_confirm_the_stop(rig: Rig) -> None:
+    """It answers as if it stopped; its registers say what it does."""
+    rig.tick(0.6)
+    rig.tick(0.6)
+    real = rig.block.block.request
+
+    def deaf(pdu: bytes, t_s: float) -> bytes:
+        return pdu if pdu[0] == 6 else b"\x10" + pdu[1:5] if pdu[0] == 16 else real(pdu, t_s)
+
+    rig.block.block.request = deaf  # type: ignore[method-assign]
+    assert not rig.driver.safe_stop()
+    assert rig.block.truth().output_V != 0.0
+
+
+def test_arming_sets_the_drive_to_0_before_it_arms() -> None:
+    """A block may keep the drive of an earlier run in its register."""
+    rig = Rig(experiment_with(), armed=False)
+    real, written = rig.block.block._write, []
+
+    def watching(values: dict[str, float]) -> None:
+        written.append(values)
+        real(values)
+
+    rig.block.block._write = watching  # type: ignore[method-assign]
+    rig.arm()
+    assert written[-1] == {"control": 1.0} and written[-2]["drive"] == 0.0 and "sequence" in written[-2]
+
+
 def test_a_stop_of_a_dead_device_is_not_confirmed_and_is_bounded(rig: Rig) -> None:
     rig.tick(0.6)
     rig.tick(0.6)

@@ -248,6 +248,24 @@ def test_a_start_whose_confirmation_gets_lost_is_repeated() -> None:
     assert rows[0].block == 0 and np.diff([row.t_s for row in rows]) == pytest.approx(driver.tick_s, abs=3e-6)
 
 
+def test_a_relay_that_was_stored_otherwise_is_refused() -> None:
+    """Its confirmation repeats what was stored."""
+    board, driver = armed_driver()
+    read, reader = board.read, FrameReader()
+
+    def another(timeout_s: float) -> bytes:
+        packets = reader.feed(read(timeout_s))
+        stored = [
+            p._replace(body=RelaySetup.unpack(p.body)._replace(z_bound=7).pack()) if p.kind == Kind.RELAY_REPLY else p
+            for p in packets
+        ]
+        return b"".join(encode(p.kind, p.seq, p.body) for p in stored)
+
+    board.read = another  # type: ignore[method-assign]
+    fault = fault_of(lambda: start(board, driver))
+    assert fault.code == "ARM_READBACK" and "z_bound=7" in fault.detail
+
+
 @pytest.mark.parametrize("damage", ["lost", "a bit"])
 def test_a_block_that_is_missing_is_a_fault(damage: str) -> None:
     board, driver = armed_driver()

@@ -15,7 +15,7 @@ from rig.faults import Fault
 from rig.loop.clock import MonotonicClock, VirtualClock
 from rig.loop.statistics import LoopStatistics, Times, quantiles
 from rig.loop.stop_request import stop_on_signals
-from rig.signals import FLAG_SKIPPED
+from rig.signals import FLAG_SATURATED, FLAG_SKIPPED
 
 
 class Stalling:
@@ -63,6 +63,27 @@ def test_a_row_holds_the_drive_that_acts_from_its_effect_time_on() -> None:
     assert rows[3]["u_V"] == pytest.approx(20 * 12 / 799)
     assert rows[3]["asked_V"] == 0.305
     assert rows[-1]["u_V"] == 0.0
+
+
+def test_a_drive_that_acts_otherwise_than_asked_is_flagged_unless_it_was_lost() -> None:
+    """The device may clip it; of one that never arrived the effect time tells, and the one before still acts."""
+    bench = simulated_bench()
+    read, ticks = bench.driver.read, [0]
+
+    def odd():  # type: ignore[no-untyped-def]
+        ticks[0] += 1
+        sample = read()
+        if ticks[0] == 5:
+            return sample._replace(u_V=0.1)
+        if ticks[0] == 8:
+            return sample._replace(u_V=0.1, t_u_s=sample.t_u_s - PERIOD_S)
+        return sample
+
+    bench.driver.read = odd  # type: ignore[method-assign]
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(0.3, 0.12), "jog")
+    assert [k for k, row in enumerate(bench.record.rows) if row["flags"] & FLAG_SATURATED] == [3]
+    assert [k for k, row in enumerate(bench.record.rows) if row["u_V"] == 0.1] == [3, 6]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

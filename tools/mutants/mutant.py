@@ -1,0 +1,81 @@
+"""One defect: where it is anchored, what is written there instead, which tests are to find it."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass
+from pathlib import Path
+
+from mutants.functions import spans
+
+
+class AnchorError(Exception):
+    """The text that a mutant replaces is not there, not once, or its replacement changes nothing."""
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A defect.
+
+    name        what is wrong then, in words
+    path        file, from the root of the tree
+    function    in which it is anchored, qualified; empty: the whole file
+    old, new    text in that function, and what stands there instead
+    killers     tests that it meets first: pytest node ids, or ``firmware/tests/test_x.c::test_y``
+    occurrence  which one of several ``old`` in the function; None: there must be exactly one
+    """
+
+    name: str
+    path: str
+    function: str
+    old: str
+    new: str
+    killers: tuple[str, ...]
+    occurrence: int | None = None
+
+    @property
+    def is_c(self) -> bool:
+        """Whether it is in the firmware."""
+        return self.path.endswith((".c", ".h"))
+
+    def applied(self, text: str) -> str:
+        """The file's text with the defect. Raises AnchorError."""
+        at = [
+            place
+            for start, end in spans(text, self.function, is_c=self.is_c)
+            for place in _places(text[start:end], self.old, start)
+        ]
+        where = f"{self.path}, {self.function or 'anywhere'}"
+        if self.occurrence is None and len(at) != 1:
+            raise AnchorError(f"{where}: {len(at)} times, not once: {self.old!r}")
+        number = self.occurrence or 0
+        if number >= len(at):
+            raise AnchorError(f"{where}: {len(at)} times, the mutant is of number {number + 1}: {self.old!r}")
+        changed = text[: at[number]] + self.new + text[at[number] + len(self.old) :]
+        if not self.is_c and _tree(changed, where) == _tree(text, where):
+            raise AnchorError(f"{where}: the change changes nothing: {self.old!r}")
+        return changed
+
+    def applied_in(self, root: Path) -> str:
+        """As ``applied``, to the file in a tree; also where it is gone."""
+        try:
+            text = (root / self.path).read_text(encoding="utf-8")
+        except FileNotFoundError as error:
+            raise AnchorError(f"{self.path}: no such file") from error
+        return self.applied(text)
+
+
+def _places(text: str, what: str, offset: int) -> list[int]:
+    found = []
+    at = text.find(what)
+    while at >= 0:
+        found.append(offset + at)
+        at = text.find(what, at + 1)
+    return found
+
+
+def _tree(text: str, where: str) -> str:
+    try:
+        return ast.dump(ast.parse(text))
+    except SyntaxError as error:
+        raise AnchorError(f"{where}: that is no Python: {error}") from error

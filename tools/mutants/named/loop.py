@@ -1,0 +1,151 @@
+"""Defects of the loop and of what stands between config and bench."""
+
+from __future__ import annotations
+
+from mutants.named.writing import in_file, of, row
+
+
+def _runner(*names: str) -> tuple[str, ...]:
+    return in_file("tests/loop/test_loop_runner.py", *names)
+
+
+def _in_device(*names: str) -> tuple[str, ...]:
+    return in_file("tests/hil/test_hil_device_relay.py", *names)
+
+
+RUNNER = of(
+    "rig/loop/runner.py",
+    (
+        "safe_stop is not sent",
+        "Loop._stop_confirmed",
+        "stopped = self._driver.safe_stop()",
+        "stopped = True",
+        _runner("test_any_exception_of_a_law_ends_in_a_safe_stop"),
+    ),
+    (
+        "a stop that is not confirmed is no fault",
+        "Loop.armed",
+        "if not stopped:",
+        "if False:",
+        in_file("tests/experiment/test_experiment_ends.py", "test_an_unconfirmed_stop_is_a_fault"),
+    ),
+    (
+        "the law's drive goes out, not the guard's",
+        "Loop._run_tick",
+        "u_V, flags = self.guard.allow(sample, law.step(sample))",
+        "u_V = law.step(sample)\n            _, flags = self.guard.allow(sample, u_V)",
+        in_file("tests/control/test_control_guard.py", "test_full_drive_from_anywhere_never_passes_the_hard_limit"),
+    ),
+    (
+        "the reading that ended the run is not recorded",
+        "Loop._run_tick",
+        "            self._record_tick(law, stage, sample, 0.0, late_us, io_us, 0)\n",
+        "",
+        row("sensor wire broken", "modbus"),
+    ),
+    (
+        "the last row never learns what its drive did",
+        "Loop.armed",
+        "            self._finish_row()\n",
+        "",
+        _runner("test_a_row_holds_the_drive_that_acts_from_its_effect_time_on"),
+    ),
+    (
+        "signals are not looked at",
+        "Loop._await_tick",
+        "        self.check_stop()\n",
+        "",
+        row("host SIGTERM", "board"),
+    ),
+    (
+        "late ticks are caught up",
+        "Loop._end_tick",
+        "self._tick += 1 + self._skipped",
+        "self._tick += 1",
+        _runner("test_ticks_lie_on_the_grid_and_late_ones_are_skipped_and_counted_never_caught_up"),
+    ),
+    (
+        "a dead recorder is not noticed",
+        "Loop._end_tick",
+        "            self._record.check()\n",
+        "            pass\n",
+        _runner("test_a_dead_recorder_ends_the_run"),
+    ),
+    (
+        "the guard keeps what it saw before a pause",
+        "Loop.armed",
+        "            self.guard.rearm()\n",
+        "",
+        _runner("test_the_grid_goes_on_after_a_pause_between_two_armings"),
+    ),
+    (
+        "a relay in the device that decides otherwise is believed",
+        "Loop._take_row",
+        "if row.u_V != decided_V:",
+        "if False:",
+        _in_device("test_a_device_that_decides_otherwise_is_found_out"),
+    ),
+    (
+        "the guard's word on a relay in the device is ignored",
+        "Loop._take_row",
+        "if passed_V != row.u_V:",
+        "if False:",
+        _in_device("test_the_guard_stops_what_it_would_not_let_out"),
+    ),
+    (
+        "the last rows of a relay in the device are dropped",
+        "Loop._record_last_rows",
+        "                self._untaken.extend(driver.read_rows())\n",
+        "                pass\n",
+        _in_device("test_whatever_ends_the_run_each_row_that_came_is_in_the_record"),
+    ),
+    (
+        "a drive that was clipped is not flagged",
+        "Loop._complete_row",
+        "FLAG_SATURATED if clipped else 0",
+        "0",
+        _runner("test_a_drive_that_acts_otherwise_than_asked_is_flagged_unless_it_was_lost"),
+    ),
+)
+
+REHEARSAL = of(
+    "rig/loop/rehearsal.py",
+    (
+        "a rehearsal that leaves the soft limits passes",
+        "rehearse",
+        "if reached[0] < low or reached[1] > high:",
+        "if False:",
+        in_file("tests/loop/test_loop_rehearsal.py", "test_one_that_leaves_the_soft_limits_must_not_drive_the_bench"),
+    ),
+    (
+        "a rehearsal that asks for too much drive passes",
+        "rehearse",
+        "if tracking.largest_u_V > guard.limits.max_u_V:",
+        "if False:",
+        in_file("tests/loop/test_loop_rehearsal.py", "test_one_that_asks_for_more_than_the_largest_drive_must_not"),
+    ),
+)
+
+SIGNALS = of(
+    "rig/loop/stop_request.py",
+    (
+        "SIGHUP kills the run",
+        "",
+        "STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)",
+        "STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)",
+        _runner("test_signals_end_in_a_safe_stop_and_handlers_come_back"),
+    ),
+)
+
+BENCH = of(
+    "rig/bench.py",
+    (
+        "the guard is not told of the device's watchdog time",
+        "guard_settings_of",
+        " + device_watchdog_s(experiment)",
+        "",
+        in_file("tests/config/test_config_preflight.py", "test_the_guard_reckons_with_every_term_of_the_stopping_sum"),
+    ),
+)
+
+MUTANTS = (*RUNNER, *REHEARSAL, *SIGNALS, *BENCH)

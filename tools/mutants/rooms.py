@@ -1,0 +1,17 @@
+"""The rooms that are changed at random, and the survivors that no test can tell from the code."""
+
+from __future__ import annotations
+
+from mutants.sampled import Room
+
+SEED = "rig 11"
+
+ROOMS = (
+    Room("rig/control", 60, ("tests/control", "tests/loop/test_loop_runner.py", "tests/loop/test_loop_order.py")),
+    Room("rig/loop", 20, ("tests/loop", "tests/replay", "tests/hil/test_hil_device_relay.py")),
+    Room("rig/daq", 25, ("tests/daq", "tests/hil/test_hil_device_relay.py", "tests/hil/test_hil_driver.py")),
+    Room("rig/recording", 15, ("tests/recording",)),
+)
+
+# name of a mutant: why what it does is what the code does
+EQUIVALENT: dict[str, str] = {}
