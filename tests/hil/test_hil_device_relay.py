@@ -412,6 +412,14 @@ def test_the_guard_stops_what_it_would_not_let_out() -> None:
     assert bench.record.rows[-1]["t_s"] == pytest.approx(bench.loop.now_s, abs=1.06)
 
 
+def test_a_drive_that_the_guard_would_not_let_out_ends_the_run_though_nothing_is_too_fast() -> None:
+    quick = replace(GUARD, max_speed_rad_s=30.0)
+    bench = DeviceBench(motor=Motor(0.17, 14.0, coulomb(0.3)), gains_V=(0.4, 1.2), guard=quick)
+    fault = fault_of(bench.run)
+    assert fault.code == "RELAY_STOPPED" and "predicted stop" in fault.detail
+    assert bench.board.truth().pin_V == 0.0
+
+
 def test_a_device_that_decides_otherwise_is_found_out() -> None:
     bench = DeviceBench()
     setup = bench.command.setup

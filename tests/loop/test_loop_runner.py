@@ -122,6 +122,19 @@ def test_any_exception_of_a_law_ends_in_a_safe_stop() -> None:
     assert bench.driver.bench.motor_V == 0.0
 
 
+def test_the_reading_that_ended_the_run_is_the_records_last_row() -> None:
+    class Failing(Constant):
+        def step(self, sample) -> float:  # type: ignore[no-untyped-def]
+            return math.nan if sample.t_s > 0.115 else 0.3
+
+    bench = simulated_bench()
+    with pytest.raises(Fault, match="LAW_FAILED"), bench.loop.armed(LIMITS):
+        bench.loop.run(Failing(0.3, 1.0), "jog")
+    *_, before, last = bench.record.rows
+    assert last["t_s"] == pytest.approx(0.12) and last["u_V"] == 0.0 and last["t_u_s"] is None
+    assert before["t_s"] == pytest.approx(0.11) and before["t_u_s"] is not None
+
+
 def test_a_dead_recorder_ends_the_run() -> None:
     bench = simulated_bench()
 
@@ -147,6 +160,16 @@ def test_the_grid_goes_on_after_a_pause_between_two_armings() -> None:
     times = [row["t_s"] for row in bench.record.rows]
     assert times == sorted(times)
     assert bench.record.rows[-1]["t_s"] == pytest.approx(bench.record.rows[-1]["tick"] * PERIOD_S, abs=1e-9)
+
+
+def test_a_stand_before_a_pause_is_none_after_it() -> None:
+    """The guard forgets what it saw before: else the pause would count as a stand under the drive."""
+    bench = simulated_bench()
+    bench.guard.static_V = 0.2  # so that a drive that moves nothing counts
+    for _ in range(2):
+        with bench.loop.armed(LIMITS):
+            bench.loop.run(Constant(0.3, 0.2), "jog")
+        bench.clock.sleep_until(bench.clock.now_s() + 1.0)
 
 
 def test_quantiles_are_values_that_occurred() -> None:

@@ -62,14 +62,14 @@ GUARD = of(
         "Guard._limit_travel",
         "v * (s.reaction_s + s.coast_tau_s)",
         "v * s.coast_tau_s",
-        _guard("test_it_stops_inside_the_hard_limit_even_if_the_host_dies_at_any_instant"),
+        _guard("test_the_predicted_stop_counts_the_reaction_watchdog_and_all_and_the_way_that_the_shaft_coasts"),
     ),
     (
         "predicted stop ignores how far the shaft coasts",
         "Guard._limit_travel",
         "v * (s.reaction_s + s.coast_tau_s)",
         "v * s.reaction_s",
-        _guard("test_it_stops_inside_the_hard_limit_even_if_the_host_dies_at_any_instant"),
+        _guard("test_the_predicted_stop_counts_the_reaction_watchdog_and_all_and_the_way_that_the_shaft_coasts"),
     ),
     (
         "more than the largest drive passes",
@@ -83,7 +83,7 @@ GUARD = of(
         "Guard._limit_travel",
         "self.recovering = False",
         "pass",
-        _guard("test_jog_recovers_inward_from_beyond_the_hard_limit_and_not_outward"),
+        _guard("test_recovering_ends_inside_the_soft_limits_where_the_hard_ones_hold_again"),
     ),
     ("sensor rail off", "Guard._check_sensor", "if not low < sample.y_counts < high:", "if False:", _FAULTS),
     ("sensor jump off", "Guard._check_sensor", "if step > allowed:", "if False:", _FAULTS),
@@ -141,14 +141,14 @@ GUARD = of(
         "Guard.allow",
         "if not math.isfinite(asked_V):",
         "if False:",
-        _FAULTS,
+        _guard("test_a_drive_that_is_no_number_is_the_laws_failure"),
     ),
     (
         "motion before a pause is remembered",
         "Guard.rearm",
         "        self._last = None\n",
         "",
-        in_file("tests/loop/test_loop_runner.py", "test_the_grid_goes_on_after_a_pause_between_two_armings"),
+        _guard("test_what_was_seen_before_a_pause_says_nothing_after_it"),
     ),
 )
 

@@ -41,7 +41,7 @@ RUNNER = of(
         "Loop._run_tick",
         "            self._record_tick(law, stage, sample, 0.0, late_us, io_us, 0)\n",
         "",
-        row("sensor wire broken", "modbus"),
+        _runner("test_the_reading_that_ended_the_run_is_the_records_last_row"),
     ),
     (
         "the last row never learns what its drive did",
@@ -76,7 +76,7 @@ RUNNER = of(
         "Loop.armed",
         "            self.guard.rearm()\n",
         "",
-        _runner("test_the_grid_goes_on_after_a_pause_between_two_armings"),
+        _runner("test_a_stand_before_a_pause_is_none_after_it"),
     ),
     (
         "a relay in the device that decides otherwise is believed",
@@ -90,7 +90,7 @@ RUNNER = of(
         "Loop._take_row",
         "if passed_V != row.u_V:",
         "if False:",
-        _in_device("test_the_guard_stops_what_it_would_not_let_out"),
+        _in_device("test_a_drive_that_the_guard_would_not_let_out_ends_the_run_though_nothing_is_too_fast"),
     ),
     (
         "the last rows of a relay in the device are dropped",
