@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import fcntl
+import signal
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -37,6 +38,8 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=OUT, help=f"where the page goes (default: {OUT})")
     given = parser.parse_args()
     is_part = given.only != "" or given.part is not None
+    for number in (signal.SIGTERM, signal.SIGINT):  # what runs ends with it, also in the background
+        signal.signal(number, signal.default_int_handler)
     FOLDER.mkdir(parents=True, exist_ok=True)
     with (FOLDER / "lock").open("w") as lock:
         try:

@@ -7,10 +7,10 @@ from mutants.sampled import Room
 SEED = "rig 11"
 
 ROOMS = (
-    Room("rig/control", 60, ("tests/control", "tests/loop/test_loop_runner.py", "tests/loop/test_loop_order.py")),
-    Room("rig/loop", 20, ("tests/loop", "tests/replay", "tests/hil/test_hil_device_relay.py")),
-    Room("rig/daq", 25, ("tests/daq", "tests/hil/test_hil_device_relay.py", "tests/hil/test_hil_driver.py")),
-    Room("rig/recording", 15, ("tests/recording",)),
+    Room("rig/control", 24, ("tests/control", "tests/loop/test_loop_runner.py", "tests/loop/test_loop_order.py")),
+    Room("rig/loop", 12, ("tests/loop", "tests/replay", "tests/hil/test_hil_device_relay.py")),
+    Room("rig/daq", 14, ("tests/daq", "tests/hil/test_hil_device_relay.py", "tests/hil/test_hil_driver.py")),
+    Room("rig/recording", 10, ("tests/recording",)),
 )
 
 # name of a mutant: why what it does is what the code does
