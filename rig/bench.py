@@ -250,7 +250,7 @@ def emulated_board(
     emulated, seed = experiment.emulated.model_dump(), experiment.seed
     if chip or experiment.daq.port in CHIP_PORTS:
         with ChipBoard() as uno:
-            uno.start(emulated, seed, link, trace, tachometer, experiment.daq.baud)
+            uno.start(emulated, seed, link, trace, tachometer, experiment.daq.baud, experiment.drive.bridge)
             yield uno
     else:
         with HostBoard() as board:
@@ -366,7 +366,11 @@ def emulated_chip(experiment: Experiment) -> VirtualChip:
         raise ValueError("the config has no section `emulated`")
     tachometer = None if experiment.tachometer is None else experiment.tachometer.model_dump()
     return VirtualChip.from_mapping(
-        experiment.emulated.model_dump(), experiment.seed, tachometer, baud=experiment.daq.baud
+        experiment.emulated.model_dump(),
+        experiment.seed,
+        tachometer,
+        baud=experiment.daq.baud,
+        bridge=experiment.drive.bridge,
     )
 
 
@@ -388,6 +392,7 @@ def _driver(experiment: Experiment, transport: Transport, name: str, *, emulated
         experiment.daq.open_timeout_s,
         None if t is None else TachometerScale(t.rad_s_per_count, t.zero_counts, t.gear_ratio),
         counts_max=experiment.sensor.counts_max,
+        bridge=experiment.drive.bridge,
         name=name,
         emulated=emulated,
     )

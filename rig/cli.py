@@ -39,6 +39,7 @@ from rig.terminal import (
 
 if TYPE_CHECKING:  # scipy comes with it
     from rig.identify import IdentifyError
+    from rig.session import OnStart
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -192,7 +193,7 @@ def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool)
     experiment = _load(config_path)
     if not abs(u_V) <= experiment.drive.max_V:
         _fail(EXIT_BAD_INPUT, f"--u-V {u_V:g} is beyond drive.max_V {experiment.drive.max_V:g}", "ask for less")
-    outcome = _perform(lambda _: script.jog(experiment, u_V, seconds, out), as_json)
+    outcome = _perform(lambda on_start: script.jog(experiment, u_V, seconds, out, on_start), as_json)
     moved = outcome.result.get("jog")
     if moved is not None and not as_json:
         click.echo(f"y {moved['from_rad']:+.3f} -> {moved['to_rad']:+.3f} rad")
@@ -577,13 +578,15 @@ def _faults() -> Any:
         _fail_input(error)
 
 
-def _perform(start: Callable[[Callable[[Path], None]], Any], as_json: bool) -> Any:
+def _perform(start: Callable[[OnStart], Any], as_json: bool) -> Any:
     """Run with live progress on a terminal; show the end of it, unless JSON was asked for."""
     from rig.recording.follow import following
 
     with _faults(), contextlib.ExitStack() as stack:
 
-        def on_start(folder: Path) -> None:
+        def on_start(folder: Path, said: tuple[str, ...]) -> None:
+            for line in said:
+                click.echo(f"rig: {line}", err=True)
             if not as_json and Console(stderr=True).is_terminal:
                 stack.enter_context(following(folder))
 

@@ -88,13 +88,15 @@ def run_tracking(
     return record(experiment, parent, {"name": "track"}, script, on_start)
 
 
-def jog(experiment: Experiment, u_V: float, duration_s: float, parent: Path) -> Outcome:
+def jog(
+    experiment: Experiment, u_V: float, duration_s: float, parent: Path, on_start: OnStart | None = None
+) -> Outcome:
     """A constant drive for a short time, within the limits; from outside them only inward."""
 
     def script(session: Session) -> None:
         drive_by_hand(session, u_V, duration_s)
 
-    return record(experiment, parent, {"name": "jog", "u_V": u_V, "duration_s": duration_s}, script, None)
+    return record(experiment, parent, {"name": "jog", "u_V": u_V, "duration_s": duration_s}, script, on_start)
 
 
 def drive_tests(session: Session) -> None:

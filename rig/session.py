@@ -20,7 +20,7 @@ from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import GainSearch
 from rig.control.guard import Guard
 from rig.control.tracking import tracking_error
-from rig.faults import Fault
+from rig.faults import FAULTS, Fault
 from rig.identify import Identification, IdentifyError, identify
 from rig.loop.real_time import RealTime
 from rig.loop.runner import STOPPING, Loop
@@ -33,6 +33,15 @@ from rig.recording.recorder import Recorder
 from rig.report import write_report
 
 FADE_S = 1.5  # of the tracking reference; errors count after it
+_LONG_GAP_S = 0.1  # between two readings of a device that latches no e-stop
+# what opening the device has cleared
+_SINCE_THE_LAST_RUN = {
+    "DEVICE_ESTOP": "e-stop pressed",
+    "DEVICE_WATCHDOG": "the device's watchdog took the drive off",
+    "DEVICE_TRAVEL": "the shaft was beyond a hard limit",
+    "DEVICE_SENSOR": "the position sensor was at its rail",
+    "DEVICE_END_SWITCH": "an end switch opened",
+}
 
 
 @dataclass
@@ -82,7 +91,7 @@ class Session:
 
 
 Script = Callable[[Session], None]
-OnStart = Callable[[Path], None]
+OnStart = Callable[[Path, tuple[str, ...]], None]  # told of the run folder, and of what the device had latched
 
 
 def record(
@@ -101,20 +110,26 @@ def record(
             write_config(folder, dump(experiment))
             meta = _meta(experiment, bench, started) | {"script": what}
             write_meta(folder, meta)
+            said = tuple(_cleared(code) for code in bench.info.acknowledged)
             recorder = Recorder(folder, _stages(experiment))
             try:
                 if on_start is not None:
-                    on_start(folder)
+                    on_start(folder, said)
                 guard = Guard(guard_settings_of(experiment))
                 loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
-                session = Session(experiment, folder, bench, recorder, loop, meta)
+                session = Session(experiment, folder, bench, recorder, loop, meta, notes=list(said))
                 fault = _run_script(script, session)
             finally:
                 lost = _close(recorder)
         outcome = Outcome(session.folder, {}, fault or lost)
-        _measure_tracking(session)
+        _measure_tracking(session, outcome)
         _write_result(session, outcome)
     return _conclude(session, outcome)
+
+
+def _cleared(code: str) -> str:
+    words = _SINCE_THE_LAST_RUN.get(code, FAULTS[code].cause)
+    return f"{words} since the last run: the device had latched {code}"
 
 
 def _run_script(script: Script, session: Session) -> Fault | None:
@@ -130,6 +145,8 @@ def _run_script(script: Script, session: Session) -> Fault | None:
     except Exception as error:  # noqa: BLE001 - whatever it is, the run ends with its record and a result
         fault = Fault("INTERNAL", f"{type(error).__name__}: {error}")
         session.note("traceback", text="".join(traceback.format_exception(error))[-2000:])
+    finally:
+        session.loop.close()
     if fault is not None:
         session.note("fault", **fault.as_dict())
     braked = session.loop.guard.braked_ticks
@@ -139,6 +156,12 @@ def _run_script(script: Script, session: Session) -> Fault | None:
         )
     if session.loop.unconfirmed_stops:
         session.notes.append("the device did not confirm the stop: its watchdog sets 0 V; see that the shaft stands")
+    gap_s = session.loop.pause_watch.longest_gap_s
+    if gap_s > _LONG_GAP_S:
+        session.notes.append(
+            f"in a pause the device was not asked for {1e3 * gap_s:.0f} ms: an e-stop opened for less may have passed "
+            "unseen; wire the e-stop so that it cuts the motor's supply"
+        )
     session.note("end")
     return fault
 
@@ -161,6 +184,8 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
                 session.identification = identify([recording])
         except (IdentifyError, RecordingError) as error:
             session.notes.append(f"nothing to identify: {error.cause}")
+        except Exception as error:  # noqa: BLE001 - the result that is written already stays, and says so
+            outcome.failures.append(f"the record was not identified: {_defect(error)}")
         _write_result(session, outcome)
     try:
         write_report(session.folder, session.identification)
@@ -168,7 +193,13 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
         outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
     except OSError as error:
         outcome.failures.append(f"no report: {error}")
+    except Exception as error:  # noqa: BLE001 - record and result are there
+        outcome.failures.append(f"no report: {_defect(error)}")
     return outcome
+
+
+def _defect(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}; please report this with the run folder"
 
 
 def _write_result(session: Session, outcome: Outcome) -> None:
@@ -179,18 +210,22 @@ def _write_result(session: Session, outcome: Outcome) -> None:
         outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
 
 
-def _measure_tracking(session: Session) -> None:
+def _measure_tracking(session: Session, outcome: Outcome) -> None:
     """Errors of the tracking runs that came to their end."""
     finished = [method for method, entry in session.tracking.items() if not entry]
-    if not finished:
-        return
-    recording = read_run(session.folder)
     for method in finished:
-        rows = recording.stage_rows(f"track:{method}")
-        rms_rad, max_rad = tracking_error(
-            recording.t_s[rows], recording.y_rad[rows], recording.yd_rad[rows], after_s=FADE_S
-        )
-        session.tracking[method] = {"rms_rad": rms_rad, "max_rad": max_rad}
+        try:
+            recording = read_run(session.folder)
+            rows = recording.stage_rows(f"track:{method}")
+            rms_rad, max_rad = tracking_error(
+                recording.t_s[rows], recording.y_rad[rows], recording.yd_rad[rows], after_s=FADE_S
+            )
+        except Exception as error:  # noqa: BLE001 - whatever it is, the run has its result
+            words = error.cause if isinstance(error, RecordingError) else _defect(error)
+            session.tracking[method] = {"not_run": f"it ran, but its record cannot be read: {words}"}
+            outcome.failures.append(f"no tracking error of {method}: {words}")
+        else:
+            session.tracking[method] = {"rms_rad": rms_rad, "max_rad": max_rad}
 
 
 def _result(session: Session, fault: Fault | None) -> dict[str, Any]:

@@ -11,16 +11,27 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from rig.daq.frames import Kind, RelaySetup, Setup, encode, pack_drive
+from rig.daq.frames import VERSION, Code, Kind, RelaySetup, Setup, encode, pack_ack, pack_arm, pack_drive
 
 CORPUS = Path(__file__).resolve().parent.parent / "firmware" / "tests" / "corpus"
 
-SETUP = Setup(hard_lo=100, hard_hi=900, rail_lo=5, rail_hi=1018, centre=512, max_drive=200, watchdog_ms=20, polarity=1)
+SESSION = 0x12345678
+SETUP = Setup(
+    session=SESSION,
+    hard_lo=100,
+    hard_hi=900,
+    rail_lo=5,
+    rail_hi=1018,
+    centre=512,
+    max_drive=200,
+    watchdog_ms=20,
+    polarity=1,
+)
 RELAY = RelaySetup(drive=(-160, 40, -40, 160), centre=512 * 16, z_bound=30000, direction=1, rows=10)
 
 # the board's byte: 10-bit converter with contacts and supply; + what a situation changes
 BOARD = 4 | 8
-NO_CONTACTS, TWELVE_BITS, BEFORE_WRAP, LAGGING, FINE_DRIVE = -4, 1, 16, 32, 64
+NO_CONTACTS, TWELVE_BITS, ENCODER, BEFORE_WRAP, LAGGING, FINE_DRIVE = -4, 1, 2, 16, 32, 64
 ESTOP, END_LOW, END_HIGH = 1, 2, 4  # of a step `contacts`
 
 
@@ -42,7 +53,7 @@ def wait(us: int) -> bytes:
 
 def reading(counts: int) -> bytes:
     """The position sensor's counts from now on."""
-    return step(2, 0, counts.to_bytes(2, "little"))
+    return step(2, 0, counts.to_bytes(4, "little"))
 
 
 def contacts(bits: int) -> bytes:
@@ -50,21 +61,21 @@ def contacts(bits: int) -> bytes:
     return step(3, bits)
 
 
-def content(kind: int, body: bytes = b"", seq: int = 7, version: int = 1) -> bytes:
+def content(kind: int, body: bytes = b"", seq: int = 7, version: int = VERSION) -> bytes:
     """A packet without its CRC."""
     return bytes([version, kind]) + seq.to_bytes(2, "little") + body
 
 
-def frame(kind: int, body: bytes = b"", seq: int = 7, version: int = 1) -> bytes:
+def frame(kind: int, body: bytes = b"", seq: int = 7, version: int = VERSION) -> bytes:
     """A frame whose CRC the harness puts in, so that what changes in it still counts."""
     packet = content(kind, body, seq, version)
-    return step(4, len(packet), packet)
+    return step(4, 0, bytes([len(packet)]) + packet)
 
 
 def damaged(kind: int, body: bytes = b"", where: int = 3, bits: int = 0x10) -> bytes:
     """The same with some bits of one byte on the wire changed."""
     packet = content(kind, body)
-    return step(5, len(packet), bytes([where, bits]) + packet)
+    return step(5, 0, bytes([len(packet), where, bits]) + packet)
 
 
 def raw(data: bytes) -> bytes:
@@ -82,12 +93,21 @@ def drive(units: int) -> bytes:
     return frame(Kind.DRIVE, pack_drive(units))
 
 
-READ, ARM, STOP, KEEP, HELLO = (frame(k) for k in (Kind.READ, Kind.ARM, Kind.STOP, Kind.KEEP, Kind.HELLO))
+def ack(code: int) -> bytes:
+    """An ACK frame."""
+    return frame(Kind.ACK, pack_ack(code))
+
+
+READ, STOP, KEEP, HELLO = (frame(k) for k in (Kind.READ, Kind.STOP, Kind.KEEP, Kind.HELLO))
+ARM = frame(Kind.ARM, pack_arm(SESSION))
+ALL_SEEN = b"".join(
+    ack(code) for code in (*range(Code.WATCHDOG, Code.DRIVE_RANGE + 1), *range(Code.POLARITY, Code.SESSION))
+)
 
 
 def armed(setup: Setup = SETUP) -> bytes:
-    """Set up and armed."""
-    return frame(Kind.SETUP, setup.pack()) + ARM
+    """Set up and armed, after a reset."""
+    return frame(Kind.SETUP, setup.pack()) + ack(Code.RESET) + ARM
 
 
 def relay(setup: RelaySetup = RELAY) -> bytes:
@@ -104,36 +124,58 @@ def core_corpus() -> dict[str, bytes]:
     """Scripts by situation."""
     swapped = RELAY._replace(drive=(160, -40, 40, -160))
     falling = SETUP._replace(polarity=-1)
-    on_the_wire = encode(Kind.SETUP, 1, SETUP.pack()) + encode(Kind.ARM, 2) + encode(Kind.DRIVE, 3, pack_drive(120))
+    on_the_wire = b"".join(
+        encode(kind, seq, body)
+        for seq, (kind, body) in enumerate(
+            [
+                (Kind.SETUP, SETUP.pack()),
+                (Kind.ACK, pack_ack(Code.RESET)),
+                (Kind.ARM, pack_arm(SESSION)),
+                (Kind.DRIVE, pack_drive(120)),
+            ]
+        )
+    )
     scripts = {
-        "hello": HELLO + READ + frame(Kind.HELLO, version=2) + frame(0x55) + frame(Kind.READ, b"\0"),
+        "hello": HELLO + READ + frame(Kind.HELLO, version=1) + frame(0x55) + frame(Kind.READ, b"\0"),
         "drive": armed() + drive(150) + ticks(5) + READ + drive(-200) + ticks(5) + STOP + ticks(2) + drive(50) + READ,
         "not_armed": drive(100) + READ + frame(Kind.SETUP, SETUP.pack()) + drive(100) + ticks(1) + relay() + KEEP,
         "no_setup": ARM + drive(100) + ticks(2) + READ,
         "beyond_range": armed() + drive(200) + ticks(1) + drive(201) + ticks(1) + drive(100) + ticks(1) + ARM
-        + drive(-201),
-        "silent": armed() + drive(100) + ticks(25) + drive(100) + ticks(2) + READ + ARM + drive(60) + ticks(3),
+        + ack(Code.DRIVE_RANGE) + ARM + drive(-201),
+        "silent": armed() + drive(100) + ticks(25) + drive(100) + ticks(2) + READ + ARM
+        + ack(Code.WATCHDOG) + ARM + drive(60) + ticks(3),
         "silent_phase": armed() + wait(700) + drive(100) + wait(320) + ticks(25),
         "read_keeps_no_drive": armed() + drive(100) + (ticks(8) + READ + KEEP) * 4,
         "travel": armed() + drive(100) + reading(901) + ticks(1) + reading(512) + drive(90) + ticks(1) + READ,
         "travel_low": armed() + drive(-100) + reading(99) + ticks(1) + READ + reading(512) + drive(90) + ticks(1),
-        "rail": armed() + drive(100) + reading(1018) + ticks(1) + ARM + reading(0) + ARM + reading(512)
-        + ARM + drive(5),
+        "rail": armed() + drive(100) + reading(1018) + ticks(1) + ARM + reading(0) + ALL_SEEN + ARM
+        + reading(512) + ALL_SEEN + ARM + drive(5),
         "rail_within_limits": armed(SETUP._replace(hard_hi=1021)) + drive(100) + reading(1019) + ticks(1),
         "recover": reading(950) + armed() + drive(-80) + ticks(3) + reading(905) + ticks(2) + reading(880) + ticks(2)
         + drive(80) + ticks(2) + reading(910) + ticks(1) + READ,
-        "recover_outward": reading(950) + armed() + drive(80) + ticks(1) + ARM + reading(960) + ticks(1) + drive(-80)
-        + reading(995) + ticks(2),
+        "recover_outward": reading(950) + armed() + drive(80) + ticks(1) + ack(Code.TRAVEL) + ARM + reading(960)
+        + ticks(1) + drive(-80) + reading(995) + ticks(2),
         "recover_low": reading(60) + armed(falling) + drive(-80) + ticks(3) + reading(120) + ticks(1)
         + drive(80) + ticks(1),
-        "end_switch": armed() + drive(100) + contacts(END_HIGH) + ticks(1) + ARM + drive(-50) + ticks(2) + contacts(0)
-        + ticks(2) + drive(50) + ticks(1) + contacts(END_LOW) + ticks(1),
+        "end_switch": armed() + drive(100) + contacts(END_HIGH) + ticks(1) + ALL_SEEN + ARM + drive(-50)
+        + ticks(2) + contacts(0) + ticks(2) + drive(50) + ticks(1) + contacts(END_LOW) + ticks(1),
         "end_switch_outward": contacts(END_LOW) + armed() + drive(-50) + ticks(2),
         "both_ends": contacts(END_LOW | END_HIGH) + armed() + drive(10) + ticks(1),
         "switch_against_position": reading(950) + contacts(END_LOW) + armed() + drive(-50) + ticks(3),
         "position_against_switch": contacts(END_HIGH) + armed() + drive(-50) + ticks(1) + reading(60) + ticks(2),
-        "estop": armed() + drive(100) + ticks(1) + contacts(ESTOP) + ticks(1) + ARM + contacts(0) + drive(60)
-        + ticks(1) + ARM,
+        "estop": armed() + drive(100) + ticks(1) + contacts(ESTOP) + ticks(1) + ack(Code.E_STOP) + ARM + contacts(0)
+        + drive(60) + ticks(1) + ARM + ack(Code.E_STOP) + ARM + drive(60),
+        "estop_in_a_pause": armed() + drive(100) + STOP + contacts(ESTOP) + ticks(1) + contacts(0) + ticks(3) + ARM
+        + drive(60) + ack(Code.E_STOP) + ARM + drive(60) + STOP + contacts(ESTOP) + READ + contacts(0) + ARM,
+        "estop_seen_by_one_request": armed() + b"".join(
+            STOP + contacts(ESTOP) + request + contacts(0) + ARM + drive(60) + ALL_SEEN + ARM
+            for request in (STOP, READ, ARM, ack(Code.TRAVEL))
+        ),
+        "rail_in_a_pause": reading(2) + ticks(1) + reading(512) + armed() + STOP + reading(2) + ticks(1) + reading(512)
+        + ARM + ack(Code.SENSOR_RAIL) + ARM + STOP + reading(950) + ticks(1) + reading(512) + ARM + drive(50),
+        "sessions": armed() + frame(Kind.ARM, pack_arm(SESSION + 1)) + drive(50) + frame(Kind.ARM, pack_arm(0)) + ARM
+        + STOP + frame(Kind.SETUP, SETUP._replace(session=0).pack()) + ARM
+        + frame(Kind.SETUP, SETUP._replace(session=9).pack()) + ARM + frame(Kind.ARM, pack_arm(9)) + drive(50),
         "setup_while_armed": armed() + drive(100) + frame(Kind.SETUP, SETUP._replace(max_drive=700).pack())
         + drive(300),
         "setup_refused": frame(Kind.SETUP, SETUP._replace(rail_hi=2000).pack())
@@ -144,14 +186,15 @@ def core_corpus() -> dict[str, bytes]:
         "relay_then_drive": armed() + relay() + kept(2) + drive(70) + ticks(4) + relay() + kept(1) + ARM
         + relay() + kept(1),
         "relay_refused": reading(520) + armed() + relay(RELAY._replace(drive=(-300, 0, 0, 160))) + relay(swapped)
-        + relay(RELAY._replace(rows=11)) + relay(RELAY._replace(centre=2**31)) + relay(RELAY._replace(z_bound=0))
+        + relay(RELAY._replace(rows=11)) + relay(RELAY._replace(centre=2**31 - 1)) + relay(RELAY._replace(z_bound=0))
         + ticks(2),
-        "relay_limit": armed() + relay() + kept(1) + reading(950) + ticks(2) + ARM + relay() + drive(-50) + ticks(1),
+        "relay_limit": armed() + relay() + kept(1) + reading(950) + ticks(2) + ALL_SEEN + ARM + relay()
+        + drive(-50) + ticks(1),
         "relay_bound": armed() + relay(RELAY._replace(z_bound=500)) + kept(2) + STOP,
         "relay_falling": armed(falling) + relay(swapped) + kept(2) + contacts(ESTOP) + READ,
         "relay_not_streamed": armed() + relay() + board(streams=False) + kept(3) + board() + ticks(1) + STOP,
         "relay_off_grid": armed() + relay() + ticks(4) + wait(300) + ticks(4) + KEEP + wait(160) + ticks(11),
-        "reset": armed() + drive(100) + board(reset=True) + drive(100) + ticks(1) + ARM,
+        "reset": armed() + drive(100) + board(reset=True) + drive(100) + ticks(1) + ARM + ALL_SEEN + ARM,
         "damaged": damaged(Kind.SETUP, SETUP.pack()) + armed() + damaged(Kind.DRIVE, pack_drive(90)) + ticks(1)
         + damaged(Kind.DRIVE, pack_drive(90), where=9, bits=0) + ticks(1),
         "on_the_wire": raw(on_the_wire) + ticks(2) + raw(on_the_wire[:20] + on_the_wire) + ticks(2),
@@ -159,7 +202,38 @@ def core_corpus() -> dict[str, bytes]:
     }  # fmt: skip
     twelve = SETUP._replace(hard_lo=400, hard_hi=3600, rail_lo=20, rail_hi=4075, centre=2048)
     fine = SETUP._replace(max_drive=32767)
+    encoder = SETUP._replace(rail_lo=0, rail_hi=2**31 - 1)
+    far = encoder._replace(hard_lo=10**9 - 50000, hard_hi=10**9 + 50000)
+    about = encoder._replace(hard_lo=6 * 10**7 - 40000, hard_hi=6 * 10**7 + 40000)
     on_boards = {
+        "encoder": (
+            ENCODER,
+            reading(10**9)
+            + armed(far)
+            + drive(100)
+            + reading(10**9 + 50001)
+            + ticks(2)
+            + ALL_SEEN
+            + ARM
+            + drive(-50)
+            + reading(10**9 + 40000)
+            + ticks(2)
+            + relay(RELAY._replace(centre=0))
+            + STOP,
+        ),
+        "far_relay": (
+            ENCODER,
+            reading(6 * 10**7)
+            + armed(about)
+            + relay(RELAY._replace(centre=96 * 10**7))
+            + ticks(3)
+            + reading(6 * 10**7 + 39000)
+            + ticks(3)
+            + reading(6 * 10**7 - 30000)
+            + ticks(3)
+            + KEEP
+            + STOP,
+        ),
         "no_contacts": (NO_CONTACTS, armed() + contacts(ESTOP) + drive(100) + ticks(3)),
         "twelve_bits": (TWELVE_BITS, armed(twelve) + drive(100) + reading(3601) + ticks(2)),
         "clock_wraps": (BEFORE_WRAP, armed() + ticks(10) + drive(100) + ticks(15) + drive(90) + ticks(25)),

@@ -5,6 +5,8 @@
 static void begin(block *next, uint16_t number)
 {
     next->t_first_us = 0;
+    next->session = 0;
+    next->first = 0;
     next->number = number;
     next->delay_us = 0;
     next->status = 0;
@@ -31,7 +33,14 @@ block *blocks_filling(blocks *b)
     return &b->ring[b->in];
 }
 
-bool blocks_breaks_grid(const blocks *b, uint32_t t_us)
+/* Modulo 2^32, which the wire's 16 bits must hold. */
+static bool is_far(int32_t counts, int32_t first)
+{
+    const uint32_t away = (uint32_t)counts - (uint32_t)first;
+    return away > 0x7FFFUL && away < 0xFFFF8000UL;
+}
+
+bool blocks_breaks_off(const blocks *b, uint32_t t_us, int32_t counts)
 {
     const block *now = &b->ring[b->in];
     if (now->n == 0u) {
@@ -39,16 +48,17 @@ bool blocks_breaks_grid(const blocks *b, uint32_t t_us)
     }
     const uint32_t due_us = now->t_first_us + (uint32_t)now->n * b->period_us;
     const uint32_t off_us = t_us - due_us; /* modulo 2^32: early is a very large number */
-    return off_us > BLOCK_JITTER_US && off_us < (uint32_t)0u - BLOCK_JITTER_US;
+    return (off_us > BLOCK_JITTER_US && off_us < (uint32_t)0u - BLOCK_JITTER_US) || is_far(counts, now->first);
 }
 
-bool blocks_add(blocks *b, uint32_t t_us, uint16_t counts, int16_t drive)
+bool blocks_add(blocks *b, uint32_t t_us, int32_t counts, int16_t drive)
 {
     block *now = &b->ring[b->in];
     if (now->n == 0u) {
         now->t_first_us = t_us;
+        now->first = counts;
     }
-    now->counts[now->n] = counts;
+    now->from_first[now->n] = (int16_t)(counts - now->first);
     now->drive[now->n] = drive;
     now->n++;
     return now->n >= b->rows;

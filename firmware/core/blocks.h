@@ -17,12 +17,14 @@
 
 typedef struct {
     uint32_t t_first_us;
+    uint32_t session;
+    int32_t first; /* counts of the first row */
     uint16_t number; /* counted from 0, modulo 2^16 */
     uint16_t delay_us;
     uint8_t status;
     uint8_t fault;
     uint8_t n;
-    uint16_t counts[BLOCK_ROWS_MAX];
+    int16_t from_first[BLOCK_ROWS_MAX]; /* counts */
     int16_t drive[BLOCK_ROWS_MAX];
 } block;
 
@@ -40,11 +42,11 @@ void blocks_init(blocks *b, uint8_t rows, uint16_t period_us);
 /* The block that rows go into now: where status, fault and delay are noted. */
 block *blocks_filling(blocks *b);
 
-/* Whether a row of this time would not fit the block: it must be closed first. */
-bool blocks_breaks_grid(const blocks *b, uint32_t t_us);
+/* Whether a row of this time, or so far from the first, would not fit the block: it must be closed first. */
+bool blocks_breaks_off(const blocks *b, uint32_t t_us, int32_t counts);
 
 /* Adds a row. Returns whether the block is full: it must be closed then. */
-bool blocks_add(blocks *b, uint32_t t_us, uint16_t counts, int16_t drive);
+bool blocks_add(blocks *b, uint32_t t_us, int32_t counts, int16_t drive);
 
 /* Hands the block over to be sent, full or not, and begins the next. */
 void blocks_close(blocks *b);

@@ -2,8 +2,14 @@
 
 bool relay_is_valid(const relay_setup *setup)
 {
-    return setup->centre >= 0 && setup->centre <= RELAY_CENTRE_MAX && setup->z_bound >= 1 &&
+    return setup->centre >= -RELAY_CENTRE_MAX && setup->centre <= RELAY_CENTRE_MAX && setup->z_bound >= 1 &&
            setup->z_bound <= RELAY_Z_MAX && (setup->direction == 1 || setup->direction == -1);
+}
+
+bool relay_reaches(const relay_setup *setup, int32_t counts)
+{
+    const int32_t middle = setup->centre / RELAY_COUNT;
+    return counts >= middle - RELAY_REACH_MAX && counts <= middle + RELAY_REACH_MAX;
 }
 
 void relay_init(relay *r, const relay_setup *setup)
@@ -32,7 +38,7 @@ static int32_t within(int32_t value, int32_t bound)
     return value < -bound ? -bound : value;
 }
 
-/* |y| < 2^20 for any reading and centre, so |z + y + y| < 2^30 + 2^21. */
+/* |y| <= 2^24 wherever the relay reaches, so |z + y + y| <= 2^30 + 2^25. */
 static void integrate(relay *r, int32_t y)
 {
     const int32_t sum = r->z + r->y + y;
@@ -42,9 +48,9 @@ static void integrate(relay *r, int32_t y)
     }
 }
 
-int16_t relay_step(relay *r, uint16_t counts)
+int16_t relay_step(relay *r, int32_t counts)
 {
-    const int32_t above = (int32_t)counts * RELAY_COUNT - r->setup.centre;
+    const int32_t above = counts * RELAY_COUNT - r->setup.centre;
     const int32_t y = r->setup.direction > 0 ? above : -above;
     if (r->sign_y == 0) {
         r->sign_y = y >= 0 ? 1 : -1;

@@ -13,7 +13,8 @@
 
 #define RELAY_COUNT 16 /* y of one count */
 #define RELAY_Z_MAX 0x40000000L
-#define RELAY_CENTRE_MAX (0xFFFFL * RELAY_COUNT)
+#define RELAY_CENTRE_MAX 0x3FFFFFFFL
+#define RELAY_REACH_MAX 0xFFFFFL /* counts on either side of the centre */
 
 /* Index of a state's drive: 2 if y is below the centre, + 1 if z is negative. */
 enum relay_state { RELAY_ABOVE_POSITIVE, RELAY_ABOVE_NEGATIVE, RELAY_BELOW_POSITIVE, RELAY_BELOW_NEGATIVE };
@@ -34,13 +35,16 @@ typedef struct {
     bool bound_reached;
 } relay;
 
-/* Whether the numbers are in range: 0 <= centre <= RELAY_CENTRE_MAX, 1 <= z_bound <= RELAY_Z_MAX, direction +-1. */
+/* Whether the numbers are in range: |centre| <= RELAY_CENTRE_MAX, 1 <= z_bound <= RELAY_Z_MAX, direction +-1. */
 bool relay_is_valid(const relay_setup *setup);
+
+/* Whether the relay can be run at this position, with room for the numbers that it makes. `setup` must be valid. */
+bool relay_reaches(const relay_setup *setup, int32_t counts);
 
 /* Begins anew: z is 0, and at the first step both relays are inward of where the shaft stands. `setup` must be valid. */
 void relay_init(relay *r, const relay_setup *setup);
 
-/* Takes this tick's reading; returns its drive. */
-int16_t relay_step(relay *r, uint16_t counts);
+/* Takes this tick's position, one that it reaches; returns its drive. */
+int16_t relay_step(relay *r, int32_t counts);
 
 #endif

@@ -3,7 +3,9 @@
 #include <stddef.h>
 
 #define US_PER_MS 1000UL
-#define SETUP_LENGTH 16u
+#define SETUP_LENGTH 30u
+#define ARM_LENGTH 4u
+#define ACK_LENGTH 1u
 #define DRIVE_LENGTH 2u
 #define RELAY_LENGTH 18u
 
@@ -47,11 +49,21 @@ static uint32_t get_u32(const uint8_t *at)
     return get_u16(at) | ((uint32_t)get_u16(&at[2]) << 16);
 }
 
-/* A number from 0 to `most`; -1 for any other. */
-static int32_t get_up_to(const uint8_t *at, int32_t most)
+/* Two's complement without the implementation-defined cast. */
+static int32_t get_i32(const uint8_t *at)
 {
-    const uint32_t value = get_u32(at);
-    return value <= (uint32_t)most ? (int32_t)value : -1;
+    const uint32_t raw = get_u32(at);
+    const uint32_t below = ~raw; /* how far below -1 */
+    return raw < 0x80000000UL ? (int32_t)raw : -1 - (int32_t)below;
+}
+
+/* -1, 0 or 1; 0 for any other byte. */
+static int8_t get_sign(uint8_t byte)
+{
+    if (byte == 0xFFu) {
+        return -1;
+    }
+    return byte == 1u ? 1 : 0;
 }
 
 /* ---- replies: a packet is made while the tick is held, and encoded and sent after that, which takes long ---- */
@@ -106,10 +118,11 @@ static void put_hello(packet *out, const rig_core *core)
     const rig_board *board = core->board;
     put_u8(out, board->board_id);
     put_u8(out, core->reset_cause);
-    put_u16(out, board->adc_max);
+    put_u8(out, board->bridge);
+    put_u8(out, board->features);
+    put_u32(out, (uint32_t)board->counts_max);
     put_u16(out, board->drive_full);
     put_u32(out, board->micros(board->context));
-    put_u8(out, board->features);
     put_u8(out, board->supply != NULL ? board->supply(board->context) : 0u);
     const char *text = board->build;
     for (uint8_t i = 0; i < RIG_BUILD_LENGTH; i++) {
@@ -122,11 +135,12 @@ static void put_hello(packet *out, const rig_core *core)
 
 static void put_setup(packet *out, const rig_setup *setup)
 {
-    put_u16(out, setup->hard_lo);
-    put_u16(out, setup->hard_hi);
-    put_u16(out, setup->rail_lo);
-    put_u16(out, setup->rail_hi);
-    put_u16(out, setup->centre);
+    put_u32(out, setup->session);
+    put_u32(out, (uint32_t)setup->hard_lo);
+    put_u32(out, (uint32_t)setup->hard_hi);
+    put_u32(out, (uint32_t)setup->rail_lo);
+    put_u32(out, (uint32_t)setup->rail_hi);
+    put_u32(out, (uint32_t)setup->centre);
     put_u16(out, setup->max_drive);
     put_u16(out, setup->watchdog_ms);
     put_u8(out, (uint8_t)setup->polarity);
@@ -136,7 +150,7 @@ static void put_setup(packet *out, const rig_setup *setup)
 static uint8_t status_of(const rig_core *core)
 {
     return (uint8_t)((core->armed ? (unsigned)RIG_STATUS_ARMED : 0u) |
-                     (core->latched ? (unsigned)RIG_STATUS_FAULT : 0u) |
+                     (core->latched != 0u ? (unsigned)RIG_STATUS_FAULT : 0u) |
                      (core->recovering != 0 ? (unsigned)RIG_STATUS_RECOVERING : 0u) |
                      (core->relaying ? (unsigned)RIG_STATUS_RELAY : 0u));
 }
@@ -144,13 +158,14 @@ static uint8_t status_of(const rig_core *core)
 static void put_state(packet *out, const rig_core *core)
 {
     put_u32(out, core->t_sample_us);
-    put_u16(out, core->counts);
+    put_u32(out, (uint32_t)core->counts);
     put_u16(out, core->tach);
     put_u32(out, core->t_drive_us);
     put_u16(out, (uint16_t)core->drive);
     put_u16(out, core->drive_seq);
     put_u8(out, status_of(core));
     put_u8(out, (uint8_t)core->fault);
+    put_u32(out, core->setup.session);
 }
 
 /* ---- drive and faults ---- */
@@ -169,19 +184,44 @@ static void disarm(rig_core *core)
     core->recovering = 0;
 }
 
-/* P7: the armed flag goes with the drive, and only ARM sets it again. Faults are looked for only while armed, so
- * the first one is the one kept. */
-static void latch(rig_core *core, enum rig_code code)
+static uint16_t bit_of(enum rig_code code)
 {
-    disarm(core);
-    core->latched = true;
-    core->fault = code;
+    const uint32_t bit = (uint32_t)1u << (uint8_t)code;
+    return (uint16_t)bit;
 }
 
-static void clear_fault(rig_core *core)
+/* P7: the armed flag goes with the drive. The first fault is the one that is told; none is forgotten. */
+static void latch(rig_core *core, enum rig_code code)
 {
-    core->latched = false;
-    core->fault = RIG_OK;
+    if (core->armed) {
+        disarm(core);
+    }
+    if (core->latched == 0u) {
+        core->fault = code;
+    }
+    core->latched |= bit_of(code);
+}
+
+static void unlatch(rig_core *core, enum rig_code code)
+{
+    core->latched &= (uint16_t)~bit_of(code);
+    if (core->fault == code) {
+        uint8_t next = (uint8_t)RIG_OK;
+        for (uint8_t other = 1; other <= (uint8_t)RIG_E_SESSION; other++) {
+            if (next == (uint8_t)RIG_OK && (core->latched & bit_of((enum rig_code)other)) != 0u) {
+                next = other;
+            }
+        }
+        core->fault = (enum rig_code)next;
+    }
+}
+
+/* A refusal that has been told. What has latched stays. */
+static void forget_refusal(rig_core *core)
+{
+    if (core->latched == 0u) {
+        core->fault = RIG_OK;
+    }
 }
 
 /* ---- sensor ---- */
@@ -189,7 +229,7 @@ static void clear_fault(rig_core *core)
 static void read_sensors(rig_core *core)
 {
     const rig_board *board = core->board;
-    core->counts = board->adc_counts(board->context, &core->t_sample_us);
+    core->counts = board->position(board->context, &core->t_sample_us);
     core->tach = board->tach_counts(board->context);
     core->inputs = board->inputs != NULL ? board->inputs(board->context) : 0u;
 }
@@ -224,22 +264,43 @@ static int8_t side(const rig_core *core)
     return is_low(core) ? -1 : 0;
 }
 
-/* What forbids any drive, wherever the shaft is; RIG_OK if nothing does. */
-static enum rig_code obstacle(const rig_core *core)
+/* Whether this forbids any drive now, wherever the shaft is. */
+static bool is_in_the_way(const rig_core *core, enum rig_code code)
 {
-    if (is_set(core, RIG_INPUT_ESTOP)) {
-        return RIG_E_ESTOP; /* P9 */
+    switch (code) {
+    case RIG_E_ESTOP:
+        return is_set(core, RIG_INPUT_ESTOP); /* P9 */
+    case RIG_E_SENSOR:
+        return core->has_setup && at_rail(core); /* P5 */
+    case RIG_E_END_SWITCH:
+        /* P9: no shaft is at both ends. A wire is broken, or the switches are swapped, and no way is inward. */
+        return core->has_setup && is_high(core) && is_low(core);
+    default:
+        return false;
     }
-    if (at_rail(core)) {
-        return RIG_E_SENSOR; /* P5 */
-    }
-    /* P9: no shaft is at both ends. A wire is broken, or the switches are swapped, and no way is inward. */
-    return is_high(core) && is_low(core) ? RIG_E_END_SWITCH : RIG_OK;
 }
 
-static bool exceeds(uint16_t greater, uint16_t less, uint16_t by)
+/* Reads all that the board senses. What must not be forgotten latches with it, armed or not: P10. Nothing else reads the
+ * contacts, since a board may tell of a short opening only once. */
+static void sense(rig_core *core)
 {
-    return greater > less && (uint16_t)(greater - less) > by;
+    static const enum rig_code ALWAYS[] = {RIG_E_ESTOP, RIG_E_SENSOR, RIG_E_END_SWITCH};
+    read_sensors(core);
+    for (uint8_t i = 0; i < 3u; i++) {
+        if (is_in_the_way(core, ALWAYS[i])) {
+            latch(core, ALWAYS[i]);
+        }
+    }
+}
+
+static uint32_t difference(int32_t greater, int32_t less)
+{
+    return (uint32_t)greater - (uint32_t)less;
+}
+
+static bool exceeds(int32_t greater, int32_t less, uint32_t by)
+{
+    return greater > less && difference(greater, less) > by;
 }
 
 static bool is_recovered(const rig_core *core)
@@ -258,20 +319,15 @@ static bool moves_outward(rig_core *core)
         core->farthest = core->counts; /* it may still coast outward from before */
         return false;
     }
-    const uint16_t allowed = (uint16_t)((core->setup.hard_hi - core->setup.hard_lo) / POLARITY_DIVISOR);
+    const uint32_t allowed = difference(core->setup.hard_hi, core->setup.hard_lo) / POLARITY_DIVISOR;
     return core->recovering > 0 ? exceeds(core->counts, core->farthest, allowed)
                                 : exceeds(core->farthest, core->counts, allowed);
 }
 
 static void sample(rig_core *core)
 {
-    read_sensors(core);
+    sense(core);
     if (!core->armed) {
-        return;
-    }
-    const enum rig_code wrong = obstacle(core);
-    if (wrong != RIG_OK) {
-        latch(core, wrong);
         return;
     }
     if (core->recovering != 0 && side(core) != -core->recovering) {
@@ -297,6 +353,7 @@ static void close_block(rig_core *core)
     now->status = status_of(core);
     now->fault = (uint8_t)core->fault;
     now->delay_us = core->delay_us;
+    now->session = core->setup.session;
     blocks_close(&core->blocks);
 }
 
@@ -311,7 +368,7 @@ static void relay_tick(rig_core *core)
             core->delay_us = (uint16_t)(core->t_drive_us - core->t_sample_us);
         }
     }
-    if (blocks_breaks_grid(&core->blocks, core->t_sample_us)) {
+    if (blocks_breaks_off(&core->blocks, core->t_sample_us, core->counts)) {
         close_block(core);
     }
     const bool full = blocks_add(&core->blocks, core->t_sample_us, core->counts, core->drive);
@@ -333,7 +390,8 @@ static void end_relay(rig_core *core)
 static bool is_valid(const rig_setup *setup, const rig_board *board)
 {
     return setup->hard_lo < setup->hard_hi && setup->rail_lo < setup->rail_hi &&
-           setup->rail_hi <= board->adc_max && /* a rail that no reading reaches would void P5 */
+           setup->rail_lo >= 0 && setup->rail_hi <= board->counts_max && /* a rail out of reach would void P5 */
+           setup->session != 0u &&
            setup->watchdog_ms >= 1u && setup->watchdog_ms <= RIG_WATCHDOG_MAX_MS &&
            setup->max_drive >= 1u && setup->max_drive <= board->drive_full &&
            (setup->polarity == 1 || setup->polarity == -1);
@@ -342,14 +400,15 @@ static bool is_valid(const rig_setup *setup, const rig_board *board)
 static void on_setup(rig_core *core, uint16_t seq, const uint8_t *body, packet *out)
 {
     rig_setup wanted;
-    wanted.hard_lo = get_u16(body);
-    wanted.hard_hi = get_u16(&body[2]);
-    wanted.rail_lo = get_u16(&body[4]);
-    wanted.rail_hi = get_u16(&body[6]);
-    wanted.centre = get_u16(&body[8]);
-    wanted.max_drive = get_u16(&body[10]);
-    wanted.watchdog_ms = get_u16(&body[12]);
-    wanted.polarity = (int8_t)(body[14] == 1u ? 1 : body[14] == 0xFFu ? -1 : 0);
+    wanted.session = get_u32(body);
+    wanted.hard_lo = get_i32(&body[4]);
+    wanted.hard_hi = get_i32(&body[8]);
+    wanted.rail_lo = get_i32(&body[12]);
+    wanted.rail_hi = get_i32(&body[16]);
+    wanted.centre = get_i32(&body[20]);
+    wanted.max_drive = get_u16(&body[24]);
+    wanted.watchdog_ms = get_u16(&body[26]);
+    wanted.polarity = get_sign(body[28]);
     if (core->armed || !is_valid(&wanted, core->board)) {
         refuse(out, RIG_SETUP, seq, RIG_E_SETUP); /* limits never change under drive */
         return;
@@ -379,12 +438,13 @@ static bool is_inward(const rig_core *core, const relay_setup *wanted)
 static enum rig_code start_relay(rig_core *core, const relay_setup *wanted, uint8_t rows)
 {
     if (!core->armed) {
-        return core->latched ? core->fault : RIG_E_NOT_ARMED; /* P1, P7 */
+        return core->latched != 0u ? core->fault : RIG_E_NOT_ARMED; /* P1, P7 */
     }
     if (core->recovering != 0) {
         return RIG_E_TRAVEL; /* P6: its drive would go either way */
     }
-    if (core->relaying || !relay_is_valid(wanted) || rows < 1u || rows > BLOCK_ROWS_MAX) {
+    if (core->relaying || !relay_is_valid(wanted) || rows < 1u || rows > BLOCK_ROWS_MAX ||
+        !relay_reaches(wanted, core->setup.hard_lo) || !relay_reaches(wanted, core->setup.hard_hi)) {
         return RIG_E_SETUP; /* gains do not change while it runs: DRIVE ends it first */
     }
     const int16_t most = (int16_t)core->setup.max_drive;
@@ -410,9 +470,9 @@ static void on_relay(rig_core *core, uint16_t seq, const uint8_t *body, packet *
     for (uint8_t i = 0; i < 4u; i++) {
         wanted.drive[i] = get_i16(&body[2u * i]);
     }
-    wanted.centre = get_up_to(&body[8], RELAY_CENTRE_MAX);
-    wanted.z_bound = get_up_to(&body[12], RELAY_Z_MAX);
-    wanted.direction = (int8_t)(body[16] == 1u ? 1 : body[16] == 0xFFu ? -1 : 0);
+    wanted.centre = get_i32(&body[8]);
+    wanted.z_bound = get_i32(&body[12]);
+    wanted.direction = get_sign(body[16]);
     const enum rig_code code = start_relay(core, &wanted, body[17]);
     if (code != RIG_OK) {
         refuse(out, RIG_RELAY, seq, code);
@@ -425,21 +485,22 @@ static void on_relay(rig_core *core, uint16_t seq, const uint8_t *body, packet *
     }
 }
 
-static enum rig_code arm(rig_core *core)
+static enum rig_code arm(rig_core *core, uint32_t session)
 {
-    if (!core->has_setup) {
-        return RIG_E_NO_SETUP; /* P1 */
-    }
     disarm(core); /* arming starts from drive 0, also when already armed */
     if (core->relaying) {
         end_relay(core);
     }
-    read_sensors(core);
-    clear_fault(core);
-    const enum rig_code wrong = obstacle(core);
-    if (wrong != RIG_OK) {
-        latch(core, wrong);
-        return wrong;
+    sense(core);
+    forget_refusal(core);
+    if (core->latched != 0u) {
+        return core->fault; /* P7, P10 */
+    }
+    if (!core->has_setup) {
+        return RIG_E_NO_SETUP; /* P1 */
+    }
+    if (session != core->setup.session) {
+        return RIG_E_SESSION; /* P11 */
     }
     core->recovering = side(core); /* P6 */
     core->farthest = core->counts;
@@ -450,7 +511,7 @@ static enum rig_code arm(rig_core *core)
 
 static void on_drive(rig_core *core, uint16_t seq, int16_t units)
 {
-    if (core->latched) {
+    if (core->latched != 0u) {
         return; /* P7 */
     }
     if (!core->armed) {
@@ -478,10 +539,28 @@ static void on_drive(rig_core *core, uint16_t seq, int16_t units)
 static void on_stop(rig_core *core, uint16_t seq, packet *out)
 {
     disarm(core);
-    read_sensors(core);
+    sense(core);
     head(out, RIG_STOP | RIG_REPLY, seq);
-    put_state(out, core); /* still names the fault that it clears */
-    clear_fault(core);
+    put_state(out, core); /* a refusal is told once more */
+    forget_refusal(core);
+}
+
+/* P7: somebody has seen this fault. Naming one that has not latched changes nothing: a reply may have got lost. */
+static void on_ack(rig_core *core, uint16_t seq, uint8_t named, packet *out)
+{
+    const enum rig_code code = named <= (uint8_t)RIG_E_SESSION ? (enum rig_code)named : RIG_OK;
+    sense(core);
+    if (code == RIG_OK) {
+        refuse(out, RIG_ACK, seq, RIG_E_SETUP);
+        return;
+    }
+    if (is_in_the_way(core, code)) {
+        refuse(out, RIG_ACK, seq, code);
+        return;
+    }
+    unlatch(core, code);
+    head(out, RIG_ACK | RIG_REPLY, seq);
+    put_state(out, core);
 }
 
 /* Length of the body of a request, or -1 for an unknown type. */
@@ -489,7 +568,6 @@ static int8_t body_length(uint8_t type)
 {
     switch (type) {
     case RIG_HELLO:
-    case RIG_ARM:
     case RIG_READ:
     case RIG_STOP:
     case RIG_KEEP:
@@ -498,6 +576,10 @@ static int8_t body_length(uint8_t type)
         return (int8_t)RELAY_LENGTH;
     case RIG_SETUP:
         return (int8_t)SETUP_LENGTH;
+    case RIG_ARM:
+        return (int8_t)ARM_LENGTH;
+    case RIG_ACK:
+        return (int8_t)ACK_LENGTH;
     case RIG_DRIVE:
         return (int8_t)DRIVE_LENGTH;
     default:
@@ -513,7 +595,7 @@ static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bo
         on_setup(core, seq, body, out);
         break;
     case RIG_ARM: {
-        const uint8_t code = (uint8_t)arm(core);
+        const uint8_t code = (uint8_t)arm(core, get_u32(body));
         head(out, RIG_ARM | RIG_REPLY, seq);
         put_u8(out, code);
         break;
@@ -537,6 +619,9 @@ static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bo
         if (core->relaying) {
             heard(core); /* P3: it keeps nothing else alive */
         }
+        break;
+    case RIG_ACK:
+        on_ack(core, seq, body[0], out);
         break;
     default: /* RIG_STOP: body_length knows no other but HELLO */
         on_stop(core, seq, out);
@@ -579,7 +664,7 @@ static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
 
 void rig_init(rig_core *core, const rig_board *board, uint8_t reset_cause)
 {
-    const rig_setup none = {0, 0, 0, 0, 0, 0, 0, 0};
+    const rig_setup none = {0, 0, 0, 0, 0, 0, 0, 0, 0};
     core->board = board;
     frame_receiver_init(&core->rx);
     core->setup = none;
@@ -591,10 +676,11 @@ void rig_init(rig_core *core, const rig_board *board, uint8_t reset_cause)
     core->relay_acted = false;
     core->delay_us = 0;
     blocks_init(&core->blocks, BLOCK_ROWS_MAX, RIG_TICK_US);
-    clear_fault(core);
     disarm(core); /* P1 */
+    core->latched = 0;
+    latch(core, RIG_E_RESET); /* P10 */
     core->t_heard_us = core->t_drive_us;
-    read_sensors(core);
+    sense(core);
 }
 
 void rig_byte(rig_core *core, uint8_t byte)
@@ -634,8 +720,10 @@ void rig_stream(rig_core *core)
     put_u16(&out, full->delay_us);
     put_u8(&out, full->status);
     put_u8(&out, full->fault);
+    put_u32(&out, full->session);
+    put_u32(&out, (uint32_t)full->first);
     for (uint8_t i = 0; i < full->n; i++) {
-        put_u16(&out, full->counts[i]);
+        put_u16(&out, (uint16_t)full->from_first[i]);
         put_u16(&out, (uint16_t)full->drive[i]);
     }
     hold(core);

@@ -1,4 +1,4 @@
-/* The device: protocol version 1, arming, travel limits, host watchdog and latched faults.
+/* The device: protocol version 2, arming, travel limits, host watchdog and latched faults.
  *
  * Portable C99 with no hardware in it. A board fills in `rig_board` and calls
  *
@@ -20,9 +20,13 @@
  *     P4 a position outside the hard limits sets the drive to 0, at most one tick later
  *     P5 a sensor at its rail sets the drive to 0, at most one tick later
  *     P6 armed outside a hard limit, only drive inward reaches the pin
- *     P7 a fault latches: the drive stays 0 until an explicit ARM
+ *     P7 a fault latches: nothing arms until an ACK has named it, which is refused while its cause lasts; STOP and ARM
+ *        clear nothing
  *     P8 only a whole frame with a valid CRC can change anything
  *     P9 the e-stop or an end switch sets the drive to 0, at most one tick later (a board may do it sooner)
+ *    P10 the e-stop latches whether armed or not, a reset always; so do, once SETUP has told what they are, the rail and
+ *        both end switches at once. Travel and one end switch latch only while armed: P6 recovers from them
+ *    P11 ARM names the session that SETUP has begun; a reset ends it
  *
  * The relay (relay.h) is started by RELAY and drives at each tick, after P3, P4, P5 and P9 have been looked at. Whatever
  * disarms ends it; so does DRIVE, which takes over. Each of its ticks is a row that goes to the host unasked, in blocks
@@ -38,13 +42,16 @@
 #include "frames.h"
 #include "relay.h"
 
-#define RIG_PROTOCOL 1u
+#define RIG_PROTOCOL 2u
 #define RIG_TICK_US 1000u
 #define RIG_TACH_NONE 0xFFFFu
 #define RIG_BUILD_LENGTH 16u
 #define RIG_WATCHDOG_MAX_MS 1000u
 
 enum rig_board_id { RIG_BOARD_HOST = 1, RIG_BOARD_UNO = 2 };
+
+/* What the board's outputs are wired for. */
+enum rig_bridge { RIG_BRIDGE_NONE = 0, RIG_BRIDGE_PWM_DIR = 1, RIG_BRIDGE_IN1_IN2 = 2 };
 
 enum rig_reset_cause { RIG_RESET_POWER_ON = 1, RIG_RESET_EXTERNAL = 2, RIG_RESET_BROWN_OUT = 4, RIG_RESET_WATCHDOG = 8 };
 
@@ -62,6 +69,7 @@ enum rig_type {
     RIG_RELAY = 0x07,
     RIG_KEEP = 0x08,
     RIG_BLOCK = 0x89, /* unasked, while the relay runs */
+    RIG_ACK = 0x0A,
     RIG_REPLY = 0x80, /* set in the type of a reply */
     RIG_NACK = 0xFF
 };
@@ -80,7 +88,9 @@ enum rig_code {
     RIG_E_NO_SETUP = 10,
     RIG_E_POLARITY = 11,
     RIG_E_ESTOP = 12,
-    RIG_E_END_SWITCH = 13
+    RIG_E_END_SWITCH = 13,
+    RIG_E_RESET = 14,
+    RIG_E_SESSION = 15 /* the last that a bit of rig_core.latched has room for */
 };
 
 /* Contacts that a board may have; a set bit is a contact that asks for a stop. */
@@ -90,15 +100,16 @@ enum rig_input { RIG_INPUT_ESTOP = 1, RIG_INPUT_END_LOW = 2, RIG_INPUT_END_HIGH 
 typedef struct {
     void *context;                                                      /* handed to every function below */
     uint32_t (*micros)(void *context);                                  /* device clock, us, modulo 2^32 */
-    uint16_t (*adc_counts)(void *context, uint32_t *t_us);              /* newest position, and when it was sampled */
+    int32_t (*position)(void *context, uint32_t *t_us);                 /* newest, counts, and when it was sampled */
     uint16_t (*tach_counts)(void *context);                             /* velocity now, or RIG_TACH_NONE */
     void (*set_drive)(void *context, int16_t units);                    /* to the pins, at once */
     void (*transmit)(void *context, const uint8_t *bytes, uint8_t n);   /* queues; must not wait */
     uint8_t (*inputs)(void *context);                                   /* RIG_INPUT_*; NULL: the board has none */
     const char *build;                                                  /* shown in HELLO, first 16 characters */
-    uint16_t adc_max;                                                   /* largest reading */
+    int32_t counts_max;                                                 /* largest position */
     uint16_t drive_full;                                                /* units at full duty, 1 to 32767 */
     uint8_t board_id;
+    uint8_t bridge; /* of enum rig_bridge */
     uint8_t features;
     uint32_t (*arrived_us)(void *context); /* when the byte that the core is given arrived: P3; NULL: just now */
     uint8_t (*supply)(void *context); /* motor supply, 255 for 20 V; NULL: not measured */
@@ -108,11 +119,12 @@ typedef struct {
 } rig_board;
 
 typedef struct {
-    uint16_t hard_lo; /* counts; inside is hard_lo <= counts <= hard_hi */
-    uint16_t hard_hi;
-    uint16_t rail_lo; /* counts at or beyond are a broken sensor */
-    uint16_t rail_hi;
-    uint16_t centre; /* kept for the host: the limits alone say what is inward */
+    uint32_t session; /* chosen by the host, not 0 */
+    int32_t hard_lo;  /* counts; inside is hard_lo <= counts <= hard_hi */
+    int32_t hard_hi;
+    int32_t rail_lo; /* counts at or beyond are a broken sensor */
+    int32_t rail_hi;
+    int32_t centre; /* kept for the host: the limits alone say what is inward */
     uint16_t max_drive;
     uint16_t watchdog_ms;
     int8_t polarity; /* +1: positive drive raises counts */
@@ -124,17 +136,17 @@ typedef struct {
     rig_setup setup;
     bool has_setup;
     bool armed;
-    bool latched;        /* `fault` holds the drive at 0 */
-    enum rig_code fault; /* RIG_E_NOT_ARMED is reported but does not latch */
+    uint16_t latched;    /* a bit for each fault, 1 << its code: while one is set nothing arms */
+    enum rig_code fault; /* the first that latched; RIG_E_NOT_ARMED is reported but does not latch */
     int8_t recovering;   /* 0, or the side of the hard limits we were armed on: +1 above, -1 below */
-    uint16_t farthest;   /* counts, while recovering: where inward drive began */
+    int32_t farthest;    /* counts, while recovering: where inward drive began */
     uint8_t reset_cause;
     int16_t drive;       /* units now at the pin */
     uint16_t drive_seq;  /* of the DRIVE last accepted */
     uint32_t t_drive_us; /* when `drive` took effect */
     uint32_t t_heard_us; /* of the last frame that counts for P3 */
     uint32_t t_sample_us;
-    uint16_t counts;
+    int32_t counts;
     uint16_t tach;
     uint8_t inputs;
     bool relaying;       /* the relay drives */

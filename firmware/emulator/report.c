@@ -12,7 +12,11 @@
 #include "chip.h"
 #include "rig_core.h"
 
-static const uint8_t SETUP[16] = {49, 0, 0xCF, 3, 5, 0, 0xFA, 3, 0, 2, 200, 0, 100, 0, 1, 0};
+static const uint8_t SESSION[4] = {1, 0, 0, 0};
+static const uint8_t SETUP[30] = {1,    0, 0, 0, 49, 0, 0, 0, 0xCF, 3,   0, 0,   5, 0, 0,
+                                  0, 0xFA, 3, 0, 0,  0, 2, 0, 0,    200, 0, 100, 0, 1, 0};
+static const uint8_t RESET[1] = {RIG_E_RESET};
+static const uint8_t WATCHDOG[1] = {RIG_E_WATCHDOG};
 /* +-60 and +-20 units about 512 counts, blocks of ten rows */
 static const uint8_t RELAY[18] = {0xC4, 0xFF, 0xEC, 0xFF, 20, 0, 60, 0, 0, 32, 0, 0, 0, 0, 0, 16, 1, 10};
 static const uint8_t DRIVE[2] = {10, 0}; /* 0.3 V: the shaft stays */
@@ -45,8 +49,10 @@ static uint32_t pause(virtual_board *b, int64_t ns)
 static void arm(virtual_board *b)
 {
     ask(b, RIG_STOP, NULL, 0);
+    ask(b, RIG_ACK, RESET, sizeof RESET);
+    ask(b, RIG_ACK, WATCHDOG, sizeof WATCHDOG);
     ask(b, RIG_SETUP, SETUP, sizeof SETUP);
-    ask(b, RIG_ARM, NULL, 0);
+    ask(b, RIG_ARM, SESSION, sizeof SESSION);
     (void)pause(b, 10000000);
 }
 

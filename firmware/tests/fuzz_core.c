@@ -10,15 +10,15 @@
 enum step {
     STEP_TICKS,    /* n + 1 ticks of 1 ms */
     STEP_WAIT,     /* u8: 16 us each, no tick */
-    STEP_READING,  /* u16 counts, cut to the board's range */
+    STEP_READING,  /* i32 counts, cut to the board's range */
     STEP_CONTACTS, /* n: RIG_INPUT_* */
-    STEP_FRAME,    /* n bytes of content; its CRC and stuffing are put in */
-    STEP_DAMAGED,  /* u8 where, u8 which bits change, then as STEP_FRAME */
+    STEP_FRAME,    /* u8 bytes of content; its CRC and stuffing are put in */
+    STEP_DAMAGED,  /* u8 bytes, u8 where, u8 which bits change, then as STEP_FRAME */
     STEP_RAW,      /* n bytes as they are */
     STEP_BOARD     /* n & 1: the board has time to stream from now on; n & 2: it is reset */
 };
 
-#define RECOVERED_COUNTS 3u
+#define RECOVERED_COUNTS 3
 #define LAG_US 500u
 #define OUTWARD_DIVISOR 32 /* of the hard range: so far out is a wrong polarity */
 
@@ -26,7 +26,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
 static struct {
     uint32_t now_us;
-    uint16_t counts;
+    int32_t counts;
     uint8_t inputs;
     bool streams;
     int16_t pin;
@@ -42,8 +42,11 @@ static struct {
     bool set_up;
     bool permitted;  /* armed, and nothing since that ends it */
     int recovering;  /* the end at which it was armed, +1 or -1, or 0 */
-    uint16_t outmost; /* counts, while recovering: as far out as it was without a drive */
-    uint16_t hard_lo, hard_hi, rail_lo, rail_hi, max_drive, watchdog_ms;
+    int32_t outmost; /* counts, while recovering: as far out as it was without a drive */
+    int32_t hard_lo, hard_hi, rail_lo, rail_hi;
+    uint16_t max_drive, watchdog_ms;
+    uint32_t session;
+    unsigned latched; /* bits of what must not be forgotten until it is acknowledged */
     bool positive_raises;
     uint32_t t_voice_us; /* of the last frame that may keep up a drive */
 } witness;
@@ -55,6 +58,11 @@ static rig_board hardware;
 static uint16_t u16(const uint8_t *at)
 {
     return (uint16_t)(at[0] | ((unsigned)at[1] << 8));
+}
+
+static uint32_t u32(const uint8_t *at)
+{
+    return u16(at) | ((uint32_t)u16(at + 2) << 16);
 }
 
 static unsigned size_of(int units)
@@ -76,7 +84,7 @@ static uint32_t give_arrival(void *context)
     return give_micros(context) - LAG_US;
 }
 
-static uint16_t give_counts(void *context, uint32_t *t_us)
+static int32_t give_position(void *context, uint32_t *t_us)
 {
     (void)context;
     REQUIRE(board.held || board.in_tick);
@@ -136,8 +144,9 @@ static void release_tick(void *context)
 /* A block's rows tell drives that were allowed. */
 static void look_at_block(const uint8_t *content, size_t n)
 {
-    REQUIRE(n >= FRAME_HEADER + 10u && (n - FRAME_HEADER - 10u) % 4u == 0u);
-    for (size_t at = FRAME_HEADER + 10u; at < n; at += 4u) {
+    REQUIRE(n >= FRAME_HEADER + 18u && (n - FRAME_HEADER - 18u) % 4u == 0u);
+    REQUIRE(u32(content + FRAME_HEADER + 10u) == witness.session);
+    for (size_t at = FRAME_HEADER + 18u; at < n; at += 4u) {
         REQUIRE(size_of((int16_t)u16(content + at + 2)) <= witness.max_drive);
     }
     board.blocks++;
@@ -190,12 +199,39 @@ static void note_sample(void)
     }
 }
 
+static bool is_in_the_way(unsigned code)
+{
+    switch (code) {
+    case RIG_E_ESTOP:
+        return (board.inputs & RIG_INPUT_ESTOP) != 0u;
+    case RIG_E_SENSOR:
+        return witness.set_up && (board.counts <= witness.rail_lo || board.counts >= witness.rail_hi);
+    case RIG_E_END_SWITCH:
+        return witness.set_up && is_high() && is_low();
+    default:
+        return false;
+    }
+}
+
+/* P10: the contacts and the sensor were looked at. */
+static void note_look(void)
+{
+    for (unsigned code = RIG_E_ESTOP; code <= RIG_E_END_SWITCH; code++) {
+        witness.latched |= is_in_the_way(code) ? 1u << code : 0u;
+    }
+    witness.latched |= is_in_the_way(RIG_E_SENSOR) ? 1u << RIG_E_SENSOR : 0u;
+}
+
 /* After any call. */
 static void hold(void)
 {
-    if (core.latched) {
-        witness.permitted = false; /* P7: until ARM */
+    if (core.latched != 0u) {
+        witness.permitted = false; /* P7: until ACK and ARM */
     }
+    REQUIRE((witness.latched & ~(unsigned)core.latched) == 0u); /* P10 */
+    witness.latched = core.latched;
+    REQUIRE((core.latched == 0u) || (core.latched & (1u << core.fault)) != 0u); /* one of them is told */
+    REQUIRE(core.setup.session == witness.session);                             /* P11 */
     REQUIRE(board.pin == core.drive);
     REQUIRE(!core.armed || witness.permitted);
     REQUIRE(!core.relaying || core.armed);
@@ -212,9 +248,10 @@ static void hold(void)
 /* After a tick: what it has sampled ends a drive that it forbids. */
 static void hold_after_tick(void)
 {
+    note_look();
     hold();
-    if (end() == 0 && board.counts > witness.hard_lo + RECOVERED_COUNTS &&
-        board.counts + RECOVERED_COUNTS < witness.hard_hi) {
+    if (end() == 0 && (int64_t)board.counts > (int64_t)witness.hard_lo + RECOVERED_COUNTS &&
+        (int64_t)board.counts + RECOVERED_COUNTS < (int64_t)witness.hard_hi) {
         witness.recovering = 0;
     }
     note_sample();
@@ -228,8 +265,8 @@ static void hold_after_tick(void)
     const bool raises = (board.pin > 0) == witness.positive_raises;
     REQUIRE(raises ? !is_high() : !is_low()); /* P6: never further out, nor does the shaft go there */
     if (witness.recovering != 0) {
-        const int outward = witness.recovering * ((int)board.counts - (int)witness.outmost);
-        REQUIRE(outward <= (witness.hard_hi - witness.hard_lo) / OUTWARD_DIVISOR);
+        const int64_t outward = witness.recovering * ((int64_t)board.counts - (int64_t)witness.outmost);
+        REQUIRE(outward <= ((int64_t)witness.hard_hi - (int64_t)witness.hard_lo) / OUTWARD_DIVISOR);
     }
 }
 
@@ -238,15 +275,17 @@ static void hold_after_tick(void)
 static void note_setup(const uint8_t *body)
 {
     witness.set_up = true;
-    witness.hard_lo = u16(body);
-    witness.hard_hi = u16(body + 2);
-    witness.rail_lo = u16(body + 4);
-    witness.rail_hi = u16(body + 6);
-    witness.max_drive = u16(body + 10);
-    witness.watchdog_ms = u16(body + 12);
-    witness.positive_raises = body[14] == 1u;
-    REQUIRE(memcmp(board.reply + FRAME_HEADER, body, 15) == 0); /* what is stored is what was sent */
-    REQUIRE(witness.hard_lo < witness.hard_hi && witness.rail_hi <= hardware.adc_max);
+    witness.session = u32(body);
+    witness.hard_lo = (int32_t)u32(body + 4);
+    witness.hard_hi = (int32_t)u32(body + 8);
+    witness.rail_lo = (int32_t)u32(body + 12);
+    witness.rail_hi = (int32_t)u32(body + 16);
+    witness.max_drive = u16(body + 24);
+    witness.watchdog_ms = u16(body + 26);
+    witness.positive_raises = body[28] == 1u;
+    REQUIRE(memcmp(board.reply + FRAME_HEADER, body, 29) == 0); /* what is stored is what was sent */
+    REQUIRE(witness.hard_lo < witness.hard_hi && witness.rail_lo >= 0 && witness.rail_hi <= hardware.counts_max);
+    REQUIRE(witness.session != 0u);
     REQUIRE(witness.max_drive >= 1u && witness.max_drive <= hardware.drive_full);
     REQUIRE(witness.watchdog_ms >= 1u && witness.watchdog_ms <= RIG_WATCHDOG_MAX_MS);
 }
@@ -254,9 +293,11 @@ static void note_setup(const uint8_t *body)
 static void note_state(void)
 {
     const uint8_t *body = board.reply + FRAME_HEADER;
-    REQUIRE(board.reply_length == FRAME_HEADER + 18u);
-    REQUIRE(u16(body + 4) == board.counts && (int16_t)u16(body + 12) == board.pin);
-    REQUIRE(((body[16] & RIG_STATUS_ARMED) != 0u) == core.armed);
+    REQUIRE(board.reply_length == FRAME_HEADER + 24u);
+    REQUIRE((int32_t)u32(body + 4) == board.counts && (int16_t)u16(body + 14) == board.pin);
+    REQUIRE(((body[18] & RIG_STATUS_ARMED) != 0u) == core.armed);
+    REQUIRE(u32(body + 20) == witness.session);
+    note_look();
 }
 
 static uint32_t arrival(void)
@@ -280,15 +321,17 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
     REQUIRE(memcmp(board.reply + 2, content + 2, 2) == 0); /* its seq */
     switch (board.reply[1]) {
     case RIG_NACK:
-        REQUIRE(board.reply[FRAME_HEADER + 1u] == type && board.drives == 0u);
+        REQUIRE(board.reply[FRAME_HEADER + 1u] == type && (board.drives == 0u || type == RIG_ACK));
         return;
     case RIG_SETUP | RIG_REPLY:
         REQUIRE(!was_armed);
         note_setup(content + FRAME_HEADER);
         break;
     case RIG_ARM | RIG_REPLY:
-        REQUIRE((board.reply[FRAME_HEADER] == RIG_E_NO_SETUP) == !witness.set_up);
+        note_look();
         witness.permitted = board.reply[FRAME_HEADER] == RIG_OK;
+        REQUIRE(!witness.permitted || (witness.set_up && witness.latched == 0u)); /* P1, P7, P10 */
+        REQUIRE(!witness.permitted || u32(content + FRAME_HEADER) == witness.session); /* P11 */
         witness.recovering = end();
         witness.outmost = board.counts;
         witness.t_voice_us = arrival();
@@ -297,6 +340,11 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
     case RIG_RELAY | RIG_REPLY:
         REQUIRE(was_armed && !was_relaying && core.relaying);
         witness.t_voice_us = arrival();
+        break;
+    case RIG_ACK | RIG_REPLY:
+        REQUIRE(!is_in_the_way(content[FRAME_HEADER]));
+        witness.latched &= ~(1u << content[FRAME_HEADER]);
+        note_state();
         break;
     case RIG_STOP | RIG_REPLY:
         witness.permitted = false;
@@ -381,6 +429,7 @@ static void tick(void)
 static void reset(void)
 {
     memset(&witness, 0, sizeof witness);
+    witness.latched = 1u << RIG_E_RESET;
     board.pin = 77; /* whatever the pin was */
     board.to_device.n = 0;
     board.held = true; /* no tick before it is done */
@@ -393,12 +442,12 @@ static void reset(void)
 
 static void power_on(uint8_t choice)
 {
-    static const uint16_t adc_max[4] = {1023, 4095, 65535, 255};
+    static const int32_t counts_max[4] = {1023, 4095, 0x7FFFFFFF, 255};
     static const uint16_t drive_full[2] = {799, 32767};
     memset(&board, 0, sizeof board);
     memset(&core, 0, sizeof core); /* so that padding compares */
     hardware.micros = give_micros;
-    hardware.adc_counts = give_counts;
+    hardware.position = give_position;
     hardware.tach_counts = give_tachometer;
     hardware.set_drive = take_drive;
     hardware.transmit = take_bytes;
@@ -406,13 +455,13 @@ static void power_on(uint8_t choice)
     hardware.release_tick = release_tick;
     hardware.build = "fuzz";
     hardware.board_id = RIG_BOARD_HOST;
-    hardware.adc_max = adc_max[choice & 3u];
+    hardware.counts_max = counts_max[choice & 3u];
     hardware.inputs = (choice & 4u) != 0u ? give_inputs : NULL;
     hardware.supply = (choice & 8u) != 0u ? give_supply : NULL;
     board.now_us = (choice & 16u) != 0u ? 0xFFFFFFFFu - 20000u : 5000u;
     hardware.arrived_us = (choice & 32u) != 0u ? give_arrival : NULL;
     hardware.drive_full = drive_full[(choice >> 6) & 1u];
-    board.counts = hardware.adc_max / 2u;
+    board.counts = hardware.counts_max / 2;
     board.streams = true;
     reset();
 }
@@ -429,7 +478,7 @@ static size_t take(const uint8_t **data, size_t *left, size_t n, const uint8_t *
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    static const uint8_t arguments[] = {0, 1, 2, 0, 0, 2, 0, 0}; /* bytes after the first, by step */
+    static const uint8_t arguments[] = {0, 1, 4, 0, 1, 3, 0, 0}; /* bytes after the first, by step */
     const uint8_t *first, *argument, *bytes;
     if (take(&data, &size, 1, &first) == 0u) {
         return 0;
@@ -452,15 +501,15 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
             board.now_us += 16u * argument[0];
             break;
         case STEP_READING:
-            board.counts = (uint16_t)(u16(argument) & hardware.adc_max);
+            board.counts = (int32_t)(u32(argument) & (uint32_t)hardware.counts_max);
             break;
         case STEP_CONTACTS:
             board.inputs = hardware.inputs != NULL ? (uint8_t)n : 0u;
             break;
         case STEP_FRAME:
         case STEP_DAMAGED:
-            length = take(&data, &size, n, &bytes);
-            send_frame(bytes, length, step == STEP_DAMAGED ? argument[0] : 0u, step == STEP_DAMAGED ? argument[1] : 0u);
+            length = take(&data, &size, argument[0], &bytes);
+            send_frame(bytes, length, step == STEP_DAMAGED ? argument[1] : 0u, step == STEP_DAMAGED ? argument[2] : 0u);
             break;
         case STEP_RAW:
             length = take(&data, &size, n, &bytes);

@@ -60,7 +60,7 @@ static void test_the_integral_is_exact(void)
     start(CENTRE + 5, RELAY_Z_MAX, 1);
     for (int k = 0; k < 20000; k++) {
         random = random * 1664525u + 1013904223u;
-        const uint16_t counts = (uint16_t)(400u + (random >> 16) % 224u);
+        const int32_t counts = (int32_t)(400u + (random >> 16) % 224u);
         const int64_t y = (int64_t)counts * 16 - (CENTRE + 5);
         z += k > 0 ? y + before : 0;
         before = y;
@@ -84,14 +84,16 @@ static void test_the_integral_stays_within_its_bound(void)
     CHECK(relay_step(&r, 508) == 4 && r.z == -100);
 }
 
-/* Largest reading, largest bound, both sides: the sanitizer sees to it that nothing overflows. */
+/* As far out as it reaches, largest bound, both sides: the sanitizer sees to it that nothing overflows. */
 static void test_extremes(void)
 {
     for (int side = 0; side < 2; side++) {
-        const uint16_t counts = side == 0 ? 0xFFFFu : 0u;
+        const int32_t centre = side == 0 ? -RELAY_CENTRE_MAX : RELAY_CENTRE_MAX;
+        const int32_t counts = (int32_t)(centre / RELAY_COUNT + (side == 0 ? RELAY_REACH_MAX : -RELAY_REACH_MAX));
         for (int8_t direction = -1; direction <= 1; direction = (int8_t)(direction + 2)) {
             const int sign = (side == 0) == (direction > 0) ? 1 : -1;
-            start(side == 0 ? 0 : RELAY_CENTRE_MAX, RELAY_Z_MAX, direction);
+            start(centre, RELAY_Z_MAX, direction);
+            CHECK(relay_reaches(&r.setup, counts));
             for (int k = 0; k < 2000; k++) {
                 CHECK(relay_step(&r, counts) == (sign > 0 ? 1 : 4));
             }
@@ -100,13 +102,23 @@ static void test_extremes(void)
     }
 }
 
+static void test_reach(void)
+{
+    const relay_setup setup = setup_of(-CENTRE, 1, 1);
+    CHECK(relay_reaches(&setup, -512 + RELAY_REACH_MAX) && !relay_reaches(&setup, -512 + RELAY_REACH_MAX + 1));
+    CHECK(relay_reaches(&setup, -512 - RELAY_REACH_MAX) && !relay_reaches(&setup, -512 - RELAY_REACH_MAX - 1));
+    CHECK(!relay_reaches(&setup, INT32_MAX) && !relay_reaches(&setup, INT32_MIN));
+}
+
 static void test_validity(void)
 {
     relay_setup setup = setup_of(CENTRE, 1, 1);
     CHECK(relay_is_valid(&setup));
     setup.centre = 0;
     CHECK(relay_is_valid(&setup));
-    setup.centre = -1;
+    setup.centre = -RELAY_CENTRE_MAX;
+    CHECK(relay_is_valid(&setup));
+    setup.centre = -RELAY_CENTRE_MAX - 1;
     CHECK(!relay_is_valid(&setup));
     setup.centre = RELAY_CENTRE_MAX;
     CHECK(relay_is_valid(&setup));
@@ -131,6 +143,7 @@ int main(void)
     test_the_integral_is_exact();
     test_the_integral_stays_within_its_bound();
     test_extremes();
+    test_reach();
     test_validity();
     return report("relay");
 }

@@ -9,7 +9,7 @@
 
 static struct {
     uint32_t now_us;
-    uint16_t counts;
+    int32_t counts;
     uint16_t tach;
     uint8_t inputs;
     int16_t pin;
@@ -29,7 +29,7 @@ static uint32_t fake_micros(void *context)
     return board.now_us;
 }
 
-static uint16_t fake_adc(void *context, uint32_t *t_us)
+static int32_t fake_position(void *context, uint32_t *t_us)
 {
     (void)context;
     *t_us = board.now_us;
@@ -68,9 +68,18 @@ static uint8_t fake_inputs(void *context)
     return board.inputs;
 }
 
-static const rig_board BOARD = {NULL, fake_micros, fake_adc, fake_tach, fake_drive, fake_transmit, fake_inputs,
-                                "build 12345678901234567890", 1023, FULL, RIG_BOARD_HOST, RIG_FEATURE_TACHOMETER, NULL, NULL, NULL,
-                                NULL};
+static const rig_board BOARD = {.micros = fake_micros,
+                                .position = fake_position,
+                                .tach_counts = fake_tach,
+                                .set_drive = fake_drive,
+                                .transmit = fake_transmit,
+                                .inputs = fake_inputs,
+                                .build = "build 12345678901234567890",
+                                .counts_max = 1023,
+                                .drive_full = FULL,
+                                .board_id = RIG_BOARD_HOST,
+                                .bridge = RIG_BRIDGE_IN1_IN2,
+                                .features = RIG_FEATURE_TACHOMETER};
 
 static void power_on(void)
 {
@@ -107,7 +116,7 @@ static uint32_t got_u32(unsigned at)
 /* Whether exactly one reply came, of this type and length of body, with our seq. */
 static int replied(uint8_t type, unsigned length)
 {
-    return board.replies == 1 && board.got_length == 4 + length && board.got[0] == 1 && board.got[1] == type &&
+    return board.replies == 1 && board.got_length == 4 + length && board.got[0] == RIG_PROTOCOL && board.got[1] == type &&
            board.got[2] == (seq & 0xFF) && board.got[3] == seq >> 8;
 }
 
@@ -122,56 +131,93 @@ static void put_i16(uint8_t *at, int value)
     at[1] = (uint8_t)(((unsigned)value >> 8) & 0xFFu);
 }
 
-/* The set-up of these tests, one field of which a test may change. */
-enum { HARD_LO, HARD_HI, RAIL_LO, RAIL_HI, CENTRE, MAX_DRIVE, WATCHDOG, POLARITY, FIELDS };
-
-static void send_setup(int field, int value)
+static void put_i32(uint8_t *at, int32_t value)
 {
-    int fields[FIELDS] = {100, 900, 5, 1018, 500, 200, 100, 1};
-    uint8_t body[16];
+    put_i16(at, (int)((uint32_t)value & 0xFFFFu));
+    put_i16(at + 2, (int)((uint32_t)value >> 16));
+}
+
+/* The set-up of these tests, one field of which a test may change. */
+enum { THE_SESSION, HARD_LO, HARD_HI, RAIL_LO, RAIL_HI, CENTRE, MAX_DRIVE, WATCHDOG, POLARITY, FIELDS };
+
+#define SESSION 0x89ABCDEF
+#define STATE_LENGTH 24
+#define SETUP_LENGTH 30
+
+static void send_setup(int field, int32_t value)
+{
+    int32_t fields[FIELDS] = {(int32_t)SESSION, 100, 900, 5, 1018, 500, 200, 100, 1};
+    uint8_t body[SETUP_LENGTH];
     if (field < FIELDS) {
         fields[field] = value;
     }
-    for (int i = 0; i < POLARITY; i++) {
-        put_i16(body + 2 * i, fields[i]);
+    for (int i = 0; i < MAX_DRIVE; i++) {
+        put_i32(body + 4 * i, fields[i]);
     }
-    body[14] = (uint8_t)fields[POLARITY];
-    body[15] = 0;
-    send_raw(1, RIG_SETUP, body, 16);
+    put_i16(body + 24, fields[MAX_DRIVE]);
+    put_i16(body + 26, fields[WATCHDOG]);
+    body[28] = (uint8_t)fields[POLARITY];
+    body[29] = 0;
+    send_raw(RIG_PROTOCOL, RIG_SETUP, body, SETUP_LENGTH);
 }
 
 static void send_drive(int units)
 {
     uint8_t body[2];
     put_i16(body, units);
-    send_raw(1, RIG_DRIVE, body, 2);
+    send_raw(RIG_PROTOCOL, RIG_DRIVE, body, 2);
 }
 
-static uint8_t send_arm(void)
+static uint8_t send_arm_of(uint32_t session)
 {
-    send_raw(1, RIG_ARM, NULL, 0);
+    uint8_t body[4];
+    put_i32(body, (int32_t)session);
+    send_raw(RIG_PROTOCOL, RIG_ARM, body, 4);
     CHECK(replied(RIG_ARM | RIG_REPLY, 1));
     return board.got[4];
 }
 
+static uint8_t send_arm(void)
+{
+    return send_arm_of(SESSION);
+}
+
+/* RIG_OK, or why it is refused. */
+static uint8_t send_ack(uint8_t code)
+{
+    send_raw(RIG_PROTOCOL, RIG_ACK, &code, 1);
+    if (replied(RIG_NACK, 2)) {
+        return board.got[4];
+    }
+    CHECK(replied(RIG_ACK | RIG_REPLY, STATE_LENGTH));
+    return RIG_OK;
+}
+
+/* Somebody has seen this fault, and arms again. */
+static uint8_t send_ack_and_arm(uint8_t code)
+{
+    CHECK(send_ack(code) == RIG_OK);
+    return send_arm();
+}
+
 static void send_read(void)
 {
-    send_raw(1, RIG_READ, NULL, 0);
-    CHECK(replied(RIG_READ | RIG_REPLY, 18));
+    send_raw(RIG_PROTOCOL, RIG_READ, NULL, 0);
+    CHECK(replied(RIG_READ | RIG_REPLY, STATE_LENGTH));
 }
 
 /* Fields of the STATE last received. */
 static int16_t state_drive(void)
 {
-    return (int16_t)got_u16(12);
+    return (int16_t)got_u16(14);
 }
 static uint8_t state_status(void)
 {
-    return board.got[4 + 16];
+    return board.got[4 + 18];
 }
 static uint8_t state_fault(void)
 {
-    return board.got[4 + 17];
+    return board.got[4 + 19];
 }
 
 static void tick(void)
@@ -184,11 +230,11 @@ static void armed(void)
 {
     power_on();
     send_setup(FIELDS, 0);
-    CHECK(replied(RIG_SETUP | RIG_REPLY, 16));
-    CHECK(send_arm() == RIG_OK);
+    CHECK(replied(RIG_SETUP | RIG_REPLY, SETUP_LENGTH));
+    CHECK(send_ack_and_arm(RIG_E_RESET) == RIG_OK);
 }
 
-/* Checks that a fault is latched: 0 at the pin whatever is commanded, until ARM. */
+/* Checks that a fault is latched: 0 at the pin whatever is commanded, and STOP and ARM clear nothing. */
 static void check_latched(uint8_t code)
 {
     CHECK(board.pin == 0);
@@ -196,6 +242,12 @@ static void check_latched(uint8_t code)
     CHECK(board.pin == 0 && board.replies == 0);
     send_read();
     CHECK(state_drive() == 0 && state_status() == RIG_STATUS_FAULT && state_fault() == code);
+    send_raw(RIG_PROTOCOL, RIG_STOP, NULL, 0);
+    CHECK(send_arm() == code && !core.armed);
+    send_drive(50);
+    CHECK(board.pin == 0);
+    send_read();
+    CHECK(state_status() == RIG_STATUS_FAULT && state_fault() == code);
 }
 
 static void test_after_reset(void)
@@ -203,8 +255,10 @@ static void test_after_reset(void)
     power_on();
     CHECK(board.pin == 0);
     send_read();
-    CHECK(state_status() == 0 && state_fault() == 0 && state_drive() == 0);
-    CHECK(got_u32(0) == board.now_us && got_u16(4) == 512 && got_u16(6) == RIG_TACH_NONE);
+    CHECK(state_status() == RIG_STATUS_FAULT && state_fault() == RIG_E_RESET && state_drive() == 0); /* P10 */
+    CHECK(got_u32(0) == board.now_us && got_u32(4) == 512 && got_u16(8) == RIG_TACH_NONE && got_u32(20) == 0);
+    CHECK(send_arm() == RIG_E_RESET);
+    CHECK(send_ack(RIG_E_RESET) == RIG_OK);
     CHECK(send_arm() == RIG_E_NO_SETUP);
     send_drive(50);
     CHECK(board.pin == 0 && board.replies == 0);
@@ -216,45 +270,52 @@ static void test_after_reset(void)
     CHECK(send_arm() == RIG_OK);
     send_read();
     CHECK(state_fault() == 0 && state_status() == RIG_STATUS_ARMED);
+    CHECK(got_u32(20) == SESSION);
     rig_init(&core, &BOARD, RIG_RESET_WATCHDOG);
     send_drive(50);
-    CHECK(board.pin == 0 && send_arm() == RIG_E_NO_SETUP); /* a reset forgets everything */
+    CHECK(board.pin == 0 && send_arm() == RIG_E_RESET);
+    CHECK(send_ack_and_arm(RIG_E_RESET) == RIG_E_NO_SETUP); /* a reset forgets everything */
+    send_read();
+    CHECK(got_u32(20) == 0); /* P11 */
 }
 
 static void test_hello(void)
 {
     power_on();
     board.now_us = 0xFEDCBA98u;
-    send_raw(1, RIG_HELLO, NULL, 0);
-    CHECK(replied(RIG_HELLO | RIG_REPLY, 28));
+    send_raw(RIG_PROTOCOL, RIG_HELLO, NULL, 0);
+    CHECK(replied(RIG_HELLO | RIG_REPLY, 31));
     CHECK(board.got[4] == RIG_BOARD_HOST && board.got[5] == RIG_RESET_BROWN_OUT);
-    CHECK(got_u16(2) == 1023 && got_u16(4) == FULL && got_u32(6) == 0xFEDCBA98u);
-    CHECK(board.got[14] == RIG_FEATURE_TACHOMETER && board.got[15] == 0);
-    CHECK(memcmp(board.got + 16, "build 1234567890", 16) == 0);
+    CHECK(board.got[6] == RIG_BRIDGE_IN1_IN2 && board.got[7] == RIG_FEATURE_TACHOMETER);
+    CHECK(got_u32(4) == 1023 && got_u16(8) == FULL && got_u32(10) == 0xFEDCBA98u && board.got[18] == 0);
+    CHECK(memcmp(board.got + 19, "build 1234567890", 16) == 0);
 }
 
 static void test_setup(void)
 {
     static const struct {
-        int field, value;
+        int field;
+        int32_t value;
     } wrong[] = {{HARD_LO, 900},  {HARD_HI, 100},         {RAIL_LO, 1018}, {RAIL_HI, 5},     {RAIL_HI, 1024},
                  {MAX_DRIVE, 0},  {MAX_DRIVE, FULL + 1},  {WATCHDOG, 0},   {WATCHDOG, 1001}, {POLARITY, 0},
-                 {POLARITY, 2},   {MAX_DRIVE, 0xFFFF},    {POLARITY, -2},  {POLARITY, -128}};
+                 {POLARITY, 2},   {MAX_DRIVE, 0xFFFF},    {POLARITY, -2},  {POLARITY, -128},
+                 {THE_SESSION, 0}, {RAIL_LO, -1}};
     power_on();
+    CHECK(send_ack(RIG_E_RESET) == RIG_OK);
     for (unsigned i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
         send_setup(wrong[i].field, wrong[i].value);
         CHECK(refused(RIG_SETUP, RIG_E_SETUP));
         CHECK(send_arm() == RIG_E_NO_SETUP); /* nothing of it is kept */
     }
     send_setup(POLARITY, -1);
-    CHECK(replied(RIG_SETUP | RIG_REPLY, 16));
-    CHECK(got_u16(0) == 100 && got_u16(2) == 900 && got_u16(4) == 5 && got_u16(6) == 1018);
-    CHECK(got_u16(8) == 500 && got_u16(10) == 200 && got_u16(12) == 100);
-    CHECK(board.got[4 + 14] == 0xFF && board.got[4 + 15] == 0);
+    CHECK(replied(RIG_SETUP | RIG_REPLY, SETUP_LENGTH));
+    CHECK(got_u32(0) == SESSION && got_u32(4) == 100 && got_u32(8) == 900 && got_u32(12) == 5 && got_u32(16) == 1018);
+    CHECK(got_u32(20) == 500 && got_u16(24) == 200 && got_u16(26) == 100);
+    CHECK(board.got[4 + 28] == 0xFF && board.got[4 + 29] == 0);
     send_setup(MAX_DRIVE, FULL);
-    CHECK(replied(RIG_SETUP | RIG_REPLY, 16));
+    CHECK(replied(RIG_SETUP | RIG_REPLY, SETUP_LENGTH));
     send_setup(WATCHDOG, 1000);
-    CHECK(replied(RIG_SETUP | RIG_REPLY, 16));
+    CHECK(replied(RIG_SETUP | RIG_REPLY, SETUP_LENGTH));
 }
 
 static void test_setup_while_armed(void)
@@ -264,9 +325,9 @@ static void test_setup_while_armed(void)
     send_setup(MAX_DRIVE, 300);
     CHECK(refused(RIG_SETUP, RIG_E_SETUP));
     CHECK(board.pin == 150 && core.setup.max_drive == 200 && core.armed);
-    send_raw(1, RIG_STOP, NULL, 0);
+    send_raw(RIG_PROTOCOL, RIG_STOP, NULL, 0);
     send_setup(MAX_DRIVE, 300);
-    CHECK(replied(RIG_SETUP | RIG_REPLY, 16));
+    CHECK(replied(RIG_SETUP | RIG_REPLY, SETUP_LENGTH));
 }
 
 static void test_drive(void)
@@ -281,8 +342,8 @@ static void test_drive(void)
     board.counts = 640;
     board.tach = 77;
     send_read();
-    CHECK(state_drive() == -200 && got_u16(14) == drive_seq && got_u32(8) == t_drive);
-    CHECK(got_u32(0) == board.now_us && got_u16(4) == 640 && got_u16(6) == 77);
+    CHECK(state_drive() == -200 && got_u16(16) == drive_seq && got_u32(10) == t_drive);
+    CHECK(got_u32(0) == board.now_us && got_u32(4) == 640 && got_u16(8) == 77);
     CHECK(state_status() == RIG_STATUS_ARMED && state_fault() == 0);
     send_drive(200);
     CHECK(board.pin == 200);
@@ -297,7 +358,7 @@ static void test_drive_range(void)
         const uint16_t accepted = seq;
         send_drive(beyond[i]);
         check_latched(RIG_E_DRIVE_RANGE);
-        CHECK(got_u16(14) == accepted);
+        CHECK(got_u16(16) == accepted);
     }
 }
 
@@ -305,8 +366,8 @@ static void test_stop(void)
 {
     armed();
     send_drive(100);
-    send_raw(1, RIG_STOP, NULL, 0);
-    CHECK(replied(RIG_STOP | RIG_REPLY, 18));
+    send_raw(RIG_PROTOCOL, RIG_STOP, NULL, 0);
+    CHECK(replied(RIG_STOP | RIG_REPLY, STATE_LENGTH));
     CHECK(board.pin == 0 && state_drive() == 0 && state_status() == 0 && state_fault() == 0);
     send_drive(100);
     CHECK(board.pin == 0);
@@ -315,10 +376,12 @@ static void test_stop(void)
     CHECK(board.pin == 100);
     CHECK(send_arm() == RIG_OK && board.pin == 0); /* arming again starts from 0 */
     send_drive(201);
-    send_raw(1, RIG_STOP, NULL, 0);
-    CHECK(state_fault() == RIG_E_DRIVE_RANGE && state_status() == RIG_STATUS_FAULT); /* the last word on it */
-    send_read();
+    send_raw(RIG_PROTOCOL, RIG_STOP, NULL, 0);
+    CHECK(state_fault() == RIG_E_DRIVE_RANGE && state_status() == RIG_STATUS_FAULT);
+    check_latched(RIG_E_DRIVE_RANGE); /* P7: STOP clears nothing */
+    CHECK(send_ack(RIG_E_DRIVE_RANGE) == RIG_OK);
     CHECK(state_fault() == 0 && state_status() == 0);
+    CHECK(send_ack(RIG_E_DRIVE_RANGE) == RIG_OK && send_arm() == RIG_OK); /* said twice: the reply had got lost */
 }
 
 /* Silence from a frame at any phase of the tick: never early, at most a tick late. */
@@ -370,12 +433,12 @@ static void test_watchdog_is_fed(void)
     unsigned alive = 0;
     for (unsigned i = 0; i < 500 && board.pin != 0; i++, alive++) { /* all else does not feed it */
         tick();
-        send_raw(1, RIG_HELLO, NULL, 0);
+        send_raw(RIG_PROTOCOL, RIG_HELLO, NULL, 0);
         send_setup(FIELDS, 0);
-        send_raw(1, RIG_READ, &none, 1);
-        send_raw(1, RIG_DRIVE, &none, 1);
-        send_raw(1, 0x55, NULL, 0);
-        send_raw(2, RIG_READ, NULL, 0);
+        send_raw(RIG_PROTOCOL, RIG_READ, &none, 1);
+        send_raw(RIG_PROTOCOL, RIG_DRIVE, &none, 1);
+        send_raw(RIG_PROTOCOL, 0x55, NULL, 0);
+        send_raw(1, RIG_READ, NULL, 0);
         rig_byte(&core, 0x17);
         rig_byte(&core, 0);
     }
@@ -421,7 +484,7 @@ static void test_watchdog_over_wrap(void)
 static void test_travel(void)
 {
     static const struct {
-        uint16_t counts;
+        int32_t counts;
         int inside;
     } cases[] = {{100, 1}, {900, 1}, {99, 0}, {901, 0}, {6, 0}, {1017, 0}};
     for (unsigned i = 0; i < sizeof cases / sizeof cases[0]; i++) {
@@ -445,17 +508,18 @@ static void test_travel(void)
 
 static void test_sensor(void)
 {
-    static const uint16_t rails[] = {0, 5, 1018, 1023};
+    static const int32_t rails[] = {0, 5, 1018, 1023};
     for (unsigned i = 0; i < sizeof rails / sizeof rails[0]; i++) {
         armed();
         send_drive(100);
         board.counts = rails[i];
         tick();
         CHECK(board.pin == 0);
-        CHECK(send_arm() == RIG_E_SENSOR);
+        CHECK(send_ack(RIG_E_SENSOR) == RIG_E_SENSOR); /* as long as it is there */
         check_latched(RIG_E_SENSOR);
         board.counts = 512;
-        CHECK(send_arm() == RIG_OK);
+        check_latched(RIG_E_SENSOR);
+        CHECK(send_ack_and_arm(RIG_E_SENSOR) == RIG_OK);
         send_drive(100);
         CHECK(board.pin == 100);
     }
@@ -473,21 +537,24 @@ static void test_first_fault_is_kept(void)
     }
     send_drive(300);
     check_latched(RIG_E_TRAVEL);
+    board.counts = 512;
+    CHECK(send_ack_and_arm(RIG_E_TRAVEL) == RIG_E_SENSOR); /* nor is another forgotten */
+    CHECK(send_ack_and_arm(RIG_E_SENSOR) == RIG_OK);
 }
 
-static void arm_outside(uint16_t counts, int polarity)
+static void arm_outside(int32_t counts, int polarity)
 {
     power_on();
     send_setup(POLARITY, polarity);
     board.counts = counts;
-    CHECK(send_arm() == RIG_OK);
+    CHECK(send_ack_and_arm(RIG_E_RESET) == RIG_OK);
     send_read();
     CHECK(state_status() == (RIG_STATUS_ARMED | RIG_STATUS_RECOVERING) && state_fault() == 0);
 }
 
 static void test_recovering(void)
 {
-    static const uint16_t outside[] = {950, 50};
+    static const int32_t outside[] = {950, 50};
     for (int which = 0; which < 2; which++) {
         for (int polarity = -1; polarity <= 1; polarity += 2) {
             const int outward = (which == 0 ? 1 : -1) * polarity;
@@ -571,22 +638,154 @@ static void test_estop(void)
     board.inputs = RIG_INPUT_ESTOP;
     tick();
     check_latched(RIG_E_ESTOP);
-    CHECK(send_arm() == RIG_E_ESTOP); /* as long as it is pressed */
+    CHECK(send_ack(RIG_E_ESTOP) == RIG_E_ESTOP); /* as long as it is pressed */
+    check_latched(RIG_E_ESTOP);
     board.inputs = 0;
     tick();
     check_latched(RIG_E_ESTOP); /* released, but latched */
-    CHECK(send_arm() == RIG_OK && board.pin == 0);
+    CHECK(send_ack_and_arm(RIG_E_ESTOP) == RIG_OK && board.pin == 0);
     board.inputs = RIG_INPUT_ESTOP; /* a READ sees it, too */
     send_read();
     check_latched(RIG_E_ESTOP);
+}
 
-    power_on(); /* pressed before anything is armed: no fault, but no arming either */
+/* P10: opened and closed again while disarmed, seen by a tick or by nothing but one request. */
+static void test_estop_while_disarmed(void)
+{
+    static const uint8_t requests[] = {0, RIG_READ, RIG_STOP, RIG_ARM, RIG_ACK};
+    static const uint8_t body[4] = {RIG_E_WATCHDOG, 0, 0, 0};
+    for (unsigned i = 0; i < sizeof requests; i++) {
+        for (int set_up = 0; set_up < 2; set_up++) {
+            power_on();
+            if (set_up != 0) {
+                send_setup(FIELDS, 0);
+            }
+            CHECK(send_ack(RIG_E_RESET) == RIG_OK);
+            board.inputs = RIG_INPUT_ESTOP;
+            if (requests[i] == 0) {
+                tick();
+            } else {
+                send_raw(RIG_PROTOCOL, requests[i], body, requests[i] == RIG_ARM ? 4 : requests[i] == RIG_ACK ? 1 : 0);
+            }
+            board.inputs = 0;
+            check_latched(RIG_E_ESTOP);
+        }
+    }
+    power_on(); /* and while another fault is there already */
     board.inputs = RIG_INPUT_ESTOP;
     tick();
-    send_read();
-    CHECK(state_status() == 0 && state_fault() == 0);
+    board.inputs = 0;
     send_setup(FIELDS, 0);
-    CHECK(send_arm() == RIG_E_ESTOP);
+    check_latched(RIG_E_RESET);
+    CHECK(send_ack_and_arm(RIG_E_RESET) == RIG_E_ESTOP);
+    check_latched(RIG_E_ESTOP);
+}
+
+/* P10: the rail and both end switches latch while disarmed once SETUP has said what they are; travel and one end switch,
+ * which P6 recovers from, do not. */
+static void test_what_latches_while_disarmed(void)
+{
+    static const struct {
+        int32_t counts;
+        uint8_t inputs, code;
+    } cases[] = {{3, 0, RIG_E_SENSOR},
+                 {1020, 0, RIG_E_SENSOR},
+                 {512, RIG_INPUT_END_LOW | RIG_INPUT_END_HIGH, RIG_E_END_SWITCH},
+                 {950, RIG_INPUT_END_LOW, RIG_E_END_SWITCH},
+                 {950, 0, RIG_OK},
+                 {50, 0, RIG_OK},
+                 {512, RIG_INPUT_END_LOW, RIG_OK},
+                 {512, RIG_INPUT_END_HIGH, RIG_OK}};
+    for (unsigned i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        for (int set_up = 0; set_up < 2; set_up++) {
+            power_on();
+            CHECK(send_ack(RIG_E_RESET) == RIG_OK);
+            if (set_up != 0) {
+                send_setup(FIELDS, 0);
+            }
+            board.counts = cases[i].counts;
+            board.inputs = cases[i].inputs;
+            tick();
+            send_read();
+            board.counts = 512;
+            board.inputs = 0;
+            if (set_up != 0 && cases[i].code != RIG_OK) {
+                check_latched(cases[i].code);
+            } else {
+                CHECK(state_status() == 0 && state_fault() == 0);
+                send_setup(FIELDS, 0);
+                CHECK(send_arm() == RIG_OK);
+            }
+        }
+    }
+}
+
+/* P11. */
+static void test_session(void)
+{
+    armed();
+    send_raw(RIG_PROTOCOL, RIG_STOP, NULL, 0);
+    CHECK(got_u32(20) == SESSION);
+    CHECK(send_arm_of(SESSION + 1) == RIG_E_SESSION && !core.armed);
+    CHECK(send_arm_of(0) == RIG_E_SESSION && !core.armed);
+    send_setup(THE_SESSION, 7);
+    CHECK(send_arm() == RIG_E_SESSION && send_arm_of(7) == RIG_OK);
+    send_drive(100);
+    CHECK(send_arm_of(8) == RIG_E_SESSION && board.pin == 0 && !core.armed); /* a stranger ends the drive */
+}
+
+/* What nobody can have seen cannot be acknowledged. */
+static void test_ack_of_nonsense(void)
+{
+    armed();
+    send_drive(100);
+    CHECK(send_ack(0) == RIG_E_SETUP && send_ack(16) == RIG_E_SETUP && send_ack(255) == RIG_E_SETUP);
+    CHECK(send_ack(RIG_E_TRAVEL) == RIG_OK && board.pin == 100 && core.armed); /* none of that kind */
+    board.inputs = RIG_INPUT_ESTOP;
+    CHECK(send_ack(RIG_E_TRAVEL) == RIG_OK && board.pin == 0); /* it looks, too */
+    board.inputs = 0;
+    check_latched(RIG_E_ESTOP);
+}
+
+/* Positions of 32 bits: what an encoder counts in an hour. */
+static void test_far_positions(void)
+{
+    rig_board far = BOARD;
+    far.counts_max = 0x7FFFFFFF;
+    static const int32_t bases[] = {1000000000, 70000};
+    for (unsigned i = 0; i < 2; i++) {
+        power_on();
+        rig_init(&core, &far, RIG_RESET_POWER_ON);
+        uint8_t body[SETUP_LENGTH] = {1};
+        put_i32(body + 4, bases[i] - 60000);
+        put_i32(body + 8, bases[i] + 60000);
+        put_i32(body + 12, 0);
+        put_i32(body + 16, 0x7FFFFFFF);
+        put_i32(body + 20, bases[i]);
+        put_i16(body + 24, 200);
+        put_i16(body + 26, 100);
+        body[28] = 1;
+        board.counts = bases[i];
+        send_raw(RIG_PROTOCOL, RIG_SETUP, body, SETUP_LENGTH);
+        CHECK(send_ack(RIG_E_RESET) == RIG_OK && send_arm_of(1) == RIG_OK);
+        send_drive(100);
+        board.counts = bases[i] + 60000;
+        tick();
+        CHECK(board.pin == 100);
+        send_read();
+        CHECK(got_u32(4) == (uint32_t)(bases[i] + 60000));
+        board.counts++;
+        tick();
+        check_latched(RIG_E_TRAVEL);
+        CHECK(send_ack(RIG_E_TRAVEL) == RIG_OK && send_arm_of(1) == RIG_OK && core.recovering == 1);
+        send_drive(-100);
+        board.counts += 120000 / 32;
+        tick();
+        CHECK(board.pin == -100);
+        board.counts++;
+        tick();
+        check_latched(RIG_E_POLARITY);
+    }
 }
 
 static void test_end_switches(void)
@@ -599,7 +798,7 @@ static void test_end_switches(void)
         board.inputs = ends[which]; /* the counts are well inside */
         tick();
         check_latched(RIG_E_END_SWITCH);
-        CHECK(send_arm() == RIG_OK);
+        CHECK(send_ack_and_arm(RIG_E_END_SWITCH) == RIG_OK);
         send_read();
         CHECK(state_status() == (RIG_STATUS_ARMED | RIG_STATUS_RECOVERING));
         send_drive(-80 * outward);
@@ -607,12 +806,12 @@ static void test_end_switches(void)
         CHECK(board.pin == -80 * outward); /* on the way in */
         send_drive(outward);
         check_latched(RIG_E_TRAVEL);
-        CHECK(send_arm() == RIG_OK);
+        CHECK(send_ack_and_arm(RIG_E_TRAVEL) == RIG_OK);
         send_drive(-80 * outward);
         board.inputs = ends[1 - which]; /* out at the other end */
         tick();
         check_latched(RIG_E_END_SWITCH);
-        CHECK(send_arm() == RIG_OK);
+        CHECK(send_ack_and_arm(RIG_E_END_SWITCH) == RIG_OK);
         board.inputs = 0;
         tick();
         send_drive(80);
@@ -621,7 +820,7 @@ static void test_end_switches(void)
         board.inputs = RIG_INPUT_END_LOW | RIG_INPUT_END_HIGH; /* a broken wire */
         tick();
         check_latched(RIG_E_END_SWITCH);
-        CHECK(send_arm() == RIG_E_END_SWITCH);
+        CHECK(send_ack(RIG_E_END_SWITCH) == RIG_E_END_SWITCH);
     }
 }
 
@@ -629,7 +828,7 @@ static void test_end_switches(void)
 static void test_end_switch_against_the_position(void)
 {
     static const struct {
-        uint16_t counts;
+        int32_t counts;
         uint8_t contact;
     } cases[] = {{950, RIG_INPUT_END_LOW}, {50, RIG_INPUT_END_HIGH}};
     for (unsigned i = 0; i < sizeof cases / sizeof cases[0]; i++) {
@@ -641,7 +840,7 @@ static void test_end_switch_against_the_position(void)
         send_drive(-50);
         CHECK(board.pin == 0);
         board.inputs = 0;
-        CHECK(send_arm() == RIG_OK);
+        CHECK(send_ack_and_arm(RIG_E_END_SWITCH) == RIG_OK);
         send_drive(cases[i].counts > 512 ? -50 : 50);
         board.inputs = cases[i].contact; /* on the way in from the position's side */
         tick();
@@ -657,7 +856,7 @@ static void test_a_board_without_inputs(void)
     rig_init(&core, &plain, RIG_RESET_POWER_ON);
     board.inputs = RIG_INPUT_ESTOP;
     send_setup(FIELDS, 0);
-    CHECK(send_arm() == RIG_OK);
+    CHECK(send_ack_and_arm(RIG_E_RESET) == RIG_OK);
     send_drive(80);
     tick();
     CHECK(board.pin == 80);
@@ -665,22 +864,26 @@ static void test_a_board_without_inputs(void)
 
 static void test_refusals(void)
 {
-    uint8_t body[17] = {0};
+    uint8_t body[SETUP_LENGTH + 1] = {0};
     armed();
     send_drive(100);
-    send_raw(2, RIG_STOP, NULL, 0);
+    send_raw(1, RIG_STOP, NULL, 0); /* a host of before */
     CHECK(refused(RIG_STOP, RIG_E_VERSION) && core.rx.dropped == 1);
-    send_raw(1, 0x09, NULL, 0);
+    send_raw(RIG_PROTOCOL, 0x09, NULL, 0);
     CHECK(refused(0x09, RIG_E_TYPE));
-    send_raw(1, RIG_READ | RIG_REPLY, body, 17);
+    send_raw(RIG_PROTOCOL, RIG_READ | RIG_REPLY, body, 17);
     CHECK(refused(RIG_READ | RIG_REPLY, RIG_E_TYPE));
-    send_raw(1, RIG_SETUP, body, 15);
+    send_raw(RIG_PROTOCOL, RIG_SETUP, body, SETUP_LENGTH - 1);
     CHECK(refused(RIG_SETUP, RIG_E_LENGTH));
-    send_raw(1, RIG_SETUP, body, 17);
+    send_raw(RIG_PROTOCOL, RIG_SETUP, body, SETUP_LENGTH + 1);
     CHECK(refused(RIG_SETUP, RIG_E_LENGTH));
-    send_raw(1, RIG_DRIVE, body, 1);
+    send_raw(RIG_PROTOCOL, RIG_DRIVE, body, 1);
     CHECK(refused(RIG_DRIVE, RIG_E_LENGTH));
-    send_raw(1, RIG_STOP, body, 1);
+    send_raw(RIG_PROTOCOL, RIG_ARM, body, 0);
+    CHECK(refused(RIG_ARM, RIG_E_LENGTH));
+    send_raw(RIG_PROTOCOL, RIG_ACK, body, 0);
+    CHECK(refused(RIG_ACK, RIG_E_LENGTH));
+    send_raw(RIG_PROTOCOL, RIG_STOP, body, 1);
     CHECK(refused(RIG_STOP, RIG_E_LENGTH));
     CHECK(board.pin == 100 && core.armed); /* none of them changed anything */
 }
@@ -688,7 +891,7 @@ static void test_refusals(void)
 /* P8: no damage of a DRIVE frame, one byte or one bit each, reaches the pin. */
 static void test_damaged_drive(void)
 {
-    const uint8_t content[] = {1, RIG_DRIVE, 1, 2, 150, 0};
+    const uint8_t content[] = {RIG_PROTOCOL, RIG_DRIVE, 1, 2, 150, 0};
     uint8_t wire[FRAME_WIRE_MAX];
     const uint8_t n = frame_encode(content, sizeof content, wire);
     armed();
@@ -725,6 +928,11 @@ int main(void)
     test_recovering_at_the_edge();
     test_recovering_polarity();
     test_estop();
+    test_estop_while_disarmed();
+    test_what_latches_while_disarmed();
+    test_session();
+    test_ack_of_nonsense();
+    test_far_positions();
     test_end_switches();
     test_end_switch_against_the_position();
     test_a_board_without_inputs();

@@ -9,18 +9,19 @@
 #define LIMIT_HI 900
 #define MOST 200
 #define WATCHDOG_TICKS 100
+#define SESSION 77
 
 typedef struct {
     uint16_t number, delay_us, period_us;
-    uint32_t t_us;
+    uint32_t t_us, session;
     uint8_t status, fault, n;
-    uint16_t counts[BLOCK_ROWS_MAX];
+    int32_t counts[BLOCK_ROWS_MAX];
     int16_t drive[BLOCK_ROWS_MAX];
 } told_block;
 
 static struct {
     uint32_t now_us;
-    uint16_t counts;
+    int32_t counts;
     uint8_t inputs;
     int16_t pin;
     frame_receiver host;
@@ -83,7 +84,7 @@ static uint32_t fake_micros(void *context)
     return board.now_us;
 }
 
-static uint16_t fake_adc(void *context, uint32_t *t_us)
+static int32_t fake_position(void *context, uint32_t *t_us)
 {
     (void)context;
     *t_us = board.now_us;
@@ -116,21 +117,27 @@ static uint16_t u16(const uint8_t *at)
     return (uint16_t)(at[0] | (at[1] << 8));
 }
 
+static uint32_t u32(const uint8_t *at)
+{
+    return u16(at) | ((uint32_t)u16(at + 2) << 16);
+}
+
 static void keep_block(const uint8_t *content, uint8_t length)
 {
     told_block *b = &board.block[board.blocks++ % 64u];
     const uint8_t *body = content + FRAME_HEADER;
     b->number = u16(content + 2);
-    b->t_us = u16(body) | ((uint32_t)u16(body + 2) << 16);
+    b->t_us = u32(body);
     b->period_us = u16(body + 4);
     b->delay_us = u16(body + 6);
     b->status = body[8];
     b->fault = body[9];
-    b->n = (uint8_t)((length - FRAME_HEADER - 10u) / 4u);
-    CHECK(length == FRAME_HEADER + 10u + 4u * b->n && b->n <= BLOCK_ROWS_MAX);
+    b->session = u32(body + 10);
+    b->n = (uint8_t)((length - FRAME_HEADER - 18u) / 4u);
+    CHECK(length == FRAME_HEADER + 18u + 4u * b->n && b->n <= BLOCK_ROWS_MAX);
     for (uint8_t i = 0; i < b->n; i++) {
-        b->counts[i] = u16(body + 10 + 4 * i);
-        b->drive[i] = (int16_t)u16(body + 12 + 4 * i);
+        b->counts[i] = (int32_t)u32(body + 14) + (int16_t)u16(body + 18 + 4 * i);
+        b->drive[i] = (int16_t)u16(body + 20 + 4 * i);
     }
 }
 
@@ -149,13 +156,23 @@ static void fake_transmit(void *context, const uint8_t *bytes, uint8_t n)
     point();
 }
 
-static const rig_board BOARD = {NULL, fake_micros, fake_adc, fake_tach, fake_drive, fake_transmit, fake_inputs,
-                                "build", 1023, 799, RIG_BOARD_HOST, 0, NULL, NULL, fake_hold, fake_release};
+static const rig_board BOARD = {.micros = fake_micros,
+                                .position = fake_position,
+                                .tach_counts = fake_tach,
+                                .set_drive = fake_drive,
+                                .transmit = fake_transmit,
+                                .inputs = fake_inputs,
+                                .build = "build",
+                                .counts_max = 1023,
+                                .drive_full = 799,
+                                .board_id = RIG_BOARD_HOST,
+                                .hold_tick = fake_hold,
+                                .release_tick = fake_release};
 
-static void reset(void)
+static void reset(const rig_board *wanted)
 {
     board.held = true; /* no tick before it is done */
-    rig_init(&core, &BOARD, RIG_RESET_POWER_ON);
+    rig_init(&core, wanted, RIG_RESET_POWER_ON);
     board.held = false;
     memcpy(&seen, &core, sizeof core);
 }
@@ -195,24 +212,39 @@ static void send_drive(int units)
     send(RIG_DRIVE, body, 2);
 }
 
-/* An armed device at counts 520, centre of the relay's 512. */
-static void armed(int polarity)
+static void send_arm(void)
 {
-    const int fields[] = {LIMIT_LO, LIMIT_HI, 5, 1018, 512, MOST, WATCHDOG_TICKS};
-    uint8_t body[16];
+    uint8_t body[4];
+    (void)put32(body, SESSION);
+    send(RIG_ARM, body, 4);
+}
+
+/* An armed device at 8 counts above the relay's centre. */
+static void armed_about(int32_t centre, const rig_board *wanted, int polarity)
+{
+    const int32_t fields[] = {SESSION, centre - 512 + LIMIT_LO, centre - 512 + LIMIT_HI, 5, wanted->counts_max - 5, centre};
+    static const uint8_t seen_reset = RIG_E_RESET;
+    uint8_t body[30];
     uint8_t *at = body;
     memset(&board, 0, sizeof board);
     frame_receiver_init(&board.host);
-    board.counts = 520;
-    reset();
-    for (int i = 0; i < 7; i++) {
-        at = put16(at, fields[i]);
+    board.counts = centre + 8;
+    reset(wanted);
+    for (int i = 0; i < 6; i++) {
+        at = put32(at, (uint32_t)fields[i]);
     }
-    body[14] = (uint8_t)polarity;
-    body[15] = 0;
-    send(RIG_SETUP, body, 16);
-    send(RIG_ARM, NULL, 0);
+    at = put16(put16(at, MOST), WATCHDOG_TICKS);
+    at[0] = (uint8_t)polarity;
+    at[1] = 0;
+    send(RIG_SETUP, body, 30);
+    send(RIG_ACK, &seen_reset, 1);
+    send_arm();
     CHECK(board.reply[1] == (RIG_ARM | RIG_REPLY) && board.reply[4] == RIG_OK);
+}
+
+static void armed(int polarity)
+{
+    armed_about(512, &BOARD, polarity);
 }
 
 /* Drives of the four states by sign of h2 - h1 = 40; polarity and direction as given. */
@@ -304,10 +336,10 @@ static void test_either_direction_and_polarity(void)
 static void test_rows_in_blocks(void)
 {
     running();
-    uint16_t sent[25];
+    int32_t sent[25];
     int16_t driven[25];
     for (unsigned k = 0; k < 25u; k++) {
-        board.counts = (uint16_t)(505u + (k * 7u) % 16u);
+        board.counts = (int32_t)(505u + (k * 7u) % 16u);
         sent[k] = board.counts;
         tick();
         driven[k] = board.pin;
@@ -319,7 +351,7 @@ static void test_rows_in_blocks(void)
     for (unsigned b = 0; b < 3u; b++) {
         const told_block *told = &board.block[b];
         CHECK(told->number == b && told->period_us == RIG_TICK_US && told->fault == 0);
-        CHECK(told->t_us == (1u + row) * RIG_TICK_US);
+        CHECK(told->t_us == (1u + row) * RIG_TICK_US && told->session == SESSION);
         CHECK(told->n == (b < 2u ? 10 : 5));
         CHECK(told->status == (b < 2u ? (RIG_STATUS_ARMED | RIG_STATUS_RELAY) : RIG_STATUS_ARMED));
         CHECK(told->delay_us == 7);
@@ -347,6 +379,43 @@ static void test_late_and_skipped_ticks_begin_a_block(void)
     CHECK(board.block[0].n == 3 && board.block[1].n == 4 && board.block[2].n == 1 && board.block[3].n == 2);
     CHECK(board.block[0].t_us == 1000 && board.block[1].t_us == 8000);
     CHECK(board.block[2].t_us % 1000u != 0u && board.block[3].number == 3);
+}
+
+/* 16 bits hold how far a row is from the first of its block: positions of 32 bits come whole. */
+static void test_far_positions(void)
+{
+    rig_board far = BOARD;
+    far.counts_max = 0x7FFFFFFF;
+    static const int32_t step[] = {0, 30000, 32767, 32768, 3, 0, -32000};
+    static const int32_t centre = 16000000;
+    armed_about(centre, &far, 1);
+    core.setup.hard_lo = centre - 40000;
+    core.setup.hard_hi = centre + 40000;
+    memcpy(&seen, &core, sizeof core);
+    uint8_t body[18];
+    fill(body, 1, 1);
+    (void)put32(body + 8, (uint32_t)centre * RELAY_COUNT);
+    send(RIG_RELAY, body, 18);
+    CHECK(started());
+    for (unsigned k = 0; k < 7u; k++) {
+        board.counts = centre + step[k];
+        tick();
+    }
+    send_drive(0);
+    CHECK(board.blocks == 3 && board.block[0].n == 3 && board.block[1].n == 3 && board.block[2].n == 1);
+    unsigned row = 0;
+    for (unsigned b = 0; b < board.blocks; b++) {
+        for (unsigned i = 0; i < board.block[b].n; i++, row++) {
+            CHECK(board.block[b].counts[i] == centre + step[row]);
+        }
+    }
+    CHECK(row == 7u);
+
+    armed_about(centre, &far, 1); /* limits so wide that its numbers have no room */
+    core.setup.hard_hi = centre + RELAY_REACH_MAX + 1;
+    memcpy(&seen, &core, sizeof core);
+    send(RIG_RELAY, body, 18);
+    CHECK(refused(RIG_RELAY, RIG_E_SETUP));
 }
 
 static void test_a_block_that_nobody_sends_is_missed(void)
@@ -380,7 +449,7 @@ static void test_keep_alone_keeps_it_running(void)
         tick();
     }
     tick();
-    CHECK(board.pin == 0 && core.latched && core.fault == RIG_E_WATCHDOG && !core.relaying);
+    CHECK(board.pin == 0 && core.latched != 0u && core.fault == RIG_E_WATCHDOG && !core.relaying);
     CHECK(last()->status == RIG_STATUS_FAULT && last()->fault == RIG_E_WATCHDOG && last()->drive[last()->n - 1] == 0);
     const unsigned told = board.blocks;
     send(RIG_KEEP, NULL, 0);
@@ -403,7 +472,7 @@ static void test_keep_keeps_nothing_else(void)
 static void test_faults_end_it(void)
 {
     static const struct {
-        uint16_t counts;
+        int32_t counts;
         uint8_t inputs, code;
     } cases[] = {{LIMIT_HI + 1, 0, RIG_E_TRAVEL},  {LIMIT_LO - 1, 0, RIG_E_TRAVEL},
                  {1018, 0, RIG_E_SENSOR},          {5, 0, RIG_E_SENSOR},
@@ -450,7 +519,11 @@ static void test_stop_and_arm_end_it(void)
     for (int which = 0; which < 2; which++) {
         running();
         ticks(13);
-        send(which == 0 ? RIG_STOP : RIG_ARM, NULL, 0);
+        if (which == 0) {
+            send(RIG_STOP, NULL, 0);
+        } else {
+            send_arm();
+        }
         CHECK(board.pin == 0 && !core.relaying && core.armed == (which == 1));
         CHECK(board.blocks == 2 && last()->n == 3 && (last()->status & RIG_STATUS_RELAY) == 0);
         ticks(30);
@@ -486,7 +559,7 @@ static void test_when_it_may_not_start(void)
 
     armed(1);
     board.counts = LIMIT_HI + 5;
-    send(RIG_ARM, NULL, 0);
+    send_arm();
     CHECK(core.recovering == 1);
     start_as(1, 1);
     CHECK(refused(RIG_RELAY, RIG_E_TRAVEL)); /* P6 */
@@ -499,7 +572,8 @@ static void test_when_it_may_not_start(void)
         {0, (uint16_t)-(MOST + 1), 2, RIG_E_DRIVE_RANGE}, {2, MOST + 1, 2, RIG_E_DRIVE_RANGE},
         {4, 0x8000u, 2, RIG_E_DRIVE_RANGE},               {6, MOST + 1, 2, RIG_E_DRIVE_RANGE},
         {0, 1, 2, RIG_E_POLARITY},                        {6, 0xFFFFu, 2, RIG_E_POLARITY},
-        {8, RELAY_CENTRE_MAX + 1, 4, RIG_E_SETUP},        {8, 0xFFFFFFFFu, 4, RIG_E_SETUP},
+        {8, RELAY_CENTRE_MAX + 1, 4, RIG_E_SETUP},        {8, 0x80000000u, 4, RIG_E_SETUP},
+        {8, (512 + RELAY_REACH_MAX) * 16, 4, RIG_E_SETUP},
         {12, 0, 4, RIG_E_SETUP},                          {12, RELAY_Z_MAX + 1, 4, RIG_E_SETUP},
         {12, 0xFFFFFFFFu, 4, RIG_E_SETUP},                {16, 0, 1, RIG_E_SETUP},
         {16, 2, 1, RIG_E_SETUP},                          {17, 0, 1, RIG_E_SETUP},
@@ -528,8 +602,8 @@ static void test_gains_do_not_change_while_it_runs(void)
     tick();
     start_as(1, 1);
     CHECK(refused(RIG_RELAY, RIG_E_SETUP) && core.relaying);
-    uint8_t body[16] = {0};
-    send(RIG_SETUP, body, 16);
+    uint8_t body[30] = {0};
+    send(RIG_SETUP, body, 30);
     CHECK(refused(RIG_SETUP, RIG_E_SETUP) && core.relaying);
 }
 
@@ -537,7 +611,7 @@ static void test_a_reset_forgets_it(void)
 {
     running();
     ticks(3);
-    reset();
+    reset(&BOARD);
     CHECK(board.pin == 0 && !core.relaying);
     ticks(30);
     CHECK(board.pin == 0 && board.blocks == 0);
@@ -585,7 +659,8 @@ static void test_a_main_loop_that_was_away_loses_nothing(void)
 static void test_a_tick_between_any_two_steps_of_the_main_loop(void)
 {
     static const uint8_t requests[] = {RIG_STOP, RIG_ARM, RIG_DRIVE, RIG_READ};
-    const uint8_t zero[2] = {0, 0};
+    static const uint8_t session[4] = {SESSION, 0, 0, 0}; /* of ARM; of DRIVE: any */
+    static const uint8_t lengths[] = {0, 4, 2, 0};
     for (unsigned r = 0; r < sizeof requests; r++) {
         for (unsigned phase = 0; phase < 21u; phase++) {
             unsigned points = 0;
@@ -601,7 +676,7 @@ static void test_a_tick_between_any_two_steps_of_the_main_loop(void)
                 board.points = 0;
                 board.tick_at = at;
                 board.counts = requests[r] == RIG_READ ? LIMIT_HI + 1 : 520;
-                send(requests[r], zero, requests[r] == RIG_DRIVE ? 2 : 0);
+                send(requests[r], requests[r] == RIG_DRIVE ? session + 2 : session, lengths[r]);
                 points = at == 0 ? board.points : points;
                 board.tick_at = 0;
                 rig_stream(&core); /* a tick may have closed one more */
@@ -651,6 +726,7 @@ int main(void)
     test_either_direction_and_polarity();
     test_rows_in_blocks();
     test_late_and_skipped_ticks_begin_a_block();
+    test_far_positions();
     test_a_block_that_nobody_sends_is_missed();
     test_keep_alone_keeps_it_running();
     test_keep_keeps_nothing_else();

@@ -121,6 +121,10 @@ class Drive(_Section):
     """The H-bridge: V to duty."""
 
     supply_V: Positive = Field(description="motor supply; K and f_c scale with it")
+    bridge: Literal["pwm-dir", "in1-in2"] | None = Field(
+        None,
+        description="inputs of the bridge, which the firmware must be for: with the wrong one 0 V can be full drive",
+    )
     bridge_drop_V: NonNegative = Field(0.0, description="lost in the bridge while driving (an L298: about 2 V)")
     dead_band_duty: DeadBand = Field(DeadBand(), description="duty below which the bridge passes nothing")
     max_V: Positive = Field(description="largest drive that anything may command")

@@ -27,6 +27,7 @@ class DeviceInfo:
     round_trip_s fastest exchange seen while opening, s; nan where it means nothing
     supply_V     motor supply as the device measures it, V; nan where it does not
     drive_units  of the drive at full duty: the u_V of a sample is a whole number of them; None: it has no such steps
+    acknowledged codes of the faults that the device had latched before it was opened, and that opening it has cleared
     """
 
     build: str
@@ -37,6 +38,7 @@ class DeviceInfo:
     round_trip_s: float = math.nan
     supply_V: float = math.nan
     drive_units: int | None = None
+    acknowledged: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,9 @@ class Transport(Protocol):
 class Driver(Protocol):
     """A bench behind a link. Times of samples are in the host's clock, s.
 
-    That is ``time.monotonic``; a driver that lives in virtual time has an attribute ``clock``, a ``Clock``.
+    That is ``time.monotonic``; a driver that lives in virtual time has an attribute ``clock``, a ``Clock``. A driver
+    whose device latches an e-stop by itself, armed or not, has an attribute ``latches_stops`` that is true; any other
+    is read throughout the pauses of a run, from another thread while nothing else uses it.
     Constructing a driver touches no device. ``rig.conformance`` holds a driver to what stands here.
     """
 
@@ -138,7 +142,7 @@ class Driver(Protocol):
         ...
 
     def arm(self, limits: Limits) -> None:
-        """Give the device its limits and allow drive.
+        """Give the device its limits and allow drive; clears no fault that the device has latched since ``open``.
 
         Raises Fault when the device refuses, ValueError when it cannot hold such limits.
         """

@@ -1,4 +1,4 @@
-"""Wire format of the serial link, version 1.
+"""Wire format of the serial link, version 2.
 
 On the wire a frame is COBS(packet) followed by 0x00. A packet is, little-endian,
 
@@ -17,7 +17,7 @@ from typing import NamedTuple, Self
 
 from cobs import cobs
 
-VERSION = 1
+VERSION = 2
 MAX_PACKET = 64  # bytes, CRC included
 NO_TACHOMETER = 0xFFFF
 
@@ -32,6 +32,7 @@ SUPPLY_UNIT_V = 20.0 / 255.0  # of the motor supply in HELLO
 
 RESET_CAUSES = {1: "power-on", 2: "external", 4: "brown-out", 8: "watchdog"}
 BOARDS = {1: "host", 2: "uno"}
+BRIDGES = {1: "pwm-dir", 2: "in1-in2"}  # what a board's outputs are wired for; 0: it has no such
 EMULATED_BOARDS = frozenset({1})
 
 _HEAD = struct.Struct("<BBH")
@@ -51,6 +52,7 @@ class Kind(IntEnum):
     STOP = 0x06
     RELAY = 0x07
     KEEP = 0x08
+    ACK = 0x0A
     HELLO_REPLY = 0x81
     SETUP_REPLY = 0x82
     ARM_REPLY = 0x83
@@ -58,6 +60,7 @@ class Kind(IntEnum):
     STOP_REPLY = 0x86
     RELAY_REPLY = 0x87
     BLOCK = 0x89
+    ACK_REPLY = 0x8A
     NACK = 0xFF
 
 
@@ -78,6 +81,8 @@ class Code(IntEnum):
     POLARITY = 11
     E_STOP = 12
     END_SWITCH = 13
+    RESET = 14
+    SESSION = 15
 
 
 def code_name(code: int) -> str:
@@ -103,20 +108,22 @@ class Hello(NamedTuple):
 
     board        key of BOARDS
     reset_cause  bits of RESET_CAUSES
-    adc_max      largest reading of the position sensor, counts
+    bridge       key of BRIDGES; 0: none
+    features     bit 0: has a tachometer channel; bit 1: measures the motor supply
+    counts_max   largest reading of the position sensor, counts
     drive_full   drive units at full duty
     now_us       device clock, us, wraps at 2**32
-    features     bit 0: has a tachometer channel; bit 1: measures the motor supply
     supply       the motor supply in SUPPLY_UNIT_V, where it is measured
     build        16 bytes of ASCII, zero padded
     """
 
     board: int
     reset_cause: int
-    adc_max: int
+    bridge: int
+    features: int
+    counts_max: int
     drive_full: int
     now_us: int
-    features: int
     supply: int
     build: bytes
 
@@ -144,13 +151,15 @@ class Hello(NamedTuple):
 class Setup(NamedTuple):
     """Body of SETUP and of its read-back SETUP_REPLY.
 
-    hard_lo, hard_hi, rail_lo, rail_hi, centre   counts of the position sensor
+    session                                      chosen by the host, 1 to 2**32 - 1; a reset of the device ends it
+    hard_lo, hard_hi, rail_lo, rail_hi, centre   counts of the position sensor, 32 bits with sign
     max_drive                                    drive units, > 0
     watchdog_ms                                  1 to 1000
     polarity                                     +1: positive drive raises the counts; -1: lowers
     zero                                         reserved
     """
 
+    session: int
     hard_lo: int
     hard_hi: int
     rail_lo: int
@@ -175,13 +184,14 @@ class State(NamedTuple):
     """Body of STATE and of STOP_REPLY.
 
     t_sample_us  device time of the position sample, us, wraps at 2**32
-    counts       position reading
+    counts       position reading, 32 bits with sign
     tach         tachometer reading, NO_TACHOMETER where there is none
     t_drive_us   device time at which the drive now acting took effect, us
     drive        drive now at the pin, units
     drive_seq    seq of the DRIVE frame last accepted
     status       STATUS_* bits
-    fault        latched Code, or the code of the last refusal
+    fault        the first latched Code, or the code of the last refusal
+    session      that SETUP has begun; 0: none since the device's reset
     """
 
     t_sample_us: int
@@ -192,6 +202,7 @@ class State(NamedTuple):
     drive_seq: int
     status: int
     fault: int
+    session: int = 0
 
     def pack(self) -> bytes:
         """The body's bytes; struct.error outside a field's range."""
@@ -207,7 +218,7 @@ class RelaySetup(NamedTuple):
     """Body of RELAY and of its read-back RELAY_REPLY: the dual-channel relay in the device (firmware/core/relay.h).
 
     drive      drive units of its four states: y >= 0 and z >= 0, y >= 0 > z, y < 0 <= z, both < 0
-    centre     reading at y = 0, in 1/16 count
+    centre     reading at y = 0, in 1/16 count, below 2**30 in size
     z_bound    bound on the integral, in 1/32 count tick, 1 to 2**30
     direction  +1: positions rise with the counts; -1: they fall
     rows       of a block, 1 to 10
@@ -237,7 +248,9 @@ class Block(NamedTuple):
     delay_us    from a row's sample until its drive acts
     status      STATUS_* bits when the block was closed; without STATUS_RELAY it is the last one
     fault       as in State
-    rows        (position reading, drive units from then on) of each tick; the last block may have none
+    session     as in State
+    rows        (position reading, drive units from then on) of each tick; the last block may have none. On the wire a
+                position is its 16-bit distance from the block's first
     """
 
     t_first_us: int
@@ -245,18 +258,20 @@ class Block(NamedTuple):
     delay_us: int
     status: int
     fault: int
+    session: int
     rows: tuple[tuple[int, int], ...]
 
     def pack(self) -> bytes:
         """The body's bytes; struct.error outside a field's range."""
-        return _BLOCK.pack(*self[:5]) + b"".join(_ROW.pack(*row) for row in self.rows)
+        first = self.rows[0][0] if self.rows else 0
+        return _BLOCK.pack(*self[:6], first) + b"".join(_ROW.pack(counts - first, u) for counts, u in self.rows)
 
     @classmethod
     def unpack(cls, body: bytes) -> Self:
         """From a body of a length that a block can have (struct.error otherwise)."""
-        rows = tuple(_ROW.iter_unpack(body[_BLOCK.size :]))
-        t_first_us, period_us, delay_us, status, fault = _BLOCK.unpack_from(body)
-        return cls(t_first_us, period_us, delay_us, status, fault, rows)
+        t_first_us, period_us, delay_us, status, fault, session, first = _BLOCK.unpack_from(body)
+        rows = tuple((first + away, drive) for away, drive in _ROW.iter_unpack(body[_BLOCK.size :]))
+        return cls(t_first_us, period_us, delay_us, status, fault, session, rows)
 
 
 class Nack(NamedTuple):
@@ -275,31 +290,35 @@ class Nack(NamedTuple):
         return cls(*_NACK.unpack(body))
 
 
-_HELLO = struct.Struct("<BBHHIBB16s")
-_SETUP = struct.Struct("<HHHHHHHbB")
-_STATE = struct.Struct("<IHHIhHBB")
+_HELLO = struct.Struct("<BBBBIHIB16s")
+_SETUP = struct.Struct("<IiiiiiHHbB")
+_STATE = struct.Struct("<IiHIhHBBI")
+_ARM = struct.Struct("<I")
+_ACK = struct.Struct("<B")
 _NACK = struct.Struct("<BB")
 _DRIVE = struct.Struct("<h")
-_RELAY = struct.Struct("<hhhhIIbB")
-_BLOCK = struct.Struct("<IHHBB")
-_ROW = struct.Struct("<Hh")
+_RELAY = struct.Struct("<hhhhiIbB")
+_BLOCK = struct.Struct("<IHHBBIi")
+_ROW = struct.Struct("<hh")
 BLOCK_ROWS = 10  # in a block, at most
 
 BODY_LENGTH: dict[int, int] = {
     Kind.HELLO: 0,
     Kind.SETUP: _SETUP.size,
-    Kind.ARM: 0,
+    Kind.ARM: _ARM.size,
     Kind.READ: 0,
     Kind.DRIVE: _DRIVE.size,
     Kind.STOP: 0,
     Kind.RELAY: _RELAY.size,
     Kind.KEEP: 0,
+    Kind.ACK: _ACK.size,
     Kind.HELLO_REPLY: _HELLO.size,
     Kind.SETUP_REPLY: _SETUP.size,
     Kind.ARM_REPLY: 1,
     Kind.STATE: _STATE.size,
     Kind.STOP_REPLY: _STATE.size,
     Kind.RELAY_REPLY: _RELAY.size,
+    Kind.ACK_REPLY: _STATE.size,
     Kind.NACK: _NACK.size,
 }
 
@@ -307,6 +326,16 @@ BODY_LENGTH: dict[int, int] = {
 def pack_drive(units: int) -> bytes:
     """Body of DRIVE: signed drive units, -32768 to 32767 (struct.error outside)."""
     return _DRIVE.pack(units)
+
+
+def pack_arm(session: int) -> bytes:
+    """Body of ARM: the session that SETUP has begun (struct.error outside 32 bits)."""
+    return _ARM.pack(session)
+
+
+def pack_ack(code: int) -> bytes:
+    """Body of ACK: the fault that somebody has seen (struct.error outside 0 to 255)."""
+    return _ACK.pack(code)
 
 
 def unpack_drive(body: bytes) -> int:

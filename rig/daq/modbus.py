@@ -171,11 +171,13 @@ class ModbusDriver:
             if self._fresh:
                 self._t_u_s, self._fresh = reply.executed_s, False
         else:
-            reply = self._exchange(reading(self._read_span))
+            reply = self._exchange(reading(self._read_span)) if self._armed else self._unhurried_reading()
         values = self._values(self._read_span, reply)
         if self._armed:
             self._check_status(values)
             self._check_echo(values)
+        elif self._max_units > 0:  # armed before: what happens in a pause must not be forgotten
+            self._check_pause(values)
         counts = self._checked(self._map.position, self._map.counts, values["position"])
         units = self._units if self._armed else 0
         if self._map.applied is not None:
@@ -374,6 +376,11 @@ class ModbusDriver:
         words = "not armed" if value == OFF else "neither armed (1) nor a fault of daq.modbus.registers.status"
         raise Fault("DEVICE_RESET", f"{status} reads {value}: {words}; at {at}")
 
+    def _check_pause(self, values: Mapping[str, float]) -> None:
+        """Raise the fault that the status of a disarmed device names."""
+        if self._map.status is not None and int(values["status"]) in (self._map.faults or {}):
+            self._check_status(values)
+
     def _check_echo(self, values: Mapping[str, float]) -> None:
         echo = self._map.echo
         if echo is not None and values["echo"] != self._sequence:
@@ -393,6 +400,10 @@ class ModbusDriver:
     @property
     def _unhurried_s(self) -> float:
         return max(self._timeout_s, _UNHURRIED_S)
+
+    def _unhurried_reading(self) -> Reply:
+        """While disarmed there is time for a second try."""
+        return self._client.patiently(reading(self._read_span), self._unhurried_s)
 
     def _exchange(self, request: Request) -> Reply:
         """The exchange of a tick."""

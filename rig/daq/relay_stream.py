@@ -89,14 +89,18 @@ class RelayStream:
 
     heard_s  host time at which the last block came, s; at first that of the start
     last     the block that came last, None before the first
+    session  that each block must name
     """
 
-    def __init__(self, calibration: Calibration, drive_map: DriveMap, clock: DeviceClock, started_s: float) -> None:
+    def __init__(
+        self, calibration: Calibration, drive_map: DriveMap, clock: DeviceClock, session: int, started_s: float
+    ) -> None:
         self.heard_s = started_s
         self.last: Block | None = None
         self._calibration = calibration
         self._drive_map = drive_map
         self._clock = clock
+        self._session = session
         self._expected = 0
         self._rows: list[RelayRow] = []
 
@@ -106,7 +110,10 @@ class RelayStream:
         return self.last is not None and not self.last.status & frames.STATUS_RELAY
 
     def take(self, packet: Packet, now_s: float) -> bool:
-        """Take a packet of kind BLOCK; False where it has come before. Raises Fault LINK_GAP where one is missing."""
+        """Take a packet of kind BLOCK; False where it has come before.
+
+        Raises Fault LINK_GAP where one is missing, DEVICE_RESET where it is of another session.
+        """
         ahead = (packet.seq - self._expected) % 2**16
         if ahead >= 2**15:
             return False
@@ -114,6 +121,8 @@ class RelayStream:
             raise Fault("LINK_GAP", f"block {packet.seq} came where {self._expected} was due: {ahead} missing")
         self._expected = (packet.seq + 1) % 2**16
         block = Block.unpack(packet.body)
+        if block.session != self._session:
+            raise Fault("DEVICE_RESET", f"block {packet.seq} is of another session")
         self.last = block
         self.heard_s = now_s
         t_s = self._clock.to_host_s(block.t_first_us, now_s)

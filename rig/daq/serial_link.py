@@ -7,6 +7,7 @@ emulated device behind a pseudo-terminal, or a virtual board in virtual time.
 from __future__ import annotations
 
 import math
+import secrets
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -53,11 +54,17 @@ _FAULT_OF_CODE: dict[int, str] = {
     Code.POLARITY: "POLARITY",
     Code.E_STOP: "DEVICE_ESTOP",
     Code.END_SWITCH: "DEVICE_END_SWITCH",
+    Code.NO_SETUP: "DEVICE_RESET",
+    Code.RESET: "DEVICE_RESET",
+    Code.SESSION: "DEVICE_RESET",
 }
+_MOST_LATCHED = 16  # faults that a device can have latched
 
 
-def setup_for(limits: Limits, calibration: Calibration, drive_map: DriveMap, rail_counts: tuple[int, int]) -> Setup:
-    """What the device is told before arming.
+def setup_for(
+    limits: Limits, calibration: Calibration, drive_map: DriveMap, rail_counts: tuple[int, int], session: int
+) -> Setup:
+    """What the device is told before arming. session  1 to 2**32 - 1.
 
     Raises ValueError where the device could not hold such limits: as ``hard_limits_in_counts`` and
     ``largest_drive_in_units``, watchdog outside 1 ms to 1 s.
@@ -69,6 +76,7 @@ def setup_for(limits: Limits, calibration: Calibration, drive_map: DriveMap, rai
     if not 1 <= watchdog_ms <= round(1000.0 * LONGEST_WATCHDOG_S):
         raise ValueError(f"watchdog time {limits.watchdog_s:g} s is not within 0.001 to {LONGEST_WATCHDOG_S:g} s")
     return Setup(
+        session=session,
         hard_lo=hard_lo,
         hard_hi=hard_hi,
         rail_lo=rail_lo,
@@ -91,11 +99,14 @@ class SerialDriver:
     open_timeout_s  longest wait for the device to introduce itself, its restart on opening included
     tachometer      scale of the velocity channel; None: not used
     counts_max      the ADC's largest reading that the calibration was made for; None: not checked
+    bridge          what the board's outputs are wired for, a value of ``frames.BRIDGES``; None: not told
+    session         number of this session, 1 to 2**32 - 1; None: a random one
     name            of the port, for ``backend``
     emulated        True where it is known that no real motor is behind the port
     """
 
     order: Order = "sample_first"
+    latches_stops = True
 
     def __init__(
         self,
@@ -108,6 +119,8 @@ class SerialDriver:
         tachometer: TachometerScale | None = None,
         *,
         counts_max: int | None = None,
+        bridge: str | None = None,
+        session: int | None = None,
         name: str = "serial",
         emulated: bool = False,
     ) -> None:
@@ -121,12 +134,14 @@ class SerialDriver:
         self._timeout_s = timeout_s
         self._open_timeout_s = open_timeout_s
         self._counts_max = counts_max
+        self._bridge = bridge
         self._name = name
         self._emulated = emulated
         self._reader = frames.FrameReader()
         self._clock = DeviceClock(0.0, 0, 1.0)
         self._seq = 0
-        self._setup: Setup | None = None
+        self._session = secrets.randbelow(2**32 - 1) + 1 if session is None else session
+        self._setup: Setup | None = None  # that the device has confirmed
         self._armed = False
         self._unconfirmed: int | None = None  # seq of a DRIVE frame that no STATE has told of yet
         self._driven = False  # the device has accepted a DRIVE since arming
@@ -163,13 +178,15 @@ class SerialDriver:
         }
 
     def open(self) -> DeviceInfo:
-        """Wait for the device to introduce itself, and measure its clock for about a second.
+        """Wait for the device to introduce itself, clear what it has latched, and measure its clock for about a second.
 
-        Raises Fault LINK_HELLO, LINK_VERSION, DEVICE_RESET or LINK_LOST; CONFIG_MISMATCH where the config does
-        not fit the device (converter range, rails, tachometer).
+        A fault whose cause lasts stays latched: ``arm`` raises it.
+        Raises Fault LINK_HELLO, LINK_VERSION, LINK_TIMEOUT, DEVICE_RESET or LINK_LOST; CONFIG_MISMATCH where the config
+        does not fit the device (converter range, rails, tachometer, bridge).
         """
         hello = self._meet()
         self._check(hello)
+        acknowledged = self._acknowledge()
         self.drive_map = replace(self.drive_map, full_units=hello.drive_full)
         exchanges = self._time_exchanges()
         try:
@@ -188,23 +205,27 @@ class SerialDriver:
             round_trip_s=min(e.received_s - e.sent_s for e in exchanges),
             supply_V=self._measured_supply_V(hello),
             drive_units=hello.drive_full,
+            acknowledged=acknowledged,
         )
 
     def arm(self, limits: Limits) -> None:
-        """Stop, send the limits, read them back, arm.
+        """Stop, send the limits where the device has not got them yet, read them back, arm.
 
+        What the device has latched since it was opened refuses, and a device that has lost this session: it was reset.
         Raises ValueError as ``setup_for``; Fault ARM_READBACK, LINK_TIMEOUT, or what the device refuses with.
         """
-        setup = setup_for(limits, self.calibration, self.drive_map, self._rail_counts)
+        setup = setup_for(limits, self.calibration, self.drive_map, self._rail_counts, self._session)
         self._armed = False
-        self._request(Kind.STOP, b"", Kind.STOP_REPLY)
-        stored = Setup.unpack(self._request(Kind.SETUP, setup.pack(), Kind.SETUP_REPLY).body)
-        if stored != setup:
-            raise Fault("ARM_READBACK", f"sent {_fields(setup, stored)}, stored {_fields(stored, setup)}")
-        code = self._request(Kind.ARM, b"", Kind.ARM_REPLY).body[0]
+        state = State.unpack(self._request(Kind.STOP, b"", Kind.STOP_REPLY).body)
+        self._check_pause(state)
+        if setup != self._setup:
+            stored = Setup.unpack(self._request(Kind.SETUP, setup.pack(), Kind.SETUP_REPLY).body)
+            if stored != setup:
+                raise Fault("ARM_READBACK", f"sent {_fields(setup, stored)}, stored {_fields(stored, setup)}")
+            self._setup = setup
+        code = self._request(Kind.ARM, frames.pack_arm(self._session), Kind.ARM_REPLY).body[0]
         if code != Code.NONE:
             raise Fault(_FAULT_OF_CODE.get(code, "LINK_REJECTED"), f"arming refused, {frames.code_name(code)}")
-        self._setup = setup
         self.failsafe = DeviceWatchdog(1e-3 * setup.watchdog_ms)
         self._unconfirmed = None
         self._lost_in_a_row = 0
@@ -226,8 +247,14 @@ class SerialDriver:
             raise refusal(packet)
         state = State.unpack(packet.body)
         if self._armed:
-            if state.status & frames.STATUS_FAULT or not state.status & frames.STATUS_ARMED:
+            if (
+                state.status & frames.STATUS_FAULT
+                or not state.status & frames.STATUS_ARMED
+                or state.session != self._session
+            ):
                 raise self._device_fault(state)
+        elif self._setup is not None:
+            self._check_pause(state)
         elif self._unconfirmed is not None and state.fault:
             raise self._device_fault(state)
 
@@ -352,7 +379,8 @@ class SerialDriver:
                 raise refusal(packet)
             if RelaySetup.unpack(packet.body) != setup:
                 raise Fault("ARM_READBACK", f"sent {setup}, stored {RelaySetup.unpack(packet.body)}")
-            self._stream = RelayStream(self.calibration, self.drive_map, self._clock, self._transport.now_s())
+            now_s = self._transport.now_s()
+            self._stream = RelayStream(self.calibration, self.drive_map, self._clock, self._session, now_s)
             return
         raise self._timeout(Kind.RELAY)
 
@@ -444,13 +472,21 @@ class SerialDriver:
             raise ValueError("the relay has not ended")
         counts, drive = block.rows[-1] if block.rows else (0, 0)
         return self._device_fault(
-            State(block.t_first_us, counts, frames.NO_TACHOMETER, 0, drive, 0, block.status, block.fault)
+            State(block.t_first_us, counts, frames.NO_TACHOMETER, 0, drive, 0, block.status, block.fault, block.session)
         )
 
     # ------------------------------------------------------------------ meeting the device
 
     def _meet(self) -> Hello:
-        introduction = await_introduction(self._transport, self._reader, self._open_timeout_s)
+        try:
+            introduction = await_introduction(self._transport, self._reader, self._open_timeout_s)
+        except Fault as fault:
+            if fault.code != "LINK_VERSION":
+                raise
+            port = self._name.removeprefix("serial:")
+            raise Fault(
+                fault.code, f"{fault.detail}; type: rig flash --port {port} --bridge {self._bridge or 'pwm-dir'}"
+            ) from fault
         self._seq = introduction.requests
         self._stale_replies += introduction.stale_replies
         return introduction.hello
@@ -462,19 +498,64 @@ class SerialDriver:
                 "LINK_HELLO",
                 f"the device says full drive is {hello.drive_full} units; {_LEAST_FULL_UNITS} to 32767 are a drive",
             )
-        if self._counts_max is not None and hello.adc_max != self._counts_max:
+        if self._counts_max is not None and hello.counts_max != self._counts_max:
             raise Fault(
                 "CONFIG_MISMATCH",
-                f"sensor.counts_max is {self._counts_max}, but the device reads 0 to {hello.adc_max}: "
+                f"sensor.counts_max is {self._counts_max}, but the device reads 0 to {hello.counts_max}: "
                 "calibrate with this device",
             )
         low, high = self._rail_counts
-        if not 0 <= low < high <= hello.adc_max:
+        if not 0 <= low < high <= hello.counts_max:
             raise Fault(
-                "CONFIG_MISMATCH", f"sensor.rail_counts {low}, {high} must lie within the device's 0 to {hello.adc_max}"
+                "CONFIG_MISMATCH",
+                f"sensor.rail_counts {low}, {high} must lie within the device's 0 to {hello.counts_max}",
             )
         if self.tachometer is not None and not hello.features & frames.FEATURE_TACHOMETER:
             raise Fault("CONFIG_MISMATCH", "the config has a section `tachometer`, but the device has no such channel")
+        self._check_bridge(hello)
+
+    def _check_bridge(self, hello: Hello) -> None:
+        """With the wrong bridge a drive of 0 V can be full drive: the config has to say what is wired."""
+        bridge = frames.BRIDGES.get(hello.bridge)
+        if hello.bridge == 0 or bridge == self._bridge or (self._bridge is None and self._emulated):
+            return
+        if bridge is None:
+            raise Fault(
+                "CONFIG_MISMATCH", f"the device drives a bridge of kind {hello.bridge}, which this rig does not know"
+            )
+        if self._bridge is None:
+            raise Fault(
+                "CONFIG_MISMATCH",
+                f"drive.bridge is missing, and the device's firmware is for {bridge}: with the motor's supply off, see "
+                f"that the bridge is wired so (docs/real-bench.md), then write bridge: {bridge}",
+            )
+        raise Fault(
+            "CONFIG_MISMATCH",
+            f"drive.bridge is {self._bridge}, but the device's firmware is for {bridge}, and 0 V can be full drive: "
+            f"switch the motor's supply off, then type: rig flash --bridge {self._bridge}",
+        )
+
+    def _acknowledge(self) -> tuple[str, ...]:
+        """Clear what the device has latched before this command; the codes of the faults, resets aside.
+
+        Opening a port resets an Uno, so a reset before this tells nothing.
+        """
+        cleared = []
+        for _ in range(_MOST_LATCHED):
+            state = State.unpack(self._request(Kind.READ, b"", Kind.STATE).body)
+            if not state.status & frames.STATUS_FAULT or not self._is_cleared(state.fault):
+                break
+            if state.fault != Code.RESET:
+                cleared.append(_FAULT_OF_CODE.get(state.fault, "LINK_REJECTED"))
+        return tuple(cleared)
+
+    def _is_cleared(self, code: int) -> bool:
+        """Acknowledge one fault; False where its cause lasts."""
+        for _ in range(_ATTEMPTS):
+            packet = self._answer(self._send(Kind.ACK, frames.pack_ack(code)), Kind.ACK_REPLY)
+            if packet is not None:
+                return packet.kind == Kind.ACK_REPLY
+        raise self._timeout(Kind.ACK)
 
     def _measured_supply_V(self, hello: Hello) -> float:
         """The motor supply as the device measures it now, not in its first millisecond; nan if it does not."""
@@ -573,8 +654,15 @@ class SerialDriver:
     def _where(self, state: State) -> str:
         return f"{self.calibration.to_rad(state.counts):.4f} rad, {state.counts} counts"
 
+    def _check_pause(self, state: State) -> None:
+        """Raise what has happened to a disarmed device since it was opened."""
+        if state.status & frames.STATUS_FAULT or (self._setup is not None and state.session != self._session):
+            raise self._device_fault(state)
+
     def _device_fault(self, state: State) -> Fault:
         """What a STATE says that ends the run, with this case's numbers."""
+        if self._setup is not None and state.session != self._session:
+            return Fault("DEVICE_RESET", f"the device has lost its session; at {self._where(state)}")
         if self._armed and not state.status & frames.STATUS_FAULT:
             return Fault("DEVICE_RESET", f"no longer armed and no fault latched; at {self._where(state)}")
         detail = f"{frames.code_name(state.fault)} at {self._where(state)}"

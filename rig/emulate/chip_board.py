@@ -26,15 +26,17 @@ class ChipBoard(BoardProcess):
         trace: Path | None = None,
         tachometer: Mapping[str, Any] | None = None,
         baud: int = 115200,
+        bridge: str | None = None,
     ) -> str:
         """As of HostBoard; the trace has ``led`` (lit: armed) instead of the fault.
 
-        baud  of the firmware and of the wire, 115200 or 1000000
+        baud    of the firmware and of the wire, 115200 or 1000000
+        bridge  as drive.bridge of the config
         Raises EmulationError if it cannot be built or does not start.
         """
         self._must_not_run()
         bench = BenchParameters.from_mapping(emulated, tachometer)
-        options = uno_options(bench, baud)
+        options = uno_options(bench, baud, bridge)
         firmware = firmware_build.build_chip(options)
         wanted = chip_options(firmware, bench, seed, emulated["clock_error_ppm"], options)
         return self._launch(firmware.program, {**wanted, "baud": str(baud)}, link, trace)

@@ -110,6 +110,7 @@ class IoBlock:
         self.latched = False
         self.recovering = 0
         self.drive = 0.0  # at the output, in units of its register
+        self.e_stop_open = False  # cuts the output, and disarms; it latches nothing, so that it must be looked at
         self.requests = 0
         self._polarity = polarity
         self._revision = revision
@@ -179,6 +180,8 @@ class IoBlock:
     @property
     def status(self) -> int:
         """Value of the status register."""
+        if self.e_stop_open:
+            return self.registers.status_of["DEVICE_ESTOP"]
         if self.fault is not None:
             return self.registers.status_of[self.fault]
         return ARMED if self.armed else OFF
@@ -234,6 +237,8 @@ class IoBlock:
 
     def _sample(self) -> None:
         self._read_position()
+        if self.e_stop_open:
+            self._disarm()
         if not self.armed:
             return
         obstacle = self._obstacle()
@@ -277,6 +282,8 @@ class IoBlock:
         self._disarm()  # arming starts from drive 0, also when already armed
         self._read_position()
         self._clear_fault()
+        if self.e_stop_open:
+            return
         obstacle = self._obstacle()
         if obstacle is not None:
             self._latch(obstacle)

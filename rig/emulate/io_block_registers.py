@@ -17,6 +17,7 @@ STATUS_OF_FAULT = {
     "DEVICE_SENSOR": 4,
     "DEVICE_DRIVE_RANGE": 5,
     "DEVICE_NOT_ARMED": 6,
+    "DEVICE_ESTOP": 7,
 }
 
 _FORMAT = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}

@@ -24,9 +24,10 @@ Hang = Literal["main loop", "everything", "clock", "converter", "tick"]
 Stall = Literal["main loop", "tick"]
 
 
-def uno_options(bench: BenchParameters, baud: int) -> UnoOptions:
-    """What the firmware is built with for a bench."""
-    return UnoOptions(baud=baud, tachometer=bench.tachometer_rad_s_per_count is not None)
+def uno_options(bench: BenchParameters, baud: int, bridge: str | None) -> UnoOptions:
+    """What the firmware is built with for a bench; ``bridge`` as the config names it, None: the plain one."""
+    inputs = PLAIN_UNO.bridge if bridge is None else bridge.upper().replace("-", "_")
+    return UnoOptions(inputs, baud, tachometer=bench.tachometer_rad_s_per_count is not None)
 
 
 def chip_options(
@@ -117,11 +118,16 @@ class VirtualChip(VirtualDevice):
 
     @classmethod
     def from_mapping(
-        cls, emulated: Mapping[str, Any], seed: int, tachometer: Mapping[str, Any] | None = None, baud: int = 115200
+        cls,
+        emulated: Mapping[str, Any],
+        seed: int,
+        tachometer: Mapping[str, Any] | None = None,
+        baud: int = 115200,
+        bridge: str | None = None,
     ) -> Self:
-        """From the plain values of a config's sections ``emulated`` and ``tachometer``."""
+        """From the plain values of a config's sections ``emulated`` and ``tachometer``, and its drive.bridge."""
         bench = BenchParameters.from_mapping(emulated, tachometer)
-        return cls(bench, seed, clock_error_ppm=emulated["clock_error_ppm"], options=uno_options(bench, baud))
+        return cls(bench, seed, clock_error_ppm=emulated["clock_error_ppm"], options=uno_options(bench, baud, bridge))
 
     def truth(self) -> ChipTruth:
         """What is really the case now."""

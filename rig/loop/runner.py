@@ -14,6 +14,7 @@ from rig.control.motion import is_obeyed
 from rig.daq.driver import Clock, Driver, RelayDriver
 from rig.daq.relay_stream import RelayCommand, RelayRow
 from rig.faults import Fault
+from rig.loop.pause_watch import PauseWatch
 from rig.loop.statistics import LoopStatistics
 from rig.loop.stop_request import StopRequest
 from rig.recording.record import Record
@@ -49,6 +50,7 @@ class Loop:
         # a drive that goes out with the next tick's exchange acts a period later than one that goes out at once
         self._longest_latency_s = period_s * (2.0 if driver.order == "write_first" else 1.0)
         self._stop = stop
+        self.pause_watch = PauseWatch(driver, clock, period_s)
         self._t0_s = clock.now_s() + period_s
         self._tick = 0
         self._row_open = False
@@ -56,6 +58,7 @@ class Loop:
         self._skipped = 0  # ticks skipped just before the next one
         self.last_y_rad = math.nan  # position at the last tick
         self._last_t_s = math.nan
+        self._newest_t_s = -math.inf  # of any row
         self._last_row_s = math.nan  # of the relay in the device
         self._relay: RelayDriver | None = None  # while it drives
         self._device_tick_s = math.nan  # of it
@@ -74,7 +77,12 @@ class Loop:
 
     @contextmanager
     def armed(self, limits: Limits) -> Iterator[None]:
-        """Arm the device for the block; however the block ends, stop the drive and disarm first."""
+        """Arm the device for the block; however the block ends, stop the drive and disarm first.
+
+        Between two blocks the device is in a pause. What happens to it then is raised here, by ``check_stop``, or by
+        the driver as it arms. After the last block ``close`` ends the pause.
+        """
+        self.pause_watch.end()
         self.check_stop()
         # a collection in the middle of a tick would be a late drive; before arming it only takes time
         gc.collect()
@@ -90,6 +98,11 @@ class Loop:
             stopped = self._stop_drive()
         if not stopped:
             raise Fault("STOP_UNCONFIRMED")
+        self.pause_watch.begin()
+
+    def close(self) -> None:
+        """Let go of the driver. May be called twice."""
+        self.pause_watch.give_up()
 
     def _stop_drive(self) -> bool:
         """Stop, whatever happens; False where the device did not confirm it."""
@@ -211,6 +224,10 @@ class Loop:
         sample = self._driver.read()
         read_s = now_s()
         sample = sample._replace(t_s=self._since_start_s(sample.t_s), t_u_s=self._since_start_s(sample.t_u_s))
+        if sample.t_s < self._newest_t_s:
+            # no row of it: a record whose time goes back cannot be read
+            raise Fault("DEVICE_RESET", f"a reading of {sample.t_s:.4f} s after one of {self._newest_t_s:.4f} s")
+        self._newest_t_s = sample.t_s
         late_us, io_us = (woke_s - due_s) * 1e6, (read_s - woke_s) * 1e6
         self.statistics.tick(late_us, io_us)
         try:
@@ -257,9 +274,10 @@ class Loop:
         self._tick += 1 + self._skipped
 
     def check_stop(self) -> None:
-        """Raise Fault INTERRUPTED if a signal has asked for a stop."""
+        """Raise Fault INTERRUPTED if a signal has asked for a stop, or what was seen in a pause."""
         if self._stop.reason is not None:
             raise Fault("INTERRUPTED", self._stop.reason)
+        self.pause_watch.check()
 
     def _complete_row(self, sample: Sample) -> None:
         if self._row_open:

@@ -182,7 +182,7 @@ def read_run(folder: Path) -> Recording:
     """
     if not _is_folder(folder) or not (folder / SAMPLES).exists():
         raise no_run(folder)
-    recording = read_csv(folder / SAMPLES)
+    recording = read_csv(folder / SAMPLES, own=True)
     notes = list(recording.notes)
 
     meta: dict[str, Any] = {}
@@ -206,12 +206,13 @@ def read_result(folder: Path) -> dict[str, Any] | None:
     return _parse_object(path, _text(path, _bytes(path)), None) if path.exists() else None
 
 
-def read_csv(path: Path) -> Recording:
+def read_csv(path: Path, *, own: bool = False) -> Recording:
     """Read a CSV file: a line of column names, then at least three rows; comma, semicolon, tab or blanks between.
 
     Needs t_s, u_V and y_rad; takes every other column of samples.csv that is there, in any order. Lines that begin
     with # and blank lines are skipped, so is Excel's ``sep=``. Decimal commas are read where no comma separates
     columns and no decimal point occurs. A last line without a line end is taken as torn: left out and noted.
+    own  of a run folder: it ends where its time stands still or goes back, as the device's did; that is noted
     Raises RecordingError.
     """
     content, moved = whole_content(path)
@@ -236,6 +237,9 @@ def read_csv(path: Path) -> Recording:
         for k in range(0, len(row_numbers), _ROWS_AT_ONCE)
     ]
     columns = {name: np.concatenate([chunk[name] for chunk in chunks]) for name in chunks[0]}
+    if own:
+        columns = _while_time_rises(columns, row_numbers, notes)
+        row_numbers = row_numbers[: len(columns["t_s"])]
     _check_time(path, columns["t_s"], row_numbers)
     _add_absent(columns, len(row_numbers))
     for array in columns.values():
@@ -483,6 +487,22 @@ def _is_number(text: str) -> bool:
 
 def _shown(text: str) -> str:
     return repr(text if len(text) <= 40 else text[:40] + "...")
+
+
+def _while_time_rises(
+    columns: dict[str, NDArray[Any]], numbers: Sequence[int], notes: list[str]
+) -> dict[str, NDArray[Any]]:
+    """The rows before the first whose time does not rise; all where that would leave too few."""
+    t_s = columns["t_s"]
+    bad = np.flatnonzero(t_s[1:] <= t_s[:-1])
+    if len(bad) == 0 or bad[0] + 1 < MIN_ROWS:
+        return columns
+    kept = int(bad[0]) + 1
+    notes.append(
+        f"line {numbers[kept]}: t_s = {t_s[kept]:.9g} after {t_s[kept - 1]:.9g}, the device's clock stood still or "
+        f"went back; from there on {len(t_s) - kept} rows are left out"
+    )
+    return {name: values[:kept] for name, values in columns.items()}
 
 
 def _check_time(path: Path, t_s: Floats, numbers: Sequence[int]) -> None:

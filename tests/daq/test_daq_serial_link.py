@@ -16,12 +16,13 @@ CALIBRATION = Calibration([(24, -2.0015625), (1000, 2.0015625)])
 DRIVE = DriveMap(supply_V=12.0)
 RAILS = (5, 1018)
 LIMITS = Limits(soft_rad=(-1.1, 1.1), hard_rad=(-1.9, 1.9), max_u_V=3.0, watchdog_s=0.1)
-SETUP = Setup(49, 975, 5, 1018, 512, 200, 100, 1)
+SESSION = 0x89ABCDEF
+SETUP = Setup(SESSION, 49, 975, 5, 1018, 512, 200, 100, 1)
 TIMEOUT_S = 0.03
 
 
 class ScriptedPort:
-    """A transport in virtual time. It answers HELLO by itself and everything else from its script.
+    """A transport in virtual time. It answers HELLO by itself, READ until ``met``, and all else from its script.
 
     A reply is (delay in s, bytes), or a Fault that the port dies of.
     """
@@ -31,7 +32,8 @@ class ScriptedPort:
         self.ratio, self.start_us = ratio, start_us
         self.silent_until_s = self.t_s + silent_s
         self.version = version
-        self.hello = Hello(1, 1, 1023, 799, 0, 0, 0, b"test-1".ljust(16, b"\0"))._replace(**hello)
+        self.hello = Hello(1, 1, 0, 0, 1023, 799, 0, 0, b"test-1".ljust(16, b"\0"))._replace(**hello)
+        self.met = False
         self.script: list[tuple[bytes, tuple]] = []
         self.arriving: list[tuple[float, bytes]] = []
         self.requests = frames.FrameReader()
@@ -55,6 +57,9 @@ class ScriptedPort:
             if self.t_s >= self.silent_until_s:
                 body = self.hello._replace(now_us=self.device_us(self.t_s + 0.0001)).pack()
                 self.reply(0.0005, encode(Kind.HELLO_REPLY, request.seq, body, self.version))
+            return
+        if request.kind == Kind.READ and not self.met:
+            self.reply(0.001, encode(Kind.STATE, request.seq, self.state(status=0, session=0)))
             return
         assert self.script, f"unexpected {Kind(request.kind).name}"
         expected, replies = self.script.pop(0)
@@ -92,6 +97,7 @@ class ScriptedPort:
 
     def expect(self, kind, body=b"", *replies):
         """The next request, and what comes back."""
+        self.met = True
         self.script.append((encode(kind, self.next_seq(), body), replies))
 
     def expect_answer(self, kind, body, reply_kind, reply_body):
@@ -101,12 +107,12 @@ class ScriptedPort:
         self.expect_answer(Kind.READ, b"", Kind.STATE, self.state(**state))
 
     def state(self, **fields):
-        base = State(self.device_us(), 512, frames.NO_TACHOMETER, 0, 0, 0, frames.STATUS_ARMED, 0)
+        base = State(self.device_us(), 512, frames.NO_TACHOMETER, 0, 0, 0, frames.STATUS_ARMED, 0, SESSION)
         return base._replace(**fields).pack()
 
 
 def make(port, **options):
-    return SerialDriver(port, CALIBRATION, DRIVE, RAILS, TIMEOUT_S, 5.0, **options)
+    return SerialDriver(port, CALIBRATION, DRIVE, RAILS, TIMEOUT_S, 5.0, session=SESSION, **options)
 
 
 def opened(**options):
@@ -117,9 +123,9 @@ def opened(**options):
 
 
 def expect_arming(port, setup=SETUP, stored=None, code=0):
-    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0))
+    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0, session=0))
     port.expect_answer(Kind.SETUP, setup.pack(), Kind.SETUP_REPLY, (stored or setup).pack())
-    port.expect_answer(Kind.ARM, b"", Kind.ARM_REPLY, bytes([code]))
+    port.expect_answer(Kind.ARM, frames.pack_arm(SESSION), Kind.ARM_REPLY, bytes([code]))
 
 
 def armed(**options):
@@ -181,11 +187,17 @@ def test_a_silent_device_is_an_error_with_the_numbers():
     assert port.t_s == pytest.approx(105.0, abs=0.2)
 
 
-@pytest.mark.parametrize("version", [2, 255])
+@pytest.mark.parametrize("version", [1, 255])
 def test_another_version_names_both(version):
     fault = fault_of(make(ScriptedPort(version=version)).open)
     assert fault.code == "LINK_VERSION"
     assert f"version {version}" in fault.detail and f"version {frames.VERSION}" in fault.detail
+
+
+def test_a_board_of_before_gets_the_line_that_flashes_it():
+    port = ScriptedPort(version=1)
+    driver = make(port, name="serial:/dev/ttyACM0", bridge="in1-in2")
+    assert "rig flash --port /dev/ttyACM0 --bridge in1-in2" in fault_of(driver.open).detail
 
 
 def test_a_device_that_refuses_our_version():
@@ -217,8 +229,8 @@ def test_the_device_restarts_while_its_clock_is_measured():
 @pytest.mark.parametrize(
     ("hello", "options", "words"),
     [
-        ({"adc_max": 4095}, {"counts_max": 1023}, "reads 0 to 4095"),
-        ({"adc_max": 1000}, {}, "rail_counts"),
+        ({"counts_max": 4095}, {"counts_max": 1023}, "reads 0 to 4095"),
+        ({"counts_max": 1000}, {}, "rail_counts"),
         ({"features": 0}, {"tachometer": TachometerScale(1.0)}, "tachometer"),
     ],
 )
@@ -226,6 +238,69 @@ def test_a_config_that_does_not_fit_the_device(hello, options, words):
     fault = fault_of(make(ScriptedPort(**hello), **options).open)
     assert fault.code == "CONFIG_MISMATCH"
     assert words in fault.detail
+
+
+@pytest.mark.parametrize(
+    ("told", "config", "words"),
+    [
+        (2, "pwm-dir", "drive.bridge is pwm-dir, but the device's firmware is for in1-in2"),
+        (1, "in1-in2", "rig flash --bridge in1-in2"),
+        (1, None, "write bridge: pwm-dir"),
+        (7, "pwm-dir", "a bridge of kind 7"),
+    ],
+)
+def test_a_bridge_that_is_not_the_configs(told, config, words):
+    """The wrong one can be full drive at 0 V: nothing but questions goes out."""
+    fault = fault_of(make(ScriptedPort(board=2, bridge=told), bridge=config).open)
+    assert fault.code == "CONFIG_MISMATCH"
+    assert words in fault.detail
+
+
+@pytest.mark.parametrize(("told", "config"), [(1, "pwm-dir"), (2, "in1-in2"), (0, None), (0, "in1-in2")])
+def test_a_bridge_that_is_the_configs_or_none(told, config):
+    make(ScriptedPort(board=2, bridge=told), bridge=config).open()
+
+
+# ---------------------------------------------------------------------- what is latched already
+
+
+def meeting(*latched, refuses=()):
+    """A port whose device has these codes latched, and refuses to clear some."""
+    port = ScriptedPort()
+    codes, write = list(latched), port.write
+
+    def answer(data):
+        (request,) = frames.FrameReader().feed(data)
+        port.seq = request.seq
+        status = frames.STATUS_FAULT if codes else 0
+        if request.kind == Kind.ACK:
+            (code,) = request.body
+            if code in refuses:
+                port.reply(0.001, encode(Kind.NACK, request.seq, Nack(code, Kind.ACK).pack()))
+                return
+            codes.remove(code)
+            port.reply(0.001, encode(Kind.ACK_REPLY, request.seq, port.state(status=0)))
+        elif request.kind == Kind.READ:
+            port.reply(
+                0.001, encode(Kind.STATE, request.seq, port.state(status=status, fault=codes[0] if codes else 0))
+            )
+        else:
+            write(data)
+
+    port.write = answer
+    return port, codes
+
+
+def test_opening_clears_what_was_latched_and_tells_of_it():
+    port, codes = meeting(Code.RESET, Code.E_STOP, Code.WATCHDOG)
+    assert make(port).open().acknowledged == ("DEVICE_ESTOP", "DEVICE_WATCHDOG")  # opening resets an Uno
+    assert codes == []
+
+
+def test_what_lasts_stays_latched():
+    port, codes = meeting(Code.RESET, Code.E_STOP, refuses=[Code.E_STOP])
+    assert make(port).open().acknowledged == ()
+    assert codes == [Code.E_STOP]
 
 
 def test_full_drive_is_the_devices_own():
@@ -255,7 +330,7 @@ def test_a_read_back_that_differs_in_any_field(field):
 
 @pytest.mark.parametrize(
     ("code", "name"),
-    [(Code.SENSOR_RAIL, "DEVICE_SENSOR"), (Code.NO_SETUP, "LINK_REJECTED"), (99, "LINK_REJECTED")],
+    [(Code.SENSOR_RAIL, "DEVICE_SENSOR"), (Code.NO_SETUP, "DEVICE_RESET"), (99, "LINK_REJECTED")],
 )
 def test_arming_refused(code, name):
     port, driver = opened()
@@ -265,9 +340,58 @@ def test_arming_refused(code, name):
     assert f"code {int(code)}" in fault.detail
 
 
+@pytest.mark.parametrize("code", [Code.E_STOP, Code.RESET, Code.SENSOR_RAIL])
+def test_what_was_latched_since_opening_refuses_and_is_not_cleared(code):
+    port, driver = opened()
+    state = port.state(status=frames.STATUS_FAULT, fault=code, session=0)
+    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, state)
+    name = {Code.E_STOP: "DEVICE_ESTOP", Code.RESET: "DEVICE_RESET", Code.SENSOR_RAIL: "DEVICE_SENSOR"}[code]
+    assert fault_of(driver.arm, LIMITS).code == name
+    assert not port.script  # neither SETUP nor ACK nor ARM
+
+
+def test_arming_again_sends_no_setup_and_names_the_session():
+    port, driver = armed()
+    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0))
+    driver.safe_stop()
+    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0))
+    port.expect_answer(Kind.ARM, frames.pack_arm(SESSION), Kind.ARM_REPLY, bytes([Code.NONE]))
+    driver.arm(LIMITS)
+    assert not port.script
+
+
+@pytest.mark.parametrize("session", [0, SESSION + 1])
+def test_a_device_that_has_lost_the_session_was_reset(session):
+    port, driver = armed()
+    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0))
+    driver.safe_stop()
+    port.expect_read(status=0, session=session)
+    assert fault_of(driver.read).code == "DEVICE_RESET"  # in a pause
+    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0, session=session))
+    assert fault_of(driver.arm, LIMITS).code == "DEVICE_RESET"
+    assert not port.script
+    port, driver = armed()
+    port.expect_read(session=session)
+    assert fault_of(driver.read).code == "DEVICE_RESET"  # armed, as it says
+
+
+def test_an_e_stop_in_a_pause_is_told():
+    port, driver = armed()
+    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0))
+    driver.safe_stop()
+    port.expect_read(status=frames.STATUS_FAULT, fault=Code.E_STOP)
+    assert fault_of(driver.read).code == "DEVICE_ESTOP"
+
+
+def test_each_driver_has_a_session_of_its_own():
+    drivers = [SerialDriver(ScriptedPort(), CALIBRATION, DRIVE, RAILS) for _ in range(50)]
+    sessions = {driver._session for driver in drivers}
+    assert len(sessions) == 50 and all(1 <= session < 2**32 for session in sessions)
+
+
 def test_setup_refused():
     port, driver = opened()
-    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0))
+    port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0, session=0))
     port.expect_answer(Kind.SETUP, SETUP.pack(), Kind.NACK, Nack(Code.SETUP_INVALID, Kind.SETUP).pack())
     fault = fault_of(driver.arm, LIMITS)
     assert fault.code == "LINK_REJECTED"
@@ -286,16 +410,16 @@ def test_arming_asks_again_when_a_reply_is_lost_and_gives_up_in_the_end():
 
 def test_setup_of_a_falling_sensor_and_a_reversed_bridge():
     falling = Calibration([(24, 2.0), (1000, -2.0)])
-    setup = setup_for(LIMITS, falling, DRIVE, RAILS)
+    setup = setup_for(LIMITS, falling, DRIVE, RAILS, SESSION)
     assert setup.polarity == -1
     assert setup.hard_lo < setup.centre < setup.hard_hi
-    assert setup_for(LIMITS, falling, DriveMap(supply_V=12.0, reversed=True), RAILS).polarity == 1
-    assert setup_for(LIMITS, CALIBRATION, DriveMap(supply_V=12.0, reversed=True), RAILS).polarity == -1
+    assert setup_for(LIMITS, falling, DriveMap(supply_V=12.0, reversed=True), RAILS, SESSION).polarity == 1
+    assert setup_for(LIMITS, CALIBRATION, DriveMap(supply_V=12.0, reversed=True), RAILS, SESSION).polarity == -1
 
 
 @pytest.mark.parametrize("calibration", [CALIBRATION, Calibration([(20, 2.03), (500, 0.1), (1000, -2.01)])])
 def test_counts_are_inside_exactly_if_the_position_is(calibration):
-    setup = setup_for(LIMITS, calibration, DRIVE, RAILS)
+    setup = setup_for(LIMITS, calibration, DRIVE, RAILS, SESSION)
     for counts in range(6, 1018):
         inside = LIMITS.hard_rad[0] <= calibration.to_rad(counts) <= LIMITS.hard_rad[1]
         assert (setup.hard_lo <= counts <= setup.hard_hi) == inside
@@ -303,7 +427,7 @@ def test_counts_are_inside_exactly_if_the_position_is(calibration):
 
 def test_the_largest_drive_covers_both_directions():
     drive = DriveMap(supply_V=12.0, dead_band_plus=0.0, dead_band_minus=0.1)
-    setup = setup_for(LIMITS, CALIBRATION, drive, RAILS)
+    setup = setup_for(LIMITS, CALIBRATION, drive, RAILS, SESSION)
     assert setup.max_drive == -drive.to_units(-3.0) > drive.to_units(3.0)
 
 
@@ -323,7 +447,7 @@ def test_the_largest_drive_covers_both_directions():
 def test_limits_that_the_device_cannot_hold(change, words):
     limits = Limits(**{**LIMITS.__dict__, **change})
     with pytest.raises(ValueError, match=words):
-        setup_for(limits, CALIBRATION, DRIVE, RAILS)
+        setup_for(limits, CALIBRATION, DRIVE, RAILS, SESSION)
 
 
 # ---------------------------------------------------------------------- one tick
@@ -499,7 +623,7 @@ def test_a_repeated_reply_counts_once(together):
         lambda seq, state: encode(Kind.STATE, seq - 1, state),
         lambda seq, state: encode(Kind.STATE, (seq + 1) & 0xFFFF, state),
         lambda seq, state: encode(Kind.STOP_REPLY, seq, state),
-        lambda seq, state: encode(Kind.STATE, seq, state, version=2),
+        lambda seq, state: encode(Kind.STATE, seq, state, version=1),
         lambda seq, state: encode(0x90, seq, state),
     ],
     ids=["before", "ahead", "another kind", "another version", "unknown kind"],

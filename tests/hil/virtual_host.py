@@ -4,7 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from rig.daq.frames import Code, FrameReader, Hello, Kind, Packet, Setup, State, encode, pack_drive
+from rig.daq.frames import (
+    STATUS_FAULT,
+    VERSION,
+    Code,
+    FrameReader,
+    Hello,
+    Kind,
+    Packet,
+    Setup,
+    State,
+    encode,
+    pack_ack,
+    pack_arm,
+    pack_drive,
+)
 from rig.emulate.virtual_board import VirtualBoard
 from rig.model.bench import BenchParameters
 from rig.model.friction import coulomb
@@ -12,7 +26,18 @@ from rig.model.motor import Motor
 
 BENCH = BenchParameters(Motor(0.17, 6.5, coulomb(0.5)), noise_rad=0.003)
 HELD = replace(BENCH, motor=Motor(0.17, 6.5, coulomb(5.0)))  # a shaft that no drive of these tests moves
-SETUP = Setup(hard_lo=49, hard_hi=975, rail_lo=5, rail_hi=1018, centre=512, max_drive=200, watchdog_ms=100, polarity=1)
+SESSION = 4711
+SETUP = Setup(
+    session=SESSION,
+    hard_lo=49,
+    hard_hi=975,
+    rail_lo=5,
+    rail_hi=1018,
+    centre=512,
+    max_drive=200,
+    watchdog_ms=100,
+    polarity=1,
+)
 TICK_S = 1e-3
 LSB_RAD = BENCH.rad_per_count
 
@@ -29,7 +54,7 @@ class VirtualHost:
         self._reader = FrameReader()
         self._seq = 0
 
-    def send(self, kind: int, body: bytes = b"", version: int = 1) -> None:
+    def send(self, kind: int, body: bytes = b"", version: int = VERSION) -> None:
         self._seq = (self._seq + 1) & 0xFFFF
         self.send_raw(encode(kind, self._seq, body, version))
 
@@ -37,7 +62,7 @@ class VirtualHost:
         self.heard_s = max(self.heard_s, self.board.now_s()) + len(data) * round(11e9 / 115200) * 1e-9
         self.board.write(data)
 
-    def ask(self, kind: int, body: bytes = b"", version: int = 1) -> Packet:
+    def ask(self, kind: int, body: bytes = b"", version: int = VERSION) -> Packet:
         self.send(kind, body, version)
         until_s = self.board.now_s() + 0.05
         while self.board.now_s() < until_s:
@@ -53,10 +78,23 @@ class VirtualHost:
         packet = self.ask(Kind.SETUP, setup.pack())
         assert packet.kind == Kind.SETUP_REPLY and Setup.unpack(packet.body) == setup
 
-    def arm(self) -> Code:
-        packet = self.ask(Kind.ARM)
+    def arm(self, session: int = SESSION) -> Code:
+        packet = self.ask(Kind.ARM, pack_arm(session))
         assert packet.kind == Kind.ARM_REPLY
         return Code(packet.body[0])
+
+    def acknowledge(self, code: Code) -> State:
+        """What is latched after it; the device must not refuse it."""
+        packet = self.ask(Kind.ACK, pack_ack(code))
+        assert packet.kind == Kind.ACK_REPLY
+        return State.unpack(packet.body)
+
+    def arm_anew(self) -> Code:
+        """As a command that a person has given begins: what is latched is acknowledged first."""
+        state = self.state()
+        while state.status & STATUS_FAULT:
+            state = self.acknowledge(Code(state.fault))
+        return self.arm()
 
     def state(self) -> State:
         packet = self.ask(Kind.READ)
@@ -77,6 +115,7 @@ class VirtualHost:
 
 def armed_host(bench: BenchParameters = BENCH, setup: Setup = SETUP, **board: float) -> VirtualHost:
     host = VirtualHost(VirtualBoard(bench, **board))  # type: ignore[arg-type]
+    host.acknowledge(Code.RESET)
     host.setup(setup)
-    assert host.arm() == Code.NONE
+    assert host.arm(setup.session) == Code.NONE
     return host

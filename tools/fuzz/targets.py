@@ -197,12 +197,12 @@ def _unit_seeds() -> Iterator[bytes]:
 
 
 def _frame_seeds() -> Iterator[bytes]:
-    hello = frames.Hello(1, 1, 1023, 799, 5, 0, 0, b"fuzz".ljust(16, b"\0")).pack()
+    hello = frames.Hello(1, 1, 0, 0, 1023, 799, 5, 0, b"fuzz".ljust(16, b"\0")).pack()
     state = bytes(frames.BODY_LENGTH[frames.Kind.STATE])
     yield bytes([1, len(hello)]) + hello + bytes([1, len(state)]) + state
     yield bytes([4, 21, 1, 0, 1]) + state + bytes([200, 3, 0, 1, 0])
     clock = b"".join(
-        bytes([1, len(hello)]) + hello[:6] + (1000 * k).to_bytes(4, "little") + hello[10:] for k in range(9)
+        bytes([1, len(hello)]) + hello[:10] + (1000 * k).to_bytes(4, "little") + hello[14:] for k in range(9)
     )
     yield clock + bytes([0, 0])
 

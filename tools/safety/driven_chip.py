@@ -15,7 +15,19 @@ from typing import Literal, NamedTuple
 from rig.bench import calibration_of, limits_of, truth_of
 from rig.config import check
 from rig.daq.calibration import DriveMap
-from rig.daq.frames import Code, FrameReader, Kind, Packet, RelaySetup, encode, pack_drive
+from rig.daq.frames import (
+    STATUS_FAULT,
+    Code,
+    FrameReader,
+    Kind,
+    Packet,
+    RelaySetup,
+    State,
+    encode,
+    pack_ack,
+    pack_arm,
+    pack_drive,
+)
 from rig.daq.serial_link import setup_for
 from rig.emulate.firmware_build import UnoOptions
 from rig.emulate.virtual_chip import ChipTruth, VirtualChip
@@ -28,8 +40,13 @@ DRIVE_FULL = 400
 TICK_S = 1e-3
 PERIOD_S = EXPERIMENT.period_s
 WATCHDOG_S = LIMITS.watchdog_s
+SESSION = 1
 SETUP = setup_for(
-    LIMITS, CALIBRATION, DriveMap(EXPERIMENT.drive.supply_V, full_units=DRIVE_FULL), EXPERIMENT.sensor.rail_counts
+    LIMITS,
+    CALIBRATION,
+    DriveMap(EXPERIMENT.drive.supply_V, full_units=DRIVE_FULL),
+    EXPERIMENT.sensor.rail_counts,
+    SESSION,
 )
 
 _FLOOD_S = 2e-3  # of garbage a write
@@ -172,8 +189,12 @@ class DrivenChip:
 
     def arm(self) -> None:
         """Stop, set the limits, arm. Raises RuntimeError where it refuses."""
-        self.ask(Kind.STOP)
-        if self.ask(Kind.SETUP, SETUP.pack()).kind != Kind.SETUP_REPLY or self.ask(Kind.ARM).body[0] != Code.NONE:
+        state = State.unpack(self.ask(Kind.STOP).body)
+        while state.status & STATUS_FAULT:
+            state = State.unpack(self.ask(Kind.ACK, pack_ack(state.fault)).body)
+        if self.ask(Kind.SETUP, SETUP.pack()).kind != Kind.SETUP_REPLY:
+            raise RuntimeError("the chip does not take the limits")
+        if self.ask(Kind.ARM, pack_arm(SESSION)).body[0] != Code.NONE:
             raise RuntimeError("the chip does not arm")
 
     def _start_relay(self) -> None:

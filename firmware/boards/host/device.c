@@ -22,11 +22,11 @@ static uint32_t micros(void *context)
     return d->bench.p.clock_start_us + (uint32_t)(uint64_t)(since_reset_us + 1e-3);
 }
 
-static uint16_t adc_counts(void *context, uint32_t *t_us)
+static int32_t position(void *context, uint32_t *t_us)
 {
     device *d = context;
     *t_us = micros(context);
-    return (uint16_t)bench_position_counts(&d->bench);
+    return bench_position_counts(&d->bench);
 }
 
 static uint16_t tach_counts(void *context)
@@ -62,15 +62,16 @@ void device_init(device *d, const bench_params *p, void (*send)(void *, const ui
     d->context = context;
     d->board.context = d;
     d->board.micros = micros;
-    d->board.adc_counts = adc_counts;
+    d->board.position = position;
     d->board.tach_counts = tach_counts;
     d->board.set_drive = set_drive;
     d->board.transmit = transmit;
     d->board.inputs = NULL;
     d->board.build = RIG_BUILD;
-    d->board.adc_max = (uint16_t)p->counts_max;
+    d->board.counts_max = p->counts_max;
     d->board.drive_full = (uint16_t)p->drive_counts;
     d->board.board_id = RIG_BOARD_HOST;
+    d->board.bridge = RIG_BRIDGE_NONE;
     d->board.arrived_us = NULL;
     d->board.supply = NULL;
     d->board.hold_tick = NULL;

@@ -148,7 +148,7 @@ void virtual_look(const virtual_board *b, virtual_view *view)
     view->v_rad_per_s = d->bench.v_rad_per_s;
     view->pin_changed_s = 1e-9 * (double)b->pin_changed_ns;
     view->armed = d->core.armed;
-    view->latched = d->core.latched;
+    view->latched = d->core.latched != 0u;
     view->fault = (uint8_t)d->core.fault;
     view->recovering = d->core.recovering;
     view->dropped = d->core.rx.dropped;

@@ -4,9 +4,6 @@
 
 #include "wiring.h"
 
-#define BRIDGE_PWM_DIR 1
-#define BRIDGE_IN1_IN2 2
-
 #define PWM_ON_OC1A BIT(COM1A1) /* high while the counter is below OCR1A */
 #define PWM_ON_OC1B BIT(COM1B1)
 

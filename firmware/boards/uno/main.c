@@ -51,12 +51,12 @@ static uint32_t arrived_us(void *context)
     return clock_us_of(begin);
 }
 
-static uint16_t adc_counts(void *context, uint32_t *t_us)
+static int32_t position(void *context, uint32_t *t_us)
 {
     (void)context;
     const adc_sample sample = in_tick ? adc_tick_sample() : adc_newest_sample();
     *t_us = sample.t_us;
-    return sample.counts;
+    return (int32_t)sample.counts;
 }
 
 static uint16_t tach_counts(void *context)
@@ -108,15 +108,16 @@ static void release_tick(void *context)
 static const rig_board BOARD = {
     .context = NULL,
     .micros = micros,
-    .adc_counts = adc_counts,
+    .position = position,
     .tach_counts = tach_counts,
     .set_drive = set_drive,
     .transmit = transmit,
     .inputs = inputs,
     .build = RIG_BUILD,
-    .adc_max = ADC_MAX,
+    .counts_max = (int32_t)ADC_MAX,
     .drive_full = BRIDGE_FULL,
     .board_id = RIG_BOARD_UNO,
+    .bridge = (uint8_t)RIG_BRIDGE,
     .features = (RIG_TACHOMETER ? (uint8_t)RIG_FEATURE_TACHOMETER : 0u) | (RIG_SUPPLY ? (uint8_t)RIG_FEATURE_SUPPLY : 0u),
     .arrived_us = arrived_us,
     .supply = RIG_SUPPLY ? supply : NULL,
@@ -128,7 +129,7 @@ static void show(void)
 {
     static uint8_t ticks;
     ticks++;
-    if (core.armed || (core.latched && (ticks & BLINK_TICKS) != 0u)) {
+    if (core.armed || (core.latched != 0u && (ticks & BLINK_TICKS) != 0u)) {
         set_bits(&PORTB, PIN_LED);
     } else {
         clear_bits(&PORTB, PIN_LED);

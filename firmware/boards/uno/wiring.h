@@ -17,6 +17,9 @@
 
 #define BIT(n) ((uint8_t)(1u << (n)))
 
+#define BRIDGE_PWM_DIR 1 /* as enum rig_bridge, for the preprocessor */
+#define BRIDGE_IN1_IN2 2
+
 #define PIN_DIRECTION BIT(PB0)
 #define PIN_OC1A BIT(PB1)
 #define PIN_OC1B BIT(PB2)
