@@ -441,6 +441,22 @@ def test_the_devices_status_is_a_fault_by_name(style: str, status: int, code: st
     assert rig.driver.safe_stop()
 
 
+@pytest.mark.parametrize("style", STYLES)
+def test_a_fault_in_a_pause_is_told(style: str) -> None:
+    """Disarmed by the host the status is 0, which is none; what the block stops for by itself is."""
+    rig = Rig(experiment_with(style))
+    rig.tick(0.3)
+    assert rig.driver.safe_stop()
+    rig.driver.read()
+
+    def saying(data: bytes) -> list[tuple[float, bytes]]:
+        return [(0.0, signed(data[:9] + b"\0\3"))]
+
+    rig.block.disturb(OneReply(saying))
+    with pytest.raises(Fault, match="DEVICE_TRAVEL"):
+        rig.driver.read()
+
+
 def test_the_blocks_own_faults_come_through(rig: Rig) -> None:
     for _ in range(3):
         rig.tick(0.3)

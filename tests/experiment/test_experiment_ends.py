@@ -6,6 +6,9 @@ import json
 import math
 import os
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +17,8 @@ from command_line import rig
 
 from rig import experiment as script
 from rig import session
+from rig.bench import Bench
+from rig.config.schema import Experiment
 from rig.control.law import Constant
 from rig.faults import Fault
 from rig.recording.reader import read_run
@@ -99,6 +104,48 @@ def test_a_report_that_cannot_be_written_costs_the_report_and_no_more(
     assert result.exit_code == 1
     assert json.loads(result.stdout)["estimates"]["sampled-data"]["verdict"] in ("ok", "doubtful")
     assert "Traceback" not in result.output
+
+
+@pytest.mark.parametrize("what", ["tracking", "identification", "report"])
+def test_a_defect_beyond_the_loop_costs_no_result(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("a bug")
+
+    original = session._run_script
+
+    def ended(script_: session.Script, run: session.Session) -> Fault | None:
+        fault = original(script_, run)
+        if what == "tracking":
+            run.tracking["sampled-data"] = {}  # as after a run to its end
+        elif what == "identification":
+            run.identification = None  # as after a fault
+        return fault
+
+    name = {"tracking": "read_run", "identification": "identify", "report": "write_report"}[what]
+    monkeypatch.setattr(session, "_run_script", ended)
+    monkeypatch.setattr(session, name, broken)
+    said = rig("relay", quick(tmp_path), "--out", tmp_path / "runs")
+    assert said.exit_code == 1 and "Traceback" not in said.output
+    (folder,) = (tmp_path / "runs").iterdir()
+    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    assert bool(result["estimates"]) is (what != "identification")
+    assert len(read_run(folder)) > 1000
+
+
+def test_what_the_device_had_latched_since_the_last_run_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = session.connect
+
+    @contextmanager
+    def cleared(experiment: Experiment) -> Iterator[Bench]:
+        with original(experiment) as bench:
+            yield replace(bench, info=replace(bench.info, acknowledged=("DEVICE_ESTOP",)))
+
+    monkeypatch.setattr(session, "connect", cleared)
+    said = rig("jog", quick(tmp_path), "--u-V", 0.3, "--out", tmp_path / "runs", "--json")
+    notes = json.loads(said.stdout)["notes"]
+    assert notes[0] == "e-stop pressed since the last run: the device had latched DEVICE_ESTOP"
 
 
 def test_a_run_cut_off_before_a_settled_cycle_gives_no_number_as_ok(tmp_path: Path) -> None:

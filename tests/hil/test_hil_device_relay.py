@@ -26,7 +26,7 @@ from rig.control.law import Constant
 from rig.control.relay import RelayOnCounts
 from rig.daq.calibration import DriveMap
 from rig.daq.driver import RelayDriver
-from rig.daq.frames import STATUS_RELAY, Block, Code, FrameReader, Kind, Nack, RelaySetup, encode
+from rig.daq.frames import STATUS_RELAY, Block, Code, FrameReader, Kind, Nack, Packet, RelaySetup, encode
 from rig.daq.relay_stream import RelayCommand, RelayRow
 from rig.daq.serial_link import SerialDriver
 from rig.emulate.virtual_board import VirtualBoard
@@ -264,6 +264,21 @@ def test_a_relay_that_was_stored_otherwise_is_refused() -> None:
     board.read = another  # type: ignore[method-assign]
     fault = fault_of(lambda: start(board, driver))
     assert fault.code == "ARM_READBACK" and "z_bound=7" in fault.detail
+
+
+def test_a_block_of_another_session_is_a_reset() -> None:
+    """A device that was reset and set up anew by somebody else."""
+    board, driver = armed_driver()
+    start(board, driver)
+    run_for(board, driver, 0.1)
+    feed = driver._reader.feed
+
+    def another(data: bytes) -> list[Packet]:
+        blocks = [(p, Block.unpack(p.body)) for p in feed(data) if p.kind == Kind.BLOCK]
+        return [p._replace(body=b._replace(session=b.session ^ 1).pack()) for p, b in blocks]
+
+    driver._reader.feed = another  # type: ignore[method-assign]
+    assert fault_of(lambda: run_for(board, driver, 0.3)).code == "DEVICE_RESET"
 
 
 @pytest.mark.parametrize("damage", ["lost", "a bit"])

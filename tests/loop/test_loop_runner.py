@@ -135,6 +135,20 @@ def test_the_reading_that_ended_the_run_is_the_records_last_row() -> None:
     assert before["t_s"] == pytest.approx(0.11) and before["t_u_s"] is not None
 
 
+def test_a_clock_that_goes_back_is_a_reset() -> None:
+    """The reading is in no row: a record whose time goes back cannot be read."""
+    bench = simulated_bench()
+    read = bench.driver.read
+    bench.driver.read = lambda: (  # type: ignore[method-assign]
+        sample._replace(t_s=sample.t_s - 1.0) if (sample := read()).t_s > 0.2 else sample
+    )
+    with pytest.raises(Fault, match="DEVICE_RESET"), bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(0.3, 5.0), "jog")
+    times = [row["t_s"] for row in bench.record.rows]
+    assert times == sorted(times) and times[-1] > 0.15
+    assert bench.driver.bench.pin_counts == 0
+
+
 def test_a_dead_recorder_ends_the_run() -> None:
     bench = simulated_bench()
 

@@ -109,7 +109,7 @@ MAIN = of(
     ),
     (
         "the tick takes any sample",
-        "adc_counts",
+        "position",
         "in_tick ? adc_tick_sample() : adc_newest_sample()",
         "adc_newest_sample()",
         _tick("test_a_blocks_one_delay_is_true_of_all_its_rows"),
@@ -120,6 +120,13 @@ MAIN = of(
         "return clock_us_of(begin);",
         "return clock_us() + 0u * clock_us_of(begin);",
         _safety("test_a_drive_that_waits_behind_garbage_is_of_the_tick_in_which_it_arrived"),
+    ),
+    (
+        "HELLO names another bridge",
+        "BOARD",
+        ".bridge = (uint8_t)RIG_BRIDGE,",
+        ".bridge = (uint8_t)(3 - RIG_BRIDGE),",
+        _link("test_it_introduces_itself"),
     ),
     (
         "sending goes on within the tick",

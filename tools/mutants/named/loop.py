@@ -9,6 +9,10 @@ def _runner(*names: str) -> tuple[str, ...]:
     return in_file("tests/loop/test_loop_runner.py", *names)
 
 
+def _pause(*names: str) -> tuple[str, ...]:
+    return in_file("tests/loop/test_loop_pause_watch.py", *names)
+
+
 def _in_device(*names: str) -> tuple[str, ...]:
     return in_file("tests/hil/test_hil_device_relay.py", *names)
 
@@ -56,6 +60,20 @@ RUNNER = of(
         "        self.check_stop()\n",
         "",
         row("host SIGTERM", "board"),
+    ),
+    (
+        "a reading that goes back in time is recorded",
+        "Loop._run_tick",
+        "if sample.t_s < self._newest_t_s:",
+        "if False:",
+        _runner("test_a_clock_that_goes_back_is_a_reset"),
+    ),
+    (
+        "the pause begins without its watcher",
+        "Loop.armed",
+        "        self.pause_watch.begin()\n",
+        "",
+        _pause("test_a_device_that_latches_nothing_is_read_throughout_a_pause"),
     ),
     (
         "late ticks are caught up",
@@ -108,6 +126,31 @@ RUNNER = of(
     ),
 )
 
+PAUSE = of(
+    "rig/loop/pause_watch.py",
+    (
+        "nobody looks in the pause",
+        "PauseWatch.begin",
+        "if not self._needed or self._is_pause:",
+        "if True:",
+        _pause("test_a_device_that_latches_nothing_is_read_throughout_a_pause"),
+    ),
+    (
+        "what was seen in the pause is not raised",
+        "PauseWatch.check",
+        "if self._seen is not None:",
+        "if False:",
+        _pause("test_what_a_pause_shows_ends_the_run"),
+    ),
+    (
+        "the watcher of the pause goes on into the run",
+        "PauseWatch.give_up",
+        "            self._thread.join()\n",
+        "            pass\n",
+        _pause("test_nobody_else_uses_the_driver_after_the_pause"),
+    ),
+)
+
 REHEARSAL = of(
     "rig/loop/rehearsal.py",
     (
@@ -148,4 +191,48 @@ BENCH = of(
     ),
 )
 
-MUTANTS = (*RUNNER, *REHEARSAL, *SIGNALS, *BENCH)
+
+def _ends(*names: str) -> tuple[str, ...]:
+    return in_file("tests/experiment/test_experiment_ends.py", *names)
+
+
+SESSION = of(
+    "rig/session.py",
+    (
+        "a defect beyond the loop costs the result",
+        "_measure_tracking",
+        "except Exception as error:  # noqa: BLE001 - whatever it is, the run has its result",
+        "except RecordingError as error:",
+        _ends("test_a_defect_beyond_the_loop_costs_no_result"),
+    ),
+    (
+        "a fault of the identification costs the result",
+        "_conclude",
+        "except Exception as error:  # noqa: BLE001 - the result that is written already stays, and says so",
+        "except RecordingError as error:",
+        _ends("test_a_defect_beyond_the_loop_costs_no_result"),
+    ),
+    (
+        "the result waits for the report",
+        "record",
+        "        _write_result(session, outcome)\n",
+        "",
+        _ends("test_a_defect_beyond_the_loop_costs_no_result"),
+    ),
+    (
+        "a script's defect ends without a result",
+        "_run_script",
+        "except Exception as error:  # noqa: BLE001 - whatever it is, the run ends with its record and a result",
+        "except ZeroDivisionError as error:",
+        _ends("test_a_defect_of_the_program_is_a_fault_with_its_traceback_in_the_record"),
+    ),
+    (
+        "nobody says that the e-stop was pressed since the last run",
+        "record",
+        "notes=list(said)",
+        "notes=[]",
+        _ends("test_what_the_device_had_latched_since_the_last_run_is_said"),
+    ),
+)
+
+MUTANTS = (*RUNNER, *PAUSE, *SESSION, *REHEARSAL, *SIGNALS, *BENCH)
