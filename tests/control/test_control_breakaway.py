@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pytest
 from simulated_bench import DEMO_MOTOR, LIMITS, simulated_bench
@@ -76,3 +77,28 @@ def test_a_shaft_that_still_turns_at_the_start_is_waited_for() -> None:
     with bench.loop.armed(LIMITS):
         bench.loop.run(law, "breakaway")
     assert law.finished
+
+
+def drives(law: BreakawayCheck, y_rad: Callable[[float], float], until_s: float) -> list[float]:
+    return [law.step(Sample(0.01 * k, y_rad(0.01 * k), 512)) for k in range(round(until_s / 0.01))]
+
+
+@pytest.mark.parametrize(("drift", "waits"), [(2.0, True), (1.5, False)])
+def test_a_shaft_that_drifts_by_more_than_the_noise_explains_is_waited_for(drift: float, waits: bool) -> None:
+    """Of 20 readings the means of the halves differ by 0.45 standard deviations: four times that is no noise."""
+    noise_rad = 0.005
+
+    def y_rad(t_s: float) -> float:
+        flicker = noise_rad * math.sqrt(6.0) / 4.0  # which second differences find to be of noise_rad
+        return flicker * (-1) ** round(t_s / 0.01) + drift * noise_rad * t_s / 0.1  # the halves are 0.1 s apart
+
+    assert (max(drives(check(), y_rad, 1.0)) == 0.0) is waits
+
+
+def test_no_motion_says_which_way() -> None:
+    with pytest.raises(Fault, match="NO_MOTION") as caught:
+        drives(check(), lambda t_s: 0.0, 10.0)
+    assert "up to 1.20 V towards rising positions" in caught.value.detail
+    with pytest.raises(Fault, match="NO_MOTION") as caught:
+        drives(check(), lambda t_s: 0.0 if t_s < 1.0 else 0.1, 10.0)  # it moved, and stands now
+    assert "towards falling positions" in caught.value.detail

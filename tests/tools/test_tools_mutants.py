@@ -18,7 +18,7 @@ from mutants.named import NAMED
 from mutants.page import render
 from mutants.rooms import EQUIVALENT
 from mutants.sampled import Room, draw
-from mutants.session import Session, State
+from mutants.session import Result, Session, State
 from mutants.workshop import Limits, Workshop
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -219,8 +219,12 @@ def test_one_that_its_tests_let_pass_meets_all_the_others(tmp_path: Path, worksh
 
 def test_a_state_that_is_torn_is_read_to_where_it_tears(tmp_path: Path) -> None:
     path = tmp_path / "state.jsonl"
-    path.write_text('{"key": "a", "name": "n", "outcome": "killed", "by": ["t"], "cpu_s": 1.0}\n{"key": "b", "na')
-    assert State(path).get("a") is not None and State(path).get("b") is None
+    result = Result("killed", ("t",), 1.0, "hash")
+    State(path).put("a", "first", result)
+    path.write_text(path.read_text() + '\n{"key": "b", "na')
+    State(path).put("c", "third", result)
+    state = State(path)
+    assert (state.get("a"), state.get("b"), state.get("c")) == (result, None, result)
 
 
 def test_random_mutants_are_drawn_by_lot_and_stay_when_the_code_changes_elsewhere(tmp_path: Path) -> None:

@@ -31,7 +31,10 @@ def main() -> int:
         prog="mutants", description="Put defects in, one at a time; each must fail a test."
     )
     parser.add_argument("--only", default="", help="mutants whose name, file or function contains this")
-    parser.add_argument("--part", choices=("named", "random"), help="one part of the table")
+    rooms = [room.folder for room in DRAWN_ROOMS]
+    parser.add_argument(
+        "--part", choices=("named", "random", *rooms), help="one part of the table; of the random a room"
+    )
     parser.add_argument(
         "--no-suite", action="store_true", help="a named mutant that its tests let pass survives at once"
     )
@@ -48,9 +51,15 @@ def main() -> int:
             parser.error(f"another run works in {FOLDER}")
         began_s = time.monotonic()
         root = Path.cwd()
-        named = _chosen(ROOMS if given.part != "random" else {}, given.only)
-        drawn = {room.folder: draw(root, room, SEED) for room in DRAWN_ROOMS} if given.part != "named" else {}
-        drawn = _chosen(drawn, given.only)
+        named = _chosen(ROOMS if given.part in (None, "named") else {}, given.only)
+        drawn = _chosen(
+            {
+                room.folder: draw(root, room, SEED)
+                for room in DRAWN_ROOMS
+                if given.part in (None, "random", room.folder)
+            },
+            given.only,
+        )
         workshop = Workshop(root, FOLDER)
         workshop.prepare()
         state = State(FOLDER / "state.jsonl")

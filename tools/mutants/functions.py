@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import lru_cache
 
 _C_HEAD = re.compile(r"^(?:ISR\((?P<isr>\w+)\)|(?!#)\w[\w \t*]*?\b(?P<name>\w+)(?:\[\w*\])? *(?:\(|=|;))")
 
@@ -28,6 +29,7 @@ def name_at(text: str, offset: int, *, is_c: bool) -> str:
     return min(around)[1] if around else ""
 
 
+@lru_cache(maxsize=64)
 def _python(text: str) -> list[tuple[str, Span]]:
     starts = [0]
     for line in text.splitlines(keepends=True):
@@ -48,6 +50,7 @@ def _python(text: str) -> list[tuple[str, Span]]:
     return found
 
 
+@lru_cache(maxsize=64)
 def _c(text: str) -> list[tuple[str, Span]]:
     """What begins at a line's beginning and ends with a brace there."""
     found: list[tuple[str, Span]] = []

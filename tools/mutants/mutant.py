@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import dedent
 
 from mutants.functions import spans
 
@@ -41,9 +42,9 @@ class Mutant:
     def applied(self, text: str) -> str:
         """The file's text with the defect. Raises AnchorError."""
         at = [
-            place
-            for start, end in spans(text, self.function, is_c=self.is_c)
-            for place in _places(text[start:end], self.old, start)
+            (place, span)
+            for span in spans(text, self.function, is_c=self.is_c)
+            for place in _places(text[slice(*span)], self.old, span[0])
         ]
         where = f"{self.path}, {self.function or 'anywhere'}"
         if self.occurrence is None and len(at) != 1:
@@ -51,9 +52,12 @@ class Mutant:
         number = self.occurrence or 0
         if number >= len(at):
             raise AnchorError(f"{where}: {len(at)} times, the mutant is of number {number + 1}: {self.old!r}")
-        changed = text[: at[number]] + self.new + text[at[number] + len(self.old) :]
-        if not self.is_c and _tree(changed, where) == _tree(text, where):
-            raise AnchorError(f"{where}: the change changes nothing: {self.old!r}")
+        place, (start, end) = at[number]
+        changed = text[:place] + self.new + text[place + len(self.old) :]
+        if not self.is_c:
+            after = changed[start : end + len(self.new) - len(self.old)]
+            if _tree(after, where) == _tree(text[start:end], where):
+                raise AnchorError(f"{where}: the change changes nothing: {self.old!r}")
         return changed
 
     def applied_in(self, root: Path) -> str:
@@ -76,6 +80,6 @@ def _places(text: str, what: str, offset: int) -> list[int]:
 
 def _tree(text: str, where: str) -> str:
     try:
-        return ast.dump(ast.parse(text))
+        return ast.dump(ast.parse(dedent(text)))
     except SyntaxError as error:
         raise AnchorError(f"{where}: that is no Python: {error}") from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from resource import RLIM_INFINITY
 
@@ -28,11 +28,13 @@ class Result:
 
     outcome  one of ``CAUGHT``; ``SURVIVED``; else what is wrong with the mutant itself
     by       tests that failed
+    of       what it holds for: see ``Session``
     """
 
     outcome: str
     by: tuple[str, ...]
     cpu_s: float
+    of: str = ""
 
 
 _NEVER = Result("not run", (), 0.0)
@@ -48,9 +50,9 @@ class State:
             for line in path.read_text(encoding="utf-8").splitlines():
                 try:
                     told = json.loads(line)
-                    self._known[told["key"]] = Result(told["outcome"], tuple(told["by"]), told["cpu_s"])
+                    self._known[told["key"]] = Result(told["outcome"], tuple(told["by"]), told["cpu_s"], told["of"])
                 except (ValueError, KeyError):
-                    continue  # torn by an interruption
+                    continue  # torn by an interruption, which leaves no line end
 
     def get(self, key: str) -> Result | None:
         """What is known of it."""
@@ -61,11 +63,12 @@ class State:
         self._known[key] = result
         self._path.parent.mkdir(parents=True, exist_ok=True)
         with self._path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"key": key, "name": name, **asdict(result)}) + "\n")
+            file.write("\n" + json.dumps({"key": key, "name": name, **asdict(result)}))
 
 
 class Session:
-    """Runs mutants in a workshop.
+    """Runs mutants in a workshop. A catch holds while the changed file and the tests that failed are the same; a mutant
+    that was not caught meets every change of the tree.
 
     with_suite  a mutant that its killers let pass meets every other test
     say         told of each result
@@ -142,16 +145,20 @@ class Session:
     # ------------------------------------------------------------------ what a result is of
 
     def _known(self, mutant: Mutant) -> Result | None:
-        """A catch holds while the file and the tests are the same; a survivor meets every change of the tree."""
-        caught = self._state.get(self._key(mutant, ""))
-        return caught or self._state.get(self._key(mutant, self._tree))
+        result = self._state.get(self._key(mutant))
+        return result if result is not None and result.of == self._of(mutant, result) else None
 
     def _keep(self, mutant: Mutant, result: Result) -> None:
-        self._state.put(self._key(mutant, "" if result.outcome in CAUGHT else self._tree), mutant.name, result)
+        self._state.put(self._key(mutant), mutant.name, replace(result, of=self._of(mutant, result)))
 
-    def _key(self, mutant: Mutant, tree: str) -> str:
-        files = {mutant.path, *(killer.partition("::")[0] for killer in mutant.killers)}
-        return _hash([repr(mutant), tree, str(self._with_suite), *(self._hash_of(file) for file in sorted(files))])
+    def _key(self, mutant: Mutant) -> str:
+        return _hash([repr(mutant), str(self._with_suite), self._hash_of(mutant.path)])
+
+    def _of(self, mutant: Mutant, result: Result) -> str:
+        if result.outcome not in CAUGHT:
+            return self._tree
+        files = sorted({test.partition("::")[0] for test in result.by if ".py" in test or ".c" in test})
+        return _hash(self._hash_of(file) for file in files or mutant.killers)
 
     def _hash_of(self, name: str) -> str:
         """Of a file, or of all in a folder."""

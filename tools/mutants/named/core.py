@@ -91,7 +91,7 @@ CORE = of(
         "P5: rail off",
         "at_rail",
         "return core->counts <= core->setup.rail_lo || core->counts >= core->setup.rail_hi;",
-        "return core->counts > core->board->adc_max;",
+        "return core->counts > core->board->counts_max;",
         _CORE,
     ),
     ("P5: low rail off", "at_rail", "core->counts <= core->setup.rail_lo || ", "", _CORE),

@@ -44,8 +44,8 @@ SERIAL = of(
     (
         "a latched fault is not raised",
         "SerialDriver.read",
-        "                state.status & frames.STATUS_FAULT\n                or not state.status & frames.STATUS_ARMED\n",
-        "                not state.status & (frames.STATUS_ARMED | frames.STATUS_FAULT)\n",
+        "state.status & frames.STATUS_FAULT\n                or not state.status & frames.STATUS_ARMED\n",
+        "not state.status & (frames.STATUS_ARMED | frames.STATUS_FAULT)\n",
         _serial("test_a_latched_fault_has_its_name_and_numbers"),
     ),
     (
