@@ -152,11 +152,11 @@ class Session:
         self._state.put(self._key(mutant), mutant.name, replace(result, of=self._of(mutant, result)))
 
     def _key(self, mutant: Mutant) -> str:
-        return _hash([repr(mutant), str(self._with_suite), self._hash_of(mutant.path)])
+        return _hash([repr(mutant), self._hash_of(mutant.path)])
 
     def _of(self, mutant: Mutant, result: Result) -> str:
         if result.outcome not in CAUGHT:
-            return self._tree
+            return f"{self._tree} {self._with_suite}"
         files = sorted({test.partition("::")[0] for test in result.by if ".py" in test or ".c" in test})
         return _hash(self._hash_of(file) for file in files or mutant.killers)
 
