@@ -156,13 +156,13 @@ class Workshop:
             elif (met := self._program(killer, limits)).outcome == "passed":
                 passing[killer] = met.wall_s
         command = [sys.executable, "-m", "pytest", "-rA", "--tb=no", "-p", "no:cacheprovider", *_NO_CLOCK]
-        output = ""
+        output, tree = "", re.escape(str(self.tree))
         while nodes:
             output = self._limited([*command, "--durations=0", "--durations-min=0.01", *nodes], limits).output
             missing = [
                 node
                 for node in nodes
-                if re.search(rf"not found: (?:{re.escape(str(self.tree))}/)?{re.escape(node)}$", output, re.M)
+                if re.search(rf"(?:not found:|no collectors for) (?:{tree}/)?{re.escape(node)}$", output, re.MULTILINE)
             ]
             if not missing:
                 break
