@@ -69,6 +69,16 @@ def test_samples_at_another_pace_do_not_jolt_the_velocity(seed: int, v_rad_s: fl
         assert guard.velocity_rad_s == pytest.approx(v_rad_s, abs=0.7)
 
 
+def test_a_new_guard_takes_the_shaft_to_stand_until_it_has_seen_it_move() -> None:
+    guard = Guard(GUARD)
+    guard.pace(PERIOD_S)
+    for k in range(2):
+        guard.allow(reading(0.01 * k, 0.5 + 0.01 * k), 0.0)
+        assert guard.velocity_rad_s == 0.0
+    guard.allow(reading(0.02, 0.52), 0.0)
+    assert guard.velocity_rad_s == pytest.approx(1.0)
+
+
 def test_at_1_khz_ten_bits_do_not_pass_for_overspeed() -> None:
     """Steps of 4 mrad and 3 mrad of noise: over five samples of 1 ms the slope is off by several rad/s."""
     lsb_rad, noise = 4.2 / 1024, np.random.default_rng(1).normal(0.0, 0.003, 2000)
@@ -99,7 +109,8 @@ def test_between_soft_and_hard_only_inward_drive_passes(side: int) -> None:
 def test_it_brakes_inward_on_the_predicted_stop_only_once_the_sign_is_proven(side: int) -> None:
     for proven, expected_V in ((False, 0.0), (True, -side * LIMITS.max_u_V)):
         guard = Guard(GUARD)
-        guard.sign_proven = proven
+        if proven:
+            guard.sign_proven = True
         u_V, flags = 0.0, 0
         for k in range(10):
             u_V, flags = guard.allow(reading(0.01 * k, side * (0.5 + 0.05 * k)), side * 1.0)
@@ -203,16 +214,17 @@ def test_a_shaft_that_moves_in_ever_rarer_jerks_is_stuck_in_the_end() -> None:
     assert "for 1.20 s" in caught.value.detail
 
 
-def test_drive_outward_of_soft_that_persists_while_inward_is_commanded_is_a_polarity_fault() -> None:
+@pytest.mark.parametrize("side", [1, -1])
+def test_drive_outward_of_soft_that_persists_while_inward_is_commanded_is_a_polarity_fault(side: int) -> None:
     """Wires swapped after the start: the bench accelerates outward although the guard brakes."""
     wide = replace(GUARD, limits=replace(LIMITS, soft_rad=(-0.3, 0.3), hard_rad=(-2.0, 2.0)))
-    bench = simulated_bench(DEMO, guard=wide, drive="reversed", start_rad=0.35)
+    bench = simulated_bench(DEMO, guard=wide, drive="reversed", start_rad=0.35 * side)
     bench.guard.sign_proven = True
     with pytest.raises(Fault) as caught, bench.loop.armed(wide.limits):
-        bench.loop.run(Constant(-1.0, 2.0), "jog")
+        bench.loop.run(Constant(-1.0 * side, 2.0), "jog")
     assert caught.value.code == "POLARITY"
     assert bench.driver.bench.pin_counts == 0
-    assert bench.driver.bench.state.y < 2.0
+    assert side * bench.driver.bench.state.y < 2.0
 
 
 def test_an_obedient_shaft_is_never_accused() -> None:
