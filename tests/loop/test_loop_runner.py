@@ -182,7 +182,7 @@ def test_a_stand_before_a_pause_is_none_after_it() -> None:
     bench.guard.static_V = 0.2  # so that a drive that moves nothing counts
     for _ in range(2):
         with bench.loop.armed(LIMITS):
-            bench.loop.run(Constant(0.3, 0.2), "jog")
+            bench.loop.run(Stalling(bench, {}, 20), "jog")  # it drives to its end
         bench.clock.sleep_until(bench.clock.now_s() + 1.0)
 
 
@@ -193,6 +193,35 @@ def test_quantiles_are_values_that_occurred() -> None:
     statistics = LoopStatistics(0.01)
     statistics.tick(3.0, 200.0)
     assert statistics.summary()["late_us"] == {"p50": 3.0, "p99": 3.0, "p999": 3.0, "max": 3.0}
+
+
+def test_each_part_of_a_tick_is_told_by_its_own_time() -> None:
+    """Reading takes 1 ms, the law 2, writing 3, the record's row 0.5."""
+    bench = simulated_bench()
+    clock = bench.clock
+
+    def takes(what, time_s: float):  # type: ignore[no-untyped-def]
+        def slow(*given):  # type: ignore[no-untyped-def]
+            clock.sleep_until(clock.now_s() + time_s)
+            return what(*given)
+
+        return slow
+
+    bench.driver.read = takes(bench.driver.read, 1e-3)  # type: ignore[method-assign]
+    bench.driver.write = takes(bench.driver.write, 3e-3)  # type: ignore[method-assign]
+    bench.record.sample = takes(bench.record.sample, 0.5e-3)  # type: ignore[method-assign]
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(Stalling(bench, dict.fromkeys(range(20), 2e-3), 20), "jog")
+    told = bench.loop.statistics.summary()
+    assert (told["ticks"], told["skipped"]) == (20, 0)
+    for part, time_us in (
+        ("io_us", 1000),
+        ("compute_us", 2000),
+        ("write_us", 3000),
+        ("record_us", 500),
+        ("late_us", 0),
+    ):
+        assert told[part] == pytest.approx(dict.fromkeys(("p50", "p99", "p999", "max"), time_us), abs=2.0), part
 
 
 def test_times_of_an_endless_run_keep_the_last_and_the_largest() -> None:
