@@ -11,11 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
 from rig.bench import emulated_io_block, limits_of, modbus_driver
 from rig.config import load
 from rig.config.schema import Experiment
 from rig.daq.modbus import ModbusDriver
+from rig.daq.modbus_client import ModbusClient, ModbusLine
+from rig.daq.modbus_requests import Request
 from rig.emulate.line_faults import Corruption
 from rig.emulate.misbehaviour import Misbehaviour
 from rig.emulate.rtu_slave import Direction, check_sum
@@ -224,8 +227,11 @@ def test_stop_is_confirmed_by_the_registers(rig: Rig) -> None:
     assert rig.block.truth().output_V != 0.0
 
 
-def test_a_block_that_goes_on_driving_does_not_confirm_the_stop(rig: Rig) -> None:
-    """It answers as if it stopped; its registers say what it does."""
+@pytest.mark.parametrize("without", [None, "applied", "status"])
+@pytest.mark.parametrize("style", STYLES)
+def test_a_block_that_goes_on_driving_does_not_confirm_the_stop(style: str, without: str | None) -> None:
+    """It answers as if it stopped; either of the registers that tell of it says what it does."""
+    rig = Rig(experiment_with(style, {} if without is None else {without: None}))
     rig.tick(0.6)
     rig.tick(0.6)
     real = rig.block.block.request
@@ -236,6 +242,49 @@ def test_a_block_that_goes_on_driving_does_not_confirm_the_stop(rig: Rig) -> Non
     rig.block.block.request = deaf  # type: ignore[method-assign]
     assert not rig.driver.safe_stop()
     assert rig.block.truth().output_V != 0.0
+
+
+def test_a_block_that_takes_no_drive_while_it_is_stopped_is_stopped(rig: Rig) -> None:
+    """Not even 0: some are so, and the registers confirm the stop."""
+    rig.tick(0.6)
+    rig.tick(0.6)
+    real = rig.block.block.request
+
+    def choosy(pdu: bytes, t_s: float) -> bytes:
+        return bytes((0x80 | pdu[0], 4)) if pdu[0] == 16 else real(pdu, t_s)
+
+    rig.block.block.request = choosy  # type: ignore[method-assign]
+    assert rig.driver.safe_stop()
+    assert rig.block.truth().output_V == 0.0
+
+
+def test_an_exchange_quicker_than_the_fastest_so_far_was_executed_on_its_way() -> None:
+    """Never after its reply: the share of the way there is the config's, of what the exchange really took."""
+
+    class Quick:
+        """Answers a read of one register over TCP after 0.2 ms, of 0.5 ms that the config gives a turnaround."""
+
+        t_s, reply = 100.0, b""
+
+        def now_s(self) -> float:
+            return self.t_s
+
+        def write(self, data: bytes) -> None:
+            self.reply = data[:4] + b"\0\5\1\3\2\0\7"
+
+        def read(self, timeout_s: float) -> bytes:
+            data, self.reply = self.reply, b""
+            self.t_s += 0.2e-3 if data else timeout_s
+            return data
+
+        def close(self) -> None:
+            pass
+
+    client = ModbusClient(Quick(), ModbusLine(tcp=True))
+    request = Request(ReadHoldingRegistersRequest(address=0, count=1), "a register")
+    reply = client.asked(request, 0.01)
+    assert reply.round_trip_s == pytest.approx(0.2e-3)
+    assert reply.executed_s - 100.0 == pytest.approx(0.1e-3)
 
 
 def test_arming_sets_the_drive_to_0_before_it_arms() -> None:

@@ -64,6 +64,7 @@ def test_one_that_latches_is_left_alone_and_so_is_any_before_the_first_pause(lat
     watch.begin()
     watch.end()
     assert bool(card.readers) is not latches
+    assert watch.longest_gap_s == 0.0  # in virtual time none is missed
 
 
 def test_what_a_pause_shows_ends_the_run() -> None:
