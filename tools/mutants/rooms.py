@@ -16,8 +16,8 @@ ROOMS = (
 # name of a mutant: why what it does is what the code does
 EQUIVALENT: dict[str, str] = {
     "control/motion.py Standstill.restart: self.high_rad = -math.inf -> self.high_rad = not math.inf": (
-        "the first step sets both ends of the span to its reading, whatever they were, and the stand that it may end is "
-        "of a time that is no number"
+        "the first step sets both ends of the span to its reading, whatever they were, and the stand that it may end "
+        "is of a time that is no number"
     ),
     "control/observer.py MotorObserver._correct: if len(self._gain[0]) == 2 and not math.isnan(sample.v_rad_per_s): -> "
     "if len(self._gain[ 1]) == 2 and not math.isnan(sample.v_rad_per_s):": "rows of a matrix are of one length",
@@ -29,8 +29,8 @@ EQUIVALENT: dict[str, str] = {
     "(now_s() % written_s) * 1e6)": "of two times of a clock that rises, less than twofold, remainder is difference",
     "loop/real_time.py real_time: libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0) -> "
     "libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 1, 0)": "Linux looks at the first argument of this one alone",
-    'loop/runner.py Loop.__init__: self._longest_latency_s = period_s * (2.0 if driver.order == "write_first" else 1.0) '
-    '-> self._longest_latency_s = period_s * (2.0 if driver.order >= "write_first" else 1.0)': (
+    'loop/runner.py Loop.__init__: self._longest_latency_s = period_s * (2.0 if driver.order == "write_first" else '
+    '1.0) -> self._longest_latency_s = period_s * (2.0 if driver.order >= "write_first" else 1.0)': (
         "there are two orders, and the other one comes before it in the alphabet"
     ),
 }
