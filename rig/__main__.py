@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 
@@ -10,8 +11,16 @@ for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 
+def never_stop_at_a_letter() -> None:
+    """Print a letter that a terminal or pipe has no code for, such as ±, as a question mark, not as a traceback."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+
+
 def run() -> None:
     """Load the commands and run the one that was asked for."""
+    never_stop_at_a_letter()
     try:
         from rig.cli import main
 

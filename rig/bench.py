@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import urlsplit
 
-from rig.config.backend import CHIP_PORTS
+from rig.config.backend import CHIP_PORTS, adapter_of
 from rig.config.link_budget import bits_per_byte, silence_s
 from rig.config.modbus import EMULATED_PORTS as MODBUS_EMULATED_PORTS
 from rig.config.modbus import is_tcp, tcp_address
@@ -26,10 +26,12 @@ from rig.daq.serial_link import SerialDriver
 from rig.daq.serial_port import SerialPort
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.daq.tcp_link import TcpTransport
+from rig.emulate.behind_usb import BehindUsb
 from rig.emulate.board_process import BoardProcess
 from rig.emulate.chip_board import ChipBoard
 from rig.emulate.host_board import HostBoard
 from rig.emulate.modbus_board import ModbusBoard
+from rig.emulate.usb_board import UsbBoard
 from rig.emulate.virtual_chip import VirtualChip
 from rig.faults import Fault
 from rig.loop.clock import MonotonicClock, VirtualClock
@@ -203,7 +205,8 @@ def unopened(experiment: Experiment) -> Iterator[Unopened]:
             with emulated_board(experiment) as board:
                 yield from _serial(experiment, board.port, truth, emulated=True)
         elif daq.port == "emulated-chip":
-            chip = emulated_chip(experiment)
+            device = emulated_chip(experiment)
+            chip = device if adapter_of(experiment) == "none" else BehindUsb(device, adapter_of(experiment))
             yield Unopened(_driver(experiment, chip, daq.port, emulated=True), chip, truth)
         elif daq.port is not None:
             yield from _serial(experiment, daq.port, truth)
@@ -247,15 +250,22 @@ def emulated_board(
             yield io_block
         return
     tachometer = None if experiment.tachometer is None else experiment.tachometer.model_dump()
-    emulated, seed = experiment.emulated.model_dump(), experiment.seed
-    if chip or experiment.daq.port in CHIP_PORTS:
-        with ChipBoard() as uno:
-            uno.start(emulated, seed, link, trace, tachometer, experiment.daq.baud, experiment.drive.bridge)
-            yield uno
-    else:
-        with HostBoard() as board:
-            board.start(emulated, seed, link, trace, tachometer)
+    emulated, seed, adapter = experiment.emulated.model_dump(), experiment.seed, experiment.daq.adapter or "none"
+    own_link = link if adapter == "none" else None
+    with ExitStack() as stack:
+        board: ChipBoard | HostBoard
+        if chip or experiment.daq.port in CHIP_PORTS:
+            board = stack.enter_context(ChipBoard())
+            board.start(emulated, seed, own_link, trace, tachometer, experiment.daq.baud, experiment.drive.bridge)
+        else:
+            board = stack.enter_context(HostBoard())
+            board.start(emulated, seed, own_link, trace, tachometer)
+        if adapter == "none":
             yield board
+            return
+        behind = stack.enter_context(UsbBoard(board, adapter))
+        behind.start(link)
+        yield behind
 
 
 def _modbus(experiment: Experiment, truth: BenchParameters | None) -> Iterator[Unopened]:

@@ -44,10 +44,29 @@ if TYPE_CHECKING:  # scipy comes with it
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 
+
+class _Rows(click.ParamType):  # type: ignore[type-arg]
+    """``FIRST:LAST``; either may be left out."""
+
+    name = "rows"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The two numbers, None where there is none."""
+        first, colon, last = str(value).partition(":")
+        if not colon or not all(part == "" or part.isdecimal() for part in (first, last)):
+            self.fail(f"{value!r} is no FIRST:LAST, two row numbers such as 120:899", param, ctx)
+        return int(first) if first else None, int(last) if last else None
+
+
 CONFIG = click.argument("config_path", metavar="CONFIG", type=click.Path(path_type=Path))
+# One meaning each, in every command: --out is the folder that run folders are made in, --to the file that is written.
 OUT = click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("runs"), show_default=True,
     help="Folder that the run folder is made in.",
+)  # fmt: skip
+ROWS = click.option(
+    "--rows", metavar="FIRST:LAST", type=_Rows(), default=None,
+    help="These rows alone, both included, counted from 0 as messages and result.json do; either may be left out.",
 )  # fmt: skip
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
 
@@ -72,12 +91,19 @@ def _fail_input(error: RecordingError | IdentifyError) -> NoReturn:
     _fail(status, place + error.cause, error.cure)
 
 
-def _fail_config(error: config.ConfigError) -> NoReturn:
-    """Bad config: its problems with file, line and key."""
+def _counted(number: int, thing: str) -> str:
+    return f"{number} {thing}" + ("" if number == 1 else "s")
+
+
+def _fail_config(error: config.ConfigError, verdict: str = "") -> NoReturn:
+    """Bad config: its problems with file, line and key, and the last line on stdout if there is to be one."""
     if click.get_current_context().params.get("as_json"):
-        click.echo(json.dumps({"ok": False, "problems": str(error).splitlines()}))
+        said = {"verdict": verdict.removeprefix("verdict: ")} if verdict else {}
+        click.echo(json.dumps({"ok": False, **said, "problems": str(error).splitlines()}))
     else:
         click.echo(str(error), err=True)
+        if verdict:
+            click.echo(verdict)
     sys.exit(EXIT_BAD_INPUT)
 
 
@@ -93,6 +119,16 @@ def _load(path: Path) -> config.Experiment:
         experiment, _ = config.check(path, _plug_in)
     except config.ConfigError as error:
         _fail_config(error)
+    return experiment
+
+
+def _load_bench(path: Path) -> config.Experiment:
+    """``_load`` for what drives a bench; exits with 1 where its port is not there, before anything slow is loaded."""
+    from rig.daq.device_file import require_device_file
+
+    experiment = _load(path)
+    with _faults():
+        require_device_file(experiment.daq.port)
     return experiment
 
 
@@ -125,7 +161,7 @@ def main() -> None:
 @JSON
 def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
     """Run the whole experiment: breakaway, search, relay, identify, verify, report."""
-    experiment = _load(config_path)
+    experiment = _load_bench(config_path)
     if Console(stderr=True).is_terminal and not as_json:
         click.echo("opening the bench ...", err=True)
     from rig import experiment as script
@@ -138,8 +174,9 @@ def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
         if outcomes[-1].fault is not None:
             break  # nothing arms again by itself after a fault or a Ctrl-C
     if as_json:
-        results = [outcome.result | {"folder": str(outcome.folder)} for outcome in outcomes]
-        click.echo(json_text(results[0] if repeat == 1 else {"runs": results}), nl=False)
+        results = [outcome.as_json() for outcome in outcomes]
+        ok = all(result["ok"] for result in results)
+        click.echo(json_text(results[0] if repeat == 1 else {"ok": ok, "runs": results}), nl=False)
     elif repeat > 1:
         show_scatter([outcome.result for outcome in outcomes])
     sys.exit(EXIT_FAILED if any(outcome.failure for outcome in outcomes) else 0)
@@ -151,9 +188,9 @@ def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
 @JSON
 def relay(config_path: Path, out: Path, as_json: bool) -> None:
     """Run breakaway, gain search and relay tests alone, and identify them."""
+    experiment = _load_bench(config_path)
     from rig import experiment as script
 
-    experiment = _load(config_path)
     _finish(_perform(partial(script.run_relay, experiment, out), as_json), as_json)
 
 
@@ -166,11 +203,11 @@ def relay(config_path: Path, out: Path, as_json: bool) -> None:
 @JSON
 def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
     """Run the tracking check alone, with the models of an earlier run."""
+    experiment = _load_bench(config_path)
     from rig import experiment as script
     from rig.identify import IdentifyError, identify
     from rig.recording.reader import read_run
 
-    experiment = _load(config_path)
     if experiment.tracking is None:
         _fail(EXIT_BAD_INPUT, f"{config_path}: no section tracking", "add one; config/demo.yaml shows how")
     try:
@@ -188,11 +225,15 @@ def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
 @JSON
 def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool) -> None:
     """Drive the shaft by hand for a moment, within the limits; after a limit it recovers inward."""
+    experiment = _load_bench(config_path)
     from rig import experiment as script
 
-    experiment = _load(config_path)
     if not abs(u_V) <= experiment.drive.max_V:
-        _fail(EXIT_BAD_INPUT, f"--u-V {u_V:g} is beyond drive.max_V {experiment.drive.max_V:g}", "ask for less")
+        _fail(
+            EXIT_BAD_INPUT,
+            f"--u-V {u_V:g} is beyond drive.max_V {experiment.drive.max_V:g}",
+            f"ask for --u-V between {-experiment.drive.max_V:g} and {experiment.drive.max_V:g}, or raise drive.max_V",
+        )
     outcome = _perform(lambda on_start: script.jog(experiment, u_V, seconds, out, on_start), as_json)
     moved = outcome.result.get("jog")
     if moved is not None and not as_json:
@@ -213,11 +254,13 @@ def check(config_path: Path, as_json: bool) -> None:
         else:
             lines = list(config.check(config_path, _plug_in)[1].lines)
     except config.ConfigError as error:
-        _fail_config(error)
+        _fail_config(error, f"verdict: refused, {_counted(len(error.problems), 'problem')}; nothing would be run")
+    notes = sum(line.startswith("note: ") for line in lines)
+    verdict = f"ok with {_counted(notes, 'note')}" if notes else "ok"
     if as_json:
-        click.echo(json.dumps({"ok": True, "lines": lines}))
+        click.echo(json.dumps({"ok": True, "verdict": verdict, "lines": lines}))
     else:
-        click.echo("\n".join(lines))
+        click.echo("\n".join([*lines, f"verdict: {verdict}"]))
 
 
 @main.command()
@@ -229,29 +272,39 @@ def check(config_path: Path, as_json: bool) -> None:
     type=click.Choice(["sampled-data", "triple-relay", "describing-function", "least-squares"]),
     help="Repeat for several; default: all that the data allows. least-squares takes two CSVs: hysteretic relays.",
 )
+@ROWS
 @JSON
-def identify(paths: Sequence[Path], methods: Sequence[str], as_json: bool) -> None:
-    """Identify gain, time constant and friction from run folders or CSV files (t_s,u_V,y_rad)."""
+def identify(
+    paths: Sequence[Path], methods: Sequence[str], rows: tuple[int | None, int | None] | None, as_json: bool
+) -> None:
+    """Identify gain, time constant and friction from run folders or CSV files (t_s,u_V,y_rad).
+
+    Several are taken for records of one motor; where one does not belong with the others, that is said.
+    """
     from rig.identify import IdentifyError
     from rig.identify import identify as identify_recordings
     from rig.recording.path_kind import require_distinct
     from rig.recording.reader import read
 
+    if rows is not None and len(paths) > 1:
+        _fail(EXIT_BAD_INPUT, "--rows are those of one recording", "identify one at a time")
     try:
         require_distinct(paths)
         with patience("reading and identifying"):
-            found = identify_recordings([read(path) for path in paths], tuple(methods) or None)
+            recordings = [read(path) if rows is None else read(path).only_rows(*rows) for path in paths]
+            found = identify_recordings(recordings, tuple(methods) or None)
     except (RecordingError, IdentifyError) as error:
         _fail_input(error)
-    estimates = {method: estimate.as_dict() for method, estimate in found.estimates.items()}
+    result = found.as_dict()
+    estimates = result["estimates"]
+    ok = any(e["verdict"] != "refused" for e in estimates.values())
     if as_json:
-        click.echo(json.dumps(estimates))
+        click.echo(json_text({"ok": ok, "records": [str(path) for path in paths], **result}), nl=False)
     else:
         for note in found.notes:
             click.echo(note)
         show_estimates(estimates, None)
-    refused = [e for e in estimates.values() if e["verdict"] == "refused"]
-    sys.exit(EXIT_FAILED if len(refused) == len(estimates) else 0)
+    sys.exit(0 if ok else EXIT_FAILED)
 
 
 @main.command()
@@ -302,23 +355,31 @@ def report(run_folder: Path) -> None:
     help="Its end says how: .mat (MATLAB, Octave), .npz (numpy), .csv (t_s,u_V,y_rad,t_u_s) or .json.",
 )  # fmt: skip
 @click.option("--stage", default=None, help="Rows of this stage alone, such as relay-1; default: all.")
+@ROWS
 @click.option("--force", is_flag=True, help="Replace FILE where it is there already.")
 @JSON
-def export(run_folder: Path, file: Path, stage: str | None, force: bool, as_json: bool) -> None:
+def export(
+    run_folder: Path,
+    file: Path,
+    stage: str | None,
+    rows: tuple[int | None, int | None] | None,
+    force: bool,
+    as_json: bool,
+) -> None:
     """Write samples, events and result of a run to one file that other programs open."""
     from rig.export import export as export_run
 
     try:
-        run = export_run(run_folder, file, stage, overwrite=force)
+        run = export_run(run_folder, file, stage, rows, overwrite=force)
     except RecordingError as error:
         _fail_input(error)
-    rows = len(run.recording)
+    number = len(run.recording)
     if as_json:
-        click.echo(json.dumps({"ok": True, "file": str(file), "rows": rows, "notes": run.notes}))
+        click.echo(json.dumps({"ok": True, "file": str(file), "rows": number, "notes": run.notes}))
         return
     for note in run.notes:
         click.echo(note)
-    click.echo(f"{file}: {rows} rows")
+    click.echo(f"{file}: {number} rows")
 
 
 @main.command()
@@ -552,18 +613,25 @@ def flash(
 
 
 @main.command()
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="File; default: stdout.")
+@click.option(
+    "--to", "file", type=click.Path(path_type=Path, dir_okay=False), default=None, metavar="FILE",
+    help="File that is written; default: stdout.",
+)  # fmt: skip
+@click.option("--out", "old_name", type=click.Path(path_type=Path, dir_okay=False), default=None, hidden=True)
 @click.option("--campaign", "of_campaign", is_flag=True, help="Of the configs of `rig campaign`.")
-def schema(out: Path | None, of_campaign: bool) -> None:
+def schema(file: Path | None, old_name: Path | None, of_campaign: bool) -> None:
     """Write the JSON Schema of the config, for editors."""
     text = config.schema_text(config.Campaign if of_campaign else config.Experiment)
-    if out is None:
+    if old_name is not None:
+        click.echo(f"note: a file that is written is named by --to now: `rig schema --to {old_name}`", err=True)
+    file = file or old_name
+    if file is None:
         click.echo(text, nl=False)
     else:
         try:
-            out.write_text(text, encoding="utf-8")
+            file.write_text(text, encoding="utf-8")
         except OSError as error:
-            _fail(EXIT_BAD_INPUT, f"{out}: cannot be written: {error.strerror}", "name a file in an existing folder")
+            _fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
 
 
 @contextlib.contextmanager
@@ -579,7 +647,7 @@ def _faults() -> Any:
 
 
 def _perform(start: Callable[[OnStart], Any], as_json: bool) -> Any:
-    """Run with live progress on a terminal; show the end of it, unless JSON was asked for."""
+    """Run with live progress, in a pipe a line a stage; show the end of it, unless JSON was asked for."""
     from rig.recording.follow import following
 
     with _faults(), contextlib.ExitStack() as stack:
@@ -587,7 +655,7 @@ def _perform(start: Callable[[OnStart], Any], as_json: bool) -> Any:
         def on_start(folder: Path, said: tuple[str, ...]) -> None:
             for line in said:
                 click.echo(f"rig: {line}", err=True)
-            if not as_json and Console(stderr=True).is_terminal:
+            if not as_json:
                 stack.enter_context(following(folder))
 
         outcome = start(on_start)
@@ -598,7 +666,7 @@ def _perform(start: Callable[[OnStart], Any], as_json: bool) -> Any:
 
 def _finish(outcome: Any, as_json: bool) -> NoReturn:
     if as_json:
-        click.echo(json_text(outcome.result | {"folder": str(outcome.folder)}), nl=False)
+        click.echo(json_text(outcome.as_json()), nl=False)
     sys.exit(EXIT_FAILED if outcome.failure else 0)
 
 

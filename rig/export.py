@@ -81,10 +81,18 @@ class Run:
         return {"units": units, "meta": r.meta, "config": self.config, "result": self.result, "notes": list(self.notes)}
 
 
-def export(run_folder: Path, to: Path, stage: str | None = None, *, overwrite: bool = False) -> Run:
+def export(
+    run_folder: Path,
+    to: Path,
+    stage: str | None = None,
+    rows: tuple[int | None, int | None] | None = None,
+    *,
+    overwrite: bool = False,
+) -> Run:
     """Write the run to the file ``to``, whose suffix says how: one of ``FORMATS``. What was written is returned.
 
     stage  the rows of this stage alone
+    rows   rows first to last of the run alone, both included, counted from 0; with ``stage``: of that stage's
     Raises RecordingError where there is no run, no such suffix or no such stage, ``to`` is there already,
     or is a file of a run;
     CannotWriteError where it cannot be written.
@@ -105,13 +113,13 @@ def export(run_folder: Path, to: Path, stage: str | None = None, *, overwrite: b
             raise RecordingError(to, "is there already", "name another file, or add --force to replace it")
     except OSError as error:
         raise RecordingError(to, f"cannot be written: {error.strerror}", "name a file elsewhere") from error
-    run = load(run_folder, stage)
+    run = load(run_folder, stage, rows)
     write_whole(to, written(run))
     return run
 
 
-def load(run_folder: Path, stage: str | None = None) -> Run:
-    """The run, its rows those of ``stage`` alone where one is named. Raises RecordingError."""
+def load(run_folder: Path, stage: str | None = None, rows: tuple[int | None, int | None] | None = None) -> Run:
+    """The run, or of it the rows of ``stage`` alone, and of these rows ``rows`` alone. Raises RecordingError."""
     recording = read_run(run_folder)
     notes = list(recording.notes)
     result = read_result(run_folder)
@@ -128,8 +136,10 @@ def load(run_folder: Path, stage: str | None = None) -> Run:
     except ConfigError as error:
         notes.append(f"the config is left out: {error}")
     if stage is not None:
-        rows = recording.stage_rows(stage)
-        recording = recording.select(rows.start, rows.stop - 1)
+        of_stage = recording.stage_rows(stage)
+        recording = recording.select(of_stage.start, of_stage.stop - 1)
+    if rows is not None:
+        recording = recording.only_rows(*rows)
     return Run(replace(recording, notes=()), config, result or {}, tuple(notes))
 
 

@@ -23,17 +23,19 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LINK_LOST": FaultEntry(
         "the port died while in use",
-        "check the cable and the device's supply, then start the run again; it is never reopened by itself",
+        "check the cable and the device's supply; `rig doctor CONFIG` tries the link without driving; then start the "
+        "run "
+        "again: a port is never reopened by itself",
     ),
     "LINK_TIMEOUT": FaultEntry(
         "no valid reply within the time-out",
-        "check supply, cable, baud rate, a Modbus device's unit id and parity, and interference; "
+        "check supply, cable, daq.baud, a Modbus device's daq.modbus.unit and daq.modbus.parity, and interference; "
         "`rig check` prints what the link needs; an emulated device shares this machine: try when it is less busy",
     ),
     "LINK_REPLY": FaultEntry(
         "the reply does not fit the request, or is damaged",
-        "check cable, shield, termination and baud rate, and that nothing else talks on this line; "
-        "then the register map",
+        "check cable, shield, termination and daq.baud, and that nothing else talks on this line; "
+        "then daq.modbus.registers",
     ),
     "LINK_UNIT": FaultEntry(
         "another unit answered",
@@ -50,19 +52,21 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LINK_HELLO": FaultEntry(
         "the device did not introduce itself",
-        "flash the firmware, check daq.port and daq.baud; an Arduino needs two seconds after the port opens",
+        "flash the firmware (`rig flash`), check daq.port and daq.baud; an Arduino needs two seconds after the port "
+        "opens",
     ),
     "LINK_VERSION": FaultEntry(
         "the firmware speaks another version of the protocol",
-        "flash the firmware that belongs to this version of rig",
+        "flash the firmware that belongs to this version of rig: `rig flash`",
     ),
     "LINK_REJECTED": FaultEntry(
         "the device refused a command",
-        "read the device's code beside this line; correct limits or drive in the config",
+        "read the device's code beside this line; correct limits.hard_rad, sensor.rail_counts, drive.max_V or "
+        "daq.watchdog_s, whichever it names",
     ),
     "CONFIG_MISMATCH": FaultEntry(
         "the device is not the one that the config describes",
-        "correct the key that is named here, or connect the other device",
+        "correct the key that is named here, or connect the other device, by daq.port",
     ),
     "NO_WATCHDOG": FaultEntry(
         "the device holds its last drive when the host is silent",
@@ -70,8 +74,9 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "ARM_READBACK": FaultEntry(
         "the limits read back from the device are not those that were sent",
-        "start again; if it persists, flash the firmware; a Modbus device: correct address and type of that register, "
-        "or give a value that the device can hold",
+        "start again; if it persists, flash the firmware (`rig flash`); a Modbus device: correct address and type of "
+        "that "
+        "register in daq.modbus.registers, or give a value that the device can hold",
     ),
     "DEVICE_RESET": FaultEntry(
         "the device restarted during the run, or is not armed for another reason",
@@ -93,15 +98,17 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "DEVICE_NOT_ARMED": FaultEntry(
         "the device refused drive because it is not armed",
-        "start the run again; a device that has been reset must be armed anew",
+        "start the run again, which arms it anew; if that persists, see by `rig doctor CONFIG` whether it answers, "
+        "and check "
+        "its supply",
     ),
     "DEVICE_DRIVE_RANGE": FaultEntry(
         "the device was commanded more drive than it was armed for",
-        "lower the drive or raise drive.max_V",
+        "lower the drive (relay.gains, relay.search.h_max_V, `rig jog` --u-V), or raise drive.max_V",
     ),
     "DEVICE_ESTOP": FaultEntry(
         "the device's e-stop input is open, and it set 0 V",
-        "release the e-stop, then start the run again; without one, the input must be wired to ground",
+        "release the e-stop, then type `rig run CONFIG` again; without one, the input must be wired to ground",
     ),
     "DEVICE_END_SWITCH": FaultEntry(
         "the shaft is at an end switch, or a switch's wire is broken, and the device set 0 V",
@@ -109,11 +116,14 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "DEVICE_RELAY": FaultEntry(
         "the relay in the device decided otherwise than the law does on the same counts",
-        "flash the firmware of this rig; if it is that, report this run, and set relay.where to host meanwhile",
+        "flash the firmware of this rig (`rig flash`); if it is that, report this run, and set relay.where to host "
+        "meanwhile",
     ),
     "RELAY_STOPPED": FaultEntry(
         "the relay in the device drove where the guard does not let it",
-        "lower the relay's amplitude, or widen the limits; where it ran well before, check the motor's wires",
+        "lower relay.target.amplitude_rad or relay.gains, or widen limits.hard_rad; where it ran well before, check "
+        "the "
+        "motor's wires",
     ),
     # guard
     "TRAVEL_HARD": FaultEntry(
@@ -122,12 +132,14 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "POLARITY": FaultEntry(
         "the shaft moves against the drive",
-        "swap the two motor wires, or the two outer wires of the potentiometer",
+        "swap the two motor wires, or the two outer wires of the potentiometer, or change drive.reversed",
     ),
     "SENSOR_RAIL": FaultEntry(
         "the position sensor reads at its rail",
-        "check the wiper's wire and the supply of the potentiometer; centre the shaft away from the ends; "
-        "a Modbus device: check type and scale of its position register, and word_order",
+        "check the wiper's wire and the supply of the potentiometer; centre the shaft away from the ends; readings "
+        "inside "
+        "sensor.rail_counts are good; a Modbus device: check type and scale in daq.modbus.registers.position, and "
+        "daq.modbus.word_order",
     ),
     "SENSOR_JUMP": FaultEntry(
         "the position jumped farther than the shaft can move in that time",
@@ -135,11 +147,13 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "SENSOR_STUCK": FaultEntry(
         "the reading does not do what the drive must make it do: it is frozen or noisy, or the drive is not as told",
-        "check the wiper's wire, the coupling of the potentiometer, the motor's wires, its supply and the bridge",
+        "check the wiper's wire, the coupling of the potentiometer, the motor's wires, its supply and the bridge; "
+        "`rig jog CONFIG --u-V VOLTS` shows whether the reading follows the shaft",
     ),
     "SAMPLE_STALE": FaultEntry(
         "readings come, but all of the same instant: the device takes no new samples",
-        "power the device off and on; if that comes again flash its firmware anew, or mend the plug-in driver's times",
+        "power the device off and on; if that comes again flash its firmware anew (`rig flash`), or mend the plug-in "
+        "driver's times",
     ),
     "NO_MOTION": FaultEntry(
         "no motion up to the largest breakaway drive",
@@ -148,7 +162,9 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "DRIVE_STUCK_ON": FaultEntry(
         "the shaft moves although the drive is at 0 V",
-        "cut the motor's supply; check the H-bridge and the enable pull-down. Software cannot stop such a drive",
+        "cut the motor's supply; check the H-bridge, the enable pull-down, and that `rig flash --bridge` was told the "
+        "inputs "
+        "that it has. Software cannot stop such a drive",
     ),
     "SENSOR_NOISY": FaultEntry(
         "the position sensor is too noisy to see motion",
@@ -156,42 +172,49 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "OVERSPEED": FaultEntry(
         "the shaft is faster than limits.max_speed_rad_s",
-        "lower the gains or the amplitude, or raise the limit if the room for stopping allows it; "
+        "lower relay.gains or relay.target.amplitude_rad, or raise limits.max_speed_rad_s if `rig check` has room to "
+        "stop; "
         "where the drive was 0 V, check the bridge and the sensor",
     ),
     # loop and record
     "RECORDER_DEAD": FaultEntry(
         "the recorder stopped taking rows",
-        "check the disk's free space and permissions of the run folder",
+        "check the disk's free space and permissions of the run folder, or name a folder on another disk with `rig "
+        "run --out`",
     ),
     "INTERRUPTED": FaultEntry(
         "the run was interrupted",
-        "start it again; a relay test that had its cycles can be identified with `rig identify`",
+        "start it again; a relay test that had its cycles can be identified: `rig identify RUN`",
     ),
     "LAW_FAILED": FaultEntry(
         "the program asked for a drive that is no number",
-        "this is a defect of rig: please report it with the run folder",
+        "this is a defect of rig: please report it with the run folder, which `rig export RUN --to run.json` makes "
+        "one file",
     ),
     "INTERNAL": FaultEntry(
         "the program failed",
-        "this is a defect of rig: please report it with the run folder; what was recorded can be identified",
+        "this is a defect of rig: please report it with the run folder; what was recorded can be identified: "
+        "`rig identify RUN`",
     ),
     "STOP_UNCONFIRMED": FaultEntry(
         "the device did not confirm the stop",
-        "its watchdog sets 0 V; cut the motor's supply if the shaft still turns, then check the cable",
+        "its watchdog sets 0 V; cut the motor's supply if the shaft still turns, then check the cable; `rig doctor "
+        "CONFIG` "
+        "tries it without driving",
     ),
     # experiment
     "NOT_IDENTIFIED": FaultEntry(
         "the record cannot be identified",
-        "see the reason beside this line; `rig identify` on the folder says more",
+        "see the reason beside this line; `rig identify RUN` says more",
     ),
     "NO_CYCLE": FaultEntry(
         "no settled limit cycle within the search's time",
-        "raise relay.search.timeout_s or relay.search.h_max_V, or ask for another amplitude and period",
+        "raise relay.search.timeout_s or relay.search.h_max_V, or ask for another relay.target",
     ),
     "NOT_HOME": FaultEntry(
         "the shaft could not be brought to rest at zero",
-        "check for play, a spring or a load that moves it; turn it near the centre by hand and start again",
+        "check for play, a spring or a load that moves it; turn it near the centre by hand or by `rig jog`, and start "
+        "again",
     ),
     "DRIVE_TOO_SMALL": FaultEntry(
         "a hysteretic relay's drive does not move the shaft from rest",

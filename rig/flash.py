@@ -6,7 +6,6 @@ The Uno's boot loader (Optiboot) listens at 115200 baud, whatever the firmware s
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import re
 import shutil
@@ -143,6 +142,12 @@ def check_port(port: str) -> None:
 
     avrdude itself takes no notice of that. Opening the port restarts an Uno.
     """
+    try:
+        import fcntl  # not everywhere
+    except ImportError as error:
+        raise FlashError(
+            "flashing is for Linux, where this has been tried", "`rig flash --dry-run` says what would be run"
+        ) from error
     try:
         handle = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:

@@ -15,6 +15,7 @@ from typing import Any
 import rig
 from rig.bench import Bench, connect, guard_settings_of
 from rig.config import Experiment, dump
+from rig.config.link_budget import times_error_s
 from rig.config.room_to_stop import device_watchdog_s
 from rig.control.breakaway import BreakawayCheck
 from rig.control.excitation import GainSearch
@@ -65,6 +66,13 @@ class Outcome:
                 why.append(f"the {method} estimate was refused: " + "; ".join(estimate["reasons"]))
         return "; ".join(why)
 
+    def as_json(self) -> dict[str, Any]:
+        """What `--json` prints: result.json, where it is, whether all is well, and if not why and what to do."""
+        said = (
+            {} if not self.failure else {"cause": self.failure, "cure": "" if self.fault is None else self.fault.cure}
+        )
+        return {"ok": not self.failure, "folder": str(self.folder), **said, **self.result}
+
 
 @dataclass
 class Session:
@@ -106,7 +114,7 @@ def record(
     started = datetime.now(UTC)
     with stop_on_signals() as stop:
         with connect(experiment) as bench:
-            folder = create_run(parent, experiment.name, started)
+            folder = create_run(parent, f"{what['name']}-{experiment.name}", started)
             write_config(folder, dump(experiment))
             meta = _meta(experiment, bench, started) | {"script": what}
             write_meta(folder, meta)
@@ -303,6 +311,7 @@ def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, 
         "order": bench.driver.order,
         "period_s": experiment.period_s,
         "drive_units": bench.info.drive_units,
+        "times_error_s": times_error_s(experiment),
         "firmware": {
             "board": bench.info.board,
             "build": bench.info.build,

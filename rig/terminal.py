@@ -12,11 +12,40 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 if TYPE_CHECKING:  # each loads slowly
     from rig.doctor.finding import Finding
     from rig.replay import Replay
     from rig.session import Outcome
+
+
+RECORD_ANEW = (
+    "to record anew: `rig relay CONFIG`; more cycles: relay.cycles; slower, larger or other ones: relay.target or "
+    "relay.gains; a part of a record: --rows FIRST:LAST"
+)
+
+
+def show_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table as wide as the terminal, whose first column, names that are typed, is never cut; plain in a pipe."""
+    if not sys.stdout.isatty():
+        click.echo("\n".join([title, *plain_table(headings, rows)]))
+        return
+    table = Table(title=title)
+    for k, heading in enumerate(headings):
+        table.add_column(heading, no_wrap=k == 0, overflow="fold")
+    if rows:
+        table.columns[0].min_width = max(len(row[0]) for row in rows)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    Console().print(table)
+
+
+def plain_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table that a program can read, too: columns two blanks or more apart, a dash where nothing is."""
+    cells = [[cell or "-" for cell in row] for row in [headings, *rows]]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells]
 
 
 @contextmanager
@@ -129,12 +158,8 @@ def show_estimates(
     tracking: dict[str, dict[str, Any]] | None = None,
 ) -> None:
     """A table, then the reasons: ``estimates`` and ``tracking`` as of result.json; ``truth`` of an emulated motor."""
-    console = Console(width=None if sys.stdout.isatty() else 140)
-    table = Table(title="estimates" + (" (in brackets: error against the emulated truth)" if truth else ""))
-    for heading in ("method", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict"):
-        table.add_column(heading)
-    if tracking:
-        table.add_column("tracking RMS, rad")
+    headings = ["method", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict", *(["tracking RMS, rad"] if tracking else [])]
+    rows: list[list[str]] = []
     for method, estimate in estimates.items():
         refused = estimate["verdict"] == "refused"  # a refusal gives no number
         cells = ["-" if refused else _interval(estimate, name, truth) for name in ("tau_s", "K_rad_s_V", "fc_V")]
@@ -142,13 +167,16 @@ def show_estimates(
         if tracking:
             check_run = tracking.get(method, {"not_run": "not asked for"})
             row.append(f"{check_run['rms_rad']:.4f}" if "rms_rad" in check_run else "not run")
-        table.add_row(*row)
+        rows.append(row)
     if truth is not None:
-        table.add_row("truth", *(f"{truth[name]:.4f}" for name in ("tau_s", "K_rad_s_V", "fc_V")), "")
-    console.print(table)
+        row = ["truth", *(f"{truth[name]:.4f}" for name in ("tau_s", "K_rad_s_V", "fc_V"))]
+        rows.append([*row, *[""] * (len(headings) - len(row))])
+    show_table("estimates" + (" (in brackets: error against the emulated truth)" if truth else ""), headings, rows)
     for method, estimate in estimates.items():
         for reason in estimate["reasons"]:
             click.echo(f"{method}: {reason}")
+    if any("record" in reason for estimate in estimates.values() for reason in estimate["reasons"]):
+        click.echo(RECORD_ANEW)
     for method, check_run in (tracking or {}).items():
         if "not_run" in check_run:
             click.echo(f"tracking with {method}: not run: {check_run['not_run']}")
@@ -171,13 +199,8 @@ def show_campaign(found: dict[str, Any], folder: Path) -> None:
     """A campaign's errors against the bound, and where everything is; ``found`` as of its summary.json."""
     from rig.campaign.report import HEADINGS, sentences, table_rows
 
-    console = Console(width=None if sys.stdout.isatty() else 140)
-    table = Table(title=f"campaign {found['campaign']}: {found['ok']['number']} experiments called ok")
-    for heading in HEADINGS:
-        table.add_column(heading, justify="right" if heading else "left")
-    for row in table_rows(found["ok"]):
-        table.add_row(*row)
-    console.print(table)
+    title = f"campaign {found['campaign']}: {found['ok']['number']} experiments called ok"
+    show_table(title, HEADINGS, list(table_rows(found["ok"])))
     click.echo("\n".join(sentences(found)))
     click.echo(f"rows:   {folder / 'results.csv'}")
     click.echo(f"report: {folder / 'report.html'}")
@@ -189,12 +212,11 @@ def show_scatter(results: Sequence[dict[str, Any]]) -> None:
     if len(estimates) < 2:
         click.echo(f"no scatter: it takes two sampled-data estimates, and {len(results)} runs gave {len(estimates)}")
         return
-    table = Table(title=f"sampled-data estimates of {len(estimates)} of {len(results)} runs")
-    for heading in ("", "mean", "scatter between runs (1.96 s)", "mean half-width of the 95 % intervals"):
-        table.add_column(heading)
+    headings = ("", "mean", "scatter between runs (1.96 s)", "mean half-width of the 95 % intervals")
+    rows: list[list[str]] = []
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
         values = [e[name] for e in estimates if e[name] is not None]
         widths = [0.5 * (b[1] - b[0]) for e in estimates if None not in (b := e["ci95"].get(name, (None, None)))]
         if len(values) >= 2 and widths:
-            table.add_row(name, f"{fmean(values):.5f}", f"{1.96 * stdev(values):.5f}", f"{fmean(widths):.5f}")
-    Console(width=None if sys.stdout.isatty() else 140).print(table)
+            rows.append([name, f"{fmean(values):.5f}", f"{1.96 * stdev(values):.5f}", f"{fmean(widths):.5f}"])
+    show_table(f"sampled-data estimates of {len(estimates)} of {len(results)} runs", headings, rows)

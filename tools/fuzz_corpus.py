@@ -139,7 +139,8 @@ def core_corpus() -> dict[str, bytes]:
         "hello": HELLO + READ + frame(Kind.HELLO, version=1) + frame(0x55) + frame(Kind.READ, b"\0"),
         "drive": armed() + drive(150) + ticks(5) + READ + drive(-200) + ticks(5) + STOP + ticks(2) + drive(50) + READ,
         "not_armed": drive(100) + READ + frame(Kind.SETUP, SETUP.pack()) + drive(100) + ticks(1) + relay() + KEEP,
-        "no_setup": ARM + drive(100) + ticks(2) + READ,
+        "no_setup": ARM + drive(100) + ticks(2) + READ + ack(Code.RESET) + ARM
+        + frame(Kind.ARM, pack_arm(0)) + drive(100) + ticks(2),
         "beyond_range": armed() + drive(200) + ticks(1) + drive(201) + ticks(1) + drive(100) + ticks(1) + ARM
         + ack(Code.DRIVE_RANGE) + ARM + drive(-201),
         "silent": armed() + drive(100) + ticks(25) + drive(100) + ticks(2) + READ + ARM

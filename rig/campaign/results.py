@@ -7,7 +7,6 @@ to which whole chunks are appended. A last line that was torn is cut off; its ex
 from __future__ import annotations
 
 import csv
-import fcntl
 import hashlib
 import io
 import json
@@ -78,15 +77,23 @@ def opened(folder: Path, campaign: Campaign) -> Iterator[ResultFile]:
 
     Raises CampaignError where the folder holds another campaign, or another process writes it, or it is broken.
     """
+    try:
+        import fcntl  # not everywhere
+    except ImportError as error:
+        raise CampaignError(
+            "no campaign on this system: its folder could not be locked against a second one", "run it on Linux"
+        ) from error
     if folder.is_dir() and not (folder / META).exists() and any(folder.iterdir()):
-        raise CampaignError(f"{folder}: is no campaign's folder, and not empty", "choose another folder")
+        raise CampaignError(f"{folder}: is no campaign's folder, and not empty", "choose another folder with --out")
     try:
         if (folder / META).exists():
             _same_campaign(folder, campaign)
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder / RESULTS, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
     except OSError as error:
-        raise CampaignError(f"{folder}: cannot be written: {error.strerror}", "choose another folder") from error
+        raise CampaignError(
+            f"{folder}: cannot be written: {error.strerror}", "choose another folder with --out"
+        ) from error
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -95,7 +102,7 @@ def opened(folder: Path, campaign: Campaign) -> Iterator[ResultFile]:
         if (folder / META).exists():
             pass
         elif os.fstat(descriptor).st_size:
-            raise CampaignError(f"{folder}: holds results without {META}", "choose another folder")
+            raise CampaignError(f"{folder}: holds results without {META}", "choose another folder with --out")
         else:
             _begin(folder, campaign)
         whole = _whole_lines(folder / RESULTS)
@@ -193,7 +200,9 @@ def _same_campaign(folder: Path, campaign: Campaign) -> None:
         meta = json.loads(path.read_text(encoding="utf-8"))
         config, program, there = meta["config_sha256"], meta["program_sha256"], dict(meta["campaign"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CampaignError(f"{path}: does not say which campaign this is", "choose another folder") from error
+        raise CampaignError(
+            f"{path}: does not say which campaign this is", "choose another folder with --out"
+        ) from error
     if config != config_hash(campaign):
         changed = _difference(there, _keys(campaign))
         raise CampaignError(

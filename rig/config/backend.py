@@ -5,6 +5,7 @@ from __future__ import annotations
 from rig.config.modbus import EMULATED_PORTS as MODBUS_EMULATED_PORTS
 from rig.config.modbus import is_tcp
 from rig.config.schema import BUILT_IN_DRIVERS, Experiment
+from rig.usb_serial import Adapter, adapter_by_name
 
 CHIP_PORTS = ("emulated-chip", "emulated-chip-realtime")
 EMULATED_PORTS = ("emulated", *CHIP_PORTS)
@@ -27,6 +28,16 @@ def writes_first(experiment: Experiment) -> bool:
     modbus = experiment.daq.modbus
     asked_by_fc23 = experiment.daq.driver == "modbus" and modbus is not None and modbus.requests == "read-write"
     return asked_by_fc23 or is_plug_in(experiment)
+
+
+def adapter_of(e: Experiment) -> Adapter:
+    """What delays the replies of a serial device: what the config says; else what its port's name gives away."""
+    d = e.daq
+    if d.driver != "serial":
+        return "none"
+    if d.adapter is not None:
+        return d.adapter
+    return "none" if d.port is None or is_emulated(e) else adapter_by_name(d.port)
 
 
 def backend_words(e: Experiment) -> str:

@@ -2,30 +2,35 @@
 
 Beside it what a reading alone needs: that is what can be measured of a device that is not armed.
 
-Serial: the frames of docs/architecture.md. Modbus: Application Protocol 1.1b3, section 6 (lengths of requests and
-replies); over Serial Line 1.02, section 2.5.1 (silence of 3.5 characters, fixed at 1.75 ms above 19200 baud).
+Serial: the frames of docs/architecture.md, and what the USB adapter adds (``rig.usb_serial``). Modbus: Application
+Protocol 1.1b3, section 6 (lengths of requests and replies); over Serial Line 1.02, section 2.5.1 (silence of 3.5
+characters, fixed at 1.75 ms above 19200 baud).
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+from rig.config.backend import adapter_of
 from rig.config.modbus import Modbus, is_tcp, read_in_a_tick, span_of, written_in_a_tick
 from rig.config.schema import Experiment
+from rig.usb_serial import CHIPS, FRAME_S, Adapter, adapter_delay_s
 
 LINK_SHARE = 0.8  # of the period that the exchange may take; measured, the whole tick
 REPLY_SHARE = 2 / 3  # of daq.timeout_s, after which the serial driver asks for a reading again
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000, 921600, 1_000_000, 2_000_000)
 
-# Wire format version 1: bytes of the body of each frame of one tick (host asks, device tells, host drives)
-_BODY_BYTES = {"READ": 0, "STATE": 18, "DRIVE": 2}
+# Wire format version 2: bytes of the body of each frame of one tick (host asks, device tells, host drives)
+_BODY_BYTES = {"READ": 0, "STATE": 24, "DRIVE": 2}
 # around each body: version, type, seq (4), CRC (2), COBS (1), delimiter (1)
 _FRAME_BYTES = 4 + 2 + 1 + 1
 _BITS_PER_BYTE = 11  # start, 8 data, stop, and the pause that is seen between bytes
-_TURNAROUND_S = 0.001  # the device's 1 ms tick and USB, together
+_TURNAROUND_S = 0.001  # the device's 1 ms tick
+_STAMPS_S = 1e-4  # a device's own times: a conversion (0.11 ms), a period of the PWM (0.05 ms), an interrupt
+_ROUNDED_S = 1e-6  # in the record
 
 # A relay in the device: every 10 of its 1 ms ticks a BLOCK of 10 (reading, drive) comes unasked
-_BLOCK_BYTES = 10 + 10 * 4 + _FRAME_BYTES
+_BLOCK_BYTES = 18 + 10 * 4 + _FRAME_BYTES
 _BLOCK_S = 0.010
 
 _RTU_BYTES = 1 + 2  # unit and CRC, around the function code and its data
@@ -67,16 +72,15 @@ class LinkBudget(NamedTuple):
         return f"{self.wire} = {wire_s * 1e3:.2f} ms, {rest} = {self.total_s * 1e3:.2f} ms"
 
 
-def link_budget(experiment: Experiment, baud: int | None = None) -> LinkBudget:
+def link_budget(experiment: Experiment, baud: int | None = None, adapter: Adapter | None = None) -> LinkBudget:
     """What one tick of this experiment needs; without terms where there is no link, or none that is known.
 
-    baud   instead of the config's, to see which would do
+    baud, adapter   instead of the config's, to see which would do
     """
     daq = experiment.daq
     baud = daq.baud if baud is None else baud
     if daq.driver == "serial":
-        frames = {name: body + _FRAME_BYTES for name, body in _BODY_BYTES.items()}
-        return LinkBudget((_wire(frames, _BITS_PER_BYTE, baud), ("turnaround", _TURNAROUND_S)), _words(frames, baud))
+        return _serial(tuple(_BODY_BYTES), baud, adapter_of(experiment) if adapter is None else adapter)
     if daq.driver == "modbus" and daq.modbus is not None:
         return _modbus(daq.modbus, baud, is_tcp(daq.port), transactions(daq.modbus, tcp=is_tcp(daq.port)))
     return LinkBudget((), "")
@@ -89,9 +93,7 @@ def reading_budget(experiment: Experiment) -> LinkBudget:
     """
     daq = experiment.daq
     if daq.driver == "serial":
-        frames = {name: _BODY_BYTES[name] + _FRAME_BYTES for name in ("READ", "STATE")}
-        wire = _wire(frames, _BITS_PER_BYTE, daq.baud)
-        return LinkBudget((wire, ("turnaround", _TURNAROUND_S)), _words(frames, daq.baud))
+        return _serial(("READ", "STATE"), daq.baud, adapter_of(experiment))
     if daq.driver == "modbus" and daq.modbus is not None:
         tcp = is_tcp(daq.port)
         return _modbus(daq.modbus, daq.baud, tcp, (_reading(daq.modbus, tcp=tcp),), silences=1)
@@ -101,7 +103,38 @@ def reading_budget(experiment: Experiment) -> LinkBudget:
 def link_sum(experiment: Experiment) -> str:
     """The sum of one tick and what it may come to, for people; of a link that is known."""
     period_s = experiment.period_s
-    return f"{link_budget(experiment).written}; {LINK_SHARE:.0%} of the period is {LINK_SHARE * period_s * 1e3:.2f} ms"
+    return (
+        f"{link_budget(experiment).written}; {LINK_SHARE:.0%} of the period is {LINK_SHARE * period_s * 1e3:.2f} ms, "
+        "the rest the host's: to wake, decide and record"
+    )
+
+
+def sample_to_drive_s(experiment: Experiment) -> float:
+    """From a sample to the drive that answers it, at most, s: of a serial device whose exchange fits; else 0.
+
+    The reply's way to the host, the drive's way back, and a tick of the device. The host's own part is in none of it.
+    """
+    if experiment.daq.driver != "serial":
+        return 0.0
+    asking_s = (_BODY_BYTES["READ"] + _FRAME_BYTES) * _BITS_PER_BYTE / experiment.daq.baud
+    return link_budget(experiment).total_s - asking_s
+
+
+def link_adapter_s(experiment: Experiment) -> float:
+    """By how much the adapter makes an exchange longer, at most, s; 0 without one."""
+    return adapter_delay_s(adapter_of(experiment))
+
+
+def times_error_s(experiment: Experiment) -> float:
+    """By how much the recorded time of a drive may be wrong against that of a sample, s.
+
+    A serial device stamps both itself. A Modbus device tells no time: both are reckoned, and where within its
+    turnaround it takes the one and does the other it does not say.
+    """
+    daq = experiment.daq
+    if daq.driver == "simulated":
+        return _ROUNDED_S
+    return _STAMPS_S + (0.5 * daq.modbus.turnaround_s if daq.modbus is not None else 0.0)
 
 
 def block_share(baud: int) -> float:
@@ -161,6 +194,16 @@ def silence_s(modbus: Modbus, baud: int) -> float:
     if baud > _FIXED_ABOVE_BAUD:
         return _FIXED_SILENCE_S
     return _SILENCE_CHARACTERS * bits_per_byte(modbus) / baud
+
+
+def _serial(kinds: tuple[str, ...], baud: int, adapter: Adapter) -> LinkBudget:
+    """The sum of frames of these kinds."""
+    frames = {name: _BODY_BYTES[name] + _FRAME_BYTES for name in kinds}
+    terms = [_wire(frames, _BITS_PER_BYTE, baud), ("turnaround", _TURNAROUND_S)]
+    chip = CHIPS.get(adapter)
+    if chip is not None:
+        terms += [("USB frames", 2.0 * FRAME_S), (f"{adapter} adapter", chip.wait_s)]
+    return LinkBudget(tuple(terms), _words(frames, baud))
 
 
 def _modbus(

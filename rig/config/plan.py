@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import isclose
 
-from rig.config.backend import backend_words, is_emulated, is_plug_in
-from rig.config.link_budget import block_sum, link_budget, link_sum
+from rig.config.backend import adapter_of, backend_words, is_emulated, is_plug_in
+from rig.config.link_budget import block_sum, link_budget, link_sum, sample_to_drive_s
 from rig.config.modbus import as_in_a_manual, read_in_a_tick, written_at_arming, written_in_a_tick
 from rig.config.problems import bracketed
 from rig.config.room_to_stop import overshoot_terms, peak_speed_rad_s, room_rad, stopping_sum, stopping_terms
 from rig.config.schema import Experiment
 from rig.config.sensor import range_rad
+from rig.usb_serial import CHIPS
 
 _DRIVE_UNITS = 799  # of the firmware at full duty
 
@@ -29,6 +30,7 @@ def plan(e: Experiment) -> Iterator[str]:
     yield f"stopping {stopping_sum(e)}; room from the centre of travel: {room_rad(e):.3f} rad"
     if link_budget(e).terms:
         yield f"link: {link_sum(e)}"
+    yield from _adapter(e)
     if is_plug_in(e):
         yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
     yield from _device_drives(e)
@@ -55,6 +57,25 @@ def plan(e: Experiment) -> Iterator[str]:
             yield "note: section `emulated` counts as the truth only if the driver says that its device is emulated"
         else:
             yield f"note: section `emulated` is not used with port {e.daq.port}"
+
+
+def _adapter(e: Experiment) -> Iterator[str]:
+    """What is reckoned with between USB and the line, and how soon a drive follows its sample."""
+    if e.daq.driver != "serial":
+        return
+    adapter = adapter_of(e)
+    chip = CHIPS.get(adapter)
+    if chip is not None and e.daq.adapter is None:
+        yield (
+            f"note: daq.adapter is not given; by the port's name it is reckoned with {chip.words} ({adapter}): "
+            "`rig doctor` says which is there"
+        )
+    if chip is not None and chip.assumed:
+        yield (
+            f"note: nobody says how long {chip.words} waits; {1e3 * chip.wait_s:g} ms is assumed: `rig doctor` on this "
+            "config measures it"
+        )
+    yield f"delay: a drive acts up to {1e3 * sample_to_drive_s(e):.2f} ms after its sample, and what the host takes"
 
 
 def _stage_lines(e: Experiment) -> Iterator[str]:

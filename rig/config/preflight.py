@@ -10,14 +10,17 @@ import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import partial
+from pathlib import PurePosixPath
 
-from rig.config.backend import CHIP_BAUDS, CHIP_PORTS, EMULATED_PORTS, is_plug_in
+from rig.config.backend import CHIP_BAUDS, CHIP_PORTS, EMULATED_PORTS, adapter_of, is_plug_in
 from rig.config.link_budget import (
     BAUD_RATES,
     LINK_SHARE,
     REPLY_SHARE,
     block_share,
     block_sum,
+    link_adapter_s,
     link_budget,
     link_sum,
     reading_budget,
@@ -38,6 +41,7 @@ from rig.config.room_to_stop import (
 )
 from rig.config.schema import BUILT_IN_DRIVERS, Experiment, Gains, RelayTarget
 from rig.config.sensor import count_rad, range_rad
+from rig.usb_serial import Adapter, adapter_delay_s
 
 Rule = Callable[[Experiment], Iterator[Problem]]
 
@@ -88,6 +92,9 @@ def _backend(e: Experiment) -> Iterator[Problem]:
         yield wrong("emulated", f"`port: {d.port}` needs this section", "describe the bench: see config/demo.yaml")
     if d.port in CHIP_PORTS and d.baud not in CHIP_BAUDS:
         yield wrong("daq.baud", f"the Uno's firmware does not speak {d.baud} baud", "115200 or 1000000")
+    if d.adapter is not None and d.driver != "serial":
+        hint = "add its delay to daq.modbus.turnaround_s" if d.driver == "modbus" else "remove it"
+        yield wrong("daq.adapter", f"is of `driver: serial`, not of `{d.driver}`", hint)
     if is_plug_in(e):
         for key in ("port", "modbus"):
             if getattr(d, key) is not None:
@@ -96,8 +103,23 @@ def _backend(e: Experiment) -> Iterator[Problem]:
         yield wrong("daq.options", f"is of plug-in drivers, `driver: {d.driver}` has none", "remove it")
 
 
-def _fits(e: Experiment, baud: int) -> bool:
-    return link_budget(e, baud).total_s <= LINK_SHARE * e.period_s * (1 + _SLACK)
+def _fits(e: Experiment, baud: int, adapter: Adapter | None = None) -> bool:
+    return link_budget(e, baud, adapter).total_s <= LINK_SHARE * e.period_s * (1 + _SLACK)
+
+
+def _quicker_adapter(e: Experiment, fits: Callable[[Adapter], bool]) -> str:
+    """What to do about an adapter where another one would fit; nothing where none would."""
+    adapter = adapter_of(e)
+    if adapter == "ftdi" and fits("ftdi-1ms"):
+        device = PurePosixPath(e.daq.port or "").name if (e.daq.port or "").startswith("/dev/tty") else "ttyUSB0"
+        timer = (
+            f"an FTDI with its latency timer at 1 ms fits: `echo 1 | sudo tee /sys/bus/usb-serial/devices/{device}/"
+            "latency_timer`, and daq.adapter: ftdi-1ms"
+        )
+        return timer if e.daq.adapter is not None else f"daq.adapter: which one `rig doctor` finds there; {timer}"
+    if adapter != "none" and e.daq.adapter is None and fits("native-usb"):
+        return "daq.adapter: which one `rig doctor` finds there, if it is another"
+    return ""
 
 
 def _link_budget(e: Experiment) -> Iterator[Problem]:
@@ -105,11 +127,21 @@ def _link_budget(e: Experiment) -> Iterator[Problem]:
         return
     if e.daq.modbus is not None and reads_too_far_apart(e.daq.modbus):
         return  # refused by its register: no such request can be made, so its time says nothing
-    fitting = [] if is_tcp(e.daq.port) else [baud for baud in BAUD_RATES if _fits(e, baud)]
-    way_out = f"daq.baud {fitting[0]} fits, or " if fitting else ""
-    period_s = link_budget(e).total_s / LINK_SHARE
-    hint = f"{way_out}period_s of {period_s:.2g} and more" if period_s <= 0.1 else way_out.removesuffix(", or ")
-    key = "period_s" if is_tcp(e.daq.port) else "daq.baud"
+    if is_tcp(e.daq.port):
+        bauds: tuple[int, ...] = ()
+    else:
+        bauds = CHIP_BAUDS if adapter_of(e) == "16u2" or e.daq.port in CHIP_PORTS else BAUD_RATES
+    quicker = ""
+    for baud in (e.daq.baud, *bauds):
+        quicker = _quicker_adapter(e, partial(_fits, e, baud))
+        if quicker:
+            quicker += "" if baud == e.daq.baud else f", and daq.baud {baud}"
+            break
+    fitting = [f"daq.baud {baud} fits" for baud in bauds if _fits(e, baud)]
+    period_s = _ceil(link_budget(e).total_s / LINK_SHARE)
+    longer = [f"period_s of {period_s:g} and more"] if period_s <= 0.1 else []
+    key = "daq.adapter" if quicker else "period_s" if is_tcp(e.daq.port) else "daq.baud"
+    hint = ", or ".join([*([quicker] if quicker else []), *fitting[:1], *longer])
     yield wrong(key, f"too slow for the period: {link_sum(e)}", hint)
 
 
@@ -118,13 +150,16 @@ def _reply_time(e: Experiment) -> Iterator[Problem]:
     reading = reading_budget(e)
     if e.daq.driver != "serial" or not _fits(e, e.daq.baud):
         return
-    if reading.total_s > REPLY_SHARE * e.daq.timeout_s * (1 + _SLACK):
+    most_s = REPLY_SHARE * e.daq.timeout_s * (1 + _SLACK)
+    if reading.total_s > most_s:
+        chip_s = link_adapter_s(e)
+        quicker = _quicker_adapter(e, lambda adapter: reading.total_s - chip_s + adapter_delay_s(adapter) <= most_s)
         least_ms = math.ceil(1e4 * reading.total_s / REPLY_SHARE) / 10
         yield wrong(
             "daq.timeout_s",
             f"{1e3 * e.daq.timeout_s:g} ms is too short for a reading: {reading.written}; after two thirds of the "
             "time-out it is asked for again, and three such in a row end the run",
-            f"{least_ms / 1e3:g} seconds and more, or a higher daq.baud",
+            f"{least_ms / 1e3:g} seconds and more, or {quicker or 'a higher daq.baud'}",
         )
 
 
@@ -460,6 +495,12 @@ _RULES: tuple[Rule, ...] = (
 
 def _at_most(volts: float) -> str:
     return f"at most {volts:g} volts"
+
+
+def _ceil(value: float) -> float:
+    """Two digits, rounded up: a hint that is followed must pass."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.ceil(value / unit * (1 - _SLACK)) * unit:.2g}")
 
 
 def _floor(value: float) -> float:

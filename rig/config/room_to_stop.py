@@ -8,6 +8,7 @@ from __future__ import annotations
 from math import log
 
 from rig.config.backend import writes_first
+from rig.config.link_budget import link_adapter_s
 from rig.config.schema import Experiment
 
 _REACTION_PERIODS = 3  # of the loop: one until the next tick, two by which the guard's velocity lags
@@ -26,7 +27,8 @@ def reaction_periods(experiment: Experiment) -> int:
 
 def reaction_s(experiment: Experiment) -> float:
     """Time until the loop can have reacted to what the shaft does, s."""
-    return reaction_periods(experiment) * experiment.period_s + _further_lag_s(experiment)
+    periods_s = reaction_periods(experiment) * experiment.period_s
+    return periods_s + _further_lag_s(experiment) + link_adapter_s(experiment)
 
 
 def _further_lag_s(e: Experiment) -> float:
@@ -66,10 +68,11 @@ def stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
     count it, and the device's own hard limit is what ends such a drive.
     """
     v = e.limits.max_speed_rad_s
-    lag_s = _further_lag_s(e)
+    lag_s, adapter_s = _further_lag_s(e), link_adapter_s(e)
     return (
         (f"{reaction_periods(e)} periods", v * reaction_periods(e) * e.period_s),
         *((("velocity window", v * lag_s),) if lag_s > 0.0 else ()),
+        *((("USB adapter", v * adapter_s),) if adapter_s > 0.0 else ()),
         ("reply time-out", v * e.daq.timeout_s),
         ("watchdog", v * device_watchdog_s(e)),
         ("coasting", v * e.limits.coast_tau_s),

@@ -14,6 +14,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from rig.config.modbus import Modbus
 from rig.config.section import Interval, NonNegative, Positive
 from rig.config.section import Section as _Section
+from rig.usb_serial import Adapter
 
 Method = Literal["sampled-data", "triple-relay", "describing-function"]
 BUILT_IN_DRIVERS = ("simulated", "serial", "modbus")
@@ -36,6 +37,12 @@ class Daq(_Section):
     )
     baud: Annotated[int, Field(ge=9600, le=4_000_000)] = Field(
         115200, description="bits per second of the serial link, as the firmware was built"
+    )
+    adapter: Adapter | None = Field(
+        None,
+        description="driver serial: what sits between USB and the line, and delays every reply (docs/timing.md); "
+        "`rig doctor` finds it. Default: what the port's name gives away, else `ftdi`, the slowest; an emulated port "
+        "has none, unless it is given here: then it delays like that one",
     )
     timeout_s: Positive = Field(0.03, description="longest wait for one reply")
     open_timeout_s: Positive = Field(5.0, description="longest wait for the device to introduce itself")

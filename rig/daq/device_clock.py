@@ -7,12 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 _WRAP = 1 << 32
 _HALF = 1 << 31
 _PLAUSIBLE = 0.1  # relative rate error beyond which it is a restarted device, not a clock
 _SLACK_S = 0.002  # resolution of both clocks, with room
+_AT_EDGE = 20  # one exchange in so many, the quickest requests, has the line
+_RESOLUTION_US = 2.0  # of the device's clock: what is off by less is as quick
 
 
 class TimedExchange(NamedTuple):
@@ -44,43 +47,73 @@ class DeviceClock:
 
 
 def fit_device_clock(exchanges: Sequence[TimedExchange], request_share: float = 0.5) -> DeviceClock:
-    """Line through the exchanges, each weighted by how far it can be off: what it took longer than the fastest.
+    """Line through the exchanges whose request was the quickest; how long a reply takes does not matter.
+
+    A request leaves at once and waits for a frame of USB at most; a reply waits for an adapter's timer, the system's
+    buffers and this process. No request is quicker than the wire: the device's times, over those of sending, have a
+    straight lower edge.
 
     exchanges      in order of time, each sent after the one before was received
-    request_share  share of a round trip that passes before the device reads its clock, 0 to 1
+    request_share  share of the fastest round trip that passes before the device reads its clock, 0 to 1
     Raises ValueError with fewer than four exchanges, or if the device's time jumped (it restarted).
     """
     if len(exchanges) < 4:
         raise ValueError(f"{len(exchanges)} timed exchanges are too few")
     first = exchanges[0]
-    points: list[tuple[float, float, float]] = []  # round trip s, host s, device us, both from the first
-    device_us = 0
+    sent_s: list[float] = []  # both from the first
+    device_us: list[float] = []
     last = first
+    total_us = 0
     for exchange in exchanges:
         step_us = (exchange.device_us - last.device_us) % _WRAP
         least_s = (exchange.sent_s - last.received_s) * (1.0 - _PLAUSIBLE) - _SLACK_S
         most_s = (exchange.received_s - last.sent_s) * (1.0 + _PLAUSIBLE) + _SLACK_S
         if exchange is not first and not least_s <= step_us * 1e-6 <= most_s:
             raise ValueError(f"the device's clock jumped from {last.device_us} to {exchange.device_us} us")
-        device_us += step_us
-        trip_s = exchange.received_s - exchange.sent_s
-        points.append((trip_s, exchange.sent_s - first.sent_s + request_share * trip_s, float(device_us)))
+        total_us += step_us
+        sent_s.append(exchange.sent_s - first.sent_s)
+        device_us.append(float(total_us))
         last = exchange
-    trips = sorted(trip for trip, _, _ in points)
-    fastest, quarter = trips[0], trips[len(trips) // 4]
-    resolution_s = quarter - fastest + 1e-6
-    weights = [1.0 / (trip - fastest + resolution_s) ** 2 for trip, _, _ in points]
-    slope, intercept = _weighted_line([p[1] for p in points], [p[2] for p in points], weights)
-    return DeviceClock(host_s=first.sent_s, device_us=first.device_us + intercept, ratio=slope * 1e-6)
+    slope, intercept = _line(sent_s, device_us)
+    fastest_s = min(exchange.received_s - exchange.sent_s for exchange in exchanges)
+    return DeviceClock(
+        host_s=first.sent_s + request_share * fastest_s,
+        device_us=first.device_us + intercept,
+        ratio=slope * 1e-6,
+    )
 
 
-def _weighted_line(x: Sequence[float], y: Sequence[float], weights: Sequence[float]) -> tuple[float, float]:
-    """Slope and intercept of the weighted least-squares line."""
-    total = sum(weights)
-    x_mean = sum(w * a for w, a in zip(weights, x, strict=True)) / total
-    y_mean = sum(w * b for w, b in zip(weights, y, strict=True)) / total
-    spread = sum(w * (a - x_mean) ** 2 for w, a in zip(weights, x, strict=True))
-    if not spread > 0.0:
-        raise ValueError("timed exchanges that take no time are too short")
-    slope = sum(w * (a - x_mean) * (b - y_mean) for w, a, b in zip(weights, x, y, strict=True)) / spread
+def _line(x: Sequence[float], y: Sequence[float]) -> tuple[float, float]:
+    """Slope and intercept of the lower edge of points, by least squares over those that lie at it."""
+    (x0, y0), (x1, y1) = _lower_edge(x, y)
+    late = [b - y0 - (a - x0) * (y1 - y0) / (x1 - x0) for a, b in zip(x, y, strict=True)]
+    reach = sorted(late)[len(late) // _AT_EDGE] + _RESOLUTION_US
+    at_edge = [(a, b) for a, b, above in zip(x, y, late, strict=True) if above <= reach]
+    x_mean = sum(a for a, _ in at_edge) / len(at_edge)
+    y_mean = sum(b for _, b in at_edge) / len(at_edge)
+    slope = sum((a - x_mean) * (b - y_mean) for a, b in at_edge) / sum((a - x_mean) ** 2 for a, _ in at_edge)
     return slope, y_mean - slope * x_mean
+
+
+def _lower_edge(x: Sequence[float], y: Sequence[float]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The two points that a line touches which no point is below, and to which they are nearest on the average.
+
+    x must not fall. Raises ValueError where all are one instant.
+    """
+    hull: list[tuple[float, float]] = []
+    for c in zip(x, y, strict=True):
+        while hull and hull[-1][0] == c[0] and hull[-1][1] >= c[1]:
+            hull.pop()
+        if hull and hull[-1][0] == c[0]:
+            continue
+        while len(hull) > 1:
+            (ax, ay), (bx, by) = hull[-2:]
+            if (bx - ax) * (c[1] - ay) > (by - ay) * (c[0] - ax):
+                break
+            hull.pop()
+        hull.append(c)
+    mean = sum(x) / len(x)
+    for a, b in pairwise(hull):
+        if a[0] <= mean <= b[0]:
+            return a, b
+    raise ValueError("timed exchanges that take no time are too short")

@@ -30,7 +30,11 @@ from rig.signals import Limits, Order, Sample
 
 LONGEST_WATCHDOG_S = 1.0  # that the device accepts
 _SYNCHRONISE_S = 1.0
-_PAUSE_S = 0.002  # between two of the exchanges that measure the clock
+_SLOW_SYNCHRONISE_S = 3.0  # where an exchange takes so long that there are
+_FEW_EXCHANGES = 100  # or fewer in the first
+_SHORTEST_PAUSE_S = 0.001  # between two of the exchanges that measure the clock
+_LONGEST_PAUSE_S = 0.020  # of an FTDI's timer of 16 ms every phase is met
+_GOLDEN = 0.618034  # its multiples fall everywhere between 0 and 1
 _ATTEMPTS = 3  # of a request outside the loop
 _READ_SHARES = (2 / 3, 1.0, 1.0)  # of the time-out: until when each of a tick's requests for the state is waited for
 _READ_AGAIN = 3  # readings in a row that had to be asked for again: the link is not fit for the period
@@ -178,7 +182,7 @@ class SerialDriver:
         }
 
     def open(self) -> DeviceInfo:
-        """Wait for the device to introduce itself, clear what it has latched, and measure its clock for about a second.
+        """Wait for the device to introduce itself, clear what it has latched, and measure its clock for one to three s.
 
         A fault whose cause lasts stays latched: ``arm`` raises it.
         Raises Fault LINK_HELLO, LINK_VERSION, LINK_TIMEOUT, DEVICE_RESET or LINK_LOST; CONFIG_MISMATCH where the config
@@ -572,20 +576,23 @@ class SerialDriver:
         return measured_V
 
     def _time_exchanges(self) -> list[TimedExchange]:
-        """Ask for the device's time again and again, for about a second.
+        """Ask for the device's time again and again, for a second, or up to three over a slow link.
 
-        HELLO carries the time at which it is answered; a sample's time may be a device tick old.
+        HELLO carries the time at which it is answered; a sample's time may be a device tick old. The pauses differ, up
+        to the longest exchange: with equal ones each reply would meet a USB adapter's timer at the same phase.
         """
         now_s = self._transport.now_s
         exchanges: list[TimedExchange] = []
-        until_s = now_s() + _SYNCHRONISE_S
-        sent_s = now_s()
-        while sent_s < until_s:
+        longest_s = 0.0
+        began_s = sent_s = now_s()
+        while sent_s < began_s + (_SYNCHRONISE_S if len(exchanges) > _FEW_EXCHANGES else _SLOW_SYNCHRONISE_S):
             packet = self._answer(self._send(Kind.HELLO), Kind.HELLO_REPLY)
             received_s = now_s()
             if packet is not None and packet.kind == Kind.HELLO_REPLY:
                 exchanges.append(TimedExchange(sent_s, received_s, Hello.unpack(packet.body).now_us))
-            self._stale_replies += len(self._reader.feed(self._transport.read(_PAUSE_S)))
+                longest_s = min(max(longest_s, received_s - sent_s), _LONGEST_PAUSE_S)
+            pause_s = _SHORTEST_PAUSE_S + longest_s * (_GOLDEN * len(exchanges) % 1.0)
+            self._stale_replies += len(self._reader.feed(self._transport.read(pause_s)))
             sent_s = now_s()
         if len(exchanges) < 4:
             raise self._timeout(Kind.HELLO)

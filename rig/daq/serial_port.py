@@ -5,9 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import select
+import sys
 import time
-
-import serial
 
 from rig.faults import Fault
 
@@ -24,6 +23,14 @@ class SerialPort:
     """
 
     def __init__(self, port: str, baud: int = 115200, parity: str = "N", stop_bits: int = 1) -> None:
+        if sys.platform == "win32":
+            raise Fault(
+                "LINK_OPEN",
+                f"{port}: serial ports work on Linux, and have not been tried on macOS; on Windows a device on Modbus "
+                "TCP, or daq.driver: simulated",
+            )
+        import serial  # not everywhere can it be loaded
+
         try:
             self._serial = serial.Serial(port, baud, parity=parity, stopbits=stop_bits, timeout=0, exclusive=True)
         except (OSError, ValueError) as error:  # SerialException is an OSError; ValueError: impossible baud

@@ -5,7 +5,6 @@ Every function takes ``root``, the folder that stands for ``/``.
 
 from __future__ import annotations
 
-import grp
 import os
 import platform
 import shutil
@@ -19,10 +18,13 @@ from rig.doctor.finding import Finding, State
 from rig.loop import kernel_workers as kernel_workers_module
 from rig.loop.kernel_workers import workers
 from rig.loop.real_time import real_time
+from rig.usb_serial import CHIPS, Adapter, adapter_by_id, adapter_delay_s
 
 ROOT = Path("/")
 _FAST_CLOCKS = ("tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter")
+_FIFO = "1"  # SCHED_FIFO, as the kernel writes it
 _LATENCY_MS = 1
+_ADAPTER = "USB adapter"
 _LEAST_FREE_BYTES = 200e6
 _NO_RUN_BYTES = 20e6  # one run with its report takes 4 to 11
 _UDEV_RULE = (
@@ -130,7 +132,7 @@ def kernel_workers(root: Path = ROOT) -> Finding:
     stats = (_text(root / f"proc/{worker}/stat") or "" for worker in workers(root / "proc"))
     # proc(5): after the name in brackets, which may have blanks in it, fields 3 and on; 41 is the policy
     policies = (text.rpartition(")")[2].split()[38:39] for text in stats)
-    raised = sum(policy == [str(os.SCHED_FIFO)] for policy in policies)
+    raised = sum(policy == [_FIFO] for policy in policies)
     if raised == 0:
         return Finding("workers", "good", "the kernel's workers have their ordinary priority")
     keeper = Path(kernel_workers_module.__file__).name
@@ -156,6 +158,38 @@ def serial_ports() -> Iterator[Finding]:
         )
     for device in ports:
         yield serial_port(Path(device))
+        yield usb_adapter(device, None)
+
+
+def usb_adapter(device: str, reckoned: Adapter | None, root: Path = ROOT) -> Finding:
+    """What sits between USB and the line behind a port, by its USB ids and an FTDI's timer.
+
+    reckoned  what the config's sums are made with; None: there is no config
+    """
+    there = Path(device).resolve().name  # of a name in /dev/serial/by-id, too
+    port = next((p for p in list_ports.comports() if Path(p.device).name == there), None)
+    found = None if port is None else adapter_by_id(port.vid, port.pid)
+    if port is None or found is None:
+        ids = "no USB ids" if port is None or port.vid is None else f"USB {port.vid:04x}:{port.pid:04x}, not known here"
+        against = "" if reckoned is None else f"; the sums are made with daq.adapter: {reckoned}"
+        return Finding(_ADAPTER, "note", f"{device}: {ids}{against}")
+    timer = _text(root / f"sys/bus/usb-serial/devices/{there}/latency_timer")
+    if found == "ftdi" and timer == str(_LATENCY_MS):
+        found = "ftdi-1ms"
+    words = f"{device}: USB {port.vid:04x}:{port.pid:04x}, {CHIPS[found].words}"
+    if found == "ftdi" and timer is not None:
+        words += f"; its timer is at {timer} ms"
+    if reckoned is None:
+        return Finding(_ADAPTER, "good", f"{words}; daq.adapter: {found}")
+    if reckoned == found:
+        return Finding(_ADAPTER, "good", f"{words}, as the sums have it ({found})")
+    slower = adapter_delay_s(found) > adapter_delay_s(reckoned)
+    return Finding(
+        _ADAPTER,
+        "bad" if slower else "poor",
+        f"{words}; but the sums are made with {reckoned}, which is {'quicker' if slower else 'no quicker'}",
+        f"daq.adapter: {found}, then `rig check`",
+    )
 
 
 def serial_port(device: Path) -> Finding:
@@ -165,8 +199,10 @@ def serial_port(device: Path) -> Finding:
     if os.access(device, os.R_OK | os.W_OK):
         return Finding("serial port", "good", f"{device} may be opened")
     try:
+        import grp  # not everywhere
+
         group = grp.getgrgid(device.stat().st_gid).gr_name
-    except KeyError:
+    except (ImportError, KeyError):
         group = "dialout"
     return Finding(
         "serial port",

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rig.bench import connect, real_time_of
+from rig.config.backend import adapter_of, is_emulated
 from rig.config.link_budget import link_budget, reading_budget
 from rig.config.schema import Experiment
 from rig.doctor import machine, measured
@@ -32,14 +33,18 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
     A device that cannot be met is a finding.
     """
     yield from machine.examine(run_folder)
-    if experiment.daq.port is not None and experiment.daq.port.startswith("/"):
-        port = machine.serial_port(Path(experiment.daq.port))
+    port_name = experiment.daq.port or ""
+    is_real_serial = experiment.daq.driver == "serial" and not is_emulated(experiment)
+    if port_name.startswith("/"):
+        port = machine.serial_port(Path(port_name))
         yield port
         if port.state == "bad":
             return
     try:
         with connect(experiment) as bench:
             yield Finding("device", "good", bench.driver.backend)
+            if is_real_serial:  # only now: opening the port asks an FTDI to wait for 1 ms only
+                yield machine.usb_adapter(port_name, adapter_of(experiment))
             if not isinstance(bench.clock, MonotonicClock):
                 yield Finding("period", "note", "this bench lives in virtual time: every period is held")
                 return

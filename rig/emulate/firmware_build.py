@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import os
 import shutil
@@ -116,6 +115,13 @@ def build_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None
 
 def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) -> Path:
     """Make the targets; the folder that they are in. ``tools``: what they need besides a C compiler, and its cure."""
+    try:
+        import fcntl  # not everywhere
+    except ImportError as error:
+        raise EmulationError(
+            "emulated devices are firmware that is compiled and run here, which takes Linux\n"
+            "set daq.driver: simulated, as in config/simulated.yaml: it runs everywhere"
+        ) from error
     sources = source_folder()
     folder = (_default_build_folder(sources) if build_folder is None else build_folder).absolute()
     compiler = os.environ.get("CC", "cc")
@@ -130,7 +136,7 @@ def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) 
     command = ["make", "-s", "-C", str(sources), *targets, f"BUILD={folder}", f"CC={compiler}"]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with (folder / ".lock").open("w") as lock:
+        with (folder / ".lock").open("wb") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             made = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     except OSError as error:

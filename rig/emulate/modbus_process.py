@@ -13,19 +13,18 @@ import gc
 import json
 import math
 import os
-import pty
 import select
 import signal
 import socket
 import struct
 import sys
-import termios
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NoReturn, Protocol, TextIO
+from typing import Any, Protocol, TextIO
 
 from rig import __version__
+from rig.emulate.device_process import ORPHAN_S, fail, linked, open_pty, signals, take_priority
 from rig.emulate.firmware_build import EmulationError
 from rig.emulate.io_block import IoBlock
 from rig.emulate.line_faults import Corruption
@@ -33,12 +32,10 @@ from rig.emulate.misbehaviour import Misbehaviour
 from rig.emulate.rtu_slave import Line, RtuSlave
 from rig.emulate.tcp_slave import Stream, TcpSlave
 
-ORPHAN_S = 0.3  # it outlives its parent by so much, as the emulated boards do
 LOOPBACK = "127.0.0.1"
 _TRACE_S = 0.01
 _CATCH_UP_S = 0.02  # longest sleep: what is caught up with then takes 0.1 ms
 _MOST_CONNECTIONS = 8
-_PRIORITY = 70  # above the loop's 60: a real device does not wait for the host's processor
 
 
 class _Port(Protocol):
@@ -72,13 +69,7 @@ class _Pty:
 
     def __init__(self, slave: RtuSlave) -> None:
         self._slave = slave
-        self._pty, held = pty.openpty()
-        raw = termios.tcgetattr(held)
-        raw[0] = raw[1] = raw[3] = 0
-        raw[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
-        termios.tcsetattr(held, termios.TCSANOW, raw)
-        os.set_blocking(self._pty, False)
-        self.name = os.ttyname(held)
+        self._pty, self.name = open_pty()
 
     def files(self) -> list[int]:
         return [self._pty]
@@ -208,7 +199,7 @@ def main() -> None:
     parser.add_argument("--trace", type=Path)
     parser.add_argument("--exit-with-stdin", action="store_true")
     asked = parser.parse_args()
-    ends = _signals()
+    ends = signals()
     try:
         with contextlib.ExitStack() as stack:
             file = None if asked.trace is None else stack.enter_context(asked.trace.open("w", encoding="utf-8"))
@@ -216,15 +207,15 @@ def main() -> None:
             trace = _Trace(file, start_s)
             block, port = _device(json.loads(asked.options), trace)
             if asked.link is not None:
-                stack.enter_context(_linked(asked.link, port.name))
+                stack.enter_context(linked(asked.link, port.name))
             sys.stdout.write(f"port {port.name}\n")
             sys.stdout.flush()
-            _take_priority()
+            take_priority()
             gc.freeze()
             _run(block, port, trace, start_s, ends, watches_stdin=asked.exit_with_stdin)
             block.power_off()
     except (OSError, EmulationError) as error:
-        _fail(str(error))
+        fail(str(error))
 
 
 def _device(options: Mapping[str, Any], trace: _Trace) -> tuple[IoBlock, _Port]:
@@ -259,45 +250,6 @@ def _run(block: IoBlock, port: _Port, trace: _Trace, start_s: float, ends: int, 
         trace.rows_to(now_s, block, port)
         port.serve(ready, now_s)
         port.advance_to(now_s)
-
-
-def _signals() -> int:
-    """A file that can be read once a signal has come: its number."""
-    ends, told = os.pipe()
-    os.set_blocking(told, False)
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
-        signal.signal(number, lambda number, frame: None)
-    signal.set_wakeup_fd(told)
-    return ends
-
-
-@contextlib.contextmanager
-def _linked(path: Path, port: str) -> Iterator[None]:
-    """The symbolic link, made or replaced in one step; refuses to replace anything else. Removed if still ours."""
-    if path.exists() and path.is_symlink():
-        _fail(f"{path}: is the link of a device that exists: end that one, or choose another name")
-    if path.exists():
-        _fail(f"{path}: exists and is not a symbolic link")
-    fresh = path.with_name(f"{path.name}.{os.getpid()}")
-    fresh.symlink_to(port)
-    fresh.rename(path)
-    try:
-        yield
-    finally:
-        if path.is_symlink() and str(path.readlink()) == port:
-            path.unlink()
-
-
-def _take_priority() -> None:
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-    except PermissionError as error:
-        sys.stderr.write(f"no real-time priority ({error.strerror}): replies may be late on a busy machine\n")
-
-
-def _fail(why: str) -> NoReturn:
-    sys.stderr.write(f"{why}\n")
-    sys.exit(2)
 
 
 if __name__ == "__main__":

@@ -48,7 +48,7 @@ def relay_gains(record: Record) -> Gains:
     largest = float(np.abs(u).max())
     cure = "give a relay test, or use the method sampled-data, which takes any drive"
     if largest == 0.0:
-        raise IdentifyError(f"{record.name}: the drive is zero throughout", "record a relay test")
+        raise IdentifyError(f"{record.name}: the drive is zero throughout", "record a relay test: `rig relay CONFIG`")
     order = np.sort(u)
     # An averaged relay signal has steps between its levels (Remark 3.2); they are rare.
     near = np.searchsorted(order, order + 0.03 * largest, "right") - np.searchsorted(order, order - 0.03 * largest)
@@ -114,7 +114,7 @@ def find_cycle(record: Record) -> Cycle:
     if len(waves) < FEWEST_CYCLES:
         raise IdentifyError(
             f"{record.name}: {len(waves)} full cycles are too few",
-            "record at least ten settled cycles of the relay test",
+            "record at least ten settled cycles of the relay test: relay.cycles in the config",
         )
     resolution = record.resolution_rad()
     first, stop = _settled(record, waves, resolution)
@@ -224,14 +224,14 @@ def _settled(record: Record, waves: list[Wave], resolution_rad: float) -> tuple[
         raise IdentifyError(
             f"{record.name}: no {FEWEST_CYCLES} cycles in a row are settled (periods {periods.min():.3g} to "
             f"{periods.max():.3g} s, amplitudes {amplitudes.min():.3g} to {amplitudes.max():.3g} rad)",
-            "record longer, and start when the oscillation has become steady",
+            "record longer (relay.cycles), or take the steady part alone: --rows FIRST:LAST",
         )
     centre = np.array([float(w.up.y_rad.mean() - w.down.y_rad.mean()) / 2 for w in waves[first:stop]])
     drift = float(np.polyfit(np.arange(centre.size), centre, 1)[0]) * centre.size
     if abs(drift) > 0.2 * amplitude:
         raise IdentifyError(
             f"{record.name}: the cycle drifts by {drift:.3g} rad at an amplitude of {amplitude:.3g} rad",
-            "record longer until it is steady; check the coupling of the sensor",
+            "record longer until it is steady (relay.cycles); check the coupling of the sensor",
         )
     return first, stop
 
@@ -257,7 +257,7 @@ def _steady(periods: Array, amplitudes: Array, first: int, stop: int, tick_s: fl
 
 def _accept(record: Record, cycle: Cycle) -> None:
     """Theory section 5: what is the limit cycle and what is the loop's delay hunting by itself."""
-    cure = "raise h2 (or lower h1): a slower and larger cycle; or sample faster"
+    cure = "raise h2 or lower h1 (relay.gains): a slower and larger cycle; or sample faster (period_s)"
     if cycle.period_s < SHORTEST_PERIODS * record.period_s:
         raise IdentifyError(
             f"{record.name}: the period {cycle.period_s:.3g} s is below {SHORTEST_PERIODS} samples: delay hunting", cure

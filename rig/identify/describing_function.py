@@ -47,7 +47,7 @@ def fit(cycles: Sequence[Cycle]) -> Estimate:
     if np.ptp(h2) < NEAREST_H2 * h2.max():
         raise IdentifyError(
             f"the tests' gains h2 lie within {100 * NEAREST_H2:.0f} % of one another",
-            "record the second test with an h2 at least a fifth larger or smaller",
+            "record the second test with an h2 a fifth larger or smaller, by relay.gains or relay.second_ratio",
         )
     omegas = np.array([cycle.omega_rad_s for cycle in cycles])
     amplitudes = np.array([cycle.amplitude_rad for cycle in cycles])

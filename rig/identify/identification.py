@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from rig.identify import describing_function, least_squares, sampled_data, triple_relay, verdict
+from rig.identify.agreement import disagreement, opinions
 from rig.identify.breakaway import Breakaway, breakaway
 from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
@@ -44,6 +45,20 @@ class Identification:
     friction_law: Ladder | None = None
     notes: list[str] = field(default_factory=list)
 
+    def as_dict(self) -> dict[str, Any]:
+        """As result.json holds it, by the same names."""
+        optional = {
+            "hysteretic": self.hysteretic or None,
+            "breakaway": self.breakaway,
+            "friction_law": None if self.friction_law is None else self.friction_law.as_dict(),
+        }
+        return {
+            "relays": self.relays,
+            "estimates": {method: estimate.as_dict() for method, estimate in self.estimates.items()},
+            "notes": self.notes,
+            **{name: value for name, value in optional.items() if value is not None},
+        }
+
     @property
     def best(self) -> Estimate | None:
         """The sampled-data estimate, else the next method's that was not refused and is a motor; None if all were."""
@@ -76,12 +91,14 @@ def identify(
     cycles: list[Cycle] = []
     periods_s: dict[int, float] = {}  # index of a record -> period of its cycle
     complaints: list[IdentifyError] = []
+    of_recordings: list[tuple[str, list[Record]]] = []
     for recording in recordings:
         guarded += _guarded(recording)
         relay_tests, runs = _records(recording, len(recordings) > 1, found.notes)
         if least_squares.METHOD in (methods or ()) and not recording.stages():
             runs = relay_tests
         hysteretic += runs
+        of_recordings.append((str(recording.source), relay_tests or runs))
         for record in relay_tests:
             records.append(record)
             if wanted == (least_squares.METHOD,):
@@ -102,7 +119,7 @@ def identify(
     found.hysteretic = [least_squares.Transient.of(record).as_dict() for record in hysteretic]
     records = records or hysteretic
     if not records:
-        raise IdentifyError("no hysteretic run got as far as its first drive", "run the experiment again")
+        raise IdentifyError("no hysteretic run got as far as its first drive", "record it again: `rig relay CONFIG`")
     for method in METHODS:
         if method not in wanted or (method == least_squares.METHOD and not hysteretic and not methods):
             continue
@@ -141,6 +158,10 @@ def identify(
         found.estimates[method] = estimate
     if not found.estimates:
         raise complaints[0]
+    several = len(recordings) > 1 and wanted != (least_squares.METHOD,)
+    odd = disagreement(opinions(of_recordings)) if several else None
+    if odd is not None:
+        found.estimates = {method: e.judged("doubtful", odd) for method, e in found.estimates.items()}
     shown = _add_breakaway(recordings, found)
     if ladder:
         _add_friction_law(records, [periods_s.get(k) for k in range(len(records))], shown, found)
@@ -174,7 +195,7 @@ def _records(recording: Recording, several: bool, notes: list[str]) -> tuple[lis
         if not relays:
             raise IdentifyError(
                 f"{name} has no relay test (stages: {', '.join(stages)})",
-                "run `rig relay` or `rig run`, and identify that",
+                "run `rig relay CONFIG` or `rig run CONFIG`, and identify that",
             )
         chosen = [(recording.stage_rows(stage), f"{name}:{stage}" if several else stage) for stage in relays]
     tests: list[Record] = []
@@ -218,7 +239,9 @@ def _sampled_data(records: Sequence[Record], cycles: Sequence[Cycle], periods_s:
 def _triple_relay(records: Sequence[Record], cycles: Sequence[Cycle], complaints: Sequence[IdentifyError]) -> Estimate:
     """Of several tests, the estimate whose cycles scatter least."""
     if not cycles:
-        raise complaints[-1] if complaints else IdentifyError("there is no relay test", "record one")
+        raise (
+            complaints[-1] if complaints else IdentifyError("there is no relay test", "record one: `rig relay CONFIG`")
+        )
     first = None
     if len(cycles) > 1:
         try:

@@ -83,7 +83,8 @@ class Transient:
         driven = np.flatnonzero(record.u_V != 0.0)
         if driven.size == 0:
             raise IdentifyError(
-                f"{record.name}: the drive is 0 V throughout", "record a hysteretic relay from rest: `rig relay`"
+                f"{record.name}: the drive is 0 V throughout",
+                "record a hysteretic relay from rest: `rig relay CONFIG` with relay.hysteretic",
             )
         first = int(driven[0])
         d_V = float(record.u_V[first])

@@ -136,7 +136,9 @@ def average(
     tau, y, spread = bins.folded()
     right = (tau >= 0.0) & (tau < inner)
     if not right.any():
-        raise IdentifyError("the relay's RB and RC edges coincide: not a simple oscillation", "raise h2 or lower h1")
+        raise IdentifyError(
+            "the relay's RB and RC edges coincide: not a simple oscillation", "raise h2 or lower h1: relay.gains"
+        )
     t1, lowest = _extremum(tau, y, inner)
     y_rc = -_at(tau, y, length, length - inner)
     y_rb = _at(tau, y, inner, min(inner - t1, length - inner))

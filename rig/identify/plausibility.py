@@ -96,7 +96,7 @@ def _columns(record: Record) -> list[Objection]:
             Objection(
                 "refused",
                 f"{name}: the position jumps by {steps[k]:.3g} rad between rows {row} and {row + 1}: unwrap the angle, "
-                "take out the spike, or are u_V and y_rad swapped?",
+                f"leave the spike out (--rows {row + 1}: or --rows :{row}), or are u_V and y_rad swapped?",
             )
         ]
     if _turns_against_drive(record):

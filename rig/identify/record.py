@@ -18,6 +18,7 @@ LATENCY_PERIODS, LATENCY_S = 10.0, 0.1  # between a sample and its row's drive, 
 LEAST_DELAY_S = (
     0.01  # a serial link and a driver take as much, however fast the samples (of a record 100 times as long)
 )
+TIMES_ERROR_S = 1e-4  # by which times may be wrong where nobody says: a converter's step, a PWM period, an interrupt
 ALIKE = 0.8  # correlation of a drive with itself, later, that makes it periodic
 
 
@@ -41,6 +42,7 @@ class Record:
     u_V        n drives, V, after saturation and quantisation
     first_row  index of row 0 in the file it comes from
     name       what to call it in a message
+    times_error_s  by how much t_u_s may be wrong against t_s, s, at least 0: by so little beside it the drive may act
     Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite, times that do
     not increase, or drives that act far before or after their samples.
     """
@@ -51,6 +53,7 @@ class Record:
     u_V: Array
     first_row: int = 0
     name: str = "recording"
+    times_error_s: float = TIMES_ERROR_S
 
     def __post_init__(self) -> None:
         columns = {"t_s": self.t_s, "y_rad": self.y_rad, "u_V": self.u_V}
@@ -67,10 +70,12 @@ class Record:
                 raise IdentifyError(
                     f"{self.name}: {key} is not a number in row {self.first_row + int(bad[0])}"
                     + (f" and {bad.size - 1} more" if bad.size > 1 else ""),
-                    "remove these rows, or record again",
+                    "leave these rows out, by --rows FIRST:LAST, or record again: `rig relay CONFIG`",
                 )
         if self.t_s.size < 2:
-            raise IdentifyError(f"{self.name}: {self.t_s.size} rows are too few", "record at least ten cycles")
+            raise IdentifyError(
+                f"{self.name}: {self.t_s.size} rows are too few", "record at least ten cycles: relay.cycles"
+            )
         back = np.flatnonzero(np.diff(self.t_s) <= 0.0)
         if back.size:
             raise IdentifyError(
@@ -134,7 +139,15 @@ class Record:
         """Rows ``first`` to ``stop`` (exclusive)."""
         cut = slice(first, stop)
         times = None if self.t_u_s is None else self.t_u_s[cut]
-        return Record(self.t_s[cut], self.y_rad[cut], times, self.u_V[cut], self.first_row + first, self.name)
+        return Record(
+            self.t_s[cut],
+            self.y_rad[cut],
+            times,
+            self.u_V[cut],
+            self.first_row + first,
+            self.name,
+            self.times_error_s,
+        )
 
     def resolution_rad(self) -> float:
         """Step between neighbouring distinct positions, rad; 0 if they do not look quantised.
@@ -212,7 +225,8 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[Record
     first, stop, _ = rows.indices(len(recording))
     if stop - first < FEWEST_ROWS:
         raise IdentifyError(
-            f"{name}: {max(0, stop - first)} rows are too few to fit", "record at least three cycles, better ten"
+            f"{name}: {max(0, stop - first)} rows are too few to fit",
+            "record at least three cycles, better ten: relay.cycles",
         )
     notes: list[str] = []
     scale = 1.0
@@ -225,6 +239,7 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[Record
             )
         scale = clock.ratio
         notes.append(f"{name}: times divided by the clock ratio over the run, {scale:.6f} +- {clock.error:.6f}")
+    first += recording.first_row
     t_s = recording.t_s[rows] / scale
     t_u_s = recording.t_u_s[rows] / scale
     y_rad, u_V = recording.y_rad[rows], recording.u_V[rows]
@@ -243,4 +258,13 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[Record
             f"{name}: t_u_s missing in {missing} rows, filled in with the median latency of {1e3 * latency:.2f} ms"
         )
         filled = np.maximum.accumulate(filled)
-    return Record(t_s[start:], y_rad[start:], filled, u_V[start:], first + start, name), notes
+    error_s = _times_error_s(recording)
+    return Record(t_s[start:], y_rad[start:], filled, u_V[start:], first + start, name, error_s), notes
+
+
+def _times_error_s(recording: Recording) -> float:
+    """What meta.json says that the times may be wrong by; a CSV file and a run of an older version say nothing."""
+    said = recording.meta.get("times_error_s")
+    if isinstance(said, int | float) and not isinstance(said, bool) and 0.0 <= said < np.inf:
+        return float(said)
+    return TIMES_ERROR_S

@@ -61,7 +61,8 @@ class Piece:
         first = int(np.searchsorted(record.t_s, edges[0] + longest_delay_s))
         if record.t_s.size - first < 20:
             raise IdentifyError(
-                f"{record.name}: {record.t_s.size} rows are too few to fit", "record at least three cycles, better ten"
+                f"{record.name}: {record.t_s.size} rows are too few to fit",
+                "record at least three cycles, better ten: relay.cycles",
             )
         return cls(
             record.t_s[first:],
@@ -225,7 +226,8 @@ def fit(
         if np.ptp(piece.y_rad) == 0.0 or piece.drive.u_V.size < 2:
             still = "the position never changes" if np.ptp(piece.y_rad) == 0.0 else "the drive never changes"
             raise IdentifyError(
-                f"{record.name}: {still}", "record a relay test, or any drive that moves the motor both ways"
+                f"{record.name}: {still}",
+                "record a relay test (`rig relay CONFIG`), or any drive that moves the motor both ways",
             )
     problem = Problem(pieces, bounds, (True, True, True, True, free))
     guesses = list(starts) if starts else grid_starts(pieces)

@@ -118,7 +118,8 @@ def solve(features: Features, h1_V: float, h2_V: float, starts: Sequence[Start])
 
     if min(features[:3]) <= 0.0:
         raise IdentifyError(
-            "the relays' edges are not in the order RA, RB, RC", "record a settled cycle of the relay test"
+            "the relays' edges are not in the order RA, RB, RC",
+            "record a settled cycle of the relay test: `rig relay CONFIG`",
         )
     measured, weight = _conditions(features)
     low, high = _reach(abs(features.y_extremum_rad), sum(features[:3]), h2_V)
@@ -217,7 +218,9 @@ def _all_natural(iterates: Array) -> Array:
 def _best(fits: Sequence[Fit], h2_V: float) -> Fit:
     """The first that leads to the solution of least cost."""
     if not fits:
-        raise IdentifyError("no start of the triple-relay equations converges", "record a longer, settled relay test")
+        raise IdentifyError(
+            "no start of the triple-relay equations converges", "record a longer, settled relay test: relay.cycles"
+        )
     best = min(fits, key=lambda fit: fit.cost).theta
 
     def near(theta: Start) -> bool:

@@ -222,7 +222,10 @@ def confounding(estimate: Estimate) -> str | None:
 
 
 def _row_convention(estimate: Estimate, records: Sequence[Record]) -> Estimate:
-    """With known t_u_s the drive must act then: a free delay has to come out as nothing."""
+    """With known t_u_s the drive must act then: a free delay has to come out as nothing.
+
+    Nothing is also what the link's own times may be wrong by: a record without noise shows microseconds.
+    """
     if any(record.t_u_s is None for record in records):
         return estimate
     period = max(record.period_s for record in records)
@@ -239,6 +242,8 @@ def _row_convention(estimate: Estimate, records: Sequence[Record]) -> Estimate:
             f"the drive seems to act {1e3 * abs(slip):.1f} ms {way} than t_u_s says: check that u stands in its own "
             "row (y_k, then u_k, which acts from t_u_s of row k)",
         )
+    if abs(slip) <= max(record.times_error_s for record in records):
+        return estimate
     free = (math.exp(moved.x[0]), math.exp(moved.x[1]), float(moved.x[2]))
     shifted = [name for name, value in zip(PARAMETERS, free, strict=False) if not _holds(estimate, name, value)]
     if shifted and gain > 1.0 + max(0.02, 15.0 / moved.residual.size):

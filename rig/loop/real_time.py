@@ -14,6 +14,7 @@ from rig.loop.kernel_workers import raised_workers
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_TIMERSLACK = 29
+_SYSTEMS = {"win32": "Windows", "darwin": "macOS"}
 _LIMITS_CONF = "in /etc/security/limits.conf, join the group realtime, log in again"
 
 
@@ -53,7 +54,10 @@ def real_time(settings: RealTimeSettings = AS_USUAL) -> Iterator[RealTime]:
     """
     done = RealTime()
     if not sys.platform.startswith("linux"):
-        done.refused.append("real-time scheduling and locked memory: not tried, this is not Linux")
+        done.refused.append(
+            f"{_SYSTEMS.get(sys.platform, sys.platform)} has not been tried in real time: no priority, no locked "
+            "memory, no absolute sleep, so nothing is promised of how late a tick is; drive a motor from Linux"
+        )
         yield done
         return
     libc = ctypes.CDLL(None, use_errno=True)

@@ -1,13 +1,13 @@
 """Follow a run folder as it grows, in a process of its own: live progress that cannot hold up the loop.
 
 ``python -m rig.recording.follow FOLDER`` shows the stage, the last readings and the cycles until the run ends or the
-process that started it is gone (end of file on standard input).
+process that started it is gone (end of file on standard input). Where standard error is no terminal it is one plain
+line a stage, when that begins.
 """
 
 from __future__ import annotations
 
 import json
-import select
 import signal
 import subprocess
 import sys
@@ -15,14 +15,13 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-
-from rich.console import Console
-from rich.live import Live
-from rich.table import Table
-from rich.text import Text
+from typing import TYPE_CHECKING, Any
 
 from rig.recording.columns import COLUMNS
+from rig.recording.end_of_input import EndOfInput, end_of_input
+
+if TYPE_CHECKING:  # it loads slowly, and plain lines do without
+    from rich.table import Table
 
 REFRESH_S = 0.2
 BAR_WIDTH = 41
@@ -30,7 +29,14 @@ BAR_WIDTH = 41
 
 @contextmanager
 def following(folder: Path) -> Iterator[None]:
-    """Show the progress of ``folder`` on standard error for the block."""
+    """Show the progress of ``folder`` on standard error for the block; nothing where that is not the process's own."""
+    try:
+        is_shared = sys.stderr.fileno() == 2  # what another process writes to
+    except (OSError, ValueError):
+        is_shared = False
+    if not is_shared:
+        yield
+        return
     viewer = subprocess.Popen(
         [sys.executable, "-m", "rig.recording.follow", str(folder)], stdin=subprocess.PIPE, start_new_session=True
     )
@@ -116,6 +122,9 @@ class Progress:
 
     def picture(self) -> Table:
         """Stages that are done, the running one, and the shaft as a mark on a line."""
+        from rich.table import Table
+        from rich.text import Text
+
         table = Table.grid(padding=(0, 2))
         for end, stage, detail in self.done:
             table.add_row(Text(end, style="green" if end == "done" else "red"), stage, detail)
@@ -128,18 +137,49 @@ class Progress:
         return table
 
 
+def stage_line(event: dict[str, Any]) -> str | None:
+    """One plain line for an event that begins a stage, or is a fault; None for others and rests between stages."""
+    if event.get("kind") == "stage" and event["name"] != "rest":
+        words = event["name"]
+    elif event.get("kind") == "fault":
+        words = f"{event['code']}: {event['cause']}"
+    else:
+        return None
+    return f"{event['t_s'] or 0.0:7.1f} s  {words}"
+
+
+def tell_stages(events: Tail, waiting: EndOfInput) -> None:
+    """Write each stage's line until the input ends; a pipe that nobody reads any more ends it, too."""
+    over = False
+    while not over:
+        over = waiting.wait(REFRESH_S)
+        for line in events.lines():
+            told = stage_line(json.loads(line))
+            if told is not None:
+                try:
+                    sys.stderr.write(told + "\n")
+                    sys.stderr.flush()
+                except OSError:
+                    return
+
+
 def main(arguments: list[str]) -> int:
     """Show the run folder named first until it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     folder = Path(arguments[0])
     events, samples = Tail(folder / "events.jsonl"), Tail(folder / "samples.csv")
+    waiting = end_of_input()
+    if not sys.stderr.isatty():
+        tell_stages(events, waiting)
+        return 0
+    from rich.console import Console
+    from rich.live import Live
+
     progress = Progress()
-    waiting = select.poll()
-    waiting.register(sys.stdin, select.POLLIN | select.POLLHUP)
     with Live(console=Console(stderr=True), auto_refresh=False, transient=False) as live:
         over = False
         while not over:
-            over = bool(waiting.poll(int(REFRESH_S * 1e3)))
+            over = waiting.wait(REFRESH_S)
             for line in events.lines():
                 progress.take_event(json.loads(line))
             rows = samples.lines()

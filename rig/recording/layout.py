@@ -56,9 +56,12 @@ class SharedMemory:
         self.capacity_event_bytes = capacity_event_bytes
         rows_end = _ROWS_AT + capacity_rows * ROW.size
         # Populated at once: a page fault at the first touch of each page would be paid by the loop.
-        self._map = mmap.mmap(
-            file_descriptor, size_of(capacity_rows, capacity_event_bytes), flags=mmap.MAP_SHARED | mmap.MAP_POPULATE
-        )
+        # Shared is what a mapping is where nothing else is asked for.
+        size = size_of(capacity_rows, capacity_event_bytes)
+        if hasattr(mmap, "MAP_POPULATE"):
+            self._map = mmap.mmap(file_descriptor, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        else:
+            self._map = mmap.mmap(file_descriptor, size)
         self._view = memoryview(self._map)
         self.counters = self._view[:_COUNTERS_SIZE].cast("q")
         self.rows = self._view[_ROWS_AT:rows_end]
@@ -94,5 +97,30 @@ def create_file(size: int) -> int:
     """
     in_memory = Path("/dev/shm")  # write-back to a disk could hold up the loop's memory writes
     with tempfile.TemporaryFile(dir=in_memory if in_memory.is_dir() else None) as file:
-        os.posix_fallocate(file.fileno(), 0, size)
+        allocate(file.fileno(), size)
         return os.dup(file.fileno())
+
+
+def create_named_file(size: int) -> tuple[int, Path]:
+    """Descriptor and path of such a file that has a name: for systems that hand no descriptor to another process.
+
+    Whoever made it deletes it. Raises OSError as ``create_file``.
+    """
+    descriptor, name = tempfile.mkstemp(prefix="rig-", suffix=".memory")
+    try:
+        allocate(descriptor, size)
+    except OSError:
+        os.close(descriptor)
+        Path(name).unlink(missing_ok=True)
+        raise
+    return descriptor, Path(name)
+
+
+def allocate(descriptor: int, size: int) -> None:
+    """Give an empty file ``size`` bytes that nobody else gets. Raises OSError where there are not so many."""
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(descriptor, 0, size)
+        return
+    zeros = bytes(1 << 20)  # a length alone would be a hole
+    while size > 0:
+        size -= os.write(descriptor, zeros[:size])

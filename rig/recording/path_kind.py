@@ -105,7 +105,9 @@ def _folder(path: Path) -> RecordingError:
             f"its report anew: `{command} --resume {quote(str(path))}`; experiment 0 again: `{command} --experiment 0`",
         )
     if is_run(path):
-        return RecordingError(path, f"has no {SAMPLES}: nothing was recorded in this run", "run it again")
+        return RecordingError(
+            path, f"has no {SAMPLES}: nothing was recorded in this run", "run it again: `rig run CONFIG`"
+        )
     runs = [child for child in path.iterdir() if (child / SAMPLES).exists()]
     if runs:
         newest = max(runs, key=lambda run: ((run / SAMPLES).stat().st_mtime, run.name))

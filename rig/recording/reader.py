@@ -78,6 +78,7 @@ class Recording:
     columns_present   the columns that the file has, in its order, those unknown to us included
     meta, config_text, events   of a run folder; {}, None and () for a plain CSV file
     notes        in words, what was tolerated: a torn last line, a missing meta.json
+    first_row    number that the first row has in the file; not 0 where rows were selected
     """
 
     t_s: Floats
@@ -100,6 +101,7 @@ class Recording:
     config_text: str | None
     events: tuple[dict[str, Any], ...]
     notes: tuple[str, ...]
+    first_row: int = 0
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -118,7 +120,9 @@ class Recording:
         first, end = int(rows[0]), int(rows[-1]) + 1
         if end - first != len(rows):
             raise RecordingError(
-                self.source, f"stage {name!r} is interrupted by another", "choose its rows by number instead"
+                self.source,
+                f"stage {name!r} is interrupted by another at row {first + int(np.argmax(np.diff(rows) > 1)) + 1}",
+                f"choose its rows by number: --rows {first}:{end - 1}, or a part of them",
             )
         return slice(first, end)
 
@@ -129,7 +133,19 @@ class Recording:
         """
         if not 0 <= first <= last < len(self):
             raise IndexError(f"rows {first} to {last} of a recording of {len(self)}")
-        return replace(self, **{name: getattr(self, name)[first : last + 1] for name in COLUMNS})
+        chosen = {name: getattr(self, name)[first : last + 1] for name in COLUMNS}
+        return replace(self, first_row=self.first_row + first, **chosen)
+
+    def only_rows(self, first: int | None, last: int | None) -> Recording:
+        """As ``select``, None for the first or the last row there is. Raises RecordingError for rows that are not."""
+        start, end = 0 if first is None else first, len(self) - 1 if last is None else last
+        if not 0 <= start <= end < len(self):
+            raise RecordingError(
+                self.source,
+                f"has no rows {start} to {end}: they are numbered 0 to {len(self) - 1}",
+                f"give --rows within 0:{len(self) - 1}, the smaller number first",
+            )
+        return self.select(start, end)
 
 
 def from_columns(
@@ -164,6 +180,7 @@ def from_columns(
         config_text=None,
         events=(),
         notes=(),
+        first_row=0,
     )
 
 
@@ -252,6 +269,7 @@ def read_csv(path: Path, *, own: bool = False) -> Recording:
         config_text=None,
         events=(),
         notes=tuple(notes),
+        first_row=0,
     )
 
 

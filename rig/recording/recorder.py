@@ -7,6 +7,7 @@ some seconds although rows wait, and when the memory is nearly full.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -31,6 +32,7 @@ from rig.recording.writer import SAMPLES
 __all__ = ["Recorder", "RecordingError"]
 
 START_TIMEOUT_S: Final = 20.0
+_PASSES_DESCRIPTORS: Final = sys.platform != "win32"
 EVENT_BYTES: Final = 512  # room for one event in the ring, on average
 _STAGE_NAME: Final = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
 _NAN: Final = math.nan
@@ -78,11 +80,18 @@ class Recorder:
         self._stalled_since_s: float | None = None  # when it first saw rows wait and none written since
         self._closed = False
 
+        size = layout.size_of(capacity_rows, self._capacity_event_bytes)
+        self._memory_name: Path | None = None  # of the file behind the memory, where it must have one
         try:
-            self._descriptor = layout.create_file(layout.size_of(capacity_rows, self._capacity_event_bytes))
+            if _PASSES_DESCRIPTORS:
+                self._descriptor = layout.create_file(size)
+            else:
+                self._descriptor, self._memory_name = layout.create_named_file(size)
         except OSError as error:
             raise RecordingError(
-                self.folder, f"no shared memory for the recorder: {error.strerror}", "free some in /dev/shm"
+                self.folder,
+                f"no shared memory for the recorder: {error.strerror}",
+                f"free {size / 1e6:.0f} MB in /dev/shm, or where temporary files go",
             ) from error
         self._shared = SharedMemory(self._descriptor, capacity_rows, self._capacity_event_bytes)
         self._counters, self._rows = self._shared.counters, self._shared.rows
@@ -215,7 +224,8 @@ class Recorder:
         self._closed = True
         self._counters[layout.CLOSED] = 1
         try:
-            self._process.send_signal(signal.SIGCONT)
+            if hasattr(signal, "SIGCONT"):
+                self._process.send_signal(signal.SIGCONT)
             self._await_end()
             # killed: the rows are still in memory, and the files say how far it got, unless they go on elsewhere
             if self._process.returncode < 0 and not self._moved():
@@ -245,6 +255,9 @@ class Recorder:
         self._counters, self._rows = memoryview(b"").cast("q"), memoryview(b"")
         self._shared.close()
         os.close(self._descriptor)
+        if self._memory_name is not None:
+            with contextlib.suppress(OSError):  # a writer that was left running still has it open
+                self._memory_name.unlink()
 
     # -- the state of the writer, in words; empty where all is well -----------------------------------------------
 
@@ -303,7 +316,8 @@ class Recorder:
         root = str(Path(rig.__file__).absolute().parents[1])
         path = [entry for entry in sys.path if entry]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*path, root])}
-        numbers = (self._descriptor, os.getpid(), self._capacity_rows, self._capacity_event_bytes)
+        memory = self._descriptor if self._memory_name is None else self._memory_name
+        numbers = (memory, os.getpid(), self._capacity_rows, self._capacity_event_bytes)
         module = (sys.executable, "-S", "-P", "-m", "rig.recording.writer")
         try:
             return subprocess.Popen(
@@ -311,7 +325,7 @@ class Recorder:
                 bufsize=0,
                 stdin=stdin,
                 stdout=subprocess.DEVNULL,
-                pass_fds=(self._descriptor,),
+                pass_fds=(self._descriptor,) if _PASSES_DESCRIPTORS else (),
                 env=environment,
                 start_new_session=True,  # Ctrl-C in the terminal is not meant for it
             )

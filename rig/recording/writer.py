@@ -1,8 +1,9 @@
 """The writer process: takes rows and events out of shared memory and appends them to the run folder.
 
-Started by ``recorder.Recorder`` as ``python -m rig.recording.writer FD PARENT CAPACITY_ROWS CAPACITY_EVENT_BYTES FOLDER
-STAGE...``. Its standard input is a pipe that nobody writes to: its end says that the loop's process has closed the
-record or is gone; then whatever is in the memory is written, the row still open included, and the process ends.
+Started by ``recorder.Recorder`` as ``python -m rig.recording.writer MEMORY PARENT CAPACITY_ROWS CAPACITY_EVENT_BYTES
+FOLDER STAGE...``; MEMORY is a descriptor, or the path of a file. Its standard input is a pipe that nobody writes to:
+its end says that the loop's process has closed the record or is gone; then whatever is in the memory is written, the
+row still open included, and the process ends.
 
 A disk that takes no more, or fails, costs no row that is in the memory: the file goes on in another one, which begins
 with all that was written since the file was last known to be on the disk. ``samples.csv.from-12345`` holds what is to
@@ -20,7 +21,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import select
 import signal
 import stat
 import sys
@@ -32,17 +32,19 @@ from typing import Final
 
 from rig.recording import layout
 from rig.recording.columns import HEADER, format_row
+from rig.recording.end_of_input import EndOfInput, end_of_input
 from rig.recording.layout import ROW, SharedMemory
 
 SAMPLES: Final = "samples.csv"
 EVENTS: Final = "events.jsonl"
 
-POLL_MS: Final = 5
+POLL_S: Final = 0.005
 SYNC_EVERY_S: Final = 1.0
 ROWS_AT_ONCE: Final = 1024
 KEPT_BYTES: Final = 1 << 20  # of rows and events that come until the loop has ended, and of result.json
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT)
 _NAN: Final = float("nan")
+_APPEND: Final = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)  # Windows: no carriage returns
 
 
 class AppendOnlyFile:
@@ -64,7 +66,7 @@ class AppendOnlyFile:
         self._path = path
         self._name = path.name
         self._makes_room, self._elsewhere, self._moved = makes_room, elsewhere, moved
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+        self._descriptor = os.open(path, _APPEND, 0o666)
         self._safe_bytes = 0  # known to be on the disk
         self._since = bytearray()  # written after them
 
@@ -74,7 +76,8 @@ class AppendOnlyFile:
         if not stat.S_ISREG(status.st_mode):
             return 0, 0
         lines = end = position = 0
-        while block := os.pread(self._descriptor, 1 << 20, position):
+        os.lseek(self._descriptor, 0, os.SEEK_SET)  # writing is at the end all the same
+        while block := os.read(self._descriptor, 1 << 20):
             lines += block.count(b"\n")
             if b"\n" in block:
                 end = position + block.rindex(b"\n") + 1
@@ -114,7 +117,7 @@ class AppendOnlyFile:
         for folder in self._elsewhere():
             path = folder / f"{self._name}.from-{self._safe_bytes}"
             try:
-                descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o666)
+                descriptor = os.open(path, _APPEND | os.O_EXCL, 0o666)
             except OSError:
                 continue
             try:
@@ -143,18 +146,20 @@ class KeptRoom:
     """
 
     def __init__(self, folder: Path, size: int) -> None:
-        path = folder / ".room"
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
-            path.unlink()  # whatever ends this process, nothing is left behind
-            os.posix_fallocate(self._descriptor, 0, size)
+            # without a name: whatever ends this process, nothing is left behind
+            self._file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - it is kept open
         except OSError as error:
-            os.close(self._descriptor)
+            raise OSError(error.errno, error.strerror, str(folder)) from error
+        try:
+            layout.allocate(self._file.fileno(), size)
+        except OSError as error:
+            self._file.close()
             raise OSError(error.errno, error.strerror, str(folder)) from error
 
     def give_up(self) -> None:
         """Let others have it."""
-        os.close(self._descriptor)
+        self._file.close()
 
 
 class Writer:
@@ -214,7 +219,7 @@ class Writer:
         places = "; ".join(f"{why}, so it goes on in {place}" for place, why in self._moves)
         self._shared.fail(layout.MOVED, places)
 
-    def serve(self, is_over: select.poll, parent: int) -> None:
+    def serve(self, is_over: EndOfInput, parent: int) -> None:
         """Write until the loop's side is over, then to the last row."""
         self._serves = True
         counters = self._shared.counters
@@ -224,7 +229,7 @@ class Writer:
             # counter announces is certainly there a few milliseconds later.
             completed, opened = counters[layout.ROW_COMPLETED], counters[layout.ROWS_OPENED]
             event_bytes = counters[layout.EVENT_BYTES]
-            over = bool(is_over.poll(POLL_MS)) or os.getppid() != parent
+            over = is_over.wait(POLL_S) or os.getppid() != parent
             if over:
                 break
             self._write_rows(opened if completed == opened else opened - 1)
@@ -297,16 +302,19 @@ class Writer:
 def main(arguments: Sequence[str]) -> int:
     """Run the writer; exit status 0 done, 1 the reason is in the shared memory."""
     # It ends when the loop does, not when a terminal or a service manager tells the whole group to.
-    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
+    for name in ("SIGINT", "SIGHUP", "SIGTERM"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     # A loop that runs with real-time priority must not hand that down to its disk writer.
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    if hasattr(os, "sched_setscheduler"):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
-    descriptor, parent, capacity_rows, capacity_event_bytes = map(int, arguments[:4])
+    memory = arguments[0]
+    descriptor = int(memory) if memory.isdecimal() else os.open(memory, os.O_RDWR | getattr(os, "O_BINARY", 0))
+    parent, capacity_rows, capacity_event_bytes = map(int, arguments[1:4])
     folder, stages = Path(arguments[4]), arguments[5:]
     shared = SharedMemory(descriptor, capacity_rows, capacity_event_bytes)
-    is_over = select.poll()
-    is_over.register(0, select.POLLIN)
+    is_over = end_of_input()
     try:
         writer = Writer(shared, folder, stages)
     except OSError as error:

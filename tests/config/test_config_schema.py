@@ -28,7 +28,7 @@ def validator(of: type[Experiment] | type[Campaign] = Experiment) -> jsonschema.
 
 @pytest.mark.parametrize("of", FILES)
 def test_the_checked_in_schema_is_current(of: type[Experiment] | type[Campaign]) -> None:
-    """If this fails: `rig schema --out config/schema.json`, and with `--campaign` config/campaign-schema.json."""
+    """If this fails: `rig schema --to config/schema.json`, and with `--campaign` config/campaign-schema.json."""
     assert (CONFIGS / FILES[of]).read_text(encoding="utf-8") == schema_text(of)
     assert json.loads(schema_text(of)) == json_schema(of)
 

@@ -11,15 +11,23 @@ from rig.daq import frames
 from rig.daq.frames import Block, Code, FrameReader, Hello, Kind, Nack, Packet, RelaySetup, Setup, State, crc16, encode
 
 u8, u16, u32 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32))
-i16 = st.integers(-(2**15), 2**15 - 1)
+i16, i32 = (st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (16, 32))
+
+# positions of a block: the first anywhere, the others as far from it as 16 bits say
+rows = st.builds(
+    lambda first, away, drives: tuple((first + far, u) for far, u in zip([0, *away], drives, strict=False)),
+    st.integers(-(2**31), 2**31 - 1),
+    st.lists(i16, min_size=frames.BLOCK_ROWS - 1, max_size=frames.BLOCK_ROWS - 1),
+    st.lists(i16, max_size=frames.BLOCK_ROWS),
+)
 
 bodies = st.one_of(
-    st.builds(State, u32, u16, u16, u32, i16, u16, u8, u8),
-    st.builds(Setup, u16, u16, u16, u16, u16, u16, u16, st.sampled_from((-1, 1)), u8),
-    st.builds(Hello, u8, u8, u16, u16, u32, u8, u8, st.binary(min_size=16, max_size=16)),
+    st.builds(State, u32, i32, u16, u32, i16, u16, u8, u8, u32),
+    st.builds(Setup, u32, i32, i32, i32, i32, i32, u16, u16, st.sampled_from((-1, 1)), u8),
+    st.builds(Hello, u8, u8, u8, u8, u32, u16, u32, u8, st.binary(min_size=16, max_size=16)),
     st.builds(Nack, u8, u8),
-    st.builds(RelaySetup, st.tuples(i16, i16, i16, i16), u32, u32, st.sampled_from((-1, 1)), u8),
-    st.builds(Block, u32, u16, u16, u8, u8, st.lists(st.tuples(u16, i16), max_size=frames.BLOCK_ROWS).map(tuple)),
+    st.builds(RelaySetup, st.tuples(i16, i16, i16, i16), i32, u32, st.sampled_from((-1, 1)), u8),
+    st.builds(Block, u32, u16, u16, u8, u8, u32, rows),
 )
 KIND_OF = {
     State: Kind.STATE,
@@ -33,24 +41,25 @@ KIND_OF = {
 # One message of each kind, with zeros, ones and ordinary bytes in them.
 MESSAGES = [
     Packet(Kind.HELLO, 1, b""),
-    Packet(Kind.SETUP, 2, Setup(49, 974, 5, 1018, 512, 200, 100, -1).pack()),
-    Packet(Kind.ARM, 0x0100, b""),
+    Packet(Kind.SETUP, 2, Setup(0x01000001, 49, 974, 5, 1018, 512, 200, 100, -1).pack()),
+    Packet(Kind.ARM, 0x0100, frames.pack_arm(0x01000001)),
+    Packet(Kind.ACK, 3, frames.pack_ack(Code.E_STOP)),
     Packet(Kind.READ, 0xFFFF, b""),
     Packet(Kind.DRIVE, 258, frames.pack_drive(-256)),
     Packet(Kind.STOP, 0, b""),
-    Packet(Kind.HELLO_REPLY, 7, Hello(2, 1, 1023, 799, 0x00FF00FF, 0, 0, b"2f3a9c1".ljust(16, b"\0")).pack()),
-    Packet(Kind.SETUP_REPLY, 8, Setup(0, 65535, 0, 1023, 512, 799, 1000, 1).pack()),
+    Packet(Kind.HELLO_REPLY, 7, Hello(2, 1, 2, 0, 1023, 799, 0x00FF00FF, 0, b"2f3a9c1".ljust(16, b"\0")).pack()),
+    Packet(Kind.SETUP_REPLY, 8, Setup(2**32 - 1, -(2**31), 2**31 - 1, 0, 1023, -512, 799, 1000, 1).pack()),
     Packet(Kind.ARM_REPLY, 9, bytes([Code.SENSOR_RAIL])),
-    Packet(Kind.STATE, 10, State(123456789, 517, frames.NO_TACHOMETER, 123450000, -133, 9, 1, 0).pack()),
-    Packet(Kind.STATE, 11, State(0, 0, 0, 0, 0, 0, 0, 0).pack()),
-    Packet(Kind.STATE, 12, State(2**32 - 1, 0xFFFF, 0xFFFF, 2**32 - 1, -1, 0xFFFF, 0xFF, 0xFF).pack()),
-    Packet(Kind.STOP_REPLY, 13, State(1, 512, 0xFFFF, 1, 0, 9, 2, Code.TRAVEL).pack()),
+    Packet(Kind.STATE, 10, State(123456789, 517, frames.NO_TACHOMETER, 123450000, -133, 9, 1, 0, 7).pack()),
+    Packet(Kind.STATE, 11, State(0, 0, 0, 0, 0, 0, 0, 0, 0).pack()),
+    Packet(Kind.STATE, 12, State(2**32 - 1, -1, 0xFFFF, 2**32 - 1, -1, 0xFFFF, 0xFF, 0xFF, 2**32 - 1).pack()),
+    Packet(Kind.STOP_REPLY, 13, State(1, 512, 0xFFFF, 1, 0, 9, 2, Code.TRAVEL, 0).pack()),
     Packet(Kind.NACK, 14, Nack(Code.NO_SETUP, Kind.ARM).pack()),
     Packet(Kind.RELAY, 15, RelaySetup((-213, 53, -53, 213), 512 * 16, 5_000_000, 1, 10).pack()),
     Packet(Kind.KEEP, 16, b""),
     Packet(Kind.RELAY_REPLY, 15, RelaySetup((-213, 53, -53, 213), 512 * 16, 5_000_000, -1, 10).pack()),
-    Packet(Kind.BLOCK, 0, Block(1_000_000, 1000, 24, 9, 0, ((512, -213), (0, 53), (1023, 0)) * 3 + ((1, 1),)).pack()),
-    Packet(Kind.BLOCK, 0xFFFF, Block(0, 1000, 0, 2, Code.TRAVEL, ()).pack()),
+    Packet(Kind.BLOCK, 0, Block(10**6, 1000, 24, 9, 0, 3, ((512, -213), (0, 53), (1023, 0)) * 3 + ((1, 1),)).pack()),
+    Packet(Kind.BLOCK, 0xFFFF, Block(0, 1000, 0, 2, Code.TRAVEL, 0, ()).pack()),
 ]
 FIRST, LAST = Packet(Kind.READ, 41, b""), Packet(Kind.STOP, 43, b"")
 
@@ -64,8 +73,8 @@ def test_crc_is_ibm_3740():
 
 
 def test_a_frame_byte_by_byte():
-    """READ with seq 0x0201, stuffed by hand: the packet is 01 04 01 02 and its CRC."""
-    packet = bytes([1, 4, 1, 2])
+    """READ with seq 0x0201, stuffed by hand: the packet is 02 04 01 02 and its CRC."""
+    packet = bytes([2, 4, 1, 2])
     crc = struct.pack("<H", crc16(packet))
     assert 0 not in crc
     assert encode(Kind.READ, 0x0201) == bytes([7]) + packet + crc + b"\0"
@@ -74,15 +83,15 @@ def test_a_frame_byte_by_byte():
 def test_body_sizes_are_those_of_the_protocol():
     sizes = {kind.name: size for kind, size in frames.BODY_LENGTH.items()}
     assert sizes == {
-        "HELLO": 0, "SETUP": 16, "ARM": 0, "READ": 0, "DRIVE": 2, "STOP": 0,
-        "HELLO_REPLY": 28, "SETUP_REPLY": 16, "ARM_REPLY": 1, "STATE": 18, "STOP_REPLY": 18, "NACK": 2,
+        "HELLO": 0, "SETUP": 30, "ARM": 4, "READ": 0, "ACK": 1, "ACK_REPLY": 24, "DRIVE": 2, "STOP": 0,
+        "HELLO_REPLY": 31, "SETUP_REPLY": 30, "ARM_REPLY": 1, "STATE": 24, "STOP_REPLY": 24, "NACK": 2,
         "RELAY": 18, "KEEP": 0, "RELAY_REPLY": 18,
     }  # fmt: skip
-    full = Block(0, 0, 0, 0, 0, ((0, 0),) * frames.BLOCK_ROWS)
-    assert len(full.pack()) == 50 and len(encode(Kind.BLOCK, 0, full.pack())) == 58
+    full = Block(0, 0, 0, 0, 0, 0, ((0, 0),) * frames.BLOCK_ROWS)
+    assert len(full.pack()) == frames.MAX_BODY == 58 and len(encode(Kind.BLOCK, 0, full.pack())) == 66
 
 
-@pytest.mark.parametrize("length", [0, 9, 11, 12, 13, 51, 52, 53, 54])
+@pytest.mark.parametrize("length", [0, 17, 19, 20, 21, 55, 56, 57])
 def test_a_block_of_an_impossible_length_is_damaged(length):
     reader = FrameReader()
     assert reader.feed(encode(Kind.BLOCK, 3, bytes(length))) == []
@@ -104,7 +113,12 @@ def test_drive_survives(units):
     assert frames.unpack_drive(frames.pack_drive(units)) == units
 
 
-@given(kind=st.integers(0, 255), seq=u16, body=st.binary(max_size=frames.MAX_BODY), version=st.integers(2, 255))
+@given(
+    kind=st.integers(0, 255),
+    seq=u16,
+    body=st.binary(max_size=frames.MAX_BODY),
+    version=st.integers(0, 255).filter(lambda v: v != frames.VERSION),
+)
 def test_packets_of_another_version_are_delivered_as_such(kind, seq, body, version):
     """So that the driver can say which version the device speaks."""
     assert FrameReader().feed(encode(kind, seq, body, version)) == [Packet(kind, seq, body, version)]
@@ -193,7 +207,7 @@ def test_the_largest_packet_and_one_byte_more():
 def test_words_for_people():
     assert frames.code_name(6) == "code 6 (travel)"
     assert frames.code_name(77) == "code 77 (unknown)"
-    hello = Hello(2, 5, 1023, 799, 0, 0, 0, b"abc\xff".ljust(16, b"\0"))
+    hello = Hello(2, 5, 0, 0, 1023, 799, 0, 0, b"abc\xff".ljust(16, b"\0"))
     assert hello.reset_words == "power-on, brown-out"
     assert hello._replace(reset_cause=0).reset_words == "unknown"
     assert hello.build_text == "abc\\xff"

@@ -1,10 +1,12 @@
 """What the doctor says of a machine whose kernel's files are set up by hand."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from rig.doctor import machine
+from rig.usb_serial import CHIPS, Adapter, adapter_delay_s
 
 
 def put(root: Path, name: str, text: str) -> Path:
@@ -36,6 +38,66 @@ def test_ftdi_latency_of_16_ms_is_bad_and_the_cure_names_its_file(tmp_path: Path
     assert (slow.state, fast.state) == ("bad", "good")
     assert "ttyUSB0 waits 16 ms" in slow.words
     assert str(file) in slow.cure
+
+
+def plugged_in(monkeypatch: pytest.MonkeyPatch, device: str, vid: int | None, pid: int | None) -> None:
+    ports = [SimpleNamespace(device=device, vid=vid, pid=pid)]
+    monkeypatch.setattr(machine.list_ports, "comports", lambda: ports)
+
+
+@pytest.mark.parametrize(
+    ("ids", "timer", "adapter"),
+    [
+        ((0x2341, 0x0043), None, "16u2"),
+        ((0x2A03, 0x0042), None, "16u2"),
+        ((0x0403, 0x6001), "16", "ftdi"),
+        ((0x0403, 0x6015), "4", "ftdi"),
+        ((0x0403, 0x6001), "1", "ftdi-1ms"),
+        ((0x0403, 0x6001), None, "ftdi"),
+        ((0x1A86, 0x7523), None, "ch340"),
+        ((0x10C4, 0xEA60), None, "cp210x"),
+        ((0x2341, 0x8036), None, "native-usb"),
+    ],
+)
+def test_an_adapter_is_told_by_its_usb_ids_and_the_config_held_to_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ids: tuple[int, int], timer: str | None, adapter: Adapter
+) -> None:
+    plugged_in(monkeypatch, "/dev/ttyUSB0", *ids)
+    if timer is not None:
+        put(tmp_path, "sys/bus/usb-serial/devices/ttyUSB0/latency_timer", timer)
+    without = machine.usb_adapter("/dev/ttyUSB0", None, tmp_path)
+    assert without.words.endswith(f"daq.adapter: {adapter}")
+    assert machine.usb_adapter("/dev/ttyUSB0", adapter, tmp_path).state == "good"
+    for other in (*CHIPS, "none"):
+        if other != adapter:
+            found = machine.usb_adapter("/dev/ttyUSB0", other, tmp_path)
+            slower = adapter_delay_s(adapter) > adapter_delay_s(other)
+            assert found.state == ("bad" if slower else "poor")
+            assert f"made with {other}" in found.words
+            assert found.cure.startswith(f"daq.adapter: {adapter},")
+    assert ("timer is at" in without.words) == (timer in ("16", "4"))
+
+
+def test_an_adapter_by_the_name_that_survives_re_plugging(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plugged_in(monkeypatch, "/dev/ttyUSB0", 0x1A86, 0x7523)
+    (tmp_path / "by-id").mkdir()
+    link = tmp_path / "by-id" / "usb-1a86_USB_Serial-if00-port0"
+    link.symlink_to("/dev/ttyUSB0")
+    assert machine.usb_adapter(str(link), "ch340").state == "good"
+
+
+@pytest.mark.parametrize("ids", [(0x1234, 0x5678), (None, None)])
+def test_an_adapter_that_is_not_known_is_a_note(monkeypatch: pytest.MonkeyPatch, ids: tuple[int | None, ...]) -> None:
+    plugged_in(monkeypatch, "/dev/ttyUSB0", *ids)
+    found = machine.usb_adapter("/dev/ttyUSB0", "ftdi")
+    assert (found.state, found.cure) == ("note", "")
+    assert found.words.endswith("daq.adapter: ftdi")
+    assert machine.usb_adapter("/dev/ttyUSB7", None).state == "note", "it was pulled out"
+
+
+def test_every_port_says_its_adapter_without_a_config(monkeypatch: pytest.MonkeyPatch) -> None:
+    plugged_in(monkeypatch, "/dev/null", 0x10C4, 0xEA60)
+    assert [f.topic for f in machine.serial_ports()] == ["serial port", "USB adapter"]
 
 
 def test_no_usb_adapter_nothing_to_say(tmp_path: Path) -> None:

@@ -46,14 +46,14 @@ def test_a_device_is_met_and_timed_but_not_armed(tmp_path: Path) -> None:
 
 
 def test_a_port_that_is_not_there_ends_the_visit_with_status_1(tmp_path: Path) -> None:
-    done = doctor(config_with(tmp_path, "demo.yaml", port=str(tmp_path / "ttyACM9")))
+    done = doctor(config_with(tmp_path, "demo.yaml", port=str(tmp_path / "ttyACM9"), adapter="none"))
     assert done.exit_code == 1
     assert "ttyACM9 is not there" in done.stdout
     assert "wake-up" not in done.stdout
 
 
 def test_a_port_without_a_device_behind_it_is_a_finding_not_a_traceback(tmp_path: Path) -> None:
-    done = doctor(config_with(tmp_path, "demo.yaml", port="/dev/null"))
+    done = doctor(config_with(tmp_path, "demo.yaml", port="/dev/null", adapter="none"))
     assert done.exit_code == 1
     assert "LINK_OPEN" in done.stdout
     assert "->" in done.stdout

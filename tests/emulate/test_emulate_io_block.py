@@ -476,9 +476,10 @@ def test_a_time_out_that_no_register_sets_is_kept_and_without_any_it_holds_its_d
 def test_faults_have_the_status_values_of_the_config_and_others_keep_clear_of_them() -> None:
     block = armed_block(modbus({"status": {"faults": {"DEVICE_DRIVE_RANGE": 2, "DEVICE_TRAVEL": 40}}}))
     assert set(block.registers.status_of) == {
-        "DEVICE_WATCHDOG", "DEVICE_TRAVEL", "DEVICE_SENSOR", "DEVICE_DRIVE_RANGE", "DEVICE_NOT_ARMED"
+        "DEVICE_WATCHDOG", "DEVICE_TRAVEL", "DEVICE_SENSOR", "DEVICE_DRIVE_RANGE", "DEVICE_NOT_ARMED",
+        "DEVICE_ESTOP",
     }  # fmt: skip
-    assert len(set(block.registers.status_of.values())) == 5 and min(block.registers.status_of.values()) == 2
+    assert len(set(block.registers.status_of.values())) == 6 and min(block.registers.status_of.values()) == 2
     block.request(write_one(DRIVE, 2501), 0.0)
     assert state(block, 0.0) == (0, 2)
 

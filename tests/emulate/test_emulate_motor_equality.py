@@ -13,7 +13,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from rig.daq.frames import Kind, Setup, encode, pack_drive
+from rig.daq.frames import Code, Kind, Setup, encode, pack_ack, pack_arm, pack_drive
 from rig.emulate.firmware_build import EmulationError
 from rig.emulate.virtual_board import VirtualBoard
 from rig.model.bench import Bench, BenchParameters, DriveWiring, SensorWiring
@@ -167,9 +167,10 @@ def test_wiring_is_the_python_benchs(drive: DriveWiring, sensor: SensorWiring, f
         rad_per_count=-4.2 / 1024,
     )
     board, bench = VirtualBoard(parameters), Bench(parameters, 1)
-    board.write(encode(Kind.SETUP, 1, Setup(2, 1021, 0, 1023, 512, 799, 1000, 1).pack()))
+    board.write(encode(Kind.SETUP, 1, Setup(1, 2, 1021, 0, 1023, 512, 799, 1000, 1).pack()))
+    board.write(encode(Kind.ACK, 1, pack_ack(Code.RESET)))
     board.sleep_until(0.01)
-    arm = encode(Kind.ARM, 2)
+    arm = encode(Kind.ARM, 2, pack_arm(1))
     board.write(arm)
     armed_s = 0.01 + len(arm) * round(11e9 / 115200) * 1e-9
     board.sleep_until(armed_s)

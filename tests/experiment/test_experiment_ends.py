@@ -157,7 +157,7 @@ def test_a_run_cut_off_before_a_settled_cycle_gives_no_number_as_ok(tmp_path: Pa
     (folder / "result.json").unlink()
     cut = rig("identify", folder, "--json")
     assert cut.exit_code == 1
-    estimates = json.loads(cut.stdout)
+    estimates = json.loads(cut.stdout)["estimates"]
     assert all(estimate["verdict"] == "refused" for estimate in estimates.values())
     assert any("no settled cycle" in reason for estimate in estimates.values() for reason in estimate["reasons"])
     page = rig("report", folder)

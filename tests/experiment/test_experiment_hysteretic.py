@@ -93,10 +93,11 @@ def test_identify_by_least_squares_alone_from_the_folder(ready_run: tuple[Result
     _, outcome = ready_run
     alone = rig("identify", outcome["folder"], "--method", "least-squares", "--json")
     assert alone.exit_code == 0, alone.output
-    (estimate,) = json.loads(alone.stdout).values()
+    (estimate,) = json.loads(alone.stdout)["estimates"].values()
     assert estimate["fc_V"] == outcome["estimates"]["least-squares"]["fc_V"]
     shown = rig("identify", outcome["folder"], "--method", "least-squares")
-    assert "│ -" in shown.stdout
+    row = next(line for line in shown.stdout.splitlines() if line.startswith("least-squares  "))
+    assert row.split()[1:3] == ["-", "-"]  # tau and K
 
 
 def test_identify_from_two_csv_files(ready_run: tuple[Result, dict[str, Any]], tmp_path: Path) -> None:
@@ -110,7 +111,7 @@ def test_identify_from_two_csv_files(ready_run: tuple[Result, dict[str, Any]], t
     pair = (tmp_path / "A.csv", tmp_path / "B.csv")
     result = rig("identify", "--method", "least-squares", *pair, "--json")
     assert result.exit_code == 0, result.output
-    estimate = json.loads(result.stdout)["least-squares"]
+    estimate = json.loads(result.stdout)["estimates"]["least-squares"]
     upwards = outcome["truth"]["fc_V"] - outcome["truth"]["asym_V"]
     low, high = estimate["ci95"]["fc_V"]
     assert low < upwards < high
@@ -123,7 +124,7 @@ def test_identify_from_two_csv_files(ready_run: tuple[Result, dict[str, Any]], t
     copy = shutil.copy(pair[0], tmp_path / "copy.csv")
     twice = rig("identify", "--method", "least-squares", pair[0], copy, "--json")
     assert twice.exit_code == 1
-    assert "do not differ" in json.loads(twice.stdout)["least-squares"]["reasons"][0]
+    assert "do not differ" in json.loads(twice.stdout)["estimates"]["least-squares"]["reasons"][0]
 
 
 def test_beside_a_relay_test_all_methods_are_compared(tmp_path: Path) -> None:

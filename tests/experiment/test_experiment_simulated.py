@@ -90,7 +90,13 @@ def test_identify_from_the_folder_and_from_the_bare_csv(demo_run, tmp_path: Path
     folder = Path(outcome["folder"])
     again = rig("identify", folder, "--json")
     assert again.exit_code == 0
-    assert json.loads(again.stdout)["sampled-data"]["tau_s"] == outcome["estimates"]["sampled-data"]["tau_s"]
+    identified = json.loads(again.stdout)
+    assert identified.pop("records") == [str(folder)]
+    for key in ("ok", "estimates", "relays", "friction_law"):  # one shape: what both have is the same
+        assert identified.pop(key) == outcome[key]
+    assert outcome["breakaway"].items() >= identified.pop("breakaway").items()
+    assert set(identified.pop("notes")) <= set(outcome["notes"])
+    assert not identified
     recording = read_run(folder)
     rows = recording.stage_rows("relay-1")
     bare = tmp_path / "bare.csv"
@@ -100,7 +106,7 @@ def test_identify_from_the_folder_and_from_the_bare_csv(demo_run, tmp_path: Path
     bare.write_text("t_s,u_V,y_rad\n" + "\n".join(lines) + "\n", encoding="utf-8")
     from_csv = rig("identify", bare, "--method", "sampled-data", "--json")
     assert from_csv.exit_code == 0, from_csv.output
-    estimate = json.loads(from_csv.stdout)["sampled-data"]
+    estimate = json.loads(from_csv.stdout)["estimates"]["sampled-data"]
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
         assert estimate[name] == pytest.approx(outcome["truth"][name], rel=0.03)
 

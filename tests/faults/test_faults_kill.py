@@ -79,7 +79,7 @@ def test_killed_in_the_middle_of_a_relay_test(tmp_path: Path, number: signal.Sig
     assert ("loop_died" in ends) == (number == signal.SIGKILL)
     identified = CliRunner().invoke(main, ["identify", str(folder), "--method", "sampled-data", "--json"])
     assert identified.exit_code == 0, identified.output
-    estimate = json.loads(identified.stdout)["sampled-data"]
+    estimate = json.loads(identified.stdout)["estimates"]["sampled-data"]
     assert estimate["tau_s"] == pytest.approx(config["emulated"]["motor"]["tau_s"], rel=0.05)
 
 

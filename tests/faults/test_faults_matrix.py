@@ -138,7 +138,7 @@ def test_what_is_needed_of_the_wire_is_read_off_it() -> None:
     drive = encode(Kind.DRIVE, 7, pack_drive(-50))
     assert serial.drive_V(drive) == -1.5 and serial.drive_V(encode(Kind.STOP, 8)) == 0.0
     assert serial.asked(encode(Kind.READ, 9)) == 9 and serial.asked(drive) is None
-    state = encode(Kind.STATE, 9, State(1, 512, 0, 2, 3, 4, 1, 0).pack())
+    state = encode(Kind.STATE, 9, State(1, 512, 0, 2, 3, 4, 1, 0, 5).pack())
     assert serial.replies(state[:5]) == [] and serial.replies(state[5:] + b"\1") == [state]
     assert serial.readings(state) == [Reading(9, 512, state)]
     assert serial.readings(bytes((state[0], state[1] ^ 1)) + state[2:]) == []
@@ -155,7 +155,7 @@ def test_what_a_relay_in_the_device_tells_is_read_off_the_wire_up_to_a_gap() -> 
     serial = SerialLanguage(0.03)
 
     def block(number: int) -> bytes:
-        return encode(Kind.BLOCK, number, Block(0, 1000, 200, 10, 0, ((500, 15), (501, 15))).pack())
+        return encode(Kind.BLOCK, number, Block(0, 1000, 200, 10, 0, 5, ((500, 15), (501, 15))).pack())
 
     assert serial.drive_V(encode(Kind.KEEP, 3)) is not None and math.isnan(serial.drive_V(encode(Kind.KEEP, 3)) or 0.0)
     start = encode(Kind.RELAY, 2, RelaySetup((1, 1, -1, -1), 8192, 99, 1, 10).pack())
@@ -213,7 +213,7 @@ def test_what_a_host_was_told_in_real_time_is_counted() -> None:
     log = frame(1, bytes((3, 2, 1, 23))) + frame(1, reply) + frame(1, reply)[:-1] + b"\0" + frame(1, reply)
     assert rtu(log) == [1, 2]  # the one between is damaged
     assert tcp(Adu(1, 1, bytes((3, 2, 1, 23))).pack() + 2 * Adu(2, 1, reply).pack()) == [1, 2]
-    assert DEVICES[0].told(encode(Kind.STATE, 9, State(1, 512, 0, 2, 3, 4, 1, 0).pack())) == [9]
+    assert DEVICES[0].told(encode(Kind.STATE, 9, State(1, 512, 0, 2, 3, 4, 1, 0, 5).pack())) == [9]
 
 
 def test_a_dead_terminal_and_a_dead_connection_are_dead(tmp_path: Path) -> None:

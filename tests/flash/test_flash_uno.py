@@ -27,7 +27,7 @@ from rig.daq.serial_port import SerialPort
 from rig.emulate.firmware_build import source_folder
 from rig.flash import FlashError, Port
 
-HELLO = Hello(2, 0, 1023, 400, 0, 0, 0, b"uno 9.9".ljust(16, b"\0"))
+HELLO = Hello(2, 0, 1, 0, 1023, 400, 0, 0, b"uno 9.9".ljust(16, b"\0"))
 
 SYNC_7 = (
     "avrdude error: programmer is not responding\n"

@@ -45,6 +45,7 @@ def armed_chip(
     bench: BenchParameters = BENCH, setup: Setup = SETUP, options: UnoOptions = PLAIN_UNO, **board: Any
 ) -> ChipHost:
     host = ChipHost(VirtualChip(bench, options=options, **board), options.baud)
+    host.acknowledge(Code.RESET)
     host.setup(setup)
     assert host.arm() == Code.NONE
     return host

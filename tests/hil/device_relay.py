@@ -39,7 +39,7 @@ class DeviceRelay:
         self._library = ctypes.CDLL(str(firmware_build.build().library))
         self._library.relay_is_valid.restype = ctypes.c_bool
         self._library.relay_step.restype = ctypes.c_int16
-        self._library.relay_step.argtypes = [ctypes.POINTER(_Relay), ctypes.c_uint16]
+        self._library.relay_step.argtypes = [ctypes.POINTER(_Relay), ctypes.c_int32]
         setup = _Setup(centre, z_bound, (ctypes.c_int16 * 4)(*drive), direction)
         assert self._library.relay_is_valid(ctypes.byref(setup))
         self._relay = _Relay()

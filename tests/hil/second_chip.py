@@ -100,6 +100,10 @@ class SecondChip:
         """Open the e-stop's contact."""
         self._happens.append("openEstop")
 
+    def close_estop(self) -> None:
+        """Close it again."""
+        self._happens.append("closeEstop")
+
     def hang(self) -> None:
         """Send the main loop into an endless one; interrupts go on."""
         self._happens.append("hang")

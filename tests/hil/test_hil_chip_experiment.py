@@ -30,11 +30,11 @@ ROOT = Path(__file__).resolve().parents[2]
 UNO_FULL = 400
 
 
-def run_on_chip(folder: Path, **relay: object) -> dict:
-    """config/demo.yaml on the chip; changes of its section ``relay``."""
+def run_on_chip(folder: Path, daq: dict[str, object] | None = None, **relay: object) -> dict:
+    """config/demo.yaml on the chip; changes of its sections ``daq`` and ``relay``."""
     config = yaml.safe_load((ROOT / "config/demo.yaml").read_text(encoding="utf-8"))
-    config["daq"]["port"] = "emulated-chip"
-    config["limits"]["max_speed_rad_s"] = 4.7
+    config["daq"] |= {"port": "emulated-chip"} | (daq or {})
+    config["limits"]["max_speed_rad_s"] = 4.7 if daq is None else 4.5  # an adapter needs room, too
     config["relay"] |= relay
     if relay:
         del config["tracking"]
@@ -68,6 +68,19 @@ def test_the_relay_in_the_chip_finds_the_truth(tmp_path: Path) -> None:
     outcome = run_on_chip(tmp_path, where="device", target=None, gains=gains, cycles=7)
     within_2_percent_of_the_truth(outcome)
     assert outcome["link"]["bad_frames"] == 0 and not outcome["faults"]
+
+
+def test_behind_an_unos_usb_chip_it_identifies_as_ever(tmp_path: Path) -> None:
+    """Replies wait for up to 4 ms, each another time: the device's own stamps say when all was, at 10 ms as without."""
+    gains = [{"h1_V": 0.43, "h2_V": 0.80}]
+    daq = {"adapter": "16u2", "baud": 1_000_000}
+    outcome = run_on_chip(tmp_path, daq, target=None, gains=gains, cycles=8)
+    within_2_percent_of_the_truth(outcome)
+    assert outcome["estimates"]["sampled-data"]["verdict"] == "ok", outcome["estimates"]["sampled-data"]["reasons"]
+    link = outcome["link"]
+    assert link["timeouts"] == link["bad_frames"] == link["drives_lost"] == link["stale_replies"] == 0
+    assert outcome["loop"]["skipped"] == 0 and not outcome["faults"]
+    assert outcome["loop"]["io_us"]["max"] > 4000, "it did wait"
 
 
 def cycle(board: VirtualBoard | VirtualChip, period_s: float) -> tuple[float, float]:

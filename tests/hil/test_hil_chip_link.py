@@ -32,7 +32,7 @@ def driver_on(board: VirtualChip, **options: object) -> SerialDriver:
 
 def test_it_introduces_itself() -> None:
     hello = ChipHost(VirtualChip(BENCH)).hello()
-    assert (hello.board, hello.reset_words, hello.adc_max, hello.drive_full) == (2, "power-on", 1023, FULL)
+    assert (hello.board, hello.reset_words, hello.counts_max, hello.drive_full) == (2, "power-on", 1023, FULL)
     assert hello.build_text.startswith("uno ") and hello.features == 0
 
 
@@ -211,11 +211,12 @@ def test_the_cause_of_a_reset_is_told_and_nothing_else_survives_it(cause: int, w
     assert host.pin_V() == 0.0
     host.wait(2e-3)
     assert host.hello().reset_words == words
-    assert host.state().status == 0 and host.arm() == Code.NO_SETUP
+    assert host.state().fault == Code.RESET and host.arm_anew() == Code.NO_SETUP
 
 
 def test_the_led_is_lit_while_armed_and_blinks_on_a_fault() -> None:
     host = ChipHost(VirtualChip(HELD))
+    host.acknowledge(Code.RESET)
     host.setup()
     host.wait(2e-3)
     assert not host.truth().led

@@ -9,7 +9,7 @@ import pytest
 from chip_host import BENCH, HELD, QUIET, SETTLE_S, SETUP, ChipHost, armed_chip
 from virtual_host import LSB_RAD, TICK_S
 
-from rig.daq.frames import STATUS_FAULT, STATUS_RECOVERING, Code, Kind, encode, pack_drive
+from rig.daq.frames import STATUS_FAULT, STATUS_RECOVERING, Code, Kind, encode, pack_ack, pack_drive
 from rig.daq.serial_link import SerialDriver
 from rig.emulate.firmware_build import UnoOptions
 from rig.emulate.virtual_chip import Contact, Hang, VirtualChip
@@ -23,11 +23,15 @@ IN1_IN2 = UnoOptions(bridge="IN1_IN2")
 
 
 def latched_at_zero(host: ChipHost, code: Code) -> None:
-    """The fault holds 0 V whatever is sent, until it is armed again."""
+    """The fault holds 0 V whatever is sent, STOP and ARM too."""
     for units in (50, -50):
         host.drive(units)
         host.wait(0.003)
         assert host.pin_V() == 0.0
+    host.ask(Kind.STOP)
+    assert host.arm() == code
+    host.drive(60)
+    assert host.pin_V() == 0.0
     state = host.state()
     assert (state.fault, state.status, state.drive) == (code, STATUS_FAULT, 0)
 
@@ -56,7 +60,7 @@ def test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick(watchdog_ms
         assert host.pin_V() > 0.0
         off_after_s(host, heard_s, 1e-3 * watchdog_ms + TICK_S)
     latched_at_zero(host, Code.WATCHDOG)
-    assert host.arm() == Code.NONE and host.pin_V() == 0.0
+    assert host.arm_anew() == Code.NONE and host.pin_V() == 0.0
 
 
 @pytest.mark.parametrize("what", ["main loop", "everything", "clock", "tick", "converter"])
@@ -70,7 +74,8 @@ def test_a_hung_program_is_reset_by_the_hardware_watchdog(what: Hang) -> None:
         off_after_s(host, host.board.now_s(), HANG_S)
         assert host.truth().resets == 1
     assert host.hello().reset_words == "watchdog"
-    assert host.arm() == Code.NO_SETUP
+    assert host.arm() == Code.RESET
+    assert host.arm_anew() == Code.NO_SETUP
     host.drive(60)
     assert host.pin_V() == 0.0
 
@@ -112,11 +117,11 @@ def test_the_e_stop_means_0_V_within_a_tick_and_before_that_in_its_interrupt() -
         slowest_s = max(slowest_s, off_after_s(host, host.board.now_s(), TICK_S))
     assert slowest_s < 30e-6
     latched_at_zero(host, Code.E_STOP)
-    assert host.arm() == Code.E_STOP  # as long as it is open
+    assert host.ask(Kind.ACK, pack_ack(Code.E_STOP)).kind == Kind.NACK  # as long as it is open
     host.board.contact("e_stop", is_open=False)
     host.wait(0.002)
     latched_at_zero(host, Code.E_STOP)
-    assert host.arm() == Code.NONE
+    assert host.arm_anew() == Code.NONE
     host.drive(60)
     assert host.pin_V() > 0.0
 
@@ -129,6 +134,35 @@ def test_a_short_opening_of_the_e_stop_is_latched() -> None:
     host.board.contact("e_stop", is_open=False)
     host.wait(0.002)
     latched_at_zero(host, Code.E_STOP)
+
+
+@pytest.mark.parametrize("set_up", [False, True])
+@pytest.mark.parametrize("open_s", [20e-6, 0.3e-3, 0.5])
+def test_an_e_stop_opened_and_closed_while_disarmed_is_latched(open_s: float, set_up: bool) -> None:
+    """At random phases, while the host asks for states, and while it does nothing."""
+    rng = random.Random(set_up)
+    for k in range(PHASES):
+        if set_up:
+            host = armed_chip(HELD)
+            host.ask(Kind.STOP)
+        else:
+            host = ChipHost(VirtualChip(HELD))
+            host.acknowledge(Code.RESET)
+        host.wait(rng.uniform(0.0, 0.01))
+        if k % 2:
+            host.send(Kind.READ)
+            host.wait(rng.uniform(0.0, 2e-3))
+        host.board.contact("e_stop", is_open=True)
+        host.wait(open_s)
+        host.board.contact("e_stop", is_open=False)
+        host.wait(3e-3)
+        if not set_up:
+            host.setup()
+        assert host.arm() == Code.E_STOP
+        host.drive(60)
+        assert host.pin_V() == 0.0
+    latched_at_zero(host, Code.E_STOP)
+    assert host.arm_anew() == Code.NONE
 
 
 def test_no_drive_passes_between_the_e_stop_and_its_fault() -> None:
@@ -150,6 +184,7 @@ def test_the_e_stop_is_seen_if_it_was_open_from_the_start() -> None:
     board = VirtualChip(HELD)
     board.contact("e_stop", is_open=True)
     host = ChipHost(board)
+    host.acknowledge(Code.RESET)
     host.setup()
     assert host.arm() == Code.E_STOP
     host.drive(60)
@@ -166,7 +201,7 @@ def test_an_end_switch_means_0_V_within_two_ticks_and_only_inward_from_there(con
         host.board.contact(contact, is_open=True)
         off_after_s(host, host.board.now_s(), 2 * TICK_S)
     latched_at_zero(host, Code.END_SWITCH)
-    assert host.arm() == Code.NONE and host.state().status & STATUS_RECOVERING
+    assert host.arm_anew() == Code.NONE and host.state().status & STATUS_RECOVERING
     host.drive(-60 * outward)
     host.wait(0.003)
     assert host.pin_V() * outward < 0.0
@@ -250,6 +285,9 @@ def test_a_drive_that_waits_behind_garbage_is_of_the_tick_in_which_it_arrived() 
 def test_no_drive_before_arming_nor_beyond_the_largest() -> None:
     host = ChipHost(VirtualChip(HELD))
     host.drive(60)
+    assert host.pin_V() == 0.0 and host.state().fault == Code.RESET
+    host.acknowledge(Code.RESET)
+    host.drive(60)
     assert host.pin_V() == 0.0 and host.state().fault == Code.NOT_ARMED
     host.setup()
     host.drive(60)
@@ -260,7 +298,7 @@ def test_no_drive_before_arming_nor_beyond_the_largest() -> None:
         assert host.pin_V() > 0.0
         host.drive(units)
         latched_at_zero(host, Code.DRIVE_RANGE)
-        assert host.arm() == Code.NONE
+        assert host.arm_anew() == Code.NONE
 
 
 @pytest.mark.parametrize("direction", [1, -1])

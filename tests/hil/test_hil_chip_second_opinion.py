@@ -11,9 +11,22 @@ import numpy as np
 import pytest
 from chip_host import QUIET, SETUP, ChipHost
 from second_chip import SecondChip
-from virtual_host import LSB_RAD, TICK_S
+from virtual_host import LSB_RAD, SESSION, TICK_S
 
-from rig.daq.frames import Block, Code, FrameReader, Hello, Kind, Packet, RelaySetup, State, encode, pack_drive
+from rig.daq.frames import (
+    Block,
+    Code,
+    FrameReader,
+    Hello,
+    Kind,
+    Packet,
+    RelaySetup,
+    State,
+    encode,
+    pack_ack,
+    pack_arm,
+    pack_drive,
+)
 from rig.emulate.virtual_chip import VirtualChip
 from rig.model.friction import Friction
 from rig.model.motor import Motor
@@ -33,11 +46,13 @@ TIMES_US = {"now_us": 8, "t_drive_us": 8, "t_sample_us": 112 + 8}  # tolerances:
 REQUESTS: list[tuple[int, bytes]] = [
     (Kind.HELLO, b""),
     (Kind.READ, b""),
-    (Kind.ARM, b""),  # refused: no limits yet
+    (Kind.ARM, pack_arm(SESSION)),  # refused: it was reset
+    (Kind.ACK, pack_ack(Code.RESET)),
+    (Kind.ARM, pack_arm(SESSION)),  # refused: no limits yet
     (Kind.SETUP, SETUP.pack()),
     (Kind.DRIVE, pack_drive(40)),  # not armed
     (Kind.READ, b""),
-    (Kind.ARM, b""),
+    (Kind.ARM, pack_arm(SESSION)),
     (Kind.DRIVE, pack_drive(60)),
     (Kind.READ, b""),
     (Kind.DRIVE, pack_drive(-41)),
@@ -49,10 +64,12 @@ REQUESTS: list[tuple[int, bytes]] = [
     (Kind.READ, b""),
     (0x33, b""),  # no such request
     (Kind.STOP, b""),
-    (Kind.ARM, b""),
+    (Kind.ARM, pack_arm(SESSION)),  # refused: STOP clears nothing
+    (Kind.ACK, pack_ack(Code.DRIVE_RANGE)),
+    (Kind.ARM, pack_arm(SESSION)),
     (Kind.RELAY, RELAY.pack()),
 ]
-DRIVES = [0, 0, 0, 0, 0, 0, 0, 60, 60, -41, -41, 0, 1, 1, 0, 0, 0, 0, 0]  # of each slot before the relay's
+DRIVES = [0, 0, 0, 0, 0, 0, 0, 0, 0, 60, 60, -41, -41, 0, 1, 1, 0, 0, 0, 0, 0, 0, 0]  # of each slot before the relay's
 
 
 class Session(NamedTuple):
@@ -120,7 +137,8 @@ def assert_alike(one: Packet, other: Packet) -> None:
     """All of two packets but times and counts to the bit; those as near as two chips' instants can be."""
     assert one[:2] == other[:2]
     layouts: dict[int, Callable[[bytes], NamedTuple]] = {
-        Kind.HELLO_REPLY: Hello.unpack, Kind.STATE: State.unpack, Kind.STOP_REPLY: State.unpack
+        Kind.HELLO_REPLY: Hello.unpack, Kind.STATE: State.unpack, Kind.STOP_REPLY: State.unpack,
+        Kind.ACK_REPLY: State.unpack,
     }  # fmt: skip
     unpack = layouts.get(one.kind)
     if unpack is None:
@@ -145,10 +163,11 @@ def test_every_request_is_answered_alike(simavr: Session, avr8js: Session) -> No
             assert_alike(one, other)
     kinds = {packets[0].kind for packets in answers if packets}
     assert kinds == {
-        Kind.HELLO_REPLY, Kind.SETUP_REPLY, Kind.ARM_REPLY, Kind.STATE, Kind.STOP_REPLY, Kind.RELAY_REPLY, Kind.NACK
+        Kind.HELLO_REPLY, Kind.SETUP_REPLY, Kind.ARM_REPLY, Kind.STATE, Kind.STOP_REPLY, Kind.RELAY_REPLY, Kind.NACK,
+        Kind.ACK_REPLY,
     }  # fmt: skip
     assert [packets[0].body[0] for packets in answers if packets and packets[0].kind == Kind.ARM_REPLY] == [
-        Code.NO_SETUP, Code.NONE, Code.NONE
+        Code.RESET, Code.NO_SETUP, Code.NONE, Code.DRIVE_RANGE, Code.NONE
     ]  # fmt: skip
 
 
@@ -213,6 +232,7 @@ def test_the_limit_cycle_is_the_same_within_2_percent(simavr: Session, avr8js: S
 
 def driving(board: SecondChip, watchdog_ms: int = SETUP.watchdog_ms) -> ChipHost:
     host = ChipHost(board)  # type: ignore[arg-type]
+    host.acknowledge(Code.RESET)
     host.setup(SETUP._replace(watchdog_ms=watchdog_ms))
     assert host.arm() == Code.NONE
     host.drive(50)
@@ -232,6 +252,20 @@ def test_the_e_stop_ends_the_pulses_within_a_tick_here_too() -> None:
         assert host.state().fault == Code.E_STOP and not host.truth().led
 
 
+def test_an_e_stop_opened_and_closed_while_disarmed_is_latched_here_too() -> None:
+    with SecondChip(QUICK) as board:
+        host = driving(board)
+        host.ask(Kind.STOP)
+        board.open_estop()
+        host.wait(100e-6)
+        board.close_estop()
+        host.wait(2 * TICK_S)
+        assert host.arm() == Code.E_STOP
+        host.drive(50)
+        host.wait(40 * PWM_S)
+        assert host.pin_V() == 0.0
+
+
 def test_the_hardware_watchdog_ends_a_hang_here_too() -> None:
     with SecondChip(QUICK) as board:
         host = driving(board, watchdog_ms=1000)
@@ -242,7 +276,7 @@ def test_the_hardware_watchdog_ends_a_hang_here_too() -> None:
         host.wait(40 * PWM_S)
         assert host.pin_V() == 0.0 and host.truth().resets == 1
         assert host.hello().reset_words == "watchdog"
-        assert host.state().status == 0 and host.arm() == Code.NO_SETUP
+        assert host.arm() == Code.RESET and host.arm_anew() == Code.NO_SETUP
 
 
 def test_the_tick_outlives_the_main_loop_here_too() -> None:

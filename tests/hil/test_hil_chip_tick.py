@@ -190,4 +190,4 @@ def test_a_dead_tick_is_reset_by_the_hardware_watchdog_though_the_main_loop_live
     assert host.pin_V() > 0.0 and host.state().status == STATUS_ARMED  # it answers
     host.wait(0.05)
     assert host.pin_V() == 0.0 and host.truth().resets == 1
-    assert host.hello().reset_words == "watchdog" and host.arm() == Code.NO_SETUP
+    assert host.hello().reset_words == "watchdog" and host.arm() == Code.RESET

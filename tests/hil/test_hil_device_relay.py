@@ -148,7 +148,10 @@ def test_it_is_refused_before_arming_beyond_a_limit_and_with_wrong_numbers() -> 
         assert host.pin_V() == 0.0
         return Code(Nack.unpack(packet.body).code)
 
-    assert refusal(VirtualHost(VirtualBoard(BENCH))) == Code.NOT_ARMED
+    fresh = VirtualHost(VirtualBoard(BENCH))
+    assert refusal(fresh) == Code.RESET
+    fresh.acknowledge(Code.RESET)
+    assert refusal(fresh) == Code.NOT_ARMED
     host = armed_host(replace(BENCH, start_rad=1.95))
     assert refusal(host) == Code.TRAVEL
     host = armed_host()

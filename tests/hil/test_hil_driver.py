@@ -242,7 +242,7 @@ def test_arming_with_a_broken_wire_is_refused():
     assert not board.truth().armed
 
 
-def test_a_fault_is_cleared_by_arming_anew():
+def test_a_fault_is_cleared_by_opening_anew_and_by_nothing_else():
     board, driver = armed()
     assert not math.isnan(ticks(board, driver, 0.2, 3)[-1][0].t_u_s)
     board.place(1.91)
@@ -250,6 +250,9 @@ def test_a_fault_is_cleared_by_arming_anew():
     assert fault_of(driver.read).code == "DEVICE_TRAVEL"
     board.place(0.0)
     board.sleep_until(board.now_s() + 0.002)
+    driver.safe_stop()
+    assert fault_of(driver.arm, LIMITS).code == "DEVICE_TRAVEL"
+    assert driver.open().acknowledged == ("DEVICE_TRAVEL",)
     driver.arm(LIMITS)
     samples = [sample for sample, _ in ticks(board, driver, 1.0, 3)]
     assert samples[-1].u_V > 0.9
@@ -276,6 +279,7 @@ def test_beyond_a_limit_only_inward_drive_passes(falling, turned, side):
     assert fault_of(driver.read).code == "DEVICE_TRAVEL"
     assert board.truth().pin_V == 0.0
 
+    driver.open()
     driver.arm(LIMITS)
     samples = [sample for sample, _ in ticks(board, driver, -side * 1.0, 20)]
     assert side * samples[0].y_rad > 1.9

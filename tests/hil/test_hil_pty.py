@@ -14,7 +14,7 @@ import pytest
 from processes import PATIENCE_S, alive, rows, wait_until
 
 from rig.config.schema import Emulated, EmulatedMotor
-from rig.daq.frames import FrameReader, Hello, Kind, Packet, Setup, encode
+from rig.daq.frames import Code, FrameReader, Hello, Kind, Packet, Setup, encode, pack_ack, pack_arm
 from rig.daq.serial_port import SerialPort
 from rig.emulate.firmware_build import EmulationError
 from rig.emulate.host_board import HostBoard
@@ -22,15 +22,23 @@ from rig.emulate.host_board import HostBoard
 pytestmark = pytest.mark.realtime
 
 EMULATED = Emulated(motor=EmulatedMotor(tau_s=0.17, K_rad_s_V=6.5, fc_plus_V=5.0, fc_minus_V=5.0)).model_dump()
-SETUP = Setup(49, 975, 5, 1018, 512, 200, 1000, 1)
+SESSION = 99
+SETUP = Setup(SESSION, 49, 975, 5, 1018, 512, 200, 1000, 1)
+
+
+def arming(setup: Setup = SETUP) -> bytes:
+    """What a host sends to a device that was just switched on."""
+    reset, arm = encode(Kind.ACK, 2, pack_ack(Code.RESET)), encode(Kind.ARM, 3, pack_arm(SESSION))
+    return encode(Kind.SETUP, 1, setup.pack()) + reset + arm
+
 
 # A host that arms, drives for as long as it lives, and says when it does.
 HOST = """
 import sys, time
-from rig.daq.frames import Kind, Setup, encode, pack_drive
+from rig.daq.frames import Kind, encode, pack_drive
 from rig.daq.serial_port import SerialPort
 port = SerialPort(sys.argv[1])
-port.write(encode(Kind.SETUP, 1, Setup(*{setup}).pack()) + encode(Kind.ARM, 2))
+port.write({arming})
 for k in range(10**6):
     port.write(encode(Kind.DRIVE, 3, pack_drive(100)))
     port.read(0.0)
@@ -65,7 +73,7 @@ def ask(port: SerialPort, kind: Kind) -> Packet:
 
 
 def run_host(script: str, argument: str, watchdog_ms: int) -> subprocess.Popen[str]:
-    text = script.format(setup=tuple(SETUP._replace(watchdog_ms=watchdog_ms)), emulated=EMULATED)
+    text = script.format(arming=arming(SETUP._replace(watchdog_ms=watchdog_ms)), emulated=EMULATED)
     return subprocess.Popen([sys.executable, "-c", text, argument], stdout=subprocess.PIPE, text=True)
 
 
@@ -121,7 +129,7 @@ def test_a_signal_ends_it_with_0_V_in_the_trace(tmp_path: Path, number: signal.S
     trace, link = tmp_path / "trace.csv", tmp_path / "port"
     board = HostBoard()
     port = SerialPort(board.start(EMULATED, 1, link=link, trace=trace))
-    port.write(encode(Kind.SETUP, 1, SETUP.pack()) + encode(Kind.ARM, 2))
+    port.write(arming())
     port.write(encode(Kind.DRIVE, 3, b"\x64\x00"))
     wait_until(lambda: any(row["drive_V"] > 0.0 for row in rows(trace)))
     os.kill(board.pid, number)

@@ -6,7 +6,7 @@ import random
 from dataclasses import replace
 
 import pytest
-from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, VirtualHost, armed_host
+from virtual_host import BENCH, HELD, LSB_RAD, SESSION, SETUP, TICK_S, VirtualHost, armed_host
 
 from rig.daq.frames import (
     STATUS_ARMED,
@@ -17,6 +17,8 @@ from rig.daq.frames import (
     Nack,
     State,
     encode,
+    pack_ack,
+    pack_arm,
     pack_drive,
 )
 from rig.emulate.virtual_board import VirtualBoard
@@ -27,7 +29,7 @@ SLACK_S = 2e-6  # of microseconds cut off by the device's clock
 
 
 def latched_at_zero(host: VirtualHost, code: Code) -> None:
-    """The fault holds 0 V whatever is sent, until it is armed again."""
+    """The fault holds 0 V whatever is sent, STOP and ARM too, until it is acknowledged and the device armed again."""
     assert host.pin_V() == 0.0
     for units in (50, -50, 1):
         host.drive(units)
@@ -37,6 +39,11 @@ def latched_at_zero(host: VirtualHost, code: Code) -> None:
     assert (state.fault, state.status, state.drive) == (code, STATUS_FAULT, 0)
     host.wait(2.0)
     assert host.pin_V() == 0.0 and host.state().fault == code
+    assert State.unpack(host.ask(Kind.STOP).body).status == STATUS_FAULT
+    assert host.arm() == code
+    host.drive(50)
+    assert host.pin_V() == 0.0
+    assert host.acknowledge(code).status == 0
     assert host.arm() == Code.NONE
     assert host.state().status & STATUS_ARMED and host.state().fault == Code.NONE
     assert host.pin_V() == 0.0  # arming alone does not drive
@@ -56,7 +63,8 @@ def test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick(
     for _ in range(12):
         host = VirtualHost(VirtualBoard(HELD, clock_error_ppm=clock_error_ppm, clock_start_us=rng.getrandbits(32)))
         host.setup(setup)
-        host.send(Kind.ARM)
+        host.acknowledge(Code.RESET)
+        host.send(Kind.ARM, pack_arm(SESSION))
         host.send(Kind.DRIVE, pack_drive(60))  # at once: a watchdog of 1 ms does not wait for the reply
         host.board.sleep_until(host.heard_s)
         if watchdog_ms > 1:
@@ -98,7 +106,7 @@ def test_replies_that_nobody_reads_do_not_feed_the_watchdog() -> None:
         host.send(Kind.SETUP, SETUP.pack())
         host.send(0x33)
         host.send(Kind.DRIVE, b"\x01")
-        host.send(Kind.READ, version=2)
+        host.send(Kind.READ, version=1)
     assert host.pin_V() == 0.0
 
 
@@ -161,6 +169,7 @@ def test_a_broken_wire_means_0_V_within_two_ticks(sensor: SensorWiring) -> None:
 
 def test_no_drive_before_arming() -> None:
     host = VirtualHost(VirtualBoard(BENCH))
+    host.acknowledge(Code.RESET)
     for prepare in (lambda: None, host.setup):
         prepare()
         for units in (1, 50, -50, 200, 799, -799, 32767, -32768):
@@ -174,7 +183,7 @@ def test_no_drive_before_arming() -> None:
 
 def test_arming_needs_a_setup() -> None:
     host = VirtualHost(VirtualBoard(BENCH))
-    assert host.arm() == Code.NO_SETUP
+    assert host.arm_anew() == Code.NO_SETUP
     host.drive(50)
     assert host.pin_V() == 0.0
 
@@ -195,8 +204,9 @@ def test_a_reset_at_any_instant_means_0_V_and_a_new_arming(cause: int) -> None:
         host.send_raw(b"\0")  # ends what the reset cut in two
         host.drive(60)
         assert host.pin_V() == 0.0
-        assert host.state().fault == Code.NOT_ARMED
-        assert host.arm() == Code.NO_SETUP
+        assert (host.state().fault, host.state().session) == (Code.RESET, 0)
+        assert host.arm() == Code.RESET
+        assert host.arm_anew() == Code.NO_SETUP
         hello = host.hello()
         assert hello.reset_cause == cause
         assert hello.now_us < 50_000  # its clock has started anew
@@ -242,7 +252,7 @@ def test_garbage_never_moves_the_drive() -> None:
     host.drive(40)
     before = host.board.truth()
     good = [encode(Kind.DRIVE, 7, pack_drive(units)) for units in (-200, 0, 199)]
-    good += [encode(Kind.STOP, 8), encode(Kind.ARM, 9), encode(Kind.SETUP, 10, SETUP.pack())]
+    good += [encode(Kind.STOP, 8), encode(Kind.ARM, 9, pack_arm(SESSION)), encode(Kind.SETUP, 10, SETUP.pack())]
     for _ in range(1500):
         which = rng.randrange(3)
         if which == 0:
@@ -342,13 +352,48 @@ def test_setup_does_not_change_under_drive() -> None:
         {"watchdog_ms": 1001},
         {"polarity": 0},
         {"polarity": 2},
+        {"session": 0},
+        {"rail_lo": -1},
     ],
 )
 def test_a_setup_that_would_void_a_promise_is_refused(change: dict[str, int]) -> None:
     host = VirtualHost(VirtualBoard(BENCH))
     packet = host.ask(Kind.SETUP, SETUP._replace(**change).pack())
     assert packet.kind == Kind.NACK and Nack.unpack(packet.body) == Nack(Code.SETUP_INVALID, Kind.SETUP)
-    assert host.arm() == Code.NO_SETUP
+    assert host.arm_anew() == Code.NO_SETUP
+
+
+def test_another_session_is_not_armed() -> None:
+    """Another program has sent its own limits meanwhile: this one's are no longer what the device holds."""
+    host = armed_host()
+    host.ask(Kind.STOP)
+    host.setup(SETUP._replace(session=SESSION + 1, hard_lo=5, max_drive=799))
+    assert host.state().session == SESSION + 1
+    assert host.arm(SESSION) == Code.SESSION
+    host.drive(100)
+    assert host.pin_V() == 0.0
+
+
+@pytest.mark.parametrize("sensor", ["broken_low", "broken_high"])
+def test_a_sensor_at_its_rail_while_disarmed_is_not_forgotten(sensor: SensorWiring) -> None:
+    host = armed_host()
+    host.ask(Kind.STOP)
+    host.board.rewire(sensor=sensor)
+    host.wait(2 * TICK_S)
+    assert host.ask(Kind.ACK, pack_ack(Code.SENSOR_RAIL)).kind == Kind.NACK  # as long as it is there
+    host.board.rewire()
+    host.wait(0.01)
+    latched_at_zero(host, Code.SENSOR_RAIL)
+
+
+def test_a_shaft_beyond_a_limit_while_disarmed_is_not_a_fault() -> None:
+    """It is armed to recover from there: only inward drive passes."""
+    host = armed_host()
+    host.ask(Kind.STOP)
+    host.board.place(480 * LSB_RAD)
+    host.wait(0.01)
+    assert host.state().status == 0
+    assert host.arm() == Code.NONE and host.state().status & STATUS_RECOVERING
 
 
 def test_stop_means_0_V_and_disarmed() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate, write_csv
 
-from rig.identify.record import IdentifyError, Record, clock_ratio, from_recording
+from rig.identify.record import TIMES_ERROR_S, IdentifyError, Record, clock_ratio, from_recording
 from rig.recording.reader import read_csv
 
 N = 50
@@ -86,6 +86,18 @@ def test_a_true_clock_is_left_alone_and_a_wild_one_refused(tmp_path):
     assert np.array_equal(one.t_s, same.t_s)
     with pytest.raises(IdentifyError, match="against the ticks"):
         from_recording(recording(tmp_path, 1.2), slice(0, 1500), "relay-1")
+
+
+@pytest.mark.parametrize(
+    ("said", "error_s"),
+    [(3.5e-4, 3.5e-4), (0, 0.0), (None, TIMES_ERROR_S), ("none", TIMES_ERROR_S), (True, TIMES_ERROR_S)],
+)
+def test_what_the_times_may_be_wrong_by_is_metas_word_or_the_default_of_an_older_run(tmp_path, said, error_s):
+    one = recording(tmp_path, 1.0)
+    if said is not None:
+        one.meta["times_error_s"] = said
+    read, _ = from_recording(one, slice(0, 900), "relay-1")
+    assert read.part(10, 500).times_error_s == error_s
 
 
 def test_times_of_the_drive_that_are_missing_are_filled_in_and_noted(tmp_path):

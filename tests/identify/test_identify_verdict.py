@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 from rig.identify import sampled_data, verdict
 from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
-from rig.identify.record import IdentifyError, Record
+from rig.identify.record import TIMES_ERROR_S, IdentifyError, Record
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 
@@ -62,6 +63,32 @@ def test_with_known_times_a_row_slipped_by_one_tick_is_refused(rows, seed):
     found = judged(slipped(relay(seed=seed), rows))
     assert found.verdict == "refused"
     assert any("than t_u_s says" in reason or "unexplained" in reason for reason in found.reasons)
+
+
+def shifted(by_s: float, error_s: float, noise_rad: float = 0.0) -> Estimate:
+    """A fine sensor, and times of the drive that are off; ``error_s``: by what its link says that they can be."""
+    one = relay(noise_rad=noise_rad, lsb_rad=1e-4)
+    return judged(replace(one, t_u_s=one.t_u_s - by_s, times_error_s=error_s))
+
+
+@pytest.mark.parametrize("by_s", [2e-5, -2e-5])
+def test_a_shift_within_what_the_links_times_can_be_wrong_by_is_no_objection(by_s):
+    """Without noise a hundredth of a millisecond shows, and moves nothing that anyone would miss."""
+    found = shifted(by_s, TIMES_ERROR_S)
+    assert found.verdict == "ok", found.reasons
+    assert found.tau_s == pytest.approx(0.17, rel=0.002)
+    exact = shifted(by_s, 1e-6)  # a link whose times are better than that has slipped
+    assert exact.verdict == "doubtful"
+    way = "later" if by_s > 0.0 else "earlier"
+    assert any(re.search(rf"with the drive 0\.0[12]\d* ms {way} the fit is better", reason) for reason in exact.reasons)
+
+
+@pytest.mark.parametrize("error_s", [TIMES_ERROR_S, 3.5e-4])
+def test_beyond_what_they_can_be_wrong_by_it_is_one(error_s):
+    for by_s, noise_rad in ((4e-4, 0.0), (1e-3, 0.003), (-1e-3, 0.003), (2e-3, 0.003)):
+        found = shifted(by_s, error_s, noise_rad)
+        assert found.verdict != "ok"
+        assert any("the fit is better" in reason or "than t_u_s says" in reason for reason in found.reasons)
 
 
 @pytest.mark.parametrize("delay_s", [0.002, 0.006])

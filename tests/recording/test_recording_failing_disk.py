@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
-import select
 import shutil
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -50,12 +50,9 @@ class Bench:
         counters[layout.EVENT_BYTES] = written + len(line)
         counters[layout.ROW_COMPLETED] = counters[layout.ROWS_OPENED] = self._rows
         counters[layout.CLOSED] = 1
-        over, other = os.pipe()
-        os.close(other)
-        is_over = select.poll()
-        is_over.register(over, select.POLLIN)
+        is_over = threading.Event()
+        is_over.set()
         self.writer.serve(is_over, os.getppid())
-        os.close(over)
 
     def close(self) -> None:
         self.shared.close()

@@ -235,6 +235,10 @@ class Chip {
     this.portD.setPin(ESTOP, true);
   }
 
+  closeEstop() {
+    this.portD.setPin(ESTOP, false);
+  }
+
   hang() {
     while (this.cpu.progMem[this.cpu.pc] !== SLEEP) this.#step(); // out of interrupts
     this.cpu.pc = this.cpu.progMem.indexOf(ENDLESS);

@@ -1,0 +1,29 @@
+"""The end of standard input, for a process that lives as long as the one that started it holds the other end."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+from typing import Protocol
+
+
+class EndOfInput(Protocol):
+    """What can be waited for."""
+
+    def wait(self, timeout: float) -> bool:
+        """Wait for it, at most so long, s; whether it has come."""
+
+
+def end_of_input() -> EndOfInput:
+    """The end of this process's standard input, read by a thread: not every system can poll a pipe."""
+    over = threading.Event()
+
+    def read() -> None:
+        with contextlib.suppress(OSError):
+            while os.read(0, 4096):
+                pass
+        over.set()
+
+    threading.Thread(target=read, daemon=True).start()
+    return over

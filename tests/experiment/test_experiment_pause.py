@@ -1,0 +1,144 @@
+"""What happens to the device in the pause between relay tests and tracking, where it is disarmed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from command_line import rig
+
+from rig import experiment as script
+from rig.emulate.virtual_chip import VirtualChip
+from rig.emulate.virtual_io_block import VirtualIoBlock
+from rig.identify import identify
+from rig.loop.pause_watch import PauseWatch
+from rig.recording.reader import read_run
+from rig.session import Session
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def short(folder: Path, name: str, port: str) -> Path:
+    """One relay test with given gains, then three seconds of tracking."""
+    config = yaml.safe_load((ROOT / "config" / name).read_text(encoding="utf-8"))
+    config["daq"]["port"] = port
+    config["limits"]["max_speed_rad_s"] = 4.7
+    config["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.85}], "cycles": 5}
+    config["tracking"] |= {"duration_s": 3.0, "methods": ["sampled-data"]}
+    path = folder / "short.yaml"
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    return path
+
+
+def in_the_pause(monkeypatch: pytest.MonkeyPatch, happens: Callable[[Any], None]) -> list[Any]:
+    """Let it happen to the device behind the bench, just after the record has been identified; the device."""
+    original, devices = script.identify_recorded, []
+
+    def identify_recorded(session: Session) -> None:
+        original(session)
+        devices.append(session.bench.clock)
+        happens(session.bench.clock)
+
+    monkeypatch.setattr(script, "identify_recorded", identify_recorded)
+    return devices
+
+
+def assert_ended_in_the_pause(result: Any, code: str) -> None:
+    """One fault, no row of tracking, a result, and a record that identifies by itself."""
+    assert result.exit_code == 1
+    outcome = json.loads(result.stdout)
+    folder = Path(outcome["folder"])
+    assert [fault["code"] for fault in outcome["faults"]] == [code]
+    assert json.loads((folder / "result.json").read_text(encoding="utf-8"))["faults"][0]["code"] == code
+    assert "relay-1" in read_run(folder).stages() and "track:sampled-data" not in read_run(folder).stages()
+    estimate = identify([read_run(folder)]).estimates["sampled-data"]
+    assert estimate.tau_s == pytest.approx(outcome["truth"]["tau_s"], rel=0.03)
+    assert rig("identify", folder).exit_code == 0
+    assert rig("export", folder, "--to", folder / "again.csv").exit_code == 0
+
+
+def press(chip: VirtualChip) -> None:
+    chip.contact("e_stop", is_open=True)
+    chip.sleep_until(chip.now_s() + 0.3)
+    chip.contact("e_stop", is_open=False)
+    chip.sleep_until(chip.now_s() + 4.0)
+
+
+def test_without_anything_it_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_the_pause(monkeypatch, lambda chip: chip.sleep_until(chip.now_s() + 4.3))
+    result = rig("run", short(tmp_path, "demo.yaml", "emulated-chip"), "--out", tmp_path / "runs", "--json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["tracking"]["sampled-data"]["rms_rad"] < 0.01
+
+
+def test_an_e_stop_opened_and_closed_again_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    devices = in_the_pause(monkeypatch, press)
+    result = rig("run", short(tmp_path, "demo.yaml", "emulated-chip"), "--out", tmp_path / "runs", "--json")
+    assert_ended_in_the_pause(result, "DEVICE_ESTOP")
+    assert devices[0].truth().pin_V == 0.0
+    assert devices[0].truth().pin_changed_s < devices[0].now_s() - 4.0  # not since the relay test
+
+
+@pytest.mark.parametrize("cause", [2, 4])
+def test_a_reset_or_a_brown_out_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cause: int) -> None:
+    def reset(chip: VirtualChip) -> None:
+        chip.reset(cause)
+        chip.sleep_until(chip.now_s() + 2.0)
+
+    devices = in_the_pause(monkeypatch, reset)
+    result = rig("run", short(tmp_path, "demo.yaml", "emulated-chip"), "--out", tmp_path / "runs", "--json")
+    assert_ended_in_the_pause(result, "DEVICE_RESET")
+    assert devices[0].truth().pin_V == 0.0
+
+
+def pressed_while_watched(monkeypatch: pytest.MonkeyPatch, for_s: float) -> None:
+    """The e-stop of an I/O block is open for a while, somewhere in the pause as it passes."""
+    original = PauseWatch.end
+
+    def end(watch: PauseWatch) -> None:
+        block = watch._clock
+        if watch._is_pause and isinstance(block, VirtualIoBlock):
+            open_s, sleep_until = block.now_s() + 0.333, block.sleep_until
+
+            def sleeping(t_s: float) -> float:
+                block.block.e_stop_open = open_s <= t_s < open_s + for_s
+                return sleep_until(t_s)
+
+            monkeypatch.setattr(block, "sleep_until", sleeping)
+        original(watch)
+
+    monkeypatch.setattr(PauseWatch, "end", end)
+
+
+def test_a_device_that_latches_no_e_stop_is_watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pressed_while_watched(monkeypatch, for_s=0.05)
+    path = short(tmp_path, "modbus-rtu.yaml", "emulated-virtual")
+    assert_ended_in_the_pause(rig("run", path, "--out", tmp_path / "runs", "--json"), "DEVICE_ESTOP")
+
+
+def test_the_next_command_clears_it_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On one device, which no opening resets: pressed between two runs."""
+    chips: list[VirtualChip] = []
+    make = VirtualChip.from_mapping
+
+    def same(*given: Any, **named: Any) -> VirtualChip:
+        if not chips:
+            chips.append(make(*given, **named))
+            monkeypatch.setattr(chips[0], "close", lambda: None)  # the next command finds it as it is
+        return chips[0]
+
+    monkeypatch.setattr(VirtualChip, "from_mapping", same)
+    path = short(tmp_path, "demo.yaml", "emulated-chip")
+    assert rig("jog", path, "--u-V", 0.2, "--out", tmp_path / "runs").exit_code == 0
+    press(chips[0])
+    result = rig("jog", path, "--u-V", 0.2, "--out", tmp_path / "runs")
+    assert result.exit_code == 0, result.stderr
+    assert "e-stop pressed since the last run" in result.stderr
+    assert "e-stop" not in rig("jog", path, "--u-V", 0.2, "--out", tmp_path / "runs").stderr
+    chips[0].contact("e_stop", is_open=True)
+    result = rig("jog", path, "--u-V", 0.2, "--out", tmp_path / "runs")
+    assert result.exit_code == 1 and "DEVICE_ESTOP" in result.stderr
