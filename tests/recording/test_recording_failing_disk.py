@@ -144,7 +144,7 @@ def test_rows_are_put_on_the_disk_every_second(bench: Bench, monkeypatch: pytest
     class Over:
         """Over at its fourth look; the loop writes a row at each of the first three."""
 
-        def poll(self, timeout_ms: int) -> bool:
+        def wait(self, timeout_s: float) -> bool:
             counters = bench.shared.counters
             counters[layout.ROW_COMPLETED] = counters[layout.ROWS_OPENED] = counters[layout.ROWS_OPENED] + 1
             return len(synced) >= 3 or looks[0] > 20.0

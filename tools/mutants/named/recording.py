@@ -106,15 +106,15 @@ WRITER = of(
     (
         "the writer waits for the loop for ever",
         "Writer.serve",
-        "over = bool(is_over.poll(POLL_MS)) or os.getppid() != parent",
-        "over = bool(is_over.poll(POLL_MS)) and False",
+        "over = is_over.wait(POLL_S) or os.getppid() != parent",
+        "over = is_over.wait(POLL_S) and False",
         _recorder("test_after_kill_9_every_opened_row_is_in_the_file"),
     ),
     (
         "Ctrl-C ends the writer",
         "main",
-        "        signal.signal(number, signal.SIG_IGN)\n",
-        "        pass\n",
+        "            signal.signal(getattr(signal, name), signal.SIG_IGN)\n",
+        "            pass\n",
         _recorder("test_signals_to_the_writer_do_not_end_it"),
     ),
 )
