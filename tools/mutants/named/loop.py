@@ -140,7 +140,7 @@ PAUSE = of(
         "PauseWatch.check",
         "if self._seen is not None:",
         "if False:",
-        _pause("test_what_a_pause_shows_ends_the_run"),
+        _pause("test_in_real_time_it_is_seen_while_the_pause_lasts_and_stays_seen"),
     ),
     (
         "the watcher of the pause goes on into the run",
@@ -223,7 +223,7 @@ SESSION = of(
         "a script's defect ends without a result",
         "_run_script",
         "except Exception as error:  # noqa: BLE001 - whatever it is, the run ends with its record and a result",
-        "except ZeroDivisionError as error:",
+        "except LookupError as error:",
         _ends("test_a_defect_of_the_program_is_a_fault_with_its_traceback_in_the_record"),
     ),
     (
