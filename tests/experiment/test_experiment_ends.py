@@ -244,3 +244,33 @@ def test_nothing_is_tracked_where_the_sampled_data_estimate_is_refused(
     assert outcome["estimates"]["triple-relay"]["verdict"] != "refused"
     assert all("good enough" in entry["not_run"] for entry in outcome["tracking"].values())
     assert not any(stage.startswith("track:") for stage in read_run(Path(outcome["folder"])).stages())
+
+
+def test_a_defect_after_the_loop_costs_neither_record_nor_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tracking errors, identification and report, each broken by a defect of the program."""
+
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("a defect")
+
+    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    config["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.85}], "cycles": 4}
+    config["tracking"] |= {"duration_s": 3.0, "methods": ["sampled-data"]}
+    (tmp_path / "tracks.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
+    for name in ("tracking_error", "write_report"):
+        monkeypatch.setattr(session, name, broken)
+    result = rig("run", tmp_path / "tracks.yaml", "--out", tmp_path / "runs", "--json")
+    assert result.exit_code == 1
+    folder = Path(json.loads(result.stdout)["folder"])
+    outcome = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    assert outcome["estimates"]["sampled-data"]["verdict"] != "refused"
+    assert "a defect" in outcome["tracking"]["sampled-data"]["not_run"]
+    assert "track:sampled-data" in read_run(folder).stages()
+
+    monkeypatch.setattr(session, "identify", broken)
+    monkeypatch.setattr(script, "identify", broken)
+    result = rig("relay", quick(tmp_path), "--out", tmp_path / "others", "--json")
+    folder = Path(json.loads(result.stdout)["folder"])
+    outcome = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    assert outcome["faults"][0]["code"] == "INTERNAL" and "relay-1" in read_run(folder).stages()

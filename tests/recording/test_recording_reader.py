@@ -116,6 +116,22 @@ def test_a_run_folder_has_it_all(tmp_path: Path) -> None:
     assert run.notes == ()
 
 
+@pytest.mark.parametrize("back", [4, 1])
+def test_a_run_whose_device_was_reset_is_read_up_to_there(tmp_path: Path, back: int) -> None:
+    """Older runs recorded on, with a time that goes back or stands still; a CSV of one's own is refused."""
+    lines = run_text(12).splitlines(keepends=True)
+    text = "".join([*lines[:9], lines[9 - back], *lines[10:]])  # eight rows, then one of before
+    (tmp_path / "samples.csv").write_text(text)
+    run = read(tmp_path)
+    assert len(run) == 8
+    assert "line 10: t_s" in run.notes[0] and "4 rows are left out" in run.notes[0]
+    with pytest.raises(RecordingError, match="goes back|repeats"):
+        parse(tmp_path, text)
+    (tmp_path / "samples.csv").write_text("".join([*lines[:3], lines[1], *lines[4:]]))  # nothing worth keeping
+    with pytest.raises(RecordingError, match="goes back"):
+        read(tmp_path)
+
+
 def test_select_includes_both_ends(tmp_path: Path) -> None:
     (tmp_path / "samples.csv").write_text(run_text(9))
     run = read_run(tmp_path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mutants.named.writing import in_file, of, row
+from mutants.named.writing import in_file, of
 
 
 def _safety(*names: str) -> tuple[str, ...]:
@@ -257,7 +257,7 @@ VIRTUAL = of(
         "virtual_run",
         "b->hung ? b->fed_ns + HARDWARE_WATCHDOG_NS : INT64_MAX",
         "b->hung ? INT64_MAX : INT64_MAX",
-        row("firmware hang", "board"),
+        in_file("tests/hil/test_hil_safety.py", "test_a_hung_firmware_is_reset_by_the_hardware_watchdog"),
     ),
 )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mutants.named.writing import in_file, of, row
+from mutants.named.writing import in_file, of
 
 
 def _runner(*names: str) -> tuple[str, ...]:
@@ -59,7 +59,7 @@ RUNNER = of(
         "Loop._await_tick",
         "        self.check_stop()\n",
         "",
-        row("host SIGTERM", "board"),
+        _runner("test_signals_end_in_a_safe_stop_and_handlers_come_back"),
     ),
     (
         "a reading that goes back in time is recorded",
@@ -73,7 +73,7 @@ RUNNER = of(
         "Loop.armed",
         "        self.pause_watch.begin()\n",
         "",
-        _pause("test_a_device_that_latches_nothing_is_read_throughout_a_pause"),
+        _pause("test_a_pause_begins_where_a_block_that_is_armed_has_ended"),
     ),
     (
         "late ticks are caught up",
@@ -133,14 +133,14 @@ PAUSE = of(
         "PauseWatch.begin",
         "if not self._needed or self._is_pause:",
         "if True:",
-        _pause("test_a_device_that_latches_nothing_is_read_throughout_a_pause"),
+        _pause("test_in_virtual_time_it_is_read_each_period_of_a_pause"),
     ),
     (
         "what was seen in the pause is not raised",
         "PauseWatch.check",
         "if self._seen is not None:",
         "if False:",
-        _pause("test_in_real_time_it_is_seen_while_the_pause_lasts_and_stays_seen"),
+        _pause("test_what_is_seen_in_real_time_is_raised_before_anything_arms"),
     ),
     (
         "the watcher of the pause goes on into the run",
