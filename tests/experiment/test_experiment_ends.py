@@ -106,32 +106,6 @@ def test_a_report_that_cannot_be_written_costs_the_report_and_no_more(
     assert "Traceback" not in result.output
 
 
-@pytest.mark.parametrize("what", ["tracking", "identification", "report"])
-def test_a_defect_beyond_the_loop_costs_no_result(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object) -> None:
-        raise ZeroDivisionError("a bug")
-
-    original = session._run_script
-
-    def ended(script_: session.Script, run: session.Session) -> Fault | None:
-        fault = original(script_, run)
-        if what == "tracking":
-            run.tracking["sampled-data"] = {}  # as after a run to its end
-        elif what == "identification":
-            run.identification = None  # as after a fault
-        return fault
-
-    name = {"tracking": "read_run", "identification": "identify", "report": "write_report"}[what]
-    monkeypatch.setattr(session, "_run_script", ended)
-    monkeypatch.setattr(session, name, broken)
-    said = rig("relay", quick(tmp_path), "--out", tmp_path / "runs")
-    assert said.exit_code == 1 and isinstance(said.exception, SystemExit)  # it ended in order
-    (folder,) = (tmp_path / "runs").iterdir()
-    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-    assert bool(result["estimates"]) is (what != "identification")
-    assert len(read_run(folder)) > 1000
-
-
 def test_what_the_device_had_latched_since_the_last_run_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
