@@ -444,6 +444,23 @@ def test_a_device_that_goes_on_misbehaving_ends_at_0_V(style: str, kind: Any) ->
     assert rig.driven == rig.commanded
 
 
+@pytest.mark.parametrize("at", [3, 5], ids=["address", "how many"])
+def test_a_write_that_is_confirmed_otherwise_is_a_fault(at: int) -> None:
+    """Asked separately the drive goes out by FC16, whose reply repeats where and how many registers."""
+    rig = Rig(experiment_with("separate"))
+    for _ in range(3):
+        rig.tick(0.6)
+
+    def otherwise(direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
+        if direction == "reply" and data[1] == 16:
+            data = signed(data[:at] + bytes((data[at] ^ 1,)) + data[at + 1 : -2])
+        return ((0.0, data),)
+
+    rig.block.disturb(otherwise)
+    fault = rig.fault_while_driving(2)
+    assert fault.code == "LINK_REPLY" and "confirmed is 10" in fault.detail
+
+
 def test_a_late_reply_is_no_confirmation_of_the_stop() -> None:
     """Separate requests, 32-bit drive: the stop's FC16 looks like the tick's, whose reply is late."""
     registers = {

@@ -179,6 +179,16 @@ def test_what_an_earlier_run_left_in_the_port_is_not_believed():
     assert make(port).open().build == "test-1"
 
 
+def test_an_introduction_that_nobody_asked_for_is_not_believed():
+    """Late, of a run before: its number is none of this one's."""
+    port = ScriptedPort(silent_s=0.5)
+    stale = port.hello._replace(build=b"stale".ljust(16, b"\0")).pack()
+    port.reply(0.1, encode(Kind.HELLO_REPLY, 999, stale))
+    driver = make(port)
+    assert driver.open().build == "test-1"
+    assert driver.link_statistics["stale_replies"] == 1
+
+
 def test_a_silent_device_is_an_error_with_the_numbers():
     port = ScriptedPort(silent_s=1e9)
     fault = fault_of(make(port).open)

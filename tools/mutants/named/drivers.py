@@ -268,7 +268,7 @@ MEETING = of(
         "await_introduction",
         "asked = 1 <= packet.seq <= requests",
         "asked = True",
-        _serial("test_what_an_earlier_run_left_in_the_port_is_not_believed"),
+        _serial("test_an_introduction_that_nobody_asked_for_is_not_believed"),
     ),
 )
 
@@ -463,7 +463,7 @@ MODBUS_REQUESTS = of(
         "check",
         "elif expected is not None and frame.pdu != expected:",
         "elif False:",
-        _MISFITS,
+        _modbus("test_a_write_that_is_confirmed_otherwise_is_a_fault"),
     ),
     (
         "the number of registers is not compared",
