@@ -59,7 +59,7 @@ WRITER = of(
         "Writer.keep_room",
         "self._room = KeptRoom(self._folder, KEPT_BYTES)",
         "pass",
-        _recorder("test_a_disk_without_room_for_the_end_is_refused"),
+        _recorder("test_what_comes_until_the_loop_has_ended_fits_on_a_full_disk"),
     ),
     (
         "a full disk is not told",
@@ -73,7 +73,7 @@ WRITER = of(
         "Writer._moved",
         "        self._shared.fail(layout.MOVED, places)\n",
         "",
-        _disk("test_the_run_ends_and_says_where_the_rest_is"),
+        _disk("test_a_write_error_costs_no_row_and_no_event"),
     ),
     (
         "what the disk may not have is not written again",
