@@ -474,6 +474,15 @@ def test_a_pause_without_rows_or_checks_is_no_stall(recorder: Recorder) -> None:
         recorder.check()  # nothing waits
 
 
+def test_closing_lets_a_stopped_writer_go_on(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, STAGES)
+    record(recorder, range(5))
+    os.kill(recorder.writer_pid, signal.SIGSTOP)
+    record(recorder, range(5, 10))
+    recorder.close()
+    assert len(read_run(tmp_path)) == 10
+
+
 def test_close_does_not_wait_for_ever(tmp_path: Path) -> None:
     with hanging_disk(tmp_path) as pipe:
         recorder = Recorder(tmp_path, STAGES)

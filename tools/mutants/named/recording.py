@@ -189,7 +189,7 @@ RECORDER = of(
         "Recorder.close",
         "            self._process.send_signal(signal.SIGCONT)\n",
         "",
-        _recorder("test_a_stopped_writer_does_not_hold_the_loop_up"),
+        _recorder("test_closing_lets_a_stopped_writer_go_on"),
     ),
 )
 
