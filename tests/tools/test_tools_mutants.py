@@ -233,6 +233,7 @@ def test_random_mutants_are_drawn_by_lot_and_stay_when_the_code_changes_elsewher
     module.write_text(CODE)
     room = Room("room", 4, ("tests/test_code.py",))
     first = draw(tmp_path, room, "seed")
+    assert {(mutant.killers, mutant.others) for mutant in first} == {(("tests/test_code.py",),) * 2}
     assert len({mutant.name for mutant in first}) == 4
     assert draw(tmp_path, room, "seed") == first != draw(tmp_path, room, "another")
     module.write_text(f"X: int | None = None\n\n\n{CODE}")

@@ -24,6 +24,7 @@ class Mutant:
     old, new    text in that function, and what stands there instead
     killers     tests that it meets first: pytest node ids, or ``firmware/tests/test_x.c::test_y``
     occurrence  which one of several ``old`` in the function; None: there must be exactly one
+    others      tests that it meets only if it survives these; none named: all that there are
     """
 
     name: str
@@ -33,6 +34,7 @@ class Mutant:
     new: str
     killers: tuple[str, ...]
     occurrence: int | None = None
+    others: tuple[str, ...] = ()
 
     @property
     def is_c(self) -> bool:

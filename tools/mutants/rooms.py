@@ -6,11 +6,39 @@ from mutants.sampled import Room
 
 SEED = "rig 11"
 
+_REPLAY = ("tests/replay",)
+_MODBUS = ("tests/daq/test_daq_modbus.py",)
+_FILES = ("tests/recording/test_recording_recorder.py", "tests/recording/test_recording_failing_disk.py")
+
 ROOMS = (
-    Room("rig/control", 24, ("tests/control", "tests/loop/test_loop_runner.py", "tests/loop/test_loop_order.py")),
-    Room("rig/loop", 12, ("tests/loop", "tests/replay", "tests/hil/test_hil_device_relay.py")),
-    Room("rig/daq", 14, ("tests/daq", "tests/hil/test_hil_device_relay.py", "tests/hil/test_hil_driver.py")),
-    Room("rig/recording", 10, ("tests/recording",)),
+    Room("rig/control", 24, ("tests/control", "tests/loop")),
+    Room(
+        "rig/loop",
+        12,
+        ("tests/loop", "tests/replay", "tests/hil/test_hil_device_relay.py"),
+        {
+            "recorded": _REPLAY,
+            "tape": _REPLAY,
+            "clock": ("tests/loop/test_loop_real_time.py", "tests/loop/test_loop_runner.py"),
+            "statistics": ("tests/loop/test_loop_runner.py",),
+            "stop_request": ("tests/loop/test_loop_runner.py",),
+        },
+    ),
+    Room(
+        "rig/daq",
+        14,
+        ("tests/daq", "tests/hil/test_hil_device_relay.py", "tests/hil/test_hil_driver.py"),
+        {
+            "modbus_client": _MODBUS,
+            "modbus_requests": _MODBUS,
+            "modbus_frames": _MODBUS,
+            "relay_stream": ("tests/hil/test_hil_device_relay.py",),
+            "introduction": ("tests/daq/test_daq_serial_link.py",),
+            "simulated": ("tests/loop/test_loop_runner.py", "tests/loop/test_loop_order.py"),
+            "driver": ("tests/daq/test_daq_plugin.py",),
+        },
+    ),
+    Room("rig/recording", 10, ("tests/recording",), {"writer": _FILES, "layout": _FILES, "columns": _FILES}),
 )
 
 # name of a mutant: why what it does is what the code does

@@ -5,8 +5,8 @@ from __future__ import annotations
 import ast
 import hashlib
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import parso
@@ -28,12 +28,14 @@ class Room:
 
     folder   of the modules
     number   of mutants
-    killers  tests; those of the module that is changed come first, by name
+    tests    of the room
+    own      of a module, by its name: which tests its mutants meet first, where none are called after it
     """
 
     folder: str
     number: int
-    killers: tuple[str, ...]
+    tests: tuple[str, ...]
+    own: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def draw(root: Path, room: Room, seed: str) -> list[Mutant]:
@@ -57,8 +59,9 @@ def draw(root: Path, room: Room, seed: str) -> list[Mutant]:
         for operator, occurrence in sorted(changes, key=lambda change: _hash(f"{key} {change[0]}")):
             changed = mutate_code(text, OperatorProvider()[operator](), occurrence)
             if changed is not None and _differs(text, changed):
-                mutant = _mutant(str(path.relative_to(root)), text, changed, _killers(root, room, path))
-                drawn.setdefault(mutant.name, mutant)
+                mutant = _mutant(str(path.relative_to(root)), text, changed)
+                own = _own(root, room, path)
+                drawn.setdefault(mutant.name, replace(mutant, killers=own or room.tests, others=room.tests))
                 break
     return list(drawn.values())
 
@@ -123,35 +126,29 @@ def _differs(text: str, changed: str) -> bool:
         return False
 
 
-def _mutant(path: str, text: str, changed: str, killers: tuple[str, ...]) -> Mutant:
+def _mutant(path: str, text: str, changed: str) -> Mutant:
     """The same change, anchored to the lines of its function."""
     before, after = text.splitlines(keepends=True), changed.splitlines(keepends=True)
     first = next(k for k, (a, b) in enumerate(zip(before, after, strict=False)) if a != b)
     behind = next(k for k, (a, b) in enumerate(zip(reversed(before), reversed(after), strict=False)) if a != b)
     old, new = "".join(before[first : len(before) - behind]), "".join(after[first : len(after) - behind])
-    offset = sum(map(len, before[:first]))
-    function = name_at(text, offset, is_c=False)
-    mutant = Mutant("", path, function, old, new, killers, 0)
+    function = name_at(text, sum(map(len, before[:first])), is_c=False)
+    mutant = Mutant("", path, function, old, new, (), 0)
     while mutant.applied(text) != changed:
-        mutant = Mutant("", path, function, old, new, killers, (mutant.occurrence or 0) + 1)
-    number = mutant.occurrence or 0
-    which = f" ({number + 1})" if number else ""
+        mutant = replace(mutant, occurrence=(mutant.occurrence or 0) + 1)
+    which = f" ({mutant.occurrence + 1})" if mutant.occurrence else ""
     where = f"{path.removeprefix('rig/')} {function}".strip()
-    name = f"{where}{which}: {' '.join(old.split())} -> {' '.join(new.split())}"
-    return Mutant(name, path, function, old, new, killers, mutant.occurrence)
+    return replace(mutant, name=f"{where}{which}: {' '.join(old.split())} -> {' '.join(new.split())}")
 
 
-def _killers(root: Path, room: Room, path: Path) -> tuple[str, ...]:
-    """The room's tests, first those with the module's name."""
-    own = f"test_{Path(room.folder).name}_{path.stem}"
-    first = [
-        str(file.relative_to(root))
-        for killer in room.killers
-        if not killer.endswith(".py")
-        for file in sorted((root / killer).glob("test_*.py"))
-        if file.stem.startswith(own)
-    ]
-    return (*first, *room.killers)
+def _own(root: Path, room: Room, path: Path) -> tuple[str, ...]:
+    """Tests of a module: those that are called after it, and those that the room names."""
+    called = f"test_{Path(room.folder).name}_{path.stem}"
+    files = [file for tests in room.tests for file in sorted((root / tests).glob("test_*.py"))]
+    return (
+        *(str(file.relative_to(root)) for file in files if file.stem.startswith(called)),
+        *room.own.get(path.stem, ()),
+    )
 
 
 def _hash(text: str) -> str:

@@ -114,20 +114,28 @@ class Session:
             return Result("anchor gone", (str(error),), 0.0)
         if complaint:
             return Result("does not compile", tuple(complaint.splitlines()[:1]), 0.0)
-        unfit = tuple(killer for killer in mutant.killers if killer not in took_s)
+        first = self._meet(mutant, mutant.killers, took_s)
+        if first.outcome != SURVIVED or not (mutant.others or self._with_suite):
+            return first
+        if mutant.others:
+            last = self._meet(mutant, mutant.others, self._healthy(mutant.others))
+        else:
+            with self._workshop.with_defect(mutant):
+                met = self._workshop.suite(SUITE)
+            last = Result(SURVIVED if met.outcome == "passed" else CAUGHT[2], met.by, met.cpu_s)
+        return replace(last, cpu_s=first.cpu_s + last.cpu_s)
+
+    def _meet(self, mutant: Mutant, tests: Sequence[str], took_s: Mapping[str, float]) -> Result:
+        """What these tests say to it; ``took_s`` has those that pass without it, and their times."""
+        unfit = tuple(test for test in tests if test not in took_s)
         if unfit:
             return Result("its tests fail without it", unfit, 0.0)
-        needed_s = sum(took_s[killer] for killer in mutant.killers)
+        needed_s = sum(took_s[test] for test in tests)
         limits = Limits(_SLOWER * needed_s + self._spare_s, min(_SLOWER * needed_s + _SPARE_WALL_S, _MOST_WALL_S))
         with self._workshop.with_defect(mutant):
-            met = self._workshop.meet(mutant.killers, limits)
-            if met.outcome != "passed":
-                return Result("hung" if met.outcome == "hung" else "killed", met.by, met.cpu_s)
-            if not self._with_suite:
-                return Result(SURVIVED, (), met.cpu_s)
-            last = self._workshop.suite(SUITE)
-        cpu_s = met.cpu_s + last.cpu_s
-        return Result(SURVIVED, (), cpu_s) if last.outcome == "passed" else Result(CAUGHT[2], last.by, cpu_s)
+            met = self._workshop.meet(tests, limits)
+        outcome = {"passed": SURVIVED, "hung": "hung"}.get(met.outcome, "killed")
+        return Result(outcome, met.by, met.cpu_s)
 
     def _healthy(self, killers: Iterable[str]) -> dict[str, float]:
         """Tests that pass without any defect, and their times: what fails then catches nothing. Of this very tree."""
@@ -152,7 +160,8 @@ class Session:
         self._state.put(self._key(mutant), mutant.name, replace(result, of=self._of(mutant, result)))
 
     def _key(self, mutant: Mutant) -> str:
-        return _hash([repr(mutant), self._hash_of(mutant.path)])
+        what = (mutant.path, mutant.function, mutant.old, mutant.new, str(mutant.occurrence), *mutant.killers)
+        return _hash([*what, *mutant.others, self._hash_of(mutant.path)])
 
     def _of(self, mutant: Mutant, result: Result) -> str:
         if result.outcome not in CAUGHT:

@@ -242,7 +242,7 @@ EXCITATION = of(
         'self._retreat(sample.t_s, f"|y| above {self.reach_rad:.2f} rad")',
         "pass",
         in_file(
-            "tests/control/test_control_gain_search.py",
+            "tests/control/test_control_excitation_search.py",
             "test_a_cycle_that_leaves_its_reach_gets_less_h2_at_once_and_more_h1",
         ),
     ),
@@ -251,14 +251,14 @@ EXCITATION = of(
         "GainSearch.step",
         "elif speed > self.top_speed_rad_s:",
         "elif False:",
-        in_file("tests/control/test_control_gain_search.py", "test_a_cycle_beyond_the_top_speed_gets_less_h2"),
+        in_file("tests/control/test_control_excitation_search.py", "test_a_cycle_beyond_the_top_speed_gets_less_h2"),
     ),
     (
         "the gain search goes on for ever",
         "GainSearch.step",
         "if sample.t_s - self._start_s > self.search.timeout_s:",
         "if False:",
-        in_file("tests/control/test_control_gain_search.py", "test_the_search_ends_at_its_time_out"),
+        in_file("tests/control/test_control_excitation_search.py", "test_the_search_ends_at_its_time_out"),
     ),
     (
         "the relay test does not look whether the cycle stands",
