@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,7 +16,7 @@ from rig.config.modbus import EMULATED_PORTS as MODBUS_EMULATED_PORTS
 from rig.config.modbus import is_tcp, tcp_address
 from rig.config.preflight import Preflight, unknown_driver
 from rig.config.problems import ConfigError, Problem
-from rig.config.room_to_stop import device_watchdog_s, reaction_s
+from rig.config.room_to_stop import known_reaction_s
 from rig.config.schema import Experiment
 from rig.control.guard import GuardSettings
 from rig.daq import registry
@@ -132,8 +132,7 @@ def guard_settings_of(experiment: Experiment, noise_rad: float | None = None) ->
         rail_counts=experiment.sensor.rail_counts,
         max_speed_rad_s=t.max_speed_rad_s,
         coast_tau_s=t.coast_tau_s,
-        # as in `rig check`: the loop's own reaction, one reply that never comes, then the device's watchdog
-        reaction_s=reaction_s(experiment) + experiment.daq.timeout_s + device_watchdog_s(experiment),
+        reaction_s=known_reaction_s(experiment),  # as in `rig check`
         noise_rad=2.0 * lsb_rad if noise_rad is None else max(noise_rad, lsb_rad),
         motion_rad=experiment.breakaway.motion_rad,
     )
@@ -194,7 +193,7 @@ def unopened(experiment: Experiment) -> Iterator[Unopened]:
             clock,
             truth,
             calibration_of(experiment),
-            drive_map_of(experiment),
+            replace(drive_map_of(experiment), full_units=truth.drive_counts),  # as a real device says of itself
             experiment.sensor.rail_counts,
             latency,
             experiment.seed,

@@ -239,11 +239,12 @@ class Suite:
             require(tick.sample.u_V == 0.0, f"a refused write left {tick.sample.u_V} V")
 
     def test_it_drives_no_more_than_it_was_armed_for(self) -> None:
-        """Beyond ``max_u_V`` the device refuses, at once or in the next reading, and can be armed again."""
+        """Beyond ``max_u_V`` the device refuses, at once or in the next reading; once opened anew it can be armed."""
         u = self.drive_V
         with self._armed(max_u_V=0.5 * u):
             told_V = self._try_to_drive(u)
         require(abs(told_V) <= 0.5 * u + 0.05 * u, f"armed for {0.5 * u:.3f} V, it drives {told_V:+.3f} V")
+        self._open()  # what the device has latched is for the next command to clear
         self._run([u, 0.0])
 
     def test_safe_stop_sets_zero(self) -> None:
@@ -457,7 +458,7 @@ class _Silenced(Suite):
     """Of a device with a failsafe, with leave to let it drive for that long."""
 
     def test_silence_sets_zero_and_latches(self) -> None:
-        """Longer silent than ``failsafe`` says: the drive is 0, and stays so whatever is written until ``arm``."""
+        """Longer silent than ``failsafe`` says: the drive is 0 and stays so whatever is written, until opened anew."""
         with self._armed():
             failsafe = self.driver.failsafe
             if failsafe is None:
@@ -473,6 +474,7 @@ class _Silenced(Suite):
             )
             told_V = self._try_to_drive(self.drive_V)
             require(told_V == 0.0, f"after its failsafe it drives {told_V:+.4f} V again without being armed")
+        self._open()
         self._run([self.drive_V, 0.0])
 
 

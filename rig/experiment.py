@@ -13,9 +13,9 @@ from pathlib import Path
 
 from rig.bench import calibration_of, drive_map_of, guard_settings_of, limits_of, real_time_of
 from rig.config import Experiment
-from rig.config.room_to_stop import reach_rad
+from rig.config.room_to_stop import breakaway_strokes, reach_rad
 from rig.config.schema import Method
-from rig.control.breakaway import BreakawayCheck
+from rig.control.breakaway import BreakawayCheck, BreakawayLaw
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.homing import Homing
 from rig.control.hysteretic import HystereticRun
@@ -39,6 +39,7 @@ from rig.session import FADE_S, OnStart, Outcome, Session, record
 REST_S = 0.7
 RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
 HOMING_TIMEOUT_S = 40.0
+BREAKAWAY_LAW = "pairs"  # in meta.json, so that a replay knows which law ran
 START_REST_S = 0.5  # recorded before a hysteretic relay's first drive
 HYSTERETIC_SWITCHINGS = 6  # least squares takes the motion up to the first, the sampled-data estimator all of it
 HYSTERETIC_TIMEOUT_S = 10.0  # for each
@@ -52,7 +53,7 @@ def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -
         identify_recorded(session)
         verify_models(session)
 
-    return record(experiment, parent, {"name": "run"}, script, on_start)
+    return record(experiment, parent, _named("run"), script, on_start)
 
 
 def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
@@ -62,12 +63,12 @@ def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = N
         drive_tests(session)
         identify_recorded(session)
 
-    return record(experiment, parent, {"name": "relay"}, script, on_start)
+    return record(experiment, parent, _named("relay"), script, on_start)
 
 
 def run_breakaway(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
     """The breakaway check alone: whether the bench arms, and whether the shaft moves, the right way."""
-    return record(experiment, parent, {"name": "breakaway"}, drive_check, on_start)
+    return record(experiment, parent, _named("breakaway"), drive_check, on_start)
 
 
 def run_tracking(
@@ -85,7 +86,7 @@ def run_tracking(
         drive_check(session)
         verify_models(session)
 
-    return record(experiment, parent, {"name": "track"}, script, on_start)
+    return record(experiment, parent, _named("track"), script, on_start)
 
 
 def jog(
@@ -99,18 +100,23 @@ def jog(
     return record(experiment, parent, {"name": "jog", "u_V": u_V, "duration_s": duration_s}, script, on_start)
 
 
-def drive_tests(session: Session) -> None:
-    """All that drives in ``run`` and ``run_relay`` before anything is identified."""
+def _named(script: str) -> dict[str, str | float]:
+    """What meta.json says of a script with a breakaway check."""
+    return {"name": script, "breakaway": BREAKAWAY_LAW}
+
+
+def drive_tests(session: Session, check: BreakawayLaw | None = None) -> None:
+    """All that drives in ``run`` and ``run_relay`` before anything is identified; ``check`` as ``check_breakaway``."""
     with driving(session):
-        check_breakaway(session)
+        check_breakaway(session, check)
         test_relays(session)
         test_hysteretic(session)
 
 
-def drive_check(session: Session) -> None:
-    """The breakaway check alone."""
+def drive_check(session: Session, check: BreakawayLaw | None = None) -> None:
+    """The breakaway check alone; ``check`` as ``check_breakaway``."""
     with driving(session):
-        check_breakaway(session)
+        check_breakaway(session, check)
 
 
 def drive_by_hand(session: Session, u_V: float, duration_s: float) -> None:
@@ -148,15 +154,33 @@ def _tell_real_time(session: Session, done: RealTime) -> None:
         write_meta(session.folder, session.meta | {"real_time": asdict(done)})
 
 
-def check_breakaway(session: Session) -> None:
-    """Prove sensor, drive and sign by a slow ramp each way; from then on the guard may brake by itself."""
+def breakaway_check(e: Experiment) -> BreakawayCheck:
+    """The breakaway check of a config. Raises Fault CONFIG_MISMATCH where its unseen travel has no bound."""
+    strokes = None if e.motor is None else breakaway_strokes(e)
+    if strokes is None:
+        raise Fault(
+            "CONFIG_MISMATCH",
+            "with a stuck or uncoupled sensor nothing would bound what the shaft turns in the breakaway check: "
+            "motor.no_load_speed_rad_s is missing, or breakaway.max_V is too high for it; see `rig check`",
+        )
+    b = e.breakaway
+    return BreakawayCheck(
+        strokes.step_V, b.max_V, b.motion_rad, b.rest_s, strokes.stroke_s, strokes.pause_s, e.period_s
+    )
+
+
+def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None:
+    """Prove sensor, drive and sign by strokes to and fro; from then on the guard may brake by itself.
+
+    check  another law than the one of now: that of an older version, for a replay
+    """
     e = session.experiment
     session.loop.run(Rest(0.1), "rest")
     y_rad = session.loop.last_y_rad
     low, high = e.limits.soft_rad
     if not low <= y_rad <= high:
         raise Fault("START_OUTSIDE", f"y = {y_rad:.3f} rad, soft limits {low:.2f} to {high:.2f} rad")
-    check = BreakawayCheck(e.breakaway.ramp_V_s, e.breakaway.max_V, e.breakaway.motion_rad, e.breakaway.rest_s)
+    check = breakaway_check(e) if check is None else check
     session.loop.run(check, "breakaway")
     session.breakaway = check
     guard = session.loop.guard
@@ -298,7 +322,21 @@ def identify_recorded(session: Session) -> None:
     session.recorder.drain()
     session.note("stage", name="identify")
     session.identification = identify([read_run(session.folder)])
+    _compare_with_data_sheet(session, session.identification)
     session.loop.check_stop()
+
+
+def _compare_with_data_sheet(session: Session, identification: Identification) -> None:
+    """Say where the motor is faster than the data sheet's speed, on which the bound of unseen travel rests."""
+    e, best = session.experiment, identification.best
+    if e.motor is None or best is None:
+        return
+    no_load_rad_s = best.K_rad_s_V * (e.drive.supply_V - best.fc_V)
+    if no_load_rad_s > 1.1 * e.motor.no_load_speed_rad_s:
+        session.notes.append(
+            f"motor.no_load_speed_rad_s is {e.motor.no_load_speed_rad_s:g}, but by this estimate the shaft would reach "
+            f"{no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V: correct it, the breakaway check's strokes rest on it"
+        )
 
 
 def verify_models(session: Session) -> None:

@@ -1,11 +1,13 @@
 """The one table of faults: a code, what it means, what to do.
 
-Any room may import this module; it imports none.
+Any room may import this module; it imports only ``rig.signals``.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
+
+from rig.signals import plain
 
 
 class FaultEntry(NamedTuple):
@@ -156,9 +158,10 @@ FAULTS: dict[str, FaultEntry] = {
         "driver's times",
     ),
     "NO_MOTION": FaultEntry(
-        "no motion up to the largest breakaway drive",
-        "check the motor's supply and wires, that it turns by hand, and that the reading follows it (wiper, coupling); "
-        "where all that is well, raise breakaway.max_V",
+        "no motion was seen up to the largest breakaway drive",
+        "prove the sensor before anything else: supply off, turn the shaft by hand, and see the reading of "
+        "`rig jog --u-V 0` follow it (wiper, coupling). Then check the motor's supply, wires and bridge. Only where "
+        "all that is well is friction higher than thought: then raise breakaway.max_V, by a fifth at a time",
     ),
     "DRIVE_STUCK_ON": FaultEntry(
         "the shaft moves although the drive is at 0 V",
@@ -231,11 +234,26 @@ FAULTS: dict[str, FaultEntry] = {
 }
 
 
+# what a device may have latched before a command opened it, in few words; of any other its cause
+_SINCE_THE_LAST_RUN = {
+    "DEVICE_ESTOP": "e-stop pressed",
+    "DEVICE_WATCHDOG": "the device's watchdog took the drive off",
+    "DEVICE_TRAVEL": "the shaft was beyond a hard limit",
+    "DEVICE_SENSOR": "the position sensor was at its rail",
+    "DEVICE_END_SWITCH": "an end switch opened",
+}
+
+
+def since_the_last_run(code: str) -> str:
+    """What it means that opening a device has cleared this fault, for the person who gave the command."""
+    return f"{_SINCE_THE_LAST_RUN.get(code, FAULTS[code].cause)} since the last run: the device had latched {code}"
+
+
 class Fault(Exception):
     """A latched fault: code, cause, cure, and what was seen here.
 
     code    a key of ``FAULTS``
-    detail  the numbers of this case, e.g. "y = 1.52 rad, hard limit 1.50 rad"
+    detail  the numbers of this case, e.g. "y = 1.52 rad, hard limit 1.50 rad"; in it may be what a device said
     """
 
     def __init__(self, code: str, detail: str = "") -> None:
@@ -243,7 +261,7 @@ class Fault(Exception):
         self.code = code
         self.cause = entry.cause
         self.cure = entry.cure
-        self.detail = detail
+        self.detail = detail = plain(detail)
         super().__init__(f"{code}: {entry.cause}" + (f" ({detail})" if detail else ""))
 
     def as_dict(self) -> dict[str, str]:

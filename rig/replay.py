@@ -15,7 +15,9 @@ from typing import Any, Literal
 
 from rig import config, experiment
 from rig.bench import Bench, calibration_of, drive_map_of, guard_settings_of
-from rig.config.schema import Method
+from rig.config.schema import Experiment, Method
+from rig.control.breakaway import BreakawayLaw
+from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.guard import Guard
 from rig.daq.driver import DeviceInfo
 from rig.faults import FAULTS, Fault
@@ -199,11 +201,11 @@ def _script(recording: Recording) -> Script:
             experiment.track(session, models)
 
     def tests(session: Session) -> None:
-        experiment.drive_tests(session)
+        experiment.drive_tests(session, law(session.experiment))
         then_track(session)
 
     def check(session: Session) -> None:
-        experiment.drive_check(session)
+        experiment.drive_check(session, law(session.experiment))
         then_track(session)
 
     def by_hand(session: Session) -> None:
@@ -215,9 +217,24 @@ def _script(recording: Recording) -> Script:
         raise RecordingError(
             recording.source / META, f"no script {name!r} in this version", "use the version that recorded"
         )
+    law = _breakaway_law(recording, what)
     if script is by_hand and not all(isinstance(what.get(key), int | float) for key in ("u_V", "duration_s")):
         raise _broken(recording, "script", what)
     return script
+
+
+def _breakaway_law(recording: Recording, what: dict[str, Any]) -> Callable[[Experiment], BreakawayLaw]:
+    """The breakaway law that ran: the one of now, or that of an older version."""
+    law = what.get("breakaway")
+    if law == experiment.BREAKAWAY_LAW:
+        return experiment.breakaway_check
+    if law is None:
+        return lambda e: OneWayCheck(
+            e.breakaway.ramp_V_s, e.breakaway.max_V, e.breakaway.motion_rad, e.breakaway.rest_s
+        )
+    raise RecordingError(
+        recording.source / META, f"no breakaway law {law!r} in this version", "use the version that recorded"
+    )
 
 
 def _device(recording: Recording) -> tuple[Order, int | None, float]:

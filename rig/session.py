@@ -14,14 +14,14 @@ from typing import Any
 
 import rig
 from rig.bench import Bench, connect, guard_settings_of
-from rig.config import Experiment, dump
+from rig.config import Experiment, dump, notes
 from rig.config.link_budget import times_error_s
 from rig.config.room_to_stop import device_watchdog_s
-from rig.control.breakaway import BreakawayCheck
+from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import GainSearch
 from rig.control.guard import Guard
 from rig.control.tracking import tracking_error
-from rig.faults import FAULTS, Fault
+from rig.faults import Fault, since_the_last_run
 from rig.identify import Identification, IdentifyError, identify
 from rig.loop.real_time import RealTime
 from rig.loop.runner import STOPPING, Loop
@@ -32,17 +32,10 @@ from rig.recording.reader import read_run
 from rig.recording.record import Record
 from rig.recording.recorder import Recorder
 from rig.report import write_report
+from rig.report.words import NOTHING_TO_IDENTIFY
 
 FADE_S = 1.5  # of the tracking reference; errors count after it
 _LONG_GAP_S = 0.1  # between two readings of a device that latches no e-stop
-# what opening the device has cleared
-_SINCE_THE_LAST_RUN = {
-    "DEVICE_ESTOP": "e-stop pressed",
-    "DEVICE_WATCHDOG": "the device's watchdog took the drive off",
-    "DEVICE_TRAVEL": "the shaft was beyond a hard limit",
-    "DEVICE_SENSOR": "the position sensor was at its rail",
-    "DEVICE_END_SWITCH": "an end switch opened",
-}
 
 
 @dataclass
@@ -85,7 +78,7 @@ class Session:
     loop: Loop
     meta: dict[str, Any]
     real_time: RealTime | None = None  # what the machine granted the loop, once it was asked
-    breakaway: BreakawayCheck | None = None
+    breakaway: BreakawayLaw | None = None
     search: GainSearch | None = None
     identification: Identification | None = None
     models_from: Path | None = None  # the run that identified them, where it is another
@@ -118,7 +111,7 @@ def record(
             write_config(folder, dump(experiment))
             meta = _meta(experiment, bench, started) | {"script": what}
             write_meta(folder, meta)
-            said = tuple(_cleared(code) for code in bench.info.acknowledged)
+            said = tuple(since_the_last_run(code) for code in bench.info.acknowledged)
             recorder = Recorder(folder, _stages(experiment))
             try:
                 if on_start is not None:
@@ -133,11 +126,6 @@ def record(
         _measure_tracking(session, outcome)
         _write_result(session, outcome)
     return _conclude(session, outcome)
-
-
-def _cleared(code: str) -> str:
-    words = _SINCE_THE_LAST_RUN.get(code, FAULTS[code].cause)
-    return f"{words} since the last run: the device had latched {code}"
 
 
 def _run_script(script: Script, session: Session) -> Fault | None:
@@ -191,7 +179,7 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
             if any(stage.startswith(("relay-", "hysteretic-")) for stage in recording.stages()):
                 session.identification = identify([recording])
         except (IdentifyError, RecordingError) as error:
-            session.notes.append(f"nothing to identify: {error.cause}")
+            session.notes.append(f"{NOTHING_TO_IDENTIFY}: {error.cause}")
         except Exception as error:  # noqa: BLE001 - the result that is written already stays, and says so
             outcome.failures.append(f"the record was not identified: {_defect(error)}")
         _write_result(session, outcome)
@@ -250,6 +238,7 @@ def _result(session: Session, fault: Fault | None) -> dict[str, Any]:
         | ({} if session.real_time is None else {"real_time": asdict(session.real_time)}),
         "link": dict(session.bench.driver.link_statistics),
         "faults": [] if fault is None else [fault.as_dict()],
+        "config_notes": list(notes(session.experiment)),
         "notes": [*session.notes, *([] if identification is None else identification.notes)],
     }
     eps_rad = {f"hysteretic-{k}": run.eps_rad for k, run in enumerate(session.experiment.relay.hysteretic or (), 1)}
@@ -303,6 +292,7 @@ def _truth(bench: Bench) -> dict[str, float] | None:
 
 
 def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, Any]:
+    watchdog_s = device_watchdog_s(experiment)
     return {
         "schema": 1,
         "name": experiment.name,
@@ -320,8 +310,8 @@ def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, 
             **({} if math.isnan(bench.info.supply_V) else {"supply_V": bench.info.supply_V}),
         },
         "failsafe": "none: the device holds its last drive"
-        if bench.driver.failsafe is None
-        else f"device watchdog, {device_watchdog_s(experiment) * 1e3:.0f} ms",
+        if bench.driver.failsafe is None or watchdog_s is None
+        else f"device watchdog, {watchdog_s * 1e3:.0f} ms",
         "started_utc": started.isoformat(timespec="milliseconds"),
         "versions": {"rig": rig.__version__, "python": platform.python_version()},
         "host": {"system": platform.platform(), "machine": platform.machine()},

@@ -39,6 +39,11 @@ class Sample(NamedTuple):
     seq: int = 0
 
 
+def plain(text: str) -> str:
+    """``text`` as a terminal may show it: what does not print (escape sequences, line breaks) becomes an escape."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
 @dataclass(frozen=True)
 class Limits:
     """What a device is armed with, and what the guard enforces (architecture: Safety).

@@ -100,6 +100,8 @@ def show_run(outcome: Outcome) -> None:
         )
     for line in loop.get("real_time", {}).get("refused", ()):
         click.echo(f"loop: {line}")
+    for note in result.get("config_notes", ()):
+        click.echo(f"note: {note}")
     click.echo(f"run:    {outcome.folder}")
     if (outcome.folder / "report.html").is_file():  # else the failure says why
         click.echo(f"report: {outcome.folder / 'report.html'}")

@@ -88,9 +88,16 @@ def simulated_bench(
     return SimulatedBench(driver, clock, watching, loop, record, stop)
 
 
+def breakaway_check() -> BreakawayCheck:
+    """The check as config/demo.yaml has it."""
+    return BreakawayCheck(
+        step_V=0.064, max_V=1.2, motion_rad=0.02, rest_s=0.4, stroke_s=0.04, pause_s=0.12, period_s=PERIOD_S
+    )
+
+
 def break_away(loop: Loop) -> BreakawayCheck:
     """The breakaway check inside ``armed``; the guard knows of it then, as in a run."""
-    check = BreakawayCheck(ramp_V_s=0.4, max_V=1.2, motion_rad=0.02, rest_s=0.4)
+    check = breakaway_check()
     loop.run(check, "breakaway")
     loop.guard.sign_proven = True
     loop.guard.static_V = max(check.plus_V, check.minus_V)

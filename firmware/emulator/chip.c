@@ -5,7 +5,9 @@
  *   - a pin set from outside is forgotten when the firmware writes the port: it is told of it as an external pull;
  *   - an interrupt that came while it was held back is lost to it: the tick's is raised again when it is let in;
  *   - it converts what stands in a register when the result is read: that is set at the sample's instant;
- *   - its sleep waits for real time: not here.
+ *   - its sleep waits for real time: not here;
+ *   - it lets a program write registers as the data sheet forbids: Timer1, on which the drive hangs, is in timer1.c, and
+ *     some rules for the others are below; the first one that the program breaks is kept.
  */
 #include "chip.h"
 
@@ -25,6 +27,7 @@
 #include <simavr/sim_io.h>
 
 #include "bench.h"
+#include "timer1.h"
 #include "wire.h"
 
 #define LIBRARY_VERSION "1.6" /* of the structures that are looked into here */
@@ -37,16 +40,30 @@
 #define CONTACTS 0x70u /* of port D; at D2 and D3 libsimavr would look for low levels at each cycle */
 #define ENTRY_CYCLES 4u /* of an interrupt: data sheet, section 7.7.1 */
 #define PAINT 0xA7u /* of memory that nobody has written */
+#define TIMED_CYCLES 4u /* within which the watchdog's register is open: section 11.9.2 */
+#define CONVERTER_HZ 200000u /* its fastest clock for 10 bits: section 24.4 */
 
 /* Addresses in data space, and bits, of the registers that make up the drive, and of some more. */
 enum {
-    PIND = 0x29, DDRB = 0x24, PORTB = 0x25, TIFR2 = 0x37, MCUSR = 0x54, TIMSK2 = 0x70, ADCSRA = 0x7A, TCCR1A = 0x80, TCCR1B = 0x81,
-    ICR1L = 0x86, ICR1H = 0x87, OCR1AL = 0x88, OCR1AH = 0x89, OCR1BL = 0x8A, OCR1BH = 0x8B, UCSR0A = 0xC0,
-    UCSR0B = 0xC1, UBRR0L = 0xC4, UBRR0H = 0xC5, RAM = 0x100
+    PIND = 0x29, DDRB = 0x24, PORTB = 0x25, PORTD = 0x2B, TIFR2 = 0x37, SMCR = 0x53, MCUSR = 0x54, WDTCSR = 0x60, TIMSK2 = 0x70,
+    ADCSRA = 0x7A, ADMUX = 0x7C, UCSR0A = 0xC0, UCSR0B = 0xC1, UCSR0C = 0xC2, UBRR0L = 0xC4, UBRR0H = 0xC5, RAM = 0x100
 };
 enum { PB_DIRECTION = 0, PB_OC1A = 1, PB_OC1B = 2, PB_LED = 5 };
 enum { TIMER2_COMPB = 8, USART_RX = 18, USART_UDRE = 19 }; /* numbers of interrupts */
-enum { U2X0 = 1, RXEN0 = 4, OCIE2A = 1, OCIE2B = 2, OCF2B = 2, ADIE = 3 };
+enum { U2X0 = 1, TXEN0 = 3, RXEN0 = 4, OCIE2A = 1, OCIE2B = 2, OCF2B = 2, ADIE = 3, ADSC = 6, WDE = 3, WDCE = 4, WDRF = 3, SE = 0 };
+enum { UPE0_TO_FE0 = 0x1C };
+
+/* Whose writes are looked at besides those that libsimavr itself tells of. */
+static const avr_io_addr_t WATCHED[] = {
+    DDRB, PORTB, PORTD, TCCR1A, TCCR1B, TCNT1L, TCNT1H, ICR1L, ICR1H, OCR1AL, OCR1AH, OCR1BL, OCR1BH,
+    ADMUX, UCSR0A, UCSR0C, UBRR0L, UBRR0H, WDTCSR
+};
+#define WATCHED_COUNT (sizeof WATCHED / sizeof WATCHED[0])
+
+typedef struct {
+    virtual_board *board;
+    avr_io_addr_t address;
+} watched;
 
 enum bridge_style { PWM_DIR, IN1_IN2 };
 
@@ -60,6 +77,8 @@ struct virtual_board {
     avr_t *avr;
     avr_uart_t *uart;
     avr_timer_t *timer2;
+    timer1 timer1;
+    watched watched[WATCHED_COUNT];
     avr_irq_t *uart_in, *adc_in, *port_d;
     void (*chip_reset)(avr_t *);
     wire to_device, to_host;
@@ -80,10 +99,27 @@ struct virtual_board {
     avr_flashaddr_t stall_trap, stall_pc;      /* where it runs meanwhile, and where it goes on */
     uint8_t stall_depth;                       /* of interrupts */
     uint32_t resets, overruns, crashed;
+    const char *broken_rule; /* the first one; NULL: none */
+    uint8_t wdtcsr;
+    avr_cycle_count_t wdtcsr_opened;
+    int8_t conducts; /* the bridge, now: -1, 0, 1 */
+    avr_cycle_count_t conducts_from, longest_pulse;
     uint64_t awake_cycles, masked_now, masked_most, interrupt_now, interrupt_most;
     uint64_t timed_now, timed_most, tick_now, tick_most, held_now, held_most;
     avr_cycle_count_t tick_from;
 };
+
+static void hold_to(virtual_board *b, bool kept, const char *rule)
+{
+    if (!kept && b->broken_rule == NULL) {
+        b->broken_rule = rule;
+    }
+}
+
+static bool has(uint8_t bits, unsigned bit)
+{
+    return ((bits >> bit) & 1u) != 0u;
+}
 
 /* ---- time ---- */
 
@@ -221,34 +257,29 @@ static void adc_starts(avr_irq_t *irq, uint32_t value, void *context)
     }
     b->sampled_channel = is.mux.src;
     const unsigned divisor = 1u << (b->avr->data[ADCSRA] & 7u);
+    hold_to(b, CHIP_HZ / divisor <= CONVERTER_HZ, "the converter's clock is too fast for 10 bits, section 24.4");
     avr_cycle_timer_register(b->avr, divisor + divisor / 2u, adc_holds, b);
 }
 
 /* ---- bridge ---- */
 
-static unsigned pair_of(const uint8_t *data, unsigned low)
+/* Share of the time for which a pin is high: 0 where it is no output (pull-downs), the timer's where it shows that. */
+static double pin_duty(const virtual_board *b, unsigned bit)
 {
-    return data[low] | ((unsigned)data[low + 1u] << 8);
-}
-
-/* Share of the time for which an output is high: 0 where it is no output (pull-downs), the timer's where it is on it. */
-static double pin_duty(const uint8_t *data, unsigned bit, unsigned mode, unsigned compare)
-{
+    const uint8_t *data = b->avr->data;
     if (((data[DDRB] >> bit) & 1u) == 0u) {
         return 0.0;
     }
-    const unsigned top = pair_of(data, ICR1L);
-    if (mode < 2u || top == 0u) {
+    if (bit == PB_DIRECTION || !timer1_has_pin(&b->timer1, bit - PB_OC1A)) {
         return (double)((data[PORTB] >> bit) & 1u);
     }
-    const double high = fmin((double)pair_of(data, compare) / (double)top, 1.0);
-    return mode == 2u ? high : 1.0 - high;
+    return timer1_share(&b->timer1, bit - PB_OC1A);
 }
 
 /* What dead time leaves of a share of the time that the bridge conducts. */
 static double conducted(const virtual_board *b, double duty)
 {
-    const double top = (double)pair_of(b->avr->data, ICR1L);
+    const double top = (double)b->timer1.top;
     const double size = fabs(duty);
     if (b->dead_time_s == 0.0 || size == 0.0 || size == 1.0 || top == 0.0) {
         return duty;
@@ -258,12 +289,54 @@ static double conducted(const virtual_board *b, double duty)
 
 static double bridge_duty(const virtual_board *b)
 {
-    const uint8_t *data = b->avr->data;
-    const double a = pin_duty(data, PB_OC1A, data[TCCR1A] >> 6, OCR1AL);
+    const double a = pin_duty(b, PB_OC1A);
     if (b->style == PWM_DIR) {
-        return pin_duty(data, PB_DIRECTION, 0, 0) > 0.0 ? -a : a;
+        return pin_duty(b, PB_DIRECTION) > 0.0 ? -a : a;
     }
-    return a - pin_duty(data, PB_OC1B, (data[TCCR1A] >> 4) & 3u, OCR1BL);
+    return a - pin_duty(b, PB_OC1B);
+}
+
+static int8_t pin_level(const virtual_board *b, unsigned bit)
+{
+    const uint8_t *data = b->avr->data;
+    const bool shows_timer = bit != PB_DIRECTION && timer1_has_pin(&b->timer1, bit - PB_OC1A);
+    const bool high = shows_timer ? b->timer1.level[bit - PB_OC1A] : ((data[PORTB] >> bit) & 1u) != 0u;
+    return high && ((data[DDRB] >> bit) & 1u) != 0u ? 1 : 0;
+}
+
+static void keep_most(uint64_t *most, uint64_t value)
+{
+    *most = value > *most ? value : *most;
+}
+
+/* The bench gets the mean over a period; how long the bridge conducts without a break is kept beside it, edge by edge. */
+static void levels_may_have_changed(virtual_board *b, avr_cycle_count_t at)
+{
+    const int8_t a = pin_level(b, PB_OC1A);
+    const int8_t other = pin_level(b, b->style == PWM_DIR ? PB_DIRECTION : PB_OC1B);
+    const int8_t now = (int8_t)(b->style == PWM_DIR ? a * (1 - 2 * other) : a - other);
+    if (now != b->conducts) {
+        if (b->conducts != 0) {
+            keep_most(&b->longest_pulse, at - b->conducts_from);
+        }
+        b->conducts = now;
+        b->conducts_from = at;
+    }
+}
+
+static void timer1_changed(void *context)
+{
+    virtual_board *b = context;
+    levels_may_have_changed(b, b->timer1.at);
+}
+
+/* A pulse that has begun in the last period begins anew in each. */
+static void timer1_skips(void *context, uint64_t cycles)
+{
+    virtual_board *b = context;
+    if (b->timer1.at - cycles - b->conducts_from < 2u * (uint64_t)b->timer1.top) {
+        b->conducts_from += cycles;
+    }
 }
 
 static void pins_may_have_changed(virtual_board *b)
@@ -280,11 +353,92 @@ static void pins_may_have_changed(virtual_board *b)
     }
 }
 
+/* ---- what the data sheet does not let a program write ---- */
+
+static unsigned instruction(const avr_t *avr)
+{
+    return avr->flash[avr->pc] | ((unsigned)avr->flash[avr->pc + 1u] << 8);
+}
+
+/* By SBI or CBI, which no interrupt can split from what it has read. */
+static bool writes_one_bit(const avr_t *avr)
+{
+    return (instruction(avr) & 0xFD00u) == 0x9800u;
+}
+
+/* STS and ST, ST with a displacement, OUT, SBI and CBI: libsimavr tells of reads, too. */
+static bool writes(const avr_t *avr)
+{
+    const unsigned i = instruction(avr);
+    return (i & 0xFE00u) == 0x9200u || (i & 0xD200u) == 0x8200u || (i & 0xF800u) == 0xB800u || writes_one_bit(avr);
+}
+
+static void watchdog_written(virtual_board *b, uint8_t value)
+{
+    const avr_t *avr = b->avr;
+    const uint8_t kept = (uint8_t)~(1u << WDCE);
+    const bool opens = has(value, WDCE) && has(value, WDE);
+    const bool is_open = b->wdtcsr_opened != 0u && avr->cycle - b->wdtcsr_opened <= TIMED_CYCLES;
+    hold_to(b, !avr->sreg[S_I], "WDTCSR written with interrupts on, section 11.9.2");
+    hold_to(b, opens || is_open || (value & kept) == (b->wdtcsr & kept), "WDTCSR changed without its timed sequence, section 11.9.2");
+    hold_to(b, has(value, WDE) || !has(avr->data[MCUSR], WDRF), "WDE cleared while WDRF is set, section 11.9.2");
+    b->wdtcsr_opened = opens ? avr->cycle : 0u;
+    b->wdtcsr = opens ? b->wdtcsr : value;
+}
+
+static void hold_to_rules(virtual_board *b, avr_io_addr_t address, uint8_t value)
+{
+    const avr_t *avr = b->avr;
+    const bool interrupts = avr->sreg[S_I] != 0u;
+    switch (address) {
+    case DDRB:
+    case PORTB:
+    case PORTD:
+        hold_to(b, !interrupts || writes_one_bit(avr), "a port read, changed and written with interrupts on, section 14.1");
+        break;
+    case TCNT1H:
+    case ICR1H:
+    case OCR1AH:
+    case OCR1BH:
+        hold_to(b, !interrupts, "a 16-bit register written with interrupts on, section 16.3");
+        break;
+    case ADMUX:
+        hold_to(b, !has(avr->data[ADCSRA], ADSC), "ADMUX written while a conversion runs, section 24.5");
+        break;
+    case UCSR0A:
+        hold_to(b, (value & UPE0_TO_FE0) == 0u, "FE0, DOR0 or UPE0 written as 1, section 20.11.2");
+        break;
+    case UCSR0C:
+    case UBRR0L:
+    case UBRR0H:
+        hold_to(b, !has(avr->data[UCSR0B], RXEN0) && !has(avr->data[UCSR0B], TXEN0),
+                "the serial port set up while it is on, sections 20.5 and 20.11.5");
+        break;
+    case WDTCSR:
+        watchdog_written(b, value);
+        break;
+    default:
+        break;
+    }
+}
+
 static void register_written(avr_irq_t *irq, uint32_t value, void *context)
 {
+    const watched *w = context;
+    virtual_board *b = w->board;
     (void)irq;
-    (void)value;
-    pins_may_have_changed(context);
+    if (!writes(b->avr)) {
+        return;
+    }
+    hold_to_rules(b, w->address, (uint8_t)value);
+    if (w->address >= TCCR1A && w->address <= OCR1BH) {
+        const char *broken = timer1_write(&b->timer1, b->avr->cycle, w->address, (uint8_t)value);
+        hold_to(b, broken == NULL, broken);
+    } else {
+        timer1_advance(&b->timer1, b->avr->cycle);
+    }
+    levels_may_have_changed(b, b->avr->cycle);
+    pins_may_have_changed(b);
 }
 
 /* ---- clock ---- */
@@ -331,6 +485,10 @@ static void after_reset(avr_t *avr)
     b->stall_end = 0;
     b->has_started = false;
     b->masked_now = 0;
+    b->wdtcsr = avr->data[WDTCSR];
+    timer1_advance(&b->timer1, avr->cycle);
+    timer1_reset(&b->timer1, avr->cycle);
+    levels_may_have_changed(b, avr->cycle);
     b->resets++;
     b->look_again = true;
     b->stop = 0;
@@ -372,11 +530,12 @@ static const char *load(virtual_board *b)
 
 static void connect(virtual_board *b)
 {
-    static const avr_io_addr_t WATCHED[] = {DDRB, PORTB, TCCR1A, OCR1AL, OCR1BL, ICR1L};
     avr_t *avr = b->avr;
-    for (unsigned i = 0; i < sizeof WATCHED / sizeof WATCHED[0]; i++) {
-        avr_irq_register_notify(avr_iomem_getirq(avr, WATCHED[i], NULL, AVR_IOMEM_IRQ_ALL), register_written, b);
+    for (unsigned i = 0; i < WATCHED_COUNT; i++) {
+        b->watched[i] = (watched){b, WATCHED[i]};
+        avr_irq_register_notify(avr_iomem_getirq(avr, WATCHED[i], NULL, AVR_IOMEM_IRQ_ALL), register_written, &b->watched[i]);
     }
+    b->timer1 = (timer1){.changed = timer1_changed, .skips = timer1_skips, .context = b};
     avr_irq_register_notify(avr_iomem_getirq(avr, TIMSK2, NULL, AVR_IOMEM_IRQ_ALL), timer2_mask_written, b);
     uint32_t flags = 0;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
@@ -481,17 +640,12 @@ const char *virtual_start(virtual_board *b, int64_t byte_ns)
 
 /* ---- running ---- */
 
+/* Until another stop takes its place, so that a program that falls asleep just then does not sleep past it. */
 static avr_cycle_count_t stop_here(avr_t *avr, avr_cycle_count_t when, void *context)
 {
-    (void)avr;
     (void)when;
     (void)context;
-    return 0;
-}
-
-static void keep_most(uint64_t *most, uint64_t value)
-{
-    *most = value > *most ? value : *most;
+    return avr->cycle + 1u;
 }
 
 /* Cycles of the interrupt that an instruction belonged to; none: the main program. */
@@ -591,6 +745,9 @@ static void step(virtual_board *b)
         b->crashed++;
         avr->cycle = b->stop;
         return;
+    }
+    if (!was_asleep && avr->state == cpu_Sleeping) {
+        hold_to(b, avr->data[SMCR] == (1u << SE), "asleep not in idle mode, or not enabled, section 10.11.1");
     }
     if (!was_asleep) {
         b->awake_cycles += avr->cycle - from;
@@ -786,6 +943,22 @@ void virtual_look(const virtual_board *b, virtual_view *view)
 double virtual_held_us(const virtual_board *b)
 {
     return 1e6 * (double)b->held_most / CHIP_HZ;
+}
+
+const char *virtual_broken_rule(const virtual_board *b)
+{
+    return b->broken_rule != NULL ? b->broken_rule : "";
+}
+
+double virtual_longest_pulse_s(virtual_board *b)
+{
+    timer1_advance(&b->timer1, b->avr->cycle);
+    avr_cycle_count_t longest = b->longest_pulse;
+    if (b->conducts != 0) {
+        keep_most(&longest, b->avr->cycle - b->conducts_from);
+    }
+    b->longest_pulse = 0;
+    return (double)longest / CHIP_HZ;
 }
 
 const char *virtual_rewire(virtual_board *b, const char *drive, const char *sensor)

@@ -50,6 +50,12 @@ void virtual_look(const virtual_board *b, virtual_view *view);
  * measures. */
 double virtual_held_us(const virtual_board *b);
 
+/* The first rule of the data sheet for writing registers that the program has broken, in words; "": none so far. */
+const char *virtual_broken_rule(const virtual_board *b);
+
+/* Longest time for which the bridge has conducted without a break, since the last call. */
+double virtual_longest_pulse_s(virtual_board *b);
+
 /* A reset by anything but the watchdog, which needs no help; then `boot_s` in the boot loader, where pins float. */
 void virtual_boot(virtual_board *b, uint8_t cause, double boot_s);
 

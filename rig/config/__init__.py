@@ -2,6 +2,7 @@
 
 from rig.config.campaign import Campaign, campaign_lines
 from rig.config.load import check, dump, is_campaign, json_schema, load, load_campaign, schema_text
+from rig.config.plan import notes
 from rig.config.preflight import Preflight, preflight
 from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
@@ -19,6 +20,7 @@ __all__ = [
     "json_schema",
     "load",
     "load_campaign",
+    "notes",
     "preflight",
     "schema_text",
 ]

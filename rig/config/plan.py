@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import isclose
 
 from rig.config.backend import adapter_of, backend_words, is_emulated, is_plug_in
+from rig.config.emulated_bench import differences
 from rig.config.link_budget import block_sum, link_budget, link_sum, sample_to_drive_s
 from rig.config.modbus import as_in_a_manual, read_in_a_tick, written_at_arming, written_in_a_tick
 from rig.config.problems import bracketed
-from rig.config.room_to_stop import overshoot_terms, peak_speed_rad_s, room_rad, stopping_sum, stopping_terms
+from rig.config.room_to_stop import (
+    breakaway_strokes,
+    overshoot_terms,
+    peak_speed_rad_s,
+    room_rad,
+    stopping_sum,
+    stopping_terms,
+)
 from rig.config.schema import Experiment
 from rig.config.sensor import range_rad
 from rig.usb_serial import CHIPS
@@ -30,60 +37,64 @@ def plan(e: Experiment) -> Iterator[str]:
     yield f"stopping {stopping_sum(e)}; room from the centre of travel: {room_rad(e):.3f} rad"
     if link_budget(e).terms:
         yield f"link: {link_sum(e)}"
-    yield from _adapter(e)
+    if e.daq.driver == "serial":
+        yield f"delay: a drive acts up to {1e3 * sample_to_drive_s(e):.2f} ms after its sample, and what the host takes"
     if is_plug_in(e):
         yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
     yield from _device_drives(e)
     yield _failsafe(e)
-    if e.emulated is not None and is_emulated(e) and not isclose(e.emulated.supply_V, full_V):
-        yield (
-            f"note: the emulated bridge gives {e.emulated.supply_V:g} V, the config believes {full_V:g} V: "
-            "K and f_c will come out scaled"
-        )
-    if e.emulated is not None and is_emulated(e) and e.emulated.potentiometer.counts_max != e.sensor.counts_max:
-        yield (
-            f"note: the emulated potentiometer reads 0 to {e.emulated.potentiometer.counts_max} counts, "
-            f"sensor.counts_max is {e.sensor.counts_max}: describe it in emulated.potentiometer"
-        )
+    for note in notes(e):
+        yield f"note: {note}"
+
+
+def notes(e: Experiment) -> Iterator[str]:
+    """What a person has to know who reads the results: `rig check` says it before a run, and the run with them."""
+    yield from differences(e)
+    yield from _adapter(e)
     if e.daq.modbus is not None:
         r = e.daq.modbus.registers
         if words := as_in_a_manual((*written_in_a_tick(r), *read_in_a_tick(r), *written_at_arming(r))):
-            yield f"note: {words}"
+            yield words
     low, high = e.limits.soft_rad
     if e.emulated is not None and not low <= e.emulated.motor.start_rad <= high:
-        yield "note: the emulated shaft starts outside the soft limits: a run refuses until `rig jog` has it inside"
+        yield "the emulated shaft starts outside the soft limits: a run refuses until `rig jog` has it inside"
     if e.emulated is not None and not is_emulated(e):
         if is_plug_in(e):
-            yield "note: section `emulated` counts as the truth only if the driver says that its device is emulated"
+            yield "section `emulated` counts as the truth only if the driver says that its device is emulated"
         else:
-            yield f"note: section `emulated` is not used with port {e.daq.port}"
+            yield f"section `emulated` is not used with port {e.daq.port}"
 
 
 def _adapter(e: Experiment) -> Iterator[str]:
-    """What is reckoned with between USB and the line, and how soon a drive follows its sample."""
+    """What is reckoned with between USB and the line, where it is not certain."""
     if e.daq.driver != "serial":
         return
     adapter = adapter_of(e)
     chip = CHIPS.get(adapter)
     if chip is not None and e.daq.adapter is None:
         yield (
-            f"note: daq.adapter is not given; by the port's name it is reckoned with {chip.words} ({adapter}): "
+            f"daq.adapter is not given; by the port's name it is reckoned with {chip.words} ({adapter}): "
             "`rig doctor` says which is there"
         )
     if chip is not None and chip.assumed:
         yield (
-            f"note: nobody says how long {chip.words} waits; {1e3 * chip.wait_s:g} ms is assumed: `rig doctor` on this "
+            f"nobody says how long {chip.words} waits; {1e3 * chip.wait_s:g} ms is assumed: `rig doctor` on this "
             "config measures it"
         )
-    yield f"delay: a drive acts up to {1e3 * sample_to_drive_s(e):.2f} ms after its sample, and what the host takes"
 
 
 def _stage_lines(e: Experiment) -> Iterator[str]:
-    """The stages with the longest times to expect; strokes and pauses double the time of a ramp."""
+    """The stages with the longest times to expect."""
     b, r = e.breakaway, e.relay
-    breakaway_s = 3.0 * b.rest_s + 2.0 * 2.0 * b.max_V / b.ramp_V_s
+    breakaway_s = 2.0 * b.rest_s + 2.0 * b.max_V / b.ramp_V_s
     total_s = breakaway_s
-    yield f"stage breakaway: {b.ramp_V_s:g} V/s each way, up to {b.max_V:g} V; at most about {breakaway_s:.0f} s"
+    strokes = None if e.motor is None else breakaway_strokes(e)
+    if strokes is not None:
+        yield (
+            f"stage breakaway: strokes of {1e3 * strokes.stroke_s:.3g} ms to and fro, {1e3 * strokes.step_V:.3g} mV "
+            f"stronger each time, up to {b.max_V:g} V; at most about {breakaway_s:.0f} s; with a stuck or uncoupled "
+            f"sensor the shaft turns at most {strokes.unseen_rad:.2f} rad"
+        )
     if r.target is not None:
         amplitudes = r.target.amplitude_rad, r.target.amplitude_rad * r.second_ratio
         tests_s = 2.0 * r.cycles * r.target.period_s

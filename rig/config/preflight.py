@@ -30,6 +30,9 @@ from rig.config.modbus_rules import modbus_rules, reads_too_far_apart
 from rig.config.plan import plan
 from rig.config.problems import Path, Problem, bracketed, printable, wrong
 from rig.config.room_to_stop import (
+    UNSEEN_RAD,
+    breakaway_strokes,
+    device_watchdog_s,
     limits_are_ordered,
     overshoot_terms,
     peak_speed_rad_s,
@@ -41,6 +44,7 @@ from rig.config.room_to_stop import (
 )
 from rig.config.schema import BUILT_IN_DRIVERS, Experiment, Gains, RelayTarget
 from rig.config.sensor import count_rad, range_rad
+from rig.signals import plain
 from rig.usb_serial import Adapter, adapter_delay_s
 
 Rule = Callable[[Experiment], Iterator[Problem]]
@@ -48,6 +52,8 @@ Rule = Callable[[Experiment], Iterator[Problem]]
 _WATCHDOG_PERIODS = (3, 10)
 _SHORTEST_CYCLE_PERIODS = 30  # theory section 5: a shorter cycle is delay hunting
 _SMALLEST_CYCLE_COUNTS = 20  # theory section 5
+_FEWEST_PAIRS = 8  # of strokes in the breakaway check
+_LARGEST_MOTION_RAD = 0.1
 _MOTION_COUNTS = 3  # below this the sensor's last digit would pass for motion
 _SLACK = 1e-9  # relative: 0.1 s is ten periods of 0.01 s, whatever the binary fractions say
 
@@ -63,7 +69,7 @@ class Preflight:
 def preflight(experiment: Experiment) -> Preflight:
     """Check an experiment offline. The problems have paths but no places: ``rig.config.check`` adds these."""
     problems = tuple(problem for rule in _RULES for problem in rule(experiment))
-    return Preflight(tuple(plan(experiment)), problems)
+    return Preflight(tuple(plain(line) for line in plan(experiment)), problems)
 
 
 def unknown_driver(name: str, installed: Collection[str] = ()) -> Problem:
@@ -255,7 +261,9 @@ def _room_to_stop(e: Experiment) -> Iterator[Problem]:
         "limits.max_speed_rad_s",
         f"no room to stop: {stopping_sum(e)}, but from the centre of travel (0 rad) "
         f"the nearer hard limit is {room:.3f} rad away",
-        f"at most {_floor(slower):g} rad/s, or a shorter daq.watchdog_s, or wider limits.hard_rad",
+        f"at most {_floor(slower):g} rad/s"
+        + (", or a shorter daq.watchdog_s" if device_watchdog_s(e) is not None else "")
+        + ", or wider limits.hard_rad",
     )
 
 
@@ -293,6 +301,57 @@ def _breakaway(e: Experiment) -> Iterator[Problem]:
             f"{e.breakaway.motion_rad:g} rad is less than {_MOTION_COUNTS} counts of the sensor ({least_rad:.3g} rad)",
             "noise would pass for motion: at least that",
         )
+    elif e.breakaway.motion_rad > _LARGEST_MOTION_RAD:
+        yield wrong(
+            "breakaway.motion_rad",
+            f"{e.breakaway.motion_rad:g} rad is more than {_LARGEST_MOTION_RAD:g} rad: the strokes of the breakaway "
+            "check are too short for it, and the guard would take a turning shaft for one that stands",
+            f"{_floor(max(2.0 * least_rad, 0.02)):g} to {_LARGEST_MOTION_RAD:g} rad",
+        )
+    yield from _unseen_travel(e)
+
+
+def _unseen_travel(e: Experiment) -> Iterator[Problem]:
+    """What the shaft turns in the breakaway check where the sensor does not show it."""
+    b = e.breakaway
+    if e.motor is None:
+        yield wrong(
+            "motor",
+            "motor.no_load_speed_rad_s is missing: without it nothing bounds what the shaft turns in the breakaway "
+            "check if the sensor is stuck or uncoupled",
+            "add the section: the data sheet's no-load speed at drive.supply_V, behind the gear, in rad/s",
+        )
+        return
+    if b.max_V > e.drive.max_V:
+        return
+    strokes = breakaway_strokes(e)
+    if strokes is None:
+        top_rad_s = e.motor.no_load_speed_rad_s * b.max_V / e.drive.supply_V
+        largest_V = _largest(lambda max_V: breakaway_strokes(e, max_V) is not None, b.max_V)
+        yield wrong(
+            "breakaway.max_V",
+            f"{b.max_V:g} V is up to {top_rad_s:.3g} rad/s: with a stuck or uncoupled sensor the shaft could turn more "
+            f"than {UNSEEN_RAD:g} rad unseen, even by strokes of one period ({1e3 * e.period_s:g} ms)",
+            (f"at most {_floor(largest_V):g} volts, or " if largest_V > 0.0 else "")
+            + "a shorter period_s, or a faster breakaway.ramp_V_s",
+        )
+    elif strokes.pairs < _FEWEST_PAIRS:
+        slower = b.ramp_V_s * (b.max_V / _FEWEST_PAIRS) / strokes.step_V
+        yield wrong(
+            "breakaway.ramp_V_s",
+            f"{b.ramp_V_s:g} V/s reaches breakaway.max_V in {strokes.pairs} strokes each way: too few to measure "
+            "static friction",
+            f"at most {_floor(0.75 * slower):g} V/s",
+        )
+
+
+def _largest(fits: Callable[[float], bool], below: float) -> float:
+    """Largest value that fits, of those below one that does not."""
+    low, high = 0.0, below
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low
 
 
 # ---------------------------------------------------------------------- relay

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from rig.signals import plain
+
 Path = tuple[str | int, ...]  # keys and list indices from the top, e.g. ("relay", "gains", 0, "h1_V")
 
 
@@ -21,8 +23,7 @@ def key_of(path: Path) -> str:
 
 def printable(text: str) -> str:
     """``text`` on one line: what does not print is escaped, and a long text is cut at 60 characters."""
-    cut = text if len(text) <= 60 else text[:57] + "..."
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in cut)
+    return plain(text if len(text) <= 60 else text[:57] + "...")
 
 
 def bracketed(interval: tuple[float, float]) -> str:
@@ -60,7 +61,7 @@ class Problem:
     def __str__(self) -> str:
         place = self.file + (f":{self.line}:{self.column}" if self.line else "")
         parts = [part for part in (place, self.key) if part]
-        return ": ".join([*parts, self.message]) + (f"; {self.hint}" if self.hint else "")
+        return plain(": ".join([*parts, self.message]) + (f"; {self.hint}" if self.hint else ""))
 
 
 def wrong(key: str, message: str, hint: str = "") -> Problem:

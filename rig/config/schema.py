@@ -7,7 +7,7 @@ checked here; what keys say together (room to stop, link budget, ...) in ``rig.c
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -107,6 +107,13 @@ class Sensor(_Section):
                 )
         return points
 
+    @property
+    def straight(self) -> tuple[float, float]:
+        """Rad for each count, and the reading at 0 rad, of the straight line through the calibration's end points."""
+        points = sorted((point.counts, point.rad) for point in self.calibration)
+        (low, low_rad), (high, high_rad) = points[0], points[-1]
+        return (high_rad - low_rad) / (high - low), low - low_rad * (high - low) / (high_rad - low_rad)
+
     @field_validator("rail_counts")
     @classmethod
     def _within_adc(cls, rails: tuple[int, int], info: ValidationInfo) -> tuple[int, int]:
@@ -161,14 +168,23 @@ class TravelLimits(_Section):
     coast_tau_s: Positive = Field(description="longest velocity time constant to expect, for the stopping distance")
 
 
-class Breakaway(_Section):
-    """The check before any relay: a slow ramp each way until the shaft moves."""
+class Motor(_Section):
+    """What the motor's data sheet says; the rest is identified."""
 
-    ramp_V_s: Positive = Field(0.4, description="how fast the drive rises, V/s")
-    max_V: Positive = Field(2.0, description="drive at which the check gives up")
+    no_load_speed_rad_s: Positive = Field(
+        description="speed of the measured shaft at drive.supply_V without load, behind its gear; it bounds what the "
+        "shaft travels where the sensor does not show it: rather too high than too low"
+    )
+
+
+class Breakaway(_Section):
+    """The check before any relay: strokes to and fro, slowly stronger, until both have moved the shaft."""
+
+    ramp_V_s: Positive = Field(0.4, description="how fast the drive of each way rises, V/s")
+    max_V: Positive = Field(2.0, description="drive at which the check gives up; two to three times static friction")
     motion_rad: Positive = Field(0.02, description="displacement that counts as motion")
     rest_s: Annotated[float, Field(ge=0.1)] = Field(
-        0.4, description="rest before and between the ramps, and for measuring the noise"
+        0.4, description="rest before and after the strokes, and for measuring the noise"
     )
 
 
@@ -301,13 +317,26 @@ class EmulatedMotor(_Section):
 
 
 class EmulatedPotentiometer(_Section):
-    """The true potentiometer."""
+    """The true potentiometer: straight; by default the line through the end points of sensor.calibration."""
 
-    rad_per_count: float = Field(4.2 / 1024, description="negative: readings fall with position")
-    centre_counts: float = Field(512.0, description="reading at position 0 (with offset_rad 0)")
-    counts_max: Annotated[int, Field(ge=15, le=65535)] = Field(1023, description="largest reading of the ADC")
+    rad_per_count: float | None = Field(
+        None, description="negative: readings fall with position; not 0; default: as sensor.calibration"
+    )
+    centre_counts: float | None = Field(
+        None, description="reading at position 0 (with offset_rad 0); default: as sensor.calibration"
+    )
+    counts_max: Annotated[int, Field(ge=15, le=65535)] | None = Field(
+        None, description="largest reading of the ADC; default: sensor.counts_max"
+    )
     noise_rad: NonNegative = Field(0.0, description="standard deviation of white noise before quantisation")
     offset_rad: float = Field(0.0, description="true zero against the calibration's")
+
+    @field_validator("rad_per_count")
+    @classmethod
+    def _turns(cls, rad_per_count: float | None) -> float | None:
+        if rad_per_count == 0.0:
+            raise ValueError("must not be 0: the reading has to change with the position")
+        return rad_per_count
 
 
 class EmulatedWiring(_Section):
@@ -321,18 +350,34 @@ class EmulatedWiring(_Section):
 
 
 class Emulated(_Section):
-    """The emulated bench: what is really behind `driver: simulated` or `port: emulated`."""
+    """The emulated bench: what is really behind `driver: simulated` or `port: emulated`.
+
+    What the config believes of sensor, bridge and tachometer is true of it, but for what is said here. In an
+    ``Experiment`` every default is filled in.
+    """
 
     motor: EmulatedMotor = Field(description="the true motor, which the report compares estimates with")
     potentiometer: EmulatedPotentiometer = Field(EmulatedPotentiometer(), description="the true potentiometer")
-    supply_V: Positive = Field(12.0, description="true motor supply")
+    supply_V: Positive | None = Field(None, description="true motor supply; default: drive.supply_V")
+    bridge_drop_V: NonNegative | None = Field(
+        None, description="truly lost in the bridge while driving; default: drive.bridge_drop_V"
+    )
+    dead_band_duty: DeadBand | None = Field(
+        None, description="duty below which the bridge truly passes nothing; default: drive.dead_band_duty"
+    )
+    reversed: bool | None = Field(
+        None, description="positive duty truly turns the shaft to falling positions; default: drive.reversed"
+    )
     drive_counts: Annotated[int, Field(ge=50, le=32767)] = Field(799, description="PWM counts at full duty")
     latency_s: NonNegative = Field(0.0012, description="simulated: mean time from sample to effect of the drive")
     latency_jitter_s: NonNegative = Field(0.0003, description="simulated: uniform half-width around the mean")
     clock_error_ppm: Annotated[float, Field(ge=-20000, le=20000)] = Field(
         0.0, description="device clock against the host's (a ceramic resonator: 5000)"
     )
-    tachometer: bool = Field(False, description="has a velocity channel, scaled as in section tachometer")
+    tachometer: bool | None = Field(
+        None,
+        description="has a velocity channel, scaled as in section tachometer; default: where there is that section",
+    )
     wiring: EmulatedWiring = Field(EmulatedWiring(), description="faults that the bench is built with")
 
 
@@ -349,8 +394,42 @@ class Experiment(_Section):
     sensor: Sensor = Field(description="the potentiometer: counts to rad")
     drive: Drive = Field(description="the H-bridge: V to duty")
     tachometer: Tachometer | None = Field(None, description="velocity channel; leave out where there is none")
+    motor: Motor | None = Field(
+        None, description="what its data sheet says; a run needs it, only records of older versions have none"
+    )
     limits: TravelLimits = Field(description="where the shaft may be, and how fast")
     breakaway: Breakaway = Field(Breakaway(), description="the check before any relay")
     relay: Relay = Field(description="the relay experiment")
     tracking: Tracking | None = Field(None, description="leave out to skip the tracking check")
     emulated: Emulated | None = Field(None, description="the bench behind `driver: simulated` or `port: emulated`")
+
+    @model_validator(mode="after")
+    def _emulated_as_believed(self) -> Self:
+        """The emulated bench is the one that the other sections describe, but for what its own section says."""
+        if self.emulated is not None:
+            rad_per_count, centre_counts = self.sensor.straight
+            potentiometer = _filled(
+                self.emulated.potentiometer,
+                rad_per_count=rad_per_count,
+                centre_counts=centre_counts,
+                counts_max=self.sensor.counts_max,
+            )
+            emulated = _filled(
+                self.emulated.model_copy(update={"potentiometer": potentiometer}),
+                supply_V=self.drive.supply_V,
+                bridge_drop_V=self.drive.bridge_drop_V,
+                dead_band_duty=self.drive.dead_band_duty,
+                reversed=self.drive.reversed,
+                tachometer=self.tachometer is not None,
+            )
+            object.__setattr__(self, "emulated", emulated)  # frozen: this is the one place that completes it
+        return self
+
+
+_AnySection = TypeVar("_AnySection", bound=_Section)
+
+
+def _filled(section: _AnySection, **believed: Any) -> _AnySection:
+    """The section with a value for each of these keys that has none."""
+    missing = {key: value for key, value in believed.items() if getattr(section, key) is None}
+    return section.model_copy(update=missing)

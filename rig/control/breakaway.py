@@ -1,74 +1,63 @@
-"""The breakaway check: a slow ramp each way, in short strokes, proves sensor, drive and sign before any relay runs."""
+"""The breakaway check: strokes to and fro, slowly stronger, prove sensor, drive and sign before any relay runs."""
 
 from __future__ import annotations
 
 import math
 from statistics import fmean
+from typing import Literal, Protocol
 
 from rig.faults import Fault
 from rig.signals import Sample
 
 
-class BreakawayCheck:
-    """Ramp up until the shaft moves, rest, ramp down until it moves, rest (architecture: Safety).
+class BreakawayLaw(Protocol):
+    """A check that ends with the drives at which the shaft breaks away; results as of ``BreakawayCheck``."""
 
-    The ramp goes out in strokes of ``STROKE_S``, with as long a pause at 0 V: if the sensor is stuck or not coupled
-    the shaft turns unseen, and a continuous ramp would have it at full speed, and at its stop, before the ramp's end.
+    finished: bool
+    z_rad_s: float
+    yd_rad: float
+    plus_V: float
+    minus_V: float
+    noise_rad: float
 
-    ramp_V_s    slope of the ramp
-    max_V       largest drive tried; Fault NO_MOTION where it does not move the shaft
+    def step(self, sample: Sample) -> float:
+        """Drive for this sample, V. Raises Fault where the bench is not sound."""
+        ...
+
+
+class RestingCheck:
+    """What every breakaway check does at 0 V: wait until the shaft stands, and measure the sensor's noise.
+
     motion_rad  displacement that counts as motion
-    rest_s      rest before, between and after; the first one measures the sensor's noise
-
-    Results, once finished: ``plus_V`` and ``minus_V`` (> 0), the last drive each way at which no motion was to be seen,
-    and ``noise_rad``, the sensor's standard deviation at rest. Both levels may lie above static friction by what the
-    ramp gains until the motion leaves the noise; identification corrects that.
-
-    Raises Fault: DRIVE_STUCK_ON (moves at 0 V), SENSOR_NOISY, NO_MOTION, POLARITY (moves against the drive).
+    rest_s      rest before and after; the first one measures the noise
     """
-
-    STROKE_S = 0.04
 
     z_rad_s = math.nan
     yd_rad = math.nan
 
-    def __init__(self, ramp_V_s: float, max_V: float, motion_rad: float, rest_s: float) -> None:
-        self.ramp_V_s = ramp_V_s
-        self.max_V = max_V
+    def __init__(self, motion_rad: float, rest_s: float) -> None:
         self.motion_rad = motion_rad
         self.rest_s = rest_s
         self.finished = False
         self.plus_V = math.nan
         self.minus_V = math.nan
         self.noise_rad = math.nan
-        self._phase_start_s = math.nan
         self._rest_y: list[float] = []
-        self._ramp_from_rad = 0.0
-        self._direction = 0  # 0: at rest; +1, -1: ramping
-        self._seen = 0
-        self._still_V = 0.0  # last level of the ramp at which the shaft had not moved beyond the noise
 
-    def step(self, sample: Sample) -> float:
-        """Drive of the ramp at this sample, V; 0 V while resting."""
-        if math.isnan(self._phase_start_s):
-            self._phase_start_s = sample.t_s
-        elapsed = sample.t_s - self._phase_start_s
-        if self._direction == 0:
-            self._rest(sample, elapsed)
-            return 0.0
-        return self._ramp(sample, elapsed)
+    def _stands(self, sample: Sample, elapsed_s: float, *, first: bool) -> float | None:
+        """Take a sample at 0 V; where the shaft stands once it stands, rad, else None.
 
-    def _rest(self, sample: Sample, elapsed_s: float) -> None:
+        Raises Fault SENSOR_NOISY (in the first rest), DRIVE_STUCK_ON.
+        """
         self._rest_y.append(sample.y_rad)
         if elapsed_s < self.rest_s:
-            return
+            return None
         # the second half: the shaft has coasted to a stop by then
         still = self._rest_y[len(self._rest_y) // 2 :]
         # from second differences: a shaft that still turns steadily does not count as noise
         rest = self._rest_y
         bends = [a - 2.0 * b + c for a, b, c in zip(rest, rest[1:], rest[2:], strict=False)]
         self.noise_rad = math.sqrt(fmean(bend * bend for bend in bends) / 6.0)
-        first = math.isnan(self.plus_V)
         if first and self.noise_rad > 0.33 * self.motion_rad:
             raise Fault(
                 "SENSOR_NOISY",
@@ -79,44 +68,151 @@ class BreakawayCheck:
             if elapsed_s > 10.0 * self.rest_s:
                 raise Fault("DRIVE_STUCK_ON", f"it still turns {elapsed_s:.1f} s after the drive was set to 0 V")
             self._rest_y = self._rest_y[-2 * len(still) :]
-            return
-        if not first and not math.isnan(self.minus_V):
-            self.finished = True
-            return
-        self._ramp_from_rad = fmean(still)
-        self._direction = 1 if first else -1
-        self._still_V = 0.0
-        self._phase_start_s = sample.t_s
-        self._seen = 0
+            return None
+        self._rest_y = []
+        return fmean(still)
 
     def _turns(self, y_rad: list[float]) -> bool:
         half = len(y_rad) // 2
         drift = abs(fmean(y_rad[half:]) - fmean(y_rad[:half]))
         return drift > max(0.25 * self.motion_rad, 4.0 * self.noise_rad * math.sqrt(2.0 / half))
 
-    def _ramp(self, sample: Sample, elapsed_s: float) -> float:
-        moved = sample.y_rad - self._ramp_from_rad
-        # two samples in a row: one noisy reading is not motion
-        self._seen = self._seen + 1 if abs(moved) > self.motion_rad else 0
-        level = self.ramp_V_s * elapsed_s
-        if abs(moved) < max(2.5 * self.noise_rad, 0.15 * self.motion_rad):
-            self._still_V = level
-        if self._seen >= 2:
-            if moved * self._direction < 0.0:
-                raise Fault(
-                    "POLARITY",
-                    f"{self._direction * level:+.2f} V moved it by {moved * 1e3:+.0f} mrad",
-                )
-            if self._direction > 0:
-                self.plus_V = self._still_V
-            else:
-                self.minus_V = self._still_V
-            self._direction = 0
-            self._phase_start_s = sample.t_s
-            self._rest_y = []
+
+class BreakawayCheck(RestingCheck):
+    """Strokes to and fro, pair by pair stronger, until both ways have moved the shaft.
+
+    If the sensor is stuck or not coupled the shaft turns unseen. So each stroke is followed by an equal one the other
+    way, which takes it back, and every other pair begins the other way: what is left is by how much friction differs
+    between the ways. Both ways go on until both are seen, so that this holds whenever the sensor fails.
+    ``rig.config.room_to_stop`` has the bound on it, and chooses the strokes.
+
+    step_V      by how much the level rises from pair to pair; within a stroke it rises from the last pair's to its own
+    max_V       largest level; Fault NO_MOTION where a pair of it has not moved the shaft both ways
+    motion_rad  displacement, gathered over the strokes of one way, that counts as motion
+    rest_s      rest before and after; the first one measures the sensor's noise
+    stroke_s    length of a stroke, one period at least
+    pause_s     of the pause after it, four periods at least; it lasts longer where the shaft still coasts
+    period_s    of the loop
+
+    Results, once finished: ``plus_V`` and ``minus_V`` (> 0), each the middle between the last level at which no motion
+    was to be seen and the next one, and ``noise_rad``, the sensor's standard deviation at rest. Both may lie above
+    static friction by what the level gains until the motion leaves the noise; identification corrects that.
+
+    Raises Fault: DRIVE_STUCK_ON (moves at 0 V), SENSOR_NOISY, NO_MOTION, POLARITY (moves against the drive).
+    """
+
+    def __init__(
+        self,
+        step_V: float,
+        max_V: float,
+        motion_rad: float,
+        rest_s: float,
+        stroke_s: float,
+        pause_s: float,
+        period_s: float,
+    ) -> None:
+        super().__init__(motion_rad, rest_s)
+        self.max_V = max_V
+        self._step_V = step_V
+        self._stroke_s = stroke_s
+        self._pause_s = pause_s
+        self._period_s = period_s
+        self._phase: Literal["first rest", "stroke", "pause", "last rest"] = "first rest"
+        self._since_s = math.nan  # start of the phase
+        self._pair = 0
+        self._level_V = 0.0
+        self._way = 0  # of the stroke, +1 or -1
+        self._next: list[int] = []  # ways of the strokes that this pair still has
+        self._before_rad = 0.0  # where it stood before the stroke
+        self._pause_y: list[float] = []
+        self._along = {1: 0.0, -1: 0.0}  # displacement gathered along the strokes of each way, rad
+        self._against = {1: 0.0, -1: 0.0}
+        self._still_V = {1: 0.0, -1: 0.0}  # last level at which none was gathered beyond the noise
+        self._found_V: dict[int, float] = {}
+
+    def step(self, sample: Sample) -> float:
+        """Drive at this sample, V; 0 V while resting."""
+        if math.isnan(self._since_s):
+            self._since_s = sample.t_s
+        elapsed_s = sample.t_s - self._since_s
+        if self._phase == "stroke":
+            # ticks come a little early, or late: half a period either way is the same tick
+            if elapsed_s < self._stroke_s - 0.5 * self._period_s:
+                return self._stroke_V(elapsed_s)
+            self._begin("pause", sample)
             return 0.0
-        if level > self.max_V:
-            way = "rising" if self._direction > 0 else "falling"
-            raise Fault("NO_MOTION", f"up to {self.max_V:.2f} V towards {way} positions")
-        in_stroke = elapsed_s % (2.0 * self.STROKE_S) < self.STROKE_S
-        return self._direction * level if in_stroke else 0.0
+        if self._phase == "pause":
+            return self._pause(sample, elapsed_s)
+        stood_rad = self._stands(sample, elapsed_s, first=self._phase == "first rest")
+        if stood_rad is None:
+            return 0.0
+        if self._phase == "last rest":
+            self.finished = True
+            return 0.0
+        return self._begin_stroke(sample, stood_rad)
+
+    def _begin(self, phase: Literal["stroke", "pause", "last rest"], sample: Sample) -> None:
+        self._phase = phase
+        self._since_s = sample.t_s
+        self._pause_y = []
+
+    def _begin_stroke(self, sample: Sample, from_rad: float) -> float:
+        """Begin the other stroke of the pair, or the first one of a stronger pair; its drive, V."""
+        if not self._next:
+            if self._level_V >= self.max_V:
+                missing = [word for way, word in ((1, "rising"), (-1, "falling")) if way not in self._found_V]
+                raise Fault("NO_MOTION", f"up to {self.max_V:.2f} V towards {' and '.join(missing)} positions")
+            self._pair += 1
+            self._level_V = min(self._pair * self._step_V, self.max_V)
+            self._next = [1, -1] if self._pair % 2 else [-1, 1]
+        self._way = self._next.pop(0)
+        self._before_rad = from_rad
+        self._begin("stroke", sample)
+        return self._stroke_V(0.0)
+
+    def _stroke_V(self, elapsed_s: float) -> float:
+        """Drive within a stroke, V: it ends at the pair's level."""
+        ticks, tick = round(self._stroke_s / self._period_s), round(elapsed_s / self._period_s)
+        before_V = (self._pair - 1) * self._step_V
+        return self._way * min(before_V + self._step_V * min((tick + 1) / ticks, 1.0), self.max_V)
+
+    def _pause(self, sample: Sample, elapsed_s: float) -> float:
+        """Wait until the shaft stands, then say what the stroke did, and begin the next one; the drive, V."""
+        self._pause_y.append(sample.y_rad)
+        if elapsed_s < self._pause_s - 0.5 * self._period_s:
+            return 0.0
+        # the last two thirds: the shaft has mostly coasted to a stop by then
+        still = self._pause_y[len(self._pause_y) // 3 :]
+        if self._turns(still):
+            if elapsed_s > 10.0 * self.rest_s:
+                raise Fault("DRIVE_STUCK_ON", f"it still turns {elapsed_s:.1f} s after the drive was set to 0 V")
+            return 0.0
+        stood_rad = fmean(still)
+        self._judge(stood_rad, len(still))
+        if not self._next and len(self._found_V) == 2:
+            self.plus_V, self.minus_V = self._found_V[1], self._found_V[-1]
+            self._begin("last rest", sample)
+            return 0.0
+        return self._begin_stroke(sample, stood_rad)
+
+    def _judge(self, stood_rad: float, samples: int) -> None:
+        """Add what the stroke has moved to what those before it the same way have.
+
+        Noise adds up, too: the variance of a stroke's displacement, times six over ``motion_rad``, is taken off each,
+        so that noise alone gathers ``motion_rad`` once in about e^12 strokes (a random walk with that drift).
+        """
+        variance = 2.0 * self.noise_rad**2 / samples
+        off_rad = 6.0 * variance / self.motion_rad
+        way, along, against = self._way, self._along, self._against
+        moved_rad = (stood_rad - self._before_rad) * way
+        along[way] = max(along[way] + moved_rad - off_rad, 0.0)
+        against[way] = max(against[way] - moved_rad - off_rad, 0.0)
+        if against[way] > self.motion_rad:
+            raise Fault(
+                "POLARITY",
+                f"strokes of up to {way * self._level_V:+.2f} V moved it by {-way * against[way] * 1e3:+.0f} mrad",
+            )
+        if along[way] < max(2.5 * math.sqrt(variance), 0.15 * self.motion_rad):
+            self._still_V[way] = self._level_V
+        if along[way] > self.motion_rad:
+            self._found_V.setdefault(way, self._still_V[way] + 0.5 * self._step_V)

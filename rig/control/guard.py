@@ -105,6 +105,7 @@ class Guard:
         self._standstill = Standstill()
         self._gain = Gain(_SETTLING_WINDOWS * WINDOW_S)
         self._inward_since: tuple[float, float] | None = None
+        self._innermost_rad = math.inf  # distance from the centre under the inward drive of a recovery
 
     def rearm(self) -> None:
         """Forget the motion seen before a pause: time has passed unseen since."""
@@ -113,6 +114,7 @@ class Guard:
         self._standstill.restart()
         self._gain.restart()
         self._inward_since = None
+        self._innermost_rad = math.inf
 
     def pace(self, sample_s: float, window_s: float = WINDOW_S) -> None:
         """Samples come every ``sample_s`` from now on; take the velocity from those of ``window_s``, five at least.
@@ -207,7 +209,10 @@ class Guard:
         outward = 1 if sample.y_rad > soft_high else -1 if sample.y_rad < soft_low else 0
         if outward == 0 or u_V * outward >= 0.0:
             self._inward_since = None
+            self._innermost_rad = math.inf
             return
+        if self.recovering:
+            self._check_creep(sample.y_rad * outward, sample.y_rad)
         speed = self.velocity_rad_s * outward
         if self._inward_since is None:
             self._inward_since = (sample.t_s, speed)
@@ -220,6 +225,15 @@ class Guard:
                 "POLARITY",
                 f"at {sample.y_rad:.2f} rad, outward at {speed:.1f} rad/s and gaining, after "
                 f"{(sample.t_s - since_s) * 1e3:.0f} ms of inward drive",
+            )
+
+    def _check_creep(self, reach_rad: float, y_rad: float) -> None:
+        """While a shaft outside is jogged inward no hard limit ends a slow creep outward: its distance does."""
+        self._innermost_rad = min(self._innermost_rad, reach_rad)
+        crept_rad = reach_rad - self._innermost_rad
+        if crept_rad > max(2.0 * self.settings.motion_rad, 12.0 * self.settings.noise_rad):
+            raise Fault(
+                "POLARITY", f"at {y_rad:.2f} rad, it crept outward by {crept_rad * 1e3:.0f} mrad under inward drive"
             )
 
     def _check_stuck(self, sample: Sample, u_V: float) -> None:

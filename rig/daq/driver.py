@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from rig.daq.calibration import Calibration, DriveMap
 from rig.daq.relay_stream import RelayCommand, RelayRow
-from rig.signals import Limits, Order, Sample
+from rig.signals import Limits, Order, Sample, plain
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,11 @@ class DeviceInfo:
     supply_V: float = math.nan
     drive_units: int | None = None
     acknowledged: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        # what a device says of itself is shown on terminals
+        for name in ("build", "board", "reset_cause"):
+            object.__setattr__(self, name, plain(getattr(self, name)))
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ from typing import NamedTuple, Self
 
 from cobs import cobs
 
+from rig.signals import plain
+
 VERSION = 2
 MAX_PACKET = 64  # bytes, CRC included
 NO_TACHOMETER = 0xFFFF
@@ -139,7 +141,7 @@ class Hello(NamedTuple):
     @property
     def build_text(self) -> str:
         """The firmware's build as text."""
-        return self.build.rstrip(b"\0").decode("ascii", "backslashreplace")
+        return plain(self.build.rstrip(b"\0").decode("ascii", "backslashreplace"))
 
     @property
     def reset_words(self) -> str:

@@ -21,6 +21,7 @@ from pymodbus.pdu.register_message import (
 from rig.daq.modbus_frames import Frame, is_exception
 from rig.daq.modbus_registers import Register, Span
 from rig.faults import Fault
+from rig.signals import plain
 
 _EXCEPTIONS = {
     1: "illegal function",
@@ -72,14 +73,16 @@ def identification() -> Request:
 
 
 def identity_of(pdu: bytes) -> tuple[str, str, str]:
-    """Vendor, product and revision from the reply to ``identification``; empty where it does not tell."""
+    """Vendor, product and revision from the reply to ``identification``, printable; empty where it does not tell."""
     told = ReadDeviceInformationResponse()
     try:
         told.decode(pdu[1:])
     except (ValueError, IndexError, OverflowError):
         return "", "", ""
     texts = (told.information.get(k, b"") for k in range(3))
-    vendor, product, revision = (text.decode("ascii", "replace") if isinstance(text, bytes) else "" for text in texts)
+    vendor, product, revision = (
+        plain(text.decode("ascii", "replace")) if isinstance(text, bytes) else "" for text in texts
+    )
     return vendor, product, revision
 
 

@@ -257,10 +257,10 @@ class SerialDriver:
                 or state.session != self._session
             ):
                 raise self._device_fault(state)
-        elif self._setup is not None:
-            self._check_pause(state)
         elif self._unconfirmed is not None and state.fault:
             raise self._device_fault(state)
+        elif self._setup is not None:
+            self._check_pause(state)
 
         if self._unconfirmed is not None:
             if state.drive_seq == self._unconfirmed:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Literal
 
+from rig.signals import plain
+
 State = Literal["good", "note", "poor", "bad"]
 
 
@@ -22,6 +24,10 @@ class Finding:
     state: State
     words: str
     cure: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "words", plain(self.words))  # a port's name, or what a device said, may be in it
+        object.__setattr__(self, "cure", plain(self.cure))
 
     def as_dict(self) -> dict[str, str]:
         """As `rig doctor --json` prints it."""

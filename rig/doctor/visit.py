@@ -11,7 +11,7 @@ from rig.config.link_budget import link_budget, reading_budget
 from rig.config.schema import Experiment
 from rig.doctor import machine, measured
 from rig.doctor.finding import Finding
-from rig.faults import Fault
+from rig.faults import Fault, since_the_last_run
 from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import real_time
 
@@ -43,6 +43,8 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
     try:
         with connect(experiment) as bench:
             yield Finding("device", "good", bench.driver.backend)
+            for code in bench.info.acknowledged:
+                yield Finding("device", "note", since_the_last_run(code))
             if is_real_serial:  # only now: opening the port asks an FTDI to wait for 1 ms only
                 yield machine.usb_adapter(port_name, adapter_of(experiment))
             if not isinstance(bench.clock, MonotonicClock):

@@ -176,6 +176,14 @@ class VirtualChip(VirtualDevice):
         if not self._library.virtual_stall(self._board, _STALL[what], round(1e9 * duration_s)):
             raise EmulationError("the firmware has no endless loop to stall it in")
 
+    def broken_rule(self) -> str:
+        """The first rule of the data sheet for writing registers that the program has broken; "" for none so far."""
+        return bytes(self._library.virtual_broken_rule(self._board)).decode()
+
+    def longest_pulse_s(self) -> float:
+        """Longest time for which the bridge has conducted without a break, edge by edge, since the last call, s."""
+        return float(self._library.virtual_longest_pulse_s(self._board))
+
 
 @lru_cache
 def _load(path: str) -> ctypes.CDLL:
@@ -189,5 +197,7 @@ def _load(path: str) -> ctypes.CDLL:
             "virtual_contact": (None, [integer, integer]),
             "virtual_hang": (integer, [integer]),
             "virtual_stall": (integer, [integer, ctypes.c_int64]),
+            "virtual_broken_rule": (ctypes.c_char_p, []),
+            "virtual_longest_pulse_s": (ctypes.c_double, []),
         },
     )

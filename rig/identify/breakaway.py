@@ -1,4 +1,4 @@
-"""Static friction both ways, from the breakaway ramps and the identified motor."""
+"""Static friction both ways, from the breakaway strokes and the identified motor."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Breakaway:
 
 
 def breakaway(record: Record, estimate: Estimate, noise_rad: float) -> Breakaway:
-    """Static friction from the record of slow ramps each way, given the motor.
+    """Static friction from the record of a slow ramp each way, in strokes one after the other or to and fro.
 
     The drive at break-away is that for which the exact simulation reproduces the recorded positions (their likelihood's
     mean). It includes bias: towards rising positions it is static friction less bias, towards falling ones static
@@ -69,6 +69,10 @@ def breakaway(record: Record, estimate: Estimate, noise_rad: float) -> Breakaway
     """
     plus = _ramp(record, estimate, 1.0, noise_rad)
     minus = _ramp(record, estimate, -1.0, noise_rad)
+    if plus is not None and minus is not None and _alternates(record):
+        # strokes the other way move the shaft, too: their level was taken for equal so far
+        plus = _ramp(record, estimate, 1.0, noise_rad, minus.static_V)
+        minus = minus if plus is None else _ramp(record, estimate, -1.0, noise_rad, plus.static_V)
     if plus is None or minus is None:
         which = (
             "either way" if plus is None and minus is None else "towards " + ("rising" if plus is None else "falling")
@@ -78,8 +82,19 @@ def breakaway(record: Record, estimate: Estimate, noise_rad: float) -> Breakaway
     return Breakaway(plus, minus, friction, reason)
 
 
-def _ramp(record: Record, estimate: Estimate, sign: float, noise_rad: float) -> Ramp | None:
-    """Scan the drives of one ramp for the level that explains the positions best."""
+def _alternates(record: Record) -> bool:
+    """Whether strokes one way lie between those of the other."""
+    signs = np.sign(record.u_V[record.u_V != 0.0])
+    return int(np.count_nonzero(np.diff(signs))) > 1
+
+
+def _ramp(
+    record: Record, estimate: Estimate, sign: float, noise_rad: float, other_V: float | None = None
+) -> Ramp | None:
+    """Scan the drives of one way for the level that explains the positions best.
+
+    other_V  static level of the other way; without it, as the one that is tried
+    """
     driven = np.flatnonzero(sign * record.u_V > 0.0)
     if driven.size < 5:
         return None
@@ -106,10 +121,11 @@ def _ramp(record: Record, estimate: Estimate, sign: float, noise_rad: float) -> 
     trials = [*(0.5 * (a + b) for a, b in zip(lows[:-1], levels, strict=True)), 2.0 * levels[-1]]
     costs = np.empty(len(trials))
     for k, static in enumerate(trials):
+        opposite = static if other_V is None else other_V
         friction = (
-            Friction(moving_plus, moving_minus, static, max(moving_minus, static))
+            Friction(moving_plus, moving_minus, static, max(moving_minus, opposite))
             if sign > 0.0
-            else Friction(moving_plus, moving_minus, max(moving_plus, static), static)
+            else Friction(moving_plus, moving_minus, max(moving_plus, opposite), static)
         )
         motor = Motor(estimate.tau_s, estimate.K_rad_s_V, friction)
         residual = y_rad - motor.response(State(), t_s, edges, drive)[:, 1]

@@ -262,6 +262,11 @@ def _accept(record: Record, cycle: Cycle) -> None:
         raise IdentifyError(
             f"{record.name}: the period {cycle.period_s:.3g} s is below {SHORTEST_PERIODS} samples: delay hunting", cure
         )
+    if not cycle.amplitude_rad > 0.0:
+        raise IdentifyError(
+            f"{record.name}: the position does not follow the drive: the averaged cycle has no amplitude",
+            "check that the motor turns and that the sensor is coupled to it, then record again",
+        )
     if cycle.amplitude_rad < SMALLEST_LSB * cycle.resolution_rad:
         raise IdentifyError(
             f"{record.name}: the amplitude {cycle.amplitude_rad:.3g} rad is below {SMALLEST_LSB} steps of the sensor",

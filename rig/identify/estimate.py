@@ -34,7 +34,7 @@ class Estimate:
     iterations      of the start that won
     verdict, reasons    reasons say what is wrong and what to record instead
     rows            first and last row used
-    iterates        (n, 3): tau_s, K_rad_s_V, fc_V at each iteration, for a convergence figure
+    iterates        (n, 3): tau_s, K_rad_s_V, fc_V at each iteration, or after each sample of a recursion
     residual_rad, residual_t_s  series of the residual, and its times
     repeated        share of the residual's power that comes again in each cycle, 0 to 1
     wander          (memory s, size): noise that wanders beside the white one, and its standard deviation over that of

@@ -20,6 +20,8 @@ LEAST_DELAY_S = (
 )
 TIMES_ERROR_S = 1e-4  # by which times may be wrong where nobody says: a converter's step, a PWM period, an interrupt
 ALIKE = 0.8  # correlation of a drive with itself, later, that makes it periodic
+# No bench shows more or less in any unit, and squares and cubes of what lies between are numbers.
+LARGEST, SMALLEST = 1e12, 1e-12
 
 
 class IdentifyError(Exception):
@@ -43,8 +45,9 @@ class Record:
     first_row  index of row 0 in the file it comes from
     name       what to call it in a message
     times_error_s  by how much t_u_s may be wrong against t_s, s, at least 0: by so little beside it the drive may act
-    Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite, times that do
-    not increase, or drives that act far before or after their samples.
+    Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite or that no bench
+    shows (beyond 1e12, or a whole column within 1e-12 of zero that is not zero), times that do not increase, or drives
+    that act far before or after their samples.
     """
 
     t_s: Array
@@ -71,6 +74,12 @@ class Record:
                     f"{self.name}: {key} is not a number in row {self.first_row + int(bad[0])}"
                     + (f" and {bad.size - 1} more" if bad.size > 1 else ""),
                     "leave these rows out, by --rows FIRST:LAST, or record again: `rig relay CONFIG`",
+                )
+            largest = float(np.abs(column).max(initial=0.0))
+            if largest > LARGEST or 0.0 < largest < SMALLEST:
+                raise IdentifyError(
+                    f"{self.name}: {key} reaches {largest:.3g}, which no bench shows",
+                    "give t_s in seconds, u_V in volts and y_rad in radians, and see that each is in its own column",
                 )
         if self.t_s.size < 2:
             raise IdentifyError(

@@ -28,7 +28,10 @@ class BenchParameters:
     start_rad        where the shaft stands at first
     stop_rad         mechanical stops (low, high), where the shaft is stopped dead
     rad_per_count, centre_counts, counts_max, noise_rad, offset_rad   potentiometer and ADC
-    supply_V, drive_counts   voltage at full duty, and the counts of full duty
+    supply_V, drive_counts   motor supply, and the counts of full duty
+    bridge_drop_V    lost in the bridge while it drives
+    dead_band_plus, dead_band_minus   duty up to which the bridge passes nothing, of positive and of negative counts
+    reversed         positive counts turn the shaft to falling positions
     tachometer_rad_s_per_count, tachometer_zero_counts, gear_ratio   velocity channel; None where there is none
     drive, sensor    wiring; fault_after_s: time from the first arming until their faults begin
     """
@@ -43,6 +46,10 @@ class BenchParameters:
     offset_rad: float = 0.0
     supply_V: float = 12.0
     drive_counts: int = 799
+    bridge_drop_V: float = 0.0
+    dead_band_plus: float = 0.0
+    dead_band_minus: float = 0.0
+    reversed: bool = False
     tachometer_rad_s_per_count: float | None = None
     tachometer_zero_counts: float = 0.0
     gear_ratio: float = 1.0
@@ -52,8 +59,14 @@ class BenchParameters:
 
     @classmethod
     def from_mapping(cls, emulated: Mapping[str, Any], tachometer: Mapping[str, Any] | None = None) -> BenchParameters:
-        """Parameters from the plain values of a config's sections ``emulated`` and ``tachometer``."""
-        m, p, w = emulated["motor"], emulated["potentiometer"], emulated["wiring"]
+        """Parameters from the plain values of a config's sections ``emulated`` and ``tachometer``.
+
+        What is None there is the class's own default: sections of a whole config have no such values left.
+        """
+        m, w = emulated["motor"], emulated["wiring"]
+        potentiometer = {key: value for key, value in emulated["potentiometer"].items() if value is not None}
+        bridge = {key: emulated[key] for key in ("supply_V", "bridge_drop_V", "reversed") if emulated[key] is not None}
+        dead_band = emulated["dead_band_duty"] or {"plus": 0.0, "minus": 0.0}
         static_plus = m["fc_plus_V"] if m["fs_plus_V"] is None else m["fs_plus_V"]
         static_minus = m["fc_minus_V"] if m["fs_minus_V"] is None else m["fs_minus_V"]
         friction = Friction(
@@ -64,12 +77,10 @@ class BenchParameters:
             motor=Motor(m["tau_s"], m["K_rad_s_V"], friction, m["bias_V"]),
             start_rad=m["start_rad"],
             stop_rad=tuple(m["stop_rad"]),
-            rad_per_count=p["rad_per_count"],
-            centre_counts=p["centre_counts"],
-            counts_max=p["counts_max"],
-            noise_rad=p["noise_rad"],
-            offset_rad=p["offset_rad"],
-            supply_V=emulated["supply_V"],
+            **potentiometer,
+            **bridge,
+            dead_band_plus=dead_band["plus"],
+            dead_band_minus=dead_band["minus"],
             drive_counts=emulated["drive_counts"],
             tachometer_rad_s_per_count=tachometer["rad_s_per_count"] if has_tachometer and tachometer else None,
             tachometer_zero_counts=tachometer["zero_counts"] if has_tachometer and tachometer else 0.0,
@@ -101,9 +112,20 @@ class Bench:
         return self.armed_for_s >= self.parameters.fault_after_s
 
     @property
+    def bridge_V(self) -> float:
+        """What the bridge gives for the drive at the pin, V; positive towards rising positions."""
+        p = self.parameters
+        dead = p.dead_band_plus if self.pin_counts > 0.0 else p.dead_band_minus
+        passed = (abs(self.pin_counts) / p.drive_counts - dead) / (1.0 - dead)
+        if self.pin_counts == 0.0 or passed <= 0.0:
+            return 0.0
+        volts = passed * (p.supply_V - p.bridge_drop_V)
+        return volts if (self.pin_counts > 0.0) != p.reversed else -volts
+
+    @property
     def motor_V(self) -> float:
         """Voltage at the motor for the drive at the pin, wiring faults included."""
-        volts = self.pin_counts / self.parameters.drive_counts * self.parameters.supply_V
+        volts = self.bridge_V
         wiring = self.parameters.drive if self.faulty else "ok"
         if wiring == "reversed":
             return -volts

@@ -168,7 +168,7 @@ def settled_cycle(
 
     tolerance   largest change of state from one half period to the next, relative to the largest speed and position
                 within it
-    most        half periods that are waited for
+    most        half periods that are waited for, and switchings within one of them
     Raises NoLimitCycle with the reason if it does not settle: the motor comes to rest, or the cycle keeps changing.
     """
     loop = _Loop(motor, Relay(h1_V, h2_V), start, (1.0, 1.0))
@@ -182,6 +182,11 @@ def settled_cycle(
             continue
         events.append(step.event)
         if step.event.kind != "integral":
+            # Where h1 > h2 + fc the position's relay alone can draw the motor to y = 0, without friction ever slower.
+            if len(events) > most:
+                raise NoLimitCycle(
+                    f"{most} switchings without one of the integral's relay: the motor comes to rest on y = 0"
+                )
             continue
         if events[0].kind == "integral" and len(events) > 1:
             half = _half_period(tuple(events))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rig.signals import plain
+
 
 class RecordingError(Exception):
     """A recording that cannot be made or cannot be read.
@@ -17,9 +19,9 @@ class RecordingError(Exception):
     def __init__(self, path: Path, cause: str, cure: str, line: int | None = None) -> None:
         self.path = path
         self.line = line
-        self.cause = cause
-        self.cure = cure
-        place = str(path) if line is None else f"{path}:{line}"
+        self.cause = cause = plain(cause)  # it may quote the file
+        self.cure = cure = plain(cure)
+        place = plain(str(path) if line is None else f"{path}:{line}")
         super().__init__(f"{place}: {cause}; {cure}")
 
 

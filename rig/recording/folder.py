@@ -9,6 +9,7 @@ import contextlib
 import json
 import math
 import os
+import secrets
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +20,8 @@ from rig.recording.errors import CannotWriteError, RecordingError
 CONFIG: Final = "config.yaml"
 META: Final = "meta.json"
 RESULT: Final = "result.json"
+# the last two are no flags of Windows
+_NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
 
 def create_run(parent: Path, name: str, now_utc: datetime) -> Path:
@@ -66,11 +69,17 @@ def write_result(folder: Path, result: Mapping[str, Any]) -> None:
 def write_whole(path: Path, content: bytes) -> None:
     """Write the whole file or leave the old one: whoever reads it never sees half, whatever ends this process.
 
+    It is written beside the old one under a name that nobody can foretell, into a file that was not there before: what
+    others have put into the folder, a link that leads elsewhere included, is never written through.
     Raises CannotWriteError where the disk does not take it; nothing is left behind then.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     try:
-        with temporary.open("wb") as file:
+        descriptor = os.open(temporary, _NEW, 0o666)
+    except OSError as error:
+        raise CannotWriteError(path, *_cannot_write(error)) from error
+    try:
+        with os.fdopen(descriptor, "wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())

@@ -23,6 +23,7 @@ from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, RESULT
 from rig.recording.path_kind import no_recording, no_run
 from rig.recording.writer import EVENTS, SAMPLES
+from rig.signals import plain
 
 __all__ = [
     "Recording",
@@ -440,7 +441,7 @@ def _parse_column(name: str, texts: Sequence[str]) -> NDArray[Any]:
     if KINDS[name] == "name":
         if max(map(len, texts)) > MAX_STAGE_LENGTH:
             raise ValueError(name)
-        return np.array([text.strip() for text in texts])
+        return np.array([plain(text.strip()) for text in texts])
     may_be_empty = name not in REQUIRED and KINDS[name] != "integer"
     if may_be_empty:
         texts = [text if text and not text.isspace() else "nan" for text in texts]
@@ -572,7 +573,16 @@ def _parse_object(path: Path, text: str, line: int | None) -> dict[str, Any]:
         raise RecordingError(path, f"is broken JSON ({error})", "delete or correct it", line) from error
     if not isinstance(value, dict):
         raise RecordingError(path, "is no JSON object", "delete or correct it", line)
-    return value
+    return {plain(key): printable(item) for key, item in value.items()}
+
+
+def printable(value: Any) -> Any:
+    """A JSON value whose texts may be shown on a terminal; a traceback keeps its lines."""
+    if isinstance(value, str):
+        return "\n".join(plain(line) for line in value.split("\n"))
+    if isinstance(value, dict):
+        return {plain(key): printable(item) for key, item in value.items()}
+    return [printable(item) for item in value] if isinstance(value, list) else value
 
 
 def _no_such_number(text: str) -> float:

@@ -107,8 +107,9 @@ class AppendOnlyFile:
         try:
             os.fsync(self._descriptor)
         except OSError as error:
-            # what is in the kernel's memory alone may never reach the disk, and nobody is told twice
-            self._go_on_elsewhere(self._named(error))
+            if error.errno != errno.EINVAL:  # of a pipe, which nothing can be synchronised of
+                # what is in the kernel's memory alone may never reach the disk, and nobody is told twice
+                self._go_on_elsewhere(self._named(error))
         self._safe_bytes += len(self._since)
         self._since.clear()
 

@@ -150,14 +150,14 @@ def average(phase: Array, values: Array, bins: int) -> tuple[Array, Array, Array
 
 
 def fits_of(run: Run, identification: Identification | None = None) -> tuple[dict[str, Estimate], str]:
-    """Estimates with residuals and iterates, or why there are none, as a sentence.
+    """Estimates with their residuals and recursions, or why there are none, as a sentence.
 
     Made anew from the recording unless ``identification`` already is of it.
     """
     if run.recording is None:
-        return {}, "There are no samples, so there is no residual and no convergence to show."
+        return {}, "There are no samples, so there is no residual to show."
     if not (run.spans("relay") or run.spans("hysteretic")):
-        return {}, "There was no relay test, so there is no residual and no convergence to show."
+        return {}, "There was no relay test, so there is no residual to show."
     if identification is not None:
         return identification.estimates, ""
     try:

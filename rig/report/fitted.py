@@ -1,4 +1,4 @@
-"""Figures of the estimates: averaged cycle and model, residual, convergence, and the estimates side by side."""
+"""Figures of the estimates: averaged cycle and model, residual, and the estimates side by side."""
 
 from __future__ import annotations
 
@@ -142,37 +142,6 @@ def autocorrelation(pieces: list[Array], longest: int) -> tuple[Array, Array]:
     return lags.astype(float), np.array(values)
 
 
-def convergence(run: Run, fits: Mapping[str, Estimate]) -> Picture:
-    """Iterates of each estimator, and their distance from its final value."""
-    iterated = {m: f for m, f in fits.items() if f.iterates.shape[0] >= 2 and f.is_motor}
-    if not iterated:
-        raise AbsentError("No estimator of a whole motor iterated in this run, so there is no convergence to show.")
-    figure = new_figure(3.9)
-    panels = figure.subplots(2, 3, sharex=True, height_ratios=(1.3, 1.0))
-    for column, key in enumerate(PARAMETERS):
-        top, bottom = panels[0, column], panels[1, column]
-        for method, fit in iterated.items():
-            path = fit.iterates[:, column]
-            steps = np.arange(path.size)
-            final = getattr(fit, key)
-            top.plot(steps, path, marker="o", ms=3.0, color=colour(method), ls=line(method), label=short(method))
-            distance = np.abs(path / final - 1.0) if final else np.abs(path - final)
-            seen = distance > 0.0
-            bottom.semilogy(steps[seen], distance[seen], marker="o", ms=3.0, color=colour(method), ls=line(method))
-        if key in run.truth:
-            top.axhline(run.truth[key], color=INK, lw=0.9, ls=":", label="truth")
-        top.set_title(LABELS[key])
-        bottom.set_xlabel("iteration")
-    panels[0, 0].set_ylabel("value")
-    panels[1, 0].set_ylabel("relative distance from final")
-    panels[0, -1].legend(loc="best")
-    truth = " The dotted line is the emulated motor's true value." if run.truth else ""
-    return render(
-        figure, run.backend, "Convergence of the iterated estimates of tau, K and f_c.",
-        "Iterates of the start that won, for each estimator, and their relative distance from its final value." + truth,
-    )  # fmt: skip
-
-
 def forest(run: Run) -> Picture:
     """Estimates of tau, K and f_c side by side with their 95 % intervals, and the truth where it is known."""
     estimates = {m: e for m, e in run.estimates.items() if any(math.isfinite(number(e.get(k))) for k in PARAMETERS)}
@@ -196,6 +165,7 @@ def forest(run: Run) -> Picture:
             axes.axvline(run.truth[key], color=INK, lw=1.0, ls=":", zorder=1)
         axes.set_title(LABELS[key])
         axes.margins(x=0.12)
+        axes.locator_params(axis="x", nbins=4)  # a third of the page has room for five labels of six digits
     panels[0].set_yticks(range(len(names)), [n.replace("-", " ") for n in names])
     panels[0].set_ylim(len(names) - 0.4, -0.6)
     truth = " The dotted line is the emulated motor's true value." if run.truth else ""

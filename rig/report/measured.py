@@ -239,7 +239,7 @@ def _name_planes(axes: Axes, horizontal: str, ink: str) -> None:
 
 
 def breakaway(run: Run) -> Picture:
-    """The slow ramps: drive and position over time, static friction marked."""
+    """The breakaway strokes: drive and position over time, static friction marked."""
     spans = run.spans("breakaway")
     if not spans:
         raise AbsentError("There was no breakaway check in this run.")
@@ -250,7 +250,7 @@ def breakaway(run: Run) -> Picture:
     left.plot(t, 1e3 * y, color=MEASURED, lw=0.8)
     left.set_xlabel("time since the start, s")
     left.set_ylabel("position, mrad", color=MEASURED)
-    left.set_title("slow ramp each way, until the shaft moves")
+    left.set_title("slowly stronger strokes, until the shaft moves each way")
     drive = left.twinx()
     drive.fill_between(t, u, step="post", color=DRIVE, alpha=0.35, lw=0)
     drive.set_ylabel("drive, V (shaded)", color=DRIVE)
@@ -258,23 +258,23 @@ def breakaway(run: Run) -> Picture:
     drive.spines["right"].set_visible(True)
     found = section(run.result, "breakaway")
     for name, sign, ink in (("plus", 1.0, "#0072B2"), ("minus", -1.0, "#D55E00")):
-        ramp = np.flatnonzero(sign * u > 0.0)
-        if ramp.size:
-            right.plot(sign * u[ramp], sign * 1e3 * (y[ramp] - y[ramp[0]]), ".", ms=3.0, color=ink,
+        level, moved = _strokes(y, u, sign)
+        if level.size:
+            right.plot(level, 1e3 * np.cumsum(moved), ".-", ms=3.0, lw=0.6, color=ink,
                        label=f"{name}: towards {'rising' if sign > 0 else 'falling'} positions")  # fmt: skip
-        level = number(found.get(f"static_{name}_V"))
-        if math.isfinite(level):
+        static_V = number(found.get(f"static_{name}_V"))
+        if math.isfinite(static_V):
             reach = pair(found.get(f"static_{name}_range_V"))
             if reach is not None:
                 right.axvspan(*reach, color=ink, alpha=0.12, lw=0)
-            right.axvline(level, color=ink, lw=1.2, ls=(0, (4, 2)), label=f"breaks away at {level:.3f} V")
-    right.set_xlabel("|drive|, V")
-    right.set_ylabel("displacement, mrad")
+            right.axvline(static_V, color=ink, lw=1.2, ls=(0, (4, 2)), label=f"breaks away at {static_V:.3f} V")
+    right.set_xlabel("|drive| of a stroke, V")
+    right.set_ylabel("moved so far by strokes of this way, mrad")
     right.set_title("displacement over drive")
     if right.get_legend_handles_labels()[0]:
         right.legend(loc="upper left")
     else:
-        note(right, "the run ended before a ramp")
+        note(right, "the run ended before a stroke")
     noise = 1e3 * number(found.get("noise_rad"))
     words = f" At rest the sensor's noise is {noise:.2g} mrad (standard deviation)." if math.isfinite(noise) else ""
     levels = (number(found.get(f"static_{name}_V")) for name in ("plus", "minus"))
@@ -284,10 +284,25 @@ def breakaway(run: Run) -> Picture:
             "its interval; it is static friction less bias towards rising positions, plus bias towards falling ones."
         )
     return render(
-        figure, run.backend, "Breakaway ramps: drive and position, with static friction.",
-        "Breakaway check: a slow ramp each way proves sensor, drive and sign before any relay runs, and shows static "
-        "friction." + words,
+        figure, run.backend, "Breakaway strokes: drive and position, with static friction.",
+        "Breakaway check: short strokes, slowly stronger, prove sensor, drive and sign before any relay runs, and show "
+        "static friction." + words,
     )  # fmt: skip
+
+
+def _strokes(y_rad: Array, u_V: Array, sign: float) -> tuple[Array, Array]:
+    """Of the strokes of one way: the largest |drive|, V, and how far they moved the shaft along it, rad."""
+    way = np.concatenate(([0.0], np.sign(u_V), [0.0]))
+    begins = np.flatnonzero((way[1:-1] != 0.0) & (way[1:-1] != way[:-2]))
+    level, moved = [], []
+    for begin, until in zip(begins, np.append(begins, y_rad.size)[1:], strict=True):
+        if sign * u_V[begin] > 0.0:
+            pause = begin + int(np.count_nonzero(u_V[begin:until]))
+            stood = y_rad[(pause + until) // 2 : until] if until > pause else y_rad[until - 1 : until]
+            before = y_rad[max(begin - stood.size + 1, 0) : begin + 1]
+            level.append(float(np.abs(u_V[begin:until]).max()))
+            moved.append(sign * float(stood.mean() - before.mean()))
+    return np.array(level), np.array(moved)
 
 
 def gain_search(run: Run) -> Picture:

@@ -87,10 +87,11 @@ def render_page(run: Run, identification: Identification | None = None) -> str:
         friction_law=_friction_law(run),
         hysteretic=_hysteretic(run),
         tracking=_tracking(run),
-        loop=_loop(run),
+        loop_cells=_loop(run),
         facts=_facts(run),
         started=_started(run),
         notes=list(texts(run.result.get("notes"))),
+        config_notes=list(texts(run.result.get("config_notes"))),
     )
 
 
@@ -100,12 +101,6 @@ def draw(run: Run, identification: Identification | None = None) -> dict[str, li
         fits, trouble = fits_of(run, identification)
         best = next(iter(run.estimates), "sampled-data")
         relays = run.spans("relay")
-
-        def evidence() -> list[Figure]:
-            return [
-                _figure(lambda: fitted.residuals(run, best, fits)),
-                _figure(lambda: fitted.convergence(run, fits)),
-            ]
 
         def transients() -> list[Figure]:
             if not run.spans("hysteretic"):
@@ -122,7 +117,7 @@ def draw(run: Run, identification: Identification | None = None) -> dict[str, li
             "forest": [_figure(lambda: fitted.forest(run))],
             "transients": transients(),
             "cycles": cycles or [Figure(None, "There was no relay test, so there is no averaged cycle.")],
-            "evidence": [Figure(None, trouble)] if trouble else evidence(),
+            "evidence": [Figure(None, trouble) if trouble else _figure(lambda: fitted.residuals(run, best, fits))],
             "tracking": [_figure(lambda: checked.tracking(run))],
             "loop": [_figure(lambda: checked.loop_timing(run))],
         }
@@ -235,17 +230,18 @@ def _tracking(run: Run) -> list[Json]:
     return table
 
 
-def _loop(run: Run) -> Json:
+def _loop(run: Run) -> list[tuple[str, tuple[float | None, str]]]:
+    """Heading and cell of each column of the loop's table; none where the result has no loop."""
     loop = section(run.result, "loop")
+    if not loop:
+        return []
     late = section(loop, "late_us")
-    return {
-        "known": bool(loop),
-        "period": _cell(run.period_s, 1e3),
-        "ticks": _cell(loop.get("ticks")),
-        "skipped": _cell(loop.get("skipped")),
-        "late": [(name, _cell(late.get(key))) for name, key in
-                 (("median", "p50"), ("99 %", "p99"), ("99.9 %", "p999"), ("largest", "max"))],
-    }  # fmt: skip
+    cells = [("period, ms", _cell(run.period_s, 1e3)), ("ticks", _cell(loop.get("ticks"))),
+             ("skipped", _cell(loop.get("skipped")))]  # fmt: skip
+    if not run.in_virtual_time:
+        names = (("median", "p50"), ("99 %", "p99"), ("99.9 %", "p999"), ("largest", "max"))
+        cells += [(f"late, {name}, µs", _cell(late.get(key))) for name, key in names]
+    return cells
 
 
 def _started(run: Run) -> str:
@@ -258,12 +254,27 @@ def _started(run: Run) -> str:
 
 
 def _facts(run: Run) -> list[tuple[str, str]]:
-    """What is known about the run, flat: (name, value) pairs in the order of meta.json."""
-    facts: list[tuple[str, str]] = []
-    for key, value in run.meta.items():
-        if key in ("truth", "backend", "schema"):
-            continue
-        facts.append((key, ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else str(value)))
+    """What is known about the run, in words: (name, value) pairs in the order of meta.json."""
+    facts = [
+        (key.replace("_", " "), _in_words(value))
+        for key, value in run.meta.items()
+        if key not in ("truth", "backend", "schema")
+    ]
     if run.truth:
         facts.append(("truth (emulated)", ", ".join(f"{k} = {v:.6g}" for k, v in run.truth.items())))
     return facts
+
+
+def _in_words(value: Any) -> str:
+    """A value of meta.json as people write it: yes and no, numbers with six digits, lists and mappings in a row."""
+    if value is None or value == [] or value == {}:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list):
+        return "; ".join(_in_words(item) for item in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{str(key).replace('_', ' ')}: {_in_words(item)}" for key, item in value.items())
+    return str(value)

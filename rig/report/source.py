@@ -14,7 +14,7 @@ import yaml
 from numpy.typing import NDArray
 
 from rig.faults import FAULTS
-from rig.recording.reader import Recording, RecordingError, read_csv, whole_content
+from rig.recording.reader import Recording, RecordingError, printable, read_csv, whole_content
 from rig.report.style import AbsentError, stage_kind
 
 Array = NDArray[np.float64]
@@ -223,7 +223,7 @@ def _json(path: Path, consequence: str, missing: list[str]) -> Json:
     if not isinstance(value, dict):
         missing.append(f"{path.name} does not hold an object: {consequence}.")
         return {}
-    return value
+    return {str(key): printable(item) for key, item in value.items()}
 
 
 def _events(path: Path, missing: list[str]) -> list[Json]:
@@ -240,7 +240,7 @@ def _events(path: Path, missing: list[str]) -> list[Json]:
             broken += 1
             continue
         if isinstance(value, dict):
-            events.append(value)
+            events.append({str(key): printable(item) for key, item in value.items()})
     if broken:
         missing.append(f"{path.name}: {broken} line(s) are torn or broken and were left out.")
     return events

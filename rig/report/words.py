@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import shlex
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 from rig.report.source import Json, Run, interval, number, section, texts
 
+NOTHING_TO_IDENTIFY = "nothing to identify"  # how the note of a run begins whose record gives no estimate
 Outcome = Literal["ok", "doubtful", "refused", "none"]
 
 
@@ -135,6 +138,7 @@ def headline(run: Run) -> Headline:
     reasons = texts(estimate.get("reasons"))
     quantities = tuple(quantity(p, estimate, run.truth) for p in HEADLINE_PARAMETERS)
     name = method.replace("-", " ")
+    models_from = str(run.result.get("models_from") or "")
     sentences: list[str] = []
     next_steps: list[Step] = []
     if outcome == "refused":
@@ -147,14 +151,19 @@ def headline(run: Run) -> Headline:
         whole = all(q.exact is not None for q in quantities)
         found = "The motor is identified" if whole else "The friction is identified"
         title = found if outcome == "ok" else "Identified, but doubtful"
+        if models_from:
+            title = "Driven with the models of another run"
+            sentences.append(f"What is shown here was identified in {models_from}.")
         if run.faults:
             title += ", and the run ended with a fault"
             next_steps.append(Step("Cure the fault above first."))
         sentences.extend(_plain_words(quantities, run))
         if not whole:
             next_steps.append(Step("Friction alone drives no bench: record a relay test for the other parameters."))
+        elif models_from:
+            next_steps.append(Step("The tracking check below shows how well each of these models drives the bench."))
         elif outcome == "ok":
-            next_steps.append(Step("Drive the bench with this model:", f"rig track CONFIG --model {run.folder}"))
+            next_steps.append(_drive_with(run))
         else:
             next_steps.append(Step("Treat the values as a first guess. Follow what each reason says, then run again."))
     if method != "sampled-data":
@@ -180,15 +189,48 @@ def _plain_words(quantities: tuple[Quantity, ...], run: Run) -> list[str]:
     return [words]
 
 
+def _command(*parts: str | Path) -> str:
+    """A command as a shell takes it."""
+    return shlex.join(["rig", *map(str, parts)])
+
+
+def _drive_with(run: Run) -> Step:
+    if not section(run.config, "tracking"):
+        return Step("To drive the bench with this model, add a section `tracking` to the config and run it again.")
+    if run.recording is None:
+        return Step("Its samples are missing: to drive the bench with this model, identify it anew.")
+    command = _command("track", run.folder / "config.yaml", "--model", run.folder)
+    return Step("Drive the bench with this model:", command)
+
+
+def _again(run: Run, text: str) -> Step:
+    """The advice to run the whole experiment, with the command where the config is there."""
+    if not run.config:
+        return Step(f"{text}.")
+    return Step(f"{text}:", _command("run", run.folder / "config.yaml"))
+
+
 def _nothing(run: Run) -> Headline:
-    """The headline of a run without any estimate."""
-    title = "No estimate in this run" if run.result else "No result: the run ended before it had one"
+    """The headline of a run without any estimate: why there is none, or what it was for instead."""
+    jogged = section(run.meta, "script").get("name") == "jog"
+    reasons: tuple[str, ...] = ()
+    if jogged:
+        title = "The shaft was moved by hand"
+    elif run.result:
+        title = "No estimate in this run"
+        reasons = tuple(n for n in texts(run.result.get("notes")) if n.startswith(NOTHING_TO_IDENTIFY))
+    else:
+        title = "No result: the run ended before it had one"
     if run.faults:
         step = Step("Cure the fault above, then run again.")
+    elif jogged:
+        step = _again(run, "A jog identifies nothing; run the whole experiment")
     elif run.result:
-        step = Step("No relay test could be identified; run the whole experiment:", "rig run CONFIG")
+        step = _again(run, "No relay test could be identified; run the whole experiment")
+    elif run.spans("relay") or run.spans("hysteretic"):
+        step = _again(run, "The notes below say what its relay tests lack; run the experiment again")
     elif run.recording is not None:
-        step = Step("Identify what was recorded:", f"rig identify {run.folder}")
+        step = _again(run, "It ended before a relay test; run the experiment again")
     else:
         step = Step("Nothing can be identified from this folder; run the experiment again.")
-    return Headline("none", title, (), texts(run.result.get("notes")), (step,), "", ())
+    return Headline("none", title, (), reasons, (step,), "", ())

@@ -24,7 +24,7 @@ from rig.config import Experiment, load, preflight
 from rig.config.link_budget import link_budget, reading_budget, transactions
 from rig.config.modbus import tcp_address
 from rig.config.plan import plan
-from rig.config.room_to_stop import reaction_periods
+from rig.config.room_to_stop import device_watchdog_s, reaction_periods, stopping_terms
 
 CONFIG = Path(__file__).parents[2] / "config" / "modbus-rtu.yaml"
 SECTION = "daq.modbus.registers."
@@ -261,6 +261,25 @@ def test_a_drive_that_goes_out_a_tick_later_counts_one_period_more() -> None:
     assert reaction_periods(later) == reaction_periods(at_once) + 1
     more_s = guard_settings_of(later).reaction_s - guard_settings_of(at_once).reaction_s
     assert more_s == pytest.approx(later.period_s)
+
+
+def test_a_watchdog_that_is_not_there_is_not_counted_and_said_to_be_missing() -> None:
+    """Nothing bounds what the shaft does if the host of such a device dies: no sum may look as if it did."""
+    with_one = example()
+    none = example({"watchdog": None}, daq={"accept_no_watchdog": True})
+    assert device_watchdog_s(none) is None
+    v = none.limits.max_speed_rad_s
+    assert [words for words, _ in stopping_terms(none)] == [
+        words for words, _ in stopping_terms(with_one) if words != "watchdog"
+    ]
+    less_s = guard_settings_of(with_one).reaction_s - guard_settings_of(none).reaction_s
+    assert less_s == pytest.approx(with_one.daq.watchdog_s)
+    less_rad = sum(rad for _, rad in stopping_terms(with_one)) - sum(rad for _, rad in stopping_terms(none))
+    assert less_rad == pytest.approx(v * with_one.daq.watchdog_s)
+    found = preflight(none)
+    assert found.problems == ()
+    (line,) = (line for line in found.lines if line.startswith("stopping"))
+    assert "if it dies nothing bounds it: the device has no watchdog" in line
 
 
 def test_a_watchdog_that_is_set_on_the_device_counts_for_the_room_to_stop() -> None:

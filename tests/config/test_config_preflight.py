@@ -44,6 +44,7 @@ def experiment(**changes: Any) -> Experiment:
     return Experiment.model_validate(demo(**changes))
 
 
+SECTION_MISSING = {"serial without port": "daq:", "no speed of the motor": "name:"}  # line that is named instead
 REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "soft around no centre": ({"limits__soft_rad": [0.1, 1.1]}, "limits.soft_rad", "must enclose 0 rad"),
     "soft outside hard": ({"limits__soft_rad": [-1.1, 1.95]}, "limits.soft_rad", "not inside limits.hard_rad"),
@@ -76,6 +77,23 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     ),
     "breakaway above the drive": ({"breakaway__max_V": 3.5}, "breakaway.max_V", "more than drive.max_V 3 V"),
     "motion below the sensor": ({"breakaway__motion_rad": 0.01}, "breakaway.motion_rad", "less than 3 counts"),
+    "motion that the guard would not see": (
+        {"breakaway__motion_rad": 1.5},
+        "breakaway.motion_rad",
+        "1.5 rad is more than 0.1 rad",
+    ),
+    "no speed of the motor": ({"motor": None}, "motor", "motor.no_load_speed_rad_s is missing"),
+    "a ramp of one stroke": (
+        {"breakaway__ramp_V_s": 1000.0},
+        "breakaway.ramp_V_s",
+        "1000 V/s reaches breakaway.max_V in 1 strokes each way",
+    ),
+    "unseen travel, a fast motor": (
+        {"motor__no_load_speed_rad_s": 400.0},
+        "breakaway.max_V",
+        "1.2 V is up to 40 rad/s: with a stuck or uncoupled sensor the shaft could turn more than 0.5 rad unseen",
+    ),
+    "unseen travel, a ramp that takes for ever": ({"breakaway__ramp_V_s": 0.01}, "breakaway.max_V", "unseen"),
     "gains above the drive": (
         {"relay__target": None, "relay__gains": [{"h1_V": 0.8, "h2_V": 1.0}, {"h1_V": 1.6, "h2_V": 1.5}]},
         "relay.gains[1]",
@@ -256,7 +274,7 @@ def test_each_rule_refuses_with_one_line_at_its_key(case: str, tmp_path: Path) -
         assert line[problem.column - 1 - 2 :].startswith("1.0}")  # two spaces of indentation were stripped
     else:
         last = key.rpartition(".")[2]
-        assert f"{last}:" in line or (case == "serial without port" and line.startswith("daq:"))
+        assert f"{last}:" in line or line.startswith(SECTION_MISSING.get(case, "?"))
     assert str(problem).startswith(f"{path}:{problem.line}:{problem.column}: {key}: ")
     # the schema alone has nothing against it, and says what would happen all the same
     assert load(path) == experiment(**changes)
@@ -357,6 +375,23 @@ def test_following_the_hint_on_speed_passes() -> None:
         hinted = float(problem.hint.split()[2])
         assert hinted < 7.77
         assert preflight(experiment(**{**changes, "limits__max_speed_rad_s": hinted})).problems == ()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"breakaway__ramp_V_s": 1000.0},
+        {"breakaway__ramp_V_s": 2.0},
+        {"breakaway__motion_rad": 1.5},
+        {"motor__no_load_speed_rad_s": 350.0},
+        {"motor__no_load_speed_rad_s": 900.0},
+    ],
+)
+def test_following_the_hint_on_the_breakaway_check_passes(changes: dict[str, Any]) -> None:
+    (problem,) = preflight(experiment(**changes)).problems
+    hinted = float(next(word for word in problem.hint.split() if word[0].isdigit()))
+    key = problem.key.replace(".", "__")
+    assert preflight(experiment(**{**changes, key: hinted, "breakaway__ramp_V_s": 0.4} | {key: hinted})).problems == ()
 
 
 @pytest.mark.parametrize("period_s", [0.01, 0.02, 0.05])

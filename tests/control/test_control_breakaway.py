@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 
+import numpy as np
 import pytest
-from simulated_bench import DEMO_MOTOR, LIMITS, simulated_bench
+from simulated_bench import DEMO_MOTOR, LIMITS, breakaway_check, simulated_bench
 
-from rig.control.breakaway import BreakawayCheck
+from rig import config, experiment
+from rig.config.room_to_stop import UNSEEN_RAD, breakaway_strokes
+from rig.control.breakaway import BreakawayLaw
+from rig.experiment import breakaway_check as check_of
 from rig.faults import Fault
-from rig.model.friction import coulomb
+from rig.model.friction import Friction, coulomb
 from rig.model.motor import Motor
+from rig.recording.reader import read_run
 from rig.signals import Sample
+from unseen_travel import check, trials
 
-
-def check() -> BreakawayCheck:
-    return BreakawayCheck(ramp_V_s=0.4, max_V=1.2, motion_rad=0.02, rest_s=0.4)
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_it_measures_both_levels_and_the_noise_and_hardly_moves_the_shaft() -> None:
     bench = simulated_bench()
-    law = check()
+    law = breakaway_check()
     with bench.loop.armed(LIMITS):
         bench.loop.run(law, "breakaway")
     friction, bias = DEMO_MOTOR.friction, DEMO_MOTOR.bias_V
@@ -48,38 +55,30 @@ def test_it_measures_both_levels_and_the_noise_and_hardly_moves_the_shaft() -> N
 def test_each_wrong_bench_is_named_and_left_at_zero(wiring, code: str) -> None:
     bench = simulated_bench(**wiring)
     with pytest.raises(Fault) as caught, bench.loop.armed(LIMITS):
-        bench.loop.run(check(), "breakaway")
+        bench.loop.run(breakaway_check(), "breakaway")
     assert caught.value.code == code
     assert bench.driver.bench.pin_counts == 0
     # a stuck sensor cannot show the motion: the strokes keep it short
     assert abs(bench.driver.bench.state.y) < 0.5
 
 
-def test_one_reading_beyond_the_noise_is_no_motion_and_two_are() -> None:
-    for seen in ({100}, {100, 101}):
-        law = check()
-        drives = [law.step(Sample(0.01 * k, 0.1 if k in seen else 0.0, 512)) for k in range(120)]
-        goes_on = max(drives[102:]) > max(drives[:100]) > 0.0
-        assert goes_on == math.isnan(law.plus_V) == (len(seen) == 1)
-
-
 def test_a_drive_that_is_stuck_on_is_noticed_though_no_software_can_stop_it() -> None:
     bench = simulated_bench(drive="stuck_on", motor=Motor(0.17, 0.4, coulomb(0.5)))
     with pytest.raises(Fault) as caught, bench.loop.armed(LIMITS):
-        bench.loop.run(check(), "breakaway")
+        bench.loop.run(breakaway_check(), "breakaway")
     assert caught.value.code in ("DRIVE_STUCK_ON", "TRAVEL_HARD", "DEVICE_TRAVEL")
 
 
 def test_a_shaft_that_still_turns_at_the_start_is_waited_for() -> None:
     bench = simulated_bench()
     bench.driver.bench.state = bench.driver.bench.state._replace(v=2.0, y=-0.5)
-    law = check()
+    law = breakaway_check()
     with bench.loop.armed(LIMITS):
         bench.loop.run(law, "breakaway")
     assert law.finished
 
 
-def drives(law: BreakawayCheck, y_rad: Callable[[float], float], until_s: float) -> list[float]:
+def drives(law: BreakawayLaw, y_rad: Callable[[float], float], until_s: float) -> list[float]:
     return [law.step(Sample(0.01 * k, y_rad(0.01 * k), 512)) for k in range(round(until_s / 0.01))]
 
 
@@ -92,13 +91,106 @@ def test_a_shaft_that_drifts_by_more_than_the_noise_explains_is_waited_for(drift
         flicker = noise_rad * math.sqrt(6.0) / 4.0  # which second differences find to be of noise_rad
         return flicker * (-1) ** round(t_s / 0.01) + drift * noise_rad * t_s / 0.1  # the halves are 0.1 s apart
 
-    assert (max(drives(check(), y_rad, 1.0)) == 0.0) is waits
+    assert (max(drives(breakaway_check(), y_rad, 0.6)) == 0.0) is waits
 
 
-def test_no_motion_says_which_way() -> None:
-    with pytest.raises(Fault, match="NO_MOTION") as caught:
-        drives(check(), lambda t_s: 0.0, 10.0)
-    assert "up to 1.20 V towards rising positions" in caught.value.detail
-    with pytest.raises(Fault, match="NO_MOTION") as caught:
-        drives(check(), lambda t_s: 0.0 if t_s < 1.0 else 0.1, 10.0)  # it moved, and stands now
-    assert "towards falling positions" in caught.value.detail
+def test_a_shaft_that_coasts_after_a_stroke_is_waited_for() -> None:
+    law, drive_V, k = breakaway_check(), 0.0, 0
+
+    def step(y_rad: float) -> float:
+        nonlocal k
+        k += 1
+        return law.step(Sample(0.01 * k, y_rad, 512))
+
+    while drive_V == 0.0:
+        drive_V = step(0.0)
+    while drive_V != 0.0:
+        drive_V = step(0.0)
+    coasting_rad = [0.005 * j for j in range(25)]
+    assert not any(step(y_rad) for y_rad in coasting_rad)
+    assert any(step(coasting_rad[-1]) for _ in range(100))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_alone_never_gathers_to_motion(seed: int) -> None:
+    """As much of it as the check takes: a third of what counts as motion."""
+    noise_rad = np.random.default_rng(seed).normal(0.0, 0.3 * 0.02, 20_000)
+    with pytest.raises(Fault, match=r"NO_MOTION.*towards rising and falling"):
+        drives(breakaway_check(), lambda t_s: float(noise_rad[round(100.0 * t_s)]), 200.0)
+
+
+@pytest.mark.parametrize("friction_V", [0.2, 0.3])
+@pytest.mark.parametrize("fault_after_s", [0.0, 1.5, 2.5])
+def test_with_a_sensor_that_sticks_the_shaft_turns_less_than_half_a_radian(
+    friction_V: float, fault_after_s: float
+) -> None:
+    """At the demo's 1.2 V, for friction that it does not suit; also where the sensor dies in the midst of the check."""
+    motor = Motor(0.17, 6.5, Friction(1.1 * friction_V, 0.9 * friction_V, 1.1 * friction_V, 0.9 * friction_V))
+    bench = simulated_bench(motor=motor, sensor="stuck", fault_after_s=fault_after_s)
+    law, shaft_rad = breakaway_check(), []
+    step = law.step
+
+    def watched(sample: Sample) -> float:
+        shaft_rad.append(bench.driver.bench.state.y)
+        return step(sample)
+
+    law.step = watched  # type: ignore[method-assign]
+    with contextlib.suppress(Fault), bench.loop.armed(LIMITS):
+        bench.loop.run(law, "breakaway")
+    assert bench.driver.bench.pin_counts == 0
+    fault = bench.guard.fault
+    assert law.finished is False and fault is None  # it ended with NO_MOTION, of the check's own
+    assert max(map(abs, shaft_rad)) < UNSEEN_RAD
+
+
+def test_strokes_come_in_pairs_of_equal_level_and_opposite_sign() -> None:
+    bench = simulated_bench(sensor="stuck")
+    with pytest.raises(Fault, match=r"up to 1\.20 V towards rising and falling positions"), bench.loop.armed(LIMITS):
+        bench.loop.run(breakaway_check(), "breakaway")
+    drives = [row["asked_V"] for row in bench.record.rows]
+    starts = [k for k, u_V in enumerate(drives) if u_V and not drives[k - 1]]
+    strokes = [drives[k : k + 4] for k in starts]
+    assert len(strokes) == 38 and sum(u_V != 0.0 for u_V in drives) == 152
+    for first, second in zip(strokes[::2], strokes[1::2], strict=True):
+        assert first == [-u_V for u_V in second]
+    assert [stroke[0] > 0.0 for stroke in strokes[::2]] == [True, False] * 9 + [True]
+    assert max(drives) == 1.2
+
+
+def test_the_bound_holds_for_any_inertia_and_friction_that_differs_by_a_tenth() -> None:
+    """The motors that it is about: as fast as the data sheet says, the less friction and inertia the farther."""
+    demo = config.load(ROOT / "config/demo.yaml")
+    strokes = breakaway_strokes(demo)
+    assert strokes is not None and demo.motor is not None
+    worst_rad = 0.0
+    for friction_V in (0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7):
+        K = demo.motor.no_load_speed_rad_s / (demo.drive.supply_V - friction_V)
+        for tau_s in (0.001, 0.01, 0.05, 0.2, 1.0):
+            plus_V, minus_V = 1.1 * friction_V, 0.9 * friction_V
+            motor = Motor(tau_s, K, Friction(plus_V, minus_V, plus_V, minus_V))
+            seen = check(motor, breakaway_check(), demo.period_s, 1, stuck=True)
+            assert seen.end == "NO_MOTION"
+            worst_rad = max(worst_rad, seen.travel_rad)
+    assert 0.8 * strokes.unseen_rad < worst_rad < strokes.unseen_rad <= UNSEEN_RAD
+
+
+def test_random_motors_turn_little_unseen_and_are_seen_both_ways() -> None:
+    """Some of the 500 motors of tools/unseen_travel.py, which takes longer and says more."""
+    ends: Counter[str] = Counter()
+    for number, (motor, e) in enumerate(trials(80)):
+        if breakaway_strokes(e) is None:
+            ends["refused"] += 1
+            continue
+        stuck = check(motor, check_of(e), e.period_s, number, stuck=True)
+        assert stuck.end == "NO_MOTION" and stuck.travel_rad < UNSEEN_RAD
+        ends[check(motor, check_of(e), e.period_s, number, stuck=False).end] += 1
+    assert set(ends) <= {"moves", "NO_MOTION", "refused"}
+    assert ends["moves"] >= 70  # of 80; one way after the other moved fewer
+
+
+def test_a_config_whose_unseen_travel_has_no_bound_drives_nothing(tmp_path: Path) -> None:
+    """Also where nobody asked `rig check`."""
+    e = config.load(ROOT / "config/simulated.yaml")
+    outcome = experiment.run_breakaway(e.model_copy(update={"motor": None}), tmp_path)
+    assert outcome.fault is not None and outcome.fault.code == "CONFIG_MISMATCH"
+    assert not read_run(outcome.folder).u_V.any()

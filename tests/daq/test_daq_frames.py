@@ -211,3 +211,4 @@ def test_words_for_people():
     assert hello.reset_words == "power-on, brown-out"
     assert hello._replace(reset_cause=0).reset_words == "unknown"
     assert hello.build_text == "abc\\xff"
+    assert hello._replace(build=b"\x1b[2Jrig\n".ljust(16, b"\0")).build_text == "\\x1b[2Jrig\\n"

@@ -50,7 +50,10 @@ class ScriptedPort:
     def write(self, data):
         if self.dead:
             raise Fault("LINK_LOST", "scripted")
-        (request,) = self.requests.feed(data)
+        requests = self.requests.feed(data)
+        if not requests:
+            return  # spelled, and not at its end
+        (request,) = requests
         self.seq = request.seq
         if request.kind == Kind.HELLO:
             self.hellos += 1

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from rig.daq.calibration import DriveMap
 from rig.daq.frames import Code, Kind, Setup, encode, pack_ack, pack_arm, pack_drive
 from rig.emulate.firmware_build import EmulationError
 from rig.emulate.virtual_board import VirtualBoard
@@ -200,6 +201,34 @@ def test_wiring_is_the_python_benchs(drive: DriveWiring, sensor: SensorWiring, f
     else:
         assert sensor not in ("broken_low", "broken_high")
         assert bench.faulty
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_bridge_is_the_python_benchs(turned: bool) -> None:
+    """Drop, dead bands and direction: the same voltage at the motor for every drive, to the last digit."""
+    parameters = BenchParameters(
+        Motor(0.17, 6.5, Friction(0.45, 0.5, 0.5, 0.55)),
+        supply_V=10.0,
+        bridge_drop_V=1.4,
+        dead_band_plus=0.03,
+        dead_band_minus=0.05,
+        reversed=turned,
+    )
+    board, bench = VirtualBoard(parameters), Bench(parameters, 1)
+    believed = DriveMap(10.0, 1.4, 0.03, 0.05, reversed=turned)
+    board.write(encode(Kind.SETUP, 1, Setup(1, 2, 1021, 0, 1023, 512, 799, 1000, 1).pack()))
+    board.write(encode(Kind.ACK, 1, pack_ack(Code.RESET)))
+    board.sleep_until(0.01)
+    board.write(encode(Kind.ARM, 2, pack_arm(1)))
+    board.sleep_until(0.02)
+    for k, units in enumerate((0, 1, 23, 24, 40, 200, -1, -39, -40, -200)):
+        board.write(encode(Kind.DRIVE, 3 + k, pack_drive(units)))
+        board.sleep_until(board.now_s() + 0.010)
+        bench.pin_counts = units
+        assert board.truth().armed
+        assert board.truth().motor_V == bench.motor_V
+        assert bench.motor_V == pytest.approx(believed.to_volts(units), rel=1e-12)
+        assert board.truth().pin_V == pytest.approx(units / 799 * 10.0)
 
 
 def test_a_noisy_sensor_spreads_by_25_counts_in_both_benches() -> None:

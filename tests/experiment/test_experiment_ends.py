@@ -15,12 +15,14 @@ import pytest
 import yaml
 from command_line import rig
 
+from rig import config as configs
 from rig import experiment as script
 from rig import session
 from rig.bench import Bench
 from rig.config.schema import Experiment
 from rig.control.law import Constant
 from rig.faults import Fault
+from rig.identify import identify
 from rig.recording.reader import read_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -248,3 +250,18 @@ def test_a_defect_after_the_loop_costs_neither_record_nor_result(
     folder = Path(json.loads(result.stdout)["folder"])
     outcome = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     assert outcome["faults"][0]["code"] == "INTERNAL" and "relay-1" in read_run(folder).stages()
+
+
+@pytest.mark.parametrize("changed", [{"tau_s": 0.6, "K_rad_s_V": 1.2}, {"fc_V": 2.5}], ids=["sluggish", "rough"])
+def test_a_model_that_fails_its_rehearsal_never_drives_the_bench(changed: dict[str, float], tmp_path: Path) -> None:
+    """Measured at the drive: the record has no tick of it, and the model that passed never goes beyond the limits."""
+    e = configs.load(ROOT / "config/simulated.yaml")
+    e = e.model_copy(update={"tracking": e.tracking and e.tracking.model_copy(update={"duration_s": 2.0})})
+    found = identify([read_run(ROOT / "tests/golden/simulated")], ["sampled-data", "triple-relay"], ladder=False)
+    found.estimates["triple-relay"] = replace(found.estimates["triple-relay"], **changed)
+    outcome = script.run_tracking(e, found, tmp_path, tmp_path / "runs")
+    assert outcome.fault is None
+    assert "in simulation on the best model" in outcome.result["tracking"]["triple-relay"]["not_run"]
+    recording = read_run(outcome.folder)
+    assert "track:sampled-data" in recording.stages() and "track:triple-relay" not in recording.stages()
+    assert abs(recording.y_rad).max() < e.limits.soft_rad[1] and abs(recording.u_V).max() <= e.drive.max_V

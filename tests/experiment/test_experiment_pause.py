@@ -139,6 +139,8 @@ def test_the_next_command_clears_it_and_says_so(tmp_path: Path, monkeypatch: pyt
     assert result.exit_code == 0, result.stderr
     assert "e-stop pressed since the last run" in result.stderr
     assert "e-stop" not in rig("jog", path, "--u-V", 0.2, "--out", tmp_path / "runs").stderr
+    press(chips[0])
+    assert "e-stop pressed since the last run" in rig("doctor", path, "--seconds", 0.2).stdout
     chips[0].contact("e_stop", is_open=True)
     result = rig("jog", path, "--u-V", 0.2, "--out", tmp_path / "runs")
     assert result.exit_code == 1 and "DEVICE_ESTOP" in result.stderr

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from rig.emulate import firmware_build
+from rig.emulate.firmware_build import PLAIN_UNO, UnoOptions
 from rig.model.bench import BenchParameters
 
 _FOLDER = Path(__file__).parent / "avr8js"
@@ -29,15 +30,16 @@ class SecondTruth(NamedTuple):
 
 
 class SecondChip:
-    """One Uno with the plain firmware, powered on at time 0; ends with the ``with`` block.
+    """One Uno at 115200 baud, powered on at time 0; ends with the ``with`` block.
 
-    bench  Coulomb and static friction, a potentiometer without noise, nothing else
+    bench    Coulomb and static friction, a potentiometer without noise, nothing else
+    options  that the firmware is built with
     Raises RuntimeError where node or avr8js is missing.
     """
 
     absolute = True  # of the clock
 
-    def __init__(self, bench: BenchParameters) -> None:
+    def __init__(self, bench: BenchParameters, options: UnoOptions = PLAIN_UNO) -> None:
         node = shutil.which("node")
         if node is None or not (_FOLDER / "node_modules" / "avr8js").is_dir():
             missing = "node" if node is None else "avr8js"
@@ -52,7 +54,8 @@ class SecondChip:
         }  # fmt: skip
         names = ("rad_per_count", "centre_counts", "supply_V")
         chip = {
-            "hex": str(firmware_build.build_chip().hex),
+            "hex": str(firmware_build.build_chip(options).hex),
+            "bridge": options.bridge,
             "byte_ns": _BYTE_NS,
             "motor": motor,
             "bench": {name: getattr(bench, name) for name in names},
@@ -65,6 +68,7 @@ class SecondChip:
         self._received = b""
         self._happens: list[str] = []
         self._now_ns = 0
+        self._longest_pulse_s = 0.0
         self._truth = SecondTruth(0.0, 0.0, bench.start_rad, 0.0, False, 0, 0)
 
     def __enter__(self) -> Self:
@@ -96,6 +100,11 @@ class SecondChip:
     def truth(self) -> SecondTruth:
         return self._truth
 
+    def longest_pulse_s(self) -> float:
+        """Longest time for which the bridge has conducted without a break since the last call, s."""
+        longest_s, self._longest_pulse_s = self._longest_pulse_s, 0.0
+        return longest_s
+
     def open_estop(self) -> None:
         """Open the e-stop's contact."""
         self._happens.append("openEstop")
@@ -125,4 +134,5 @@ class SecondChip:
         self._to_send, self._happens = b"", []
         self._received += bytes.fromhex(seen.pop("received"))
         self._now_ns = int(seen.pop("now_ns"))
+        self._longest_pulse_s = max(self._longest_pulse_s, seen.pop("longest_pulse_s"))
         self._truth = SecondTruth(self.now_s(), **seen)

@@ -31,7 +31,8 @@ from rig.emulate.virtual_chip import VirtualChip
 from rig.model.friction import Friction
 from rig.model.motor import Motor
 
-QUICK = replace(QUIET, motor=Motor(0.08, 15.0, Friction(0.50, 0.46, 0.54, 0.50), 0.01), start_rad=0.3)
+# from there no decision of the relay's first cycle hangs on one count, by which the two may differ
+QUICK = replace(QUIET, motor=Motor(0.08, 15.0, Friction(0.50, 0.46, 0.54, 0.50), 0.01), start_rad=0.306)
 UNIT_V = 12.0 / 400
 PIN_V = 0.05 * UNIT_V  # tolerance of a mean over pulses
 PWM_S = 50e-6  # within which a drive comes into force

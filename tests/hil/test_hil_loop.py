@@ -6,11 +6,13 @@ import math
 from dataclasses import dataclass, replace
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListRecord, break_away
 
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.guard import Guard
-from rig.control.law import Constant
+from rig.control.law import Constant, Rest
 from rig.control.relay import DualChannelRelay
 from rig.daq.calibration import DriveMap
 from rig.daq.serial_link import SerialDriver
@@ -82,6 +84,36 @@ def test_a_wire_that_breaks_while_driving_is_zero_at_the_pin_within_a_tick(senso
     assert caught.value.code in ("DEVICE_SENSOR", "SENSOR_RAIL")
     assert bench.board.truth().pin_V == 0.0
     assert bench.board.now_s() - broken_s[0] < 2 * PERIOD_S + 0.2  # the safe stop is confirmed
+
+
+@settings(max_examples=25)
+@given(
+    st.floats(-1.87, 1.87), st.sampled_from([-3.0, 3.0]), st.booleans(), st.sampled_from([0.0, 0.4]), st.integers(0, 99)
+)
+def test_full_drive_from_anywhere_inside_the_hard_limits_stays_inside_them(
+    start_rad: float, u_V: float, sign_proven: bool, dwell_s: float, seed: int
+) -> None:
+    """A shaft faster than the config says is a fault that ends it; whatever ends it, it coasts to its stop inside."""
+    bench = chip_bench(seed, start_rad=start_rad)
+    bench.guard.sign_proven = sign_proven
+    reached: list[float] = []
+
+    def watch(t_s: float) -> None:
+        reached.append(bench.board.truth().y_rad)
+
+    codes: list[str] = []
+    try:
+        with bench.loop.armed(LIMITS):
+            bench.loop.run(Rest(dwell_s), "rest", watch)
+            bench.loop.run(Constant(u_V, 2.0), "jog", watch)
+    except Fault as fault:
+        codes.append(fault.code)
+    assert set(codes) <= {"OVERSPEED"}
+    assert bench.board.truth().pin_V == 0.0
+    for _ in range(200):
+        bench.board.sleep_until(bench.board.now_s() + 0.01)
+        reached.append(bench.board.truth().y_rad)
+    assert LIMITS.hard_rad[0] < min(reached) and max(reached) < LIMITS.hard_rad[1]
 
 
 @pytest.mark.parametrize("end", ["fault", "exception", "signal"])

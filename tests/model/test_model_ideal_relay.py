@@ -167,6 +167,15 @@ def test_without_enough_integral_gain_there_is_no_cycle_and_it_says_what_happens
         settled_cycle(Motor(0.17, 6.5, coulomb(0.1), 5.0), 0.8, 1.0, State(0.0, 0.2, 0.1))
 
 
+@pytest.mark.parametrize("fc", [0.0, 0.2])
+def test_where_h1_exceeds_h2_and_friction_it_may_come_to_rest_at_the_centre_and_says_so(fc):
+    """Beside the cycle of Theorem 2.1: the integral stands still on y = 0, where RB holds the motor."""
+    motor = Motor(1.0, 1.0, coulomb(fc))
+    z = 20.0 * abs(limit_cycle(1.0, 1.0, fc, 3.0, 1.0).states[2, 2])
+    with pytest.raises(NoLimitCycle, match="comes to rest"):
+        settled_cycle(motor, 3.0, 1.0, State(0.0, 0.1, z))
+
+
 def test_a_motor_that_sticks_waits_for_the_integral_and_then_goes_on():
     """Static friction between |h1 - h2| and h1 + h2, and a start that stops early: the integral frees it."""
     motor = Motor(0.05, 6.5, coulomb(0.5, 1.6))

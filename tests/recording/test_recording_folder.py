@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import secrets
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
@@ -84,3 +86,30 @@ def test_config_and_meta_are_written_as_given(tmp_path: Path) -> None:
 def test_a_missing_folder_is_an_error_that_names_the_file(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"gone/meta\.json: cannot be written: No such file"):
         write_meta(tmp_path / "gone", {})
+
+
+def test_a_link_that_waits_in_the_folder_is_never_written_through(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under the name that older versions would have used, and under the very name that this one is about to use."""
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / f".result.json.{os.getpid()}").symlink_to(victim)
+    write_result(folder, {"schema": 1})
+    assert victim.read_text() == "mine" and json.loads((folder / "result.json").read_text()) == {"schema": 1}
+
+    monkeypatch.setattr(secrets, "token_hex", lambda size: "foreseen")
+    (folder / ".result.json.foreseen").symlink_to(victim)
+    with pytest.raises(RecordingError, match="cannot be written"):
+        write_result(folder, {"schema": 2})
+    assert victim.read_text() == "mine" and json.loads((folder / "result.json").read_text()) == {"schema": 1}
+    assert (folder / ".result.json.foreseen").is_symlink()  # what is not ours is not removed either
+
+
+def test_a_written_file_has_the_rights_that_the_user_gives_new_files(tmp_path: Path) -> None:
+    write_result(tmp_path, {})
+    (tmp_path / "other").write_text("")
+    assert (tmp_path / "result.json").stat().st_mode == (tmp_path / "other").stat().st_mode
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["other", "result.json"]

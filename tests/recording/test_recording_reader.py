@@ -125,7 +125,7 @@ def test_a_run_whose_device_was_reset_is_read_up_to_there(tmp_path: Path, back: 
     run = read(tmp_path)
     assert len(run) == 8
     assert "line 10: t_s" in run.notes[0] and "4 rows are left out" in run.notes[0]
-    with pytest.raises(RecordingError, match="goes back|repeats"):
+    with pytest.raises(RecordingError, match=r"goes back|repeats"):
         parse(tmp_path, text)
     (tmp_path / "samples.csv").write_text("".join([*lines[:3], lines[1], *lines[4:]]))  # nothing worth keeping
     with pytest.raises(RecordingError, match="goes back"):

@@ -181,3 +181,26 @@ def test_a_broken_run_is_bad_input_in_words(change: dict, words: str, tmp_path: 
     result = rig("replay", run.write())
     assert result.exit_code == 2, result.output
     assert words in result.stderr
+
+
+def test_a_run_of_an_older_version_replays_with_the_breakaway_law_of_then(tmp_path: Path) -> None:
+    """A record from before the strokes came in pairs: its meta.json names no law."""
+    run = RunCopy(Path(__file__).parent / "one-way-breakaway", tmp_path / "old")
+    assert "breakaway" not in run.meta["script"]
+    done = replay(run.write())
+    assert done.is_same and done.compared == done.rows > 300
+
+    run.meta["script"]["breakaway"] = "of another version"
+    with pytest.raises(RecordingError) as caught:
+        replay(run.write())
+    assert "no breakaway law 'of another version'" in caught.value.cause
+
+
+def test_a_run_of_now_says_which_breakaway_law_ran(tmp_path: Path) -> None:
+    outcome = experiment.run_breakaway(short(), tmp_path)
+    run = RunCopy(outcome.folder, tmp_path / "copy")
+    assert run.meta["script"] == {"name": "breakaway", "breakaway": "pairs"}
+    assert replay(outcome.folder).is_same
+    del run.meta["script"]["breakaway"]
+    found = replay(run.write()).difference
+    assert found is not None and found.stage == "breakaway"

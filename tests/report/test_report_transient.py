@@ -34,14 +34,12 @@ def test_the_headline_speaks_of_friction_and_not_of_a_motor() -> None:
     assert not any("nan" in sentence for sentence in shown.sentences)
 
 
-def test_the_recursion_is_drawn_and_is_no_convergence_of_a_motor() -> None:
+def test_the_recursion_is_drawn() -> None:
     estimate = friction()
     run = run_with(estimate.as_dict())
     with style():
         picture = transient.recursion(run, {"least-squares": estimate})
         assert picture.uri.startswith("data:image/svg+xml")
-        with pytest.raises(AbsentError, match="whole motor"):
-            fitted.convergence(run, {"least-squares": estimate})
         refused = friction(fc_V=np.nan, ci95={}, iterates=np.empty((0, 3)))
         with pytest.raises(AbsentError, match="no recursion"):
             transient.recursion(run, {"least-squares": refused})

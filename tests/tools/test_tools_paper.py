@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from paper import build, surviving
+from paper import build, literals, surviving, switching
 from paper.example_4_1 import Result as Result41
 from paper.example_4_1 import below_rests, monotone
 from paper.gauss_newton import features_of, iterate
@@ -77,8 +77,8 @@ class TestExample41:
 
     def test_properties_3_1_and_3_2_hold_on_the_exact_cycles(self) -> None:
         result = small_4_1()
-        assert monotone(result)
-        assert below_rests(result)
+        assert monotone(result).holds
+        assert below_rests(result).holds
         falling = result.over_h1[0].exact_amplitude_rad
         assert falling[0] > falling[-1] > 0.0
 
@@ -94,11 +94,46 @@ def small_4_1() -> Result41:
     return build.example_4_1.compute(4)
 
 
+class TestTheorem21:
+    """Only one set of positive solutions, over a = h1 / h2 and b = fc / h2; the large map is `make paper`'s."""
+
+    @pytest.mark.parametrize("b", [0.0, 0.5, 0.95])
+    @pytest.mark.parametrize("a", [0.05, 0.8, 1.3, 3.0])
+    def test_one_set_of_durations_by_a_scan_and_from_random_starts(self, a: float, b: float) -> None:
+        assert switching.by_scan(a, b) == (1, 1)
+        search = switching.from_random_starts(a, b, 3, np.random.default_rng(5))
+        assert search.arrived == 3
+        (only,) = search.solutions
+        assert only == pytest.approx(limit_cycle(1.0, 1.0, b, a, 1.0).durations_s, rel=1e-6)
+
+    @pytest.mark.parametrize("b", [1.0, 1.1])
+    @pytest.mark.parametrize("a", [0.05, 0.8, 3.0])
+    def test_none_where_friction_is_not_exceeded_by_h2(self, a: float, b: float) -> None:
+        assert switching.by_scan(a, b).crossings == 0
+        assert switching.from_random_starts(a, b, 1, np.random.default_rng(5)).solutions == ()
+
+    def test_a_wrong_condition_would_be_noticed(self) -> None:
+        found = np.array(limit_cycle(1.0, 1.0, 0.5, 0.8, 1.0).durations_s)
+        assert np.abs(switching.residuals(found, 0.8, 0.5)).max() < 1e-9
+        for k in range(3):
+            other = found.copy()
+            other[k] *= 1.001
+            assert np.abs(switching.residuals(other, 0.8, 0.5)).max() > 1e-5
+
+    def test_the_loop_returns_as_theorem_2_2_says_and_reaches_the_cycle_from_anywhere_unless_h1_is_large(self) -> None:
+        result = build.theorem_2_1.compute(2, 1, 3, 2)
+        assert build.theorem_2_1.derived(result).holds
+        assert build.theorem_2_1.reached(result).holds
+        assert all(v.arrived == v.starts for v in result.visited_where(False))
+        assert result.trapped == "chatter"  # at h1 > h2 + fc there is rest beside the cycle
+        assert all(place.radius < 1.0 for place in result.below)
+
+
 class TestExample42:
     def test_least_squares_is_exact_without_a_start_and_in_the_papers_range_with_one(
         self, sections: dict[str, Section]
     ) -> None:
-        recursion, starts = sections["example-4-2a"].tables()
+        recursion, _, starts = sections["example-4-2a"].tables()
         low, high = surviving.LEAST_SQUARES_FC_V
         assert exact(recursion, "nothing assumed", 4) == pytest.approx(surviving.FC_V, abs=1e-9)
         assert low <= exact(recursion, "from 0, P = 100", 4) <= high
@@ -155,10 +190,61 @@ class TestExample42:
         # RC and RB act up to a tick late, and the cycle grows: two ticks
         assert abs(chatter.equivalent_s - chatter.crossing_s) < 2.0 * build.noise.SAMPLING_S
 
+    def test_iterations_stand_beside_the_papers_by_every_rule_for_stopping(self, sections: dict[str, Section]) -> None:
+        stops = sections["example-4-2c"].tables()[3]
+        assert cell(stops, "paper", 0).text == "paper: 2 instead of 5"
+        two = [exact(stops, "two-stage", k) for k in range(1, 6)]
+        one = [exact(stops, "guess (0.1, 3, 0.2)", k) for k in range(1, 6)]
+        assert two == [2, 3, 3, 4, 4]
+        assert one == [3, 4, 5, 5, 5]
+        (line,) = (c for c in sections["example-4-2c"].comparisons if c.place == "4.2 (d)")
+        assert (line.paper, line.agreement) == ("2 iterations instead of 5", "differs")
+
+    def test_the_two_assumptions_of_the_recursion_are_varied_and_decide(self, sections: dict[str, Section]) -> None:
+        table = sections["example-4-2a"].tables()[1]
+        assert exact(table, "from 0, P = 100", 1) == exact(sections["example-4-2a"].tables()[0], "from 0, P = 100", 4)
+        marked = sum("*" in value.text for row in table.rows for value in row)
+        assert 0 < marked < 12
+        assert sections["example-4-2a"].comparisons[0].agreement == "not comparable"
+
+    def test_averaging_is_judged_from_the_errors(self) -> None:
+        rising, falling = ([7.7, 3.4, 4.4, 11.0, 11.0], [7.7, 3.4, 3.0, 2.0, 1.0])
+        for errors, helps, words in (
+            (rising, False, "rises from there to 20"),
+            (falling, True, "falls from N = 1 to 20"),
+        ):
+            table = np.array(errors)[:, None, None] / 100.0 * np.ones((5, 2, 3))
+            nothing = dict.fromkeys(build.noise.FORMS, table[0])
+            made = build.noise.Result(dict.fromkeys(build.noise.FORMS, table), nothing, nothing, None, None)  # type: ignore[arg-type]
+            assert build.noise.averaging_helps(made, build.noise.EQUATIONS).holds == helps
+            remark = build.noise._averaging_remark(made, build.noise.EQUATIONS)
+            assert words in remark.text
+            assert remark.kind == ("agrees" if helps else "differs")
+
+    def test_all_methods_stand_in_one_table(self, sections: dict[str, Section]) -> None:
+        (table,) = sections["table-1"].tables()
+        assert abs(exact(table, "(d) two-stage", 3)) < 1e-6
+        assert abs(exact(table, "(b) describing", 3)) > 0.03
+        assert cell(table, "paper: (d)", 8).text == "2 instead of 5"
+
 
 class TestExample43:
+    def test_without_stribeck_effect_t2_and_t3_are_the_papers_but_not_the_rest(self) -> None:
+        result = build.example_4_3.compute(2)
+        t1, t2, t3, y = build.example_4_3._numbers(result.without_stribeck)
+        assert (f"{t2:.4f}", f"{t3:.4f}") == ("0.1400", "0.1566")
+        assert build.example_4_3.ratio_without_stribeck(result).holds
+        assert t1 / surviving.TUSTIN_DURATIONS_S[0] - 1.0 == pytest.approx(0.074, abs=0.002)
+        assert y / surviving.TUSTIN_POSITION_RAD - 1.0 == pytest.approx(-0.016, abs=0.001)
+
+    def test_gauss_newton_is_shown_from_other_starts_than_the_motors_own(self, sections: dict[str, Section]) -> None:
+        starts = sections["example-4-3"].tables()[2]
+        assert cell(starts, "the motor's own values", 9).text == "yes"
+        assert exact(starts, "describing function", 4) == surviving.TUSTIN_ITERATIONS
+        assert cell(starts, "(0.3, 4, 0.3)", 9).text == "no"
+
     def test_a_law_gives_all_the_surviving_digits(self) -> None:
-        assert build.example_4_3.reproduced(build.example_4_3.compute(2))
+        assert build.example_4_3.reproduced(build.example_4_3.compute(2)).holds
 
     def test_viscous_friction_is_absorbed_exactly(self, sections: dict[str, Section]) -> None:
         identified = sections["example-4-3"].tables()[1]
@@ -173,7 +259,7 @@ class TestExample43:
     def test_the_ratio_survives_tustins_law_and_the_papers_durations_stand_beside_ours(
         self, sections: dict[str, Section]
     ) -> None:
-        durations, identified = sections["example-4-3"].tables()
+        durations, identified = sections["example-4-3"].tables()[:2]
         assert abs(identified.rows[7][4].exact or math.inf) < 0.005
         for column, paper in enumerate((*surviving.TUSTIN_DURATIONS_S, surviving.TUSTIN_POSITION_RAD), start=1):
             assert (cell(durations, "paper", column).exact, cell(durations, "paper", column).whose) == (paper, "paper")
@@ -229,8 +315,8 @@ class TestSection5:
 class TestPage:
     def test_holds_every_example_in_the_papers_order(self, page: str) -> None:
         order = [page.index(f'<h2 id="{key}">') for key in (
-            "summary", "example-4-1", "example-4-2a", "example-4-2b", "example-4-2c", "noise", "example-4-3",
-            "section-5", "sampling",
+            "summary", "example-4-1", "theorem-2-1", "example-4-2a", "example-4-2b", "example-4-2c", "table-1", "noise",
+            "example-4-3", "section-5", "sampling",
         )]  # fmt: skip
         assert order == sorted(order)
 
@@ -266,6 +352,24 @@ class TestPage:
         assert all("Backend:" in picture.alt and "no device" in picture.alt for picture in pictures)
         assert page.count("<figure>") == len(pictures)
         assert f"Backend: {BACKEND}." in page
+
+    def test_no_number_and_no_verdict_is_typed_into_the_text(self, page: str) -> None:
+        assert literals.typed_numbers() == []
+        assert literals.typed_verdicts() == []
+        assert "pieces of text none have a number typed in" in page
+
+    def test_a_typed_number_or_verdict_would_be_found(self) -> None:
+        source = (
+            'Remark("agrees", f"It is {x} and 3.7 % off")\nRemark("agrees" if y else "differs", f"Example 4.2, {z}")'
+        )
+        assert [found.text for found in literals.typed_numbers({"m": source})] == [" and 3.7 % off"]
+        assert len(literals.typed_verdicts({"m": source})) == 3
+
+    def test_every_surviving_count_of_iterations_is_compared(self, page: str) -> None:
+        summary = page[page.index('<h2 id="summary">') : page.index('<h2 id="example-4-1">')]
+        assert "2 iterations instead of 5" in summary
+        assert "iterations of Gauss-Newton" in summary
+        assert "TR's iterations" in summary
 
     def test_no_number_is_missing(self, page: str) -> None:
         assert not re.search(r">(nan|inf|None)<|\bnan\b", page)

@@ -19,6 +19,8 @@ from paper import (
     noise,
     sampling,
     section_5,
+    table_1,
+    theorem_2_1,
 )
 from paper.drawing import style
 from paper.page import Report, Section, render_page
@@ -28,6 +30,11 @@ from rig.recording.folder import write_whole
 def make_4_1(quick: bool) -> Section:
     """Example 4.1."""
     return example_4_1.section(example_4_1.compute(9 if quick else 31))
+
+
+def make_2_1(quick: bool) -> Section:
+    """Theorem 2.1."""
+    return theorem_2_1.section(theorem_2_1.compute(4, 2, 3, 3) if quick else theorem_2_1.compute())
 
 
 def make_4_2a(_quick: bool) -> Section:
@@ -45,6 +52,11 @@ def make_4_2c(quick: bool) -> Section:
     return example_4_2c.section(example_4_2c.compute(7, 5) if quick else example_4_2c.compute())
 
 
+def make_table_1(_quick: bool) -> Section:
+    """Table I."""
+    return table_1.section(table_1.compute())
+
+
 def make_noise(quick: bool) -> Section:
     """Remarks 3.1 and 3.2."""
     return noise.section(noise.compute(2 if quick else 12))
@@ -57,7 +69,7 @@ def make_4_3(quick: bool) -> Section:
 
 def make_5(quick: bool) -> Section:
     """Section V."""
-    return section_5.section(section_5.compute(3, 4.0) if quick else section_5.compute())
+    return section_5.section(section_5.compute(3, 4.0, law=False) if quick else section_5.compute())
 
 
 def make_sampling(quick: bool) -> Section:
@@ -75,9 +87,11 @@ class Step(NamedTuple):
 
 STEPS = (
     Step("Example 4.1: the limit cycle", make_4_1, 0.03),
+    Step("Theorem 2.1: existence, uniqueness, convergence", make_2_1, 0.3),
     Step("Example 4.2 (a): least squares", make_4_2a, 0.02),
     Step("Example 4.2 (b): describing function", make_4_2b, 0.01),
     Step("Example 4.2 (c), (d): triple relay, two-stage", make_4_2c, 0.1),
+    Step("Table I: the methods in one place", make_table_1, 0.02),
     Step("Noise: Remarks 3.1 and 3.2", make_noise, 0.1),
     Step("Example 4.3: Tustin's friction", make_4_3, 0.02),
     Step("Section V: the bench", make_5, 0.5),

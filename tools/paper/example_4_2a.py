@@ -8,7 +8,21 @@ import numpy as np
 
 from paper import surviving
 from paper.drawing import CYCLES, PAPER, Array, finish, new_figure, zero
-from paper.page import Cell, Comparison, Heading, Paragraph, Remark, Section, Table, fixed, number, significant
+from paper.page import (
+    Agreement,
+    Cell,
+    Claim,
+    Comparison,
+    Heading,
+    Paragraph,
+    Remark,
+    Section,
+    Table,
+    fixed,
+    listed,
+    number,
+    significant,
+)
 from rig.control.relay import HystereticRelay
 from rig.identify import least_squares
 from rig.identify.estimate import Estimate
@@ -22,7 +36,9 @@ SAMPLING_S = 0.0002  # 1000 samples end just before the first switching
 REST_S = 0.05
 DURATION_S = 2.5
 NOISE_RAD = 0.001
-COVARIANCES = (10.0, 100.0, 1000.0)  # at the recursion's start
+ASSUMED = 100.0  # covariance at the recursion's start, not the paper's word
+COVARIANCES = (10.0, ASSUMED, 1000.0)
+FORGETTING = (1.0, 0.9999, 0.999, 0.99)  # factors by which older samples count less from each to the next; 1: never
 STARTS_RAD = ((0.0, 0.0), (0.02, 0.02), (0.05, 0.05), (0.05, -0.05))
 SEED = 3
 
@@ -49,6 +65,7 @@ class Result:
 
     runs            both, without noise, from rest at zero
     by_covariance   covariance at the start (inf: nothing assumed) -> estimates after each sample, V
+    forgetting      (covariance, forgetting factor) -> estimate after the last sample, V
     range_of_covariance   the two that would end at the paper's two values
     by_start        starts of both runs, rad -> estimates after each sample, V
     estimates       the same by the program's estimator, with a millirad of noise
@@ -56,6 +73,7 @@ class Result:
 
     runs: tuple[Run, Run]
     by_covariance: dict[float, Array]
+    forgetting: dict[tuple[float, float], float]
     range_of_covariance: tuple[float, float]
     by_start: dict[tuple[float, float], Array]
     estimates: dict[tuple[float, float], Estimate]
@@ -71,6 +89,7 @@ def compute() -> Result:
     # From 0 V with covariance P the last value is fc S P / (1 + S P), S the sum of (y2 - y1)^2.
     S = float(np.sum((y[:, 1] - y[:, 0]) ** 2))
     low, high = (f / (surviving.FC_V - f) / S for f in surviving.LEAST_SQUARES_FC_V)
+    forgetting = {(p, factor): _forgetting(y, drives, p, factor) for p in COVARIANCES for factor in FORGETTING}
     by_start, estimates = {}, {}
     for starts in STARTS_RAD:
         pair = _pair(starts)
@@ -78,7 +97,14 @@ def compute() -> Result:
         estimates[starts] = least_squares.fit(
             [_record(run, start, SEED + k) for k, (run, start) in enumerate(zip(pair, starts, strict=True))]
         )
-    return Result(runs, by_covariance, (low, high), by_start, estimates)
+    return Result(runs, by_covariance, forgetting, (low, high), by_start, estimates)
+
+
+def _forgetting(y_rad: Array, d_V: Array, covariance: float, factor: float) -> float:
+    """Last estimate of the recursion from 0 V that forgets: weighted least squares in closed form, V."""
+    x, b = y_rad[:, 1] - y_rad[:, 0], y_rad[:, 1] * d_V[0] - y_rad[:, 0] * d_V[1]
+    weights = factor ** np.arange(x.size - 1, -1, -1.0)
+    return float(np.sum(weights * x * b) / (factor**x.size / covariance + np.sum(weights * x * x)))
 
 
 def _pair(starts_rad: tuple[float, float]) -> tuple[Run, Run]:
@@ -121,42 +147,97 @@ def section(result: Result) -> Section:
     """Its part of the page."""
     low, high = surviving.LEAST_SQUARES_FC_V
     ends = {p: float(trace[-1]) for p, trace in result.by_covariance.items()}
-    inside = low <= ends[100.0] <= high
+    held = _in_range(result)
     blocks = (
         Paragraph(
-            "The comparison method: one relay of ±d with hysteresis ε, two runs from rest at zero, (ε, d) = (0.5, 0.8) "
-            "and (0.3, 1), the paper's. Until the first switching y<sub>i</sub>(t) = (d<sub>i</sub> − f<sub>c</sub>) "
+            "The comparison method: one relay of ±d with hysteresis ε, two runs from rest at zero, (ε, d) = "
+            f"{listed([f'({eps:g}, {d:g})' for eps, d in surviving.LEAST_SQUARES_RUNS])}, the paper's. Until the "
+            "first switching y<sub>i</sub>(t) = (d<sub>i</sub> − f<sub>c</sub>) "
             "g(t) with one unknown g, so y<sub>2</sub>d<sub>1</sub> − y<sub>1</sub>d<sub>2</sub> = f<sub>c</sub>"
             "(y<sub>2</sub> − y<sub>1</sub>): least squares in one parameter. It gives neither τ nor K."
         ),
         Remark(
             "chosen",
-            f"τ and K as in Example 4.1, and the sampling of {1e3 * SAMPLING_S:.1f} ms, with which the paper's 1000 "
-            f"samples end just before the first switching ({result.runs[1].first_switching_s:.3f} s).",
+            f"τ and K as in Example 4.1, and the sampling of {1e3 * SAMPLING_S:.1f} ms, of which the paper's "
+            f"{surviving.LEAST_SQUARES_SAMPLES} samples take {SAMPLING_S * surviving.LEAST_SQUARES_SAMPLES:.3f} s; the "
+            f"second run first switches at {result.runs[1].first_switching_s:.3f} s.",
         ),
         _runs_figure(result),
-        Heading("The recursion over 1000 samples"),
+        Heading(f"The recursion over {surviving.LEAST_SQUARES_SAMPLES} samples"),
         _recursion_table(result),
         _recursion_figure(result),
+        _forgetting_table(result),
         Remark(
-            "agrees" if inside else "differs",
+            "chosen",
+            f"How the paper's recursion starts (at 0 with P = {ASSUMED:g} in the summary) and whether it forgets did "
+            "not "
+            f"survive. Of the {len(result.forgetting)} combinations of the table above {held} end in the paper's "
+            "range; "
+            f"with P = {ASSUMED:g} alone the end goes from {min(_ends(result, ASSUMED)):.4f} to "
+            f"{max(_ends(result, ASSUMED)):.4f} with the forgetting factor.",
+        ),
+        Remark(
+            _reachable(result).agreement,
             f"The paper's estimate is {low} to {high} for f<sub>c</sub> = {surviving.FC_V}. Without noise the equation "
             f"is exact, and a recursion that assumes nothing has {fixed(ends[np.inf], 4).text} from its first sample "
             "on; short of the truth it stays only for its own start. Started at 0 with covariance "
             f"P = {result.range_of_covariance[0]:.0f} to {result.range_of_covariance[1]:.0f} it ends in the paper's "
-            f"range; with P = 100, a usual choice, at {ends[100.0]:.4f}. The paper's P did not survive.",
+            f"range; with P = {ASSUMED:g}, a usual choice, at {ends[ASSUMED]:.4f}.",
         ),
         Heading("From starts that are not zero"),
         _starts_table(result),
         _starts_figure(result),
         Remark(
-            "agrees" if all(fails_from(result, starts) for starts in STARTS_RAD[1:]) else "differs",
-            "As the paper says, it fails when the initial positions are not zero: a start adds a constant to "
-            "y<sub>i</sub> that the equation takes for motion. Then the program's estimator refuses and says why; "
-            "with the start measured before the run and taken off (“corrected”), the method works.",
+            all_fail(result).agreement,
+            f"The paper says that it fails when the initial positions are not zero; here it does from "
+            f"{sum(fails_from(result, starts) for starts in STARTS_RAD[1:])} of {len(STARTS_RAD) - 1} such starts: a "
+            "start "
+            "adds a constant to y<sub>i</sub> that the equation takes for motion. The program's estimator refuses "
+            f"{_refused(result)} of them; with the start measured before the run and taken off (“corrected”) "
+            f"the worst is {100.0 * _worst_corrected(result):.1f} % off.",
         ),
     )
     return Section("example-4-2a", "4.2 (a)", "Example 4.2 (a): linear least squares", blocks, _comparisons(result))
+
+
+def _ends(result: Result, covariance: float) -> list[float]:
+    return [end for (p, _), end in result.forgetting.items() if p == covariance]
+
+
+def _in_range(result: Result) -> int:
+    """Combinations of covariance and forgetting factor that end in the paper's range."""
+    low, high = surviving.LEAST_SQUARES_FC_V
+    return sum(low <= end <= high for end in result.forgetting.values())
+
+
+def _reachable(result: Result) -> Claim:
+    """Some start of the recursion, without forgetting, ends in the paper's range."""
+    return Claim(0.0 < result.range_of_covariance[0] < result.range_of_covariance[1])
+
+
+def estimate_agreement(result: Result) -> Agreement:
+    """With every combination in the paper's range it agrees, with none it differs, else the choice decides."""
+    count = _in_range(result)
+    if 0 < count < len(result.forgetting):
+        return "not comparable"
+    return Claim(count > 0).agreement
+
+
+def all_fail(result: Result) -> Claim:
+    """The plain method fails from every start that is not zero."""
+    return Claim(all(fails_from(result, starts) for starts in STARTS_RAD[1:]))
+
+
+def _refused(result: Result) -> int:
+    return sum(result.estimates[starts].verdict == "refused" for starts in STARTS_RAD[1:])
+
+
+def _corrected(estimate: Estimate) -> float:
+    return 0.5 * sum(estimate.ci95["fc_V"])
+
+
+def _worst_corrected(result: Result) -> float:
+    return max(abs(_corrected(estimate) / surviving.FC_V - 1.0) for estimate in result.estimates.values())
 
 
 def fails_from(result: Result, starts: tuple[float, float]) -> bool:
@@ -166,26 +247,29 @@ def fails_from(result: Result, starts: tuple[float, float]) -> bool:
 
 def _comparisons(result: Result) -> tuple[Comparison, ...]:
     low, high = surviving.LEAST_SQUARES_FC_V
-    end = float(result.by_covariance[100.0][-1])
+    end = float(result.by_covariance[ASSUMED][-1])
     others = [starts for starts in STARTS_RAD if starts != (0.0, 0.0)]
+    flat = [start for pair in others for start in pair]
     values = [float(result.by_start[starts][-1]) for starts in others]
-    all_fail = all(fails_from(result, starts) for starts in others)
     return (
         Comparison(
             "4.2 (a)",
-            "least squares: f<sub>c</sub> after 1000 samples, truth 0.5 V",
+            f"least squares: f<sub>c</sub> after {surviving.LEAST_SQUARES_SAMPLES} samples, truth {surviving.FC_V} V",
             f"{low} … {high}",
-            f"{end:.4f} (P = 100); {float(result.by_covariance[np.inf][-1]):.4f} with nothing assumed",
-            "agrees" if low <= end <= high else "differs",
-            "the start of the paper's recursion did not survive; P = 100 is chosen",
+            f"{end:.4f} (P = {ASSUMED:g}); {float(result.by_covariance[np.inf][-1]):.4f} with nothing assumed",
+            estimate_agreement(result),
+            f"P = {ASSUMED:g} and no forgetting are assumed; {_in_range(result)} of {len(result.forgetting)} "
+            "combinations "
+            "end in the paper's range",
         ),
         Comparison(
             "4.2 (a)",
             "it fails from initial positions that are not zero",
             "does not converge",
-            f"{min(values):.2f} to {max(values):.2f} V from starts of 20 to 50 mrad",
-            "agrees" if all_fail else "differs",
-            "and the estimator refuses such runs",
+            f"{min(values):.2f} to {max(values):.2f} V from starts of {1e3 * min(map(abs, flat)):.0f} to "
+            f"{1e3 * max(map(abs, flat)):.0f} mrad",
+            all_fail(result).agreement,
+            f"the estimator refuses {_refused(result)} of {len(others)} such pairs of runs",
         ),
     )
 
@@ -201,15 +285,33 @@ def _recursion_table(result: Result) -> Table:
     return Table(
         ("recursion started", *(f"after {n} samples, V" for n in marks)),
         (*rows, paper),
-        "Estimate of f<sub>c</sub> = 0.5 V over the recursion; no noise.",
+        f"Estimate of f<sub>c</sub> = {surviving.FC_V} V over the recursion; no noise.",
     )
+
+
+def _forgetting_table(result: Result) -> Table:
+    low, high = surviving.LEAST_SQUARES_FC_V
+    rows = []
+    for p in COVARIANCES:
+        ends = [result.forgetting[p, factor] for factor in FORGETTING]
+        rows.append((Cell(f"from 0, P = {p:g}"), *(_ranged(end, low, high) for end in ends)))
+    return Table(
+        ("recursion started", *(f"forgetting factor {factor:g}, V" for factor in FORGETTING)),
+        tuple(rows),
+        f"The estimate after {surviving.LEAST_SQUARES_SAMPLES} samples over the two assumptions; *: in the paper's "
+        "range.",
+    )
+
+
+def _ranged(end: float, low: float, high: float) -> Cell:
+    return Cell(f"{end:.4f}{' *' if low <= end <= high else ''}", end)
 
 
 def _starts_table(result: Result) -> Table:
     rows = []
     for starts, estimate in result.estimates.items():
         plain = float(result.by_start[starts][-1])
-        corrected = 0.5 * sum(estimate.ci95["fc_V"])
+        corrected = _corrected(estimate)
         rows.append((
             Cell(f"({1e3 * starts[0]:g}, {1e3 * starts[1]:g})"),
             number(plain, 4, whose="bad" if fails_from(result, starts) else ""),
@@ -220,7 +322,8 @@ def _starts_table(result: Result) -> Table:
         ("starts of the two runs, mrad", "no noise, V", f"{1e3 * NOISE_RAD:g} mrad of noise, V",
          "corrected, V", "the estimator's verdict"),
         tuple(rows),
-        "Estimate of f<sub>c</sub> = 0.5 V from different initial positions, and the program's estimator on noisy "
+        f"Estimate of f<sub>c</sub> = {surviving.FC_V} V from different initial positions, and the program's "
+        "estimator on noisy "
         "records of the same runs. (One direction alone can show no asymmetry: that makes the first doubtful.)",
     )  # fmt: skip
 
@@ -270,8 +373,9 @@ def _recursion_figure(result: Result) -> Picture:
     end.set_title("the end of it")
     return finish(
         figure,
-        "The recursive estimate of friction over 1000 samples.",
-        "The recursion over the 1000 samples before the first switching, from different assumptions at its start.",
+        "The recursive estimate of friction over the samples.",
+        f"The recursion over the {surviving.LEAST_SQUARES_SAMPLES} samples before the first switching, from "
+        "different assumptions at its start.",
     )
 
 

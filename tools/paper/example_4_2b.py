@@ -8,7 +8,7 @@ import numpy as np
 
 from paper import surviving
 from paper.drawing import PARAMETERS, Array, finish, new_figure, zero
-from paper.page import Cell, Comparison, Paragraph, Remark, Section, Table, number, share
+from paper.page import Cell, Comparison, Paragraph, Remark, Section, Table, listed, number, share
 from rig.identify import describing_function
 from rig.model.describing_function import predict
 from rig.model.limit_cycle import limit_cycle
@@ -67,7 +67,8 @@ def section(result: Result) -> Section:
     errors = result.theta / np.array(surviving.MOTOR) - 1.0
     blocks = (
         Paragraph(
-            "Two experiments, (h<sub>1</sub>, h<sub>2</sub>) = (0.8, 1) and (0.5, 1.2), each give a frequency ω and an "
+            "Two experiments, (h<sub>1</sub>, h<sub>2</sub>) = "
+            f"{listed([f'({g.h1_V:g}, {g.h2_V:g})' for g in surviving.GAINS])}, each give a frequency ω and an "
             "amplitude A. πAω/4 = K h<sub>2</sub> − K f<sub>c</sub> is linear in K and K f<sub>c</sub>; τ follows from "
             "ω = h<sub>1</sub>/(τ(h<sub>2</sub> − f<sub>c</sub>)). No noise, no sampling here: all of the error is "
             "that of assuming a sine."
@@ -113,6 +114,5 @@ def _errors_figure(result: Result) -> Picture:
         figure,
         "Error of the describing function's estimate over the second experiment's gain.",
         "The describing function's error over the choice of the second experiment, here with the amplitude scaled at "
-        "nearly the same period. It hardly depends on how far apart the two are, and differs from that of the paper's "
-        "pair (table above) even in sign. No amount of data removes it.",
+        "nearly the same period. There is no noise in it: more data would not change it.",
     )

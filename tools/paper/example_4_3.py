@@ -6,11 +6,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from paper import surviving
+from paper import example_4_2c, surviving
 from paper.drawing import Array, finish, new_figure, zero
-from paper.gauss_newton import iterate
-from paper.page import Cell, Comparison, Heading, Paragraph, Remark, Section, Table, fixed, number, share, significant
+from paper.gauss_newton import STOPS, Path, iterate
+from paper.page import (
+    Cell,
+    Claim,
+    Comparison,
+    Heading,
+    Paragraph,
+    Remark,
+    Section,
+    Table,
+    fixed,
+    number,
+    share,
+    significant,
+)
+from rig.identify import describing_function
 from rig.identify.triple_relay import Features
+from rig.model.describing_function import RelayGains
 from rig.model.friction import tustin
 from rig.model.ideal_relay import HalfPeriod, Relay, ideal_relay, settled_cycle
 from rig.model.motor import Motor, State
@@ -23,17 +38,32 @@ STRIBECK_RAD_S = 0.1
 VISCOUS_V_S_RAD = 0.01
 # With another gain a law exists that gives all the surviving digits; one of a family, with a strong Stribeck effect.
 REPRODUCING = Motor(0.17, 6.75, tustin(0.39, 0.8361, 0.4, 0.03665))
+# With the tau and K of Example 4.1 and no Stribeck effect at all, the paper's t2 and t3, but not its t1 and position.
+WITHOUT_STRIBECK = Motor(surviving.MOTOR.tau_s, surviving.MOTOR.K_rad_s_V, tustin(0.45043, 0.45043, 0.0, 0.01724))
+SAME = 1e-6  # relative, of ends of the iteration
 TOLERANCE = 1e-9  # of the settled cycle
 
 
 @dataclass(frozen=True)
 class Case:
-    """One friction law: the motor, its cycle, and what the triple-relay equations make of the cycle."""
+    """One friction law: the motor, its cycle, and what the triple-relay equations make of the cycle.
+
+    paths   where plain Gauss-Newton goes, by the name of its start; the first starts at the motor's own values
+    """
 
     name: str
     motor: Motor
     cycle: HalfPeriod
-    theta: Array
+    paths: dict[str, Path]
+
+    @property
+    def theta(self) -> Array:
+        """Where the first path ends: tau, K, fc."""
+        return next(iter(self.paths.values())).theta
+
+    def arrives(self, path: Path) -> bool:
+        """Whether it ends where the first does."""
+        return path.converged and bool(np.abs(path.theta / self.theta - 1.0).max() < SAME)
 
     @property
     def effective(self) -> tuple[float, float]:
@@ -59,12 +89,14 @@ class Result:
 
     viscous, tustin   viscous friction alone, and Tustin's law as chosen
     reproducing   the cycle under a law that gives the paper's digits
+    without_stribeck   the cycle under Coulomb and viscous friction alone that has the paper's t2 and t3
     step_V    Stribeck steps fs - fc of the sweep; errors (n, 3): of tau_eff, K_eff, fc; ratio_errors (n,): of tau/K
     """
 
     viscous: Case
     tustin: Case
     reproducing: HalfPeriod
+    without_stribeck: HalfPeriod
     step_V: Array
     errors: Array
     ratio_errors: Array
@@ -78,6 +110,7 @@ def compute(points: int = 7) -> Result:
         _case("viscous alone", FC_V),
         _case("Tustin", FS_V),
         _cycle(REPRODUCING),
+        _cycle(WITHOUT_STRIBECK),
         steps,
         np.array([_errors(case) for case in sweep]),
         np.array([case.ratio_error for case in sweep]),
@@ -86,16 +119,26 @@ def compute(points: int = 7) -> Result:
 
 def _case(name: str, fs_V: float) -> Case:
     tau, K, _ = surviving.MOTOR
-    gains = surviving.GAINS[0]
     motor = Motor(tau, K, tustin(FC_V, fs_V, STRIBECK_RAD_S, VISCOUS_V_S_RAD))
     cycle = _cycle(motor)
     t1, t2, t3 = cycle.durations_s
     seen = Features(t1, t2, t3, cycle.y_events_rad[1], cycle.y_events_rad[0])
-    return Case(name, motor, cycle, iterate(seen, gains, (tau, K, FC_V)).theta)
+    starts = {"the motor's own values": (tau, K, FC_V), "describing function (two-stage)": _two_stage(motor, cycle)}
+    starts |= {f"({', '.join(f'{v:g}' for v in guess)})": guess for guess in example_4_2c.STARTS}
+    return Case(name, motor, cycle, {key: iterate(seen, surviving.GAINS[0], at) for key, at in starts.items()})
 
 
-def _cycle(motor: Motor) -> HalfPeriod:
-    gains = surviving.GAINS[0]
+def _two_stage(motor: Motor, first: HalfPeriod) -> tuple[float, float, float]:
+    """The describing function's estimate from this cycle and that of the second pair of gains."""
+    cycles = (first, _cycle(motor, surviving.GAINS[1]))
+    omegas = np.array([np.pi / cycle.duration_s for cycle in cycles])
+    amplitudes = np.array([max(map(abs, cycle.y_events_rad)) for cycle in cycles])
+    h1_V, h2_V = np.array(surviving.GAINS).T
+    tau, K, fc = (float(value) for value in describing_function.solve(omegas, amplitudes, h1_V, h2_V))
+    return tau, K, fc
+
+
+def _cycle(motor: Motor, gains: RelayGains = surviving.GAINS[0]) -> HalfPeriod:
     return settled_cycle(motor, gains.h1_V, gains.h2_V, State(0.0, -0.3, -0.01), TOLERANCE)
 
 
@@ -104,19 +147,45 @@ def _numbers(cycle: HalfPeriod) -> tuple[float, ...]:
     return (*cycle.durations_s, max(abs(y) for y in cycle.y_events_rad))
 
 
-def _law_words() -> str:
-    f = REPRODUCING.friction
+def _gains_words() -> str:
+    return f"({surviving.GAINS[0].h1_V:g}, {surviving.GAINS[0].h2_V:g})"
+
+
+def _law_words(motor: Motor) -> str:
+    f = motor.friction
     return (
         f"f<sub>c</sub> = {f.plus_V:g} V, f<sub>s</sub> = {f.static_plus_V:g} V, v<sub>s</sub> = {f.stribeck_rad_s:g} "
         f"rad/s, f<sub>v</sub> = {f.viscous_V_s_rad:g} V/(rad/s)"
     )
 
 
-def reproduced(result: Result) -> bool:
-    """Whether the reproducing law's cycle has all the paper's digits."""
-    ours = _numbers(result.reproducing)
-    paper = (*surviving.TUSTIN_DURATIONS_S, surviving.TUSTIN_POSITION_RAD)
-    return all(f"{a:.4f}" == f"{b:.4f}" for a, b in zip(ours, paper, strict=True))
+PAPER = (*surviving.TUSTIN_DURATIONS_S, surviving.TUSTIN_POSITION_RAD)
+
+
+def _digits(cycle: HalfPeriod) -> list[bool]:
+    """Which of t1, t2, t3 and the largest position have all the paper's digits."""
+    return [f"{a:.4f}" == f"{b:.4f}" for a, b in zip(_numbers(cycle), PAPER, strict=True)]
+
+
+def reproduced(result: Result) -> Claim:
+    """The reproducing law's cycle has all the paper's digits."""
+    return Claim(all(_digits(result.reproducing)))
+
+
+def ratio_without_stribeck(result: Result) -> Claim:
+    """Coulomb and viscous friction alone give the paper's t2 and t3, with the tau and K of Example 4.1."""
+    return Claim(all(_digits(result.without_stribeck)[1:3]))
+
+
+def four_iterations(result: Result) -> Claim:
+    """From a start other than the motor's own values the iteration takes the paper's count, by one of the rules."""
+    return Claim(
+        any(
+            surviving.TUSTIN_ITERATIONS in path.counts
+            for path in list(result.tustin.paths.values())[1:]
+            if result.tustin.arrives(path)
+        )
+    )
 
 
 def _errors(case: Case) -> Array:
@@ -133,7 +202,8 @@ def section(result: Result) -> Section:
         Paragraph(
             "Model uncertainty: the motor's friction follows Tustin's law, f(v) = (f<sub>c</sub> + (f<sub>s</sub> − "
             "f<sub>c</sub>) e<sup>−|v|/v<sub>s</sub></sup>) sgn v + f<sub>v</sub>v, and is identified as if it were "
-            "Coulomb's, gains (0.8, 1). The viscous part cannot be told from the motor's own damping: it is absorbed, "
+            f"Coulomb's, gains {_gains_words()}. The viscous part cannot be told from the motor's own damping: it is "
+            "absorbed, "
             "τ<sub>eff</sub> = τ/(1 + Kf<sub>v</sub>) and K<sub>eff</sub> = K/(1 + Kf<sub>v</sub>). So τ/K survives, "
             "and is the check. The cycle here is in continuous time, from crossing to crossing."
         ),
@@ -145,25 +215,47 @@ def section(result: Result) -> Section:
         ),
         _duration_table(result),
         Remark(
-            "differs",
-            f"By up to {100 * float(np.abs(off).max()):.1f} %: with the τ and K of Example 4.1 no Tustin law was found "
-            "that comes to the paper's ratio of t<sub>2</sub> to t<sub>3</sub>: in a scan of "
-            "f<sub>s</sub> − f<sub>c</sub> from 0.02 to 0.3 V and v<sub>s</sub> from 0.01 to 5 rad/s a Stribeck effect "
-            "only raised it. With K = "
-            f"{REPRODUCING.K_rad_s_V:g} (rad/s)/V one does ({_law_words()}): its cycle "
-            f"{'has all the surviving digits' if reproduced(result) else 'comes near them'} (last line of the table). "
-            "It is one of a family, so the paper's own cannot be told from them.",
+            ratio_without_stribeck(result).agreement,
+            f"The law chosen is off by up to {100 * float(np.abs(off).max()):.1f} %. With the same τ and K, and no "
+            "Stribeck "
+            f"effect at all ({_law_words(WITHOUT_STRIBECK)}), t<sub>2</sub> and t<sub>3</sub> "
+            f"{ratio_without_stribeck(result).says('are the paper’s', 'are not the paper’s')}: "
+            f"{_numbers(result.without_stribeck)[1]:.4f} and {_numbers(result.without_stribeck)[2]:.4f} s; "
+            "t<sub>1</sub> "
+            f"is {_percent(_relative(result.without_stribeck)[0])} and the position "
+            f"{_percent(_relative(result.without_stribeck)[3])} off then.",
+        ),
+        Remark(
+            reproduced(result).agreement,
+            f"With K = {REPRODUCING.K_rad_s_V:g} (rad/s)/V and {_law_words(REPRODUCING)} the cycle "
+            f"{reproduced(result).says('has all the surviving digits', 'does not have all the surviving digits')} "
+            "(last "
+            "line of the table). Four numbers do not fix the six of motor and law, so this need not be the paper's.",
         ),
         Heading("Identified as Coulomb friction"),
+        Paragraph(
+            "The iteration of this table starts at the motor's own τ, K and f<sub>c</sub>, which nobody knows on a "
+            "bench; "
+            "the next table starts it elsewhere. The paper's start did not survive."
+        ),
         _identified_table(result),
+        _starts_table(case),
         Remark(
-            "agrees" if holds(result) else "differs",
-            f"The check {'holds' if holds(result) else 'does not hold'}: the identified τ/K is "
+            four_iterations(result).agreement,
+            f"From {_arrivals(case)} of {len(case.paths)} starts the iteration comes to the same solution. The "
+            "paper's takes "
+            f"{surviving.TUSTIN_ITERATIONS} iterations; here that {four_iterations(result).says('is', 'is not')} the "
+            "count "
+            "by one of the rules, from a start that is not the motor's own.",
+        ),
+        Remark(
+            holds(result).agreement,
+            f"The check {holds(result).says('holds', 'does not hold')}: the identified τ/K is "
             f"{significant(float(case.theta[0] / case.theta[1]), 5)} V s²/rad, the motor's own "
             f"{significant(case.motor.tau_s / case.motor.K_rad_s_V, 5)} "
-            f"({100 * case.ratio_error:+.2f} %), though τ itself is "
+            f"({100 * case.ratio_error:+.2f} %), {nearer(result).says('though', 'and')} τ itself is "
             f"{100 * (float(case.theta[0]) / case.motor.tau_s - 1.0):+.1f} % off the motor's. With viscous friction "
-            f"alone the absorption is exact: τ<sub>eff</sub> = {significant(tau, 6)} s and K<sub>eff</sub> = "
+            f"alone τ<sub>eff</sub> = {significant(tau, 6)} s and K<sub>eff</sub> = "
             f"{significant(K, 6)} (rad/s)/V are found to "
             f"{significant(float(np.abs(_errors(viscous)).max()), 1)}.".replace("-", "−"),
         ),
@@ -174,14 +266,31 @@ def section(result: Result) -> Section:
 
 
 def _duration_errors(result: Result) -> Array:
-    ours = np.array([*result.tustin.cycle.durations_s, result.tustin.position_rad])
-    paper = np.array([*surviving.TUSTIN_DURATIONS_S, surviving.TUSTIN_POSITION_RAD])
-    return np.asarray(ours / paper - 1.0)
+    return _relative(result.tustin.cycle)
 
 
-def holds(result: Result) -> bool:
-    """Whether tau/K survives: exactly with viscous friction alone, to 2 % with Tustin's law."""
-    return abs(result.tustin.ratio_error) < 0.02 and abs(result.viscous.ratio_error) < 1e-6
+def _relative(cycle: HalfPeriod) -> Array:
+    """How far t1, t2, t3 and the largest position are off the paper's."""
+    return np.asarray(np.array(_numbers(cycle)) / np.array(PAPER) - 1.0)
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:+.1f} %".replace("-", "−")
+
+
+def _arrivals(case: Case) -> int:
+    return sum(case.arrives(path) for path in case.paths.values())
+
+
+def holds(result: Result) -> Claim:
+    """Tau/K survives: exactly with viscous friction alone, to 2 % with Tustin's law."""
+    return Claim(abs(result.tustin.ratio_error) < 0.02 and abs(result.viscous.ratio_error) < 1e-6)
+
+
+def nearer(result: Result) -> Claim:
+    """Tau/K is nearer to the motor's own than tau is."""
+    tau = float(result.tustin.theta[0]) / result.tustin.motor.tau_s - 1.0
+    return Claim(abs(result.tustin.ratio_error) < abs(tau))
 
 
 def _comparisons(result: Result, off: Array) -> tuple[Comparison, ...]:
@@ -195,8 +304,11 @@ def _comparisons(result: Result, off: Array) -> tuple[Comparison, ...]:
             paper,
             ours,
             "not comparable",
-            f"friction law chosen to come near: within {100 * float(np.abs(off[:3]).max()):.1f} %; with another gain "
-            f"{'a law gives all the digits' if reproduced(result) else 'one comes nearer'}",
+            f"friction law chosen to come near: within {100 * float(np.abs(off[:3]).max()):.1f} %; without Stribeck "
+            "effect "
+            "t<sub>2</sub>, t<sub>3</sub> "
+            f"{ratio_without_stribeck(result).says('to all digits', 'not to all digits')}, "
+            f"with another gain {reproduced(result).says('all four', 'not all four')}",
         ),
         Comparison(
             "4.3",
@@ -212,10 +324,45 @@ def _comparisons(result: Result, off: Array) -> tuple[Comparison, ...]:
             "the check",
             f"{100 * ratio:+.2f} % with Tustin's law, {significant(abs(result.viscous.ratio_error), 1)} with viscous "
             "alone".replace("-", "−"),
-            "agrees" if holds(result) else "differs",
-            "identified from the cycle alone",
+            holds(result).agreement,
+            "identified from the cycle alone, the iteration started at the motor's own values",
+        ),
+        Comparison(
+            "4.3",
+            "iterations of Gauss-Newton",
+            str(surviving.TUSTIN_ITERATIONS),
+            "; ".join(
+                f"{name}: {_counted(path)}" for name, path in result.tustin.paths.items() if result.tustin.arrives(path)
+            ),
+            four_iterations(result).agreement,
+            f"until a step is below {', '.join(significant(stop, 1) for stop in STOPS)}; the paper's start and rule "
+            "did "
+            "not survive",
         ),
     )
+
+
+def _counted(path: Path) -> str:
+    """Iterations by each of ``STOPS``."""
+    return ", ".join("–" if count is None else str(count) for count in path.counts)
+
+
+def _starts_table(case: Case) -> Table:
+    rows = []
+    for name, path in case.paths.items():
+        there = case.arrives(path)
+        counts = [Cell(f"{count}", float(count)) if there and count is not None else Cell("–") for count in path.counts]
+        end = [number(float(v), 5) if there else Cell("–") for v in path.theta]
+        rows.append((Cell(name), *counts, *end, Cell("yes") if there else Cell("no", None, "bad")))
+    paper = Cell(f"paper: {surviving.TUSTIN_ITERATIONS}, start and rule unknown", None, "paper")
+    rows.append((paper, *([Cell("")] * (len(STOPS) + 4))))
+    return Table(
+        ("start", *(f"step below {significant(stop, 1)}" for stop in STOPS), "τ, s", "K, (rad/s)/V", "f<sub>c</sub>, V",
+         "the same solution"),
+        tuple(rows),
+        "Plain Gauss-Newton on the cycle under Tustin's law: iterations until a step changes no parameter by more than "
+        "this, and where it ends.",
+    )  # fmt: skip
 
 
 def _duration_table(result: Result) -> Table:
@@ -229,9 +376,10 @@ def _duration_table(result: Result) -> Table:
             (Cell("paper", None, "paper"), *paper),
             (Cell("ours, continuous time"), *ours),
             (Cell("difference"), *(share(float(e)) for e in off)),
-            (Cell("with the law that reproduces it"), *(fixed(t, 5) for t in _numbers(result.reproducing))),
+            (Cell("same τ and K, no Stribeck effect"), *(fixed(t, 5) for t in _numbers(result.without_stribeck))),
+            (Cell("another K, with a Stribeck effect"), *(fixed(t, 5) for t in _numbers(result.reproducing))),
         ),
-        "The cycle under Tustin's friction at (h<sub>1</sub>, h<sub>2</sub>) = (0.8, 1).",
+        f"The cycle under Tustin's friction at (h<sub>1</sub>, h<sub>2</sub>) = {_gains_words()}.",
     )
 
 
@@ -260,7 +408,7 @@ def _identified_table(result: Result) -> Table:
 def _law_figure(result: Result) -> Picture:
     case = result.tustin
     figure = new_figure(3.3)
-    left, right = figure.subplots(1, 2)
+    left, right, plane = figure.subplots(1, 3)
     speeds = np.concatenate((np.linspace(-5.0, -1e-6, 400), np.linspace(1e-6, 5.0, 400)))
     left.plot(speeds, [case.motor.friction.level(float(v)) for v in speeds], color="#1f2328", label="Tustin's law")
     # as identified: the damping beyond the motor's own counts as viscous
@@ -275,24 +423,31 @@ def _law_figure(result: Result) -> Picture:
     period = 2.0 * case.cycle.duration_s
     t = np.linspace(0.0, period * 0.999, 400)
     run = ideal_relay(case.motor, Relay(*gains), case.cycle.start, period, (-1.0, -1.0))
-    right.plot(t, run.states(t)[:, 1], color="#1f2328", label="Tustin's friction")
+    states = run.states(t)
+    right.plot(t, states[:, 1], color="#1f2328", label="Tustin's friction")
+    plane.plot(states[:, 1], states[:, 0], color="#1f2328")
     # the identified motor under the drive of that run
     edges = [step.begin_s for step in run.steps]
     drives = [step.u_V for step in run.steps]
     model = Motor(tau, K, tustin(fc, fc, 0.0))
     start = State(case.cycle.start.v, case.cycle.start.y, 0.0)
-    right.plot(t, model.response(start, t, edges, drives)[:, 1], "--", color="#D55E00", label="identified model")
-    right.set_xlabel("time since the drive stepped up, s")
+    predicted = model.response(start, t, edges, drives)
+    right.plot(t, predicted[:, 1], "--", color="#D55E00", label="identified model")
+    plane.plot(predicted[:, 1], predicted[:, 0], "--", color="#D55E00")
+    plane.set_xlabel("position y, rad")
+    plane.set_ylabel("velocity v, rad/s")
+    right.set_xlabel("time since RC stepped up, s")
     right.set_ylabel("position y, rad")
     low, high = right.get_ylim()
-    right.set_ylim(low, high + 0.25 * (high - low))
-    right.legend(loc="upper left", ncols=2)
+    right.set_ylim(low, high + 0.45 * (high - low))
+    right.legend(loc="upper left")
     zero(right)
     return finish(
         figure,
         "Tustin's friction law and what is identified of it; the cycle and the identified model's prediction.",
-        "Left: Tustin's friction and what is identified of it, Coulomb's level and the absorbed viscous slope. Right: "
-        "one period under Tustin's friction, and the identified model under the same drive.",
+        "Left: Tustin's friction and what is identified of it, Coulomb's level and the absorbed viscous slope. Middle "
+        "and right: one period under Tustin's friction and in its phase plane, and the identified model under the same "
+        "drive.",
     )
 
 
@@ -312,5 +467,5 @@ def _sweep_figure(result: Result) -> Picture:
         figure,
         "Errors of the identified parameters over the size of the Stribeck effect.",
         "How much Stribeck effect the Coulomb model bears: errors against the motor with absorbed viscous friction, "
-        "over the step from static to moving friction (dotted: the example's). τ/K bears more than τ or K.",
+        "over the step from static to moving friction (dotted: the example's).",
     )

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 MOST_STEPS = 40
 ARRIVED = 1e-8  # relative step at which it stops
 DIFFERENCE = 1e-6
+STOPS = (1e-1, 1e-2, 1e-4, 1e-6, 1e-8)  # relative steps below which one may stop: the paper's rule did not survive
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,11 @@ class Path:
         steps = np.abs(np.diff(self.iterates, axis=0) / self.iterates[1:]).max(axis=1)
         small = np.flatnonzero(steps < relative)
         return int(small[0]) + 1 if small.size else None
+
+    @property
+    def counts(self) -> tuple[int | None, ...]:
+        """``steps_to_rest`` by each of ``STOPS``."""
+        return tuple(self.steps_to_rest(stop) for stop in STOPS)
 
     def steps_until(self, truth: Array, relative: float = 1e-8) -> int | None:
         """Steps after which all of theta stays within ``relative`` of the truth; None if it never does."""

@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 import jinja2
 
 import rig
+from paper import literals
 from rig.report.style import Picture
 from rig.report.words import percent
 
@@ -19,6 +20,24 @@ BACKEND = "computed on the exact model of the motor, no device"
 
 Agreement = Literal["agrees", "differs", "not comparable"]
 RemarkKind = Literal["agrees", "differs", "chosen", "ours"]
+
+
+class Claim(NamedTuple):
+    """Something that the computed numbers say or do not say; every verdict on the page is made from one.
+
+    The words that follow it are chosen by ``says``, so that no sentence can contradict its verdict.
+    """
+
+    holds: bool
+
+    @property
+    def agreement(self) -> Literal["agrees", "differs"]:
+        """The verdict."""
+        return "agrees" if self.holds else "differs"
+
+    def says(self, yes: str, no: str) -> str:
+        """The words for what was computed."""
+        return yes if self.holds else no
 
 
 class Cell(NamedTuple):
@@ -170,4 +189,22 @@ def render_page(report: Report) -> str:
         lstrip_blocks=True,
     )
     environment.filters["kind"] = lambda block: type(block).__name__
-    return environment.get_template(TEMPLATE).render(report=report, version=rig.__version__)
+    return environment.get_template(TEMPLATE).render(
+        report=report, version=rig.__version__, provenance=provenance(report)
+    )
+
+
+def provenance(report: Report) -> str:
+    """Where the numbers come from: those of the tables counted, and the text searched for typed ones."""
+    cells = [cell for section in report.sections for table in section.tables() for row in table.rows for cell in row]
+    numbers = [cell for cell in cells if cell.exact is not None]
+    theirs = sum(cell.whose == "paper" for cell in numbers)
+    numbers_typed, verdicts_typed = len(literals.typed_numbers()), len(literals.typed_verdicts())
+    return (
+        f"The tables hold {len(numbers)} numbers: {theirs} of the paper, the others as the run that wrote this page "
+        "had "
+        f"them. Of {literals.texts()} pieces of text {numbers_typed or 'none'} "
+        f"{'has' if numbers_typed == 1 else 'have'} a number typed in instead of taken from the run, a setting or the "
+        f"paper, and {verdicts_typed or 'no'} verdict{'' if verdicts_typed == 1 else 's'} "
+        f"{'is' if verdicts_typed == 1 else 'are'} typed in instead of computed."
+    )

@@ -10,6 +10,7 @@ from paper import surviving
 from paper.drawing import Array, finish, new_figure
 from paper.page import Cell, Comparison, Paragraph, Remark, Section, Table, number
 from paper.section_5 import CONFIG, DF, NAMES, PLAIN, SD, TR, motor_of, plain_iteration, theta
+from rig.bench import truth_of
 from rig.config import Experiment, load
 from rig.identify import IdentifyError, describing_function, sampled_data, triple_relay
 from rig.identify.cycles import find_cycle
@@ -59,7 +60,7 @@ def compute(trials: int = 4, periods_s: tuple[float, ...] = PERIODS_S) -> Result
 
 
 def _worst(config: Experiment, motor: Motor, truth: Array, period_s: float, seed: int) -> dict[str, float]:
-    pot = config.emulated.potentiometer if config.emulated is not None else None
+    pot = truth_of(config)
     noise, lsb = (pot.noise_rad, abs(pot.rad_per_count)) if pot is not None else (0.0, 0.0)
     rng = np.random.default_rng(seed)
     records, cycles = [], []
@@ -103,7 +104,7 @@ def section(result: Result) -> Section:
         _table(result),
         _figure(result),
         Remark(
-            "differs",
+            "ours",
             f"At {last:g} ms the equations as they stand are off by {at[PLAIN]:.0f} % in the worst parameter (median), "
             f"and the describing function by {at[DF]:.0f} %; even at {first:g} ms it is {fast[PLAIN]:.0f} %. What the "
             "paper says of this did not survive; on its bench there was no truth to compare with.",
@@ -124,7 +125,9 @@ def section(result: Result) -> Section:
         "not comparable",
         "medians; the truth is known on the emulated motor only",
     )
-    return Section("sampling", "Sampling", "What sampling at 10 ms does to the triple relay", blocks, (comparison,))
+    return Section(
+        "sampling", "Sampling", f"What sampling at {last:g} ms does to the triple relay", blocks, (comparison,)
+    )
 
 
 def _table(result: Result) -> Table:
@@ -159,5 +162,5 @@ def _figure(result: Result) -> Picture:
         figure,
         "Error of the worst parameter over the sampling period, by method.",
         "Error of the worst of τ, K and f<sub>c</sub> over the sampling period: a mark for each trial, lines through "
-        f"the medians. About {CYCLES} cycles each; the drive acts a third of a period after its sample.",
+        f"the medians. About {CYCLES} cycles each; the drive acts {DELAY:g} of a period after its sample.",
     )

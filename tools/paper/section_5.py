@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,18 +11,33 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from paper import surviving
-from paper.drawing import Array, finish, new_figure, note, zero
+from paper.drawing import Array, course, finish, new_figure, note, zero
+from paper.gauss_newton import MOST_STEPS, iterate
 from paper.gauss_newton import Path as Iteration
-from paper.gauss_newton import iterate
-from paper.page import Cell, Comparison, Heading, Paragraph, Remark, Section, Table, fixed, number, share, significant
+from paper.page import (
+    Cell,
+    Claim,
+    Comparison,
+    Heading,
+    Paragraph,
+    Remark,
+    Section,
+    Table,
+    fixed,
+    number,
+    share,
+    significant,
+)
 from rig import experiment
+from rig.bench import truth_of
 from rig.config import Experiment, load
 from rig.identify import Identification, identify
 from rig.identify.estimate import Estimate
-from rig.identify.mean_cycle import Cycle
+from rig.identify.mean_cycle import Cycle, Wave
 from rig.identify.triple_relay import Features
 from rig.model.describing_function import RelayGains
 from rig.model.friction import coulomb
+from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor
 from rig.recording.reader import read_run
 from rig.report.style import Picture, colour
@@ -29,6 +45,7 @@ from rig.report.style import Picture, colour
 CONFIG = Path(__file__).resolve().parent / "bench.yaml"
 BACKEND = "simulated in virtual time, no device"
 TR, DF, SD, LS = "triple-relay", "describing-function", "sampled-data", "least-squares"
+LOOSE, TIGHT = 1e-6, 1e-8  # relative steps below which the iteration may stop
 PLAIN = "equations"  # (24)-(29) as they stand: edges taken for crossings, plain Gauss-Newton from DF's estimate
 TRACKED = (TR, DF, SD)
 NAMES = {
@@ -54,35 +71,59 @@ class Track:
 
 @dataclass(frozen=True)
 class Trial:
-    """The same experiment with another seed: relative errors of tau, K, fc, and tracking RMS, rad, by method."""
+    """The experiment with one seed, everything by method.
+
+    estimates    PLAIN is the paper's iteration on the same averaged cycle
+    tracks       the check by (33)-(35), friction compensated by the sign of the reference
+    law_rms_rad  RMS error with the sign of the estimated velocity, as in (33)
+    plain        the paper's iteration, for each relay test
+    """
 
     seed: int
-    errors: dict[str, Array]
-    rms_rad: dict[str, float]
+    estimates: dict[str, Estimate]
+    tracks: dict[str, Track]
+    law_rms_rad: dict[str, float]
+    plain: tuple[Iteration, ...]
+    cycles: tuple[Cycle, ...]
+
+    def rms_rad(self, method: str) -> float:
+        """Tracking RMS, rad."""
+        return self.tracks[method].rms_rad if method in self.tracks else float("nan")
 
 
 @dataclass(frozen=True)
 class Result:
     """Numbers of section V.
 
-    estimates     by method; PLAIN is the paper's iteration on the same averaged cycle
-    plain         that iteration, for each relay test
-    tracks        method -> check by (33)-(35), friction compensated by the sign of the reference
-    paper_law     method -> RMS error, rad, with the sign of the estimated velocity, as in (33)
+    trials   the same experiment with several seeds: every number below is a median over them, as one record may suit
+             any of the models by chance; figures show the first
     """
 
     config: Experiment
     truth: Array
-    estimates: dict[str, Estimate]
-    cycles: tuple[Cycle, ...]
-    plain: tuple[Iteration, ...]
-    tracks: dict[str, Track]
-    paper_law: dict[str, float]
     trials: tuple[Trial, ...]
 
-    def error(self, method: str) -> Array:
-        """Relative errors of tau, K, fc."""
-        return theta(self.estimates[method]) / self.truth - 1.0
+    @property
+    def first(self) -> Trial:
+        """The one that the figures show."""
+        return self.trials[0]
+
+    def median_theta(self, method: str) -> Array:
+        """Of tau, K, fc, each by itself."""
+        return np.asarray(np.median([theta(trial.estimates[method]) for trial in self.trials], axis=0))
+
+    def rms_rad(self, method: str) -> float:
+        """Median of the tracking RMS, rad."""
+        return float(np.median([trial.rms_rad(method) for trial in self.trials]))
+
+    def largest_rad(self, method: str) -> float:
+        """Median of the largest tracking error, rad."""
+        return float(np.median([trial.tracks[method].max_rad for trial in self.trials]))
+
+    def law_rms_rad(self, method: str) -> float | None:
+        """Median of the tracking RMS by the estimated velocity's sign, rad; None where it was not tried."""
+        found = [trial.law_rms_rad[method] for trial in self.trials if method in trial.law_rms_rad]
+        return float(np.median(found)) if len(found) == len(self.trials) else None
 
 
 def theta(estimate: Estimate) -> Array:
@@ -90,28 +131,30 @@ def theta(estimate: Estimate) -> Array:
     return np.array([estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V])
 
 
-def compute(seeds: int = 5, track_s: float | None = None) -> Result:
-    """Run the experiment, then again with other seeds; ``track_s`` shortens the tracking check."""
+def compute(seeds: int = 5, track_s: float | None = None, *, law: bool = True) -> Result:
+    """Run the experiment with each seed; ``track_s`` shortens the tracking check, ``law``: also by (33) to the letter."""
     config = load(CONFIG)
     if track_s is not None and config.tracking is not None:
         config = config.model_copy(update={"tracking": config.tracking.model_copy(update={"duration_s": track_s})})
     motor = motor_of(config)
     truth = np.array([motor.tau_s, motor.K_rad_s_V, motor.friction.fc_V])
     with tempfile.TemporaryDirectory(prefix="rig-paper-") as folder:
-        runs = Path(folder)
-        outcome = experiment.run(config, runs)
-        if outcome.fault is not None:
-            raise RuntimeError(f"the emulated experiment of section V ended with a fault: {outcome.fault}")
-        found = identify([read_run(outcome.folder)])
-        plain = tuple(plain_iteration(cycle, found.estimates[DF]) for cycle in found.cycles.values())
-        estimates = dict(found.estimates)
-        estimates[PLAIN] = _as_estimate(plain[0])
-        tracks = {method: _track(outcome.folder, method, outcome.result["tracking"]) for method in TRACKED}
-        tracks[PLAIN] = _plain_track(config, found, estimates[PLAIN], outcome.folder, runs)
-        law = _by_estimated_sign(config, found, outcome.folder, runs)
-        trials = [_trial(config.seed, found, {m: track.rms_rad for m, track in tracks.items()}, plain[0], truth)]
-        trials += [_another(config, config.seed + k, runs, truth) for k in range(1, seeds)]
-    return Result(config, truth, estimates, tuple(found.cycles.values()), plain, tracks, law, tuple(trials))
+        trials = tuple(_trial(config, config.seed + k, Path(folder), law=law) for k in range(seeds))
+    return Result(config, truth, trials)
+
+
+def _trial(config: Experiment, seed: int, runs: Path, *, law: bool) -> Trial:
+    """The whole experiment with one seed."""
+    outcome = experiment.run(config.model_copy(update={"seed": seed}), runs)
+    if outcome.fault is not None:
+        raise RuntimeError(f"the emulated experiment of section V ended with a fault: {outcome.fault}")
+    found = identify([read_run(outcome.folder)])
+    plain = tuple(plain_iteration(cycle, found.estimates[DF]) for cycle in found.cycles.values())
+    estimates = found.estimates | {PLAIN: _as_estimate(plain[0])}
+    tracks = {m: _track(outcome.folder, m, outcome.result["tracking"]) for m in TRACKED}
+    tracks[PLAIN] = _plain_track(config, found, estimates[PLAIN], outcome.folder, runs)
+    by_law = _by_estimated_sign(config, found, outcome.folder, runs) if law else {}
+    return Trial(seed, estimates, tracks, by_law, plain, tuple(found.cycles.values()))
 
 
 def motor_of(config: Experiment) -> Motor:
@@ -164,32 +207,17 @@ def _tracking(config: Experiment, **changes: object) -> Experiment:
     return config.model_copy(update={"tracking": config.tracking.model_copy(update=changes)})
 
 
-def _another(config: Experiment, seed: int, runs: Path, truth: Array) -> Trial:
-    outcome = experiment.run(config.model_copy(update={"seed": seed}), runs)
-    found = identify([read_run(outcome.folder)])
-    plain = plain_iteration(next(iter(found.cycles.values())), found.estimates[DF])
-    rms = {m: float(entry.get("rms_rad", np.nan)) for m, entry in outcome.result["tracking"].items()}
-    rms[PLAIN] = _plain_track(config, found, _as_estimate(plain), outcome.folder, runs).rms_rad
-    return _trial(seed, found, rms, plain, truth)
-
-
-def _trial(seed: int, found: Identification, rms: dict[str, float], plain: Iteration, truth: Array) -> Trial:
-    errors = {m: theta(found.estimates[m]) / truth - 1.0 for m in TRACKED if m in found.estimates}
-    errors[PLAIN] = plain.theta / truth - 1.0
-    return Trial(seed, errors, rms)
-
-
 def section(result: Result) -> Section:
     """Its part of the page."""
-    rms = {method: track.rms_rad for method, track in result.tracks.items()}
-    usual = _usual(result)
     tau, K, fc = result.truth
-    loose, tight = _iterations(result, 1e-6), _iterations(result, 1e-8)
+    count = len(result.trials)
+    four, better, as_they_stand = takes_four(result), tracks_better(result, TR), tracks_better(result, PLAIN)
     blocks = (
         Paragraph(
             "The whole experiment of the program (breakaway, relay tests, identification, tracking) in virtual time: "
-            "gains (1, 1.25) and (1.2, 1.35), ten periods averaged, 10 ms, a potentiometer on the slave shaft and a "
-            "tachometer on the motor behind a gear of 9: these are the paper's. Velocity for the tracking law comes "
+            f"gains {_bench_words()}, a potentiometer on the slave shaft and a tachometer on the motor behind a gear "
+            "of "
+            f"{surviving.BENCH_GEAR_RATIO:g}: these are the paper's. Velocity for the tracking law comes "
             "from the tachometer and the potentiometer by an observer on the identified model."
         ),
         Remark(
@@ -198,6 +226,11 @@ def section(result: Result) -> Section:
             f"Here τ = {tau:g} s, K = {K:g} (rad/s)/V, f<sub>c</sub> = {fc:g} V, {_chosen_words(result.config)}. So "
             "tracking errors compare in order and ratio only.",
         ),
+        Paragraph(
+            f"Where no seed is named the numbers are medians of {count} seeds (noise and delay): one record may suit "
+            "any of the models by chance. The figures show the first."
+        ),
+        _cycle_figure(result),
         Heading("Estimates"),
         _estimate_table(result),
         Paragraph(
@@ -208,51 +241,53 @@ def section(result: Result) -> Section:
         ),
         _iteration_table(result),
         Remark(
-            "agrees" if surviving.BENCH_ITERATIONS in (loose[0], tight[0]) else "differs",
+            four.agreement,
             f"The paper's TR takes {surviving.BENCH_ITERATIONS} iterations on the bench; the equations here "
-            f"{_each(loose)} until a step is below 10<sup>−6</sup>, and {_each(tight)} until 10<sup>−8</sup>. The "
-            "paper's own rule for stopping did not survive.",
+            f"{_each(_iterations(result, LOOSE))} until a step is below {significant(LOOSE, 1)}, and "
+            f"{_each(_iterations(result, TIGHT))} until {significant(TIGHT, 1)}. The paper's own rule for stopping did "
+            "not survive.",
         ),
         Heading("Verification by feedback linearisation (Fig. 17 and 18 of the paper)"),
         _tracking_table(result),
         _tracking_figure(result),
         Remark(
-            "agrees" if usual[TR] < usual[DF] else "differs",
-            f"With the program's triple relay the comparison {'comes' if usual[TR] < usual[DF] else 'does not come'} "
-            f"out as in the paper: median RMS of {len(result.trials)} seeds {significant(usual[TR], 3)} rad against "
-            f"DF's {significant(usual[DF], 3)}, a ratio of {usual[DF] / usual[TR]:.2f} "
-            f"(paper: {surviving.BENCH_RMS_TR} against {surviving.BENCH_RMS_DF}, ratio "
-            f"{surviving.BENCH_RMS_DF / surviving.BENCH_RMS_TR:.2f}). All of ours are smaller: another motor, "
-            "trajectory and noise, and a law that predicts over the delay.",
+            better.agreement,
+            f"With the program's triple relay the comparison {better.says('comes', 'does not come')} out as in the "
+            "paper: "
+            f"{_beside_df(result, TR)}, a ratio of {result.rms_rad(DF) / result.rms_rad(TR):.2f} (paper: "
+            f"{surviving.BENCH_RMS_TR} against {surviving.BENCH_RMS_DF}, ratio "
+            f"{surviving.BENCH_RMS_DF / surviving.BENCH_RMS_TR:.2f}). It does in {_wins(result, TR)} of {count} seeds.",
         ),
         Remark(
-            "agrees" if rms[PLAIN] < rms[DF] else "differs",
-            f"With the equations as they stand it {'does' if rms[PLAIN] < rms[DF] else 'does not'}: their model tracks "
-            f"with {significant(rms[PLAIN], 3)} rad, {'better' if rms[PLAIN] < rms[DF] else 'worse'} than DF's: "
-            "at 10 ms the edges are no crossings (next section). How the paper read its edges and its extremum off the "
-            "data did not survive.",
+            as_they_stand.agreement,
+            f"With the equations as they stand it {as_they_stand.says('does', 'does not')}: "
+            f"{_beside_df(result, PLAIN)}; in "
+            f"{_wins(result, PLAIN)} of {count} seeds their model tracks better. At {1e3 * result.config.period_s:g} "
+            "ms "
+            "the edges are no crossings (next section). How the paper read its edges and its extremum off the data did "
+            "not survive.",
         ),
         Remark(
             "ours",
-            f"The sampled-data model tracks with {significant(rms[SD], 3)} rad; noise and resolution of the sensor "
-            f"alone are {significant(_sensor_rad(result), 3)} rad of it.",
+            f"The sampled-data model tracks with {significant(result.rms_rad(SD), 3)} rad; noise and resolution of the "
+            f"sensor alone are {significant(_sensor_rad(result), 3)} rad of it.",
         ),
         _trials_table(result),
-        Paragraph(
-            f"In {_wins(result, TR)} of {len(result.trials)} seeds the program's TR model tracks better than DF's, in "
-            f"{_wins(result, PLAIN)} that of the equations as they stand."
-        ),
     )
     return Section("section-5", "Section V", "Section V: the bench, on the emulated motor", blocks,
-                   _comparisons(result, rms))  # fmt: skip
+                   _comparisons(result))  # fmt: skip
+
+
+def _bench_words() -> str:
+    gains = " and ".join(f"({g.h1_V:g}, {g.h2_V:g})" for g in surviving.BENCH_GAINS)
+    return f"{gains}, {surviving.BENCH_PERIODS} periods averaged, {1e3 * surviving.BENCH_PERIOD_S:g} ms"
 
 
 def _chosen_words(config: Experiment) -> str:
     """The rest of what was chosen, as bench.yaml has it."""
-    emulated, tracking = config.emulated, config.tracking
-    if emulated is None or tracking is None:
+    emulated, tracking, pot = config.emulated, config.tracking, truth_of(config)
+    if emulated is None or tracking is None or pot is None:
         raise ValueError(f"{CONFIG.name} needs the sections `emulated` and `tracking`")
-    pot = emulated.potentiometer
     sines = " + ".join(f"{c.amplitude_rad:g} sin {c.omega_rad_s:g}t" for c in tracking.trajectory)
     return (
         f"static friction {emulated.motor.fs_plus_V:g} V, {1e3 * pot.noise_rad:g} mrad of noise, "
@@ -261,61 +296,81 @@ def _chosen_words(config: Experiment) -> str:
     )
 
 
-def _iterations(result: Result, relative: float) -> list[int | None]:
-    return [path.steps_to_rest(relative) for path in result.plain]
+def takes_four(result: Result) -> Claim:
+    """The equations take the paper's count from DF's estimate, by one of the two rules for stopping."""
+    counts = _iterations(result, LOOSE) + _iterations(result, TIGHT)
+    return Claim(surviving.BENCH_ITERATIONS in counts)
 
 
-def _each(counts: list[int | None]) -> str:
+def tracks_better(result: Result, method: str) -> Claim:
+    """The method's model tracks better than DF's, by the median of the seeds."""
+    return Claim(result.rms_rad(method) < result.rms_rad(DF))
+
+
+def _beside_df(result: Result, method: str) -> str:
+    return f"RMS {significant(result.rms_rad(method), 3)} rad against DF's {significant(result.rms_rad(DF), 3)}"
+
+
+def _iterations(result: Result, relative: float) -> list[float | None]:
+    """For each relay test; None where they did not come to rest with some seed."""
+    found = []
+    for test in range(len(result.first.plain)):
+        counts = [trial.plain[test].steps_to_rest(relative) for trial in result.trials]
+        known = [count for count in counts if count is not None]
+        found.append(float(np.median(known)) if len(known) == len(counts) else None)
+    return found
+
+
+def _each(counts: list[float | None]) -> str:
     gains = [f"({g.h1_V:g}, {g.h2_V:g})" for g in surviving.BENCH_GAINS]
-    return " and ".join(f"{count} at {pair}" for count, pair in zip(counts, gains, strict=True))
+    return " and ".join(
+        f"{'more than ' + str(MOST_STEPS) if count is None else f'{count:g}'} at {pair}"
+        for count, pair in zip(counts, gains, strict=True)
+    )
 
 
 def _wins(result: Result, method: str) -> int:
     """Seeds in which this method's model tracks better than DF's."""
-    return sum(trial.rms_rad[method] < trial.rms_rad[DF] for trial in result.trials)
-
-
-def _usual(result: Result) -> dict[str, float]:
-    """Median over the seeds of the RMS tracking error, rad, by method: one record may suit any of them by chance."""
-    return {m: float(np.median([trial.rms_rad[m] for trial in result.trials])) for m in (TR, DF)}
+    return sum(trial.rms_rad(method) < trial.rms_rad(DF) for trial in result.trials)
 
 
 def _sensor_rad(result: Result) -> float:
     """Standard deviation of the position reading, rad: noise and resolution."""
-    if result.config.emulated is None:
+    pot = truth_of(result.config)
+    if pot is None:
         return float("nan")
-    pot = result.config.emulated.potentiometer
     return float(np.hypot(pot.noise_rad, abs(pot.rad_per_count) / np.sqrt(12.0)))
 
 
-def _comparisons(result: Result, rms: dict[str, float]) -> tuple[Comparison, ...]:
+def _comparisons(result: Result) -> tuple[Comparison, ...]:
     paper = f"{surviving.BENCH_RMS_TR} against {surviving.BENCH_RMS_DF}"
-    count, usual = len(result.trials), _usual(result)
-    loose, tight = _iterations(result, 1e-6)[0], _iterations(result, 1e-8)[0]
+    count = len(result.trials)
+    ratio = result.rms_rad(DF) / result.rms_rad(TR)
     return (
         Comparison(
             "V, Fig. 17, 18",
             "TR's model tracks better than DF's (RMS, rad): the program's triple relay",
             paper,
-            f"{significant(usual[TR], 3)} against {significant(usual[DF], 3)}",
-            "agrees" if usual[TR] < usual[DF] else "differs",
-            f"median of {count} seeds, in {_wins(result, TR)} of which it does; ratio {usual[DF] / usual[TR]:.2f}, "
+            f"{significant(result.rms_rad(TR), 3)} against {significant(result.rms_rad(DF), 3)}",
+            tracks_better(result, TR).agreement,
+            f"median of {count} seeds, in {_wins(result, TR)} of which it does; ratio {ratio:.2f}, "
             f"paper {surviving.BENCH_RMS_DF / surviving.BENCH_RMS_TR:.2f}; the values depend on what was chosen",
         ),
         Comparison(
             "V, Fig. 17, 18",
             "the same with the equations as they stand",
             paper,
-            f"{significant(rms[PLAIN], 3)} against {significant(rms[DF], 3)}",
-            "agrees" if rms[PLAIN] < rms[DF] else "differs",
-            f"better than DF in {_wins(result, PLAIN)} of {count} seeds: sampled edges are no crossings",
+            f"{significant(result.rms_rad(PLAIN), 3)} against {significant(result.rms_rad(DF), 3)}",
+            tracks_better(result, PLAIN).agreement,
+            f"median of {count} seeds, in {_wins(result, PLAIN)} of which it does: sampled edges are no crossings",
         ),
         Comparison(
             "V",
             "TR's iterations",
             str(surviving.BENCH_ITERATIONS),
-            f"{loose} to 10<sup>−6</sup>, {tight} to 10<sup>−8</sup>",
-            "agrees" if surviving.BENCH_ITERATIONS in (loose, tight) else "differs",
+            f"{_each(_iterations(result, LOOSE))} to {significant(LOOSE, 1)}; {_each(_iterations(result, TIGHT))} to "
+            f"{significant(TIGHT, 1)}",
+            takes_four(result).agreement,
             "the equations from DF's estimate; the paper's rule for stopping did not survive",
         ),
     )
@@ -324,35 +379,43 @@ def _comparisons(result: Result, rms: dict[str, float]) -> tuple[Comparison, ...
 def _estimate_table(result: Result) -> Table:
     rows = []
     for method in (DF, PLAIN, TR, LS, SD):
-        estimate = result.estimates.get(method)
-        if estimate is None:
+        if any(method not in trial.estimates for trial in result.trials):
             continue
-        errors = theta(estimate) / result.truth - 1.0
         cells = []
-        for value, error in zip(theta(estimate).tolist(), errors.tolist(), strict=True):
-            cells += [number(value, 4), share(error) if np.isfinite(error) else Cell("–")]
-        verdict = "–" if method == PLAIN else estimate.verdict
-        iterations = "–" if method == LS else str(estimate.iterations)
-        rows.append((Cell(NAMES[method]), *cells, Cell(iterations), Cell(verdict)))
+        for value, truth in zip(result.median_theta(method).tolist(), result.truth.tolist(), strict=True):
+            cells += [number(value, 4), share(value / truth - 1.0) if np.isfinite(value) else Cell("–")]
+        verdicts = Counter(trial.estimates[method].verdict for trial in result.trials)
+        verdict = "–" if method == PLAIN else ", ".join(f"{n} {word}" for word, n in verdicts.most_common())
+        steps = float(np.median([trial.estimates[method].iterations for trial in result.trials]))
+        rows.append(
+            (Cell(NAMES[method]), *cells, Cell("–") if method == LS else Cell(f"{steps:g}", steps), Cell(verdict))
+        )
     truth = [cell for value in result.truth for cell in (number(float(value), 4), Cell(""))]
     rows.append((Cell("true"), *truth, Cell(""), Cell("")))
     return Table(
-        ("method", "τ, s", "error", "K, (rad/s)/V", "error", "f<sub>c</sub>, V", "error", "iterations", "verdict"),
+        ("method", "τ, s", "error", "K, (rad/s)/V", "error", "f<sub>c</sub>, V", "error", "iterations", "verdicts"),
         tuple(rows),
-        "Estimates from one run of the experiment at 10 ms, with their errors against the emulated motor, and what the "
-        "program's verdict on them is.",
+        f"Estimates at {1e3 * result.config.period_s:g} ms, medians of {len(result.trials)} seeds, with the medians' "
+        "errors "
+        "against the emulated motor, and the program's verdicts on them.",
     )
 
 
 def _iteration_table(result: Result) -> Table:
+    path = result.first.plain[0]
     rows = []
-    for k, values in enumerate(result.plain[0].iterates):
+    for k, values in enumerate(path.iterates):
         name = "start: describing function" if k == 0 else f"iteration {k}"
         rows.append((Cell(name), *(number(float(v), 6) for v in values)))
+    off = 100.0 * float(np.abs(path.theta / result.truth - 1.0).max())
+    rests = Claim(path.converged).says("it comes to rest", "it does not come to rest")
+    gains = surviving.BENCH_GAINS[0]
     return Table(
         ("", "τ, s", "K, (rad/s)/V", "f<sub>c</sub>, V"),
         tuple(rows),
-        "The plain iteration on the bench's averaged cycle at (1, 1.25): it converges, but not to the truth.",
+        f"The plain iteration on the averaged cycle at ({gains.h1_V:g}, {gains.h2_V:g}), seed {result.first.seed}: "
+        f"{rests}, "
+        f"{significant(off, 2)} % off the truth in the worst parameter.",
     )
 
 
@@ -364,17 +427,18 @@ def _tracking_table(result: Result) -> Table:
     }
     rows = []
     for method in (DF, PLAIN, TR, SD):
-        track = result.tracks[method]
-        law = result.paper_law.get(method)
+        law = result.law_rms_rad(method)
         rows.append((
-            Cell(NAMES[method]), paper.get(method, Cell("")), fixed(track.rms_rad, 4),
-            fixed(track.max_rad, 4), Cell("") if law is None else fixed(law, 4),
+            Cell(NAMES[method]), paper.get(method, Cell("")), fixed(result.rms_rad(method), 4),
+            fixed(result.largest_rad(method), 4), Cell("") if law is None else fixed(law, 4),
         ))  # fmt: skip
     return Table(
         ("model", "paper, RMS, rad", "ours, RMS, rad", "largest, rad", "sign of velocity: RMS, rad"),
         tuple(rows),
-        "Tracking error with each model: same trajectory, same k<sub>1</sub> and k<sub>2</sub>. Last column: friction "
-        "compensated by the sign of the estimated velocity, as in (33), instead of the reference's.",
+        f"Tracking error with each model, medians of {len(result.trials)} seeds in all columns: same trajectory, same "
+        "k<sub>1</sub> and k<sub>2</sub>. Last column: friction compensated by the sign of the estimated velocity, "
+        "as in "
+        "(33), instead of the reference's.",
     )
 
 
@@ -382,13 +446,69 @@ def _trials_table(result: Result) -> Table:
     shown = (DF, PLAIN, TR, SD)
     rows = []
     for trial in result.trials:
-        worst = [100.0 * float(np.abs(trial.errors[m]).max()) for m in shown]
-        rms = [1e3 * trial.rms_rad[m] for m in shown]
+        worst = [100.0 * float(np.abs(theta(trial.estimates[m]) / result.truth - 1.0).max()) for m in shown]
+        rms = [1e3 * trial.rms_rad(m) for m in shown]
         rows.append((Cell(str(trial.seed)), *(number(w, 2) for w in worst), *(number(r, 3) for r in rms)))
     return Table(
         ("seed", *(f"{SHORT[m]}, %" for m in shown), *(f"{SHORT[m]}, mrad" for m in shown)),
         tuple(rows),
-        "The same experiment with other noise: error of each method's worst parameter, and RMS tracking error.",
+        "The seeds one by one: error of each method's worst parameter, and RMS tracking error.",
+    )
+
+
+def _unfolded(wave: Wave) -> tuple[Array, Array]:
+    """Times since RC stepped up, s, and positions, rad, of one period."""
+    times, positions = [], []
+    for half, begin, side in ((wave.up, 0.0, 1.0), (wave.down, wave.up.length_s, -1.0)):
+        own = (half.tau_s >= 0.0) & (half.tau_s < half.length_s)
+        times.append(begin + half.tau_s[own])
+        positions.append(side * half.y_rad[own])
+    return np.concatenate(times), np.concatenate(positions)
+
+
+def _larger_words(result: Result) -> str:
+    """How far amplitude and period of the measured cycles are off the exact ones."""
+    tau, K, fc = (float(value) for value in result.truth)
+    said = []
+    for cycle in result.first.cycles:
+        exact = limit_cycle(tau, K, fc, cycle.h1_V, cycle.h2_V)
+        amplitude, period = cycle.amplitude_rad / exact.amplitude_rad - 1.0, cycle.period_s / exact.period_s - 1.0
+        said.append(f"{share(amplitude).text} in amplitude and {share(period).text} in period")
+    return f"The relay decides at samples; the measured cycles are {', and '.join(said)} off the exact ones."
+
+
+def _cycle_figure(result: Result) -> Picture:
+    """The bench's cycles as the program averages them, with the exact cycle of the true motor."""
+    figure = new_figure(4.2)
+    panels = figure.subplots(2, len(result.first.cycles), sharex="col", height_ratios=(2.0, 1.0), squeeze=False)
+    tau, K, fc = (float(value) for value in result.truth)
+    for column, cycle in enumerate(result.first.cycles):
+        exact = course(limit_cycle(tau, K, fc, cycle.h1_V, cycle.h2_V))
+        top, bottom = panels[:, column]
+        for k, wave in enumerate(cycle.waves):
+            t, y = _unfolded(wave)
+            top.plot(t, y, ".", ms=1.8, color="#9aa3ad", label="each period" if k == 0 else None)
+            edges = (0.0, wave.up.inner_s, wave.up.length_s, wave.up.length_s + wave.down.inner_s, wave.period_s)
+            levels = cycle.h2_V + np.array([cycle.h1_V, -cycle.h1_V])
+            bottom.stairs(np.concatenate((levels, -levels)), edges, baseline=None, color="#0072B2", lw=0.6, alpha=0.5)
+        top.plot(exact["t"], exact["y"], "--", color="#009E73", lw=1.2, label="exact cycle, not sampled")
+        for axes in (top, bottom):
+            zero(axes)
+        top.set_title(f"h1 = {cycle.h1_V:.4g} V,  h2 = {cycle.h2_V:.4g} V")
+        low, high = top.get_ylim()
+        top.set_ylim(low, high + 0.3 * (high - low))
+        bottom.set_xlabel("time since RC stepped up, s")
+    panels[0, 0].set_ylabel("position y, rad")
+    panels[1, 0].set_ylabel("drive u, V")
+    panels[0, 0].legend(loc="upper left")
+    return finish(
+        figure,
+        "The limit cycles of the emulated bench, period upon period, and the exact cycles.",
+        "The bench's limit cycles under both pairs of gains: the positions and drives of "
+        f"{' and '.join(str(len(cycle.waves)) for cycle in result.first.cycles)} periods laid upon each other, "
+        "beside the "
+        f"exact cycle of the same motor. {_larger_words(result)}",
+        BACKEND,
     )
 
 
@@ -399,7 +519,7 @@ def _tracking_figure(result: Result) -> Picture:
     panels = figure.subplots(2, len(shown), sharex=True, sharey="row", height_ratios=(1.5, 1.0))
     largest = 0.0
     for column, method in enumerate(shown):
-        track = result.tracks[method]
+        track = result.first.tracks[method]
         ink = inks.get(method, colour(method))
         error = 1e3 * (track.wanted_rad - track.measured_rad)
         largest = max(largest, float(np.nanmax(np.abs(error))))
@@ -422,6 +542,7 @@ def _tracking_figure(result: Result) -> Picture:
         figure,
         "Tracking with the DF, TR and sampled-data models: position and error.",
         "Tracking by feedback linearisation with each model (Fig. 17 and 18 of the paper: TR and DF), each from where "
-        "the shaft stood before. The RMS counts from 1.5 s on, once the trajectory has faded in.",
+        f"the shaft stood before, seed {result.first.seed}. The RMS counts once the trajectory has faded "
+        "in.",
         BACKEND,
     )

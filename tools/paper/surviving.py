@@ -1,7 +1,8 @@
 """What survived of the paper's own numbers, and what was chosen where a parameter did not.
 
-The formulas and most of the numbers of the copy at hand are lost. These are all that is left; every other number of
-the report is computed in the run.
+The formulas and most of the numbers of the copy at hand are lost. Here stands what is compared with; whatever else
+survived of the text is not claimed to be here. Every other number of the report is computed in the run or is a setting
+that the report names as chosen (``paper.literals`` holds the text to that).
 """
 
 from __future__ import annotations
@@ -18,7 +19,13 @@ LEAST_SQUARES_RUNS = ((0.5, 0.8), (0.3, 1.0))  # hysteresis eps and level d of t
 LEAST_SQUARES_FC_V = (0.4921, 0.4988)  # where the estimate of fc lies after LEAST_SQUARES_SAMPLES
 LEAST_SQUARES_SAMPLES = 1000
 
+# Example 4.2 (d): "only need two iterations instead of five"
+TWO_STAGE_ITERATIONS = 2
+ONE_STAGE_ITERATIONS = 5
+AVERAGED_PERIODS = (5, 20)  # Remark 3.1
+
 # Example 4.3
+TUSTIN_ITERATIONS = 4
 TUSTIN_DURATIONS_S = (0.0080, 0.1400, 0.1566)
 TUSTIN_POSITION_RAD = 0.3871
 

@@ -296,17 +296,30 @@ double bench_pin_V(const bench *b)
     return (double)b->pin_units / (double)b->p.drive_counts * b->p.supply_V;
 }
 
+/* What the bridge gives for the drive at the pin. */
+static double bridge_V(const bench *b)
+{
+    const bench_params *p = &b->p;
+    const double dead = b->pin_units > 0 ? p->dead_band_plus : p->dead_band_minus;
+    const double passed = (fabs((double)b->pin_units) / (double)p->drive_counts - dead) / (1.0 - dead);
+    if (b->pin_units == 0 || passed <= 0.0) {
+        return 0.0;
+    }
+    const double volts = passed * (p->supply_V - p->bridge_drop_V);
+    return (b->pin_units > 0) == (p->reversed == 0) ? volts : -volts;
+}
+
 double bench_motor_V(const bench *b)
 {
     switch (bench_is_faulty(b) ? b->p.drive_wiring : BENCH_DRIVE_OK) {
     case BENCH_DRIVE_REVERSED:
-        return -bench_pin_V(b);
+        return -bridge_V(b);
     case BENCH_DRIVE_DEAD:
         return 0.0;
     case BENCH_DRIVE_STUCK_ON:
         return 0.25 * b->p.supply_V;
     default:
-        return bench_pin_V(b);
+        return bridge_V(b);
     }
 }
 
@@ -378,6 +391,10 @@ static const struct {
     {"offset-rad", REAL, offsetof(bench_params, offset_rad)},
     {"supply-V", REAL, offsetof(bench_params, supply_V)},
     {"drive-counts", INTEGER, offsetof(bench_params, drive_counts)},
+    {"bridge-drop-V", REAL, offsetof(bench_params, bridge_drop_V)},
+    {"dead-band-plus", REAL, offsetof(bench_params, dead_band_plus)},
+    {"dead-band-minus", REAL, offsetof(bench_params, dead_band_minus)},
+    {"reversed", INTEGER, offsetof(bench_params, reversed)},
     {"tachometer-rad-s-per-count", REAL, offsetof(bench_params, tachometer_rad_s_per_count)},
     {"tachometer-zero-counts", REAL, offsetof(bench_params, tachometer_zero_counts)},
     {"gear-ratio", REAL, offsetof(bench_params, gear_ratio)},
@@ -496,6 +513,12 @@ const char *bench_check(const bench_params *p)
     }
     if (!(p->supply_V > 0.0) || p->drive_counts < 1 || p->drive_counts > 32767) {
         return "supply-V must be > 0, drive-counts 1 to 32767";
+    }
+    if (!(p->bridge_drop_V >= 0.0 && p->bridge_drop_V < p->supply_V) || p->reversed > 1) {
+        return "bridge-drop-V must be >= 0 and below supply-V, reversed 0 or 1";
+    }
+    if (!(p->dead_band_plus >= 0.0 && p->dead_band_plus < 1.0 && p->dead_band_minus >= 0.0 && p->dead_band_minus < 1.0)) {
+        return "dead bands are duties in [0, 1)";
     }
     if (!(p->gear_ratio > 0.0) || !(p->fault_after_s >= 0.0)) {
         return "gear-ratio must be > 0, fault-after-s >= 0";

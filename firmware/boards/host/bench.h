@@ -35,12 +35,14 @@ typedef struct {
     double bias_V;
     double start_rad, stop_low_rad, stop_high_rad;
     double rad_per_count, centre_counts, noise_rad, offset_rad; /* potentiometer; negative: readings fall */
-    double supply_V;
+    double supply_V, bridge_drop_V;         /* the drop: lost while it drives */
+    double dead_band_plus, dead_band_minus; /* duty up to which the bridge passes nothing, by sign of the units */
     double tachometer_rad_s_per_count, tachometer_zero_counts, gear_ratio; /* 0 rad/s a count: no tachometer */
     double fault_after_s;    /* from the first arming until the wiring's faults begin */
     double clock_error_ppm;  /* of the device's clock */
     int32_t counts_max;      /* largest reading of the ADC, both channels */
     int32_t drive_counts;    /* units at full duty */
+    int32_t reversed;        /* 1: positive units turn the shaft to falling positions */
     uint32_t clock_start_us; /* of the device's clock at a reset */
     uint32_t seed;           /* of the noise */
     int32_t drive_wiring, sensor_wiring;
@@ -82,7 +84,7 @@ bool bench_is_faulty(const bench *b);
 /* Wires drive and sensor otherwise from now on, by the names of bench_option. NULL, or what is wrong: no change. */
 const char *bench_rewire(bench *b, const char *drive, const char *sensor);
 
-double bench_pin_V(const bench *b);   /* what the board puts out */
+double bench_pin_V(const bench *b);   /* what the board puts out: duty times supply */
 double bench_motor_V(const bench *b); /* what arrives at the motor */
 int32_t bench_position_counts(bench *b);
 int32_t bench_tachometer_counts(const bench *b); /* negative: there is none */

@@ -1,6 +1,7 @@
 /* The H-bridge: 20 kHz phase-correct PWM from Timer1, sign and magnitude, slow decay.
  *
- * 0 units are a true zero: the timer is off the pins, which stand still.
+ * 0 units are a true zero: the timer is off the pins, which stand still. No pulse is longer than its share of a period,
+ * the first one neither.
  */
 #ifndef RIG_UNO_BRIDGE_H
 #define RIG_UNO_BRIDGE_H

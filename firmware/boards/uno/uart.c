@@ -28,6 +28,7 @@ static volatile uint8_t received_in[QUEUE]; /* tick; a host that fills the wire 
 void uart_init(void)
 {
     const uint16_t divisor = DIVISOR - 1u;
+    UCSR0B = 0; /* a boot loader that jumps here has left it on; what it has received is forgotten */
     UCSR0A = BIT(U2X0);
     UBRR0H = (uint8_t)(divisor >> 8);
     UBRR0L = (uint8_t)(divisor & 0xFFu);

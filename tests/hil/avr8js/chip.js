@@ -4,14 +4,17 @@
 //
 // The motor sees what the levels at the bridge's pins make of its supply, mean over a PWM period: with the timer's
 // buffered compare register the drive changes up to 50 us after the program has written it. (firmware/emulator/chip.c
-// reads the registers, and changes it at once.)
+// gives it what Timer1 is set to, at once.)
 //
 // What avr8js 0.20 does not do as the chip does, and what is done about it here:
-//   - events wait for the end of an instruction: each has its own cycle;
+//   - events wait for the end of an instruction, and for one another: each has its own cycle;
 //   - it sets a timer's compare flag as the counter reaches the value, the chip one count of the timer later: so here;
 //   - a write to UCSRB forgets a received byte that has not been read: it is told again;
 //   - its receiver holds one byte: two wait here, as in the chip, and one more is an overrun;
 //   - a byte to send waits until the last bit of the one before has gone, so that 2 us lie between any two: left so;
+//   - it takes ICR1 in any mode of Timer1, the chip only where ICR1 is TOP (section 16.6 of its data sheet): so here;
+//   - a pin that is given to Timer1 begins at its port's level, on the chip at that of OC1x, which only a match changes and
+//     which is kept meanwhile (16.7.3, 16.8.1): so here;
 //   - sleep is no operation: the main loop spins instead, which is the same to all but the processor's load;
 //   - a reset leaves registers as they were, and power on no cause: they are cleared, and it is set.
 const {
@@ -26,7 +29,10 @@ const NS = 1e9 / HZ;
 const FLASH_BYTES = 0x8000;
 const RAM_BYTES = 0x800;
 const DIRECTION = 1 << 0; // D8, port B
-const PWM = 1 << 1; // D9
+const PWM = 1 << 1; // D9, IN1
+const IN2 = 1 << 2; // D10
+const ICR_IS_TOP = [8, 10, 12, 14]; // modes of Timer1
+const [ENABLE, SET, CLEAR] = [1, 2, 3]; // what avr8js has a timer do with a pin
 const LED = 1 << 5; // D13
 const ESTOP = 4; // D4, of port D
 const PWM_CYCLES = 800; // 20 kHz: the motor sees the mean over a period
@@ -53,9 +59,11 @@ function flash(path) {
 }
 
 class Chip {
-  // hex: path; byte_ns: that a byte takes the host; motor, and the bench around it: rad_per_count, centre_counts, supply_V
-  constructor({ hex, byte_ns, motor, bench }) {
+  // hex: path; byte_ns: that a byte takes the host; motor, and the bench around it: rad_per_count, centre_counts, supply_V;
+  // bridge: PWM_DIR or IN1_IN2
+  constructor({ hex, byte_ns, motor, bench, bridge }) {
     this.bench = bench;
+    this.bridge = bridge;
     this.byte_ns = byte_ns;
     this.motor = new Motor(motor);
     this.now_ns = 0;
@@ -67,6 +75,7 @@ class Chip {
     this.impulse = 0; // integral of the bridge's conduction, -1 to 1, over cycles: in this PWM period
     this.lookImpulse = 0; // in the periods since the last look
     this.level = 0;
+    this.longestPulse = 0; // that the bridge conducts without a break, since the last look, cycles
     this.levelSince = this.periodSince = this.lookSince = 0;
     this.#connect(flash(hex));
     this.cpu.data[MCUSR] = POWER_ON;
@@ -77,7 +86,7 @@ class Chip {
     this.portB = new AVRIOPort(cpu, portBConfig);
     this.portD = new AVRIOPort(cpu, portDConfig); // its contacts are closed to ground
     this.portB.addListener(() => this.#pinsChanged());
-    new AVRTimer(cpu, timer1Config);
+    this.#connectTimer1(new AVRTimer(cpu, timer1Config));
     this.#connectClock(new AVRTimer(cpu, timer2Config));
     this.#connectSerial((this.uart = new AVRUSART(cpu, usart0Config, HZ)));
     this.#connectConverter(new AVRADC(cpu, adcConfig));
@@ -89,6 +98,8 @@ class Chip {
       this.waiting = [];
       cpu.data.fill(0, FIRST_REGISTER, LAST_REGISTER + 1);
       this.uart.reset();
+      this.timer1.reset();
+      this.outputs = {};
       this.#pinsChanged();
       reset();
     };
@@ -100,6 +111,22 @@ class Chip {
     cpu.setInterruptFlag = (interrupt) => {
       if (interrupt === timer.OCFA || interrupt === timer.OCFB) cpu.addClockEvent(() => setFlag(interrupt), timer.divider);
       else setFlag(interrupt);
+    };
+  }
+
+  #connectTimer1(timer) {
+    const { cpu, portB } = this;
+    const { ICR, TCCRA } = timer1Config;
+    this.timer1 = timer;
+    this.outputs = {}; // OC1x by pin: SET or CLEAR
+    const writeIcr = cpu.writeHooks[ICR];
+    cpu.writeHooks[ICR] = (...written) => (ICR_IS_TOP.includes(timer.WGM) ? writeIcr(...written) : true);
+    const override = portB.timerOverridePin.bind(portB);
+    portB.timerOverridePin = (pin, what) => {
+      const isConnected = cpu.data[TCCRA] >> (1 << pin === PWM ? 6 : 4) & 3;
+      if (what === SET || what === CLEAR) this.outputs[pin] = what;
+      if (what !== ENABLE) override(pin, what);
+      else if (isConnected) override(pin, this.outputs[pin] ?? CLEAR);
     };
   }
 
@@ -171,9 +198,19 @@ class Chip {
   // ---- bridge: what the levels at its pins make of the supply
 
   #pinsChanged() {
-    this.#integrate(this.cpu.cycles);
+    const { cycles } = this.cpu;
+    this.#integrate(cycles);
     const high = this.cpu.data[portBConfig.DDR] & this.portB.lastValue; // floating: pulled down
-    this.level = high & PWM ? (high & DIRECTION ? -1 : 1) : 0;
+    const level =
+      this.bridge === "IN1_IN2" ? (high & PWM ? 1 : 0) - (high & IN2 ? 1 : 0) : high & PWM ? (high & DIRECTION ? -1 : 1) : 0;
+    if (level === this.level) return;
+    this.#endPulse(cycles);
+    this.level = level;
+    this.pulseSince = cycles;
+  }
+
+  #endPulse(cycles) {
+    if (this.level !== 0) this.longestPulse = Math.max(this.longestPulse, cycles - this.pulseSince);
   }
 
   #integrate(until) {
@@ -210,19 +247,32 @@ class Chip {
     }
   }
 
-  // One instruction, and each event at its own cycle rather than after the instruction: edges of the PWM are exact.
+  // One instruction, with the interrupt that it lets in, and each event at its own cycle: edges of the PWM are exact.
   #step() {
     const { cpu } = this;
-    const from = cpu.cycles;
+    let from = cpu.cycles;
     avrInstruction(cpu);
-    const end = cpu.cycles;
-    if (end > from + 1) {
-      const flags = cpu.data[SREG];
-      cpu.data[SREG] = flags & ~INTERRUPTS; // they come after the instruction
-      for (cpu.cycles = from + 1; cpu.cycles < end; cpu.cycles++) cpu.tick();
-      cpu.data[SREG] = flags;
+    while (cpu.cycles > from) {
+      this.#eventsBetween(from, cpu.cycles);
+      from = cpu.cycles;
+      this.#tick(); // may enter an interrupt, which takes cycles, too
     }
-    cpu.tick();
+  }
+
+  #tick() {
+    const { cpu } = this;
+    const { cycles } = cpu;
+    do cpu.tick(); // one event
+    while (cpu.cycles === cycles && cpu.nextClockEvent?.cycles <= cycles);
+  }
+
+  #eventsBetween(from, end) {
+    const { cpu } = this;
+    const flags = cpu.data[SREG];
+    cpu.data[SREG] = flags & ~INTERRUPTS; // they come after the instruction
+    for (cpu.cycles = from + 1; cpu.cycles < end; cpu.cycles++) this.#tick();
+    cpu.cycles = end;
+    cpu.data[SREG] = flags;
   }
 
   received() {
@@ -251,11 +301,15 @@ class Chip {
     const mean = cycles > 0 ? this.lookImpulse / cycles : 0;
     this.lookImpulse = 0;
     this.lookSince = this.periodSince;
+    this.#endPulse(cpu.cycles);
+    const longest_pulse_s = this.longestPulse / HZ;
+    this.longestPulse = 0;
     return {
       now_ns: this.now_ns,
       pin_V: mean * this.bench.supply_V,
       y_rad: motor.y_rad,
       v_rad_per_s: motor.v_rad_per_s,
+      longest_pulse_s,
       led: (cpu.data[portBConfig.DDR] & cpu.data[portBConfig.PORT] & LED) !== 0,
       ...this.counts,
     };

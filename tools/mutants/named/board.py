@@ -137,36 +137,63 @@ MAIN = of(
     ),
 )
 
+_PULSES = in_file("tests/hil/test_hil_registers.py", "test_no_pulse_is_longer_than_its_share")
+_RULES = in_file("tests/hil/test_hil_registers.py", "test_the_firmware_keeps_every_rule_that_the_emulator_knows")
+
 BRIDGE = of(
     "firmware/boards/uno/bridge.c",
     (
         "at 0 the PWM goes on",
         "off",
-        "    TCCR1A = 0; /* PWM low: the pin's own level */\n    OCR1A = 0;\n",
+        "    TCCR1A = 0; /* the pins' own level: 0 V at once */\n",
         "",
         _safety("test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick"),
     ),
+    ("the timer runs on at 0", "off", "    TCCR1B = 0; /* normal mode, and it stands still */\n", "", _PULSES + _RULES),
     (
-        "at 0 the bridge with two inputs lets the motor coast",
-        "off",
-        "    set_bits(&PORTB, PINS);\n",
+        "ICR1 before the mode that uses it",
+        "start_pwm",
+        "    TCCR1B = PWM;\n    *compare = size; /* now its buffer, which comes into force with the next period */\n"
+        "    ICR1 = BRIDGE_FULL;\n",
+        "    ICR1 = BRIDGE_FULL;\n    TCCR1B = PWM;\n    *compare = size;\n",
+        _RULES,
+    ),
+    (
+        "the share is written in the mode that keeps it back",
+        "start_pwm",
+        "    *compare = size; /* in normal mode: in force at once */\n",
+        "",
+        _PULSES,
+    ),
+    ("the timer counts on from the drive before", "off", "    TCNT1 = 0;\n", "", _PULSES),
+    ("the direction is never set", "drive", "        set_bits(&PORTB, PIN_DIRECTION);\n", "", _BRIDGES),
+    ("the direction is never cleared", "drive", "        clear_bits(&PORTB, PIN_DIRECTION);\n", "", _BRIDGES),
+    (
+        "two inputs at rest let the motor coast",
+        "bridge_init",
+        "    set_bits(&PORTB, HIGH_AT_REST);\n",
         "",
         _BRIDGES,
     ),
-    ("the direction is never set", "on", "            set_bits(&PORTB, PIN_DIRECTION);\n", "", _BRIDGES),
-    ("the direction is never cleared", "on", "            clear_bits(&PORTB, PIN_DIRECTION);\n", "", _BRIDGES),
+    (
+        "two inputs: forward and back are swapped",
+        "drive",
+        "        drive_by(OUTPUT_A, &OCR1A, size);\n    } else {\n        drive_by(OUTPUT_B, &OCR1B, size);\n",
+        "        drive_by(OUTPUT_B, &OCR1B, size);\n    } else {\n        drive_by(OUTPUT_A, &OCR1A, size);\n",
+        _BRIDGES,
+    ),
+    (
+        "two inputs: the other way begins while one drives",
+        "drive_by",
+        "        off();\n",
+        "",
+        _BRIDGES + _PULSES,
+    ),
     (
         "negative drive is as large as it can be",
         "bridge_drive",
         "units < 0 ? -units : units",
         "units < 0 ? (int16_t)BRIDGE_FULL : units",
-        _BRIDGES,
-    ),
-    (
-        "two inputs: forward and back are swapped",
-        "on",
-        "        OCR1B = (uint16_t)(BRIDGE_FULL - size);\n        TCCR1A = PWM_ON_OC1B;\n    }",
-        "        OCR1A = (uint16_t)(BRIDGE_FULL - size);\n        TCCR1A = PWM_ON_OC1A;\n    }",
         _BRIDGES,
     ),
 )

@@ -266,9 +266,30 @@ MEETING = of(
     (
         "what an earlier run left is believed",
         "await_introduction",
-        "asked = 1 <= packet.seq <= requests",
+        "asked = 1 <= packet.seq <= seq",
         "asked = True",
         _serial("test_an_introduction_that_nobody_asked_for_is_not_believed"),
+    ),
+)
+
+OPENING = of(
+    "rig/daq/introduction.py",
+    (
+        "the opening can be read as 'program page'",
+        "_harmless_numbers",
+        " if not _reads_program_page(frames.encode(Kind.HELLO, seq))",
+        "",
+        in_file(
+            "tests/daq/test_daq_boot_loader.py",
+            "test_numbers_whose_frame_can_be_read_so_at_its_own_baud_rate_are_left_out",
+        ),
+    ),
+    (
+        "HELLO goes out in one piece",
+        "_spell",
+        "    for byte in frame:\n        transport.write(bytes((byte,)))\n",
+        "    for byte in (frame,):\n        transport.write(byte)\n",
+        in_file("tests/daq/test_daq_boot_loader.py", "test_no_boot_loader_reads_program_page_in_the_whole_opening"),
     ),
 )
 
@@ -490,6 +511,7 @@ MUTANTS = (
     *FRAMES,
     *STREAM,
     *MEETING,
+    *OPENING,
     *CLOCK,
     *CALIBRATION,
     *MODBUS,

@@ -13,6 +13,14 @@ def _pause(*names: str) -> tuple[str, ...]:
     return in_file("tests/loop/test_loop_pause_watch.py", *names)
 
 
+def _preflight(*names: str) -> tuple[str, ...]:
+    return in_file("tests/config/test_config_preflight.py", *names)
+
+
+def _breakaway(*names: str) -> tuple[str, ...]:
+    return in_file("tests/control/test_control_breakaway.py", *names)
+
+
 def _in_device(*names: str) -> tuple[str, ...]:
     return in_file("tests/hil/test_hil_device_relay.py", *names)
 
@@ -183,11 +191,54 @@ SIGNALS = of(
 BENCH = of(
     "rig/bench.py",
     (
-        "the guard is not told of the device's watchdog time",
+        "the guard does not know the reaction time",
         "guard_settings_of",
-        " + device_watchdog_s(experiment)",
+        "reaction_s=known_reaction_s(experiment),",
+        "reaction_s=0.0 * known_reaction_s(experiment),",
+        _preflight("test_the_guard_reckons_with_every_term_of_the_stopping_sum"),
+    ),
+)
+
+ROOM = of(
+    "rig/config/room_to_stop.py",
+    (
+        "the guard is not told of the device's watchdog time",
+        "known_reaction_s",
+        " + (device_watchdog_s(experiment) or 0.0)",
         "",
-        in_file("tests/config/test_config_preflight.py", "test_the_guard_reckons_with_every_term_of_the_stopping_sum"),
+        _preflight("test_the_guard_reckons_with_every_term_of_the_stopping_sum"),
+    ),
+    (
+        "what the adapter keeps is not counted",
+        "reaction_s",
+        " + link_adapter_s(experiment)",
+        "",
+        _preflight("test_the_guard_reckons_with_every_term_of_the_stopping_sum"),
+    ),
+    (
+        "unseen travel in the breakaway check has no bound",
+        "breakaway_strokes",
+        "if unseen_rad <= UNSEEN_RAD:",
+        "if unseen_rad <= 10.0 * UNSEEN_RAD:",
+        _breakaway("test_with_a_sensor_that_sticks_the_shaft_turns_less_than_half_a_radian"),
+    ),
+    (
+        "friction that differs between the ways is not counted",
+        "breakaway_strokes",
+        "(drift * p * (1.0 - p) + 1.0 - p * (1.0 - FRICTION_DIFFERS))",
+        "(1.0 - p * (1.0 - FRICTION_DIFFERS))",
+        _breakaway("test_the_bound_holds_for_any_inertia_and_friction_that_differs_by_a_tenth"),
+    ),
+)
+
+PREFLIGHT = of(
+    "rig/config/preflight.py",
+    (
+        "a config whose unseen travel has no bound passes",
+        "_unseen_travel",
+        "    if strokes is None:\n",
+        "    if False:\n",
+        _preflight("test_each_rule_refuses_with_one_line_at_its_key"),
     ),
 )
 
@@ -235,4 +286,4 @@ SESSION = of(
     ),
 )
 
-MUTANTS = (*RUNNER, *PAUSE, *SESSION, *REHEARSAL, *SIGNALS, *BENCH)
+MUTANTS = (*RUNNER, *PAUSE, *SESSION, *REHEARSAL, *SIGNALS, *BENCH, *ROOM, *PREFLIGHT)

@@ -1,0 +1,141 @@
+"""The breakaway check on random motors: what the shaft turns unseen, and whether it is seen where the sensor is sound.
+
+    python tools/unseen_travel.py [MOTORS]
+
+K and tau are those of the campaign's grid, friction is 0.05 to 1.0 V and differs by up to a tenth between the ways;
+breakaway.max_V is 2.4 times friction, reached in 3 s each way, as in config/demo.yaml.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from rig import config
+from rig.campaign.grid import draw
+from rig.config.room_to_stop import FRICTION_DIFFERS, UNSEEN_RAD, breakaway_strokes
+from rig.config.schema import Motor as DataSheet
+from rig.control.breakaway import BreakawayLaw
+from rig.control.breakaway_one_way import OneWayCheck
+from rig.experiment import breakaway_check
+from rig.faults import Fault
+from rig.model.friction import Friction
+from rig.model.motor import Motor, State
+from rig.signals import Sample
+
+ROOT = Path(__file__).resolve().parent.parent
+FRICTION_V = (0.05, 1.0)
+MAX_OVER_FRICTION = 2.4
+RAMP_S = 3.0
+NOISE_RAD, LSB_RAD = 0.003, 4.2 / 1024
+LATENCY_S = 0.0012
+
+
+class Trial(NamedTuple):
+    """One motor, and the config that suits its friction."""
+
+    motor: Motor
+    experiment: config.Experiment
+
+
+class Seen(NamedTuple):
+    """How a check ended: the fault's code, or "moves"; its time, s; the farthest from the start, rad; the law."""
+
+    end: str
+    time_s: float
+    travel_rad: float
+    law: BreakawayLaw
+
+
+def trials(motors: int, seed: int = 1) -> Iterator[Trial]:
+    """Random motors, each with its config."""
+    demo = config.load(ROOT / "config/demo.yaml")
+    grid = config.load_campaign(ROOT / "config/campaign.yaml")
+    rng = np.random.default_rng(seed)
+    for number in range(motors):
+        one = draw(grid, number)
+        friction_V = float(rng.uniform(*FRICTION_V))
+        plus_V = friction_V * (1.0 + FRICTION_DIFFERS * float(rng.uniform(-1.0, 1.0)))
+        minus_V = 2.0 * friction_V - plus_V
+        motor = Motor(one.tau_s, one.K_rad_s_V, Friction(plus_V, minus_V, plus_V, minus_V))
+        yield Trial(motor, suited(demo, one.K_rad_s_V * (demo.drive.supply_V - friction_V), friction_V))
+
+
+def suited(demo: config.Experiment, no_load_speed_rad_s: float, friction_V: float) -> config.Experiment:
+    """The demo's config for a motor of that speed and friction."""
+    max_V = MAX_OVER_FRICTION * friction_V
+    return demo.model_copy(
+        update={
+            "motor": DataSheet(no_load_speed_rad_s=no_load_speed_rad_s),
+            "breakaway": demo.breakaway.model_copy(update={"max_V": max_V, "ramp_V_s": max_V / RAMP_S}),
+        }
+    )
+
+
+def check(motor: Motor, law: BreakawayLaw, period_s: float, seed: int, *, stuck: bool) -> Seen:
+    """Run a breakaway law on a motor in virtual time, its potentiometer sound or ``stuck``."""
+    noise = random.Random(seed)
+    state, u_V, tick, low, high, end = State(), 0.0, 0, 0.0, 0.0, "moves"
+    try:
+        while not law.finished:
+            y_rad = (0.0 if stuck else state.y) + noise.gauss(0.0, NOISE_RAD)
+            y_rad = math.floor(y_rad / LSB_RAD + 0.5) * LSB_RAD if not stuck else 0.0
+            t_s = tick * period_s
+            asked_V = law.step(Sample(t_s, y_rad, 512, math.nan, t_s, u_V, tick))
+            for drive_V, time_s in ((u_V, LATENCY_S), (asked_V, period_s - LATENCY_S)):
+                state = motor.advance(state, drive_V, time_s)
+                low, high = min(low, state.y), max(high, state.y)
+            u_V, tick = asked_V, tick + 1
+    except Fault as fault:
+        end = fault.code
+        y_rad = motor.advance(state, 0.0, 40.0 * motor.tau_s).y
+        low, high = min(low, y_rad), max(high, y_rad)
+    return Seen(end, tick * period_s, max(high, -low), law)
+
+
+def one_way(e: config.Experiment) -> OneWayCheck:
+    """The law of older versions."""
+    b = e.breakaway
+    return OneWayCheck(0.4, b.max_V, b.motion_rad, b.rest_s)
+
+
+def main(motors: int) -> int:
+    """Print the numbers; 1 where a shaft turns farther than it may."""
+    refused = 0
+    for name in ("pairs", "one way, as older versions had it"):
+        ends: Counter[str] = Counter()
+        unseen, over, times = [], [], []
+        for number, (motor, e) in enumerate(trials(motors)):
+            if breakaway_strokes(e) is None:
+                refused += name == "pairs"
+                continue
+            new = name == "pairs"
+            stuck = check(motor, breakaway_check(e) if new else one_way(e), e.period_s, number, stuck=True)
+            sound = check(motor, breakaway_check(e) if new else one_way(e), e.period_s, number, stuck=False)
+            unseen.append(stuck.travel_rad)
+            ends[sound.end] += 1
+            if sound.end == "moves":
+                times.append(sound.time_s)
+                friction = motor.friction
+                over += [sound.law.plus_V - friction.static_plus_V, sound.law.minus_V - friction.static_minus_V]
+        worst = max(unseen)
+        print(f"{name}: {motors} motors, {refused} configs refused")
+        print(f"  sensor stuck: turned at most {worst:.3f} rad unseen, median {np.median(unseen):.3f} rad;", end=" ")
+        print(f"more than {UNSEEN_RAD:g} rad: {sum(x > UNSEEN_RAD for x in unseen)}")
+        print(f"  sensor sound: {', '.join(f'{end} {count}' for end, count in ends.items())};", end=" ")
+        print(f"levels above static friction by {1e3 * np.median(over):.0f} mV (median),", end=" ")
+        print(f"{1e3 * np.quantile(over, 0.9):.0f} mV (90 %); {np.median(times):.1f} s (median)")
+        if name == "pairs":
+            failed = worst > UNSEEN_RAD
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 500))
