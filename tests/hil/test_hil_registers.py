@@ -115,8 +115,7 @@ def emulator(which: str, options: UnoOptions) -> ChipHost:
         return armed_chip(HELD, options=options)
     host = ChipHost(SecondChip(QUIET, options))  # type: ignore[arg-type]
     host.setup(SETUP)
-    assert host.arm() == Code.NONE
-    host.truth()
+    assert host.arm_anew() == Code.NONE
     return host
 
 
@@ -246,7 +245,7 @@ def test_the_firmware_keeps_every_rule_that_the_emulator_knows(options: UnoOptio
     assert host.truth().resets == 1
     assert host.hello().reset_words == "watchdog"
     host.setup()
-    assert host.arm() == Code.NONE
+    assert host.arm_anew() == Code.NONE
     host.drive(20)
     assert host.pin_V() == pytest.approx(20 * UNIT_V)
     assert host.board.broken_rule() == ""
@@ -279,7 +278,7 @@ def test_a_broken_rule_is_named(name: str, rule: str, build_with: Callable[[str,
     host.wait(0.01)
     if not board.broken_rule():
         host.setup(SETUP._replace(watchdog_ms=1000))
-        host.arm()
+        host.arm_anew()
         visit(host)
     assert rule in board.broken_rule()
 

@@ -36,6 +36,7 @@ REFERENCES = re.compile(
 )
 KEY = re.compile(r"^[a-z]+(-[a-z0-9]+)+$")  # of a section
 NUMBER = re.compile(r"(?<![\w.])\d+(\.\d+)?")
+WORDS = "words"  # the name under which they are searched
 VERDICTS = ("agrees", "differs")
 
 
@@ -73,12 +74,22 @@ def texts() -> int:
 
 
 def _calls(modules: Mapping[str, str] | None) -> Iterator[tuple[str, ast.Call]]:
-    """Whatever makes a part of the page."""
+    """Whatever makes a part of the page; a function that returns text does, too: what it returns counts as a call."""
     sources = {name: (HERE / f"{name}.py").read_text(encoding="utf-8") for name in SECTIONS}
     for name, source in (sources if modules is None else modules).items():
         for node in ast.walk(ast.parse(source)):
             if isinstance(node, ast.Call) and _name(node) in MAKERS:
                 yield name, node
+            if isinstance(node, ast.FunctionDef) and isinstance(node.returns, ast.Name) and node.returns.id == "str":
+                body = [statement for statement in node.body if not isinstance(statement, ast.Expr)]  # no docstring
+                yield name, ast.Call(ast.Name(WORDS), [_as_tuple(body)], [])
+
+
+def _as_tuple(statements: list[ast.stmt]) -> ast.Tuple:
+    """All expressions that the statements hold, as one argument."""
+    found = [child for statement in statements for child in ast.walk(statement) if isinstance(child, ast.expr)]
+    inner = {id(child) for outer in found for child in ast.walk(outer) if child is not outer}
+    return ast.Tuple([expression for expression in found if id(expression) not in inner])
 
 
 def _name(call: ast.Call) -> str:

@@ -279,8 +279,8 @@ def _course_words(result: Result, form: str) -> str:
     first = "falls" if fewest < one else "rises"
     then = "falls" if most < fewest else "rises"
     if first == then:
-        return f"{first} from N = 1 to {MOST}"
-    return f"{first} from N = 1 to {FEWEST}, {then} from there to {MOST}"
+        return f"{first} from N = {PERIODS[0]} to {MOST}"
+    return f"{first} from N = {PERIODS[0]} to {FEWEST}, {then} from there to {MOST}"
 
 
 def _averaging_remark(result: Result, form: str) -> Remark:

@@ -132,7 +132,7 @@ def theta(estimate: Estimate) -> Array:
 
 
 def compute(seeds: int = 5, track_s: float | None = None, *, law: bool = True) -> Result:
-    """Run the experiment with each seed; ``track_s`` shortens the tracking check, ``law``: also by (33) to the letter."""
+    """Run the experiment with each seed; ``track_s`` shortens the check, ``law``: also by (33) to the letter."""
     config = load(CONFIG)
     if track_s is not None and config.tracking is not None:
         config = config.model_copy(update={"tracking": config.tracking.model_copy(update={"duration_s": track_s})})

@@ -24,6 +24,7 @@ from rig.model.motor import Motor, State
 from rig.report.style import Picture
 
 A_RANGE = (0.05, 3.0)  # h1 / h2
+A_TICKS = (0.05, 0.1, 0.3, 1.0, 3.0)
 B_MOST = 0.96  # largest fc / h2 of those below 1
 B_BEYOND = (1.0, 1.1)  # where Property 3.1 allows no cycle
 SETTLED = 0.01  # of the distance at the start
@@ -489,6 +490,11 @@ def _map_figure(result: Result) -> Picture:
     for axes in panels.flat:
         axes.plot(1.0 + line, line, "--", color="#1f2328", lw=1.3)
         axes.axhline(1.0, color="#9a1b1b", lw=1.2)
+        if axes is not panels[0, 0]:
+            axes.axhspan(1.0, 1.2, color="#d9d3d3", lw=0)  # no cycle; a cell may reach over the line
+        axes.set_xlim(*A_RANGE)
+        axes.set_xticks(A_TICKS, [f"{tick:g}" for tick in A_TICKS])
+        axes.minorticks_off()
         axes.set_ylim(-0.04, 1.14)
     for axes in panels[1]:
         axes.set_xlabel("a = h1 / h2")
