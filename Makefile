@@ -2,7 +2,7 @@
 CONFIG ?= config/demo$(if $(CHIP),-chip).yaml
 RIG := .venv/bin/rig
 
-.PHONY: help demo test search check format bench paper safety soak faults fuzz firmware golden lock clean
+.PHONY: help demo test search check format bench paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -48,6 +48,9 @@ fuzz: .venv/.ready  ## what the host reads, fuzzed; SECONDS_EACH=60 for each tar
 
 faults: .venv/.ready firmware  ## what goes wrong, on every emulated device, and what the bench does: docs/fault-table.md
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m faults
+
+mutants: .venv/.ready firmware  ## defects put in on purpose, one at a time: each must fail a test: docs/mutant-table.md
+	PYTHONPATH=tools .venv/bin/python -m mutants
 
 firmware: .venv/.ready  ## the Uno's firmware (build/firmware/uno/rig_uno.hex), and the emulated board and chip
 	@$(MAKE) --no-print-directory -C firmware host uno chip

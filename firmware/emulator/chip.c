@@ -2,7 +2,8 @@
  *   - its receiver holds 64 bytes: it gets one at a time, when the last bit has arrived; two wait here, as in the chip,
  *     and one more is an overrun;
  *   - a byte takes it 11 bit times: it is told 10;
- *   - a pin set from outside is forgotten when the firmware writes the port: it is told of it as an external pull;
+ *   - a pin set from outside is forgotten when the firmware writes the port: it is told of it as an external pull; an open
+ *     contact is high by the chip's own pull-up alone;
  *   - an interrupt that came while it was held back is lost to it: the tick's is raised again when it is let in;
  *   - it converts what stands in a register when the result is read: that is set at the sample's instant;
  *   - its sleep waits for real time: not here;
@@ -386,6 +387,19 @@ static void watchdog_written(virtual_board *b, uint8_t value)
     b->wdtcsr = opens ? b->wdtcsr : value;
 }
 
+/* Which contacts read high: the open ones, where the pull-up is on. */
+static void tell_contacts(virtual_board *b)
+{
+    const uint8_t high = (uint8_t)(b->open_pins & b->avr->data[PORTD]);
+    avr_ioport_external_t pulls = {.name = 'D', .mask = CONTACTS, .value = high};
+    avr_ioctl(b->avr, AVR_IOCTL_IOPORT_SET_EXTERNAL('D'), &pulls);
+    for (int pin = 0; pin < 8; pin++) {
+        if (has(CONTACTS, (unsigned)pin)) {
+            avr_raise_irq(b->port_d + pin, has(high, (unsigned)pin) ? 1u : 0u);
+        }
+    }
+}
+
 static void hold_to_rules(virtual_board *b, avr_io_addr_t address, uint8_t value)
 {
     const avr_t *avr = b->avr;
@@ -437,6 +451,9 @@ static void register_written(avr_irq_t *irq, uint32_t value, void *context)
     } else {
         timer1_advance(&b->timer1, b->avr->cycle);
     }
+    if (w->address == PORTD) {
+        tell_contacts(b);
+    }
     levels_may_have_changed(b, b->avr->cycle);
     pins_may_have_changed(b);
 }
@@ -477,7 +494,7 @@ static void after_reset(avr_t *avr)
 {
     virtual_board *b = avr->custom.data;
     b->chip_reset(avr);
-    avr->data[PIND] = b->open_pins;
+    avr->data[PIND] = 0; /* no pull-up is on */
     b->waiting_count = 0;
     b->converter_is_dead = false;
     b->dead_of_timer2 = 0;
@@ -545,12 +562,6 @@ static void connect(virtual_board *b)
     b->adc_in = avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_OUT_TRIGGER), adc_starts, b);
     b->port_d = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), IOPORT_IRQ_PIN0);
-}
-
-static void tell_pulls(virtual_board *b)
-{
-    avr_ioport_external_t pulls = {.name = 'D', .mask = CONTACTS, .value = b->open_pins};
-    avr_ioctl(b->avr, AVR_IOCTL_IOPORT_SET_EXTERNAL('D'), &pulls);
 }
 
 virtual_board *virtual_new(void)
@@ -630,7 +641,7 @@ const char *virtual_start(virtual_board *b, int64_t byte_ns)
         return "libsimavr's serial port or clock is not where it should be";
     }
     connect(b);
-    tell_pulls(b);
+    tell_contacts(b);
     memset(b->avr->data + RAM, PAINT, b->avr->ramend + 1u - RAM);
     b->avr->custom.data = b;
     b->chip_reset = b->avr->reset;
@@ -840,8 +851,7 @@ void virtual_contact(virtual_board *b, int32_t pin, int32_t is_open)
 {
     const uint8_t bit = (uint8_t)(1u << pin);
     b->open_pins = (uint8_t)(is_open ? b->open_pins | bit : b->open_pins & ~bit);
-    tell_pulls(b);
-    avr_raise_irq(b->port_d + pin, is_open ? 1u : 0u);
+    tell_contacts(b);
 }
 
 /* An instruction that jumps to itself: where a program without an end is sent when it ends. */

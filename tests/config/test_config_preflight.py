@@ -12,8 +12,10 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from rig.bench import guard_settings_of
 from rig.config import ConfigError, Experiment, check, load, preflight
 from rig.config.link_budget import REPLY_SHARE
+from rig.config.room_to_stop import stopping_terms
 from rig.daq import frames, serial_link
 from rig.daq.calibration import Calibration
 from rig.model.friction import Friction
@@ -355,6 +357,15 @@ def test_the_stopping_sum_bounds_what_the_exact_motor_travels(
     state = motor.advance(State(v=speed), hold_V, held_s)
     stopped = motor.advance(state, 0.0, 40.0 * tau_s)
     assert stopped.y < e.limits.hard_rad[1]
+
+
+@pytest.mark.parametrize("name", ["demo.yaml", "device-relay.yaml", "modbus-rtu.yaml"])
+def test_the_guard_reckons_with_every_term_of_the_stopping_sum(name: str) -> None:
+    """What `rig check` adds up is what the guard predicts from."""
+    experiment = check(CONFIGS / name)[0]
+    guard = guard_settings_of(experiment)
+    travelled_rad = guard.max_speed_rad_s * (guard.reaction_s + guard.coast_tau_s)
+    assert travelled_rad == pytest.approx(sum(rad for _, rad in stopping_terms(experiment)))
 
 
 def test_following_the_hint_on_speed_passes() -> None:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from simulated_bench import DEMO_MOTOR, LIMITS, breakaway_check, simulated_bench
 
 from rig import config, experiment
 from rig.config.room_to_stop import UNSEEN_RAD, breakaway_strokes
+from rig.control.breakaway import BreakawayLaw
 from rig.experiment import breakaway_check as check_of
 from rig.faults import Fault
 from rig.model.friction import Friction, coulomb
@@ -72,6 +76,47 @@ def test_a_shaft_that_still_turns_at_the_start_is_waited_for() -> None:
     with bench.loop.armed(LIMITS):
         bench.loop.run(law, "breakaway")
     assert law.finished
+
+
+def drives(law: BreakawayLaw, y_rad: Callable[[float], float], until_s: float) -> list[float]:
+    return [law.step(Sample(0.01 * k, y_rad(0.01 * k), 512)) for k in range(round(until_s / 0.01))]
+
+
+@pytest.mark.parametrize(("drift", "waits"), [(2.0, True), (1.5, False)])
+def test_a_shaft_that_drifts_by_more_than_the_noise_explains_is_waited_for(drift: float, waits: bool) -> None:
+    """Of 20 readings the means of the halves differ by 0.45 standard deviations: four times that is no noise."""
+    noise_rad = 0.005
+
+    def y_rad(t_s: float) -> float:
+        flicker = noise_rad * math.sqrt(6.0) / 4.0  # which second differences find to be of noise_rad
+        return flicker * (-1) ** round(t_s / 0.01) + drift * noise_rad * t_s / 0.1  # the halves are 0.1 s apart
+
+    assert (max(drives(breakaway_check(), y_rad, 0.6)) == 0.0) is waits
+
+
+def test_a_shaft_that_coasts_after_a_stroke_is_waited_for() -> None:
+    law, drive_V, k = breakaway_check(), 0.0, 0
+
+    def step(y_rad: float) -> float:
+        nonlocal k
+        k += 1
+        return law.step(Sample(0.01 * k, y_rad, 512))
+
+    while drive_V == 0.0:
+        drive_V = step(0.0)
+    while drive_V != 0.0:
+        drive_V = step(0.0)
+    coasting_rad = [0.005 * j for j in range(25)]
+    assert not any(step(y_rad) for y_rad in coasting_rad)
+    assert any(step(coasting_rad[-1]) for _ in range(100))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_alone_never_gathers_to_motion(seed: int) -> None:
+    """As much of it as the check takes: a third of what counts as motion."""
+    noise_rad = np.random.default_rng(seed).normal(0.0, 0.3 * 0.02, 20_000)
+    with pytest.raises(Fault, match=r"NO_MOTION.*towards rising and falling"):
+        drives(breakaway_check(), lambda t_s: float(noise_rad[round(100.0 * t_s)]), 200.0)
 
 
 @pytest.mark.parametrize("friction_V", [0.2, 0.3])

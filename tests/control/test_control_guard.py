@@ -53,6 +53,16 @@ def test_samples_at_another_pace_do_not_jolt_the_velocity(seed: int, v_rad_s: fl
         assert guard.velocity_rad_s == pytest.approx(v_rad_s, abs=0.7)
 
 
+def test_a_new_guard_takes_the_shaft_to_stand_until_it_has_seen_it_move() -> None:
+    guard = Guard(GUARD)
+    guard.pace(PERIOD_S)
+    for k in range(2):
+        guard.allow(reading(0.01 * k, 0.5 + 0.01 * k), 0.0)
+        assert guard.velocity_rad_s == 0.0
+    guard.allow(reading(0.02, 0.52), 0.0)
+    assert guard.velocity_rad_s == pytest.approx(1.0)
+
+
 def test_at_1_khz_ten_bits_do_not_pass_for_overspeed() -> None:
     """Steps of 4 mrad and 3 mrad of noise: over five samples of 1 ms the slope is off by several rad/s."""
     lsb_rad, noise = 4.2 / 1024, np.random.default_rng(1).normal(0.0, 0.003, 2000)
@@ -69,24 +79,40 @@ def test_at_1_khz_ten_bits_do_not_pass_for_overspeed() -> None:
     assert max(map(abs, by_five)) > GUARD.max_speed_rad_s > max(map(abs, by_time))
 
 
-def test_between_soft_and_hard_only_inward_drive_passes() -> None:
+@pytest.mark.parametrize("side", [1, -1])
+def test_between_soft_and_hard_only_inward_drive_passes(side: int) -> None:
     guard = Guard(GUARD)
     for k in range(20):
-        y = 1.2
-        assert guard.allow(reading(0.01 * k, y), 1.0) == (0.0, FLAG_GUARD_CLIPPED)
-        assert guard.allow(reading(0.01 * k + 0.005, y), -0.3) == (-0.3, 0)
+        y = 1.2 * side
+        assert guard.allow(reading(0.01 * k, y), 1.0 * side) == (0.0, FLAG_GUARD_CLIPPED)
+        assert guard.allow(reading(0.01 * k + 0.005, y), -0.3 * side) == (-0.3 * side, 0)
+    assert guard.clipped_ticks == 20
 
 
-def test_it_brakes_inward_on_the_predicted_stop_only_once_the_sign_is_proven() -> None:
-    for proven, expected_V in ((False, 0.0), (True, -LIMITS.max_u_V)):
+@pytest.mark.parametrize("side", [1, -1])
+def test_it_brakes_inward_on_the_predicted_stop_only_once_the_sign_is_proven(side: int) -> None:
+    for proven, expected_V in ((False, 0.0), (True, -side * LIMITS.max_u_V)):
         guard = Guard(GUARD)
-        guard.sign_proven = proven
+        if proven:
+            guard.sign_proven = True
         u_V, flags = 0.0, 0
         for k in range(10):
-            u_V, flags = guard.allow(reading(0.01 * k, 0.5 + 0.05 * k), 1.0)
-        assert guard.predicted_stop_rad > LIMITS.hard_rad[1]
+            u_V, flags = guard.allow(reading(0.01 * k, side * (0.5 + 0.05 * k)), side * 1.0)
+        assert side * guard.predicted_stop_rad > LIMITS.hard_rad[1]
         assert u_V == expected_V
         assert flags & FLAG_GUARD_BRAKED
+
+
+def test_the_predicted_stop_counts_the_reaction_watchdog_and_all_and_the_way_that_the_shaft_coasts() -> None:
+    """Exactly: the random runs above stop inside without either, by friction."""
+    guard = Guard(GUARD)
+    guard.sign_proven = True
+    step_rad = 0.03  # 3 rad/s
+    way_rad = 3.0 * (GUARD.reaction_s + GUARD.coast_tau_s)
+    first_rad = LIMITS.hard_rad[1] - way_rad - 7.5 * step_rad
+    drives = [guard.allow(reading(0.01 * k, first_rad + step_rad * k), 0.5)[0] for k in range(10)]
+    assert guard.predicted_stop_rad == pytest.approx(first_rad + 9 * step_rad + way_rad)
+    assert drives == [0.5] * 8 + [-LIMITS.max_u_V] * 2 and guard.braked_ticks == 2
 
 
 def test_more_than_the_largest_drive_is_cut_and_flagged() -> None:
@@ -102,6 +128,8 @@ def test_more_than_the_largest_drive_is_cut_and_flagged() -> None:
         ("SENSOR_JUMP", [reading(0.0, 0.0), reading(0.01, 0.4)]),
         ("TRAVEL_HARD", [reading(0.0, 1.95)]),
         ("OVERSPEED", [reading(0.01 * k, 0.08 * k - 0.5) for k in range(8)]),
+        ("OVERSPEED", [reading(0.01 * k, 0.5 - 0.08 * k) for k in range(8)]),
+        ("TRAVEL_HARD", [reading(0.0, -1.95)]),
         ("SAMPLE_STALE", [reading(0.01 * min(k, 4), 0.001 * k) for k in range(7)]),
         ("SAMPLE_STALE", [reading(0.5, 0.0) for _ in range(3)]),
     ],
@@ -116,6 +144,27 @@ def test_sensor_and_travel_faults_have_their_code_and_latch(code: str, samples: 
     with pytest.raises(Fault) as again:
         guard.allow(reading(1.0, 0.0), 0.0)
     assert again.value is caught.value
+
+
+@pytest.mark.parametrize("asked_V", [math.nan, math.inf, -math.inf])
+def test_a_drive_that_is_no_number_is_the_laws_failure(asked_V: float) -> None:
+    guard = Guard(GUARD)
+    with pytest.raises(Fault, match="LAW_FAILED"):
+        guard.allow(reading(0.0, 0.0), asked_V)
+    assert guard.fault is not None
+
+
+def test_what_was_seen_before_a_pause_says_nothing_after_it() -> None:
+    """A shaft that was moved by hand in the pause has not jumped, and a stand before it is over."""
+    guard = Guard(GUARD)
+    guard.static_V = 0.5
+    for k in range(25):
+        guard.allow(reading(0.01 * k, 0.01 * k), 1.0)
+    assert guard.velocity_rad_s == pytest.approx(1.0)
+    guard.rearm()
+    for k in range(25):
+        guard.allow(reading(0.26 + 0.01 * k, -0.9), 1.0)
+        assert guard.velocity_rad_s == 0.0 or k < 4
 
 
 def test_a_sample_may_come_twice_where_the_loop_is_as_quick_as_the_device() -> None:
@@ -149,16 +198,17 @@ def test_a_shaft_that_moves_in_ever_rarer_jerks_is_stuck_in_the_end() -> None:
     assert "for 1.20 s" in caught.value.detail
 
 
-def test_drive_outward_of_soft_that_persists_while_inward_is_commanded_is_a_polarity_fault() -> None:
+@pytest.mark.parametrize("side", [1, -1])
+def test_drive_outward_of_soft_that_persists_while_inward_is_commanded_is_a_polarity_fault(side: int) -> None:
     """Wires swapped after the start: the bench accelerates outward although the guard brakes."""
     wide = replace(GUARD, limits=replace(LIMITS, soft_rad=(-0.3, 0.3), hard_rad=(-2.0, 2.0)))
-    bench = simulated_bench(DEMO, guard=wide, drive="reversed", start_rad=0.35)
+    bench = simulated_bench(DEMO, guard=wide, drive="reversed", start_rad=0.35 * side)
     bench.guard.sign_proven = True
     with pytest.raises(Fault) as caught, bench.loop.armed(wide.limits):
-        bench.loop.run(Constant(-1.0, 2.0), "jog")
+        bench.loop.run(Constant(-1.0 * side, 2.0), "jog")
     assert caught.value.code == "POLARITY"
     assert bench.driver.bench.pin_counts == 0
-    assert bench.driver.bench.state.y < 2.0
+    assert side * bench.driver.bench.state.y < 2.0
 
 
 def test_an_obedient_shaft_is_never_accused() -> None:
@@ -167,6 +217,20 @@ def test_an_obedient_shaft_is_never_accused() -> None:
         bench.guard.sign_proven = True
         with bench.loop.armed(LIMITS):
             bench.loop.run(Constant(-math.copysign(1.0, start), 0.5), "jog")
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_recovering_ends_inside_the_soft_limits_where_the_hard_ones_hold_again(side: int) -> None:
+    guard = Guard(GUARD)
+    guard.recovering = True
+    inward_rad = [1.95, 1.85, 1.5, 1.11]
+    for k, y in enumerate(inward_rad):
+        assert guard.allow(reading(0.1 * k, side * y), -0.5 * side) == (-0.5 * side, 0)
+        assert guard.recovering
+    guard.allow(reading(0.5, side * 1.09), -0.5 * side)
+    assert not guard.recovering
+    with pytest.raises(Fault, match="TRAVEL_HARD"):
+        guard.allow(reading(1.0, side * 1.91), 0.0)
 
 
 @pytest.mark.parametrize(("wiring", "side"), [("reversed", 1.0), ("reversed", -1.0), ("stuck_on", 1.0)])

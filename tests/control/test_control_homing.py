@@ -10,6 +10,7 @@ from rig.control.homing import Homing
 from rig.faults import Fault
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
+from rig.signals import Sample
 
 LSB_RAD = CALIBRATION.lsb_rad
 OFFSET_RAD = 0.02
@@ -74,6 +75,57 @@ def test_it_gives_up_with_its_numbers_where_the_time_is_over() -> None:
     assert caught.value.code == "NOT_HOME"
     assert "strokes in 1 s" in caught.value.detail
     assert bench.driver.bench.pin_counts == 0
+
+
+def stroke(homing: Homing, stands_rad: float) -> tuple[int, float]:
+    """Have it look at a shaft that stands there, and give its stroke: how many ticks, and at what drive, V."""
+    at = [homing.step(Sample(0.0, stands_rad, 512))]
+    while at[-1] == 0.0:
+        at.append(homing.step(Sample(0.0, stands_rad, 512)))
+        assert len(at) < 40
+    drive_V, ticks = at[-1], 0
+    while at[-1] == drive_V:
+        ticks += 1
+        at.append(homing.step(Sample(0.0, stands_rad, 512)))
+    assert at[-1] == 0.0
+    return ticks, drive_V
+
+
+def a_homing() -> Homing:
+    return Homing(0.5, 0.4, 3.0, 0.0, 0.004, PERIOD_S, 40.0)
+
+
+@pytest.mark.parametrize(("stands_rad", "ticks", "drive_V"), [(-0.3, 12, 0.575), (0.05, 3, -0.46), (-0.05, 3, 0.575)])
+def test_the_first_stroke_is_short_and_inward_and_longer_from_afar(
+    stands_rad: float, ticks: int, drive_V: float
+) -> None:
+    assert stroke(a_homing(), stands_rad) == (ticks, pytest.approx(drive_V))
+
+
+def test_a_stroke_tells_how_long_the_next_one_should_be() -> None:
+    """The way grows with the square of the time: 12 ticks moved it by 0.144 rad, so one moves it by 1 mrad."""
+    homing = a_homing()
+    assert stroke(homing, 0.25)[0] == 12
+    ticks, _ = stroke(homing, 0.25 - 0.144)
+    assert ticks == 10  # the root of 106
+    # these 10 ticks moved it by 0.156 rad; what one way has shown serves the other, until that has shown its own
+    assert stroke(homing, -0.05) == (5, pytest.approx(0.575))  # the root of 50 over 1.56
+
+
+def test_a_long_stroke_that_moves_nothing_makes_the_next_stronger() -> None:
+    homing = a_homing()
+    assert stroke(homing, 0.25) == (12, pytest.approx(-0.46))
+    assert stroke(homing, 0.25) == (12, pytest.approx(-0.46 * 1.1))
+
+
+def test_the_shortest_stroke_that_goes_too_far_makes_the_next_weaker() -> None:
+    homing = a_homing()
+    stroke(homing, 0.05)
+    stroke(homing, 0.05 - 0.045)  # 3 ticks moved it by 45 mrad: one by 5
+    assert stroke(homing, -0.006)[0] == 1
+    stroke(homing, 0.007)
+    _, drive_V = stroke(homing, 0.006)
+    assert abs(drive_V) < 0.46
 
 
 @pytest.mark.parametrize(("plus_V", "tolerance_rad"), [(0.0, 0.002), (0.5, 0.0)])

@@ -11,11 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
 from rig.bench import emulated_io_block, limits_of, modbus_driver
 from rig.config import load
 from rig.config.schema import Experiment
 from rig.daq.modbus import ModbusDriver
+from rig.daq.modbus_client import ModbusClient, ModbusLine
+from rig.daq.modbus_requests import Request
 from rig.emulate.line_faults import Corruption
 from rig.emulate.misbehaviour import Misbehaviour
 from rig.emulate.rtu_slave import Direction, check_sum
@@ -224,6 +227,80 @@ def test_stop_is_confirmed_by_the_registers(rig: Rig) -> None:
     assert rig.block.truth().output_V != 0.0
 
 
+@pytest.mark.parametrize("without", [None, "applied", "status"])
+@pytest.mark.parametrize("style", STYLES)
+def test_a_block_that_goes_on_driving_does_not_confirm_the_stop(style: str, without: str | None) -> None:
+    """It answers as if it stopped; either of the registers that tell of it says what it does."""
+    rig = Rig(experiment_with(style, {} if without is None else {without: None}))
+    rig.tick(0.6)
+    rig.tick(0.6)
+    real = rig.block.block.request
+
+    def deaf(pdu: bytes, t_s: float) -> bytes:
+        return pdu if pdu[0] == 6 else b"\x10" + pdu[1:5] if pdu[0] == 16 else real(pdu, t_s)
+
+    rig.block.block.request = deaf  # type: ignore[method-assign]
+    assert not rig.driver.safe_stop()
+    assert rig.block.truth().output_V != 0.0
+
+
+def test_a_block_that_takes_no_drive_while_it_is_stopped_is_stopped(rig: Rig) -> None:
+    """Not even 0: some are so, and the registers confirm the stop."""
+    rig.tick(0.6)
+    rig.tick(0.6)
+    real = rig.block.block.request
+
+    def choosy(pdu: bytes, t_s: float) -> bytes:
+        return bytes((0x80 | pdu[0], 4)) if pdu[0] == 16 else real(pdu, t_s)
+
+    rig.block.block.request = choosy  # type: ignore[method-assign]
+    assert rig.driver.safe_stop()
+    assert rig.block.truth().output_V == 0.0
+
+
+def test_an_exchange_quicker_than_the_fastest_so_far_was_executed_on_its_way() -> None:
+    """Never after its reply: the share of the way there is the config's, of what the exchange really took."""
+
+    class Quick:
+        """Answers a read of one register over TCP after 0.2 ms, of 0.5 ms that the config gives a turnaround."""
+
+        t_s, reply = 100.0, b""
+
+        def now_s(self) -> float:
+            return self.t_s
+
+        def write(self, data: bytes) -> None:
+            self.reply = data[:4] + b"\0\5\1\3\2\0\7"
+
+        def read(self, timeout_s: float) -> bytes:
+            data, self.reply = self.reply, b""
+            self.t_s += 0.2e-3 if data else timeout_s
+            return data
+
+        def close(self) -> None:
+            pass
+
+    client = ModbusClient(Quick(), ModbusLine(tcp=True))
+    request = Request(ReadHoldingRegistersRequest(address=0, count=1), "a register")
+    reply = client.asked(request, 0.01)
+    assert reply.round_trip_s == pytest.approx(0.2e-3)
+    assert reply.executed_s - 100.0 == pytest.approx(0.1e-3)
+
+
+def test_arming_sets_the_drive_to_0_before_it_arms() -> None:
+    """A block may keep the drive of an earlier run in its register."""
+    rig = Rig(experiment_with(), armed=False)
+    real, written = rig.block.block._write, []
+
+    def watching(values: dict[str, float]) -> None:
+        written.append(values)
+        real(values)
+
+    rig.block.block._write = watching  # type: ignore[method-assign]
+    rig.arm()
+    assert written[-1] == {"control": 1.0} and written[-2]["drive"] == 0.0 and "sequence" in written[-2]
+
+
 def test_a_stop_of_a_dead_device_is_not_confirmed_and_is_bounded(rig: Rig) -> None:
     rig.tick(0.6)
     rig.tick(0.6)
@@ -367,6 +444,23 @@ def test_a_device_that_goes_on_misbehaving_ends_at_0_V(style: str, kind: Any) ->
     assert rig.driven == rig.commanded
 
 
+@pytest.mark.parametrize("at", [3, 5], ids=["address", "how many"])
+def test_a_write_that_is_confirmed_otherwise_is_a_fault(at: int) -> None:
+    """Asked separately the drive goes out by FC16, whose reply repeats where and how many registers."""
+    rig = Rig(experiment_with("separate"))
+    for _ in range(3):
+        rig.tick(0.6)
+
+    def otherwise(direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
+        if direction == "reply" and data[1] == 16:
+            data = signed(data[:at] + bytes((data[at] ^ 1,)) + data[at + 1 : -2])
+        return ((0.0, data),)
+
+    rig.block.disturb(otherwise)
+    fault = rig.fault_while_driving(2)
+    assert fault.code == "LINK_REPLY" and "confirmed is 10" in fault.detail
+
+
 def test_a_late_reply_is_no_confirmation_of_the_stop() -> None:
     """Separate requests, 32-bit drive: the stop's FC16 looks like the tick's, whose reply is late."""
     registers = {
@@ -411,6 +505,22 @@ def test_the_devices_status_is_a_fault_by_name(style: str, status: int, code: st
     assert fault.code == code
     assert f"status, holding register 19 reads {status}" in fault.detail
     assert rig.driver.safe_stop()
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_a_fault_in_a_pause_is_told(style: str) -> None:
+    """Disarmed by the host the status is 0, which is none; what the block stops for by itself is."""
+    rig = Rig(experiment_with(style))
+    rig.tick(0.3)
+    assert rig.driver.safe_stop()
+    rig.driver.read()
+
+    def saying(data: bytes) -> list[tuple[float, bytes]]:
+        return [(0.0, signed(data[:9] + b"\0\3"))]
+
+    rig.block.disturb(OneReply(saying))
+    with pytest.raises(Fault, match="DEVICE_TRAVEL"):
+        rig.driver.read()
 
 
 def test_the_blocks_own_faults_come_through(rig: Rig) -> None:

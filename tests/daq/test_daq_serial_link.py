@@ -182,6 +182,16 @@ def test_what_an_earlier_run_left_in_the_port_is_not_believed():
     assert make(port).open().build == "test-1"
 
 
+def test_an_introduction_that_nobody_asked_for_is_not_believed():
+    """Late, of a run before: its number is none of this one's."""
+    port = ScriptedPort(silent_s=0.5)
+    stale = port.hello._replace(build=b"stale".ljust(16, b"\0")).pack()
+    port.reply(0.1, encode(Kind.HELLO_REPLY, 999, stale))
+    driver = make(port)
+    assert driver.open().build == "test-1"
+    assert driver.link_statistics["stale_replies"] == 1
+
+
 def test_a_silent_device_is_an_error_with_the_numbers():
     port = ScriptedPort(silent_s=1e9)
     fault = fault_of(make(port).open)
@@ -524,6 +534,21 @@ def test_a_lost_drive_is_not_pretended():
     assert driver.link_statistics["drives_lost"] == 1
 
 
+def test_three_lost_drives_in_a_row_end_the_run():
+    """The drive that acts is no longer the host's."""
+    port, driver = armed()
+    for accepted in (False, False, True, False, False, False):
+        port.expect(Kind.DRIVE, frames.pack_drive(67))
+        seq = port.next_seq(0)
+        driver.write(1.0)
+        port.expect_read(drive_seq=seq if accepted else 0)
+        if driver.link_statistics["drives_lost"] < 4:
+            driver.read()
+    with pytest.raises(Fault, match="3 drives in a row were not accepted") as caught:
+        driver.read()
+    assert caught.value.code == "LINK_TIMEOUT" and "512 counts" in caught.value.detail
+
+
 def test_the_first_drive_lost_leaves_its_time_unknown():
     port, driver = armed()
     port.expect(Kind.DRIVE, frames.pack_drive(67))
@@ -775,6 +800,15 @@ def test_safe_stop_asks_three_times_and_says_so():
     assert driver.safe_stop() is True
     for _ in range(3):
         port.expect(Kind.STOP)
+    assert driver.safe_stop() is False
+    assert not port.script
+
+
+@pytest.mark.parametrize("left", [{"drive": 30, "status": 0}, {"drive": 0, "status": frames.STATUS_ARMED}])
+def test_a_stop_that_leaves_the_drive_on_or_the_device_armed_is_not_confirmed(left):
+    port, driver = armed()
+    for _ in range(3):
+        port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(**left))
     assert driver.safe_stop() is False
     assert not port.script
 

@@ -6,6 +6,8 @@ import json
 import math
 import os
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +18,8 @@ from command_line import rig
 from rig import config as configs
 from rig import experiment as script
 from rig import session
+from rig.bench import Bench
+from rig.config.schema import Experiment
 from rig.control.law import Constant
 from rig.faults import Fault
 from rig.identify import identify
@@ -102,6 +106,22 @@ def test_a_report_that_cannot_be_written_costs_the_report_and_no_more(
     assert result.exit_code == 1
     assert json.loads(result.stdout)["estimates"]["sampled-data"]["verdict"] in ("ok", "doubtful")
     assert "Traceback" not in result.output
+
+
+def test_what_the_device_had_latched_since_the_last_run_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = session.connect
+
+    @contextmanager
+    def cleared(experiment: Experiment) -> Iterator[Bench]:
+        with original(experiment) as bench:
+            yield replace(bench, info=replace(bench.info, acknowledged=("DEVICE_ESTOP",)))
+
+    monkeypatch.setattr(session, "connect", cleared)
+    said = rig("jog", quick(tmp_path), "--u-V", 0.3, "--out", tmp_path / "runs", "--json")
+    notes = json.loads(said.stdout)["notes"]
+    assert notes[0] == "e-stop pressed since the last run: the device had latched DEVICE_ESTOP"
 
 
 def test_a_run_cut_off_before_a_settled_cycle_gives_no_number_as_ok(tmp_path: Path) -> None:

@@ -266,6 +266,22 @@ def test_a_flood_of_garbage_neither_feeds_the_watchdog_nor_hangs_the_program() -
     latched_at_zero(host, Code.WATCHDOG)
 
 
+def test_a_drive_that_waits_behind_garbage_is_of_the_tick_in_which_it_arrived() -> None:
+    """A full wire at 1 Mbaud has a byte wait for milliseconds until the main loop comes to it: by so much the drive
+    would be off late.
+    """
+    rng = random.Random(5)
+    for _ in range(PHASES):
+        host = armed_chip(HELD, SETUP._replace(watchdog_ms=20), UnoOptions(baud=1_000_000))
+        host.wait(rng.uniform(0.0, TICK_S))
+        host.send_raw(bytes(5) * 50)
+        host.drive(60)
+        host.wait(0.005)
+        assert host.pin_V() > 0.0
+        off_after_s(host, host.heard_s, 0.020 + TICK_S)
+    latched_at_zero(host, Code.WATCHDOG)
+
+
 def test_no_drive_before_arming_nor_beyond_the_largest() -> None:
     host = ChipHost(VirtualChip(HELD))
     host.drive(60)

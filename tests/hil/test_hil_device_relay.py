@@ -26,7 +26,7 @@ from rig.control.law import Constant
 from rig.control.relay import RelayOnCounts
 from rig.daq.calibration import DriveMap
 from rig.daq.driver import RelayDriver
-from rig.daq.frames import STATUS_RELAY, Block, Code, FrameReader, Kind, Nack, RelaySetup, encode
+from rig.daq.frames import STATUS_RELAY, Block, Code, FrameReader, Kind, Nack, Packet, RelaySetup, encode
 from rig.daq.relay_stream import RelayCommand, RelayRow
 from rig.daq.serial_link import SerialDriver
 from rig.emulate.virtual_board import VirtualBoard
@@ -251,6 +251,39 @@ def test_a_start_whose_confirmation_gets_lost_is_repeated() -> None:
     assert rows[0].block == 0 and np.diff([row.t_s for row in rows]) == pytest.approx(driver.tick_s, abs=3e-6)
 
 
+def test_a_relay_that_was_stored_otherwise_is_refused() -> None:
+    """Its confirmation repeats what was stored."""
+    board, driver = armed_driver()
+    read, reader = board.read, FrameReader()
+
+    def another(timeout_s: float) -> bytes:
+        packets = reader.feed(read(timeout_s))
+        stored = [
+            p._replace(body=RelaySetup.unpack(p.body)._replace(z_bound=7).pack()) if p.kind == Kind.RELAY_REPLY else p
+            for p in packets
+        ]
+        return b"".join(encode(p.kind, p.seq, p.body) for p in stored)
+
+    board.read = another  # type: ignore[method-assign]
+    fault = fault_of(lambda: start(board, driver))
+    assert fault.code == "ARM_READBACK" and "z_bound=7" in fault.detail
+
+
+def test_a_block_of_another_session_is_a_reset() -> None:
+    """A device that was reset and set up anew by somebody else."""
+    board, driver = armed_driver()
+    start(board, driver)
+    run_for(board, driver, 0.1)
+    feed = driver._reader.feed
+
+    def another(data: bytes) -> list[Packet]:
+        blocks = [(p, Block.unpack(p.body)) for p in feed(data) if p.kind == Kind.BLOCK]
+        return [p._replace(body=b._replace(session=b.session ^ 1).pack()) for p, b in blocks]
+
+    driver._reader.feed = another  # type: ignore[method-assign]
+    assert fault_of(lambda: run_for(board, driver, 0.3)).code == "DEVICE_RESET"
+
+
 @pytest.mark.parametrize("damage", ["lost", "a bit"])
 def test_a_block_that_is_missing_is_a_fault(damage: str) -> None:
     board, driver = armed_driver()
@@ -395,6 +428,14 @@ def test_the_guard_stops_what_it_would_not_let_out() -> None:
     bench.board.sleep_until(bench.board.now_s() + 1.0)
     assert abs(bench.board.truth().y_rad) < LIMITS.hard_rad[1]
     assert bench.record.rows[-1]["t_s"] == pytest.approx(bench.loop.now_s, abs=1.06)
+
+
+def test_a_drive_that_the_guard_would_not_let_out_ends_the_run_though_nothing_is_too_fast() -> None:
+    quick = replace(GUARD, max_speed_rad_s=30.0)
+    bench = DeviceBench(motor=Motor(0.17, 14.0, coulomb(0.3)), gains_V=(0.4, 1.2), guard=quick)
+    fault = fault_of(bench.run)
+    assert fault.code == "RELAY_STOPPED" and "predicted stop" in fault.detail
+    assert bench.board.truth().pin_V == 0.0
 
 
 def test_a_device_that_decides_otherwise_is_found_out() -> None:

@@ -6,7 +6,9 @@ import threading
 
 import pytest
 from raised import fault_of
+from simulated_bench import LIMITS, PERIOD_S, simulated_bench
 
+from rig.control.law import Rest
 from rig.faults import Fault
 from rig.loop.clock import MonotonicClock, VirtualClock
 from rig.loop.pause_watch import VIRTUAL_PAUSE_S, PauseWatch
@@ -50,6 +52,7 @@ def test_in_virtual_time_it_is_read_each_period_of_a_pause() -> None:
     assert device.readings == round(VIRTUAL_PAUSE_S / 0.01)
     pause.end()
     assert device.readings == round(VIRTUAL_PAUSE_S / 0.01)
+    assert pause.longest_gap_s == 0.0
 
 
 def test_a_fault_in_virtual_time_ends_the_pause() -> None:
@@ -104,3 +107,38 @@ def test_a_device_that_latches_is_left_alone() -> None:
     pause.begin()
     pause.end()
     assert device.readings == 0
+
+
+def test_nobody_else_uses_the_driver_after_the_pause() -> None:
+    """The reading that is under way when the pause ends is waited for: a driver knows one user at a time."""
+    entered, go_on = threading.Event(), threading.Event()
+
+    class Slow(Device):
+        def read(self) -> None:
+            entered.set()
+            go_on.wait(PATIENCE_S)
+            super().read()
+
+    device = Slow()
+    pause = watch(device, real=True)
+    pause.begin()
+    assert entered.wait(PATIENCE_S)
+    threading.Timer(0.05, go_on.set).start()
+    pause.end()
+    assert device.readings == 1 and pause.longest_gap_s > 0.0
+
+
+def test_a_pause_begins_where_a_block_that_is_armed_has_ended() -> None:
+    bench = simulated_bench()
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(Rest(0.05), "rest")
+    before_s, readings, read = bench.loop.now_s, [0], bench.driver.read
+
+    def counted() -> Sample:
+        readings[0] += 1
+        return read()
+
+    bench.driver.read = counted  # type: ignore[method-assign]
+    bench.loop.pause_watch.end()
+    assert readings[0] == round(VIRTUAL_PAUSE_S / PERIOD_S)
+    assert bench.loop.now_s - before_s == pytest.approx(VIRTUAL_PAUSE_S, abs=PERIOD_S)

@@ -15,7 +15,7 @@ from rig.faults import Fault
 from rig.loop.clock import MonotonicClock, VirtualClock
 from rig.loop.statistics import LoopStatistics, Times, quantiles
 from rig.loop.stop_request import stop_on_signals
-from rig.signals import FLAG_SKIPPED
+from rig.signals import FLAG_SATURATED, FLAG_SKIPPED
 
 
 class Stalling:
@@ -65,6 +65,27 @@ def test_a_row_holds_the_drive_that_acts_from_its_effect_time_on() -> None:
     assert rows[-1]["u_V"] == 0.0
 
 
+def test_a_drive_that_acts_otherwise_than_asked_is_flagged_unless_it_was_lost() -> None:
+    """The device may clip it; of one that never arrived the effect time tells, and the one before still acts."""
+    bench = simulated_bench()
+    read, ticks = bench.driver.read, [0]
+
+    def odd():  # type: ignore[no-untyped-def]
+        ticks[0] += 1
+        sample = read()
+        if ticks[0] == 5:
+            return sample._replace(u_V=0.1)
+        if ticks[0] == 8:
+            return sample._replace(u_V=0.1, t_u_s=sample.t_u_s - PERIOD_S)
+        return sample
+
+    bench.driver.read = odd  # type: ignore[method-assign]
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(0.3, 0.12), "jog")
+    assert [k for k, row in enumerate(bench.record.rows) if row["flags"] & FLAG_SATURATED] == [3]
+    assert [k for k, row in enumerate(bench.record.rows) if row["u_V"] == 0.1] == [3, 6]
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signals_end_in_a_safe_stop_and_handlers_come_back(number: signal.Signals) -> None:
     bench = simulated_bench()
@@ -101,6 +122,33 @@ def test_any_exception_of_a_law_ends_in_a_safe_stop() -> None:
     assert bench.driver.bench.motor_V == 0.0
 
 
+def test_the_reading_that_ended_the_run_is_the_records_last_row() -> None:
+    class Failing(Constant):
+        def step(self, sample) -> float:  # type: ignore[no-untyped-def]
+            return math.nan if sample.t_s > 0.115 else 0.3
+
+    bench = simulated_bench()
+    with pytest.raises(Fault, match="LAW_FAILED"), bench.loop.armed(LIMITS):
+        bench.loop.run(Failing(0.3, 1.0), "jog")
+    *_, before, last = bench.record.rows
+    assert last["t_s"] == pytest.approx(0.12) and last["u_V"] == 0.0 and last["t_u_s"] is None
+    assert before["t_s"] == pytest.approx(0.11) and before["t_u_s"] is not None
+
+
+def test_a_clock_that_goes_back_is_a_reset() -> None:
+    """The reading is in no row: a record whose time goes back cannot be read."""
+    bench = simulated_bench()
+    read = bench.driver.read
+    bench.driver.read = lambda: (  # type: ignore[method-assign]
+        sample._replace(t_s=sample.t_s - 1.0) if (sample := read()).t_s > 0.2 else sample
+    )
+    with pytest.raises(Fault, match="DEVICE_RESET"), bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(0.3, 5.0), "jog")
+    times = [row["t_s"] for row in bench.record.rows]
+    assert times == sorted(times) and times[-1] > 0.15
+    assert bench.driver.bench.pin_counts == 0
+
+
 def test_a_dead_recorder_ends_the_run() -> None:
     bench = simulated_bench()
 
@@ -128,6 +176,16 @@ def test_the_grid_goes_on_after_a_pause_between_two_armings() -> None:
     assert bench.record.rows[-1]["t_s"] == pytest.approx(bench.record.rows[-1]["tick"] * PERIOD_S, abs=1e-9)
 
 
+def test_a_stand_before_a_pause_is_none_after_it() -> None:
+    """The guard forgets what it saw before: else the pause would count as a stand under the drive."""
+    bench = simulated_bench()
+    bench.guard.static_V = 0.2  # so that a drive that moves nothing counts
+    for _ in range(2):
+        with bench.loop.armed(LIMITS):
+            bench.loop.run(Stalling(bench, {}, 20), "jog")  # it drives to its end
+        bench.clock.sleep_until(bench.clock.now_s() + 1.0)
+
+
 def test_quantiles_are_values_that_occurred() -> None:
     values = array("d", [float(k) for k in range(1, 1001)])
     assert quantiles(values) == {"p50": 500.0, "p99": 990.0, "p999": 999.0, "max": 1000.0}
@@ -135,6 +193,35 @@ def test_quantiles_are_values_that_occurred() -> None:
     statistics = LoopStatistics(0.01)
     statistics.tick(3.0, 200.0)
     assert statistics.summary()["late_us"] == {"p50": 3.0, "p99": 3.0, "p999": 3.0, "max": 3.0}
+
+
+def test_each_part_of_a_tick_is_told_by_its_own_time() -> None:
+    """Reading takes 1 ms, the law 2, writing 3, the record's row 0.5."""
+    bench = simulated_bench()
+    clock = bench.clock
+
+    def takes(what, time_s: float):  # type: ignore[no-untyped-def]
+        def slow(*given):  # type: ignore[no-untyped-def]
+            clock.sleep_until(clock.now_s() + time_s)
+            return what(*given)
+
+        return slow
+
+    bench.driver.read = takes(bench.driver.read, 1e-3)  # type: ignore[method-assign]
+    bench.driver.write = takes(bench.driver.write, 3e-3)  # type: ignore[method-assign]
+    bench.record.sample = takes(bench.record.sample, 0.5e-3)  # type: ignore[method-assign]
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(Stalling(bench, dict.fromkeys(range(20), 2e-3), 20), "jog")
+    told = bench.loop.statistics.summary()
+    assert (told["ticks"], told["skipped"]) == (20, 0)
+    for part, time_us in (
+        ("io_us", 1000),
+        ("compute_us", 2000),
+        ("write_us", 3000),
+        ("record_us", 500),
+        ("late_us", 0),
+    ):
+        assert told[part] == pytest.approx(dict.fromkeys(("p50", "p99", "p999", "max"), time_us), abs=2.0), part
 
 
 def test_times_of_an_endless_run_keep_the_last_and_the_largest() -> None:

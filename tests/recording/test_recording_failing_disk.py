@@ -131,6 +131,30 @@ def test_rows_that_the_kernel_could_not_put_on_the_disk_are_written_again(
     assert read_run(bench.folder).tick.tolist() == list(range(11))
 
 
+def test_rows_are_put_on_the_disk_every_second(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A power cut takes a second of them, not the run. The clock goes a second at each look."""
+    synced: list[str] = []
+    monkeypatch.setattr(os, "fsync", lambda descriptor: synced.append(name_of(descriptor)))
+    looks = [0.0]
+
+    def later() -> float:
+        looks[0] += 1.0
+        return looks[0]
+
+    class Over:
+        """Over at its fourth look; the loop writes a row at each of the first three."""
+
+        def wait(self, timeout_s: float) -> bool:
+            counters = bench.shared.counters
+            counters[layout.ROW_COMPLETED] = counters[layout.ROWS_OPENED] = counters[layout.ROWS_OPENED] + 1
+            return len(synced) >= 3 or looks[0] > 20.0
+
+    monkeypatch.setattr("rig.recording.writer.time.monotonic", later)
+    bench.writer.serve(Over(), os.getppid())  # type: ignore[arg-type]
+    assert synced.count("samples.csv") >= 4  # three in the run, and the last
+    assert looks[0] < 20.0
+
+
 def test_a_second_error_moves_it_once_more(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "write", failing_write("samples.csv"))
     bench.record(4)

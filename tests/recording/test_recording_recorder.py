@@ -142,6 +142,19 @@ def test_rows_reach_the_file_while_the_run_goes_on(recorder: Recorder, tmp_path:
     wait_until(lambda: len(lines(tmp_path / "samples.csv")) == 11)
 
 
+def test_an_open_row_waits_for_its_completion(recorder: Recorder, tmp_path: Path) -> None:
+    """What is in the file does not change any more."""
+    record(recorder, range(3))
+    recorder.sample(3, Sample(0.03, 0.5, 1), "relay-1", 0.0, 0.0, 1.25, 0.0, 0.0, 0)
+    wait_until(lambda: len(lines(tmp_path / "samples.csv")) == 4)
+    recorder.event(0.03, "later")
+    wait_until(lambda: len(lines(tmp_path / "events.jsonl")) == 1)  # the writer has looked again since
+    assert len(lines(tmp_path / "samples.csv")) == 4
+    recorder.complete(0.0334, 1.2)
+    wait_until(lambda: len(lines(tmp_path / "samples.csv")) == 5)
+    assert lines(tmp_path / "samples.csv")[-1].startswith("3,0,0.030000000,0.033400000,0.5,1,,1.2,")
+
+
 def test_drained_rows_can_be_read_while_the_run_goes_on(recorder: Recorder, tmp_path: Path) -> None:
     record(recorder, range(500))
     recorder.sample(500, Sample(5.0, 0.0, 0), "relay-1", 0.0, 0.0, 0.0, 0.0, 0.0, 0)
@@ -459,6 +472,15 @@ def test_a_pause_without_rows_or_checks_is_no_stall(recorder: Recorder) -> None:
         recorder.drain()
         time.sleep(0.15)
         recorder.check()  # nothing waits
+
+
+def test_closing_lets_a_stopped_writer_go_on(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, STAGES)
+    record(recorder, range(5))
+    os.kill(recorder.writer_pid, signal.SIGSTOP)
+    record(recorder, range(5, 10))
+    recorder.close()
+    assert len(read_run(tmp_path)) == 10
 
 
 def test_close_does_not_wait_for_ever(tmp_path: Path) -> None:

@@ -1,0 +1,64 @@
+"""The rooms that are changed at random, and the survivors that no test can tell from the code."""
+
+from __future__ import annotations
+
+from mutants.sampled import Room
+
+SEED = "rig 11"
+
+_REPLAY = ("tests/replay",)
+_MODBUS = ("tests/daq/test_daq_modbus.py",)
+_FILES = ("tests/recording/test_recording_recorder.py", "tests/recording/test_recording_failing_disk.py")
+
+ROOMS = (
+    Room("rig/control", 24, ("tests/control", "tests/loop")),
+    Room(
+        "rig/loop",
+        12,
+        ("tests/loop", "tests/replay", "tests/hil/test_hil_device_relay.py"),
+        {
+            "recorded": _REPLAY,
+            "tape": _REPLAY,
+            "clock": ("tests/loop/test_loop_real_time.py", "tests/loop/test_loop_runner.py"),
+            "statistics": ("tests/loop/test_loop_runner.py",),
+            "stop_request": ("tests/loop/test_loop_runner.py",),
+        },
+    ),
+    Room(
+        "rig/daq",
+        14,
+        ("tests/daq", "tests/hil/test_hil_device_relay.py", "tests/hil/test_hil_driver.py"),
+        {
+            "modbus_client": _MODBUS,
+            "modbus_requests": _MODBUS,
+            "modbus_frames": _MODBUS,
+            "relay_stream": ("tests/hil/test_hil_device_relay.py",),
+            "introduction": ("tests/daq/test_daq_serial_link.py",),
+            "simulated": ("tests/loop/test_loop_runner.py", "tests/loop/test_loop_order.py"),
+            "driver": ("tests/daq/test_daq_plugin.py",),
+        },
+    ),
+    Room("rig/recording", 10, ("tests/recording",), {"writer": _FILES, "layout": _FILES, "columns": _FILES}),
+)
+
+# name of a mutant: why what it does is what the code does
+EQUIVALENT: dict[str, str] = {
+    "control/motion.py Standstill.restart: self.high_rad = -math.inf -> self.high_rad = not math.inf": (
+        "the first step sets both ends of the span to its reading, whatever they were, and the stand that it may end "
+        "is of a time that is no number"
+    ),
+    "control/observer.py MotorObserver._correct: if len(self._gain[0]) == 2 and not math.isnan(sample.v_rad_per_s): -> "
+    "if len(self._gain[ 1]) == 2 and not math.isnan(sample.v_rad_per_s):": "rows of a matrix are of one length",
+    "control/homing.py Homing.__init__: self._gone = 0 -> self._gone = 1": (
+        "before the first stroke there is no position to learn from: what it learns is no number, as it was before"
+    ),
+    "loop/runner.py Loop._run_tick: self.statistics.drive((decided_s - read_s) * 1e6, (written_s - decided_s) * 1e6, "
+    "(now_s() - written_s) * 1e6) -> self.statistics.drive((decided_s - read_s) * 1e6, (written_s - decided_s) * 1e6, "
+    "(now_s() % written_s) * 1e6)": "of two times of a clock that rises, less than twofold, remainder is difference",
+    "loop/real_time.py real_time: libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0) -> "
+    "libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 1, 0)": "Linux looks at the first argument of this one alone",
+    'loop/runner.py Loop.__init__: self._longest_latency_s = period_s * (2.0 if driver.order == "write_first" else '
+    '1.0) -> self._longest_latency_s = period_s * (2.0 if driver.order >= "write_first" else 1.0)': (
+        "there are two orders, and the other one comes before it in the alphabet"
+    ),
+}
