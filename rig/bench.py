@@ -172,8 +172,10 @@ def connect(experiment: Experiment) -> Iterator[Bench]:
             # only a device that says that it is emulated has a truth to compare with
             yield Bench(driver, clock, info, truth if info.emulated else None)
         finally:
-            driver.safe_stop()
-            driver.close()
+            try:
+                driver.safe_stop()
+            finally:
+                driver.close()
 
 
 @contextmanager

@@ -166,13 +166,8 @@ def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
         click.echo("opening the bench ...", err=True)
     from rig import experiment as script
 
-    # an emulated bench has its noise from the seed: each repetition gets another
-    several = [experiment.model_copy(update={"seed": experiment.seed + k}) for k in range(repeat)]
-    outcomes: list[Any] = []
-    for e in several:
-        outcomes.append(_perform(partial(script.run, e, out), as_json))
-        if outcomes[-1].fault is not None:
-            break  # nothing arms again by itself after a fault or a Ctrl-C
+    with _faults():
+        outcomes = script.repeated(experiment, repeat, out, partial(_perform, as_json=as_json))
     if as_json:
         results = [outcome.as_json() for outcome in outcomes]
         ok = all(result["ok"] for result in results)

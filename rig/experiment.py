@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
-from rig.bench import calibration_of, drive_map_of, guard_settings_of, limits_of, real_time_of
+from rig.bench import Bench, calibration_of, connect, drive_map_of, guard_settings_of, limits_of, real_time_of
 from rig.config import Experiment
+from rig.config.backend import is_emulated
 from rig.config.room_to_stop import breakaway_strokes, reach_rad
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck, BreakawayLaw
@@ -45,15 +46,50 @@ HYSTERETIC_SWITCHINGS = 6  # least squares takes the motion up to the first, the
 HYSTERETIC_TIMEOUT_S = 10.0  # for each
 
 
-def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
-    """The whole experiment. The run folder is made below ``parent``; ``on_start`` is told of it."""
+def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None, again: Bench | None = None) -> Outcome:
+    """The whole experiment. The run folder is made below ``parent``; ``on_start`` is told of it.
+
+    again  a bench that the same command has opened already
+    """
 
     def script(session: Session) -> None:
         drive_tests(session)
         identify_recorded(session)
         verify_models(session)
 
-    return record(experiment, parent, _named("run"), script, on_start)
+    return record(experiment, parent, _named("run"), script, on_start, again)
+
+
+def repeated(
+    experiment: Experiment, number: int, parent: Path, perform: Callable[[Callable[[OnStart], Outcome]], Outcome]
+) -> list[Outcome]:
+    """``run`` so many times, each by ``perform``; nothing arms again after a fault, a failure or a signal.
+
+    One person gives one command: what a device latches between two runs is not acknowledged but ends it. A real bench
+    stays open from the first run to the last, so that no opening clears or resets it; an emulated one is made anew,
+    with the next seed. Raises Fault LATCHES_NOTHING for a real device that latches no e-stop, and as ``run``.
+    """
+    outcomes: list[Outcome] = []
+
+    def one(e: Experiment, bench: Bench | None) -> bool:
+        outcomes.append(perform(lambda on_start: run(e, parent, on_start, bench)))
+        return outcomes[-1].fault is None and not outcomes[-1].failures
+
+    if number == 1:
+        one(experiment, None)
+    elif is_emulated(experiment):
+        for k in range(number):
+            if not one(experiment.model_copy(update={"seed": experiment.seed + k}), None):
+                break
+    else:
+        with connect(experiment) as bench:
+            if not bench.info.emulated and not getattr(bench.driver, "latches_stops", False):
+                raise Fault("LATCHES_NOTHING", bench.driver.backend)
+            for k in range(number):
+                told = bench if k == 0 else replace(bench, info=replace(bench.info, acknowledged=()))
+                if not one(experiment, told):
+                    break
+    return outcomes
 
 
 def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:

@@ -74,6 +74,10 @@ FAULTS: dict[str, FaultEntry] = {
         "the device holds its last drive when the host is silent",
         "use a device with a watchdog, or accept the risk with daq.accept_no_watchdog: true and an e-stop at hand",
     ),
+    "LATCHES_NOTHING": FaultEntry(
+        "between two runs of one command nobody would see this device's e-stop: it latches none",
+        "give `rig run` once for each run, without --repeat",
+    ),
     "ARM_READBACK": FaultEntry(
         "the limits read back from the device are not those that were sent",
         "start again; if it persists, flash the firmware (`rig flash`); a Modbus device: correct address and type of "

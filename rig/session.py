@@ -7,6 +7,7 @@ import platform
 import sys
 import traceback
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,7 +26,7 @@ from rig.faults import Fault, since_the_last_run
 from rig.identify import Identification, IdentifyError, identify
 from rig.loop.real_time import RealTime
 from rig.loop.runner import STOPPING, Loop
-from rig.loop.stop_request import stop_on_signals
+from rig.loop.stop_request import StopRequest, stop_on_signals
 from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
 from rig.recording.reader import read_run
@@ -96,42 +97,71 @@ OnStart = Callable[[Path, tuple[str, ...]], None]  # told of the run folder, and
 
 
 def record(
-    experiment: Experiment, parent: Path, what: dict[str, str | float], script: Script, on_start: OnStart | None
+    experiment: Experiment,
+    parent: Path,
+    what: dict[str, str | float],
+    script: Script,
+    on_start: OnStart | None,
+    again: Bench | None = None,
 ) -> Outcome:
     """Run ``script`` on the bench, recorded; whatever ends it, the drive is stopped and the record kept.
 
-    ``what`` names the script in meta.json, with its arguments, so that it can be replayed.
+    ``what`` names the script in meta.json, with its arguments, so that it can be replayed. ``again`` is a bench that
+    the same command has opened already, and closes.
     result.json is written before signals get their usual meaning back: a second Ctrl-C costs the report, no more.
     Raises Fault where the bench cannot be opened, RecordingError where there can be no run folder.
     """
     started = datetime.now(UTC)
+    session: Session | None = None
+    fault: Fault | None = None
+    failures: list[str] = []
     with stop_on_signals() as stop:
-        with connect(experiment) as bench:
-            folder = create_run(parent, f"{what['name']}-{experiment.name}", started)
-            write_config(folder, dump(experiment))
-            meta = _meta(experiment, bench, started) | {"script": what}
-            write_meta(folder, meta)
-            said = tuple(since_the_last_run(code) for code in bench.info.acknowledged)
-            recorder = Recorder(folder, _stages(experiment))
-            try:
-                if on_start is not None:
-                    on_start(folder, said)
-                guard = Guard(guard_settings_of(experiment))
-                loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
-                session = Session(experiment, folder, bench, recorder, loop, meta, notes=list(said))
-                fault = _run_script(script, session)
-            finally:
-                lost = _close(recorder)
-        outcome = Outcome(session.folder, {}, fault or lost)
+        try:
+            with connect(experiment) if again is None else nullcontext(again) as bench:
+                session, recorder = _begin(experiment, parent, what, bench, stop, started)
+                try:
+                    fault = _run_script(script, session, on_start)
+                finally:
+                    lost = _close(recorder)
+                    fault = fault or lost
+        except Exception as error:
+            if session is None:
+                raise
+            failures.append(f"the bench was not closed well: {_defect(error)}")
+        outcome = Outcome(session.folder, {}, fault, failures)
         _measure_tracking(session, outcome)
         _write_result(session, outcome)
+        if stop.reason is not None and fault is None:
+            outcome.failures.append(f"{stop.reason} came when the experiment had ended")
     return _conclude(session, outcome)
 
 
-def _run_script(script: Script, session: Session) -> Fault | None:
+def _begin(
+    experiment: Experiment,
+    parent: Path,
+    what: dict[str, str | float],
+    bench: Bench,
+    stop: StopRequest,
+    started: datetime,
+) -> tuple[Session, Recorder]:
+    """The run folder, its recorder and the loop."""
+    folder = create_run(parent, f"{what['name']}-{experiment.name}", started)
+    write_config(folder, dump(experiment))
+    meta = _meta(experiment, bench, started) | {"script": what}
+    write_meta(folder, meta)
+    guard = Guard(guard_settings_of(experiment))
+    recorder = Recorder(folder, _stages(experiment))
+    loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
+    said = [since_the_last_run(code) for code in bench.info.acknowledged]
+    return Session(experiment, folder, bench, recorder, loop, meta, notes=said), recorder
+
+
+def _run_script(script: Script, session: Session, on_start: OnStart | None) -> Fault | None:
     """Run the script to its end; the fault that ended it, if one did."""
     fault: Fault | None = None
     try:
+        if on_start is not None:
+            on_start(session.folder, tuple(session.notes))
         script(session)
         session.loop.check_stop()
     except Fault as seen:
@@ -168,6 +198,8 @@ def _close(recorder: Recorder) -> Fault | None:
         recorder.close()
     except Fault as lost:
         return lost
+    except Exception as error:  # noqa: BLE001 - what was recorded is there, and gets its result
+        return Fault("INTERNAL", f"closing the record: {type(error).__name__}: {error}")
     return None
 
 
@@ -199,11 +231,30 @@ def _defect(error: Exception) -> str:
 
 
 def _write_result(session: Session, outcome: Outcome) -> None:
-    outcome.result = _result(session, outcome.fault)
+    try:
+        outcome.result = _result(session, outcome.fault)
+    except Exception as error:  # noqa: BLE001 - a result that says why is better than none
+        outcome.failures.append(f"the result is incomplete: {_defect(error)}")
+        outcome.result = _least_result(session, outcome)
     try:
         write_result(session.folder, outcome.result)
     except RecordingError as error:
         outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
+
+
+def _least_result(session: Session, outcome: Outcome) -> dict[str, Any]:
+    """What can always be said."""
+    return {
+        "schema": 1,
+        "backend": session.bench.driver.backend,
+        "relays": [],
+        "estimates": {},
+        "tracking": {},
+        "loop": session.loop.statistics.summary(),
+        "link": {},
+        "faults": [] if outcome.fault is None else [outcome.fault.as_dict()],
+        "notes": [*session.notes, *outcome.failures],
+    }
 
 
 def _measure_tracking(session: Session, outcome: Outcome) -> None:

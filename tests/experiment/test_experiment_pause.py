@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,11 +14,15 @@ import yaml
 from command_line import rig
 
 from rig import experiment as script
+from rig import session
+from rig.config import load
+from rig.daq.simulated import SimulatedDriver
 from rig.emulate.virtual_chip import VirtualChip
 from rig.emulate.virtual_io_block import VirtualIoBlock
 from rig.identify import identify
 from rig.loop.pause_watch import PauseWatch
 from rig.recording.reader import read_run
+from rig.recording.recorder import Recorder
 from rig.session import Session
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,10 +44,10 @@ def in_the_pause(monkeypatch: pytest.MonkeyPatch, happens: Callable[[Any], None]
     """Let it happen to the device behind the bench, just after the record has been identified; the device."""
     original, devices = script.identify_recorded, []
 
-    def identify_recorded(session: Session) -> None:
-        original(session)
-        devices.append(session.bench.clock)
-        happens(session.bench.clock)
+    def identify_recorded(run: Session) -> None:
+        original(run)
+        devices.append(run.bench.clock)
+        happens(run.bench.clock)
 
     monkeypatch.setattr(script, "identify_recorded", identify_recorded)
     return devices
@@ -144,3 +150,67 @@ def test_the_next_command_clears_it_and_says_so(tmp_path: Path, monkeypatch: pyt
     chips[0].contact("e_stop", is_open=True)
     result = rig("jog", path, "--u-V", 0.2, "--out", tmp_path / "runs")
     assert result.exit_code == 1 and "DEVICE_ESTOP" in result.stderr
+
+
+def test_one_command_of_several_runs_acknowledges_nothing_between_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a real bench: the device stays open, and an e-stop opened and closed between two runs ends the command."""
+    chips: list[VirtualChip] = []
+    make, conclude = VirtualChip.from_mapping, session._conclude
+    monkeypatch.setattr(VirtualChip, "from_mapping", lambda *a, **k: chips.append(make(*a, **k)) or chips[-1])
+    monkeypatch.setattr(script, "is_emulated", lambda _: False)
+
+    def pressed(*given: Any) -> Any:
+        outcome = conclude(*given)
+        press(chips[0])
+        return outcome
+
+    monkeypatch.setattr(session, "_conclude", pressed)
+    path = short(tmp_path, "demo.yaml", "emulated-chip")
+    result = rig("run", path, "--repeat", 3, "--out", tmp_path / "runs", "--json")
+    assert result.exit_code == 1 and len(chips) == 1
+    first, second = json.loads(result.stdout)["runs"]
+    assert first["ok"] and [fault["code"] for fault in second["faults"]] == ["DEVICE_ESTOP"]
+    assert second["loop"]["ticks"] == 0
+
+
+def test_a_signal_after_the_last_drive_ends_a_command_of_several_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(session, "_measure_tracking", interrupted)
+    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    del config["tracking"]
+    (tmp_path / "c.yaml").write_text(
+        yaml.safe_dump(config | {"relay": {"gains": [{"h1_V": 0.42, "h2_V": 0.85}], "cycles": 4}}), encoding="utf-8"
+    )
+    result = rig("run", tmp_path / "c.yaml", "--repeat", 2, "--out", tmp_path / "runs", "--json")
+    assert result.exit_code == 1
+    (only,) = json.loads(result.stdout)["runs"]
+    assert "SIGINT" in only["cause"]
+
+
+@pytest.mark.parametrize("broken", ["close", "safe_stop", "progress", "recorder"])
+def test_whatever_fails_around_the_loop_there_is_a_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
+) -> None:
+    def fails(*_: Any, **__: Any) -> None:
+        raise OSError(5, "Input/output error")
+
+    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    del config["tracking"]
+    (tmp_path / "c.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
+    e = load(tmp_path / "c.yaml")
+    if broken in ("close", "safe_stop"):
+        monkeypatch.setattr(SimulatedDriver, broken, fails)
+    elif broken == "recorder":
+        close = Recorder.close
+        monkeypatch.setattr(Recorder, "close", lambda recorder: (close(recorder), fails()))
+    on_start = fails if broken == "progress" else None
+    outcome = script.jog(e, 0.2, 0.1, tmp_path / "runs", on_start)  # type: ignore[arg-type]
+    assert "Input/output error" in outcome.failure or outcome.fault is not None
+    result = json.loads((outcome.folder / "result.json").read_text(encoding="utf-8"))
+    assert result["schema"] == 1 and "loop" in result
