@@ -63,6 +63,7 @@ _FAULT_OF_CODE: dict[int, str] = {
     Code.SESSION: "DEVICE_RESET",
 }
 _MOST_LATCHED = 16  # faults that a device can have latched
+_RESET_BEFORE_S = 0.25  # opening a port takes less, and what began to run since then was reset by it
 
 
 def setup_for(
@@ -134,6 +135,7 @@ class SerialDriver:
         self.backend = name
         self.failsafe: DeviceWatchdog | None = DeviceWatchdog(LONGEST_WATCHDOG_S)  # until armed with less
         self._transport = transport
+        self._made_s = transport.now_s()  # just after the port was opened
         self._rail_counts = rail_counts
         self._timeout_s = timeout_s
         self._open_timeout_s = open_timeout_s
@@ -184,13 +186,13 @@ class SerialDriver:
     def open(self) -> DeviceInfo:
         """Wait for the device to introduce itself, clear what it has latched, and measure its clock for one to three s.
 
-        A fault whose cause lasts stays latched: ``arm`` raises it.
+        A fault whose cause lasts stays latched, and one that has come since the opening began: ``arm`` raises it.
         Raises Fault LINK_HELLO, LINK_VERSION, LINK_TIMEOUT, DEVICE_RESET or LINK_LOST; CONFIG_MISMATCH where the config
         does not fit the device (converter range, rails, tachometer, bridge).
         """
         hello = self._meet()
         self._check(hello)
-        acknowledged = self._acknowledge()
+        acknowledged = self._acknowledge(hello)
         self.drive_map = replace(self.drive_map, full_units=hello.drive_full)
         exchanges = self._time_exchanges()
         try:
@@ -539,19 +541,24 @@ class SerialDriver:
             f"switch the motor's supply off, then type: rig flash --bridge {self._bridge}",
         )
 
-    def _acknowledge(self) -> tuple[str, ...]:
-        """Clear what the device has latched before this command; the codes of the faults, resets aside.
+    def _acknowledge(self, hello: Hello) -> tuple[str, ...]:
+        """Clear what the device had latched before the command that opens it; codes of the faults, its reset left out.
 
-        Opening a port resets an Uno, so a reset before this tells nothing.
+        What came after that command stays, for ``arm`` to raise: a code that latches again, and where the device was
+        reset by the opening, as an Uno is, everything but the reset.
         """
-        cleared = []
+        known_s = self._transport.now_s() - self._made_s + _RESET_BEFORE_S
+        was_reset_now = 1e-6 * hello.now_us < known_s
+        cleared: list[int] = []
         for _ in range(_MOST_LATCHED):
             state = State.unpack(self._request(Kind.READ, b"", Kind.STATE).body)
-            if not state.status & frames.STATUS_FAULT or not self._is_cleared(state.fault):
+            code = state.fault
+            if not state.status & frames.STATUS_FAULT or code in cleared or not self._is_cleared(code):
                 break
-            if state.fault != Code.RESET:
-                cleared.append(_FAULT_OF_CODE.get(state.fault, "LINK_REJECTED"))
-        return tuple(cleared)
+            cleared.append(code)
+            if code == Code.RESET and was_reset_now:
+                break
+        return tuple(_FAULT_OF_CODE.get(code, "LINK_REJECTED") for code in cleared if code != Code.RESET)
 
     def _is_cleared(self, code: int) -> bool:
         """Acknowledge one fault; False where its cause lasts."""

@@ -277,9 +277,9 @@ def test_a_bridge_that_is_the_configs_or_none(told, config):
 # ---------------------------------------------------------------------- what is latched already
 
 
-def meeting(*latched, refuses=()):
-    """A port whose device has these codes latched, and refuses to clear some."""
-    port = ScriptedPort()
+def meeting(*latched, refuses=(), **hello):
+    """A port whose device has these codes latched, and refuses to clear some; it has run for ten minutes."""
+    port = ScriptedPort(**({"start_us": 600_000_000} | hello))
     codes, write, reader = list(latched), port.write, frames.FrameReader()
 
     def answer(data):
@@ -310,8 +310,18 @@ def meeting(*latched, refuses=()):
 
 def test_opening_clears_what_was_latched_and_tells_of_it():
     port, codes = meeting(Code.RESET, Code.E_STOP, Code.WATCHDOG)
-    assert make(port).open().acknowledged == ("DEVICE_ESTOP", "DEVICE_WATCHDOG")  # opening resets an Uno
+    assert make(port).open().acknowledged == ("DEVICE_ESTOP", "DEVICE_WATCHDOG")
     assert codes == []
+
+
+def test_what_latches_while_a_device_is_opened_stays_latched():
+    """Opening resets an Uno: what it has latched since then came after the command was given."""
+    port, codes = meeting(Code.RESET, Code.E_STOP, start_us=0, silent_s=1.5)
+    assert make(port).open().acknowledged == ()
+    assert codes == [Code.E_STOP]
+    port, codes = meeting(Code.E_STOP, Code.E_STOP)  # one that runs on: once more, after it was cleared
+    assert make(port).open().acknowledged == ("DEVICE_ESTOP",)
+    assert codes == [Code.E_STOP]
 
 
 def test_what_lasts_stays_latched():
