@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from statistics import median
 
 from rig.daq import frames
 from rig.daq.calibration import (
@@ -30,8 +31,9 @@ from rig.signals import Limits, Order, Sample
 
 LONGEST_WATCHDOG_S = 1.0  # that the device accepts
 _SYNCHRONISE_S = 1.0
-_SLOW_SYNCHRONISE_S = 3.0  # where an exchange takes so long that there are
-_FEW_EXCHANGES = 100  # or fewer in the first
+_SLOW_SYNCHRONISE_S = 3.0  # where exchanges are few, or differ
+_FEW_EXCHANGES = 100
+_STEADY_S = 0.0005  # between the fastest exchange and the median: more is the frames of USB
 _SHORTEST_PAUSE_S = 0.001  # between two of the exchanges that measure the clock
 _LONGEST_PAUSE_S = 0.020  # of an FTDI's timer of 16 ms every phase is met
 _GOLDEN = 0.618034  # its multiples fall everywhere between 0 and 1
@@ -583,7 +585,7 @@ class SerialDriver:
         return measured_V
 
     def _time_exchanges(self) -> list[TimedExchange]:
-        """Ask for the device's time again and again, for a second, or up to three over a slow link.
+        """Ask for the device's time again and again, for a second, or up to three over a slow link or USB.
 
         HELLO carries the time at which it is answered; a sample's time may be a device tick old. The pauses differ, up
         to the longest exchange: with equal ones each reply would meet a USB adapter's timer at the same phase.
@@ -592,7 +594,7 @@ class SerialDriver:
         exchanges: list[TimedExchange] = []
         longest_s = 0.0
         began_s = sent_s = now_s()
-        while sent_s < began_s + (_SYNCHRONISE_S if len(exchanges) > _FEW_EXCHANGES else _SLOW_SYNCHRONISE_S):
+        while sent_s < began_s + _SYNCHRONISE_S or (sent_s < began_s + _SLOW_SYNCHRONISE_S and _is_vague(exchanges)):
             packet = self._answer(self._send(Kind.HELLO), Kind.HELLO_REPLY)
             received_s = now_s()
             if packet is not None and packet.kind == Kind.HELLO_REPLY:
@@ -691,6 +693,14 @@ class SerialDriver:
             elif state.fault == Code.DRIVE_RANGE:
                 detail += f", largest drive {setup.max_drive} units"
         return Fault(_FAULT_OF_CODE.get(state.fault, "LINK_REJECTED"), detail)
+
+
+def _is_vague(exchanges: Sequence[TimedExchange]) -> bool:
+    """Whether those of one second are too few, or too unlike, for the device's rate."""
+    if len(exchanges) <= _FEW_EXCHANGES:
+        return True
+    took_s = [exchange.received_s - exchange.sent_s for exchange in exchanges]
+    return median(took_s) - min(took_s) > _STEADY_S
 
 
 def _fields(setup: Setup, other: Setup) -> str:

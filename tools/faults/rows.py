@@ -285,15 +285,22 @@ OFF_RAD = 0.03  # that the sensor may be off
 def _pushed(stand: Stand) -> None:
     """A hand, or a load, pushes the shaft over the nearer limit, slower than a drive would.
 
-    The fault begins where the sensor must see it.
+    It comes where no drive is the other way: that would stop a shaft that is sped up, which is SENSOR_STUCK long before
+    the limit. The fault begins where the sensor must see it.
     """
     low, high = stand.hard_rad
-    from_rad, from_s = stand.device.truth().y_rad, stand.now_s()
-    side = 1.0 if from_rad >= 0.0 else -1.0
-    over_rad = abs((high if side > 0.0 else low) - from_rad) + OFF_RAD
+    began: list[tuple[float, float]] = []
     stand.fault_s = math.inf
 
     def hand() -> None:
+        truth = stand.device.truth()
+        if not began:
+            if truth.pin_V * truth.y_rad < 0.0:
+                return
+            began.append((truth.y_rad, stand.now_s()))
+        ((from_rad, from_s),) = began
+        side = 1.0 if from_rad >= 0.0 else -1.0
+        over_rad = abs((high if side > 0.0 else low) - from_rad) + OFF_RAD
         went_rad = PUSH_RAD_S * (stand.now_s() - from_s)
         if stand.fault_s == math.inf and went_rad >= over_rad:
             stand.happens_now()
@@ -934,9 +941,12 @@ ROWS = (
         DEVICE,
         ("DEVICE_TRAVEL", "POLARITY"),
         True,
-        ("START_OUTSIDE",),
+        ("TRAVEL_HARD",),
         either="POLARITY where the loop has braked before: the hand moves the shaft against its drive",
-        other={"bare": {"bound": SEEN, "codes": ("TRAVEL_HARD", "POLARITY")}},
+        other={
+            "relay": {"codes": ("RELAY_STOPPED",), "either": ""},
+            "bare": {"bound": SEEN, "codes": ("TRAVEL_HARD", "POLARITY")},
+        },
         remark="where the drive is 0 it is over the limit once the device is disarmed: seen at re-arming",
     ),
     Row(

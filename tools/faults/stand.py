@@ -131,7 +131,8 @@ class Stand:
             self.to_undo.pop()()
 
     def bring_home(self) -> None:
-        """Wiring and contacts are mended, and a hand turns the shaft to the centre."""
+        """Wiring and contacts are mended, and a hand turns the shaft to the centre and lets go."""
+        self.hand = None
         self.device.rewire()
         for which in CONTACTS if hasattr(self.device, "contact") else ():
             self.device.contact(which, is_open=False)
