@@ -100,7 +100,7 @@ def test_the_worked_example_of_the_docs(tmp_path: Path) -> None:
     config["period_s"] = 0.01
     too_fast = rig("check", written(config, tmp_path))
     assert too_fast.exit_code != 0 and "period_s of 0.016 and more" in " ".join(too_fast.output.split())
-    del config["emulated"]["potentiometer"]["counts_max"]
+    config["emulated"]["potentiometer"]["counts_max"] = 1023
     config["period_s"] = 0.02
     assert "emulated potentiometer reads 0 to 1023 counts" in rig("check", written(config, tmp_path)).output
 

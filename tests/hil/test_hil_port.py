@@ -27,7 +27,9 @@ LIMITS = Limits(soft_rad=(-1.1, 1.1), hard_rad=(-1.9, 1.9), max_u_V=3.0, watchdo
 def connect(port):
     # a shared machine may hold a process up for long
     transport, drive_map = SerialPort(port), DriveMap(supply_V=12.0)
-    return SerialDriver(transport, CALIBRATION, drive_map, (5, 1018), 2.0, counts_max=1023, name=f"serial:{port}")
+    return SerialDriver(
+        transport, CALIBRATION, drive_map, (5, 1018), 2.0, counts_max=1023, bridge="pwm-dir", name=f"serial:{port}"
+    )
 
 
 def test_a_run_and_another_on_the_same_port():

@@ -114,10 +114,10 @@ def test_nobody_else_uses_the_driver_after_the_pause() -> None:
     entered, go_on = threading.Event(), threading.Event()
 
     class Slow(Device):
-        def read(self) -> None:
+        def read(self) -> Sample:
             entered.set()
             go_on.wait(PATIENCE_S)
-            super().read()
+            return super().read()
 
     device = Slow()
     pause = watch(device, real=True)

@@ -29,7 +29,7 @@ def flipped(frame: bytes, rng: random.Random) -> Passed:
 
 def truncated(frame: bytes, rng: random.Random) -> Passed:
     """The end is missing."""
-    return [(0.0, frame[: rng.randrange(1, len(frame))])]
+    return [(0.0, frame[: rng.randrange(min(1, len(frame) - 1), len(frame))])]  # nothing of a lone byte
 
 
 def duplicated(frame: bytes, rng: random.Random) -> Passed:

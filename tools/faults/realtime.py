@@ -241,6 +241,9 @@ def _measure(row: RealRow, device: RealDevice, phase: float, restarts: bool) -> 
         folder = Path(name)
         config = device.backend.config()
         config["daq"] |= {"port": str(folder / "device"), **device.changes}
+        if "serial" in device.backend.traits:  # its pseudo-terminal could be any board's port
+            config["daq"]["adapter"] = "none"
+            config["drive"]["bridge"] = "pwm-dir"
         config["loop"] = {"raise_workers": True}  # of the kernel, that carry a pseudo-terminal's bytes
         path = folder / "fault.yaml"
         path.write_text(yaml.safe_dump(config), encoding="utf-8")
