@@ -108,6 +108,19 @@ def test_a_report_that_cannot_be_written_costs_the_report_and_no_more(
     assert "Traceback" not in result.output
 
 
+def test_a_result_that_cannot_be_made_is_the_least_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(session, "_result", broken)
+    shown = rig("jog", quick(tmp_path), "--u-V", 0.3, "--out", tmp_path / "runs", "--json")
+    assert shown.exit_code == 1
+    outcome = json.loads(shown.stdout)
+    result = json.loads((Path(outcome["folder"]) / "result.json").read_text(encoding="utf-8"))
+    assert any("the result is incomplete: ZeroDivisionError" in note for note in result["notes"])
+    assert result["loop"]["ticks"] > 10
+
+
 def test_what_the_device_had_latched_since_the_last_run_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

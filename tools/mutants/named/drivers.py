@@ -177,9 +177,23 @@ SERIAL = of(
     (
         "what opening has cleared is not said",
         "SerialDriver._acknowledge",
-        '                cleared.append(_FAULT_OF_CODE.get(state.fault, "LINK_REJECTED"))\n',
-        "                pass\n",
+        "for code in cleared if code != Code.RESET)",
+        "for code in cleared if code != code)",
         _serial("test_opening_clears_what_was_latched_and_tells_of_it"),
+    ),
+    (
+        "what latches after the opening's own reset is cleared",
+        "SerialDriver._acknowledge",
+        "if code == Code.RESET and was_reset_now:",
+        "if False:",
+        _serial("test_what_latches_while_a_device_is_opened_stays_latched"),
+    ),
+    (
+        "what latches again while it is cleared is cleared again",
+        "SerialDriver._acknowledge",
+        " or code in cleared",
+        "",
+        _serial("test_what_latches_while_a_device_is_opened_stays_latched"),
     ),
     (
         "the bridge's variant is not compared",

@@ -21,6 +21,10 @@ def _breakaway(*names: str) -> tuple[str, ...]:
     return in_file("tests/control/test_control_breakaway.py", *names)
 
 
+def _several(*names: str) -> tuple[str, ...]:
+    return in_file("tests/experiment/test_experiment_pause.py", *names)
+
+
 def _in_device(*names: str) -> tuple[str, ...]:
     return in_file("tests/hil/test_hil_device_relay.py", *names)
 
@@ -46,7 +50,7 @@ RUNNER = of(
         "Loop._run_tick",
         "u_V, flags = self.guard.allow(sample, law.step(sample))",
         "u_V = law.step(sample)\n            _, flags = self.guard.allow(sample, u_V)",
-        in_file("tests/control/test_control_guard.py", "test_full_drive_from_anywhere_never_passes_the_hard_limit"),
+        in_file("tests/hil/test_hil_loop.py", "test_full_drive_from_anywhere_inside_the_hard_limits_stays_inside_them"),
     ),
     (
         "the reading that ended the run is not recorded",
@@ -279,11 +283,43 @@ SESSION = of(
     ),
     (
         "nobody says that the e-stop was pressed since the last run",
-        "record",
-        "notes=list(said)",
-        "notes=[]",
+        "_begin",
+        "notes=said)",
+        "notes=[])",
         _ends("test_what_the_device_had_latched_since_the_last_run_is_said"),
+    ),
+    (
+        "a result that cannot be made is none",
+        "_write_result",
+        "        outcome.result = _least_result(session, outcome)\n",
+        "        raise\n",
+        _ends("test_a_result_that_cannot_be_made_is_the_least_one"),
+    ),
+    (
+        "a signal after the last drive is forgotten",
+        "record",
+        "if stop.reason is not None and fault is None:",
+        "if False:",
+        _several("test_a_signal_after_the_last_drive_ends_a_command_of_several_runs"),
     ),
 )
 
-MUTANTS = (*RUNNER, *PAUSE, *SESSION, *REHEARSAL, *SIGNALS, *BENCH, *ROOM, *PREFLIGHT)
+COMMAND = of(
+    "rig/experiment.py",
+    (
+        "each run of one command opens the bench anew",
+        "repeated",
+        "    elif is_emulated(experiment):\n",
+        "    elif True:\n",
+        _several("test_one_command_of_several_runs_acknowledges_nothing_between_them"),
+    ),
+    (
+        "the next run of a command begins after a failure",
+        "repeated",
+        " and not outcomes[-1].failures",
+        "",
+        _several("test_a_signal_after_the_last_drive_ends_a_command_of_several_runs"),
+    ),
+)
+
+MUTANTS = (*RUNNER, *PAUSE, *SESSION, *COMMAND, *REHEARSAL, *SIGNALS, *BENCH, *ROOM, *PREFLIGHT)
