@@ -184,16 +184,21 @@ class ModbusClient:
         self._counts["exchanges"] += 1
         until_s = sent_s + timeout_s
         data = b""
+        received_s = sent_s
         objection: Fault | None = None
+        is_read = True  # all of ``data`` has been looked at
         while True:
-            left_s = until_s - transport.now_s()
-            # when the time is over whatever is there still counts: it is this process that was late, then
-            more = transport.read(max(left_s, 0.0))
-            if not more and left_s <= 0.0:
-                break
-            data += more
-            received_s = transport.now_s()
-            self._quiet_until_s = received_s + self._line.pause_s
+            if is_read:
+                left_s = until_s - transport.now_s()
+                # when the time is over whatever is there still counts: it is this process that was late, then
+                more = transport.read(max(left_s, 0.0))
+                if not more and left_s <= 0.0:
+                    break
+                data += more
+                received_s = transport.now_s()
+                self._quiet_until_s = received_s + self._line.pause_s
+            is_read = True
+            frame: Frame | None = None
             try:
                 frame = self._framing.take(data)
                 if frame is None:
@@ -209,8 +214,11 @@ class ModbusClient:
                 return self._accepted(frame, data, sent_s, sent_bytes, received_s, strict=strict)
             if strict:
                 raise objection
-            self._counts["stale_bytes"] += len(data)
-            data = b""
+            # over TCP replies that were late come together, and the one to this request is the last
+            dropped = frame.length if frame is not None and self._line.tcp else len(data)
+            self._counts["stale_bytes"] += dropped
+            data = data[dropped:]
+            is_read = not data
         self._counts["timeouts"] += 1
         about = request.about
         if data:

@@ -130,6 +130,16 @@ def test_pieces_of_a_reply_are_put_together(line: TcpBlock, driver: ModbusDriver
 
 
 @pytest.mark.realtime
+def test_in_a_pause_late_replies_that_come_together_hold_the_right_one(line: TcpBlock, driver: ModbusDriver) -> None:
+    """As after a lost packet, which TCP sends again after 0.2 s, with all that came after it."""
+    assert driver.safe_stop()
+    lost_s = line.now_s()
+    line.answer = lambda header, pdu: [(max(lost_s + 0.2 - line.now_s(), 0.0), header + pdu)]
+    assert driver.read().y_counts > 0
+    assert line.now_s() == pytest.approx(lost_s + 0.201, abs=0.01)
+    assert driver.link_statistics["stale_bytes"] > 0
+
+
 def test_a_connection_carries_bytes_both_ways_and_says_when_it_is_dead() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         number = server.getsockname()[1]

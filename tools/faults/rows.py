@@ -393,6 +393,16 @@ def _unhurried(**changes: Any) -> Changes:
 
 # nothing is asked again in a tick, whatever is needed up to three times outside of one
 PATIENT = _unhurried(codes=(RUNS_ON,), bound=RUNNING)
+# a block without a register that would tell drives again with the next tick
+UNTOLD: Changes = {"bare": {"codes": (RUNS_ON,), "bound": RUNNING}}
+SENT_AGAIN: Changes = {
+    **_unhurried(codes=(RUNS_ON,), bound=RUNNING),
+    "modbus, arming": {
+        "codes": (RUNS_ON, "LINK_TIMEOUT"),
+        "bound": RUNNING,
+        "either": "LINK_TIMEOUT where a tick waits for it; what is asked before the first tick is waited for longer",
+    },
+}
 NO_SECOND: Changes = {"modbus": {"codes": ("LINK_TIMEOUT",), "bound": HEARD}}
 NO_SECOND_LOOK: Changes = {"modbus": {"codes": ("LINK_REPLY",), "bound": HEARD}}
 MISSED: Changes = {"relay": {"bound": GAP, "codes": ("LINK_GAP",)}}
@@ -476,6 +486,7 @@ ROWS = (
         HEARD,
         ("LINK_TIMEOUT",),
         only=("tcp",),
+        other=SENT_AGAIN,
         remark="of a period of 10 ms no network may lose one",
     ),
     Row(
@@ -485,6 +496,7 @@ ROWS = (
         SILENCE,
         ("LINK_TIMEOUT",),
         only=("tcp",),
+        other=SENT_AGAIN,
         remark="drives and stop arrive together, after the watchdog: they drive nothing",
     ),
     Row(
@@ -674,7 +686,7 @@ ROWS = (
         lambda stand: stand.device.reset(2),
         AT_ONCE,
         ("DEVICE_RESET",),
-        other={"fc23": {"codes": ("DEVICE_NOT_ARMED",)}, "tcp": {"codes": ("LINK_LOST",)}} | ARMED_ANEW,
+        other={"fc23": {"codes": ("DEVICE_NOT_ARMED",)}, "tcp": {"codes": ("LINK_LOST",)}} | UNTOLD | ARMED_ANEW,
         remark=IN_A_PAUSE,
     ),
     Row(
@@ -700,11 +712,18 @@ ROWS = (
         ("DEVICE_RESET",),
         other={
             "chip": {"codes": ("LINK_TIMEOUT",)},
-            "relay": {"codes": ("DEVICE_RESET",)},
+            "relay": {
+                "codes": ("DEVICE_RESET", "LINK_TIMEOUT"),
+                "either": "DEVICE_RESET where the chip runs again before the loop misses a block",
+            },
             "fc23": {"codes": ("DEVICE_NOT_ARMED",)},
-            "tcp": {"codes": ("LINK_LOST",)},
+            "tcp": {
+                "codes": ("LINK_LOST", "LINK_TIMEOUT"),
+                "either": "LINK_TIMEOUT where the request is on its way just then: its reply goes with the supply",
+            },
             "pause": {"codes": ("DEVICE_RESET",)},
         }
+        | UNTOLD
         | ARMED_ANEW,
         remark="while the chip starts it does not answer: LINK_TIMEOUT; the next run's meta.json names the cause. "
         + IN_A_PAUSE,
