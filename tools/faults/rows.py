@@ -436,6 +436,19 @@ RAIL: Changes = {
 DRIVEN: Changes = {
     name: {"bound": UNMOVED} for name in ("rest", "pause", "arming", "tracking")
 }  # seen once it has to move
+RESTARTS: Changes = {
+    "chip": {"codes": ("LINK_TIMEOUT",)},
+    "relay": {
+        "codes": ("DEVICE_RESET", "LINK_TIMEOUT"),
+        "either": "DEVICE_RESET where the chip runs again before the loop misses a block",
+    },
+    "fc23": {"codes": ("DEVICE_NOT_ARMED",)},
+    "tcp": {
+        "codes": ("LINK_LOST", "LINK_TIMEOUT"),
+        "either": "LINK_TIMEOUT where the request is on its way just then: its reply goes with the supply",
+    },
+    "pause": {"codes": ("DEVICE_RESET",)},
+}
 BREAKAWAY = "it ends in the breakaway check, before any relay runs: as where the host's relay drives"
 
 
@@ -710,21 +723,7 @@ ROWS = (
         _brown_out,
         AT_ONCE,
         ("DEVICE_RESET",),
-        other={
-            "chip": {"codes": ("LINK_TIMEOUT",)},
-            "relay": {
-                "codes": ("DEVICE_RESET", "LINK_TIMEOUT"),
-                "either": "DEVICE_RESET where the chip runs again before the loop misses a block",
-            },
-            "fc23": {"codes": ("DEVICE_NOT_ARMED",)},
-            "tcp": {
-                "codes": ("LINK_LOST", "LINK_TIMEOUT"),
-                "either": "LINK_TIMEOUT where the request is on its way just then: its reply goes with the supply",
-            },
-            "pause": {"codes": ("DEVICE_RESET",)},
-        }
-        | UNTOLD
-        | ARMED_ANEW,
+        other=RESTARTS | UNTOLD | ARMED_ANEW,
         remark="while the chip starts it does not answer: LINK_TIMEOUT; the next run's meta.json names the cause. "
         + IN_A_PAUSE,
     ),
