@@ -359,7 +359,7 @@ def test_the_stopping_sum_bounds_what_the_exact_motor_travels(
     assert stopped.y < e.limits.hard_rad[1]
 
 
-@pytest.mark.parametrize("name", ["demo.yaml", "device-relay.yaml", "modbus-rtu.yaml"])
+@pytest.mark.parametrize("name", ["demo.yaml", "uno.yaml", "device-relay.yaml", "modbus-rtu.yaml"])
 def test_the_guard_reckons_with_every_term_of_the_stopping_sum(name: str) -> None:
     """What `rig check` adds up is what the guard predicts from."""
     experiment = check(CONFIGS / name)[0]
