@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import urlsplit
 
 from rig.config.backend import CHIP_PORTS, adapter_of
+from rig.config.flashing import flash_line
 from rig.config.link_budget import bits_per_byte, silence_s
 from rig.config.modbus import EMULATED_PORTS as MODBUS_EMULATED_PORTS
 from rig.config.modbus import is_tcp, tcp_address
@@ -404,6 +405,7 @@ def _driver(experiment: Experiment, transport: Transport, name: str, *, emulated
         None if t is None else TachometerScale(t.rad_s_per_count, t.zero_counts, t.gear_ratio),
         counts_max=experiment.sensor.counts_max,
         bridge=experiment.drive.bridge,
+        flashing=flash_line(experiment),
         name=name,
         emulated=emulated,
     )
