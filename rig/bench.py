@@ -27,6 +27,7 @@ from rig.daq.serial_link import SerialDriver
 from rig.daq.serial_port import SerialPort
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.daq.tcp_link import TcpTransport
+from rig.daq.usb_port import check_adapter
 from rig.emulate.behind_usb import BehindUsb
 from rig.emulate.board_process import BoardProcess
 from rig.emulate.chip_board import ChipBoard
@@ -390,6 +391,12 @@ def _serial(
     experiment: Experiment, port: str, truth: BenchParameters | None, *, emulated: bool = False
 ) -> Iterator[Unopened]:
     transport = SerialPort(port, experiment.daq.baud)
+    if not emulated:
+        try:
+            check_adapter(port, adapter_of(experiment))
+        except Fault:
+            transport.close()
+            raise
     yield Unopened(_driver(experiment, transport, f"serial:{port}", emulated=emulated), _clock_of(experiment), truth)
 
 
