@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+
 from rig.config.backend import CHIP_BAUDS
 from rig.config.schema import BRIDGES, Experiment
 
@@ -13,8 +15,10 @@ def flash_line(e: Experiment) -> str:
     baud = e.daq.baud if e.daq.baud in CHIP_BAUDS else max(CHIP_BAUDS)
     tachometer = "" if e.tachometer is None else " --tachometer"
 
+    port = shlex.quote(e.daq.port or "PORT")
+
     def line(bridge: str) -> str:
-        return f"rig flash --port {e.daq.port or 'PORT'} --bridge {bridge} --baud {baud}{tachometer}"
+        return f"rig flash --port {port} --bridge {bridge} --baud {baud}{tachometer}"
 
     if e.drive.bridge is not None:
         words = line(e.drive.bridge)

@@ -522,8 +522,15 @@ class SerialDriver:
     def _check_bridge(self, hello: Hello) -> None:
         """With the wrong bridge a drive of 0 V can be full drive: the config has to say what is wired."""
         bridge = frames.BRIDGES.get(hello.bridge)
-        if hello.bridge == 0 or bridge == self._bridge or (self._bridge is None and self._emulated):
+        emulated = self._emulated or hello.board in frames.EMULATED_BOARDS
+        if bridge == self._bridge or (self._bridge is None and emulated) or (hello.bridge == 0 and emulated):
             return
+        if hello.bridge == 0:
+            raise Fault(
+                "CONFIG_MISMATCH",
+                f"drive.bridge is {self._bridge}, but the device's firmware does not say which bridge it is for, and "
+                f"with the wrong one 0 V can be full drive: {self._flashing}",
+            )
         if bridge is None:
             raise Fault(
                 "CONFIG_MISMATCH", f"the device drives a bridge of kind {hello.bridge}, which this rig does not know"

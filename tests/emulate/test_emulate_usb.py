@@ -30,6 +30,7 @@ CLOCK_PPM = 4000.0
 def config(**daq: object) -> dict[str, Any]:
     document: dict[str, Any] = yaml.safe_load((ROOT / "config/demo.yaml").read_text(encoding="utf-8"))
     document["daq"] |= daq
+    document["drive"]["bridge"] = "pwm-dir"  # a port of this machine may have a motor behind it
     document["limits"]["max_speed_rad_s"] = 4.5  # room for what an adapter adds to the stopping distance
     return document
 
