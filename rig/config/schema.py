@@ -139,7 +139,8 @@ class Drive(_Section):
     supply_V: Positive = Field(description="motor supply; K and f_c scale with it")
     bridge: Bridge | None = Field(
         None,
-        description="inputs of the bridge, which the firmware must be for: with the wrong one 0 V can be full drive",
+        description="inputs of the bridge, which the firmware must be for: with the wrong one 0 V can be full drive; "
+        "needed with a real serial port",
     )
     bridge_drop_V: NonNegative = Field(0.0, description="lost in the bridge while driving (an L298: about 2 V)")
     dead_band_duty: DeadBand = Field(DeadBand(), description="duty below which the bridge passes nothing")

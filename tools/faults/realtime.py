@@ -241,7 +241,6 @@ def _measure(row: RealRow, device: RealDevice, phase: float, restarts: bool) -> 
         folder = Path(name)
         config = device.backend.config()
         config["daq"] |= {"port": str(folder / "device"), **device.changes}
-        config["drive"] = config["drive"] | {"bridge": "pwm-dir"}  # its port might be a real motor's
         config["loop"] = {"raise_workers": True}  # of the kernel, that carry a pseudo-terminal's bytes
         path = folder / "fault.yaml"
         path.write_text(yaml.safe_dump(config), encoding="utf-8")
