@@ -191,8 +191,15 @@ SERIAL = of(
     (
         "a bridge that the config does not name is driven",
         "SerialDriver._check_bridge",
-        "(self._bridge is None and self._emulated)",
+        "(self._bridge is None and emulated)",
         "self._bridge is None",
+        _serial("test_a_bridge_that_is_not_the_configs"),
+    ),
+    (
+        "a board that does not say its bridge is driven",
+        "SerialDriver._check_bridge",
+        "(hello.bridge == 0 and emulated)",
+        "hello.bridge == 0",
         _serial("test_a_bridge_that_is_not_the_configs"),
     ),
     (
