@@ -149,8 +149,8 @@ class ModbusDriver:
         settings, max_units = self._settings(limits)
         self._armed = False
         self._settle()
-        if self._is_off:  # to stop it once more clears what it may have latched
-            self._check_pause(self._values(self._read_span, self._unhurried_reading()))
+        if self._is_off:  # looked at first: to stop it once more clears what it may have latched
+            self.read()
         self._is_off = False
         self._write_stop(self._client.patiently, self._unhurried_s)
         self._check_settings()
