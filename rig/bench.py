@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import urlsplit
 
 from rig.config.backend import CHIP_PORTS, adapter_of
+from rig.config.flashing import flash_line
 from rig.config.link_budget import bits_per_byte, silence_s
 from rig.config.modbus import EMULATED_PORTS as MODBUS_EMULATED_PORTS
 from rig.config.modbus import is_tcp, tcp_address
@@ -26,6 +27,7 @@ from rig.daq.serial_link import SerialDriver
 from rig.daq.serial_port import SerialPort
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.daq.tcp_link import TcpTransport
+from rig.daq.usb_port import check_adapter
 from rig.emulate.behind_usb import BehindUsb
 from rig.emulate.board_process import BoardProcess
 from rig.emulate.chip_board import ChipBoard
@@ -389,6 +391,12 @@ def _serial(
     experiment: Experiment, port: str, truth: BenchParameters | None, *, emulated: bool = False
 ) -> Iterator[Unopened]:
     transport = SerialPort(port, experiment.daq.baud)
+    if not emulated:
+        try:
+            check_adapter(port, adapter_of(experiment))
+        except Fault:
+            transport.close()
+            raise
     yield Unopened(_driver(experiment, transport, f"serial:{port}", emulated=emulated), _clock_of(experiment), truth)
 
 
@@ -404,6 +412,7 @@ def _driver(experiment: Experiment, transport: Transport, name: str, *, emulated
         None if t is None else TachometerScale(t.rad_s_per_count, t.zero_counts, t.gear_ratio),
         counts_max=experiment.sensor.counts_max,
         bridge=experiment.drive.bridge,
+        flashing=flash_line(experiment),
         name=name,
         emulated=emulated,
     )

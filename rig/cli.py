@@ -113,10 +113,13 @@ def _plug_in(experiment: config.Experiment) -> config.Preflight:
     return plug_in_preflight(experiment)
 
 
-def _load(path: Path) -> config.Experiment:
-    """The checked experiment of a config file; exits with 2 and the problems where it is bad."""
+def _load(path: Path, *, drives: bool = True) -> config.Experiment:
+    """The checked experiment of a config file; exits with 2 and the problems where it is bad.
+
+    drives  False: no motor turns, so that the bridge need not be named; `rig doctor` says which the firmware is for
+    """
     try:
-        experiment, _ = config.check(path, _plug_in)
+        experiment, _ = config.check(path, _plug_in, () if drives else ("drive.bridge",))
     except config.ConfigError as error:
         _fail_config(error)
     return experiment
@@ -489,7 +492,7 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool
     """Run the emulated device of a config until Ctrl-C."""
     from rig.bench import emulated_board
 
-    experiment = _load(config_path)
+    experiment = _load(config_path, drives=False)
     if experiment.emulated is None:
         _fail(EXIT_BAD_INPUT, f"{config_path}: no section emulated", "add one; config/demo.yaml shows how")
     if chip and experiment.daq.modbus is not None:
@@ -525,7 +528,10 @@ def doctor(config_path: Path | None, seconds: float, out: Path, as_json: bool) -
 
     findings = []
     with _faults():
-        visit = without_config(out, seconds) if config_path is None else with_config(_load(config_path), out, seconds)
+        if config_path is None:
+            visit = without_config(out, seconds)
+        else:
+            visit = with_config(_load(config_path, drives=False), out, seconds)
         for finding in visit:
             findings.append(finding)
             if not as_json:

@@ -59,7 +59,8 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LINK_VERSION": FaultEntry(
         "the firmware speaks another version of the protocol",
-        "flash the firmware that belongs to this version of rig: `rig flash`",
+        "flash the firmware that belongs to this version of rig: type the `rig flash` line that is named here, and "
+        "switch the motor's supply on only when the voltages of docs/real-bench.md are there",
     ),
     "LINK_REJECTED": FaultEntry(
         "the device refused a command",

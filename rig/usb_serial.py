@@ -6,6 +6,8 @@ Where the figures come from: docs/timing.md, "USB adapters".
 
 from __future__ import annotations
 
+import re
+from pathlib import PurePosixPath
 from typing import Literal, NamedTuple
 
 Adapter = Literal["16u2", "ftdi", "ftdi-1ms", "ch340", "cp210x", "native-usb", "none"]
@@ -53,15 +55,19 @@ _PRODUCTS: dict[tuple[int, int], Adapter] = {
     (0x2E8A, 0x000A): "native-usb",  # Pico
 }
 
-# Parts of the names of ports, lower case; the first that fits counts
-_NAMES: tuple[tuple[str, Adapter], ...] = (
-    ("ftdi", "ftdi"),
-    ("1a86", "ch340"),
-    ("silicon_labs", "cp210x"),
-    ("arduino", "16u2"),
-    ("ttyacm", "16u2"),  # or native USB, which is quicker
-    ("ttyama", "none"),
-    ("ttys", "none"),
+# Names that the kernel gives, whole: any other may be a link to anything
+_KERNEL_NAMES: tuple[tuple[str, Adapter], ...] = (
+    (r"ttyACM[0-9]+", "16u2"),  # or native USB, which is quicker
+    (r"ttyAMA[0-9]+", "none"),
+    (r"ttyS[0-9]+", "none"),
+)
+# Names that udev makes of what a USB device says of itself: vendor, product, number
+_BY_ID = "/dev/serial/by-id"
+_ID_NAMES: tuple[tuple[str, Adapter], ...] = (
+    (r"usb-FTDI_.+", "ftdi"),
+    (r"usb-1a86_.+", "ch340"),
+    (r"usb-Silicon_Labs_.+", "cp210x"),
+    (r"usb-Arduino_.+", "16u2"),
 )
 
 
@@ -74,8 +80,9 @@ def adapter_by_id(vendor: int | None, product: int | None) -> Adapter | None:
 
 def adapter_by_name(port: str) -> Adapter:
     """What to reckon with behind a port of that name: what its name gives away, else the slowest there is."""
-    name = port.lower()
-    return next((adapter for part, adapter in _NAMES if part in name), _SLOWEST)
+    path = PurePosixPath(port)
+    names = _ID_NAMES if str(path.parent) == _BY_ID else _KERNEL_NAMES
+    return next((adapter for name, adapter in names if re.fullmatch(name, path.name)), _SLOWEST)
 
 
 def adapter_delay_s(adapter: Adapter) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
@@ -30,11 +30,14 @@ def load(path: str | PathLike[str]) -> Experiment:
 
 
 def check(
-    path: str | PathLike[str], plug_in: Callable[[Experiment], Preflight] | None = None
+    path: str | PathLike[str],
+    plug_in: Callable[[Experiment], Preflight] | None = None,
+    passing: Collection[str] = (),
 ) -> tuple[Experiment, Preflight]:
     """``load``, and ``preflight`` on it: the experiment, and what it would do.
 
     plug_in  what there is to say of a driver that is not built in; without it only built-in drivers are known
+    passing  keys, with dots, whose problems do not count: of what drives nothing
     Raises ConfigError as ``load`` does, and, with the places of the keys, where the experiment must not be run.
     """
     document = _read(path)
@@ -43,8 +46,9 @@ def check(
     if is_plug_in(experiment):
         other = Preflight((), (unknown_driver(experiment.daq.driver),)) if plug_in is None else plug_in(experiment)
         found = Preflight(found.lines + other.lines, found.problems + other.problems)
-    if found.problems:
-        raise ConfigError(document.located(problem) for problem in found.problems)
+    problems = [problem for problem in found.problems if problem.key not in passing]
+    if problems:
+        raise ConfigError(map(document.located, problems))
     return experiment, found
 
 

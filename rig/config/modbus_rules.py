@@ -1,4 +1,7 @@
-"""What the keys of a Modbus device say together: one request each way, no two registers in one place."""
+"""What the keys of a Modbus device say together: one request each way, no two registers in one place.
+
+And what such a device cannot tell, so that a person has to know it.
+"""
 
 from __future__ import annotations
 
@@ -45,6 +48,31 @@ def modbus_rules(e: Experiment) -> Iterator[Problem]:
     yield from _times(e, d.modbus)
     if e.tachometer is not None:
         yield wrong("tachometer", "no register of `driver: modbus` holds a velocity", "leave it out")
+
+
+def modbus_notes(e: Experiment) -> Iterator[str]:
+    """What a Modbus device may not tell of a pause, where it is disarmed; and an address as in a manual."""
+    if e.daq.modbus is None:
+        return
+    r = e.daq.modbus.registers
+    if words := as_in_a_manual((*written_in_a_tick(r), *read_in_a_tick(r), *written_at_arming(r))):
+        yield words
+    if r.status is None:
+        yield (
+            "daq.modbus.registers has no status: an e-stop that is pressed and released in a pause is not seen at all; "
+            "wire it so that it cuts the motor's supply"
+        )
+    elif "DEVICE_ESTOP" not in r.status.faults:
+        yield (
+            "daq.modbus.registers.status.faults names no DEVICE_ESTOP: an e-stop that is pressed and released in a "
+            "pause is seen while it is open, if it changes the status, or not at all; wire it so that it cuts the "
+            "motor's supply"
+        )
+    if r.watchdog is None and r.limits is None and r.rails is None and r.max_drive is None:
+        yield (
+            "daq.modbus.registers has none of watchdog, limits, rails and max_drive, which are read back when it is "
+            "armed again: a power cycle in a pause would go unnoticed"
+        )
 
 
 def _port(e: Experiment) -> Iterator[Problem]:

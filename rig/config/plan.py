@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from rig.config.backend import adapter_of, backend_words, is_emulated, is_plug_in
 from rig.config.emulated_bench import differences
 from rig.config.link_budget import block_sum, link_budget, link_sum, sample_to_drive_s
-from rig.config.modbus import as_in_a_manual, read_in_a_tick, written_at_arming, written_in_a_tick
+from rig.config.modbus_rules import modbus_notes
 from rig.config.problems import bracketed
 from rig.config.room_to_stop import (
     breakaway_strokes,
@@ -51,10 +51,7 @@ def notes(e: Experiment) -> Iterator[str]:
     """What a person has to know who reads the results: `rig check` says it before a run, and the run with them."""
     yield from differences(e)
     yield from _adapter(e)
-    if e.daq.modbus is not None:
-        r = e.daq.modbus.registers
-        if words := as_in_a_manual((*written_in_a_tick(r), *read_in_a_tick(r), *written_at_arming(r))):
-            yield words
+    yield from modbus_notes(e)
     low, high = e.limits.soft_rad
     if e.emulated is not None and not low <= e.emulated.motor.start_rad <= high:
         yield "the emulated shaft starts outside the soft limits: a run refuses until `rig jog` has it inside"

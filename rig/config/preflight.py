@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import PurePosixPath
 
 from rig.config.backend import CHIP_BAUDS, CHIP_PORTS, EMULATED_PORTS, adapter_of, is_plug_in
+from rig.config.flashing import WRONG_BRIDGE
 from rig.config.link_budget import (
     BAUD_RATES,
     LINK_SHARE,
@@ -107,6 +108,20 @@ def _backend(e: Experiment) -> Iterator[Problem]:
                 yield wrong(f"daq.{key}", f"is of built-in drivers, not of `{d.driver}`", "see daq.options")
     elif d.options is not None:
         yield wrong("daq.options", f"is of plug-in drivers, `driver: {d.driver}` has none", "remove it")
+
+
+def _bridge(e: Experiment) -> Iterator[Problem]:
+    """Nobody but the config can tell what is wired: the firmware is held to it as the port is opened."""
+    port = e.daq.port
+    if e.daq.driver != "serial" or port is None or port.startswith("emulated") or is_tcp(port):
+        return
+    if e.drive.bridge is None:
+        yield wrong(
+            "drive.bridge",
+            f"is missing, and a real motor may be behind {port}: it names the inputs of the bridge, and {WRONG_BRIDGE}",
+            "pwm-dir where the bridge's label says PWM and DIR, in1-in2 where it says IN1 and IN2 (docs/real-bench.md, "
+            "Which bridge); `rig doctor` on this config says which of them the firmware is for",
+        )
 
 
 def _fits(e: Experiment, baud: int, adapter: Adapter | None = None) -> bool:
@@ -532,6 +547,7 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
 _RULES: tuple[Rule, ...] = (
     _backend,
     modbus_rules,
+    _bridge,
     _spin,
     _link_budget,
     _reply_time,

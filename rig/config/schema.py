@@ -7,7 +7,7 @@ checked here; what keys say together (room to stop, link budget, ...) in ``rig.c
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -17,6 +17,8 @@ from rig.config.section import Section as _Section
 from rig.usb_serial import Adapter
 
 Method = Literal["sampled-data", "triple-relay", "describing-function"]
+Bridge = Literal["pwm-dir", "in1-in2"]
+BRIDGES: tuple[Bridge, ...] = get_args(Bridge)
 BUILT_IN_DRIVERS = ("simulated", "serial", "modbus")
 
 
@@ -135,9 +137,10 @@ class Drive(_Section):
     """The H-bridge: V to duty."""
 
     supply_V: Positive = Field(description="motor supply; K and f_c scale with it")
-    bridge: Literal["pwm-dir", "in1-in2"] | None = Field(
+    bridge: Bridge | None = Field(
         None,
-        description="inputs of the bridge, which the firmware must be for: with the wrong one 0 V can be full drive",
+        description="inputs of the bridge, which the firmware must be for: with the wrong one 0 V can be full drive; "
+        "needed with a real serial port",
     )
     bridge_drop_V: NonNegative = Field(0.0, description="lost in the bridge while driving (an L298: about 2 V)")
     dead_band_duty: DeadBand = Field(DeadBand(), description="duty below which the bridge passes nothing")

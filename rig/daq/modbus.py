@@ -30,6 +30,7 @@ from rig.faults import Fault
 from rig.signals import Limits, Order, Sample
 
 _UNHURRIED_S = 0.1  # least time-out of a request outside the tick; stopping keeps to the tick's
+_STOPPING_S = 0.02  # for which a request to stop is waited for, so that even three take less than most watchdogs
 _INTRODUCTIONS = 20  # reads that measure the round trip
 _LATE_TIMEOUTS = 2  # by when the latest reply has come
 _LONGEST_WATCHDOG_S = 1.0  # that the config takes
@@ -89,6 +90,8 @@ class ModbusDriver:
         self._emulated = emulated
         self._met = False
         self._armed = False
+        self._is_off = False  # it has confirmed a stop since it was armed last
+        self._written: list[tuple[Register, list[int]]] = []  # settings that it has confirmed in this session
         self._max_units = 0
         self._seq = 0
         self._sequence = 0  # as last written with a drive; its echo must be this
@@ -138,15 +141,23 @@ class ModbusDriver:
     def arm(self, limits: Limits) -> None:
         """Stop, write what the device takes of the limits and read it back, drive 0, arm.
 
-        Raises ValueError where sensor, drive or a register cannot hold such limits; Fault ARM_READBACK, LINK_*,
-        MODBUS_EXCEPTION, or what the device's status says then.
+        Armed again it must still have what was written before: a device that has lost it was reset, and is told
+        nothing anew. Only other limits are written.
+        Raises ValueError where sensor, drive or a register cannot hold such limits; Fault ARM_READBACK, DEVICE_RESET,
+        LINK_*, MODBUS_EXCEPTION, or what the device's status says before or then.
         """
         settings, max_units = self._settings(limits)
         self._armed = False
         self._settle()
+        if self._is_off:  # looked at first: to stop it once more clears what it may have latched
+            self.read()
+        self._is_off = False
         self._write_stop(self._client.patiently, self._unhurried_s)
-        for register, value in settings:
-            self._set(register, value)
+        self._check_settings()
+        if settings != self._written:
+            for register, words in settings:
+                self._set(register, words)
+            self._written = settings
         self._max_units = max_units
         if self._map.watchdog is not None:
             self.failsafe = DeviceWatchdog(limits.watchdog_s)
@@ -213,17 +224,20 @@ class ModbusDriver:
         """Drive 0, control to stop, up to three times; True once the replies and the registers confirm it.
 
         Where an exchange went wrong before, a first request to stop goes out at once and unheard; then whatever is
-        late is waited for and thrown away, so that it does not pass for the confirmation.
+        late is waited for and thrown away, so that it does not pass for the confirmation. A device with a program of
+        its own, which sees the request in its next cycle only, is waited for, 0.06 s in all.
         """
         self._armed = False
         self._fresh = False
         if not self._met:
             return False  # nothing is written to a device that was never found
-        for _ in range(ATTEMPTS):
+        begin_s = self._transport.now_s()
+        for attempt in range(1, ATTEMPTS + 1):
             try:
                 self._settle()
                 self._write_stop(self._client.asked, self._timeout_s)
-                if self._is_stopped():
+                if self._is_stopped(begin_s + attempt * _STOPPING_S, begin_s + ATTEMPTS * _STOPPING_S):
+                    self._is_off = True
                     return True
             except Fault as fault:
                 if fault.code == "LINK_LOST":
@@ -239,8 +253,8 @@ class ModbusDriver:
 
     # ------------------------------------------------------------------ arming and stopping
 
-    def _settings(self, limits: Limits) -> tuple[list[tuple[Register, float]], int]:
-        """What each register is set to, and the largest drive, units. Raises ValueError."""
+    def _settings(self, limits: Limits) -> tuple[list[tuple[Register, list[int]]], int]:
+        """The words that each register is set to, and the largest drive, units. Raises ValueError."""
         m = self._map
         hard = hard_limits_in_counts(limits, self.calibration, self.drive_map, self._rail_counts)
         max_units = largest_drive_in_units(limits, self.drive_map)
@@ -253,9 +267,7 @@ class ModbusDriver:
             settings += zip(m.rails, self._bounds(self._rail_counts, inward=False), strict=True)
         if m.max_drive is not None:
             settings.append((m.max_drive, m.drive_value(max_units)))
-        for register, value in settings:
-            register.pack(value)
-        return settings, max_units
+        return [(register, register.pack(value)) for register, value in settings], max_units
 
     def _await_armed(self) -> None:
         """Until the status says so: a device with a program of its own sees the request in its next cycle only."""
@@ -278,14 +290,29 @@ class ModbusDriver:
             return math.ceil(low - 1e-9), math.floor(high + 1e-9)
         return math.floor(low + 1e-9), math.ceil(high - 1e-9)
 
-    def _set(self, register: Register, value: float) -> None:
+    def _set(self, register: Register, words: list[int]) -> None:
         """Write a setting and read it back."""
-        words = register.pack(value)
         self._client.patiently(writing(register, words), self._unhurried_s)
-        span = Span((register,))
-        stored = registers_of(self._client.patiently(reading(span), self._unhurried_s).pdu)
+        stored = self._stored(register)
         if stored != words:
-            raise Fault("ARM_READBACK", f"{register}: sent {value:g}, stored {register.unpack(stored):g}")
+            raise Fault(
+                "ARM_READBACK", f"{register}: sent {register.unpack(words):g}, stored {register.unpack(stored):g}"
+            )
+
+    def _stored(self, register: Register) -> list[int]:
+        """The words that a setting's register holds now."""
+        return registers_of(self._client.patiently(reading(Span((register,))), self._unhurried_s).pdu)
+
+    def _check_settings(self) -> None:
+        """Raises Fault DEVICE_RESET where a register no longer holds what was written in this session."""
+        for register, words in self._written:
+            stored = self._stored(register)
+            if stored != words:
+                raise Fault(
+                    "DEVICE_RESET",
+                    f"{register} reads {register.unpack(stored):g}, but {register.unpack(words):g} was written at the "
+                    "first arming: the device lost its settings in the pause",
+                )
 
     def _write_stop(self, asked: Callable[[Request, float], Reply], timeout_s: float) -> None:
         """Control to stop, drive 0, both confirmed by their replies; drive 0 also where the device refuses to stop.
@@ -311,14 +338,26 @@ class ModbusDriver:
             raise refused
         self._units = 0
 
-    def _is_stopped(self) -> bool:
-        """Whether the device's own registers say so, where it has such."""
+    def _is_stopped(self, again_s: float, last_s: float) -> bool:
+        """Whether the device's own registers say so, where it has such.
+
+        While they say armed, or that something drives, they are asked until ``again_s``; while the status means
+        nothing, which may be on its way to off, until ``last_s``.
+        """
         if self._map.applied is None and self._map.status is None:
             return True
-        values = self._values(self._read_span, self._client.asked(reading(self._read_span), self._timeout_s))
-        driven = values.get("applied", 0.0) != 0.0
-        armed = self._map.control is not None and values.get("status") == ARMED
-        return not driven and not armed
+        while True:
+            values = self._values(self._read_span, self._client.asked(reading(self._read_span), self._timeout_s))
+            driven, status = values.get("applied", 0.0) != 0.0, values.get("status", OFF)
+            stopped = not driven and not self._is_armed_by(status)
+            if stopped and (status in (OFF, ARMED) or status in (self._map.faults or {})):
+                return True
+            if self._transport.now_s() >= (last_s if stopped else again_s):
+                return stopped
+
+    def _is_armed_by(self, status: float) -> bool:
+        """Whether a status means armed; a device without control register always is, since nothing disarms it."""
+        return status == ARMED and self._map.control is not None
 
     def _settle(self) -> None:
         """After an exchange that went wrong: ask for a stop unheard, then let everything late come and go."""
@@ -370,16 +409,28 @@ class ModbusDriver:
             return
         value = int(values["status"])
         code = (self._map.faults or {}).get(value)
-        at = f"{self._map.scale * values['position'] + self._map.offset_counts:g} counts"
+        at = self._counts(values)
         if code is not None:
             raise Fault(code, f"{status} reads {value}, at {at}")
-        words = "not armed" if value == OFF else "neither armed (1) nor a fault of daq.modbus.registers.status"
+        words = (
+            "not armed"
+            if value == OFF
+            else "neither off (0), nor armed (1), nor a fault of daq.modbus.registers.status"
+        )
         raise Fault("DEVICE_RESET", f"{status} reads {value}: {words}; at {at}")
 
+    def _counts(self, values: Mapping[str, float]) -> str:
+        return f"{self._map.scale * values['position'] + self._map.offset_counts:g} counts"
+
     def _check_pause(self, values: Mapping[str, float]) -> None:
-        """Raise the fault that the status of a disarmed device names."""
-        if self._map.status is not None and int(values["status"]) in (self._map.faults or {}):
-            self._check_status(values)
+        """Raise what the status of a device that was stopped says, where that is not off."""
+        status = self._map.status
+        if status is None or values["status"] == OFF:
+            return
+        if self._is_armed_by(values["status"]):
+            words = f"{status} reads {ARMED}: armed, though it was stopped; at {self._counts(values)}"
+            raise Fault("STOP_UNCONFIRMED", words)
+        self._check_status(values)
 
     def _check_echo(self, values: Mapping[str, float]) -> None:
         echo = self._map.echo

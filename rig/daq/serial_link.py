@@ -42,6 +42,7 @@ _READ_SHARES = (2 / 3, 1.0, 1.0)  # of the time-out: until when each of a tick's
 _READ_AGAIN = 3  # readings in a row that had to be asked for again: the link is not fit for the period
 _LOST_DRIVES = 3  # in a row: the drive that acts is no longer the host's
 _LEAST_FULL_UNITS = 50  # coarser, and no drive is near what was asked for
+_FLASHING = "flash it with the options that its wiring asks for: docs/real-bench.md"
 _SUPPLY_TOLERANCE = 0.15  # of the divider in front of the converter, and of a loaded supply
 
 # Share of the wire time of a HELLO exchange that passes before the device reads its clock.
@@ -107,6 +108,7 @@ class SerialDriver:
     tachometer      scale of the velocity channel; None: not used
     counts_max      the ADC's largest reading that the calibration was made for; None: not checked
     bridge          what the board's outputs are wired for, a value of ``frames.BRIDGES``; None: not told
+    flashing        what a person has to do to flash this board, the whole command in it; "": not told
     session         number of this session, 1 to 2**32 - 1; None: a random one
     name            of the port, for ``backend``
     emulated        True where it is known that no real motor is behind the port
@@ -127,6 +129,7 @@ class SerialDriver:
         *,
         counts_max: int | None = None,
         bridge: str | None = None,
+        flashing: str = "",
         session: int | None = None,
         name: str = "serial",
         emulated: bool = False,
@@ -143,6 +146,7 @@ class SerialDriver:
         self._open_timeout_s = open_timeout_s
         self._counts_max = counts_max
         self._bridge = bridge
+        self._flashing = flashing or _FLASHING
         self._name = name
         self._emulated = emulated
         self._reader = frames.FrameReader()
@@ -491,10 +495,7 @@ class SerialDriver:
         except Fault as fault:
             if fault.code != "LINK_VERSION":
                 raise
-            port = self._name.removeprefix("serial:")
-            raise Fault(
-                fault.code, f"{fault.detail}; type: rig flash --port {port} --bridge {self._bridge or 'pwm-dir'}"
-            ) from fault
+            raise Fault(fault.code, f"{fault.detail}; {self._flashing}") from fault
         self._seq = introduction.requests
         self._stale_replies += introduction.stale_replies
         return introduction.hello
@@ -525,8 +526,15 @@ class SerialDriver:
     def _check_bridge(self, hello: Hello) -> None:
         """With the wrong bridge a drive of 0 V can be full drive: the config has to say what is wired."""
         bridge = frames.BRIDGES.get(hello.bridge)
-        if hello.bridge == 0 or bridge == self._bridge or (self._bridge is None and self._emulated):
+        emulated = self._emulated or hello.board in frames.EMULATED_BOARDS
+        if bridge == self._bridge or (self._bridge is None and emulated) or (hello.bridge == 0 and emulated):
             return
+        if hello.bridge == 0:
+            raise Fault(
+                "CONFIG_MISMATCH",
+                f"drive.bridge is {self._bridge}, but the device's firmware does not say which bridge it is for, and "
+                f"with the wrong one 0 V can be full drive: {self._flashing}",
+            )
         if bridge is None:
             raise Fault(
                 "CONFIG_MISMATCH", f"the device drives a bridge of kind {hello.bridge}, which this rig does not know"
@@ -540,7 +548,7 @@ class SerialDriver:
         raise Fault(
             "CONFIG_MISMATCH",
             f"drive.bridge is {self._bridge}, but the device's firmware is for {bridge}, and 0 V can be full drive: "
-            f"switch the motor's supply off, then type: rig flash --bridge {self._bridge}",
+            f"{self._flashing}",
         )
 
     def _acknowledge(self, hello: Hello) -> tuple[str, ...]:

@@ -14,16 +14,16 @@ from pathlib import Path
 
 from serial.tools import list_ports
 
+from rig.daq.usb_port import LATENCY_MS, usb_port
 from rig.doctor.finding import Finding, State
 from rig.loop import kernel_workers as kernel_workers_module
 from rig.loop.kernel_workers import workers
 from rig.loop.real_time import real_time
-from rig.usb_serial import CHIPS, Adapter, adapter_by_id, adapter_delay_s
+from rig.usb_serial import Adapter, adapter_delay_s
 
 ROOT = Path("/")
 _FAST_CLOCKS = ("tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter")
 _FIFO = "1"  # SCHED_FIFO, as the kernel writes it
-_LATENCY_MS = 1
 _ADAPTER = "USB adapter"
 _LEAST_FREE_BYTES = 200e6
 _NO_RUN_BYTES = 20e6  # one run with its report takes 4 to 11
@@ -166,19 +166,11 @@ def usb_adapter(device: str, reckoned: Adapter | None, root: Path = ROOT) -> Fin
 
     reckoned  what the config's sums are made with; None: there is no config
     """
-    there = Path(device).resolve().name  # of a name in /dev/serial/by-id, too
-    port = next((p for p in list_ports.comports() if Path(p.device).name == there), None)
-    found = None if port is None else adapter_by_id(port.vid, port.pid)
-    if port is None or found is None:
-        ids = "no USB ids" if port is None or port.vid is None else f"USB {port.vid:04x}:{port.pid:04x}, not known here"
+    port = usb_port(device, root)
+    found, words = port.adapter, port.words
+    if found is None:
         against = "" if reckoned is None else f"; the sums are made with daq.adapter: {reckoned}"
-        return Finding(_ADAPTER, "note", f"{device}: {ids}{against}")
-    timer = _text(root / f"sys/bus/usb-serial/devices/{there}/latency_timer")
-    if found == "ftdi" and timer == str(_LATENCY_MS):
-        found = "ftdi-1ms"
-    words = f"{device}: USB {port.vid:04x}:{port.pid:04x}, {CHIPS[found].words}"
-    if found == "ftdi" and timer is not None:
-        words += f"; its timer is at {timer} ms"
+        return Finding(_ADAPTER, "note", f"{words}{against}")
     if reckoned is None:
         return Finding(_ADAPTER, "good", f"{words}; daq.adapter: {found}")
     if reckoned == found:
@@ -219,14 +211,14 @@ def latency_timers(root: Path = ROOT) -> Iterator[Finding]:
         if text is None or not text.isdigit():
             continue
         waits_ms, port = int(text), file.parent.name
-        if waits_ms <= _LATENCY_MS:
+        if waits_ms <= LATENCY_MS:
             yield Finding("USB latency", "good", f"{port} waits {waits_ms} ms for more bytes")
         else:
             yield Finding(
                 "USB latency",
                 "bad",
                 f"{port} waits {waits_ms} ms for more bytes before it hands a short reply on",
-                f"`echo {_LATENCY_MS} | sudo tee {file}`; {_UDEV_RULE}",
+                f"`echo {LATENCY_MS} | sudo tee {file}`; {_UDEV_RULE}",
             )
 
 

@@ -105,10 +105,6 @@ class IoBlock:
         self.bench = bench
         self.unit = unit
         self.t_s = 0.0
-        self.armed = False
-        self.fault: str | None = None
-        self.latched = False
-        self.recovering = 0
         self.drive = 0.0  # at the output, in units of its register
         self.e_stop_open = False  # cuts the output, and disarms; it latches nothing, so that it must be looked at
         self.requests = 0
@@ -119,13 +115,21 @@ class IoBlock:
         self._ticks = 0
         self._heard_s = 0.0
         self._farthest = 0.0
-        self._values: dict[str, float] = {f.name: 0.0 for fields in registers.readable.values() for f in fields}
-        self._unset = {f.name for f in registers.writable} - _NO_SETTING
         self._has_control = registers.has("control")
         types = {f.name: f.type for fields in registers.readable.values() for f in fields}
         self._is_whole = types["position"] in RANGES
         _must_hold("position", types["position"], [self._units(n) for n in (0, bench.parameters.counts_max)])
         _must_hold("applied", types.get("applied", "float32"), [-registers.full, registers.full])
+        self._begin()
+
+    def _begin(self) -> None:
+        """As it is when its power comes: disarmed, no fault, every register 0 and no setting."""
+        self.armed = False
+        self.fault: str | None = None
+        self.latched = False
+        self.recovering = 0
+        self._values: dict[str, float] = {f.name: 0.0 for fields in self.registers.readable.values() for f in fields}
+        self._unset = {f.name for f in self.registers.writable} - _NO_SETTING
         self._read_position()
 
     @classmethod
@@ -190,6 +194,11 @@ class IoBlock:
         """Cut the power: the output falls to 0 V."""
         self._act(0.0)
         self.armed = False
+
+    def power_cycle(self) -> None:
+        """Cut the power for a moment: the output falls to 0 V, and the block has forgotten all that was written."""
+        self._act(0.0)
+        self._begin()
 
     # ------------------------------------------------------------------ sensor
 

@@ -243,7 +243,7 @@ def _run(block: IoBlock, port: _Port, trace: _Trace, start_s: float, ends: int, 
             if os.read(ends, 1)[0] != signal.SIGUSR1:
                 return
             block.advance_to(now_s)
-            block.power_off()
+            block.power_cycle()
             port.forget()
         if stdin in ready and not os.read(stdin, 64):
             watches_stdin, end_s = False, now_s + ORPHAN_S

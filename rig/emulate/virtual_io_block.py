@@ -64,6 +64,10 @@ class BlockInVirtualTime:
         """Put the shaft somewhere, as a hand would."""
         self.block.place(y_rad, v_rad_per_s)
 
+    def power_cycle(self) -> None:
+        """Its supply fails for a moment: 0 V, and nothing that was written is left."""
+        self.block.power_cycle()
+
     def truth(self) -> IoBlockTruth:
         """What is really the case now."""
         return self.block.truth()

@@ -150,8 +150,8 @@ class VirtualTcpBlock(BlockInVirtualTime):
         self._slave.forget(_CONNECTION)
 
     def reset(self, boot_s: float = 0.0) -> None:
-        """Its supply fails for a moment: 0 V, and it knows of no connection. Silent for ``boot_s``."""
-        self.block.power_off()
+        """Its supply fails for a moment: as ``power_cycle``, and it knows of no connection. Silent for ``boot_s``."""
+        self.power_cycle()
         self._stream = None
         self._slave.forget(_CONNECTION)
         self._absent_until_s = self._now_s + boot_s

@@ -71,7 +71,8 @@ def test_bad_configs_end_with_status_2_and_no_traceback(tmp_path: Path) -> None:
 def test_a_missing_port_is_an_error_and_never_a_simulation(tmp_path: Path) -> None:
     text = (ROOT / "config/demo.yaml").read_text(encoding="utf-8")
     config = tmp_path / "real.yaml"
-    config.write_text(text.replace("port: emulated", "port: /dev/ttyNONE\n  adapter: none"), encoding="utf-8")
+    text = text.replace("port: emulated", "port: /dev/ttyNONE\n  adapter: none")
+    config.write_text(text.replace("\ndrive:", "\ndrive:\n  bridge: pwm-dir"), encoding="utf-8")
     result = rig("run", config, "--out", tmp_path / "runs")
     assert result.exit_code == 1
     lines = result.stderr.splitlines()

@@ -20,7 +20,7 @@ from pymodbus.pdu.register_message import (
 )
 
 from rig.bench import guard_settings_of
-from rig.config import Experiment, load, preflight
+from rig.config import Experiment, load, notes, preflight
 from rig.config.link_budget import link_budget, reading_budget, transactions
 from rig.config.modbus import tcp_address
 from rig.config.plan import plan
@@ -106,6 +106,22 @@ def test_a_manual_s_address_that_can_be_asked_for_is_a_note() -> None:
 
     assert notes(40101) == ["note: addresses count from 0: 40101 in a manual is holding register 100"]
     assert notes(100) == notes(50_000) == []
+
+
+def test_what_a_device_cannot_tell_of_a_pause_is_a_note() -> None:
+    def notes_of(registers: dict[str, Any], **modbus: Any) -> list[str]:
+        return [note for note in notes(example(registers, **modbus)) if "in a pause" in note]
+
+    assert notes_of({}) == []
+    (note,) = notes_of({"status": None})
+    assert "pressed and released in a pause is not seen at all" in note
+    (note,) = notes_of({"status": {"address": 19, "faults": {"DEVICE_WATCHDOG": 2}}})
+    assert "names no DEVICE_ESTOP" in note and "while it is open" in note
+    settings: dict[str, Any] = dict.fromkeys(("watchdog", "limits", "rails", "max_drive"))
+    (note,) = notes_of(settings, device_watchdog_s=0.1)
+    assert note.endswith("a power cycle in a pause would go unnoticed")
+    for name in ("limits", "rails", "max_drive"):
+        assert notes_of({key: value for key, value in settings.items() if key != name}, device_watchdog_s=0.1) == []
 
 
 def test_what_stops_the_device_is_not_what_arms_it() -> None:

@@ -44,7 +44,11 @@ def experiment(**changes: Any) -> Experiment:
     return Experiment.model_validate(demo(**changes))
 
 
-SECTION_MISSING = {"serial without port": "daq:", "no speed of the motor": "name:"}  # line that is named instead
+SECTION_MISSING = {
+    "serial without port": "daq:",
+    "a real port, and no bridge": "drive:",
+    "no speed of the motor": "name:",
+}  # line that is named instead
 REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "soft around no centre": ({"limits__soft_rad": [0.1, 1.1]}, "limits.soft_rad", "must enclose 0 rad"),
     "soft outside hard": ({"limits__soft_rad": [-1.1, 1.95]}, "limits.soft_rad", "not inside limits.hard_rad"),
@@ -178,6 +182,11 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "turnaround = 4.82 ms; after two thirds of the time-out it is asked for again",
     ),
     "serial without port": ({"daq__port": None}, "daq.port", "`driver: serial` needs a port"),
+    "a real port, and no bridge": (
+        {"daq__port": "/dev/ttyACM0", "daq__adapter": "none"},
+        "drive.bridge",
+        "is missing, and a real motor may be behind /dev/ttyACM0",
+    ),
     "simulated with port": ({"daq__driver": "simulated"}, "daq.port", "`driver: simulated` has no port"),
     "emulated without section": ({"emulated": None}, "emulated", "`port: emulated` needs this section"),
     "simulated without section": (
@@ -471,8 +480,18 @@ def test_preflight_never_fails_on_what_the_schema_takes(
     assert all(str(problem) for problem in found.problems)
 
 
+def test_the_bridge_is_for_real_serial_ports_alone() -> None:
+    """The hint says both values, and where to look."""
+    (problem,) = preflight(experiment(daq__port="/dev/ttyACM0", daq__adapter="none")).problems
+    for words in ("pwm-dir", "in1-in2", "label", "rig doctor"):
+        assert words in problem.hint
+    for port in ("emulated", "emulated-chip", "emulated-chip-realtime"):
+        assert preflight(experiment(daq__port=port)).problems == ()
+    assert [p.key for p in preflight(experiment(daq__port="tcp://10.0.0.1")).problems if "bridge" in p.key] == []
+
+
 def test_rules_are_pure() -> None:
     """Same experiment, same answer; nothing of it changes (it is frozen), nothing is opened."""
-    e = experiment(daq__port="/dev/there-is-no-such-port", daq__adapter="none")
+    e = experiment(daq__port="/dev/there-is-no-such-port", daq__adapter="none", drive__bridge="pwm-dir")
     assert preflight(e) == preflight(e)
     assert preflight(e).problems == ()

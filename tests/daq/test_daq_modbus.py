@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import re
 import struct
 from collections.abc import Sequence
 from dataclasses import replace
@@ -507,20 +508,94 @@ def test_the_devices_status_is_a_fault_by_name(style: str, status: int, code: st
     assert rig.driver.safe_stop()
 
 
+@pytest.mark.parametrize(("status", "code"), [(3, "DEVICE_TRAVEL"), (77, "DEVICE_RESET"), (1, "STOP_UNCONFIRMED")])
+@pytest.mark.parametrize("seen_by", ["read", "arm"])
 @pytest.mark.parametrize("style", STYLES)
-def test_a_fault_in_a_pause_is_told(style: str) -> None:
-    """Disarmed by the host the status is 0, which is none; what the block stops for by itself is."""
+def test_whatever_a_device_says_in_a_pause_but_off_is_told(style: str, seen_by: str, status: int, code: str) -> None:
+    """Disarmed by the host the status is 0, which is none; what the block stops for by itself is, and what it means."""
     rig = Rig(experiment_with(style))
     rig.tick(0.3)
     assert rig.driver.safe_stop()
     rig.driver.read()
 
     def saying(data: bytes) -> list[tuple[float, bytes]]:
-        return [(0.0, signed(data[:9] + b"\0\3"))]
+        return [(0.0, signed(data[:9] + status.to_bytes(2, "big")))]
 
     rig.block.disturb(OneReply(saying))
-    with pytest.raises(Fault, match="DEVICE_TRAVEL"):
+    with pytest.raises(Fault, match=code) as caught:
+        rig.driver.read() if seen_by == "read" else rig.arm()
+    assert f"status, holding register 19 reads {status}" in caught.value.detail
+
+
+def test_a_device_that_nothing_disarms_is_armed_in_a_pause() -> None:
+    rig = Rig(experiment_with(registers={"control": None}))
+    rig.tick(0.3)
+    assert rig.driver.safe_stop()
+    assert rig.block.truth().armed
+    rig.driver.read()
+    rig.arm()
+
+
+@pytest.mark.parametrize("status", [1, 77])
+def test_a_device_that_takes_its_time_to_stop_is_waited_for(status: int) -> None:
+    """Its status is of the cycle before, or one of its own on the way to off; then the pause is as any other."""
+    rig = Rig(experiment_with())
+    rig.tick(0.3)
+    off_s = rig.block.now_s() + 0.05
+
+    def not_yet(direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
+        if direction == "reply" and data[1] == 3 and len(data) == 13 and t_s < off_s:
+            data = signed(data[:9] + status.to_bytes(2, "big"))
+        return [(0.0, data)]
+
+    rig.block.disturb(not_yet)
+    assert rig.driver.safe_stop()
+    assert rig.block.now_s() >= off_s
+    rig.driver.read()
+    off_s = math.inf
+    with pytest.raises(Fault, match=r"STOP_UNCONFIRMED|DEVICE_RESET"):
         rig.driver.read()
+    assert rig.driver.safe_stop() == (status != 1)
+
+
+@pytest.mark.parametrize("registers", [["watchdog"], ["limits", "rails"], ["max_drive"]], ids="-".join)
+@pytest.mark.parametrize("style", STYLES)
+def test_a_power_cycle_in_a_pause_is_found_when_it_is_armed_again(style: str, registers: list[str]) -> None:
+    """By each of its settings alone; they are never written anew."""
+    others = {name: None for name in ("watchdog", "limits", "rails", "max_drive") if name not in registers}
+    own = {} if "watchdog" in registers else {"device_watchdog_s": 0.1}
+    rig = Rig(experiment_with(style, others, **own))
+    rig.tick(0.3)
+    assert rig.driver.safe_stop()
+    rig.block.power_cycle()
+    rig.driver.read()  # its status is off, as before
+    for _ in range(2):
+        with pytest.raises(Fault, match="DEVICE_RESET") as caught:
+            rig.arm()
+        assert re.search(rf"^{registers[0]}\S*, holding register \d+ reads 0, but \d+ was written", caught.value.detail)
+    assert not rig.block.truth().armed
+
+
+def test_armed_again_only_other_limits_are_written() -> None:
+    rig = Rig(experiment_with())
+    real, written = rig.block.block._write, []
+
+    def watching(values: dict[str, float]) -> None:
+        written.extend(values)
+        real(values)
+
+    rig.block.block._write = watching  # type: ignore[method-assign]
+    assert rig.driver.safe_stop()
+    rig.arm()
+    assert set(written) == {"control", "drive", "sequence"}
+    assert rig.driver.safe_stop()
+    limits = limits_of(rig.experiment)
+    rig.driver.arm(replace(limits, max_u_V=0.5 * limits.max_u_V))
+    assert "max_drive" in written
+    assert rig.driver.safe_stop()
+    rig.arm()
+    rig.block.power_cycle()
+    assert rig.fault_while_driving().code == "DEVICE_RESET"
 
 
 def test_the_blocks_own_faults_come_through(rig: Rig) -> None:

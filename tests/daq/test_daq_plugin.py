@@ -113,7 +113,9 @@ def test_keys_that_do_not_go_with_a_plug_in(installed, tmp_path, changes, words)
 
 
 def test_options_are_of_plug_ins_only(tmp_path):
-    line, words = refused(tmp_path, driver="serial", port="/dev/ttyACM0", adapter="none", options={"seed": 1})
+    line, words = refused(
+        tmp_path, driver="serial", port="/dev/ttyACM0", adapter="none", options={"seed": 1}, drive__bridge="pwm-dir"
+    )
     assert line == "seed: 1"
     assert words == "daq.options: is of plug-in drivers, `driver: serial` has none; remove it"
 

@@ -4,9 +4,15 @@ import contextlib
 import os
 import pty
 import tty
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from raised import fault_of
+from serial.tools import list_ports
 
+from rig.bench import unopened
+from rig.config import Experiment, load
 from rig.daq.serial_port import SerialPort
 from rig.faults import Fault
 
@@ -81,3 +87,63 @@ def test_a_closed_port_is_dead_not_another_file(terminal, tmp_path):
                 dead()
             assert caught.value.code == "LINK_LOST"
         assert all(file.read() == b"" for file in files)
+
+
+def uno_at(port: str, adapter: str | None) -> Experiment:
+    """The Uno's config with another port, and what it says of the adapter there."""
+    data = load(Path(__file__).parents[2] / "config/uno.yaml").model_dump(mode="json", exclude_none=True)
+    del data["daq"]["adapter"]
+    data["daq"] |= {"port": port} | ({} if adapter is None else {"adapter": adapter})
+    return Experiment.model_validate(data)
+
+
+def plug_in(monkeypatch: pytest.MonkeyPatch, device: str, ids: tuple[int | None, int | None]) -> list[bool]:
+    """A port with these USB ids; whether it is closed."""
+    closed: list[bool] = []
+    monkeypatch.setattr(list_ports, "comports", lambda: [SimpleNamespace(device=device, vid=ids[0], pid=ids[1])])
+    monkeypatch.setattr("rig.bench.SerialPort", lambda *_: SimpleNamespace(close=lambda: closed.append(True)))
+    return closed
+
+
+@pytest.mark.parametrize(
+    ("ids", "adapter", "key"),
+    [
+        ((0x0403, 0x6001), "16u2", "set daq.adapter to ftdi,"),
+        ((0x0403, 0x6001), "none", "set daq.adapter to ftdi,"),
+        ((0x1A86, 0x7523), "native-usb", "set daq.adapter to ch340,"),
+        ((0x2341, 0x0043), "ch340", "set daq.adapter to 16u2,"),
+        ((0x2341, 0x0043), "none", "set daq.adapter to 16u2,"),
+    ],
+)
+def test_an_adapter_slower_than_what_was_reckoned_with_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ids: tuple[int, int], adapter: str, key: str
+) -> None:
+    """By the port's own name, and by a link to it."""
+    link = tmp_path / "usb-Arduino_clone-if00"
+    link.symlink_to("/dev/ttyUSB9")
+    for port in ("/dev/ttyUSB9", str(link)):
+        closed = plug_in(monkeypatch, "/dev/ttyUSB9", ids)
+
+        fault = fault_of(unopened(uno_at(port, adapter)).__enter__)
+        assert fault.code == "CONFIG_MISMATCH"
+        assert port in fault.detail and f"{ids[0]:04x}:{ids[1]:04x}" in fault.detail
+        assert f"({adapter}): {key}" in fault.detail
+        assert closed == [True]
+
+
+@pytest.mark.parametrize(
+    ("ids", "adapter"),
+    [
+        ((0x2341, 0x8036), "16u2"),  # quicker
+        ((0x2341, 0x0043), "16u2"),
+        ((0x2341, 0x0043), None),  # by its name what it could be at worst
+        ((0x1234, 0x5678), "none"),  # nobody knows
+        ((None, None), "none"),
+    ],
+)
+def test_an_adapter_that_is_quicker_or_unknown_is_taken(
+    monkeypatch: pytest.MonkeyPatch, ids: tuple[int | None, int | None], adapter: str | None
+) -> None:
+    closed = plug_in(monkeypatch, "/dev/ttyACM9", ids)
+    with unopened(uno_at("/dev/ttyACM9", adapter)):
+        assert closed == []

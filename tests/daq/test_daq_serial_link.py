@@ -1,10 +1,15 @@
 """The serial driver against a scripted port: pairs of an expected request and its reply, in virtual time."""
 
 import math
+import re
+from pathlib import Path
 
 import pytest
 from raised import fault_of
 
+from rig.bench import unopened
+from rig.cli import main
+from rig.config import Experiment, load
 from rig.daq import frames
 from rig.daq.calibration import Calibration, DriveMap, TachometerScale
 from rig.daq.frames import Code, Hello, Kind, Nack, Setup, State, encode
@@ -207,10 +212,37 @@ def test_another_version_names_both(version):
     assert f"version {version}" in fault.detail and f"version {frames.VERSION}" in fault.detail
 
 
-def test_a_board_of_before_gets_the_line_that_flashes_it():
-    port = ScriptedPort(version=1)
-    driver = make(port, name="serial:/dev/ttyACM0", bridge="in1-in2")
-    assert "rig flash --port /dev/ttyACM0 --bridge in1-in2" in fault_of(driver.open).detail
+UNO = load(Path(__file__).parents[2] / "config/uno.yaml").model_dump(mode="json", exclude_none=True)
+AT = "rig flash --port /dev/ttyACM0 --bridge"
+
+
+@pytest.mark.parametrize(
+    ("changed", "line"),
+    [
+        ({}, f"type: {AT} in1-in2 --baud 1000000; add --supply and --end-switches where"),
+        (
+            {"daq": UNO["daq"] | {"baud": 115200}, "tachometer": {"rad_s_per_count": 0.25}},
+            f"type: {AT} in1-in2 --baud 115200 --tachometer; add",
+        ),
+        (
+            {"drive": {name: value for name, value in UNO["drive"].items() if name != "bridge"}},
+            f"type: {AT} pwm-dir --baud 1000000 or {AT} in1-in2 --baud 1000000, as the inputs of the bridge are "
+            "labelled (docs/real-bench.md): with the wrong one 0 V can be full drive",
+        ),
+        ({"daq": UNO["daq"] | {"baud": 57600}}, f"{AT} in1-in2 --baud 1000000; set daq.baud to 1000000"),
+    ],
+    ids=["as it is", "tachometer", "no bridge", "another baud"],
+)
+def test_a_board_of_before_gets_the_whole_line_that_flashes_it(monkeypatch, changed, line):
+    monkeypatch.setattr("rig.bench.SerialPort", lambda *_: ScriptedPort(version=1))
+    with unopened(Experiment.model_validate(UNO | changed)) as (driver, _, _):
+        fault = fault_of(driver.open)
+    assert fault.code == "LINK_VERSION"
+    assert line in fault.detail
+    commands = re.findall(r"rig flash ([^;,]+?)(?= or |;|,)", fault.detail)
+    assert commands
+    for command in commands:
+        main.commands["flash"].make_context("flash", command.split())  # it can be typed
 
 
 def test_a_device_that_refuses_our_version():
@@ -257,21 +289,26 @@ def test_a_config_that_does_not_fit_the_device(hello, options, words):
     ("told", "config", "words"),
     [
         (2, "pwm-dir", "drive.bridge is pwm-dir, but the device's firmware is for in1-in2"),
-        (1, "in1-in2", "rig flash --bridge in1-in2"),
+        (1, "in1-in2", "type: this line"),
         (1, None, "write bridge: pwm-dir"),
         (7, "pwm-dir", "a bridge of kind 7"),
+        (0, "in1-in2", "does not say which bridge it is for, and with the wrong one 0 V can be full drive: type: this"),
     ],
 )
 def test_a_bridge_that_is_not_the_configs(told, config, words):
     """The wrong one can be full drive at 0 V: nothing but questions goes out."""
-    fault = fault_of(make(ScriptedPort(board=2, bridge=told), bridge=config).open)
+    fault = fault_of(make(ScriptedPort(board=2, bridge=told), bridge=config, flashing="type: this line").open)
     assert fault.code == "CONFIG_MISMATCH"
     assert words in fault.detail
 
 
-@pytest.mark.parametrize(("told", "config"), [(1, "pwm-dir"), (2, "in1-in2"), (0, None), (0, "in1-in2")])
-def test_a_bridge_that_is_the_configs_or_none(told, config):
-    make(ScriptedPort(board=2, bridge=told), bridge=config).open()
+@pytest.mark.parametrize(
+    ("board", "told", "config"),
+    [(2, 1, "pwm-dir"), (2, 2, "in1-in2"), (2, 0, None), (1, 0, "in1-in2"), (1, 0, None), (1, 1, None)],
+)
+def test_a_bridge_that_is_the_configs_or_none(board, told, config):
+    """A board that is emulated has none to say, whatever the config names."""
+    make(ScriptedPort(board=board, bridge=told), bridge=config).open()
 
 
 # ---------------------------------------------------------------------- what is latched already

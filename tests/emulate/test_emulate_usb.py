@@ -30,6 +30,7 @@ CLOCK_PPM = 4000.0
 def config(**daq: object) -> dict[str, Any]:
     document: dict[str, Any] = yaml.safe_load((ROOT / "config/demo.yaml").read_text(encoding="utf-8"))
     document["daq"] |= daq
+    document["drive"]["bridge"] = "pwm-dir"  # a port of this machine may have a motor behind it
     document["limits"]["max_speed_rad_s"] = 4.5  # room for what an adapter adds to the stopping distance
     return document
 
@@ -103,6 +104,17 @@ def test_every_adapter_of_the_config_is_in_the_table() -> None:
         ("/dev/serial/by-id/usb-Arduino__www.arduino.cc__0043_7543-if00", "16u2"),
         ("/dev/ttyACM0", "16u2"),
         ("/dev/ttyS0", "none"),
+        ("/dev/ttyAMA10", "none"),
+        # what people call a link says nothing of what it leads to
+        ("/dev/arduino", "ftdi"),
+        ("/dev/ttysrig", "ftdi"),
+        ("/dev/ttyS", "ftdi"),
+        ("/dev/ttyACM-left", "ftdi"),
+        ("/dev/my-ttyACM0", "ftdi"),
+        ("/home/arduino/port", "ftdi"),
+        ("/tmp/usb-Arduino__www.arduino.cc__0043_7543-if00", "ftdi"),
+        ("/dev/serial/by-id/usb-Acme_for_Arduino-if00", "ftdi"),
+        ("/dev/serial/by-id/ttyACM0", "ftdi"),
         ("/dev/ttyUSB0", "ftdi"),
         ("COM3", "ftdi"),
     ],

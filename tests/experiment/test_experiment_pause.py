@@ -126,6 +126,14 @@ def test_a_device_that_latches_no_e_stop_is_watched(tmp_path: Path, monkeypatch:
     assert_ended_in_the_pause(rig("run", path, "--out", tmp_path / "runs", "--json"), "DEVICE_ESTOP")
 
 
+def test_a_power_cycle_of_a_block_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its status is off before and after; what it was told at the first arming is gone."""
+    devices = in_the_pause(monkeypatch, VirtualIoBlock.power_cycle)
+    path = short(tmp_path, "modbus-rtu.yaml", "emulated-virtual")
+    assert_ended_in_the_pause(rig("run", path, "--out", tmp_path / "runs", "--json"), "DEVICE_RESET")
+    assert not devices[0].truth().armed and devices[0].block.drive == 0.0
+
+
 def test_the_next_command_clears_it_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On one device, which no opening resets: pressed between two runs."""
     chips: list[VirtualChip] = []

@@ -258,7 +258,7 @@ class BlockOnStand:
         if isinstance(self._block, VirtualTcpBlock):
             self._block.reset(_BOOT_S if cause == _BROWN_OUT else 0.0)
         else:
-            self._block.block.power_off()
+            self._block.power_cycle()
 
     def contact(self, which: Contact, *, is_open: bool) -> None:
         """Open or close the e-stop, the only contact that the block has."""

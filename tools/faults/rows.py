@@ -413,17 +413,23 @@ TCP_IS_WHOLE = (
     "passed its check sum"
 )
 ELSEWHERE: dict[str, Any] = {"codes": (RUNS_ON,), "bound": RUNNING, "status": (0, 1)}
+LATE_OR_STALE: Changes = {
+    name: {
+        "codes": ("LINK_TIMEOUT", "LINK_REPLY"),
+        "either": "the last of three tries may hear the replies to those before it, and nothing else",
+    }
+    for name in ("tcp, pause", "tcp, arming")
+}
 IN_A_PAUSE = (
-    "A Modbus device gets all its settings each time that it is armed, and tells no time: while it is disarmed it has "
-    "nothing to lose"
+    "A Modbus device tells no time: that it was reset while it is disarmed shows in its settings, which are read back "
+    "before it is armed again"
 )
 ARMED_ANEW: Changes = {
-    "modbus, pause": {"codes": (RUNS_ON,), "bound": RUNNING},
+    "modbus, pause": {"codes": ("DEVICE_RESET",), "bound": STAYS, "either": ""},
     "modbus, arming": {
-        "codes": ("DEVICE_NOT_ARMED", RUNS_ON),
-        "bound": RUNNING,
-        "either": "it runs on where the block was not armed yet",
-        "status": (0, 1),
+        "codes": ("DEVICE_RESET", "MODBUS_EXCEPTION"),
+        "bound": STAYS,
+        "either": "a block that has lost its settings after they were read back refuses to be armed",
     },
     "tcp, pause": {"codes": ("LINK_LOST",), "bound": STAYS},
     "tcp, arming": {"codes": ("LINK_LOST",), "bound": STAYS, "either": "", "status": ()},
@@ -498,6 +504,7 @@ ROWS = (
         lambda stand: stand.device.lose_packet("host"),
         HEARD,
         ("LINK_TIMEOUT",),
+        other=LATE_OR_STALE,
         only=("tcp",),
         other=SENT_AGAIN,
         remark="of a period of 10 ms no network may lose one",
@@ -508,6 +515,7 @@ ROWS = (
         lambda stand: stand.device.lose_packet("device"),
         SILENCE,
         ("LINK_TIMEOUT",),
+        other=LATE_OR_STALE,
         only=("tcp",),
         other=SENT_AGAIN,
         remark="drives and stop arrive together, after the watchdog: they drive nothing",

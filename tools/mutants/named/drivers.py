@@ -205,8 +205,15 @@ SERIAL = of(
     (
         "a bridge that the config does not name is driven",
         "SerialDriver._check_bridge",
-        "(self._bridge is None and self._emulated)",
+        "(self._bridge is None and emulated)",
         "self._bridge is None",
+        _serial("test_a_bridge_that_is_not_the_configs"),
+    ),
+    (
+        "a board that does not say its bridge is driven",
+        "SerialDriver._check_bridge",
+        "(hello.bridge == 0 and emulated)",
+        "hello.bridge == 0",
         _serial("test_a_bridge_that_is_not_the_configs"),
     ),
     (
@@ -388,9 +395,16 @@ MODBUS = of(
     (
         "the status in a pause is not looked at",
         "ModbusDriver._check_pause",
-        'if self._map.status is not None and int(values["status"]) in (self._map.faults or {}):',
+        'if status is None or values["status"] == OFF:',
+        "if True:",
+        _modbus("test_whatever_a_device_says_in_a_pause_but_off_is_told"),
+    ),
+    (
+        "settings that are gone are written anew",
+        "ModbusDriver._check_settings",
+        "if stored != words:",
         "if False:",
-        _modbus("test_a_fault_in_a_pause_is_told"),
+        _modbus("test_a_power_cycle_in_a_pause_is_found_when_it_is_armed_again"),
     ),
     (
         "the drive's echo is not compared",
@@ -416,8 +430,8 @@ MODBUS = of(
     (
         "a stop is confirmed by nobody",
         "ModbusDriver._is_stopped",
-        "return not driven and not armed",
-        "return True",
+        "stopped = not driven and not self._is_armed_by(status)",
+        "stopped = True",
         _modbus("test_a_block_that_goes_on_driving_does_not_confirm_the_stop"),
     ),
     (

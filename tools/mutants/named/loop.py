@@ -244,6 +244,13 @@ PREFLIGHT = of(
         "    if False:\n",
         _preflight("test_each_rule_refuses_with_one_line_at_its_key"),
     ),
+    (
+        "a config of a real port that names no bridge passes",
+        "_bridge",
+        "    if e.drive.bridge is None:\n",
+        "    if False:\n",
+        _preflight("test_each_rule_refuses_with_one_line_at_its_key"),
+    ),
 )
 
 
