@@ -11,7 +11,7 @@ _MODBUS = ("tests/daq/test_daq_modbus.py",)
 _FILES = ("tests/recording/test_recording_recorder.py", "tests/recording/test_recording_failing_disk.py")
 
 ROOMS = (
-    Room("rig/control", 24, ("tests/control", "tests/loop")),
+    Room("rig/control", 24, ("tests/control", "tests/loop"), {"breakaway_one_way": _REPLAY}),
     Room(
         "rig/loop",
         12,
