@@ -393,8 +393,11 @@ def _unhurried(**changes: Any) -> Changes:
 
 # nothing is asked again in a tick, whatever is needed up to three times outside of one
 PATIENT = _unhurried(codes=(RUNS_ON,), bound=RUNNING)
-# a block without a register that would tell drives again with the next tick
-UNTOLD: Changes = {"bare": {"codes": (RUNS_ON,), "bound": RUNNING}}
+# a block that has lost its watchdog's time takes no drive
+RESET_BARE: Changes = {
+    "bare": {"codes": ("MODBUS_EXCEPTION",), "bound": SEEN},
+    "bare, rest": {"codes": ("DEVICE_RESET",), "bound": STAYS},
+}
 SENT_AGAIN: Changes = {
     **_unhurried(codes=(RUNS_ON,), bound=RUNNING),
     "modbus, arming": {
@@ -413,13 +416,6 @@ TCP_IS_WHOLE = (
     "passed its check sum"
 )
 ELSEWHERE: dict[str, Any] = {"codes": (RUNS_ON,), "bound": RUNNING, "status": (0, 1)}
-LATE_OR_STALE: Changes = {
-    name: {
-        "codes": ("LINK_TIMEOUT", "LINK_REPLY"),
-        "either": "the last of three tries may hear the replies to those before it, and nothing else",
-    }
-    for name in ("tcp, pause", "tcp, arming")
-}
 IN_A_PAUSE = (
     "A Modbus device tells no time: that it was reset while it is disarmed shows in its settings, which are read back "
     "before it is armed again"
@@ -504,7 +500,6 @@ ROWS = (
         lambda stand: stand.device.lose_packet("host"),
         HEARD,
         ("LINK_TIMEOUT",),
-        other=LATE_OR_STALE,
         only=("tcp",),
         other=SENT_AGAIN,
         remark="of a period of 10 ms no network may lose one",
@@ -515,7 +510,6 @@ ROWS = (
         lambda stand: stand.device.lose_packet("device"),
         SILENCE,
         ("LINK_TIMEOUT",),
-        other=LATE_OR_STALE,
         only=("tcp",),
         other=SENT_AGAIN,
         remark="drives and stop arrive together, after the watchdog: they drive nothing",
@@ -707,7 +701,7 @@ ROWS = (
         lambda stand: stand.device.reset(2),
         AT_ONCE,
         ("DEVICE_RESET",),
-        other={"fc23": {"codes": ("DEVICE_NOT_ARMED",)}, "tcp": {"codes": ("LINK_LOST",)}} | UNTOLD | ARMED_ANEW,
+        other={"fc23": {"codes": ("DEVICE_NOT_ARMED",)}, "tcp": {"codes": ("LINK_LOST",)}} | ARMED_ANEW | RESET_BARE,
         remark=IN_A_PAUSE,
     ),
     Row(
@@ -731,7 +725,7 @@ ROWS = (
         _brown_out,
         AT_ONCE,
         ("DEVICE_RESET",),
-        other=RESTARTS | UNTOLD | ARMED_ANEW,
+        other=RESTARTS | ARMED_ANEW | RESET_BARE,
         remark="while the chip starts it does not answer: LINK_TIMEOUT; the next run's meta.json names the cause. "
         + IN_A_PAUSE,
     ),
