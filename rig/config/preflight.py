@@ -331,8 +331,8 @@ def _unseen_travel(e: Experiment) -> Iterator[Problem]:
         yield wrong(
             "breakaway.max_V",
             f"{b.max_V:g} V is up to {top_rad_s:.3g} rad/s: with a stuck or uncoupled sensor the shaft could turn more "
-            f"than {UNSEEN_RAD:g} rad unseen, even by strokes of one period ({1e3 * e.period_s:g} ms), one of which lasts "
-            "until the device's watchdog ends it",
+            f"than {UNSEEN_RAD:g} rad unseen, even by strokes of one period ({1e3 * e.period_s:g} ms), one of which "
+            "lasts until the device's watchdog ends it",
             (f"at most {_floor(largest_V):g} volts, or " if largest_V > 0.0 else "")
             + "a shorter period_s, or a faster breakaway.ramp_V_s"
             + ("" if _own_watchdog_s(e) is None else ", or a shorter time-out of the device's output"),

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import ceil, log
 from typing import NamedTuple
 
@@ -166,7 +167,7 @@ def breakaway_strokes(e: Experiment, max_V: float | None = None) -> BreakawayStr
     best: BreakawayStrokes | None = None
     farthest_rad = 0.0
     for watchdog_s in _check_watchdogs_s(e):
-        for periods in range(max(int(_LONGEST_STROKE_S / e.period_s + _ROUNDING), 1), 0, -1):
+        for periods in _lengths(max(int(_LONGEST_STROKE_S / e.period_s + _ROUNDING), 1)):
             strokes = _strokes_up_to(periods, e, max_V, watchdog_s)
             if strokes is None:
                 continue
@@ -178,20 +179,27 @@ def breakaway_strokes(e: Experiment, max_V: float | None = None) -> BreakawayStr
     return best
 
 
+def _lengths(longest: int) -> Iterator[int]:
+    """Lengths to be tried, periods: each, or a fifth apart where they are many."""
+    periods = longest
+    while periods >= 1:
+        yield periods
+        periods = min(periods - 1, int(0.8 * periods) if periods > 10 else periods)
+
+
 def _moved_rad(e: Experiment, strokes: BreakawayStrokes, max_V: float) -> float:
     """What all strokes of one way together move a slow motor of much friction by, about, rad.
 
     From rest it speeds up evenly by K (u - f) / tau, and slows down by K f / tau after the stroke.
     """
     assert e.motor is not None
-    friction_V = 0.5 * max_V
-    levels_V = _levels_V(strokes.pairs, strokes.step_V, max_V)
+    levels = _levels(strokes.pairs, strokes.step_V, max_V)
     driven = sum(
-        (u_V - friction_V) * u_V / friction_V * stroke_s**2
-        for u_V, stroke_s in zip(levels_V, strokes.strokes_s, strict=True)
-        if u_V > friction_V
+        2.0 * (level - 0.5) * level * stroke_s**2
+        for level, stroke_s in zip(levels, strokes.strokes_s, strict=True)
+        if level > 0.5
     )
-    return 0.5 * e.motor.no_load_speed_rad_s / e.drive.supply_V / e.limits.coast_tau_s * driven
+    return 0.5 * e.motor.no_load_speed_rad_s * max_V / e.drive.supply_V / e.limits.coast_tau_s * driven
 
 
 def _check_watchdogs_s(e: Experiment) -> tuple[float, ...]:
@@ -217,8 +225,9 @@ def _check_watchdogs_s(e: Experiment) -> tuple[float, ...]:
     return tuple(times_s) or (e.daq.watchdog_s,)
 
 
-def _levels_V(pairs: int, step_V: float, max_V: float) -> list[float]:
-    return [min((k + 1) * step_V, max_V) for k in range(pairs)]
+def _levels(pairs: int, step_V: float, max_V: float) -> list[float]:
+    """Of the pairs, relative to max_V."""
+    return [min((k + 1) * step_V / max_V, 1.0) for k in range(pairs)]
 
 
 def _strokes_up_to(periods: int, e: Experiment, max_V: float, watchdog_s: float) -> BreakawayStrokes | None:
@@ -228,22 +237,23 @@ def _strokes_up_to(periods: int, e: Experiment, max_V: float, watchdog_s: float)
     if max_V > _MOST_PAIRS * step_V:
         return None  # it would take too long
     pairs = max(ceil(max_V / step_V - _ROUNDING), 1)
-    levels_V = _levels_V(pairs, step_V, max_V)
+    levels = _levels(pairs, step_V, max_V)
 
-    def shaped_s(level_s_V: float) -> tuple[float, ...]:
-        wanted = (int((level_s_V / u_V - watchdog_s) / e.period_s + _ROUNDING) for u_V in levels_V)
+    def shaped_s(top_s: float) -> tuple[float, ...]:
+        wanted = (int((top_s / level - watchdog_s) / e.period_s + _ROUNDING) for level in levels)
         return tuple(e.period_s * min(max(n, 1), periods) for n in wanted)
 
     def strokes(strokes_s: tuple[float, ...]) -> BreakawayStrokes:
-        unseen_rad = _unseen_rad(e, levels_V, strokes_s, watchdog_s)
+        unseen_rad = _unseen_rad(e, max_V, levels, strokes_s, watchdog_s)
         return BreakawayStrokes(strokes_s, (cycle - periods) * e.period_s, step_V, watchdog_s, unseen_rad)
 
-    low, high = 0.0, max_V * (periods * e.period_s + watchdog_s) * (1.0 + _ROUNDING)
-    longest, shortest = strokes(shaped_s(high)), strokes(shaped_s(low))
-    if shortest.unseen_rad > UNSEEN_RAD:
-        return None
+    low, high = 0.0, (periods * e.period_s + watchdog_s) * (1.0 + _ROUNDING)
+    longest = strokes(shaped_s(high))
     if longest.unseen_rad <= UNSEEN_RAD:
         return longest
+    shortest = strokes(shaped_s(low))
+    if not shortest.unseen_rad <= UNSEEN_RAD:
+        return None
     for _ in range(_FINEST):
         middle = 0.5 * (low + high)
         tried = strokes(shaped_s(middle))
@@ -254,26 +264,25 @@ def _strokes_up_to(periods: int, e: Experiment, max_V: float, watchdog_s: float)
     return shortest
 
 
-def _unseen_rad(e: Experiment, levels_V: list[float], strokes_s: tuple[float, ...], late_s: float) -> float:
+def _unseen_rad(e: Experiment, max_V: float, levels: list[float], strokes_s: tuple[float, ...], late_s: float) -> float:
     """The largest unseen travel of these strokes, one of which is longer by ``late_s``, for any friction, rad.
 
-    Lengthened strokes are taken back as well: beyond ``late_s`` in all the check ends, and so long a pair leaves is
-    added to what the others leave.
+    levels  of the pairs, relative to max_V
+    Lengthened strokes are taken back as well, and beyond ``late_s`` in all the check ends: what they leave is added.
     """
     assert e.motor is not None
-    supply_V, worst_rad = e.drive.supply_V, 0.0
+    worst_rad = 0.0
     for step in range(_FRICTION_STEPS):
-        friction_V = levels_V[-1] * step / _FRICTION_STEPS
-        low_V, high_V = friction_V * (1.0 - FRICTION_DIFFERS), friction_V * (1.0 + FRICTION_DIFFERS)
-        K_rad_s_V = e.motor.no_load_speed_rad_s / max(supply_V - friction_V, _ROUNDING)
-        left_V_s = 0.0
-        for u_V, stroke_s in zip(levels_V, strokes_s, strict=True):
-            if u_V <= low_V:
+        friction = step / _FRICTION_STEPS
+        low, high = friction * (1.0 - FRICTION_DIFFERS), friction * (1.0 + FRICTION_DIFFERS)
+        top_rad_s = e.motor.no_load_speed_rad_s / max(e.drive.supply_V / max_V - friction, _ROUNDING)
+        left_s = 0.0
+        for level, stroke_s in zip(levels, strokes_s, strict=True):
+            if level <= low:
                 continue
-            difference_V = min(u_V, high_V) - low_V
-            reach_V_s = (u_V - low_V) * (stroke_s + late_s) + difference_V * late_s
-            worst_rad = max(worst_rad, K_rad_s_V * (left_V_s + reach_V_s))
-            left_V_s += difference_V * stroke_s
+            difference = min(level, high) - low
+            worst_rad = max(worst_rad, top_rad_s * (left_s + (level - low) * (stroke_s + late_s) + difference * late_s))
+            left_s += difference * stroke_s
     return worst_rad
 
 

@@ -198,9 +198,10 @@ def _supply(recording: Recording) -> list[str]:
     if not isinstance(device, dict) or not isinstance(drive, dict):
         return []
     told = (device.get("supply_V"), drive.get("supply_V"), drive.get("bridge_drop_V"))
-    if not all(isinstance(value, int | float) and math.isfinite(value) for value in told):
+    numbers = [float(value) for value in told if isinstance(value, int | float) and math.isfinite(value)]
+    if len(numbers) < len(told):
         return []
-    measured_V, believed_V, drop_V = (float(value) for value in told)
+    measured_V, believed_V, drop_V = numbers
     if not 0.0 <= drop_V < believed_V:
         return []
     objection = SupplyReading(measured_V, device.get("supply_at_least") is True, believed_V, drop_V).objection
