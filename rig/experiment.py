@@ -14,9 +14,10 @@ from pathlib import Path
 from rig.bench import Bench, calibration_of, connect, drive_map_of, guard_settings_of, limits_of, real_time_of
 from rig.config import Experiment
 from rig.config.backend import is_emulated
-from rig.config.room_to_stop import breakaway_strokes, reach_rad
+from rig.config.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck, BreakawayLaw
+from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.homing import Homing
 from rig.control.hysteretic import HystereticRun
@@ -40,7 +41,7 @@ from rig.session import FADE_S, OnStart, Outcome, Session, record
 REST_S = 0.7
 RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
 HOMING_TIMEOUT_S = 40.0
-BREAKAWAY_LAW = "pairs"  # in meta.json, so that a replay knows which law ran
+BREAKAWAY_LAW = "balanced pairs"  # in meta.json, so that a replay knows which law ran
 START_REST_S = 0.5  # recorded before a hysteretic relay's first drive
 HYSTERETIC_SWITCHINGS = 6  # least squares takes the motion up to the first, the sampled-data estimator all of it
 HYSTERETIC_TIMEOUT_S = 10.0  # for each
@@ -143,16 +144,15 @@ def _named(script: str) -> dict[str, str | float]:
 
 def drive_tests(session: Session, check: BreakawayLaw | None = None) -> None:
     """All that drives in ``run`` and ``run_relay`` before anything is identified; ``check`` as ``check_breakaway``."""
-    with driving(session):
-        check_breakaway(session, check)
+    with _checked(session, check):
         test_relays(session)
         test_hysteretic(session)
 
 
 def drive_check(session: Session, check: BreakawayLaw | None = None) -> None:
     """The breakaway check alone; ``check`` as ``check_breakaway``."""
-    with driving(session):
-        check_breakaway(session, check)
+    with _prepared(session):
+        _armed_check(session, check)
 
 
 def drive_by_hand(session: Session, u_V: float, duration_s: float) -> None:
@@ -169,16 +169,40 @@ def drive_by_hand(session: Session, u_V: float, duration_s: float) -> None:
 @contextmanager
 def driving(session: Session) -> Iterator[None]:
     """The device armed for the block, and this process set up for real time where time is real."""
-    limits = limits_of(session.experiment)
+    with _prepared(session), session.loop.armed(limits_of(session.experiment)):
+        yield
+
+
+@contextmanager
+def _checked(session: Session, check: BreakawayLaw | None) -> Iterator[None]:
+    """As ``driving``, after the breakaway check, for which the device is armed with a watchdog of its own."""
+    with _prepared(session):
+        _armed_check(session, check)
+        with session.loop.armed(limits_of(session.experiment)):
+            yield
+
+
+def _armed_check(session: Session, check: BreakawayLaw | None) -> None:
+    """The breakaway check, armed: what a host that dies in a stroke leaves on is part of the bound on unseen travel."""
+    e = session.experiment
+    limits = limits_of(e)
+    strokes = None if e.motor is None or isinstance(check, OneWayCheck) else breakaway_strokes(e)
+    if strokes is not None:
+        limits = replace(limits, watchdog_s=strokes.watchdog_s)
+    with session.loop.armed(limits):
+        check_breakaway(session, check)
+
+
+@contextmanager
+def _prepared(session: Session) -> Iterator[None]:
+    """The block runs with this process set up for real time, where time is real."""
     if not isinstance(session.bench.clock, MonotonicClock):
         _tell_real_time(session, RealTime(["virtual time: lateness means nothing here"]))
-        with session.loop.armed(limits):
-            yield
+        yield
     else:
         with real_time(real_time_of(session.experiment)) as done:
             _tell_real_time(session, done)
-            with session.loop.armed(limits):
-                yield
+            yield
 
 
 def _tell_real_time(session: Session, done: RealTime) -> None:
@@ -201,7 +225,14 @@ def breakaway_check(e: Experiment) -> BreakawayCheck:
         )
     b = e.breakaway
     return BreakawayCheck(
-        strokes.step_V, b.max_V, b.motion_rad, b.rest_s, strokes.stroke_s, strokes.pause_s, e.period_s
+        strokes.step_V,
+        b.max_V,
+        b.motion_rad,
+        b.rest_s,
+        strokes.strokes_s,
+        strokes.pause_s,
+        e.period_s,
+        strokes.watchdog_s,
     )
 
 
@@ -223,6 +254,14 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
     guard.settings = guard_settings_of(e, check.noise_rad)
     guard.static_V = max(check.plus_V, check.minus_V)
     guard.sign_proven = True
+    differ = abs(check.plus_V - check.minus_V) / (check.plus_V + check.minus_V)
+    if differ > FRICTION_DIFFERS:
+        session.notes.append(
+            f"friction differs by {differ:.0%} from its mean between the ways (the shaft broke away at "
+            f"{check.plus_V:.2f} V and {check.minus_V:.2f} V): unseen travel in the breakaway check was bounded for at "
+            f"most {FRICTION_DIFFERS:.0%}; with a stuck or uncoupled sensor this shaft could turn farther than "
+            "`rig check` says: a lower breakaway.max_V keeps it shorter"
+        )
     session.note("breakaway", plus_V=check.plus_V, minus_V=check.minus_V, noise_rad=check.noise_rad)
 
 

@@ -93,7 +93,8 @@ FAULTS: dict[str, FaultEntry] = {
     # device, reported by the firmware
     "DEVICE_WATCHDOG": FaultEntry(
         "the device heard nothing from the host within its watchdog time and set 0 V",
-        "close programs that load the machine, or raise daq.watchdog_s within what `rig check` allows",
+        "close programs that load the machine, or raise daq.watchdog_s within what `rig check` allows; in the "
+        "breakaway check that time is shorter: `rig check` prints it",
     ),
     "DEVICE_TRAVEL": FaultEntry(
         "the device saw the position beyond the hard limit and set 0 V",
@@ -167,6 +168,11 @@ FAULTS: dict[str, FaultEntry] = {
         "prove the sensor before anything else: supply off, turn the shaft by hand, and see the reading of "
         "`rig jog --u-V 0` follow it (wiper, coupling). Then check the motor's supply, wires and bridge. Only where "
         "all that is well is friction higher than thought: then raise breakaway.max_V, by a fifth at a time",
+    ),
+    "LATE": FaultEntry(
+        "strokes of the breakaway check lasted longer than they may, since ticks came late",
+        "close programs that load the machine; `rig doctor CONFIG` shows how late its ticks come and what helps; then "
+        "start the run again",
     ),
     "DRIVE_STUCK_ON": FaultEntry(
         "the shaft moves although the drive is at 0 V",

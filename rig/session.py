@@ -27,6 +27,7 @@ from rig.identify import Identification, IdentifyError, identify
 from rig.loop.real_time import RealTime
 from rig.loop.runner import STOPPING, Loop
 from rig.loop.stop_request import StopRequest, stop_on_signals
+from rig.model.supply import SupplyReading
 from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
 from rig.recording.reader import read_run
@@ -153,6 +154,8 @@ def _begin(
     recorder = Recorder(folder, _stages(experiment))
     loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
     said = [since_the_last_run(code) for code in bench.info.acknowledged]
+    supply = _supply(experiment, bench).objection
+    said += [] if supply is None else [supply]
     return Session(experiment, folder, bench, recorder, loop, meta, notes=said), recorder
 
 
@@ -358,8 +361,13 @@ def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, 
             "build": bench.info.build,
             "reset_cause": bench.info.reset_cause,
             "clock_ratio": bench.info.clock_ratio,
-            **({} if math.isnan(bench.info.supply_V) else {"supply_V": bench.info.supply_V}),
+            **(
+                {}
+                if math.isnan(bench.info.supply_V)
+                else {"supply_V": bench.info.supply_V, "supply_at_least": bench.info.supply_at_least}
+            ),
         },
+        "drive": {"supply_V": experiment.drive.supply_V, "bridge_drop_V": experiment.drive.bridge_drop_V},
         "failsafe": "none: the device holds its last drive"
         if bench.driver.failsafe is None or watchdog_s is None
         else f"device watchdog, {watchdog_s * 1e3:.0f} ms",
@@ -369,6 +377,12 @@ def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, 
         "command": " ".join(sys.argv),
         "truth": _truth(bench),
     }
+
+
+def _supply(experiment: Experiment, bench: Bench) -> SupplyReading:
+    """The motor supply as the device measures it, against the config's."""
+    info, drive = bench.info, experiment.drive
+    return SupplyReading(info.supply_V, info.supply_at_least, drive.supply_V, drive.bridge_drop_V)
 
 
 def _stages(experiment: Experiment) -> list[str]:

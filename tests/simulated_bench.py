@@ -91,7 +91,14 @@ def simulated_bench(
 def breakaway_check() -> BreakawayCheck:
     """The check as config/demo.yaml has it."""
     return BreakawayCheck(
-        step_V=0.064, max_V=1.2, motion_rad=0.02, rest_s=0.4, stroke_s=0.04, pause_s=0.12, period_s=PERIOD_S
+        step_V=0.064,
+        max_V=1.2,
+        motion_rad=0.02,
+        rest_s=0.4,
+        strokes_s=[0.03] * 16 + [0.02, 0.02, 0.01],
+        pause_s=0.13,
+        period_s=PERIOD_S,
+        late_s=0.04,
     )
 
 

@@ -47,7 +47,7 @@ def _halted(e: config.Experiment, parent: Path) -> Outcome:
     script = f"sleep 9; {halt}; sleep 3; {halt}"
     helpers: list[subprocess.Popen[bytes]] = []
     try:
-        return experiment.run(e, parent, lambda folder: helpers.append(subprocess.Popen(["sh", "-c", script])))
+        return experiment.run(e, parent, lambda folder, said: helpers.append(subprocess.Popen(["sh", "-c", script])))
     finally:
         for helper in helpers:
             helper.wait()

@@ -4,6 +4,9 @@
 
 K and tau are those of the campaign's grid, friction is 0.05 to 1.0 V and differs by up to a tenth between the ways;
 breakaway.max_V is 2.4 times friction, reached in 3 s each way, as in config/demo.yaml.
+
+Each motor whose sensor is stuck runs again with one tick late, at the two worst places, by as much as the device's
+watchdog lets pass, and with a host that dies there.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ import math
 import random
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,13 +48,32 @@ class Trial(NamedTuple):
     experiment: config.Experiment
 
 
+class Stroke(NamedTuple):
+    """A stroke as it ran: its last tick; where the shaft stood before, rad; its way, +1 or -1; its largest drive, V."""
+
+    last_tick: int
+    from_rad: float
+    way: int
+    level_V: float
+
+
 class Seen(NamedTuple):
-    """How a check ended: the fault's code, or "moves"; its time, s; the farthest from the start, rad; the law."""
+    """How a check ended, and how far the shaft was from the start.
+
+    end         the fault's code, or "moves"
+    time_s      that it took
+    travel_rad  the farthest from the start
+    left_rad    where it stands at the end
+    law         the check
+    strokes     in order
+    """
 
     end: str
     time_s: float
     travel_rad: float
+    left_rad: float
     law: BreakawayLaw
+    strokes: tuple[Stroke, ...]
 
 
 def trials(motors: int, seed: int = 1) -> Iterator[Trial]:
@@ -79,25 +101,80 @@ def suited(demo: config.Experiment, no_load_speed_rad_s: float, friction_V: floa
     )
 
 
-def check(motor: Motor, law: BreakawayLaw, period_s: float, seed: int, *, stuck: bool) -> Seen:
-    """Run a breakaway law on a motor in virtual time, its potentiometer sound or ``stuck``."""
-    noise = random.Random(seed)
-    state, u_V, tick, low, high, end = State(), 0.0, 0, 0.0, 0.0, "moves"
+def check(
+    motor: Motor,
+    law: BreakawayLaw,
+    period_s: float,
+    seed: int,
+    *,
+    stuck: bool,
+    late: Mapping[int, float] | None = None,
+    watchdog_s: float = math.inf,
+) -> Seen:
+    """Run a breakaway law on a motor in virtual time, its potentiometer sound or ``stuck``.
+
+    late        tick, and by how much it comes late, s; the ticks after it come when they are due
+    watchdog_s  silence of the host after which the device sets 0 V, latched: the check ends with DEVICE_WATCHDOG
+    """
+    noise, late = random.Random(seed), late or {}
+    state, u_V, t_u_s, tick, low, high, end = State(), 0.0, math.nan, 0, 0.0, 0.0, "moves"
+    strokes: list[Stroke] = []
+
+    def advance(drive_V: float, time_s: float) -> None:
+        nonlocal state, low, high
+        state = motor.advance(state, drive_V, time_s)
+        low, high = min(low, state.y), max(high, state.y)
+
     try:
         while not law.finished:
             y_rad = (0.0 if stuck else state.y) + noise.gauss(0.0, NOISE_RAD)
             y_rad = math.floor(y_rad / LSB_RAD + 0.5) * LSB_RAD if not stuck else 0.0
-            t_s = tick * period_s
-            asked_V = law.step(Sample(t_s, y_rad, 512, math.nan, t_s, u_V, tick))
-            for drive_V, time_s in ((u_V, LATENCY_S), (asked_V, period_s - LATENCY_S)):
-                state = motor.advance(state, drive_V, time_s)
-                low, high = min(low, state.y), max(high, state.y)
-            u_V, tick = asked_V, tick + 1
+            t_s = tick * period_s + late.get(tick, 0.0)
+            asked_V = law.step(Sample(t_s, y_rad, 512, math.nan, t_u_s, u_V, tick))
+            if asked_V != 0.0 and u_V == 0.0:
+                strokes.append(Stroke(tick, state.y, 1 if asked_V > 0.0 else -1, 0.0))
+            if asked_V != 0.0:
+                strokes[-1] = strokes[-1]._replace(last_tick=tick, level_V=abs(asked_V))
+            tick += 1
+            while tick * period_s <= t_s:  # skipped, as the loop does
+                tick += 1
+            until_s = tick * period_s + late.get(tick, 0.0)
+            advance(u_V, LATENCY_S)
+            u_V, t_u_s = asked_V, t_s + LATENCY_S
+            silent = u_V != 0.0 and until_s - t_s >= watchdog_s
+            advance(u_V, min(until_s - t_s, watchdog_s if silent else math.inf) - (0.0 if silent else LATENCY_S))
+            if silent:
+                raise Fault("DEVICE_WATCHDOG")
     except Fault as fault:
         end = fault.code
-        y_rad = motor.advance(state, 0.0, 40.0 * motor.tau_s).y
-        low, high = min(low, y_rad), max(high, y_rad)
-    return Seen(end, tick * period_s, max(high, -low), law)
+        advance(0.0, 40.0 * motor.tau_s)
+    return Seen(end, tick * period_s, max(high, -low), state.y, law, tuple(strokes))
+
+
+def worst_places(motor: Motor, seen: Seen, late_s: float) -> list[int]:
+    """The ticks that end the two strokes which reach farthest if they last so much longer."""
+
+    def reach_rad(stroke: Stroke) -> float:
+        friction = motor.friction
+        friction_V = friction.static_plus_V if stroke.way > 0 else friction.static_minus_V
+        return abs(stroke.from_rad + stroke.way * motor.K_rad_s_V * max(stroke.level_V - friction_V, 0.0) * late_s)
+
+    farthest = sorted(seen.strokes, key=reach_rad, reverse=True)
+    return [stroke.last_tick + 1 for stroke in farthest[:2]]
+
+
+def with_late_tick(motor: Motor, e: config.Experiment, seed: int, seen: Seen) -> list[Seen]:
+    """The check of a stuck sensor, with one tick late by what the watchdog lets pass, and with a host that dies."""
+    strokes = breakaway_strokes(e)
+    assert strokes is not None
+    most_s = strokes.watchdog_s - e.period_s - 0.0001
+    return [
+        check(
+            motor, breakaway_check(e), e.period_s, seed, stuck=True, late={tick: late_s}, watchdog_s=strokes.watchdog_s
+        )
+        for tick in worst_places(motor, seen, most_s)
+        for late_s in (0.4 * e.period_s, 0.6 * e.period_s, most_s, 1.0)
+    ]
 
 
 def one_way(e: config.Experiment) -> OneWayCheck:
@@ -111,7 +188,7 @@ def main(motors: int) -> int:
     refused = 0
     for name in ("pairs", "one way, as older versions had it"):
         ends: Counter[str] = Counter()
-        unseen, over, times = [], [], []
+        unseen, late, over, times = [], [], [], []
         for number, (motor, e) in enumerate(trials(motors)):
             if breakaway_strokes(e) is None:
                 refused += name == "pairs"
@@ -120,6 +197,8 @@ def main(motors: int) -> int:
             stuck = check(motor, breakaway_check(e) if new else one_way(e), e.period_s, number, stuck=True)
             sound = check(motor, breakaway_check(e) if new else one_way(e), e.period_s, number, stuck=False)
             unseen.append(stuck.travel_rad)
+            if new:
+                late.append(max(run.travel_rad for run in with_late_tick(motor, e, number, stuck)))
             ends[sound.end] += 1
             if sound.end == "moves":
                 times.append(sound.time_s)
@@ -129,6 +208,12 @@ def main(motors: int) -> int:
         print(f"{name}: {motors} motors, {refused} configs refused")
         print(f"  sensor stuck: turned at most {worst:.3f} rad unseen, median {np.median(unseen):.3f} rad;", end=" ")
         print(f"more than {UNSEEN_RAD:g} rad: {sum(x > UNSEEN_RAD for x in unseen)}")
+        if late:
+            print(f"  and a tick late, or a host that dies, at the worst place: at most {max(late):.3f} rad,", end=" ")
+            print(
+                f"median {np.median(late):.3f} rad; more than {UNSEEN_RAD:g} rad: {sum(x > UNSEEN_RAD for x in late)}"
+            )
+            worst = max(worst, *late)
         print(f"  sensor sound: {', '.join(f'{end} {count}' for end, count in ends.items())};", end=" ")
         print(f"levels above static friction by {1e3 * np.median(over):.0f} mV (median),", end=" ")
         print(f"{1e3 * np.quantile(over, 0.9):.0f} mV (90 %); {np.median(times):.1f} s (median)")

@@ -10,7 +10,9 @@ from rig.config.link_budget import block_sum, link_budget, link_sum, sample_to_d
 from rig.config.modbus_rules import modbus_notes
 from rig.config.problems import bracketed
 from rig.config.room_to_stop import (
+    FRICTION_DIFFERS,
     breakaway_strokes,
+    device_watchdog_s,
     overshoot_terms,
     peak_speed_rad_s,
     room_rad,
@@ -80,6 +82,17 @@ def _adapter(e: Experiment) -> Iterator[str]:
         )
 
 
+def _check_ends_by(watchdog_s: float, e: Experiment) -> str:
+    """What ends a stroke of the breakaway check when the host has died, in words."""
+    time = f"{1e3 * watchdog_s:.3g} ms"
+    if device_watchdog_s(e) is None or (is_plug_in(e) and e.daq.accept_no_watchdog):
+        return f"a tick that comes {time} late, not a host that dies: without a watchdog nothing bounds that"
+    modbus = e.daq.modbus
+    if modbus is not None and modbus.registers.watchdog is None:
+        return f"a host that dies in a stroke: the device's own watchdog ends it after {time}"
+    return f"a host that dies in a stroke: for this check the device's watchdog is armed with {time}"
+
+
 def _stage_lines(e: Experiment) -> Iterator[str]:
     """The stages with the longest times to expect."""
     b, r = e.breakaway, e.relay
@@ -87,10 +100,16 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
     total_s = breakaway_s
     strokes = None if e.motor is None else breakaway_strokes(e)
     if strokes is not None:
+        longest, shortest = (1e3 * f(strokes.strokes_s) for f in (max, min))
+        lengths = f"{longest:.3g} ms" if longest == shortest else f"{longest:.3g} to {shortest:.3g} ms"
         yield (
-            f"stage breakaway: strokes of {1e3 * strokes.stroke_s:.3g} ms to and fro, {1e3 * strokes.step_V:.3g} mV "
-            f"stronger each time, up to {b.max_V:g} V; at most about {breakaway_s:.0f} s; with a stuck or uncoupled "
-            f"sensor the shaft turns at most {strokes.unseen_rad:.2f} rad"
+            f"stage breakaway: strokes of {lengths} to and fro, {1e3 * strokes.step_V:.3g} mV "
+            f"stronger each time, up to {b.max_V:g} V; at most about {breakaway_s:.0f} s"
+        )
+        yield (
+            f"stage breakaway, with a stuck or uncoupled sensor: the shaft turns at most {strokes.unseen_rad:.2f} rad, "
+            f"if friction differs by at most {FRICTION_DIFFERS:.0%} from its mean between the ways and "
+            f"motor.no_load_speed_rad_s is true; that counts {_check_ends_by(strokes.watchdog_s, e)}"
         )
     if r.target is not None:
         amplitudes = r.target.amplitude_rad, r.target.amplitude_rad * r.second_ratio

@@ -346,9 +346,11 @@ def _unseen_travel(e: Experiment) -> Iterator[Problem]:
         yield wrong(
             "breakaway.max_V",
             f"{b.max_V:g} V is up to {top_rad_s:.3g} rad/s: with a stuck or uncoupled sensor the shaft could turn more "
-            f"than {UNSEEN_RAD:g} rad unseen, even by strokes of one period ({1e3 * e.period_s:g} ms)",
+            f"than {UNSEEN_RAD:g} rad unseen, even by strokes of one period ({1e3 * e.period_s:g} ms), one of which "
+            "lasts until the device's watchdog ends it",
             (f"at most {_floor(largest_V):g} volts, or " if largest_V > 0.0 else "")
-            + "a shorter period_s, or a faster breakaway.ramp_V_s",
+            + "a shorter period_s, or a faster breakaway.ramp_V_s"
+            + ("" if _own_watchdog_s(e) is None else ", or a shorter time-out of the device's output"),
         )
     elif strokes.pairs < _FEWEST_PAIRS:
         slower = b.ramp_V_s * (b.max_V / _FEWEST_PAIRS) / strokes.step_V
@@ -358,6 +360,11 @@ def _unseen_travel(e: Experiment) -> Iterator[Problem]:
             "static friction",
             f"at most {_floor(0.75 * slower):g} V/s",
         )
+
+
+def _own_watchdog_s(e: Experiment) -> float | None:
+    """The device's own watchdog, which no register sets, s; None where it has none, or where arming sets it."""
+    return None if e.daq.modbus is None or e.daq.modbus.registers.watchdog else e.daq.modbus.device_watchdog_s
 
 
 def _largest(fits: Callable[[float], bool], below: float) -> float:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from statistics import fmean
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 from rig.faults import Fault
 from rig.signals import Sample
+
+_LEFT_OVER = 0.55  # periods: just more than a stroke back can differ by from one whose length lies between two of them
 
 
 class BreakawayLaw(Protocol):
@@ -78,6 +81,14 @@ class RestingCheck:
         return drift > max(0.25 * self.motion_rad, 4.0 * self.noise_rad * math.sqrt(2.0 / half))
 
 
+class _Stroke(NamedTuple):
+    """A stroke that a pair still needs: its way, +1 or -1; how long, s; whether it takes back another."""
+
+    way: int
+    length_s: float
+    takes_back: bool
+
+
 class BreakawayCheck(RestingCheck):
     """Strokes to and fro, pair by pair stronger, until both ways have moved the shaft.
 
@@ -86,19 +97,24 @@ class BreakawayCheck(RestingCheck):
     between the ways. Both ways go on until both are seen, so that this holds whenever the sensor fails.
     ``rig.config.room_to_stop`` has the bound on it, and chooses the strokes.
 
+    A tick that comes late makes its stroke longer. The stroke back is as long as that one really was, by the times
+    at which the drive acted; where the stroke back itself was longer, one more each way makes them equal again. In
+    all the strokes may be longer than meant by ``late_s``.
+
     step_V      by how much the level rises from pair to pair; within a stroke it rises from the last pair's to its own
     max_V       largest level; Fault NO_MOTION where a pair of it has not moved the shaft both ways
     motion_rad  displacement, gathered over the strokes of one way, that counts as motion
     rest_s      rest before and after; the first one measures the sensor's noise
-    stroke_s    length of a stroke, one period at least
-    pause_s     of the pause after it, four periods at least; it lasts longer where the shaft still coasts
+    strokes_s   lengths, one period at least: that of each pair, the weakest first; the last one's for all beyond
+    pause_s     after each stroke, four periods at least; it lasts longer where the shaft still coasts
     period_s    of the loop
+    late_s      by how much strokes may be longer than meant, together; what is less than half a period is not counted
 
     Results, once finished: ``plus_V`` and ``minus_V`` (> 0), each the middle between the last level at which no motion
     was to be seen and the next one, and ``noise_rad``, the sensor's standard deviation at rest. Both may lie above
     static friction by what the level gains until the motion leaves the noise; identification corrects that.
 
-    Raises Fault: DRIVE_STUCK_ON (moves at 0 V), SENSOR_NOISY, NO_MOTION, POLARITY (moves against the drive).
+    Raises Fault: DRIVE_STUCK_ON (moves at 0 V), SENSOR_NOISY, NO_MOTION, POLARITY (moves against the drive), LATE.
     """
 
     def __init__(
@@ -107,22 +123,30 @@ class BreakawayCheck(RestingCheck):
         max_V: float,
         motion_rad: float,
         rest_s: float,
-        stroke_s: float,
+        strokes_s: Sequence[float],
         pause_s: float,
         period_s: float,
+        late_s: float,
     ) -> None:
         super().__init__(motion_rad, rest_s)
         self.max_V = max_V
         self._step_V = step_V
-        self._stroke_s = stroke_s
+        self._strokes_s = tuple(strokes_s)
         self._pause_s = pause_s
         self._period_s = period_s
+        self._late_s = late_s
         self._phase: Literal["first rest", "stroke", "pause", "last rest"] = "first rest"
         self._since_s = math.nan  # start of the phase
         self._pair = 0
         self._level_V = 0.0
         self._way = 0  # of the stroke, +1 or -1
-        self._next: list[int] = []  # ways of the strokes that this pair still has
+        self._meant_s = 0.0  # its length
+        self._begun_s = self._ended_s = math.nan  # when it began and ended to act, by the samples' times
+        self._asked_s = (math.nan, math.nan)  # the same, by the samples at which it was asked for
+        self._has_times = False  # samples tell when the drive acts
+        self._needed: list[_Stroke] = []  # by the pair, the one that runs first
+        self._ahead_s = 0.0  # by how much longer those towards rising positions have acted than those that took it back
+        self._longer_s = 0.0  # by how much all together were longer, or shorter, than meant
         self._before_rad = 0.0  # where it stood before the stroke
         self._pause_y: list[float] = []
         self._along = {1: 0.0, -1: 0.0}  # displacement gathered along the strokes of each way, rad
@@ -135,9 +159,10 @@ class BreakawayCheck(RestingCheck):
         if math.isnan(self._since_s):
             self._since_s = sample.t_s
         elapsed_s = sample.t_s - self._since_s
+        self._watch_drive(sample)
         if self._phase == "stroke":
             # ticks come a little early, or late: half a period either way is the same tick
-            if elapsed_s < self._stroke_s - 0.5 * self._period_s:
+            if elapsed_s < self._meant_s - 0.5 * self._period_s:
                 return self._stroke_V(elapsed_s)
             self._begin("pause", sample)
             return 0.0
@@ -149,30 +174,59 @@ class BreakawayCheck(RestingCheck):
         if self._phase == "last rest":
             self.finished = True
             return 0.0
-        return self._begin_stroke(sample, stood_rad)
+        return self._next_stroke(sample, stood_rad)
 
     def _begin(self, phase: Literal["stroke", "pause", "last rest"], sample: Sample) -> None:
+        if phase == "pause":
+            self._asked_s = (self._since_s, sample.t_s)
         self._phase = phase
         self._since_s = sample.t_s
         self._pause_y = []
 
-    def _begin_stroke(self, sample: Sample, from_rad: float) -> float:
-        """Begin the other stroke of the pair, or the first one of a stronger pair; its drive, V."""
-        if not self._next:
+    def _watch_drive(self, sample: Sample) -> None:
+        """When the stroke's drive began and ended to act: one that was lost, or written late, acts otherwise."""
+        if self._phase not in ("stroke", "pause") or math.isnan(sample.t_u_s):
+            return
+        self._has_times = True
+        if sample.u_V * self._way > 0.0:
+            if math.isnan(self._begun_s):
+                self._begun_s = sample.t_u_s
+            self._ended_s = math.nan
+        elif sample.u_V == 0.0 and not math.isnan(self._begun_s) and math.isnan(self._ended_s):
+            self._ended_s = sample.t_u_s
+
+    def _acted_s(self) -> float:
+        """How long the stroke has acted, s; as long as it was asked for where no times tell."""
+        if self._has_times and math.isnan(self._begun_s):
+            return 0.0
+        if math.isnan(self._begun_s) or math.isnan(self._ended_s):
+            return self._asked_s[1] - self._asked_s[0]
+        return self._ended_s - self._begun_s
+
+    def _next_stroke(self, sample: Sample, from_rad: float) -> float:
+        """Begin the next stroke of the pair, or the first one of a stronger pair; its drive, V."""
+        if not self._needed:
             if self._level_V >= self.max_V:
                 missing = [word for way, word in ((1, "rising"), (-1, "falling")) if way not in self._found_V]
                 raise Fault("NO_MOTION", f"up to {self.max_V:.2f} V towards {' and '.join(missing)} positions")
             self._pair += 1
             self._level_V = min(self._pair * self._step_V, self.max_V)
-            self._next = [1, -1] if self._pair % 2 else [-1, 1]
-        self._way = self._next.pop(0)
+            stroke_s = self._strokes_s[min(self._pair, len(self._strokes_s)) - 1]
+            self._needed = [_Stroke(1 if self._pair % 2 else -1, stroke_s, takes_back=False)]
+        stroke = self._needed[0]
+        self._way = stroke.way
+        # in whole periods; once what that leaves over is more than half a one, it is taken back, too
+        ahead_s = self._ahead_s if stroke.takes_back and abs(self._ahead_s) > _LEFT_OVER * self._period_s else 0.0
+        self._meant_s = max(round((stroke.length_s - self._way * ahead_s) / self._period_s), 1) * self._period_s
+        self._begun_s = self._ended_s = math.nan
         self._before_rad = from_rad
         self._begin("stroke", sample)
         return self._stroke_V(0.0)
 
     def _stroke_V(self, elapsed_s: float) -> float:
         """Drive within a stroke, V: it ends at the pair's level."""
-        ticks, tick = round(self._stroke_s / self._period_s), round(elapsed_s / self._period_s)
+        stroke_s = self._strokes_s[min(self._pair, len(self._strokes_s)) - 1]
+        ticks, tick = round(stroke_s / self._period_s), round(elapsed_s / self._period_s)
         before_V = (self._pair - 1) * self._step_V
         return self._way * min(before_V + self._step_V * min((tick + 1) / ticks, 1.0), self.max_V)
 
@@ -189,11 +243,35 @@ class BreakawayCheck(RestingCheck):
             return 0.0
         stood_rad = fmean(still)
         self._judge(stood_rad, len(still))
-        if not self._next and len(self._found_V) == 2:
+        self._balance()
+        if not self._needed and len(self._found_V) == 2:
             self.plus_V, self.minus_V = self._found_V[1], self._found_V[-1]
             self._begin("last rest", sample)
             return 0.0
-        return self._begin_stroke(sample, stood_rad)
+        return self._next_stroke(sample, stood_rad)
+
+    def _balance(self) -> None:
+        """What the pair still needs after this stroke, by how long it really was. Raises Fault LATE."""
+        acted_s, stroke = self._acted_s(), self._needed.pop(0)
+        way, error_s = stroke.way, acted_s - self._meant_s
+        as_meant = abs(error_s) <= 0.5 * self._period_s
+        if not as_meant:
+            self._longer_s += abs(error_s)
+            if self._longer_s > self._late_s:
+                raise Fault(
+                    "LATE",
+                    f"a stroke of {way * self._level_V:+.2f} V that was to last {1e3 * self._meant_s:.0f} ms lasted "
+                    f"{1e3 * acted_s:.0f} ms; together they may be off by {1e3 * self._late_s:.0f} ms",
+                )
+        if acted_s < 0.5 * self._period_s:
+            self._needed.insert(0, stroke)  # it never reached the motor
+        elif not stroke.takes_back:
+            self._needed.append(_Stroke(-way, acted_s, takes_back=True))
+        elif as_meant:
+            self._ahead_s += way * (acted_s - stroke.length_s)
+        else:
+            # it took back another than it was to: each of the two gets its like
+            self._needed[:0] = [_Stroke(-way, acted_s, takes_back=True), stroke]
 
     def _judge(self, stood_rad: float, samples: int) -> None:
         """Add what the stroke has moved to what those before it the same way have.

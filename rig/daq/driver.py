@@ -26,6 +26,7 @@ class DeviceInfo:
     clock_ratio  device seconds for one second of the host; fixed for the run
     round_trip_s fastest exchange seen while opening, s; nan where it means nothing
     supply_V     motor supply as the device measures it, V; nan where it does not
+    supply_at_least  that reading is at its end: the supply is so much or more
     drive_units  of the drive at full duty: the u_V of a sample is a whole number of them; None: it has no such steps
     acknowledged codes of the faults that the device had latched before it was opened, and that opening it has cleared
     """
@@ -37,6 +38,7 @@ class DeviceInfo:
     clock_ratio: float = 1.0
     round_trip_s: float = math.nan
     supply_V: float = math.nan
+    supply_at_least: bool = False
     drive_units: int | None = None
     acknowledged: tuple[str, ...] = ()
 

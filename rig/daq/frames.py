@@ -31,6 +31,7 @@ STATUS_RELAY = 8  # the relay in the device drives
 FEATURE_TACHOMETER = 1
 FEATURE_SUPPLY = 2
 SUPPLY_UNIT_V = 20.0 / 255.0  # of the motor supply in HELLO
+SUPPLY_FULL = 255  # the largest reading: so much or more
 
 RESET_CAUSES = {1: "power-on", 2: "external", 4: "brown-out", 8: "watchdog"}
 BOARDS = {1: "host", 2: "uno"}

@@ -205,6 +205,7 @@ class SerialDriver:
             self._clock = fit_device_clock(exchanges, _REQUEST_SHARE)
         except ValueError as error:
             raise Fault("DEVICE_RESET", f"while its clock was measured: {error}") from error
+        supply_V, supply_at_least = self._measured_supply_V(hello)
         board = frames.BOARDS.get(hello.board, f"number {hello.board}")
         emulated = self._emulated or hello.board in frames.EMULATED_BOARDS
         self.backend = f"{self._name} ({'emulated ' if emulated else ''}{board} board, build {hello.build_text})"
@@ -215,7 +216,8 @@ class SerialDriver:
             emulated=emulated,
             clock_ratio=self._clock.ratio,
             round_trip_s=min(e.received_s - e.sent_s for e in exchanges),
-            supply_V=self._measured_supply_V(hello),
+            supply_V=supply_V,
+            supply_at_least=supply_at_least,
             drive_units=hello.drive_full,
             acknowledged=acknowledged,
         )
@@ -578,19 +580,24 @@ class SerialDriver:
                 return packet.kind == Kind.ACK_REPLY
         raise self._timeout(Kind.ACK)
 
-    def _measured_supply_V(self, hello: Hello) -> float:
-        """The motor supply as the device measures it now, not in its first millisecond; nan if it does not."""
+    def _measured_supply_V(self, hello: Hello) -> tuple[float, bool]:
+        """The motor supply as the device measures it now, not in its first millisecond; and whether it may be more.
+
+        nan if it does not. A little off is for the run to say: it ends nothing.
+        """
         if not hello.features & frames.FEATURE_SUPPLY:
-            return math.nan
+            return math.nan, False
         now = Hello.unpack(self._request(Kind.HELLO, b"", Kind.HELLO_REPLY).body)
         measured_V, believed_V = frames.SUPPLY_UNIT_V * now.supply, self.drive_map.supply_V
-        if abs(measured_V - believed_V) > _SUPPLY_TOLERANCE * believed_V:
+        at_least = now.supply >= frames.SUPPLY_FULL
+        off_V = measured_V - believed_V
+        if (max(off_V, 0.0) if at_least else abs(off_V)) > _SUPPLY_TOLERANCE * believed_V:
             raise Fault(
                 "CONFIG_MISMATCH",
-                f"the device measures a motor supply of {measured_V:.1f} V, drive.supply_V is {believed_V:g} V: "
-                "switch it on, or correct the config",
+                f"the device measures a motor supply of {'at least ' if at_least else ''}{measured_V:.1f} V, "
+                f"drive.supply_V is {believed_V:g} V: switch it on, or correct the config",
             )
-        return measured_V
+        return measured_V, at_least
 
     def _time_exchanges(self) -> list[TimedExchange]:
         """Ask for the device's time again and again, for a second, or up to three over a slow link or USB.

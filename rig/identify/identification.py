@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -18,6 +19,7 @@ from rig.identify.mean_cycle import Cycle
 from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.record import IdentifyError, Record, from_recording
 from rig.identify.verdict import FEW_CYCLES
+from rig.model.supply import SupplyReading
 from rig.recording.reader import Recording
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 
@@ -92,8 +94,10 @@ def identify(
     periods_s: dict[int, float] = {}  # index of a record -> period of its cycle
     complaints: list[IdentifyError] = []
     of_recordings: list[tuple[str, list[Record]]] = []
+    supplies: list[str] = []
     for recording in recordings:
         guarded += _guarded(recording)
+        supplies += [said for said in _supply(recording) if said not in supplies]
         relay_tests, runs = _records(recording, len(recordings) > 1, found.notes)
         if least_squares.METHOD in (methods or ()) and not recording.stages():
             runs = relay_tests
@@ -162,6 +166,8 @@ def identify(
     odd = disagreement(opinions(of_recordings)) if several else None
     if odd is not None:
         found.estimates = {method: e.judged("doubtful", odd) for method, e in found.estimates.items()}
+    for wrong in supplies:
+        found.estimates = {method: e.judged("doubtful", wrong) for method, e in found.estimates.items()}
     shown = _add_breakaway(recordings, found)
     if ladder:
         _add_friction_law(records, [periods_s.get(k) for k in range(len(records))], shown, found)
@@ -181,6 +187,25 @@ def _guarded(recording: Recording) -> list[str]:
                     "record again with a smaller amplitude or wider limits"
                 )
     return said
+
+
+def _supply(recording: Recording) -> list[str]:
+    """What a motor supply that is not the config's speaks against, from meta.json; nothing where that does not tell.
+
+    A plain file and a run of an older version do not.
+    """
+    device, drive = recording.meta.get("firmware"), recording.meta.get("drive")
+    if not isinstance(device, dict) or not isinstance(drive, dict):
+        return []
+    told = (device.get("supply_V"), drive.get("supply_V"), drive.get("bridge_drop_V"))
+    numbers = [float(value) for value in told if isinstance(value, int | float) and math.isfinite(value)]
+    if len(numbers) < len(told):
+        return []
+    measured_V, believed_V, drop_V = numbers
+    if not 0.0 <= drop_V < believed_V:
+        return []
+    objection = SupplyReading(measured_V, device.get("supply_at_least") is True, believed_V, drop_V).objection
+    return [] if objection is None else [objection]
 
 
 def _records(recording: Recording, several: bool, notes: list[str]) -> tuple[list[Record], list[Record]]:

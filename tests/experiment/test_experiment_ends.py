@@ -137,6 +137,52 @@ def test_what_the_device_had_latched_since_the_last_run_is_said(
     assert notes[0] == "e-stop pressed since the last run: the device had latched DEVICE_ESTOP"
 
 
+@pytest.mark.parametrize(
+    ("measured_V", "at_least", "said"),
+    [
+        (13.0, False, "a motor supply of 13.0 V, drive.supply_V is 12 V: K is 8 % too large then, and f_c too small"),
+        (11.0, False, "a motor supply of 11.0 V, drive.supply_V is 12 V: K is 8 % too small then, and f_c too large"),
+        (13.0, True, "at least 13.0 V, drive.supply_V is 12 V: K is at least 8 % too large"),
+        (12.4, False, ""),
+        (11.0, True, ""),
+    ],
+)
+def test_a_supply_that_is_a_little_off_is_said_and_makes_the_estimates_doubtful(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, measured_V: float, at_least: bool, said: str
+) -> None:
+    original = session.connect
+
+    @contextmanager
+    def measuring(experiment: Experiment) -> Iterator[Bench]:
+        with original(experiment) as bench:
+            yield replace(bench, info=replace(bench.info, supply_V=measured_V, supply_at_least=at_least))
+
+    monkeypatch.setattr(session, "connect", measuring)
+    result = rig("relay", quick(tmp_path), "--out", tmp_path / "runs", "--json")
+    outcome = json.loads(result.stdout)
+    estimate = outcome["estimates"]["sampled-data"]
+    page = (Path(outcome["folder"]) / "report.html").read_text(encoding="utf-8")
+    again = json.loads(rig("identify", outcome["folder"], "--json").stdout)["estimates"]["sampled-data"]
+    for heard in (result.stderr, *outcome["notes"][:1], page):
+        assert ("measures a motor supply" in heard) is bool(said)
+    assert any(said in note and "set drive.supply_V" in note for note in outcome["notes"]) is bool(said)
+    for judged in (estimate, again):
+        assert any("measures a motor supply" in reason and said in reason for reason in judged["reasons"]) is bool(said)
+        assert judged["verdict"] == "doubtful" or not said
+
+
+@pytest.mark.parametrize(("plus_V", "differs"), [(0.8, True), (0.54, False)])
+def test_friction_that_differs_by_more_than_the_bound_reckons_with_is_said(
+    tmp_path: Path, plus_V: float, differs: bool
+) -> None:
+    path = quick(tmp_path)
+    text = yaml.safe_load(path.read_text(encoding="utf-8"))
+    text["emulated"]["motor"]["fs_plus_V"] = plus_V
+    path.write_text(yaml.safe_dump(text), encoding="utf-8")
+    notes = json.loads(rig("relay", path, "--out", tmp_path / "runs", "--json").stdout)["notes"]
+    assert any("unseen travel in the breakaway check was bounded for at most 10%" in n for n in notes) is differs
+
+
 def test_a_run_cut_off_before_a_settled_cycle_gives_no_number_as_ok(tmp_path: Path) -> None:
     outcome = json.loads(rig("relay", quick(tmp_path), "--out", tmp_path / "runs", "--json").stdout)
     folder = Path(outcome["folder"])

@@ -172,6 +172,15 @@ def test_the_motor_supply_where_it_is_wired() -> None:
     assert caught.value.code == "CONFIG_MISMATCH"
 
 
+def test_a_motor_supply_at_the_end_of_its_reading_may_be_more() -> None:
+    """20 V are full scale: of 24 V nothing more can be said."""
+    board = VirtualChip(replace(QUIET, supply_V=24.0), options=WIRED)
+    told = SerialDriver(board, CALIBRATION, DriveMap(24.0), RAILS, emulated=True).open()
+    assert told.supply_V == pytest.approx(20.0) and told.supply_at_least
+    with pytest.raises(Fault, match=r"at least 20\.0 V, drive\.supply_V is 12 V"):
+        driver_on(VirtualChip(replace(QUIET, supply_V=24.0), options=WIRED)).open()
+
+
 class Booting:
     """A port whose opening resets the chip, as an Uno's does: the boot loader is silent, or says what nobody asked."""
 

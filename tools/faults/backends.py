@@ -129,7 +129,7 @@ class Backend:
             hardware=self.hardware_s,
             cycle=cycle_s,
             check=_LOOKS_APART * experiment.period_s,
-            ramp=2.0 * strokes.pairs * (strokes.stroke_s + strokes.pause_s),
+            ramp=2.0 * sum(stroke_s + strokes.pause_s for stroke_s in strokes.strokes_s),
             window=1.5 * WINDOW_S,
             fling=_fling_s(experiment),
             reversal=_reversal_s(experiment, cycle_s),
