@@ -217,16 +217,16 @@ ROOM = of(
     ),
     (
         "unseen travel in the breakaway check has no bound",
-        "breakaway_strokes",
-        "if unseen_rad <= UNSEEN_RAD:",
-        "if unseen_rad <= 10.0 * UNSEEN_RAD:",
-        _breakaway("test_with_a_sensor_that_sticks_the_shaft_turns_less_than_half_a_radian"),
+        "_strokes_up_to",
+        "if longest.unseen_rad <= UNSEEN_RAD:",
+        "if longest.unseen_rad <= 10.0 * UNSEEN_RAD:",
+        _breakaway("test_the_bound_holds_for_any_inertia_and_friction_that_differs_by_a_tenth"),
     ),
     (
         "friction that differs between the ways is not counted",
-        "breakaway_strokes",
-        "(drift * p * (1.0 - p) + 1.0 - p * (1.0 - FRICTION_DIFFERS))",
-        "(1.0 - p * (1.0 - FRICTION_DIFFERS))",
+        "_unseen_rad",
+        "left_s += difference * stroke_s",
+        "left_s += 0.0",
         _breakaway("test_the_bound_holds_for_any_inertia_and_friction_that_differs_by_a_tenth"),
     ),
 )
