@@ -104,7 +104,8 @@ def breakaway_check() -> BreakawayCheck:
 
 def break_away(loop: Loop) -> BreakawayCheck:
     """The breakaway check inside ``armed``; the guard knows of it then, as in a run."""
-    check = breakaway_check()
+    # longer strokes than the bound on unseen travel allows: for motors stiffer than the demo's, too
+    check = BreakawayCheck(0.064, 1.2, 0.02, 0.4, [0.04], 0.12, PERIOD_S, late_s=0.04)
     loop.run(check, "breakaway")
     loop.guard.sign_proven = True
     loop.guard.static_V = max(check.plus_V, check.minus_V)

@@ -246,7 +246,7 @@ def test_the_guards_part_in_a_cycle_is_said_and_nothing_of_it_is_ok(tmp_path: Pa
     config = yaml.safe_load(quick(tmp_path).read_text(encoding="utf-8"))
     config["relay"] = {"gains": [{"h1_V": 0.45, "h2_V": 0.95}], "cycles": 6}
     config["daq"]["timeout_s"] = 0.08
-    config["limits"] |= {"max_speed_rad_s": 4.3}
+    config["limits"] |= {"max_speed_rad_s": 4.1}
     (tmp_path / "tight.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
     result = rig("relay", tmp_path / "tight.yaml", "--out", tmp_path / "runs", "--json")
     outcome = json.loads(result.stdout)

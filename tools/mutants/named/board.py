@@ -112,7 +112,7 @@ MAIN = of(
         "position",
         "in_tick ? adc_tick_sample() : adc_newest_sample()",
         "adc_newest_sample()",
-        _tick("test_a_blocks_one_delay_is_true_of_all_its_rows"),
+        _tick("test_a_tick_that_takes_too_long_is_never_entered_again"),
     ),
     (
         "the host's voice counts from when the main loop came to it",

@@ -233,16 +233,16 @@ BREAKAWAY = of(
     ),
     (
         "strokes are not taken back",
-        "BreakawayCheck._begin_stroke",
-        "self._next = [1, -1] if self._pair % 2 else [-1, 1]",
-        "self._next = [1, 1] if self._pair % 2 else [-1, -1]",
+        "BreakawayCheck._balance",
+        "self._needed.append(_Stroke(-way, acted_s, takes_back=True))",
+        "self._needed.append(_Stroke(way, acted_s, takes_back=True))",
         _breakaway("test_strokes_come_in_pairs_of_equal_level_and_opposite_sign"),
     ),
     (
         "each pair begins the same way",
-        "BreakawayCheck._begin_stroke",
-        "self._next = [1, -1] if self._pair % 2 else [-1, 1]",
-        "self._next = [1, -1]",
+        "BreakawayCheck._next_stroke",
+        "_Stroke(1 if self._pair % 2 else -1, stroke_s, takes_back=False)",
+        "_Stroke(1, stroke_s, takes_back=False)",
         _breakaway("test_strokes_come_in_pairs_of_equal_level_and_opposite_sign"),
     ),
     (
@@ -255,9 +255,26 @@ BREAKAWAY = of(
     (
         "one way is enough",
         "BreakawayCheck._pause",
-        "if not self._next and len(self._found_V) == 2:",
-        "if not self._next and self._found_V:",
-        _breakaway("test_random_motors_turn_little_unseen_and_are_seen_both_ways"),
+        "if not self._needed and len(self._found_V) == 2:",
+        "if not self._needed and self._found_V:",
+        _breakaway(
+            "test_it_measures_both_levels_and_the_noise_and_hardly_moves_the_shaft",
+            "test_random_motors_turn_little_unseen_and_are_seen_both_ways",
+        ),
+    ),
+    (
+        "a late stroke is taken back by one as long as it was meant",
+        "BreakawayCheck._balance",
+        "self._needed.append(_Stroke(-way, acted_s, takes_back=True))",
+        "self._needed.append(_Stroke(-way, self._meant_s, takes_back=True))",
+        _breakaway("test_what_a_late_tick_adds_to_a_stroke_is_taken_back"),
+    ),
+    (
+        "late ticks add up without end",
+        "BreakawayCheck._balance",
+        "if self._longer_s > self._late_s:",
+        "if False:",
+        _breakaway("test_many_late_ticks_end_the_check_before_they_add_up"),
     ),
     (
         "noise adds up to motion",

@@ -128,7 +128,7 @@ SERIAL = of(
     (
         "the measured supply is not compared",
         "SerialDriver._measured_supply_V",
-        "if abs(measured_V - believed_V) > _SUPPLY_TOLERANCE * believed_V:",
+        "if (max(off_V, 0.0) if at_least else abs(off_V)) > _SUPPLY_TOLERANCE * believed_V:",
         "if False:",
         in_file("tests/hil/test_hil_chip_link.py", "test_the_motor_supply_where_it_is_wired"),
     ),

@@ -221,16 +221,24 @@ ROOM = of(
     ),
     (
         "unseen travel in the breakaway check has no bound",
-        "breakaway_strokes",
-        "if unseen_rad <= UNSEEN_RAD:",
-        "if unseen_rad <= 10.0 * UNSEEN_RAD:",
-        _preflight("test_each_rule_refuses_with_one_line_at_its_key"),
+        "_strokes_up_to",
+        "if longest.unseen_rad <= UNSEEN_RAD:",
+        "if longest.unseen_rad <= 10.0 * UNSEEN_RAD:",
+        _preflight("test_each_rule_refuses_with_one_line_at_its_key")
+        + _breakaway("test_the_bound_holds_for_any_inertia_and_friction_that_differs_by_a_tenth"),
+    ),
+    (
+        "a stroke whose last tick never comes is not counted",
+        "_unseen_rad",
+        "(level - low) * (stroke_s + late_s)",
+        "(level - low) * stroke_s",
+        _breakaway("test_the_bound_holds_for_any_inertia_and_friction_that_differs_by_a_tenth"),
     ),
     (
         "friction that differs between the ways is not counted",
-        "breakaway_strokes",
-        "(drift * p * (1.0 - p) + 1.0 - p * (1.0 - FRICTION_DIFFERS))",
-        "(1.0 - p * (1.0 - FRICTION_DIFFERS))",
+        "_unseen_rad",
+        "left_s += difference * stroke_s",
+        "left_s += 0.0",
         _breakaway("test_the_bound_holds_for_any_inertia_and_friction_that_differs_by_a_tenth"),
     ),
 )
