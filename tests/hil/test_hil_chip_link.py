@@ -13,7 +13,7 @@ from simulated_bench import CALIBRATION, LIMITS, RAILS
 from virtual_host import LSB_RAD
 
 from rig.daq.calibration import DriveMap, TachometerScale
-from rig.daq.frames import STATUS_ARMED, Code, Kind, Nack, encode
+from rig.daq.frames import STATUS_ARMED, Code, FrameReader, Kind, Nack, encode
 from rig.daq.serial_link import SerialDriver
 from rig.emulate.firmware_build import EmulationError, UnoOptions
 from rig.emulate.virtual_chip import VirtualChip
@@ -30,8 +30,10 @@ def driver_on(board: VirtualChip, **options: object) -> SerialDriver:
     return SerialDriver(board, CALIBRATION, DriveMap(SUPPLY_V), RAILS, emulated=True, **options)  # type: ignore[arg-type]
 
 
-def test_it_introduces_itself() -> None:
-    hello = ChipHost(VirtualChip(BENCH)).hello()
+@pytest.mark.parametrize(("options", "bridge"), [*zip(BRIDGES, (1, 2), strict=True)], ids=("pwm-dir", "in1-in2"))
+def test_it_introduces_itself(options: UnoOptions, bridge: int) -> None:
+    hello = ChipHost(VirtualChip(BENCH, options=options)).hello()
+    assert hello.bridge == bridge
     assert (hello.board, hello.reset_words, hello.counts_max, hello.drive_full) == (2, "power-on", 1023, FULL)
     assert hello.build_text.startswith("uno ") and hello.features == 0
 
@@ -118,6 +120,50 @@ def test_no_byte_is_lost_however_dense_the_requests(options: UnoOptions) -> None
     assert truth.masked_us < 15.0  # one and a half bytes at 1 Mbaud
     if options.baud == 115200:
         assert truth.interrupt_share < 0.30
+
+
+def test_more_replies_than_there_is_room_for_are_left_out_whole() -> None:
+    """Of requests that come faster than replies can go, the first are answered, and none in part."""
+    host = ChipHost(VirtualChip(BENCH))
+    requests = 24
+    host.send_raw(b"".join(encode(Kind.HELLO, 1 + k) for k in range(requests)))
+    host.wait(0.2)
+    reader = FrameReader()
+    seqs = [packet.seq for packet in reader.feed(host.board.read(0.0))]
+    assert reader.bad_frames == 0
+    assert seqs == sorted(seqs) and seqs[:5] == [1, 2, 3, 4, 5] and len(seqs) < requests
+
+
+def test_bytes_that_find_no_room_are_lost_and_not_those_before_them() -> None:
+    """At 1 Mbaud requests come faster than they are answered: what was there first is answered first."""
+    host = ChipHost(VirtualChip(BENCH, options=FAST), FAST.baud)
+    host.send_raw(b"".join(encode(Kind.READ, 1 + k) for k in range(120)))
+    host.wait(0.2)
+    seqs = [packet.seq for packet in FrameReader().feed(host.board.read(0.0))]
+    assert seqs[:12] == list(range(1, 13)) and len(seqs) < 120
+
+
+@pytest.mark.parametrize("options", [UnoOptions(), FAST], ids=lambda o: str(o.baud))
+def test_a_reply_takes_the_time_of_its_bits(options: UnoOptions) -> None:
+    host = ChipHost(VirtualChip(BENCH, options=options), options.baud)
+    host.send(Kind.HELLO)
+    data, times_s = b"", []
+    while not data.endswith(b"\0"):
+        data += host.board.read(0.01)
+        times_s.append(host.board.now_s())
+    bits = 10 * (len(data) - 1)
+    assert 0.99 * bits <= (times_s[-1] - times_s[0]) * options.baud < 1.3 * bits  # a tick may come between two bytes
+
+
+def test_the_devices_clock_never_jumps() -> None:
+    """A drive's time is read while the tick is held, whose interrupt may wait just then: each is that of its pin."""
+    host, rng = armed_chip(QUIET), random.Random(7)
+    offsets_us = []
+    for k in range(250):
+        host.wait(rng.uniform(0.0, 2e-3))
+        host.drive(20 if k % 2 else -20)
+        offsets_us.append(host.state().t_drive_us - 1e6 * host.truth().pin_changed_s)
+    assert max(offsets_us) - min(offsets_us) < 100.0
 
 
 def test_the_emulated_receiver_holds_two_bytes() -> None:

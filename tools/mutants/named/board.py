@@ -84,7 +84,7 @@ MAIN = of(
         "early",
         "    wdt_disable();\n",
         "",
-        _HANGS,
+        in_file("tests/hil/test_hil_registers.py", "test_a_broken_rule_is_named"),
     ),
     (
         "the cause of a reset is lost",
@@ -205,14 +205,14 @@ CLOCK = of(
         "clock_hold_tick",
         "    TIMSK2 = BIT(OCIE2A);\n",
         "",
-        _tick("test_requests_at_any_phase_of_the_tick_cost_no_tick"),
+        in_file("tests/hil/test_hil_registers.py", "test_each_row_of_the_table_is_in_the_source_and_has_its_test"),
     ),
     (
         "the clock jumps back where a tick's interrupt waits",
         "clock_us",
         "            us += US_PER_TICK; /* this tick's interrupt still waits */\n",
         "",
-        _link("test_the_driver_opens_arms_reads_drives_and_stops"),
+        _link("test_the_devices_clock_never_jumps"),
     ),
 )
 
@@ -241,33 +241,26 @@ UART = of(
         "uart_send",
         "if (n == 0u || n > free) {",
         "if (n == 0u || free == 0u) {",
-        _link("test_no_byte_is_lost_however_dense_the_requests"),
+        _link("test_more_replies_than_there_is_room_for_are_left_out_whole"),
     ),
     (
         "a full queue is overwritten",
         "USART_RX_vect",
         "if (next != received.out) {",
         "if (true) {",
-        _safety("test_a_flood_of_garbage_neither_feeds_the_watchdog_nor_hangs_the_program"),
+        _link("test_bytes_that_find_no_room_are_lost_and_not_those_before_them"),
     ),
     (
         "the wire is at half its speed",
         "uart_init",
         "    UCSR0A = BIT(U2X0);\n",
         "    UCSR0A = 0;\n",
-        _link("test_it_introduces_itself"),
+        _link("test_a_reply_takes_the_time_of_its_bits"),
     ),
 )
 
 HOST = of(
     "firmware/boards/host/device.c",
-    (
-        "a reset leaves the drive on",
-        "device_reset",
-        "    set_drive(d, 0); /* floating pins, held down by the resistor on the bridge's enable */\n",
-        "",
-        in_file("tests/hil/test_hil_safety.py", "test_a_reset_at_any_instant_means_0_V_and_a_new_arming"),
-    ),
     (
         "the clock's error is left out",
         "clock_rate",
