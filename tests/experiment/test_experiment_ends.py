@@ -242,18 +242,20 @@ def test_an_unconfirmed_stop_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None
     assert bench.record.events[-1]["confirmed"] is False
 
 
-def test_the_guards_part_in_a_cycle_is_said_and_nothing_of_it_is_ok(tmp_path: Path) -> None:
+def test_the_guards_part_in_a_cycle_is_said_and_no_method_that_takes_it_for_the_relays_is_ok(tmp_path: Path) -> None:
     config = yaml.safe_load(quick(tmp_path).read_text(encoding="utf-8"))
     config["relay"] = {"gains": [{"h1_V": 0.45, "h2_V": 0.95}], "cycles": 6}
     config["daq"]["timeout_s"] = 0.08
-    config["limits"] |= {"max_speed_rad_s": 4.1}
+    config["limits"] |= {"max_speed_rad_s": 4.3}
     (tmp_path / "tight.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
     result = rig("relay", tmp_path / "tight.yaml", "--out", tmp_path / "runs", "--json")
     outcome = json.loads(result.stdout)
     assert any("the guard braked in" in note for note in outcome["notes"]), outcome["notes"]
     assert any("the guard changed the drive in" in note for note in outcome["notes"])
-    assert {estimate["verdict"] for estimate in outcome["estimates"].values()} <= {"doubtful", "refused"}
-    assert outcome["estimates"]
+    # the sampled-data estimator reads the drive as it acted: the guard's part does not mislead it
+    others = [estimate for method, estimate in outcome["estimates"].items() if method != "sampled-data"]
+    assert {estimate["verdict"] for estimate in others} == {"doubtful"}
+    assert all(any("the guard changed the drive in" in reason for reason in one["reasons"]) for one in others)
 
 
 def test_nothing_is_tracked_where_the_sampled_data_estimate_is_refused(
