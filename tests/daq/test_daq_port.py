@@ -101,7 +101,9 @@ def plug_in(monkeypatch: pytest.MonkeyPatch, device: str, ids: tuple[int | None,
     """A port with these USB ids; whether it is closed."""
     closed: list[bool] = []
     monkeypatch.setattr(list_ports, "comports", lambda: [SimpleNamespace(device=device, vid=ids[0], pid=ids[1])])
-    monkeypatch.setattr("rig.bench.SerialPort", lambda *_: SimpleNamespace(close=lambda: closed.append(True)))
+    monkeypatch.setattr(
+        "rig.bench.SerialPort", lambda *_: SimpleNamespace(close=lambda: closed.append(True), now_s=lambda: 0.0)
+    )
     return closed
 
 

@@ -105,12 +105,15 @@ def cycle(board: VirtualBoard | VirtualChip, period_s: float) -> tuple[float, fl
 
 
 def test_the_chips_limit_cycle_is_the_host_boards() -> None:
-    """At 500 Hz, so that where a sample falls in the cycle matters little; drives alike to the unit."""
+    """At 500 Hz, so that where a sample falls in the cycle matters little; drives alike to the unit.
+
+    The host board answers at once: its slower wire makes its drive as late as the chip's, 2.98 ms after the sample.
+    """
     period_s = 0.002
     bench = replace(DEMO, drive_counts=UNO_FULL, noise_rad=0.0)
-    host_period_s, host_rad = cycle(VirtualBoard(bench, 1, baud=1_000_000, bits_per_byte=10), period_s)
+    host_period_s, host_rad = cycle(VirtualBoard(bench, 1, baud=430_000, bits_per_byte=10), period_s)
     chip_period_s, chip_rad = cycle(VirtualChip(bench, 1, options=UnoOptions(baud=1_000_000)), period_s)
-    assert chip_period_s == pytest.approx(host_period_s, rel=0.02)
+    assert chip_period_s == pytest.approx(host_period_s, rel=0.005)
     assert chip_rad == pytest.approx(host_rad, rel=0.02)
 
 

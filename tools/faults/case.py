@@ -215,10 +215,9 @@ def _windows(stand: Stand, run: Run, course: Course) -> dict[str, tuple[float, f
         offset_s = asked_s[int(row["seq"])] - float(row["t_s"])
         ends = [float(e["t_s"]) + offset_s for e in run.events if e["kind"] == "cycle"]
         return {START.key: (0.0, 0.0), CYCLE.key: (ends[FIRST_CYCLE - 1], ends[FIRST_CYCLE])}
-    stopped = names.index("stop")
-    armed = names.index("to arm", stopped)
-    arming = armed - 1 - names[armed - 1 :: -1].index("to stop")
     tracking = next(k for k, name in enumerate(names) if name.startswith("track:"))
+    armed = _last("to arm", names[:tracking])
+    arming, stopped = _last("to stop", names[:armed]), _last("stop", names[:armed])
     rest_s = max(t_s for name, t_s in moments[:stopped] if name == "rest")
     first_s = next(t_s for _, t_s in stand.read_at if t_s > moments[armed][1])
     return {
@@ -227,6 +226,11 @@ def _windows(stand: Stand, run: Run, course: Course) -> dict[str, tuple[float, f
         ARMING.key: (moments[arming][1], first_s),
         TRACKING.key: (moments[tracking][1], moments[tracking + 1][1] - UNJUDGED_S),
     }
+
+
+def _last(name: str, names: list[str]) -> int:
+    """Where it comes for the last time."""
+    return len(names) - 1 - names[::-1].index(name)
 
 
 @lru_cache

@@ -795,10 +795,11 @@ ROWS = (
         bound(
             "a reading that no motion explains: by chance one in two or three", period=12, exchange=1, frame=1, tick=2
         ),
-        ("SENSOR_JUMP", "SENSOR_STUCK"),
+        ("SENSOR_JUMP", "SENSOR_STUCK", "OVERSPEED"),
         True,
         ("SENSOR_NOISY", "SENSOR_JUMP", "OVERSPEED"),
-        either="by chance of the noise: a step that is too long, or a shaft that seems to slow down under a full drive",
+        either="by chance of the noise: a step that is too long, a shaft that seems to slow down under a full drive, or "
+        "one that seems to turn too fast",
         other={name: {"codes": ("SENSOR_JUMP",), "either": ""} for name in ("rest", "pause", "arming")},
     ),
     # the drive
@@ -965,7 +966,7 @@ ROWS = (
         either="POLARITY where the loop has braked before: the hand moves the shaft against its drive",
         other={
             "relay": {"codes": ("RELAY_STOPPED",), "either": ""},
-            "bare": {"bound": SEEN, "codes": ("TRAVEL_HARD", "POLARITY")},
+            "bare": {"bound": SEEN, "codes": ("TRAVEL_HARD",), "either": ""},
         },
         remark="where the drive is 0 it is over the limit once the device is disarmed: seen at re-arming",
     ),
