@@ -798,8 +798,8 @@ ROWS = (
         ("SENSOR_JUMP", "SENSOR_STUCK", "OVERSPEED"),
         True,
         ("SENSOR_NOISY", "SENSOR_JUMP", "OVERSPEED"),
-        either="by chance of the noise: a step that is too long, a shaft that seems to slow down under a full drive, or "
-        "one that seems to turn too fast",
+        either="by chance of the noise: a step that is too long, or a shaft that seems to slow down under a full drive, "
+        "or to turn too fast",
         other={name: {"codes": ("SENSOR_JUMP",), "either": ""} for name in ("rest", "pause", "arming")},
     ),
     # the drive
