@@ -798,7 +798,7 @@ ROWS = (
         ("SENSOR_JUMP", "SENSOR_STUCK", "OVERSPEED"),
         True,
         ("SENSOR_NOISY", "SENSOR_JUMP", "OVERSPEED"),
-        either="by chance of the noise: a step that is too long, or a shaft that seems to slow down under a full drive, "
+        either="by chance of the noise: a step that is too long, a shaft that seems to slow down under a full drive, "
         "or to turn too fast",
         other={name: {"codes": ("SENSOR_JUMP",), "either": ""} for name in ("rest", "pause", "arming")},
     ),
