@@ -57,6 +57,7 @@ def main() -> int:
     ]
     before_s = worst.recorded()
     longer = worst.longer(found, before_s)
+    print("\n".join(trouble + [f"warning: {words}" for words in longer]), flush=True)
     out = given.out or (None if is_part else OUT)
     if out is not None:
         made = str(datetime.datetime.now(datetime.UTC).date())
@@ -65,7 +66,6 @@ def main() -> int:
         print("\n".join(one.in_words() for one in found))
     else:
         worst.write(found, {} if given.accept else before_s)
-    print("\n".join(trouble + [f"warning: {words}" for words in longer]))
     cases, took_s = len(found) + len(real), time.monotonic() - began_s
     print(f"{out or 'no page'}: {cases} cases, {len(trouble)} not as they should be, {took_s:.0f} s")
     return 1 if trouble else 0

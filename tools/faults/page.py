@@ -203,9 +203,9 @@ def _summary_line(backend: Backend, own: Sequence[Line]) -> str:
     silent_s = max((f.off_s for one in silent for f in one.found), default=math.nan)
     within_s = max((one.row.bound.seconds(one.times) for one in silent), default=math.nan)
     share, name = max(
-        (one.worst_s / one.row.bound.seconds(one.times), f"{one.row.name}, {one.stage.title}")
+        (one.worst_s / bound_s, f"{one.row.name}, {one.stage.title}")
         for one in own
-        if one.row.bound.terms
+        if (bound_s := one.row.bound.seconds(one.times)) > 0.0
     )
     found = [f for one in own for f in one.found]
     rows = len({one.row.name for one in own})
