@@ -70,6 +70,13 @@ def test_a_tick_of_the_relay_in_the_device(tmp_path: Path) -> None:
     assert found.recorded == "no ticks were skipped before this row"
 
 
+def test_a_tick_of_the_loop_amid_those_of_the_relay_in_the_device(tmp_path: Path) -> None:
+    run = copy_of("chip-relay-in-device", tmp_path)
+    k = run.number_of("relay-1", 1500)
+    found = run.changed(lambda: run.rows[k].update(late_us="10", io_us="900"), k).difference
+    assert found is not None and found.line == k + 2
+
+
 def test_a_relay_in_the_device_that_ended_its_run(tmp_path: Path) -> None:
     """By deciding otherwise than the law, which must come out again; or by a link that lost its blocks."""
     run = copy_of("chip-relay-in-device", tmp_path)
