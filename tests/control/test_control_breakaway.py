@@ -156,6 +156,15 @@ def test_strokes_come_in_pairs_of_equal_level_and_opposite_sign() -> None:
         assert first == [-u_V for u_V in second]
     assert [stroke[0] > 0.0 for stroke in strokes[::2]] == [True, False] * 9 + [True]
     assert max(drives) == 1.2
+    third_V = 0.064 / 3  # within a stroke it rises from the last pair's level to its own
+    assert strokes[2] == pytest.approx([-0.064 - third_V, -0.064 - 2.0 * third_V, -0.128])
+
+
+def test_the_way_in_which_nothing_moved_is_named() -> None:
+    """A shaft that turns one way alone."""
+    bench = simulated_bench(motor=Motor(0.17, 6.5, Friction(0.5, 5.0, 0.5, 5.0)))
+    with pytest.raises(Fault, match=r"NO_MOTION.* towards falling positions"), bench.loop.armed(LIMITS):
+        bench.loop.run(breakaway_check(), "breakaway")
 
 
 def test_the_bound_holds_for_any_inertia_and_friction_that_differs_by_a_tenth() -> None:

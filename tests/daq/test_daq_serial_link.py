@@ -367,6 +367,15 @@ def test_what_lasts_stays_latched():
     assert codes == [Code.E_STOP]
 
 
+def test_a_device_that_takes_long_to_answer_is_opened_all_the_same():
+    """The pauses between the exchanges that measure its clock stay short: four of them fit."""
+    port = ScriptedPort()
+    reply = port.reply
+    port.reply = lambda delay_s, data: reply(delay_s + 0.7, data)
+    driver = SerialDriver(port, CALIBRATION, DRIVE, RAILS, 1.0, 5.0, session=SESSION)
+    assert driver.open().round_trip_s == pytest.approx(0.7, abs=0.01)
+
+
 def test_full_drive_is_the_devices_own():
     _, driver = opened(drive_full=399)
     assert driver.drive_map.to_units(12.0) == 399

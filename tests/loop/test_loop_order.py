@@ -56,6 +56,19 @@ def relay_test(order: Order, latency_s: float) -> tuple[list[dict[str, Any]], Lo
     return record.rows, loop
 
 
+def test_a_drive_that_goes_out_with_the_next_exchange_may_act_late_in_that() -> None:
+    """Later than a period, as an exchange takes its time: the loop measures it, for the observer."""
+    clock = VirtualClock()
+    latency = SimulatedLatency(0.0, 0.0)
+    driver = SimulatedDriver(clock, DEMO, CALIBRATION, DriveMap(12.0), RAILS, latency, 1, "write_first")
+    read = driver.read
+    driver.read = lambda: (sample := read())._replace(t_u_s=sample.t_u_s + 0.003)  # type: ignore[method-assign]
+    loop = Loop(driver, clock, Guard(GUARD), ListRecord(), PERIOD_S, StopRequest())
+    with loop.armed(LIMITS):
+        loop.run(Ended(DualChannelRelay(0.0, 0.0, 1.0), 20), "relay-1")
+    assert loop.latency_s == pytest.approx(PERIOD_S + 0.003, abs=1e-9)
+
+
 @pytest.mark.parametrize(("order", "latency_s"), [("write_first", 0.0), ("sample_first", 0.0172)])
 def test_a_drive_that_acts_a_period_or_more_later_is_in_its_rows_and_identified_as_well(
     order: Order, latency_s: float

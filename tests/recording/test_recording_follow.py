@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import pty
 import subprocess
 import sys
 from pathlib import Path
@@ -68,3 +71,22 @@ def test_the_viewer_ends_when_the_one_who_started_it_is_gone(tmp_path: Path) -> 
     _, error = viewer.communicate(timeout=30)  # closes its standard input
     assert viewer.returncode == 0
     assert "POLARITY" in error.decode()
+
+
+def test_on_a_terminal_it_draws_what_there_is(tmp_path: Path) -> None:
+    (tmp_path / "events.jsonl").write_text("".join(json.dumps(e) + "\n" for e in EVENTS))
+    (tmp_path / "samples.csv").write_text(HEADER)
+    ours, theirs = pty.openpty()
+    viewer = subprocess.Popen(
+        [sys.executable, "-m", "rig.recording.follow", str(tmp_path)], stdin=subprocess.PIPE, stderr=theirs
+    )
+    os.close(theirs)
+    assert viewer.stdin is not None
+    viewer.stdin.close()
+    drawn = b""
+    with contextlib.suppress(OSError):  # the terminal is gone with its last user
+        while more := os.read(ours, 65536):
+            drawn += more
+    os.close(ours)
+    assert viewer.wait(30) == 0
+    assert "POLARITY" in drawn.decode(errors="replace")

@@ -35,6 +35,16 @@ def test_a_drive_that_is_a_unit_off_is_named_wherever_it_is(tmp_path: Path) -> N
         assert found.replayed_V == pytest.approx(found.recorded_V - unit_V(run))
 
 
+def test_a_simulated_drive_may_differ_by_its_digits_alone(tmp_path: Path) -> None:
+    """Its record has as many digits as were written: less than a microvolt is none of the law's."""
+    run = copy_of("simulated-jog", tmp_path)
+    k = run.number_of("jog", 3)
+    row = run.rows[k]
+    for by_V, is_same in ((1e-3, False), (1e-9, True)):
+        done = run.changed(lambda by_V=by_V: row.update(u_V=repr(float(row["u_V"]) + by_V)), k)
+        assert (done.difference is None) == is_same
+
+
 def test_a_missing_row_is_named_wherever_it_was(tmp_path: Path) -> None:
     run = copy_of("simulated-jog", tmp_path)
     for k in range(1, len(run.rows) - 1, 6):

@@ -7,7 +7,7 @@ from mutants.sampled import Room
 SEED = "rig 11"
 
 _REPLAY = ("tests/replay",)
-_MODBUS = ("tests/daq/test_daq_modbus.py",)
+_MODBUS = ("tests/daq/test_daq_modbus.py", "tests/daq/test_daq_modbus_tcp.py")
 _FILES = ("tests/recording/test_recording_recorder.py", "tests/recording/test_recording_failing_disk.py")
 
 ROOMS = (
@@ -29,6 +29,7 @@ ROOMS = (
         14,
         ("tests/daq", "tests/hil/test_hil_device_relay.py", "tests/hil/test_hil_driver.py"),
         {
+            "modbus": _MODBUS,
             "modbus_client": _MODBUS,
             "modbus_requests": _MODBUS,
             "modbus_frames": _MODBUS,
@@ -49,12 +50,9 @@ EQUIVALENT: dict[str, str] = {
     ),
     "control/observer.py MotorObserver._correct: if len(self._gain[0]) == 2 and not math.isnan(sample.v_rad_per_s): -> "
     "if len(self._gain[ 1]) == 2 and not math.isnan(sample.v_rad_per_s):": "rows of a matrix are of one length",
-    "control/homing.py Homing.__init__: self._gone = 0 -> self._gone = 1": (
-        "before the first stroke there is no position to learn from: what it learns is no number, as it was before"
+    "control/breakaway_one_way.py OneWayCheck.__init__: self._still_V = 0.0 -> self._still_V = 1.0": (
+        "the rest before the first stroke sets it to 0 before anything reads it"
     ),
-    "loop/runner.py Loop._run_tick: self.statistics.drive((decided_s - read_s) * 1e6, (written_s - decided_s) * 1e6, "
-    "(now_s() - written_s) * 1e6) -> self.statistics.drive((decided_s - read_s) * 1e6, (written_s - decided_s) * 1e6, "
-    "(now_s() % written_s) * 1e6)": "of two times of a clock that rises, less than twofold, remainder is difference",
     "loop/real_time.py real_time: libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0) -> "
     "libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 1, 0)": "Linux looks at the first argument of this one alone",
     'loop/runner.py Loop.__init__: self._longest_latency_s = period_s * (2.0 if driver.order == "write_first" else '
