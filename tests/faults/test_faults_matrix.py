@@ -25,7 +25,7 @@ from faults.matrix import phase_at, phases_of, stages_of
 from faults.page import Line, line, render, summary
 from faults.realtime import DEVICES, REAL_ROWS
 from faults.rows import FREEZE_S, ROWS, Row
-from faults.stages import ARMING, BY_KEY, CYCLE, OTHER_STAGES, PAUSE, START, Stage
+from faults.stages import ARMING, BY_KEY, CYCLE, OTHER_STAGES, PAUSE, REST, START, Stage
 from rig.control.guard import Guard
 from rig.daq.frames import Block, Kind, RelaySetup, State, encode, pack_drive
 from rig.emulate.rtu_slave import frame
@@ -225,7 +225,7 @@ def test_a_sample_that_the_record_has_not_is_found(monkeypatch: pytest.MonkeyPat
     assert any("samples lost" in words for words in found.trouble)
 
 
-@pytest.mark.parametrize("stage", [CYCLE, PAUSE], ids=_id)
+@pytest.mark.parametrize("stage", [REST, ARMING], ids=_id)
 def test_a_guard_whose_travel_rule_does_nothing_is_found(monkeypatch: pytest.MonkeyPatch, stage: Stage) -> None:
     """On a device without limits of its own nobody else would stop a shaft that is pushed slowly over one."""
     undisturbed(BARE), undisturbed(BARE, stage.course)

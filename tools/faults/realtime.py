@@ -51,6 +51,7 @@ class RealDevice:
     start    its process, config, folder: starts it, returns its port
     changes  of the config's section daq
     told     keys of the samples in what its host has received; ``apart``: least distance between two of them
+    between  of these, how many fall between the breakaway check and the relay test, and are no rows
     """
 
     backend: Backend
@@ -59,6 +60,7 @@ class RealDevice:
     changes: Mapping[str, Any]
     told: Callable[[bytes], list[int]]
     apart: int
+    between: int
     is_kept: bool = False
 
     @property
@@ -179,10 +181,10 @@ def _tcp_replies(log: bytes) -> list[int]:
 
 _PATIENT = {"timeout_s": TIMEOUT_S}
 DEVICES = (
-    RealDevice(BOARD, HostBoard, _serial_start, _PATIENT, _states, 2, is_kept=True),
-    RealDevice(CHIP, ChipBoard, _serial_start, _PATIENT, _states, 2),
-    RealDevice(MODBUS, ModbusBoard, _modbus_start(None), {}, _rtu_replies, 1),
-    RealDevice(TCP, ModbusBoard, _modbus_start(0), {}, _tcp_replies, 1),
+    RealDevice(BOARD, HostBoard, _serial_start, _PATIENT, _states, 2, 1, is_kept=True),
+    RealDevice(CHIP, ChipBoard, _serial_start, _PATIENT, _states, 2, 1),
+    RealDevice(MODBUS, ModbusBoard, _modbus_start(None), {}, _rtu_replies, 1, 2),
+    RealDevice(TCP, ModbusBoard, _modbus_start(0), {}, _tcp_replies, 1, 2),
 )
 _DROPPED = ("", "LINK_TIMEOUT", "DEVICE_WATCHDOG", "LINK_REPLY")  # a Modbus run ends with the first reply that is late
 
@@ -354,9 +356,8 @@ def _judged(
         off_s = max(trace[last + 1][0] - began_s, 0.0) if last + 1 < len(trace) else float("inf")
     low, high = experiment.limits.hard_rad
     bound_s = row.bound.seconds(times) + late_s
-    lost = _lost(
-        device.told((folder / "relay.log").read_bytes()), device.apart, rows, fault, killed=status == -signal.SIGKILL
-    )
+    told = device.told((folder / "relay.log").read_bytes())
+    lost = _lost(told, device.apart, rows, fault, killed=status == -signal.SIGKILL) - device.between
     skipped = sum(int(b["tick"]) - int(a["tick"]) - 1 for a, b in itertools.pairwise(rows))
     trouble = []
     if not off_s <= bound_s:

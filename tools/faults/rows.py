@@ -401,9 +401,10 @@ RESET_BARE: Changes = {
 SENT_AGAIN: Changes = {
     **_unhurried(codes=(RUNS_ON,), bound=RUNNING),
     "modbus, arming": {
-        "codes": (RUNS_ON, "LINK_TIMEOUT"),
+        "codes": (RUNS_ON, "LINK_TIMEOUT", "DEVICE_WATCHDOG"),
         "bound": RUNNING,
-        "either": "LINK_TIMEOUT where a tick waits for it; what is asked before the first tick is waited for longer",
+        "either": "by chance of the instant: what is asked before the first tick is waited for longer (no fault, or "
+        "DEVICE_WATCHDOG where the device is armed by then), in a tick it is LINK_TIMEOUT",
     },
 }
 NO_SECOND: Changes = {"modbus": {"codes": ("LINK_TIMEOUT",), "bound": HEARD}}
@@ -438,6 +439,14 @@ RAIL: Changes = {
 DRIVEN: Changes = {
     name: {"bound": UNMOVED} for name in ("rest", "pause", "arming", "tracking")
 }  # seen once it has to move
+RESET: Changes = {
+    "fc23": {"codes": ("DEVICE_NOT_ARMED",)},
+    "separate": {
+        "codes": ("DEVICE_NOT_ARMED", "MODBUS_EXCEPTION"),
+        "either": "MODBUS_EXCEPTION where it is a drive that comes first: a block that is not armed takes none",
+    },
+    "tcp": {"codes": ("LINK_LOST",)},
+}
 RESTARTS: Changes = {
     "chip": {"codes": ("LINK_TIMEOUT",)},
     "relay": {
@@ -521,6 +530,7 @@ ROWS = (
         SILENCE,
         ("LINK_TIMEOUT",),
         only=("tcp",),
+        other={"tcp, pause": {"codes": (RUNS_ON,), "bound": RUNNING}},
     ),
     Row(
         "garbage",
@@ -560,8 +570,10 @@ ROWS = (
         "in one reply",
         _down(lambda: damage.first(1, damage.flipped)),
         AGAIN,
-        (RUNS_ON,),
+        (RUNS_ON, "LINK_TIMEOUT"),
+        either="LINK_TIMEOUT where it is the reply's last byte: the next reply is taken for its end, and both are lost",
         other=NO_SECOND_LOOK | MISSED | PATIENT,
+        may_lose=1,
         absent={"tcp": TCP_IS_WHOLE},
     ),
     Row(
@@ -691,7 +703,11 @@ ROWS = (
         ("LINK_TIMEOUT",),
         True,
         (*NO_LINK, "DEVICE_WATCHDOG"),
-        other=NO_SECOND | _unhurried(codes=("LINK_REPLY",)),
+        other=NO_SECOND
+        | _unhurried(
+            codes=("LINK_REPLY", "DEVICE_RESET"),
+            either="DEVICE_RESET where a setting is read back: RTU has no numbers, and the reply is another setting's",
+        ),
         absent={"relay": "nothing is asked: a block that comes in another's place is out of order"},
     ),
     # the device
@@ -701,7 +717,7 @@ ROWS = (
         lambda stand: stand.device.reset(2),
         AT_ONCE,
         ("DEVICE_RESET",),
-        other={"fc23": {"codes": ("DEVICE_NOT_ARMED",)}, "tcp": {"codes": ("LINK_LOST",)}} | ARMED_ANEW | RESET_BARE,
+        other=RESET | ARMED_ANEW | RESET_BARE,
         remark=IN_A_PAUSE,
     ),
     Row(
@@ -810,7 +826,7 @@ ROWS = (
         FLUNG,
         ("OVERSPEED", "SENSOR_STUCK"),
         True,
-        ("START_OUTSIDE", "DEVICE_SENSOR", "DEVICE_TRAVEL", "TRAVEL_HARD", "OVERSPEED"),
+        ("START_OUTSIDE", "DEVICE_SENSOR", "DEVICE_TRAVEL", "TRAVEL_HARD", "OVERSPEED", "SENSOR_RAIL"),
         only_seen=True,
         either="OVERSPEED where the motor goes on as it was driven; SENSOR_STUCK where it turns back under a drive "
         "that had sped it up, which is seen first",
@@ -857,9 +873,10 @@ ROWS = (
         "as soon as it is armed",
         _nothing,
         bound("before the first stroke", tick=0),
-        ("OVERSPEED",),
+        ("OVERSPEED", "DEVICE_SENSOR"),
         True,
-        ("START_OUTSIDE", "DEVICE_SENSOR", "DEVICE_TRAVEL", "TRAVEL_HARD", "OVERSPEED"),
+        ("START_OUTSIDE", "DEVICE_SENSOR", "DEVICE_TRAVEL", "TRAVEL_HARD", "OVERSPEED", "SENSOR_RAIL"),
+        either="DEVICE_SENSOR where the shaft is at the sensor's rail before the device is armed",
         early=True,
         emulated={"wiring": {"drive": "stuck_on", "fault_after_s": 0.05}},
         only_seen=True,
@@ -950,8 +967,9 @@ ROWS = (
                 "either": "TRAVEL_HARD where it was out before the device was armed, which waits for it to come in",
             },
             "modbus, arming": {
-                "codes": ("DEVICE_SENSOR", "TRAVEL_HARD"),
-                "either": "DEVICE_SENSOR where it was at the sensor's rail before the device was armed",
+                "codes": ("DEVICE_SENSOR", "TRAVEL_HARD", "DEVICE_TRAVEL"),
+                "either": "by chance of the instant: DEVICE_SENSOR at the sensor's rail before the device was armed, "
+                "TRAVEL_HARD outside before it, DEVICE_TRAVEL after it",
             },
         },
     ),
@@ -966,7 +984,8 @@ ROWS = (
         either="POLARITY where the loop has braked before: the hand moves the shaft against its drive",
         other={
             "relay": {"codes": ("RELAY_STOPPED",), "either": ""},
-            "bare": {"bound": SEEN, "codes": ("TRAVEL_HARD",), "either": ""},
+            "bare": {"bound": SEEN, "codes": ("TRAVEL_HARD", "POLARITY")},
+            "bare, rest": {"codes": ("TRAVEL_HARD",), "either": ""},
         },
         remark="where the drive is 0 it is over the limit once the device is disarmed: seen at re-arming",
     ),
@@ -978,6 +997,8 @@ ROWS = (
         ("DEVICE_END_SWITCH",),
         True,
         ("DEVICE_END_SWITCH", "DEVICE_TRAVEL"),
+        either="DEVICE_TRAVEL where it opened while the device was disarmed: armed there, it takes no drive outward",
+        other={name: {"codes": ("DEVICE_END_SWITCH", "DEVICE_TRAVEL")} for name in ("pause", "arming")},
         absent={"board": NO_CONTACTS, "modbus": NO_INPUTS},
     ),
     Row(
@@ -1036,6 +1057,7 @@ ROWS = (
         SILENCE,
         ("DEVICE_WATCHDOG",),
         other={
+            "bare": {"codes": ("MODBUS_EXCEPTION",)},
             "pause": {"codes": (RUNS_ON,), "bound": RUNNING, "status": (0,)},
             "arming": {
                 "codes": ("DEVICE_WATCHDOG", RUNS_ON),

@@ -78,7 +78,7 @@ class Stand:
         self.handing_over: set[int] = set()  # and after which it let the device's relay drive
         self.beyond_rad = 0.0
         self.astray_s = 0.0  # longest time in which the drive was not what the host had said
-        self.stale_s = 0.0  # longest time between two words of the host on the drive that reached the device
+        self.stale_s = 0.0  # longest time between two words of the host that reached the device, of a drive but 0
         self.first_drive_s = math.nan  # of a run, at the pin
         self.driven_s = math.nan  # first instant from the fault on at which there was a drive at the pin
         self.read_at: list[tuple[int, float]] = []  # key and time of each question
@@ -248,10 +248,10 @@ class Stand:
 
     def _said(self, drive_V: float, *, is_heard: bool) -> None:
         now_s = self.now_s()
-        self._said_V = drive_V
+        before_V, self._said_V = self._said_V, drive_V
         if not is_heard:
             return
-        if self.is_watched and not math.isnan(self._said_s):
+        if self.is_watched and not math.isnan(self._said_s) and before_V != 0.0:  # 0 V is as good when it is old
             self.stale_s = max(self.stale_s, now_s - self._said_s)
         self._said_s = now_s
 
