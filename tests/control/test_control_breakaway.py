@@ -160,10 +160,11 @@ def test_strokes_come_in_pairs_of_equal_level_and_opposite_sign() -> None:
     assert strokes[2] == pytest.approx([-0.064 - third_V, -0.064 - 2.0 * third_V, -0.128])
 
 
-def test_the_way_in_which_nothing_moved_is_named() -> None:
+@pytest.mark.parametrize(("plus_V", "minus_V", "word"), [(0.5, 5.0, "falling"), (5.0, 0.5, "rising")])
+def test_the_way_in_which_nothing_moved_is_named(plus_V: float, minus_V: float, word: str) -> None:
     """A shaft that turns one way alone."""
-    bench = simulated_bench(motor=Motor(0.17, 6.5, Friction(0.5, 5.0, 0.5, 5.0)))
-    with pytest.raises(Fault, match=r"NO_MOTION.* towards falling positions"), bench.loop.armed(LIMITS):
+    bench = simulated_bench(motor=Motor(0.17, 6.5, Friction(plus_V, minus_V, plus_V, minus_V)))
+    with pytest.raises(Fault, match=rf"NO_MOTION.* V towards {word} positions"), bench.loop.armed(LIMITS):
         bench.loop.run(breakaway_check(), "breakaway")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import hashlib
+import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -144,11 +145,22 @@ def _mutant(path: str, text: str, changed: str) -> Mutant:
 def _own(root: Path, room: Room, path: Path) -> tuple[str, ...]:
     """Tests of a module: those that are called after it, and those that the room names."""
     called = f"test_{Path(room.folder).name}_{path.stem}"
-    files = [file for tests in room.tests for file in sorted((root / tests).glob("test_*.py"))]
+    files = [
+        file
+        for tests in room.tests
+        for file in sorted((root / tests).glob("test_*.py"))
+        if not _needs_a_clock(file.read_text(encoding="utf-8"))
+    ]
     return (
         *(str(file.relative_to(root)) for file in files if file.stem.startswith(called)),
         *room.own.get(path.stem, ()),
     )
+
+
+def _needs_a_clock(text: str) -> bool:
+    """Whether each test of a file needs a real clock, which no mutant has."""
+    marks = re.findall(r"^@pytest\.mark\.(?:realtime|alone)$", text, re.MULTILINE)
+    return len(marks) == len(re.findall(r"^def test_", text, re.MULTILINE))
 
 
 def _hash(text: str) -> str:
