@@ -570,9 +570,18 @@ ROWS = (
         "in one reply",
         _down(lambda: damage.first(1, damage.flipped)),
         AGAIN,
-        (RUNS_ON, "LINK_TIMEOUT"),
-        either="LINK_TIMEOUT where it is the reply's last byte: the next reply is taken for its end, and both are lost",
-        other=NO_SECOND_LOOK | MISSED | PATIENT,
+        (RUNS_ON,),
+        other=NO_SECOND_LOOK
+        | MISSED
+        | PATIENT
+        | {
+            "board, cycle": {
+                "codes": (RUNS_ON, "LINK_TIMEOUT"),
+                "either": "LINK_TIMEOUT where it is the reply's last byte: the next reply is taken for its end, and "
+                "both are lost",
+            },
+            "relay, cycle": {"codes": ("LINK_GAP",), "either": ""},
+        },
         may_lose=1,
         absent={"tcp": TCP_IS_WHOLE},
     ),
@@ -1055,9 +1064,9 @@ ROWS = (
         "the process does nothing for a second",
         lambda stand: stand.freeze_host(FREEZE_S),
         SILENCE,
-        ("DEVICE_WATCHDOG",),
+        ("DEVICE_WATCHDOG", "MODBUS_EXCEPTION"),
+        either="MODBUS_EXCEPTION by a block without a status, which takes no drive after its time-out",
         other={
-            "bare": {"codes": ("MODBUS_EXCEPTION",)},
             "pause": {"codes": (RUNS_ON,), "bound": RUNNING, "status": (0,)},
             "arming": {
                 "codes": ("DEVICE_WATCHDOG", RUNS_ON),
