@@ -130,6 +130,22 @@ def test_pieces_of_a_reply_are_put_together(line: TcpBlock, driver: ModbusDriver
 
 
 @pytest.mark.realtime
+def test_a_device_that_starts_late_and_does_not_know_who_it_is_can_be_opened(line: TcpBlock) -> None:
+    asked = []
+
+    def answer(header: bytes, pdu: bytes) -> list[tuple[float, bytes]]:
+        asked.append(pdu[0] & 0x7F)
+        if len(asked) == 1:
+            return []  # nobody there yet
+        if asked[-1] == 0x2B:
+            return [(0.0, header[:4] + bytes((0, 3)) + header[6:7] + bytes((0xAB, 1)))]
+        return [(0.0, header + pdu)]
+
+    line.answer = answer
+    assert modbus_driver(EXPERIMENT, line).open().board == "Modbus device"
+    assert 0x2B in asked
+
+
 def test_in_a_pause_late_replies_that_come_together_hold_the_right_one(line: TcpBlock, driver: ModbusDriver) -> None:
     """As after a lost packet, which TCP sends again after 0.2 s, with all that came after it."""
     assert driver.safe_stop()
