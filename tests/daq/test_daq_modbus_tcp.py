@@ -129,7 +129,6 @@ def test_pieces_of_a_reply_are_put_together(line: TcpBlock, driver: ModbusDriver
 # ---------------------------------------------------------------------- a real socket
 
 
-@pytest.mark.realtime
 def test_a_device_that_starts_late_and_does_not_know_who_it_is_can_be_opened(line: TcpBlock) -> None:
     asked = []
 
@@ -156,6 +155,7 @@ def test_in_a_pause_late_replies_that_come_together_hold_the_right_one(line: Tcp
     assert driver.link_statistics["stale_bytes"] > 0
 
 
+@pytest.mark.realtime
 def test_a_connection_carries_bytes_both_ways_and_says_when_it_is_dead() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         number = server.getsockname()[1]
