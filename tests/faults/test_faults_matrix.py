@@ -109,7 +109,10 @@ def _id(value: Row | Backend | Stage) -> str:
 def test_every_fault_ends_within_its_bound_with_its_code_and_no_sample_lost(row: Row, backend: Backend) -> None:
     found = measure(row, backend, one_phase(row.name, backend, START if row.early else CYCLE))
     assert found.trouble == ()
-    assert found.off_s <= found.bound_s and found.lost <= row.on(backend.traits).may_lose
+    assert (
+        found.off_s <= found.bound_s
+        and found.lost <= row.on((START if row.early else CYCLE).traits(backend.traits)).may_lose
+    )
     warn(found)
 
 
@@ -127,7 +130,7 @@ def test_each_place_has_one_code_or_two_with_a_reason_and_a_bound_from_the_confi
         for row in ROWS:
             for stage in stages_of(row, backend):
                 here = row.on(stage.traits(backend.traits))
-                most = 3 if here.either.startswith("by chance") else 2
+                most = 3 if row.name == "sensor noisy" else 2  # which rule its noise breaks first is chance
                 assert 1 <= len(here.codes) <= most, (row.name, backend.key, stage.key)
                 assert len(here.codes) == 1 or here.either, (row.name, backend.key, stage.key)
                 assert math.isfinite(here.bound.seconds(KNOWN)), (row.name, backend.key, stage.key)
@@ -391,8 +394,9 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
                 continue
             cells = lines[row.name]
             assert re.search(r"\d", cells[2]) and re.search(r"\d", cells[3]), cells
-            phases = phases_of(backend, START if row.early else CYCLE)
-            assert int(cells[6]) <= row.on(backend.traits).may_lose * phases, cells
+            stage = START if row.early else CYCLE
+            most = row.on(stage.traits(backend.traits)).may_lose * phases_of(backend, stage)
+            assert int(cells[6]) <= most, cells
             assert cells[7].strip().endswith("moves"), cells
     stages = page.split("## In the other stages\n")[1].split("\n## ")[0]
     for backend in BACKENDS:

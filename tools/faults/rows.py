@@ -398,15 +398,8 @@ RESET_BARE: Changes = {
     "bare": {"codes": ("MODBUS_EXCEPTION",), "bound": SEEN},
     "bare, rest": {"codes": ("DEVICE_RESET",), "bound": STAYS},
 }
-SENT_AGAIN: Changes = {
-    **_unhurried(codes=(RUNS_ON,), bound=RUNNING),
-    "modbus, arming": {
-        "codes": (RUNS_ON, "LINK_TIMEOUT", "DEVICE_WATCHDOG"),
-        "bound": RUNNING,
-        "either": "by chance of the instant: what is asked before the first tick is waited for longer (no fault, or "
-        "DEVICE_WATCHDOG where the device is armed by then), in a tick it is LINK_TIMEOUT",
-    },
-}
+# outside of a tick it is waited for
+SENT_AGAIN: Changes = _unhurried(codes=(RUNS_ON,), bound=RUNNING)
 NO_SECOND: Changes = {"modbus": {"codes": ("LINK_TIMEOUT",), "bound": HEARD}}
 NO_SECOND_LOOK: Changes = {"modbus": {"codes": ("LINK_REPLY",), "bound": HEARD}}
 MISSED: Changes = {"relay": {"bound": GAP, "codes": ("LINK_GAP",)}}
@@ -520,7 +513,14 @@ ROWS = (
         SILENCE,
         ("LINK_TIMEOUT",),
         only=("tcp",),
-        other=SENT_AGAIN,
+        other=SENT_AGAIN
+        | {
+            "modbus, arming": {
+                "codes": (RUNS_ON, "DEVICE_WATCHDOG"),
+                "bound": RUNNING,
+                "either": "DEVICE_WATCHDOG where it is armed by then, and hears nothing for so long",
+            }
+        },
         remark="drives and stop arrive together, after the watchdog: they drive nothing",
     ),
     Row(
@@ -579,10 +579,10 @@ ROWS = (
                 "codes": (RUNS_ON, "LINK_TIMEOUT"),
                 "either": "LINK_TIMEOUT where it is the reply's last byte: the next reply is taken for its end, and "
                 "both are lost",
+                "may_lose": 1,
             },
-            "relay, cycle": {"codes": ("LINK_GAP",), "either": ""},
+            "relay, cycle": {"codes": ("LINK_GAP",), "either": "", "may_lose": 0},
         },
-        may_lose=1,
         absent={"tcp": TCP_IS_WHOLE},
     ),
     Row(
@@ -976,9 +976,8 @@ ROWS = (
                 "either": "TRAVEL_HARD where it was out before the device was armed, which waits for it to come in",
             },
             "modbus, arming": {
-                "codes": ("DEVICE_SENSOR", "TRAVEL_HARD", "DEVICE_TRAVEL"),
-                "either": "by chance of the instant: DEVICE_SENSOR at the sensor's rail before the device was armed, "
-                "TRAVEL_HARD outside before it, DEVICE_TRAVEL after it",
+                "codes": ("DEVICE_SENSOR", "DEVICE_TRAVEL"),
+                "either": "DEVICE_SENSOR where it was at the sensor's rail before the device was armed",
             },
         },
     ),
