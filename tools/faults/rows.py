@@ -979,6 +979,7 @@ ROWS = (
                 "codes": ("DEVICE_SENSOR", "DEVICE_TRAVEL"),
                 "either": "DEVICE_SENSOR where it was at the sensor's rail before the device was armed",
             },
+            "bare, arming": {"codes": ("TRAVEL_HARD",), "either": ""},
         },
     ),
     Row(
