@@ -11,10 +11,11 @@ from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from rig.backends.backend import is_emulated
+from rig.backends.clock import MonotonicClock
+from rig.backends.driver import RelayDriver
 from rig.bench import Bench, calibration_of, connect, drive_map_of, guard_settings_of, limits_of, real_time_of
 from rig.config import Experiment
-from rig.config.backend import is_emulated
-from rig.config.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck, BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
@@ -26,14 +27,13 @@ from rig.control.observer import MotorObserver
 from rig.control.relay import DualChannelRelay, HystereticRelay, RelayOnCounts
 from rig.control.tracking import Tracking
 from rig.control.trajectory import SumOfSines
-from rig.daq.driver import RelayDriver
 from rig.faults import Fault
 from rig.identify import Identification, identify
-from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import RealTime, real_time
 from rig.loop.rehearsal import RehearsalBench, rehearse
 from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
+from rig.preflight.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
 from rig.recording.folder import write_meta
 from rig.recording.reader import read_run
 from rig.session import FADE_S, OnStart, Outcome, Session, record

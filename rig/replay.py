@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from rig import config, experiment
+from rig.backends.driver import DeviceInfo
 from rig.bench import Bench, calibration_of, drive_map_of, guard_settings_of
 from rig.config.schema import Experiment, Method
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.guard import Guard
-from rig.daq.driver import DeviceInfo
 from rig.faults import FAULTS, Fault
 from rig.loop.real_time import RealTime
 from rig.loop.recorded import Comparison, RecordedClock, RecordedDriver, ReplayLoop

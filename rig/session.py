@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import rig
+from rig.backends.link_budget import times_error_s
 from rig.bench import Bench, connect, guard_settings_of
-from rig.config import Experiment, dump, notes
-from rig.config.link_budget import times_error_s
-from rig.config.room_to_stop import device_watchdog_s
+from rig.config import Experiment, dump
 from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import GainSearch
 from rig.control.guard import Guard
@@ -28,6 +27,8 @@ from rig.loop.real_time import RealTime
 from rig.loop.runner import STOPPING, Loop
 from rig.loop.stop_request import StopRequest, stop_on_signals
 from rig.model.supply import SupplyReading
+from rig.preflight import notes
+from rig.preflight.room_to_stop import device_watchdog_s
 from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
 from rig.recording.reader import read_run

@@ -24,6 +24,8 @@ from typing import Any, NamedTuple
 
 from wake_up import cores, fifo_is_allowed
 
+from rig.backends.clock import MonotonicClock
+from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.bench import (
     Bench,
     calibration_of,
@@ -39,9 +41,7 @@ from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
 from rig.control.law import Law
 from rig.control.relay import DualChannelRelay
-from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.faults import Fault
-from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import RealTime, real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest

@@ -11,7 +11,7 @@ import sys
 import time
 from pathlib import Path
 
-from rig.emulate.firmware_build import build_chip, source_folder
+from rig.backends.serial.emulated.firmware_build import build_chip, source_folder
 from rig.recording.folder import write_whole
 from safety import garbage
 from safety.page import Found, is_kept, render, row
