@@ -23,8 +23,7 @@ from rig.backends.link_budget import link_budget, reading_budget, transactions
 from rig.backends.modbus.section import tcp_address
 from rig.bench import guard_settings_of
 from rig.config import Experiment, load
-from rig.preflight import notes
-from rig.preflight import rules as preflight
+from rig.preflight import notes, preflight
 from rig.preflight.plan import plan
 from rig.preflight.room_to_stop import device_watchdog_s, reaction_periods, stopping_terms
 

@@ -20,8 +20,7 @@ from rig.calibration import Calibration
 from rig.config import ConfigError, Experiment, load
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
-from rig.preflight import check
-from rig.preflight import rules as preflight
+from rig.preflight import check, preflight
 from rig.preflight.room_to_stop import stopping_terms
 
 CONFIGS = Path(__file__).parents[2] / "config"
