@@ -15,10 +15,10 @@ from rig.control.relay import DualChannelRelay
 from rig.daq.calibration import DriveMap
 from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.identify import sampled_data
-from rig.identify.record import Record
 from rig.loop.clock import VirtualClock
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
+from rig.recording.series import Record
 from rig.signals import Order, Sample
 
 
