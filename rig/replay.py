@@ -23,8 +23,8 @@ from rig.control.guard import Guard
 from rig.faults import FAULTS, Fault
 from rig.loop.real_time import RealTime
 from rig.loop.recorded import Comparison, RecordedClock, RecordedDriver, ReplayLoop
+from rig.loop.replayed_rows import OF_GUARD, Difference, Diverged, RecordEnds, Tape
 from rig.loop.stop_request import StopRequest
-from rig.loop.tape import OF_GUARD, Difference, Diverged, RecordEnds, Tape
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.recording.errors import RecordingError

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.estimate import Estimate
-from rig.identify.record import Record
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
+from rig.recording.series import Record
 
 Array = NDArray[np.float64]
 

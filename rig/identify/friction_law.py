@@ -27,8 +27,8 @@ from rig.identify.breakaway import Breakaway
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.friction_fit import LAWS, ROUNDING, Fit, Law, Tests
 from rig.identify.noise import noise_of
-from rig.identify.record import Record
 from rig.identify.sampled_data import Piece, Problem, repeated_share, repetitions
+from rig.recording.series import Record
 
 Array = NDArray[np.float64]
 Standing = Literal["chosen", "too simple", "not needed", "open"]

@@ -17,10 +17,10 @@ from rig.identify.estimate import Estimate
 from rig.identify.friction_law import Ladder, friction_law
 from rig.identify.mean_cycle import Cycle
 from rig.identify.plausibility import judge_motor, judge_records
-from rig.identify.record import IdentifyError, Record, from_recording
 from rig.identify.verdict import FEW_CYCLES
 from rig.model.supply import SupplyReading
 from rig.recording.reader import Recording
+from rig.recording.series import IdentifyError, Record, from_recording
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 
 METHODS = (sampled_data.METHOD, triple_relay.METHOD, describing_function.METHOD, least_squares.METHOD)

@@ -29,7 +29,7 @@ from scipy.linalg import null_space
 from scipy.special import stdtrit
 
 from rig.identify.estimate import Estimate
-from rig.identify.record import IdentifyError, Record
+from rig.recording.series import IdentifyError, Record
 
 Array = NDArray[np.float64]
 

@@ -12,10 +12,10 @@ from scipy.optimize import least_squares
 from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, identify
-from rig.identify.record import IdentifyError, Record, from_recording
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.recording.errors import RecordingError
+from rig.recording.series import IdentifyError, Record, from_recording
 from rig.report.source import Array, Json, Run, Span, number
 
 PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")

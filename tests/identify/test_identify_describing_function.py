@@ -16,11 +16,11 @@ from synthetic import LSB_RAD, Bench, dcr, drawn, motor, record, simulate
 from rig.identify import describing_function, verdict
 from rig.identify.cycles import find_cycle
 from rig.identify.mean_cycle import Cycle
-from rig.identify.record import IdentifyError
 from rig.model.describing_function import Oscillation, predict
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import State
 from rig.model.sampled_relay import relay_test
+from rig.recording.series import IdentifyError
 
 
 def cycle_of(h1: float, h2: float, rows: int = 1600, **bench) -> Cycle:

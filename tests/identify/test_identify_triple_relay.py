@@ -15,7 +15,6 @@ from rig.identify import describing_function, triple_relay
 from rig.identify.cycles import find_cycle
 from rig.identify.identification import identify
 from rig.identify.mean_cycle import Cycle, average
-from rig.identify.record import IdentifyError, Record
 from rig.identify.sampled_data import Start, ridge_starts
 from rig.identify.triple_relay import Features, residuals, solve, solve_cycle
 from rig.model.describing_function import predict
@@ -23,6 +22,7 @@ from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import State
 from rig.model.sampled_relay import relay_test
 from rig.recording.reader import read_csv
+from rig.recording.series import IdentifyError, Record
 
 TRUTH = (0.17, 6.5, 0.5)
 FINE_S = 2e-4

@@ -24,9 +24,9 @@ from rig.config import load_campaign
 from rig.config.campaign import Campaign
 from rig.identify import sampled_data, triple_relay
 from rig.identify.cycles import find_cycle
-from rig.identify.record import IdentifyError, Record
 from rig.model.motor import State
 from rig.model.sampled_relay import relay_test
+from rig.recording.series import IdentifyError, Record
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "campaign.yaml"
 HOST_S, DEVICE_S = 0.010, 0.001

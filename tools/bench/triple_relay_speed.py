@@ -17,13 +17,13 @@ from scipy.optimize import least_squares
 
 from rig.identify.cycles import find_cycle
 from rig.identify.mean_cycle import Cycle
-from rig.identify.record import Record
 from rig.identify.sampled_data import Start, ridge_starts
 from rig.identify.triple_relay import Features, fit, solve, solve_cycle
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import effective_inputs, limit_cycle, stage_states
 from rig.model.motor import Motor, State
 from rig.model.sampled_relay import relay_test
+from rig.recording.series import Record
 
 TAU_S, K_RAD_S_V, FC_V = 0.17, 6.5, 0.5
 H1_V, H2_V = 0.8, 1.0

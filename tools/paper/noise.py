@@ -15,13 +15,13 @@ from paper.page import Cell, Claim, Comparison, Paragraph, Remark, Section, Tabl
 from rig.identify import triple_relay
 from rig.identify.cycles import find_cycle
 from rig.identify.mean_cycle import Cycle, average
-from rig.identify.record import IdentifyError, Record
 from rig.identify.sampled_data import ridge_starts
 from rig.identify.triple_relay import Features
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
 from rig.model.sampled_relay import RelayTest, relay_test
+from rig.recording.series import IdentifyError, Record
 from rig.report.style import Picture
 
 SAMPLING_S = 0.0002

@@ -14,11 +14,11 @@ from rig.bench import truth_of
 from rig.config import Experiment, load
 from rig.identify import IdentifyError, describing_function, sampled_data, triple_relay
 from rig.identify.cycles import find_cycle
-from rig.identify.record import Record
 from rig.identify.sampled_data import Start
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
 from rig.model.sampled_relay import relay_test
+from rig.recording.series import Record
 from rig.report.style import METHODS, Picture
 
 PERIODS_S = (0.0005, 0.001, 0.002, 0.005, 0.010)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate, write_csv
 
-from rig.identify.record import TIMES_ERROR_S, IdentifyError, Record, clock_ratio, from_recording
 from rig.recording.reader import read_csv
+from rig.recording.series import TIMES_ERROR_S, IdentifyError, Record, clock_ratio, from_recording
 
 N = 50
 T = np.arange(N) * 0.01
