@@ -293,15 +293,14 @@ def identify(
             found = identify_recordings(recordings, tuple(methods) or None)
     except (RecordingError, IdentifyError) as error:
         _fail_input(error)
-    result = found.as_dict()
-    estimates = result["estimates"]
-    ok = any(e["verdict"] != "refused" for e in estimates.values())
+    result = found.as_result()
+    ok = any(not estimate.is_refused for estimate in result.estimates.values())
     if as_json:
-        click.echo(json_text({"ok": ok, "records": [str(path) for path in paths], **result}), nl=False)
+        click.echo(json_text({"ok": ok, "records": [str(path) for path in paths], **result.as_json()}), nl=False)
     else:
-        for note in found.notes:
+        for note in result.notes:
             click.echo(note)
-        show_estimates(estimates, None)
+        show_estimates(result.estimates, None)
     sys.exit(0 if ok else EXIT_FAILED)
 
 
