@@ -25,6 +25,7 @@ from rig.emulate.firmware_build import EmulationError
 from rig.faults import Fault
 from rig.recording.errors import CannotWriteError, RecordingError
 from rig.recording.folder import json_text
+from rig.results import known
 from rig.terminal import (
     patience,
     progress,
@@ -233,11 +234,11 @@ def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool)
             f"ask for --u-V between {-experiment.drive.max_V:g} and {experiment.drive.max_V:g}, or raise drive.max_V",
         )
     outcome = _perform(lambda on_start: script.jog(experiment, u_V, seconds, out, on_start), as_json)
-    moved = outcome.result.get("jog")
+    moved = outcome.result.jog
     if moved is not None and not as_json:
-        click.echo(f"y {moved['from_rad']:+.3f} -> {moved['to_rad']:+.3f} rad")
-        if moved["refused_ticks"]:
-            click.echo(f"the guard cut the drive in {moved['refused_ticks']} ticks: outward; try the other sign")
+        click.echo(f"y {known(moved.from_rad):+.3f} -> {known(moved.to_rad):+.3f} rad")
+        if moved.refused_ticks:
+            click.echo(f"the guard cut the drive in {moved.refused_ticks} ticks: outward; try the other sign")
     _finish(outcome, as_json)
 
 
@@ -394,7 +395,7 @@ def replay(run_folder: Path, as_json: bool) -> None:
     except config.ConfigError as error:
         _fail_config(error)
     if as_json:
-        click.echo(json_text(done.as_dict()), nl=False)
+        click.echo(json_text(done.as_json()), nl=False)
     else:
         show_replay(done)
     sys.exit(0 if done.is_same else EXIT_FAILED)

@@ -23,7 +23,7 @@ from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, RESULT
 from rig.recording.path_kind import no_recording, no_run
 from rig.recording.writer import EVENTS, SAMPLES
-from rig.results import Part, RunMeta, RunResult
+from rig.results import Part, RunEvent, RunMeta, RunResult
 from rig.results.reading import DamagedError, parsed, remarks
 from rig.signals import plain
 
@@ -104,7 +104,7 @@ class Recording:
     source: Path
     meta: RunMeta
     config_text: str | None
-    events: tuple[dict[str, Any], ...]
+    events: tuple[RunEvent, ...]
     notes: tuple[str, ...]
     first_row: int = 0
 
@@ -215,7 +215,7 @@ def read_run(folder: Path) -> Recording:
         notes.append(f"{META} is missing")
     config = folder / CONFIG
     config_text = _text(config, _bytes(config)) if config.exists() else None
-    events: list[dict[str, Any]] = []
+    events: list[RunEvent] = []
     if (folder / EVENTS).exists():
         events = _read_events(folder / EVENTS, notes)
     return replace(
@@ -558,24 +558,26 @@ def _add_absent(columns: dict[str, NDArray[Any]], count: int) -> None:
 # -- JSON -------------------------------------------------------------------------------------------------------------
 
 
-def _read_events(path: Path, notes: list[str]) -> list[dict[str, Any]]:
+def _read_events(path: Path, notes: list[str]) -> list[RunEvent]:
     content, moved = whole_content(path)
     if not content:
         return []
     whole, torn = _without_torn_line(path, content)
     notes.extend(f"{EVENTS}: {note}" for note in [*moved, *torn])
     lines = _text(path, whole).split("\n")
-    return [_parse_object(path, line, number) for number, line in enumerate(lines, 1) if line.strip()]
+    return [_typed(path, RunEvent, line, number) for number, line in enumerate(lines, 1) if line.strip()]
 
 
 def _read_part(path: Path, kind: type[_P]) -> _P | None:
     """What a JSON file holds; None where there is none."""
-    if not path.exists():
-        return None
+    return _typed(path, kind, _text(path, _bytes(path)), None) if path.exists() else None
+
+
+def _typed(path: Path, kind: type[_P], text: str, line: int | None) -> _P:
     try:
-        return parsed(kind, _parse_object(path, _text(path, _bytes(path)), None))
+        return parsed(kind, _parse_object(path, text, line))
     except DamagedError as error:
-        raise RecordingError(path, error.cause, "correct it, or take that key out of the file") from error
+        raise RecordingError(path, error.cause, "correct it, or take that key out of the file", line) from error
 
 
 def _parse_object(path: Path, text: str, line: int | None) -> dict[str, Any]:

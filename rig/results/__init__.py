@@ -1,4 +1,6 @@
-"""What a run says of itself, typed: meta.json (``RunMeta``), result.json (``RunResult``), and what is in them."""
+"""What a run says of itself, typed: meta.json is a ``RunMeta``, result.json a ``RunResult``, a line of events.jsonl a
+``RunEvent``. The models say what each key means; docs/results.md is made from them.
+"""
 
 from rig.results.estimates import (
     BreakawayResult,
@@ -12,6 +14,7 @@ from rig.results.estimates import (
     StaticFrictionResult,
     known,
 )
+from rig.results.event import DrivenModel, RunEvent
 from rig.results.meta import DeviceSeen, RealTimeReport, RunMeta, ScriptCall, SupplyBelieved, TrueMotor
 from rig.results.part import JsonObject, Part
 from rig.results.result import (
@@ -29,6 +32,7 @@ __all__ = [
     "BreakawayResult",
     "DeviceLoop",
     "DeviceSeen",
+    "DrivenModel",
     "EstimateResult",
     "FaultReport",
     "FrictionLawResult",
@@ -43,6 +47,7 @@ __all__ = [
     "RealTimeReport",
     "RelayTestResult",
     "ResidualResult",
+    "RunEvent",
     "RunMeta",
     "RunResult",
     "ScriptCall",

@@ -75,8 +75,8 @@ class EstimateResult(Part):
 
     def interval(self, name: str) -> tuple[float, float] | None:
         """The 95 % interval of one parameter; None where it has none."""
-        low, high = (self.ci95 or {}).get(name, (None, None))
-        return None if low is None or high is None else (low, high)
+        low, high = map(known, (self.ci95 or {}).get(name, (None, None)))
+        return (low, high) if math.isfinite(low) and math.isfinite(high) else None
 
     @property
     def is_refused(self) -> bool:

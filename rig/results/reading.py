@@ -139,16 +139,14 @@ def _described(value: object) -> str:
     return str(value)[:60]
 
 
-def _innermost(data: object, path: _Path) -> _Path:
+def _innermost(data: Any, path: _Path) -> _Path:
     """As much of a path as there is in the data: what is missing is the fault of what holds it."""
     there: list[int | str] = []
     for part in path:
-        if isinstance(data, dict) and isinstance(part, str) and part in data:
-            data = data[part]
-        elif isinstance(data, list) and isinstance(part, int) and part < len(data):
-            data = data[part]
-        else:
+        is_there = part in data if isinstance(data, dict) else isinstance(data, list) and part in range(len(data))
+        if not is_there:
             break
+        data = data[part]
         there.append(part)
     return tuple(there)
 

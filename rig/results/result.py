@@ -24,7 +24,7 @@ class FaultReport(Part):
     cause: Text = Field("", description="what it means")
     cure: Text = Field("", description="what to do")
     detail: Text = Field("", description="what was seen")
-    t_s: Sometimes[Number] = Field(None, description="when, s since the run's start; rig itself writes that to events.jsonl")
+    t_s: Sometimes[Number] = Field(None, description="when, s since the run's start; of an event")
 
 
 class TrackingResult(Part):
