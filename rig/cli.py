@@ -25,6 +25,7 @@ from rig.backends.serial.emulated.firmware_build import EmulationError
 from rig.faults import Fault
 from rig.recording.errors import CannotWriteError, RecordingError
 from rig.recording.folder import json_text
+from rig.results import known
 from rig.terminal import (
     patience,
     progress,
@@ -233,11 +234,11 @@ def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool)
             f"ask for --u-V between {-experiment.drive.max_V:g} and {experiment.drive.max_V:g}, or raise drive.max_V",
         )
     outcome = _perform(lambda on_start: script.jog(experiment, u_V, seconds, out, on_start), as_json)
-    moved = outcome.result.get("jog")
+    moved = outcome.result.jog
     if moved is not None and not as_json:
-        click.echo(f"y {moved['from_rad']:+.3f} -> {moved['to_rad']:+.3f} rad")
-        if moved["refused_ticks"]:
-            click.echo(f"the guard cut the drive in {moved['refused_ticks']} ticks: outward; try the other sign")
+        click.echo(f"y {known(moved.from_rad):+.3f} -> {known(moved.to_rad):+.3f} rad")
+        if moved.refused_ticks:
+            click.echo(f"the guard cut the drive in {moved.refused_ticks} ticks: outward; try the other sign")
     _finish(outcome, as_json)
 
 
@@ -293,15 +294,14 @@ def identify(
             found = identify_recordings(recordings, tuple(methods) or None)
     except (RecordingError, IdentifyError) as error:
         _fail_input(error)
-    result = found.as_dict()
-    estimates = result["estimates"]
-    ok = any(e["verdict"] != "refused" for e in estimates.values())
+    result = found.as_result()
+    ok = any(not estimate.is_refused for estimate in result.estimates.values())
     if as_json:
-        click.echo(json_text({"ok": ok, "records": [str(path) for path in paths], **result}), nl=False)
+        click.echo(json_text({"ok": ok, "records": [str(path) for path in paths], **result.as_json()}), nl=False)
     else:
-        for note in found.notes:
+        for note in result.notes:
             click.echo(note)
-        show_estimates(estimates, None)
+        show_estimates(result.estimates, None)
     sys.exit(0 if ok else EXIT_FAILED)
 
 
@@ -395,7 +395,7 @@ def replay(run_folder: Path, as_json: bool) -> None:
     except config.ConfigError as error:
         _fail_config(error)
     if as_json:
-        click.echo(json_text(done.as_dict()), nl=False)
+        click.echo(json_text(done.as_json()), nl=False)
     else:
         show_replay(done)
     sys.exit(0 if done.is_same else EXIT_FAILED)
