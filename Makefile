@@ -2,7 +2,7 @@
 CONFIG ?= config/demo$(if $(CHIP),-chip).yaml
 RIG := .venv/bin/rig
 
-.PHONY: help demo test search check format bench paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -36,6 +36,9 @@ bench: .venv/.ready firmware  ## timing ratios, written to bench.json
 
 paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/report.html
 	PYTHONPATH=tools .venv/bin/python -m paper
+
+figures: .venv/.ready  ## the figures of README and docs/theory.md: docs/figures
+	PYTHONPATH=tools .venv/bin/python tools/figures.py
 
 safety: .venv/.ready firmware  ## what stops the drive, and how soon, on the Uno's emulated chip: docs/safety-table.md
 	PYTHONPATH=tools .venv/bin/python -m safety

@@ -635,6 +635,47 @@ def schema(file: Path | None, old_name: Path | None, of_campaign: bool) -> None:
             _fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
 
 
+@main.group("config")
+def ready_configs() -> None:
+    """The ready configs that come with rig: list them, copy one."""
+
+
+@ready_configs.command("list")
+def list_configs() -> None:
+    """Names of the ready configs, and what each is for."""
+    from rig.config import ready
+
+    names = ready.names()
+    width = max(map(len, names))
+    for name in names:
+        click.echo(f"{name:{width}}  {ready.purpose(name)}")
+
+
+@ready_configs.command("copy")
+@click.argument("name", metavar="NAME")
+@click.option(
+    "--to", "file", type=click.Path(path_type=Path, dir_okay=False), default=None, metavar="FILE",
+    help="File that is written; default: NAME.yaml here.",
+)  # fmt: skip
+def copy_config(name: str, file: Path | None) -> None:
+    """Copy a ready config, to change it. A file that is there already stays."""
+    from rig.config import ready
+
+    try:
+        text = ready.text(name)
+    except ready.UnknownConfigError as error:
+        _fail(EXIT_BAD_INPUT, error.cause, error.cure)
+    file = file or Path(f"{name.removesuffix('.yaml')}.yaml")
+    try:
+        with file.open("x", encoding="utf-8") as new:
+            new.write(text)
+    except FileExistsError:
+        _fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file: --to FILE")
+    except OSError as error:
+        _fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
+    click.echo(f"{file}: check it with `rig check {shlex.quote(str(file))}`")
+
+
 @contextlib.contextmanager
 def _faults() -> Any:
     try:

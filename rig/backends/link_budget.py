@@ -2,7 +2,7 @@
 
 Beside it what a reading alone needs: that is what can be measured of a device that is not armed.
 
-Serial: the frames of docs/architecture.md, and what the USB adapter adds (``serial.usb_adapters``). Modbus: Application
+Serial: the frames of docs/wire.md, and what the USB adapter adds (``serial.usb_adapters``). Modbus: Application
 Protocol 1.1b3, section 6 (lengths of requests and replies); over Serial Line 1.02, section 2.5.1 (silence of 3.5
 characters, fixed at 1.75 ms above 19200 baud).
 """

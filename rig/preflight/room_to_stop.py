@@ -1,4 +1,4 @@
-"""What the shaft travels until it stands, and the room that there is for it: arithmetic on the config.
+"""What the shaft travels until it stands, and the room for it: arithmetic on the config (docs/theory.md 10.1, 10.2).
 
 ``e`` is the experiment throughout; positions count from 0 rad, the centre of travel.
 """

@@ -85,7 +85,7 @@ def test_oscillations_balanced_by_another_library_give_the_motor(truth):
 
 
 def grid(count: int):
-    """Motors as in theory section 8, with the gains of two tests of one frequency (DF) and 1.3 x the amplitude."""
+    """Motors as in docs/theory.md 7.10, with the gains of two tests of one frequency (DF) and 1.3 x the amplitude."""
     rng = np.random.default_rng(5)
     while count:
         tau, K, fc, h1, h2 = drawn(rng)

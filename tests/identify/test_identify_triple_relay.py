@@ -26,7 +26,7 @@ from rig.recording.series import IdentifyError, Record
 
 TRUTH = (0.17, 6.5, 0.5)
 FINE_S = 2e-4
-# the check rows of theory section 4: tau, K, fc, h1, h2
+# the check rows of docs/theory.md 3.4: tau, K, fc, h1, h2
 CHECKS = [
     (0.17, 6.5, 0.5, 0.8, 1.0),
     (1.0, 1.0, 0.5, 0.8, 1.0),
@@ -241,7 +241,7 @@ def test_the_describing_functions_estimate_starts_it_well():
 
 
 def grid(count: int):
-    """Motors as in theory section 8: parameters, relay, delay in ticks, asymmetry."""
+    """Motors as in docs/theory.md 7.10: parameters, relay, delay in ticks, asymmetry."""
     rng = np.random.default_rng(12)
     while count:
         tau, K, fc, h1, h2 = drawn(rng)

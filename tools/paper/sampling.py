@@ -1,4 +1,4 @@
-"""What sampling does to the triple relay: the bench's relay tests at other sampling periods (theory section 8)."""
+"""What sampling does to the triple relay: the bench's relay tests at other sampling periods (docs/theory.md 7.1)."""
 
 from __future__ import annotations
 
@@ -98,11 +98,11 @@ def section(result: Result) -> Section:
         Paragraph(
             "A relay that decides at samples switches up to a sampling period and the delay after the true crossing, "
             f"while t<sub>1</sub> itself is only {1e3 * result.t1_s:.0f} ms here. The equations (24)–(29) then "
-            "do not describe the data: their edges are no crossings (theory, section 8). Here the bench's relay "
+            "do not describe the data: their edges are no crossings (docs/theory.md 7.1). Here the bench's relay "
             f"tests are repeated at {first:g} to {last:g} ms, {result.trials} trials each, same noise and resolution."
         ),
         _table(result),
-        _figure(result),
+        picture(result),
         Remark(
             "ours",
             f"At {last:g} ms the equations as they stand are off by {at[PLAIN]:.0f} % in the worst parameter (median), "
@@ -141,7 +141,7 @@ def _table(result: Result) -> Table:
     )
 
 
-def _figure(result: Result) -> Picture:
+def picture(result: Result) -> Picture:
     figure = new_figure(3.2)
     axes = figure.subplots()
     looks = {PLAIN: ("#8c510a", ":", "v"), DF: (*METHODS[DF][:2], "s"), TR: (*METHODS[TR][:2], "o"),
