@@ -32,7 +32,7 @@ format: .venv/.ready  ## format the Python code
 	.venv/bin/ruff format .
 
 bench: .venv/.ready firmware  ## timing ratios, written to bench.json
-	.venv/bin/python tools/bench/run.py
+	PYTHONPATH=tools .venv/bin/python -m bench
 
 paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/report.html
 	PYTHONPATH=tools .venv/bin/python -m paper
