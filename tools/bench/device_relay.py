@@ -1,6 +1,6 @@
 """What a relay that decides every 1 ms in the device brings, against 10 ms in the host: same motors, same time.
 
-python tools/bench/device_relay.py [--json] [--motors N]
+PYTHONPATH=tools python -m bench.device_relay [--json] [--motors N]
 
 Motors, gains, offset and noise are those of config/campaign.yaml (10-bit counts, 3 mrad); both records are equally
 long. The host's drive acts 0.5 to 9.5 ms after its sample, the device's 0.1 ms; both are recorded.

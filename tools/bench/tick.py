@@ -1,6 +1,6 @@
 """A whole tick, from the wake-up to the row in the record, split: over a serial device, Modbus and the simulator.
 
-python tools/bench/tick.py [--json] [--seconds 8]
+PYTHONPATH=tools python -m bench.tick [--json] [--seconds 8]
 
 The emulated devices run in real time: processes on this machine, behind a pseudo-terminal or on loopback, so that the
 wire is that of this machine and not of a cable. A relay test runs, recorded to disk, with the config's loop settings.
@@ -22,8 +22,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from wake_up import cores, fifo_is_allowed
-
+from bench.wake_up import cores, fifo_is_allowed
 from rig.backends.clock import MonotonicClock
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.bench import (
@@ -81,23 +80,15 @@ class Limited:
 
     def __init__(self, law: Law, ticks: int) -> None:
         self._law, self._left = law, ticks
-        self.finished = False
-
-    @property
-    def z_rad_s(self) -> float:
-        """The law's."""
-        return self._law.z_rad_s
-
-    @property
-    def yd_rad(self) -> float:
-        """The law's."""
-        return self._law.yd_rad
+        self.z_rad_s, self.yd_rad, self.finished = law.z_rad_s, law.yd_rad, False
 
     def step(self, sample: Sample) -> float:
         """The law's drive, V."""
         self._left -= 1
         self.finished = self._left <= 0
-        return self._law.step(sample)
+        u_V = self._law.step(sample)
+        self.z_rad_s, self.yd_rad = self._law.z_rad_s, self._law.yd_rad
+        return u_V
 
 
 class BareRelay:

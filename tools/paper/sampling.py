@@ -8,7 +8,7 @@ import numpy as np
 
 from paper import surviving
 from paper.drawing import Array, finish, new_figure
-from paper.page import Cell, Comparison, Paragraph, Remark, Section, Table, number
+from paper.page import Comparison, Paragraph, Remark, Section
 from paper.section_5 import CONFIG, DF, NAMES, PLAIN, SD, TR, motor_of, plain_iteration, theta
 from rig.bench import truth_of
 from rig.config import Experiment, load
@@ -20,6 +20,7 @@ from rig.model.motor import Motor, State
 from rig.model.sampled_relay import relay_test
 from rig.recording.series import Record
 from rig.report.style import METHODS, Picture
+from shared.table import Cell, Table, number
 
 PERIODS_S = (0.0005, 0.001, 0.002, 0.005, 0.010)
 DELAY = 0.3  # of a sampling period, from a sample to its drive's effect
