@@ -9,6 +9,7 @@ import numpy as np
 from paper import example_4_2c, surviving
 from paper.drawing import Array, finish, new_figure, zero
 from paper.gauss_newton import STOPS, Path, iterate
+from paper.ideal_relay import HalfPeriod, Relay, ideal_relay, settled_cycle
 from paper.page import (
     Cell,
     Claim,
@@ -27,7 +28,6 @@ from rig.identify import describing_function
 from rig.identify.triple_relay import Features
 from rig.model.describing_function import RelayGains
 from rig.model.friction import tustin
-from rig.model.ideal_relay import HalfPeriod, Relay, ideal_relay, settled_cycle
 from rig.model.motor import Motor, State
 from rig.report.style import Picture
 
