@@ -29,8 +29,8 @@ from rig.control.tracking import Tracking
 from rig.control.trajectory import SumOfSines
 from rig.faults import Fault
 from rig.identify import Identification, identify
+from rig.loop.pre_run import PreRunBench, pre_run
 from rig.loop.real_time import RealTime, real_time
-from rig.loop.rehearsal import RehearsalBench, rehearse
 from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
 from rig.preflight.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
@@ -440,7 +440,7 @@ def verify_models(session: Session) -> None:
                 not_run="its estimate was refused" if estimate else "no estimate"
             )
             continue
-        rehearsal = RehearsalBench(
+        bench = PreRunBench(
             motor=best.motor(),
             start_rad=session.loop.last_y_rad,
             noise_rad=session.loop.guard.settings.noise_rad,
@@ -452,7 +452,7 @@ def verify_models(session: Session) -> None:
             order=session.bench.driver.order,
         )
         motor = estimate.motor()
-        reason = rehearse(_tracking_law(session, motor), rehearsal, session.loop.guard.settings)
+        reason = pre_run(_tracking_law(session, motor), bench, session.loop.guard.settings)
         if reason is None:
             safe[method] = motor
         else:

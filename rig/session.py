@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from rig.backends.link_budget import times_error_s
 from rig.bench import Bench, connect, guard_settings_of
 from rig.config import Experiment, dump
 from rig.control.guard import Guard
@@ -19,8 +18,6 @@ from rig.identify import IdentifyError, identify
 from rig.loop.runner import STOPPING, Loop
 from rig.loop.stop_request import StopRequest, stop_on_signals
 from rig.model.supply import SupplyReading
-from rig.preflight import notes
-from rig.preflight.room_to_stop import device_watchdog_s
 from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
 from rig.recording.reader import read_run

@@ -89,4 +89,3 @@ class RunMeta(Part):
     truth: TrueMotor | None = Field(None, description="the emulated motor; null: the motor is real")
     script: ScriptCall | None = Field(None, description="what ran")
     real_time: Sometimes[RealTimeReport] = Field(None, description="written once the loop has asked the machine")
-

@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from rig.model.friction import coulomb, tustin
-from rig.model.ideal_relay import (
+from paper.ideal_relay import (
     Relay,
     half_periods,
     ideal_relay,
     settled_cycle,
 )
+from rig.model.friction import coulomb, tustin
 from rig.model.limit_cycle import NoLimitCycle, limit_cycle
 from rig.model.motor import Motor, State
 
