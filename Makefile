@@ -1,6 +1,8 @@
 # `make help` lists the targets. Everything is installed into .venv.
 CONFIG ?= config/demo$(if $(CHIP),-chip).yaml
 RIG := .venv/bin/rig
+# where it is set, each of the thousand processes that the tests start compiles all its packages anew
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
