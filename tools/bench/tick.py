@@ -47,6 +47,7 @@ from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
 from rig.recording.record import NoRecord
 from rig.recording.recorder import Recorder
+from rig.results.result import LoopResult
 from rig.signals import Sample
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -165,10 +166,9 @@ class Turns:
 
     def result(self) -> dict[str, Any]:
         """Quantiles of each part, ours and of the bare tick, us; the share of ticks skipped."""
-        told, peer = self.ours.statistics.summary().as_json(), self.bare.statistics.summary().as_json()
+        summary, bare = self.ours.statistics.summary(), self.bare.statistics.summary()
+        told, peer = summary.as_json(), bare.as_json()
         ran, skipped = self.ours.statistics.ticks, self.ours.statistics.skipped
-        compute, bare_compute = told["compute_us"], peer["compute_us"]
-        assert isinstance(compute, dict) and isinstance(bare_compute, dict)
         return {
             "granted": self.done.granted,
             "refused": self.done.refused,
@@ -178,8 +178,14 @@ class Turns:
             "skipped_percent": round(100.0 * skipped / (ran + skipped), 4),
             **{part: told[part] for part in PARTS},
             "bare": {part: peer[part] for part in PARTS},
-            "compute_p99_ratio_to_bare": round(compute["p99"] / bare_compute["p99"], 2),
+            "compute_p99_ratio_to_bare": round(_p99(summary) / _p99(bare), 2),
         }
+
+
+def _p99(loop: LoopResult) -> float:
+    """99th percentile of law and guard, us."""
+    assert loop.compute_us is not None and loop.compute_us.p99 is not None
+    return loop.compute_us.p99
 
 
 def measure(case: Case, turns: int, folder: Path) -> dict[str, dict[str, Any]]:
