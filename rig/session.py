@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import rig
-from rig.backends.link_budget import times_error_s
-from rig.bench import Bench, connect, guard_settings_of
+from rig.backends.registry import Bench, backend_of, connect
+from rig.bench import guard_settings_of
 from rig.config import Experiment, dump
 from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import GainSearch
@@ -356,7 +356,7 @@ def _meta(experiment: Experiment, bench: Bench, started: datetime) -> dict[str, 
         "order": bench.driver.order,
         "period_s": experiment.period_s,
         "drive_units": bench.info.drive_units,
-        "times_error_s": times_error_s(experiment),
+        "times_error_s": backend_of(experiment).times_error_s(experiment),
         "firmware": {
             "board": bench.info.board,
             "build": bench.info.build,

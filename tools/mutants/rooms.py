@@ -38,7 +38,7 @@ ROOMS = (
         "rig/backends/modbus",
         5,
         ("tests/daq", "tests/config/test_config_modbus.py"),
-        {name: _MODBUS for name in ("driver", "client", "requests", "frames")},
+        dict.fromkeys(("driver", "client", "requests", "frames"), _MODBUS),
     ),
     Room(
         "rig/backends/simulated",

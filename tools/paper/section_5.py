@@ -29,7 +29,7 @@ from paper.page import (
     significant,
 )
 from rig import experiment
-from rig.bench import truth_of
+from rig.backends.backend import truth_of
 from rig.config import Experiment, load
 from rig.identify import Identification, identify
 from rig.identify.estimate import Estimate

@@ -12,12 +12,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from statistics import median
 
-from rig.backends.driver import DeviceInfo, DeviceWatchdog, Transport
+from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow, Transport
 from rig.backends.serial import frames
 from rig.backends.serial.device_clock import DeviceClock, TimedExchange, fit_device_clock
 from rig.backends.serial.frames import Code, Hello, Kind, Packet, RelaySetup, Setup, State
 from rig.backends.serial.introduction import STALE_READS, await_introduction, refusal
-from rig.backends.serial.relay_stream import TICK_S, RelayCommand, RelayRow, RelayStream, relay_command
+from rig.backends.serial.relay_stream import TICK_S, FirmwareRelay, RelayStream, relay_command
 from rig.calibration import (
     Calibration,
     DriveMap,
@@ -380,6 +380,8 @@ class SerialDriver:
 
         Raises Fault ARM_READBACK, LINK_TIMEOUT, or what the device refuses with.
         """
+        if not isinstance(command, FirmwareRelay):
+            raise TypeError("a command of another driver")
         setup = command.setup
         self._unconfirmed = None
         self._stream = None
