@@ -5,14 +5,15 @@ A config comes in here once, and goes out as an open bench.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rig.backends.backend import Backend, Unopened
 from rig.backends.driver import Clock, DeviceInfo, Driver, DriverSettings
@@ -51,7 +52,7 @@ class Bench:
 def registered() -> dict[str, EntryPoint]:
     """What installed packages offer, by name. Raises PlugInError if two offer the same name."""
     found: dict[str, EntryPoint] = {}
-    for entry in entry_points(group=GROUP):
+    for entry in _installed(entry_points, tuple(sys.path)):
         if entry.name in found and found[entry.name].value != entry.value:
             raise PlugInError(
                 f"two drivers are called {entry.name!r}: {found[entry.name].value} and {entry.value}; "
@@ -59,6 +60,12 @@ def registered() -> dict[str, EntryPoint]:
             )
         found[entry.name] = entry
     return found
+
+
+@lru_cache(maxsize=4)
+def _installed(finder: Callable[..., Iterable[EntryPoint]], places: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """What is offered. Looking through all packages takes milliseconds: once for each finder and list of places."""
+    return tuple(finder(group=GROUP))
 
 
 def load(name: str) -> type[Driver] | Backend:
@@ -83,12 +90,11 @@ def construct(name: str, settings: DriverSettings) -> Driver:
 
 def backend_of(e: Experiment) -> Backend:
     """The device that the config names; one that nothing is known of, and whose rules refuse, where there is none."""
-    # what finds packages is part of the key, so that a test may put another in its place
-    return _backend_named(e.daq.driver, entry_points)
+    return backend_named(e.daq.driver)
 
 
-@lru_cache(maxsize=16)
-def _backend_named(name: str, finder: Callable[..., Any]) -> Backend:
+def backend_named(name: str) -> Backend:
+    """As ``backend_of``, by its name."""
     if name in BUILT_IN:
         found = loaded(BUILT_IN[name])
         assert isinstance(found, Backend)
@@ -154,7 +160,7 @@ def emulated_board(
     chip   the Uno's firmware on its emulated chip, wherever the config's port is
     Raises EmulationError where it cannot be built or started.
     """
-    for backend in (backend_of(e), _backend_named(_EMULATES, entry_points)):
+    for backend in (backend_of(e), backend_named(_EMULATES)):
         found = backend.emulated(e, link, trace, chip=chip)
         if found is not None:
             return found

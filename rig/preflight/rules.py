@@ -54,6 +54,8 @@ class Preflight:
 
 def preflight(experiment: Experiment) -> Preflight:
     """Check an experiment offline. The problems have paths but no places: ``rig.preflight.check`` adds these."""
+    if unread := tuple(_own_section(experiment)):
+        return Preflight((), unread)  # what the device says builds on it
     problems = tuple(problem for rule in _RULES for problem in rule(experiment))
     return Preflight(tuple(plain(line) for line in plan(experiment)), problems)
 
@@ -61,16 +63,19 @@ def preflight(experiment: Experiment) -> Preflight:
 # ---------------------------------------------------------------------- the device
 
 
-def _device(e: Experiment) -> Iterator[Problem]:
-    """What the device itself says: its keys, its own section, its link."""
+def _own_section(e: Experiment) -> Iterator[Problem]:
+    """What is wrong in the section of the device's own, where it has one."""
     backend = backend_of(e)
     if backend.section is not None:
         try:
             backend.options(e, backend.section)
         except ValidationError as error:
             yield from unplaced(error.errors(include_url=False), backend.section, ("daq", "options"))
-            return
-    yield from backend.rules(e)
+
+
+def _device(e: Experiment) -> Iterator[Problem]:
+    """What the device itself says: its keys, its link."""
+    yield from backend_of(e).rules(e)
 
 
 def _spin(e: Experiment) -> Iterator[Problem]:

@@ -775,7 +775,7 @@ def test_a_trickle_of_noise_does_not_stretch_the_time_out():
 
 def test_sequence_numbers_wrap():
     port, driver = armed()
-    driver._seq = port.seq = 0xFFFE
+    driver._exchange.seq = port.seq = 0xFFFE
     for seq in (0xFFFF, 0, 1):
         port.expect_read(counts=seq & 0x1FF)
         assert driver.read().seq == seq

@@ -274,13 +274,13 @@ def test_a_block_of_another_session_is_a_reset() -> None:
     board, driver = armed_driver()
     start(board, driver)
     run_for(board, driver, 0.1)
-    feed = driver._reader.feed
+    feed = driver._exchange.reader.feed
 
     def another(data: bytes) -> list[Packet]:
         blocks = [(p, Block.unpack(p.body)) for p in feed(data) if p.kind == Kind.BLOCK]
         return [p._replace(body=b._replace(session=b.session ^ 1).pack()) for p, b in blocks]
 
-    driver._reader.feed = another  # type: ignore[method-assign]
+    driver._exchange.reader.feed = another  # type: ignore[method-assign]
     assert fault_of(lambda: run_for(board, driver, 0.3)).code == "DEVICE_RESET"
 
 
