@@ -21,7 +21,7 @@ from rich.console import Console
 
 import rig
 from rig import config, preflight
-from rig.backends.serial.emulated.firmware_build import EmulationError
+from rig.backends.emulated.errors import EmulationError
 from rig.faults import Fault
 from rig.recording.errors import CannotWriteError, RecordingError
 from rig.recording.folder import json_text

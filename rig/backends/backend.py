@@ -23,7 +23,7 @@ from rig.config.schema import Experiment
 
 if TYPE_CHECKING:  # these load slowly
     from rig.backends.emulated.board_process import BoardProcess
-    from rig.backends.serial.usb_adapters import Adapter
+    from rig.backends.links.usb_adapters import Adapter
     from rig.model.bench import BenchParameters
 
 OwnSection = TypeVar("OwnSection", bound=Section)

@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from rig.backends.links.usb_adapters import Adapter
 from rig.backends.modbus.section import Modbus
 from rig.backends.section import Interval, NonNegative, Positive
 from rig.backends.section import Section as _Section
-from rig.backends.serial.usb_adapters import Adapter
 from rig.calibration import Calibration, DriveMap, TachometerScale
 from rig.signals import Limits
 

@@ -36,8 +36,8 @@ from modbus_device import (
 from pymodbus.client.mixin import ModbusClientMixin
 
 from rig.backends.emulated.bench import bench_parameters
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.io_block import ExecutedDrive, IoBlock
-from rig.backends.serial.emulated.firmware_build import EmulationError
 from rig.model.bench import Bench
 
 WATCHDOG_FAULT, TRAVEL, SENSOR, DRIVE_RANGE, NOT_ARMED = 2, 3, 4, 5, 6

@@ -35,10 +35,10 @@ from processes import alive, rows, wait_until
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
 from rig.backends.modbus.emulated.modbus_board import ModbusBoard, mbpoll_line
 from rig.backends.modbus.emulated.tcp_slave import Adu, Stream
-from rig.backends.serial.emulated.firmware_build import EmulationError
 from rig.cli import main
 
 pytestmark = pytest.mark.realtime

@@ -13,10 +13,10 @@ import pytest
 import yaml
 from processes import PATIENCE_S, rows, wait_until
 
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.chip_board import ChipBoard
-from rig.backends.serial.emulated.firmware_build import EmulationError
 from rig.config.schema import Experiment
 from rig.preflight import check
 

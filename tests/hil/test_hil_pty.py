@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from processes import PATIENCE_S, alive, rows, wait_until
 
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.links.serial_port import SerialPort
-from rig.backends.serial.emulated.firmware_build import EmulationError
 from rig.backends.serial.emulated.host_board import HostBoard
 from rig.backends.serial.frames import Code, FrameReader, Hello, Kind, Packet, Setup, encode, pack_ack, pack_arm
 from rig.config.schema import Emulated, EmulatedMotor

@@ -11,10 +11,10 @@ from rig.backends.backend import Line, LineBackend, Watchdog
 from rig.backends.driver import Driver
 from rig.backends.keys import foreign_keys
 from rig.backends.link_budget import LinkBudget
+from rig.backends.links.usb_adapters import CHIPS, Adapter
 from rig.backends.serial import link_budget
 from rig.backends.serial.ports import adapter_of, is_emulated
 from rig.backends.serial.rules import serial_rules
-from rig.backends.serial.usb_adapters import CHIPS, Adapter
 from rig.config.problems import Problem
 from rig.config.schema import Experiment
 

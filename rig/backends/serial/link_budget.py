@@ -6,8 +6,8 @@ Beside it what a reading alone needs: that is what can be measured of a device t
 from __future__ import annotations
 
 from rig.backends.link_budget import LinkBudget, wire_term, wire_words
+from rig.backends.links.usb_adapters import CHIPS, FRAME_S, Adapter, adapter_delay_s
 from rig.backends.serial.ports import adapter_of
-from rig.backends.serial.usb_adapters import CHIPS, FRAME_S, Adapter, adapter_delay_s
 from rig.config.schema import Experiment
 
 REPLY_SHARE = 2 / 3  # of daq.timeout_s, after which the driver asks for a reading again

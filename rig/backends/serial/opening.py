@@ -11,6 +11,7 @@ from rig.backends.backend import Line, host_clock
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.links.serial_port import SerialPort
+from rig.backends.links.usb_port import check_adapter
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.behind_usb import BehindUsb
 from rig.backends.serial.emulated.chip_board import ChipBoard
@@ -19,7 +20,6 @@ from rig.backends.serial.emulated.usb_board import UsbBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip, uno_options
 from rig.backends.serial.flashing import flash_line
 from rig.backends.serial.ports import CHIP_PORTS, adapter_of
-from rig.backends.serial.usb_port import check_adapter
 from rig.config.schema import Experiment
 from rig.faults import Fault
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rig.backends.serial.usb_adapters import Adapter, adapter_by_name
+from rig.backends.links.usb_adapters import Adapter, adapter_by_name
 from rig.config.schema import Experiment
 
 CHIP_PORTS = ("emulated-chip", "emulated-chip-realtime")

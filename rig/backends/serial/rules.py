@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import PurePosixPath
 
 from rig.backends.link_budget import BAUD_RATES, LINK_SHARE
+from rig.backends.links.usb_adapters import Adapter, adapter_delay_s
 from rig.backends.serial.flashing import WRONG_BRIDGE
 from rig.backends.serial.link_budget import (
     REPLY_SHARE,
@@ -18,7 +19,6 @@ from rig.backends.serial.link_budget import (
     tick_budget,
 )
 from rig.backends.serial.ports import CHIP_BAUDS, CHIP_PORTS, EMULATED_PORTS, adapter_of
-from rig.backends.serial.usb_adapters import Adapter, adapter_delay_s
 from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
 from rig.config.sensor import count_rad

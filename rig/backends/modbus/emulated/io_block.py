@@ -17,10 +17,10 @@ from dataclasses import replace
 from typing import Any, NamedTuple, Self
 
 from rig.backends.emulated.bench import bench_parameters
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.io_block_registers import RANGES, BlockRegisters
 from rig.backends.modbus.registers import Table
 from rig.backends.modbus.section import Modbus
-from rig.backends.serial.emulated.firmware_build import EmulationError
 from rig.config.schema import Emulated
 from rig.model.bench import Bench
 

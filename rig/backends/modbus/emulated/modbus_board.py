@@ -10,9 +10,9 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from rig.backends.emulated.board_process import BoardProcess
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
 from rig.backends.modbus.section import Modbus, read_in_a_tick, span_of
-from rig.backends.serial.emulated.firmware_build import EmulationError
 from rig.config.schema import Emulated
 
 

@@ -25,13 +25,13 @@ from typing import Any, Protocol, TextIO
 
 from rig import __version__
 from rig.backends.emulated.device_process import ORPHAN_S, fail, linked, open_pty, signals, take_priority
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.io_block import IoBlock
 from rig.backends.modbus.emulated.line_faults import Corruption
 from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
 from rig.backends.modbus.emulated.rtu_slave import Line, RtuSlave
 from rig.backends.modbus.emulated.tcp_slave import Stream, TcpSlave
 from rig.backends.modbus.section import Modbus
-from rig.backends.serial.emulated.firmware_build import EmulationError
 from rig.config.schema import Emulated
 
 LOOPBACK = "127.0.0.1"

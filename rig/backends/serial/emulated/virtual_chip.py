@@ -7,9 +7,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
-from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, ChipFirmware, EmulationError, UnoOptions
+from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, ChipFirmware, UnoOptions
 from rig.backends.serial.emulated.virtual_device import VirtualDevice, load
 from rig.model.bench import BenchParameters
 
