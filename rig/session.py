@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from rig.bench import Bench, connect, guard_settings_of
+from rig.backends.registry import Bench, connect
+from rig.bench import guard_settings_of
 from rig.config import Experiment, dump
 from rig.control.guard import Guard
 from rig.control.tracking import tracking_error

@@ -8,8 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rig.backends.driver import Clock, Driver, RelayDriver
-from rig.backends.serial.relay_stream import RelayCommand, RelayRow
+from rig.backends.driver import Clock, Driver, RelayCommand, RelayDriver, RelayRow
 from rig.control.guard import WINDOW_S, Guard
 from rig.control.law import Law
 from rig.control.motion import is_obeyed

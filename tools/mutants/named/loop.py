@@ -215,7 +215,7 @@ ROOM = of(
     (
         "what the adapter keeps is not counted",
         "reaction_s",
-        " + link_adapter_s(experiment)",
+        " + backend_of(experiment).reply_delay_s(experiment)",
         "",
         _preflight("test_the_guard_reckons_with_every_term_of_the_stopping_sum"),
     ),
@@ -252,6 +252,10 @@ PREFLIGHT = of(
         "    if False:\n",
         _preflight("test_each_rule_refuses_with_one_line_at_its_key"),
     ),
+)
+
+SERIAL_RULES = of(
+    "rig/backends/serial/rules.py",
     (
         "a config of a real port that names no bridge passes",
         "_bridge",
@@ -324,7 +328,7 @@ COMMAND = of(
     (
         "each run of one command opens the bench anew",
         "repeated",
-        "    elif is_emulated(experiment):\n",
+        "    elif backend_of(experiment).is_emulated(experiment):\n",
         "    elif True:\n",
         _several("test_one_command_of_several_runs_acknowledges_nothing_between_them"),
     ),
@@ -337,4 +341,4 @@ COMMAND = of(
     ),
 )
 
-MUTANTS = (*RUNNER, *PAUSE, *SESSION, *COMMAND, *PRE_RUN, *SIGNALS, *BENCH, *ROOM, *PREFLIGHT)
+MUTANTS = (*RUNNER, *PAUSE, *SESSION, *COMMAND, *PRE_RUN, *SIGNALS, *BENCH, *ROOM, *PREFLIGHT, *SERIAL_RULES)
