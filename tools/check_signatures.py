@@ -77,9 +77,7 @@ def main() -> int:
     """Check every file of the package."""
     files = {str(path.relative_to(ROOT)): path for path in sorted((ROOT / "rig").rglob("*.py"))}
     bad = [f"{name}:{what}" for name, path in files.items() for what in problems(path, ALLOWED.get(name, set()))]
-    bad += [
-        f"{name}: no such file: take it off the list" for name in ALLOWED.keys() - files
-    ]
+    bad += [f"{name}: no such file: take it off the list" for name in ALLOWED.keys() - files]
     print("\n".join(bad) or f"signatures: {MOST} plain values at most")
     return 1 if bad else 0
 

@@ -25,6 +25,7 @@ class Homing:
     timeout_s      longest homing; Fault NOT_HOME where it passes first
 
     Results: ``strokes``, how many it took, and ``rest_rad``, the mean position at which the shaft stood last.
+    Raises ValueError for levels or a tolerance that are not > 0.
     """
 
     LOOK_S = 0.2  # over which it has to stand still

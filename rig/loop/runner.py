@@ -139,7 +139,7 @@ class Loop:
         ``law`` runs along: it takes each tick of the device, and what it decides must be what the device did. The guard
         judges each tick, too; a drive that it would not let out ends the run, since only the device could change it.
         Each of the loop's own ticks keeps the device's watchdog quiet and takes what has come.
-        Raises Fault as ``run``, and DEVICE_RELAY, RELAY_STOPPED, LINK_GAP.
+        Raises Fault as ``run``, and DEVICE_RELAY, RELAY_STOPPED, LINK_GAP; ValueError where the driver has no relay.
         """
         driver = self._driver
         if not isinstance(driver, RelayDriver):
