@@ -17,7 +17,7 @@ from rig.backends.registry import Bench, backend_of, connect
 from rig.bench import guard_settings_of, real_time_of
 from rig.config import Experiment
 from rig.config.schema import Method
-from rig.control.breakaway import BreakawayCheck, BreakawayLaw
+from rig.control.breakaway import BreakawayCheck, BreakawayFound, BreakawayLaw, StrokePlan
 from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.homing import Homing
@@ -233,10 +233,8 @@ def breakaway_check(e: Experiment) -> BreakawayCheck:
         b.max_V,
         b.motion_rad,
         b.rest_s,
-        strokes.strokes_s,
-        strokes.pause_s,
+        StrokePlan(strokes.strokes_s, strokes.pause_s, strokes.watchdog_s),
         e.period_s,
-        strokes.watchdog_s,
     )
 
 
@@ -357,10 +355,8 @@ def bring_home(session: Session) -> None:
     dithered = noise_rad > 0.4 * lsb_rad
     tolerance_rad = max(0.3 * lsb_rad, 0.45 * noise_rad) if dithered else 0.6 * lsb_rad
     homing = Homing(
-        breakaway.plus_V,
-        breakaway.minus_V,
+        BreakawayFound(breakaway.plus_V, breakaway.minus_V, noise_rad),
         e.drive.max_V,
-        noise_rad,
         tolerance_rad,
         e.period_s,
         HOMING_TIMEOUT_S,
