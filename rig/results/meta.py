@@ -42,8 +42,8 @@ class ScriptCall(Part):
 class RealTimeReport(Part):
     """What the machine granted the loop, and what it refused: a sentence for each."""
 
-    granted: tuple[Text, ...] = ()
-    refused: tuple[Text, ...] = ()
+    granted: tuple[Text, ...] = Field((), description="what it granted")
+    refused: tuple[Text, ...] = Field((), description="what it refused, and what helps")
 
 
 class TrueMotor(Part):
@@ -89,4 +89,3 @@ class RunMeta(Part):
     truth: TrueMotor | None = Field(None, description="the emulated motor; null: the motor is real")
     script: ScriptCall | None = Field(None, description="what ran")
     real_time: Sometimes[RealTimeReport] = Field(None, description="written once the loop has asked the machine")
-

@@ -88,4 +88,3 @@ class Part(BaseModel):
         if not required:
             del schema["required"]
         return found
-

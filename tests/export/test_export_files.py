@@ -25,7 +25,16 @@ GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 RUN = GOLDEN / "simulated-fault"
 RESULT: dict[str, Any] = {
     "schema": 1,
-    "estimates": {"sampled-data": {"tau_s": 0.17, "verdict": "ok", "reasons": [], "rows": [10, 20], "fc_plus_V": None, "covariance": [[1.0, None], [3.0, 4.0]]}},
+    "estimates": {
+        "sampled-data": {
+            "tau_s": 0.17,
+            "verdict": "ok",
+            "reasons": [],
+            "rows": [10, 20],
+            "fc_plus_V": None,
+            "covariance": [[1.0, None], [3.0, 4.0]],
+        }
+    },
     "tracking": {"end": {"not_run": "no"}},
     "notes": ["a", "µ"],
     "search": [{"outcome": "no oscillation"}, {"outcome": "settled", "h1_V": 11.0}],
@@ -113,8 +122,9 @@ def test_a_csv_file_of_one_stage_is_plain_and_gives_what_its_rows_give(tmp_path:
     for name in ("t_s", "u_V", "y_rad", "t_u_s"):
         assert np.array_equal(getattr(found, name), getattr(whole, name)[rows], equal_nan=True)
     ours = identify([found], ("sampled-data",), ladder=False).estimates["sampled-data"]
-    theirs = identify([whole.select(rows.start, rows.stop - 1)], ("sampled-data",), ladder=False)
-    assert ours.as_result().as_json() | {"rows": None} == theirs.estimates["sampled-data"].as_result().as_json() | {"rows": None}
+    same = identify([whole.select(rows.start, rows.stop - 1)], ("sampled-data",), ladder=False)
+    theirs = same.estimates["sampled-data"]
+    assert ours.as_result().as_json() | {"rows": None} == theirs.as_result().as_json() | {"rows": None}
 
 
 def test_the_command_says_what_it_wrote(run_folder: Path, tmp_path: Path) -> None:
