@@ -13,17 +13,17 @@ from pathlib import Path
 from typing import Literal, cast
 
 from rig import config
+from rig.backends.driver import DeviceInfo
 from rig.bench import Bench, calibration_of, drive_map_of, guard_settings_of
 from rig.config.schema import Experiment, Method
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.guard import Guard
-from rig.daq.driver import DeviceInfo
 from rig.experiment import BREAKAWAY_LAW, stages
 from rig.faults import FAULTS, Fault
 from rig.loop.recorded import Comparison, RecordedClock, RecordedDriver, ReplayLoop
+from rig.loop.replayed_rows import OF_GUARD, Difference, Diverged, RecordEnds, Tape
 from rig.loop.stop_request import StopRequest
-from rig.loop.tape import OF_GUARD, Difference, Diverged, RecordEnds, Tape
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.recording.errors import RecordingError

@@ -10,15 +10,16 @@ from datetime import datetime
 from pathlib import Path
 
 import rig
+from rig.backends.link_budget import times_error_s
 from rig.bench import Bench
-from rig.config import Experiment, notes
-from rig.config.link_budget import times_error_s
-from rig.config.room_to_stop import device_watchdog_s
+from rig.config import Experiment
 from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import GainSearch
 from rig.faults import Fault
 from rig.identify import Identification
 from rig.loop.statistics import LoopStatistics
+from rig.preflight import notes
+from rig.preflight.room_to_stop import device_watchdog_s
 from rig.results import (
     BreakawayResult,
     DeviceSeen,

@@ -19,10 +19,10 @@ from rig.config.campaign import Campaign
 from rig.identify import IdentifyError, identify, sampled_data
 from rig.identify.cramer_rao import PositionNoise, cramer_rao
 from rig.identify.estimate import PARAMETERS, Estimate
-from rig.identify.record import LEAST_DELAY_S, Record
 from rig.model.sampled_relay import RelayTest
 from rig.model.sensitivity import Drive, Theta
 from rig.recording.reader import Recording, RecordingError, from_columns
+from rig.recording.series import LEAST_DELAY_S, Record
 from rig.results import RunMeta
 
 Array = NDArray[np.float64]

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from rig.backends.backend import is_emulated
 from rig.bench import Bench, connect
 from rig.config import Experiment
-from rig.config.backend import is_emulated
 from rig.experiment.stages import drive_by_hand, drive_check, drive_tests, identify_recorded, verify_models
 from rig.faults import Fault
 from rig.identify import Identification

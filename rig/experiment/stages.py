@@ -10,9 +10,10 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 
+from rig.backends.clock import MonotonicClock
+from rig.backends.driver import RelayDriver
 from rig.bench import calibration_of, drive_map_of, guard_settings_of, limits_of, real_time_of
 from rig.config import Experiment
-from rig.config.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck, BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
@@ -24,14 +25,13 @@ from rig.control.observer import MotorObserver
 from rig.control.relay import DualChannelRelay, HystereticRelay, RelayOnCounts
 from rig.control.tracking import Tracking
 from rig.control.trajectory import SumOfSines
-from rig.daq.driver import RelayDriver
 from rig.faults import Fault
 from rig.identify import Identification, identify
-from rig.loop.clock import MonotonicClock
+from rig.loop.pre_run import PreRunBench, pre_run
 from rig.loop.real_time import RealTime, real_time
-from rig.loop.rehearsal import RehearsalBench, rehearse
 from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
+from rig.preflight.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
 from rig.recording.folder import write_meta
 from rig.recording.reader import read_run
 from rig.results import JogResult, RealTimeReport, TrackingResult
@@ -361,7 +361,7 @@ def _why_not(session: Session, identification: Identification, method: Method) -
     if estimate.verdict == "refused":
         return "its estimate was refused"
     e = session.experiment
-    rehearsal = RehearsalBench(
+    bench = PreRunBench(
         motor=best.motor(),
         start_rad=session.loop.last_y_rad,
         noise_rad=session.loop.guard.settings.noise_rad,
@@ -372,7 +372,7 @@ def _why_not(session: Session, identification: Identification, method: Method) -
         period_s=e.period_s,
         order=session.bench.driver.order,
     )
-    return rehearse(_tracking_law(session, estimate.motor()), rehearsal, session.loop.guard.settings)
+    return pre_run(_tracking_law(session, estimate.motor()), bench, session.loop.guard.settings)
 
 
 def track(session: Session, models: Mapping[Method, Motor]) -> None:

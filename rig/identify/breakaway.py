@@ -1,4 +1,4 @@
-"""Static friction both ways, from the breakaway strokes and the identified motor."""
+"""Static friction both ways, from the breakaway strokes and the identified motor (docs/theory.md 7.3, 8.3)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.estimate import Estimate
-from rig.identify.record import Record
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
+from rig.recording.series import Record
 from rig.results import StaticFrictionResult
 
 Array = NDArray[np.float64]

@@ -1,11 +1,11 @@
-"""Which friction law the data ask for: a ladder of four laws, each a case of the next (theory sections 1, 8, 9).
+"""Which friction law the data ask for: a ladder of four laws, each a case of the next (docs/theory.md 8.1 and 8.4).
 
     coulomb     fc sgn(v)
     asymmetric  + a: the two directions differ, or there is a bias
     static      + fs > fc, at rest alone: seen only where the motor stands still under a drive (breakaway, slow drives)
     stribeck    + vs: fs falls to fc over the speed vs, fc + (fs - fc) exp(-|v| / vs)
 
-Viscous friction is no rung: with it tau and K are those of theory section 9, and no motion tells it from them.
+Viscous friction is no rung: with it tau and K are those of docs/theory.md 8.1, and no motion tells it from them.
 
 Each law is fitted to all tests but one by the same least squares with the same noise, that of the richest law's
 residual, and gets Schwarz's criterion. Then it predicts the test that was held out, of another amplitude, where its
@@ -27,8 +27,8 @@ from rig.identify.breakaway import Breakaway
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.friction_fit import LAWS, ROUNDING, Fit, Law, Tests
 from rig.identify.noise import noise_of
-from rig.identify.record import Record
 from rig.identify.sampled_data import Piece, Problem, repeated_share, repetitions
+from rig.recording.series import Record
 from rig.results import FrictionLawResult, LawFit
 
 Array = NDArray[np.float64]

@@ -15,10 +15,10 @@ from rig.identify.estimate import Estimate
 from rig.identify.friction_law import Ladder, friction_law
 from rig.identify.mean_cycle import Cycle
 from rig.identify.plausibility import judge_motor, judge_records
-from rig.identify.record import IdentifyError, Record, from_recording
 from rig.identify.verdict import FEW_CYCLES
 from rig.model.supply import SupplyReading
 from rig.recording.reader import Recording
+from rig.recording.series import IdentifyError, Record, from_recording
 from rig.results import HystereticResult, IdentificationResult, RelayTestResult, StaticFrictionResult
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 

@@ -12,10 +12,10 @@ from scipy.optimize import least_squares
 from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, identify
-from rig.identify.record import IdentifyError, Record, from_recording
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.recording.errors import RecordingError
+from rig.recording.series import IdentifyError, Record, from_recording
 from rig.report.source import Array, Run, Span
 from rig.results import EstimateResult, known
 
@@ -76,7 +76,7 @@ def central_difference(t: Array, y: Array) -> Array:
 def cycles_of(run: Run, span: Span) -> Cycles | None:
     """Whole settled cycles of a relay test, as identification finds them; None where it finds none.
 
-    A cycle starts where the integral crosses zero downwards (the drive steps up to h1 + h2, theory section 3);
+    A cycle starts where the integral crosses zero downwards (the drive steps up to h1 + h2, docs/theory.md 3.1);
     crossings closer than half the median are chatter around the edge.
     """
     try:

@@ -10,7 +10,7 @@ import numpy as np
 from rig.identify import least_squares
 from rig.identify.estimate import Estimate
 from rig.identify.least_squares import Transient
-from rig.identify.record import IdentifyError, from_recording
+from rig.recording.series import IdentifyError, from_recording
 from rig.report.source import Run
 from rig.report.style import (
     INK,

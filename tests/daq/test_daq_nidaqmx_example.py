@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from rig import conformance, experiment
+from rig import experiment
+from rig.backends.driver import DriverSettings
 from rig.bench import connect, limits_of, plug_in_preflight
-from rig.config import check
-from rig.daq.driver import DriverSettings
 from rig.faults import Fault
+from rig.preflight import check
+from rig.testing import conformance
 
 ROOT = Path(__file__).parent.parent.parent
 EXAMPLE = ROOT / "docs/examples/nidaqmx_driver"

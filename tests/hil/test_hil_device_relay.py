@@ -17,19 +17,19 @@ from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, VirtualHost, armed
 
 import rig.experiment
 import rig.session
+from rig.backends.driver import RelayDriver
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.frames import STATUS_RELAY, Block, Code, FrameReader, Kind, Nack, Packet, RelaySetup, encode
+from rig.backends.serial.relay_stream import RelayCommand, RelayRow
 from rig.bench import Bench, calibration_of, drive_map_of
+from rig.calibration import DriveMap
 from rig.config import load
 from rig.config.schema import Experiment, Gains, Relay
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
 from rig.control.law import Constant
 from rig.control.relay import RelayOnCounts
-from rig.daq.calibration import DriveMap
-from rig.daq.driver import RelayDriver
-from rig.daq.frames import STATUS_RELAY, Block, Code, FrameReader, Kind, Nack, Packet, RelaySetup, encode
-from rig.daq.relay_stream import RelayCommand, RelayRow
-from rig.daq.serial_link import SerialDriver
-from rig.emulate.virtual_board import VirtualBoard
 from rig.faults import Fault
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest

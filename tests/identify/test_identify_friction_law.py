@@ -18,10 +18,10 @@ from rig.identify.breakaway import Breakaway, Ramp
 from rig.identify.estimate import Estimate
 from rig.identify.friction_fit import LAWS
 from rig.identify.friction_law import Ladder, effective_samples, friction_law, schwarz
-from rig.identify.record import Record
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Motor
 from rig.recording.reader import Recording, from_columns
+from rig.recording.series import Record
 
 TAU, K, FC = 0.17, 6.5, 0.5
 MOTORS = {

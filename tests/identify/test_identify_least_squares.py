@@ -1,4 +1,4 @@
-"""Least squares on the transient of hysteretic relays (theory section 6): the paper's figures, and its failures."""
+"""Least squares on the transient of hysteretic relays (docs/theory.md 5.1): the paper's figures, and its failures."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from rig.control.relay import HystereticRelay
 from rig.identify import IdentifyError, identify
 from rig.identify.estimate import Estimate
 from rig.identify.least_squares import Transient, batch, fit, held_to, recursive, total
-from rig.identify.record import Record
 from rig.model.motor import Motor, State
 from rig.recording.reader import read_csv
+from rig.recording.series import Record
 from rig.signals import Sample
 
 PAPER = ((0.8, 0.5), (1.0, 0.3))  # d in V, eps in rad: the runs of the paper's comparison

@@ -15,20 +15,7 @@ from paper import surviving
 from paper.drawing import Array, course, finish, new_figure, note, zero
 from paper.gauss_newton import MOST_STEPS, iterate
 from paper.gauss_newton import Path as Iteration
-from paper.page import (
-    Cell,
-    Claim,
-    Comparison,
-    Heading,
-    Paragraph,
-    Remark,
-    Section,
-    Table,
-    fixed,
-    number,
-    share,
-    significant,
-)
+from paper.page import Claim, Comparison, Heading, Paragraph, Remark, Section
 from rig import experiment
 from rig.bench import truth_of
 from rig.config import Experiment, load
@@ -43,6 +30,7 @@ from rig.model.motor import Motor
 from rig.recording.reader import read_run
 from rig.report.style import Picture, colour
 from rig.results import TrackingResult, known
+from shared.table import Cell, Table, fixed, number, share, significant
 
 CONFIG = Path(__file__).resolve().parent / "bench.yaml"
 BACKEND = "simulated in virtual time, no device"
