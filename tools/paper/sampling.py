@@ -142,6 +142,7 @@ def _table(result: Result) -> Table:
 
 
 def picture(result: Result) -> Picture:
+    """Error of the worst parameter over the sampling period, by method."""
     figure = new_figure(3.2)
     axes = figure.subplots()
     looks = {PLAIN: ("#8c510a", ":", "v"), DF: (*METHODS[DF][:2], "s"), TR: (*METHODS[TR][:2], "o"),
