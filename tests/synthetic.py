@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.identify.record import Record
 from rig.model.describing_function import predict
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
+from rig.recording.series import Record
 
 LSB_RAD = 4.2 / 1024
 

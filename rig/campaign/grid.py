@@ -18,7 +18,7 @@ from rig.config.campaign import Campaign
 from rig.model.describing_function import predict
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
-from rig.model.sampled_relay import RelayTest, relay_test
+from rig.model.sampled_relay import Disturbance, RelayTest, relay_test
 
 Array = NDArray[np.float64]
 Stream = Literal["motor", "noise", "timing", "second noise", "second timing"]
@@ -133,9 +133,11 @@ def simulate(campaign: Campaign, one: Draw, *, second: bool = False) -> tuple[Re
         h2,
         sampling.period_s * np.arange(rows) + sampling.jitter_s * unit[0],
         one.delay_s + sampling.delay_jitter_s * unit[1],
-        disturbance_rad=disturbance,
-        disturbance_V=None if torque is None else torque.std_V * autoregressive(white[2], torque.coefficient),
-        lsb_rad=sensor.lsb_rad,
+        disturbance=Disturbance(
+            reading_rad=disturbance,
+            drive_V=None if torque is None else torque.std_V * autoregressive(white[2], torque.coefficient),
+            lsb_rad=sensor.lsb_rad,
+        ),
         start=State(y=one.start_rad),
     )
     return test, recorded_rows(test, relay.settling_cycles, relay.cycles)

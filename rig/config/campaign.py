@@ -9,7 +9,7 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from rig.config.section import NonNegative, Positive
+from rig.backends.section import NonNegative, Positive
 
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:

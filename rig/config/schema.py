@@ -1,7 +1,7 @@
 """The schema of an experiment: every key, its unit (in its name), its range and its default.
 
 Strict: an unknown key is an error, numbers are finite, objects are frozen. What one key says by itself is
-checked here; what keys say together (room to stop, link budget, ...) in ``rig.config.preflight``.
+checked here; what keys say together (room to stop, link budget, ...) in ``rig.preflight.rules``.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from rig.config.modbus import Modbus
-from rig.config.section import Interval, NonNegative, Positive
-from rig.config.section import Section as _Section
-from rig.usb_serial import Adapter
+from rig.backends.modbus.section import Modbus
+from rig.backends.section import Interval, NonNegative, Positive
+from rig.backends.section import Section as _Section
+from rig.backends.serial.usb_adapters import Adapter
 
 Method = Literal["sampled-data", "triple-relay", "describing-function"]
 Bridge = Literal["pwm-dir", "in1-in2"]

@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from rig.identify import sampled_data
 from rig.identify.estimate import Estimate
-from rig.identify.record import IdentifyError, Record
+from rig.recording.series import IdentifyError, Record
 
 Array = NDArray[np.float64]
 

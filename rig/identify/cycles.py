@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.mean_cycle import Cycle, Half, Wave, average
-from rig.identify.record import IdentifyError, Record
+from rig.recording.series import IdentifyError, Record
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from rig.identify.estimate import Estimate, student_intervals
 from rig.identify.mean_cycle import Cycle
-from rig.identify.record import IdentifyError
 from rig.identify.sampled_data import Start
+from rig.recording.series import IdentifyError
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,7 @@ from scipy.optimize import least_squares
 from rig.identify import sampled_data
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.sampled_data import Piece, Problem, covariance_of
-from rig.model.sensitivity import Theta, position, position_and_jacobian
-from rig.model.stribeck import StribeckTheta, stribeck_response
+from rig.model.sensitivity import StribeckTheta, Theta, position, position_and_jacobian, stribeck_response
 
 Array = NDArray[np.float64]
 Law = Literal["coulomb", "asymmetric", "static", "stribeck"]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.estimate import Estimate, Verdict
-from rig.identify.record import Record
+from rig.recording.series import Record
 
 Array = NDArray[np.float64]
 

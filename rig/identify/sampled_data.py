@@ -19,8 +19,8 @@ from scipy.special import stdtrit
 
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.noise import WHITE, Noise, noise_of
-from rig.identify.record import IdentifyError, Record
 from rig.model.sensitivity import Drive, Theta, position, position_and_jacobian
+from rig.recording.series import IdentifyError, Record
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

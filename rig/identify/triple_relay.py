@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from rig.identify.estimate import Estimate, student_intervals
 from rig.identify.mean_cycle import Bins, Cycle, MeanHalf
-from rig.identify.record import IdentifyError
 from rig.identify.sampled_data import Start, ridge_starts
+from rig.recording.series import IdentifyError
 
 Array = NDArray[np.float64]
 

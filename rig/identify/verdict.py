@@ -11,9 +11,9 @@ import numpy as np
 from rig.identify import describing_function, sampled_data
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.mean_cycle import Cycle
-from rig.identify.record import IdentifyError, Record
 from rig.model.motor import State
 from rig.model.sensitivity import Theta
+from rig.recording.series import IdentifyError, Record
 
 PROMISE = 0.05  # ok means that every parameter is at most this far off,
 SURE = 2.0  # which 95 % intervals so many times narrower promise but for one record in ten thousand

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 
 from rig.identify import sampled_data
-from rig.identify.record import IdentifyError, Record
 from rig.model.sensitivity import Theta, position_and_jacobian
+from rig.recording.series import IdentifyError, Record
 
 NAMES = ("tau_s", "K_rad_s_V", "fc_V")
 

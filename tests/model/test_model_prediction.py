@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from paper.ideal_relay import Relay, half_periods, ideal_relay
 from rig.model import limit_cycle as theorem
 from rig.model.describing_function import predict
 from rig.model.friction import coulomb
-from rig.model.ideal_relay import Relay, half_periods, ideal_relay
 from rig.model.limit_cycle import LimitCycle, NoLimitCycle, effective_inputs, limit_cycle
 from rig.model.motor import Motor, State
 from rig.model.prediction import predict_cycle

@@ -8,18 +8,19 @@ import numpy as np
 
 from paper import surviving
 from paper.drawing import Array, finish, new_figure
-from paper.page import Cell, Comparison, Paragraph, Remark, Section, Table, number
+from paper.page import Comparison, Paragraph, Remark, Section
 from paper.section_5 import CONFIG, DF, NAMES, PLAIN, SD, TR, motor_of, plain_iteration, theta
 from rig.bench import truth_of
 from rig.config import Experiment, load
 from rig.identify import IdentifyError, describing_function, sampled_data, triple_relay
 from rig.identify.cycles import find_cycle
-from rig.identify.record import Record
 from rig.identify.sampled_data import Start
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
-from rig.model.sampled_relay import relay_test
+from rig.model.sampled_relay import Disturbance, relay_test
+from rig.recording.series import Record
 from rig.report.style import METHODS, Picture
+from shared.table import Cell, Table, number
 
 PERIODS_S = (0.0005, 0.001, 0.002, 0.005, 0.010)
 DELAY = 0.3  # of a sampling period, from a sample to its drive's effect
@@ -69,7 +70,7 @@ def _worst(config: Experiment, motor: Motor, truth: Array, period_s: float, seed
         t = np.arange(round((CYCLES + 4) * 1.1 * exact.period_s / period_s)) * np.float64(period_s)
         test = relay_test(
             motor, gains.h1_V, gains.h2_V, t, DELAY * period_s, start=State(0.0, -0.8 * exact.amplitude_rad),
-            disturbance_rad=noise * rng.standard_normal(t.size), lsb_rad=lsb,
+            disturbance=Disturbance(noise * rng.standard_normal(t.size), lsb_rad=lsb),
         )  # fmt: skip
         records.append(Record(test.t_s, test.y_rad, test.t_u_s, test.u_V, name="simulated"))
         cycles.append(find_cycle(records[-1]))
