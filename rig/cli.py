@@ -21,7 +21,7 @@ from rich.console import Console
 
 import rig
 from rig import config, preflight
-from rig.backends.serial.emulated.firmware_build import EmulationError
+from rig.backends.emulated.errors import EmulationError
 from rig.faults import Fault
 from rig.recording.errors import CannotWriteError, RecordingError
 from rig.recording.folder import json_text
@@ -108,19 +108,13 @@ def _fail_config(error: config.ConfigError, verdict: str = "") -> NoReturn:
     sys.exit(EXIT_BAD_INPUT)
 
 
-def _plug_in(experiment: config.Experiment) -> preflight.Preflight:
-    from rig.bench import plug_in_preflight
-
-    return plug_in_preflight(experiment)
-
-
 def _load(path: Path, *, drives: bool = True) -> config.Experiment:
     """The checked experiment of a config file; exits with 2 and the problems where it is bad.
 
     drives  False: no motor turns, so that the bridge need not be named; `rig doctor` says which the firmware is for
     """
     try:
-        experiment, _ = preflight.check(path, _plug_in, () if drives else ("drive.bridge",))
+        experiment, _ = preflight.check(path, () if drives else ("drive.bridge",))
     except config.ConfigError as error:
         _fail_config(error)
     return experiment
@@ -251,7 +245,7 @@ def check(config_path: Path, as_json: bool) -> None:
         if config.is_campaign(config_path):
             lines = list(config.campaign_lines(config.load_campaign(config_path)))
         else:
-            lines = list(preflight.check(config_path, _plug_in)[1].lines)
+            lines = list(preflight.check(config_path)[1].lines)
     except config.ConfigError as error:
         _fail_config(error, f"verdict: refused, {_counted(len(error.problems), 'problem')}; nothing would be run")
     notes = sum(line.startswith("note: ") for line in lines)
@@ -490,23 +484,21 @@ def campaign(
 @click.option("--chip", is_flag=True, help="The Uno's firmware on its emulated chip; it takes daq.baud.")
 def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool) -> None:
     """Run the emulated device of a config until Ctrl-C."""
-    from rig.bench import emulated_board
+    from rig.backends.registry import backend_of, emulated_board
 
     experiment = _load(config_path, drives=False)
     if experiment.emulated is None:
         _fail(EXIT_BAD_INPUT, f"{config_path}: no section emulated", "add one; config/demo.yaml shows how")
-    if chip and experiment.daq.modbus is not None:
+    backend = backend_of(experiment)
+    if chip and not backend.has_chip:
         _fail(EXIT_BAD_INPUT, "--chip is the Uno, which does not speak Modbus", "leave --chip out")
     from rig.loop.stop_request import stop_on_signals
 
     with stop_on_signals() as stop, _faults(), emulated_board(experiment, link, trace, chip=chip) as board:
         port = board.port
         click.echo(f"emulated device on {link or port}; set daq.port to it in another terminal. Ctrl-C ends it.")
-        if experiment.daq.modbus is not None:
-            from rig.backends.modbus.emulated.modbus_board import mbpoll_line
-
-            where = str(link or port)
-            click.echo(f"try: {mbpoll_line(experiment.daq.modbus.model_dump(), where, experiment.daq.baud)}")
+        if hint := backend.emulated_hint(experiment, str(link or port)):
+            click.echo(hint)
         while stop.reason is None:
             board.check()
             time.sleep(0.1)

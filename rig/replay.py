@@ -14,7 +14,8 @@ from typing import Literal, cast
 
 from rig import config, experiment
 from rig.backends.driver import DeviceInfo
-from rig.bench import Bench, calibration_of, drive_map_of, guard_settings_of
+from rig.backends.registry import Bench
+from rig.bench import guard_settings_of
 from rig.config.schema import Experiment, Method
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
@@ -107,8 +108,8 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None) 
 
     stop = StopRequest()
     tape = Tape(recording, e.period_s, fault, is_whole, stop, on_progress)
-    drive_map = drive_map_of(e) if units is None else replace(drive_map_of(e), full_units=units)
-    driver = RecordedDriver(tape, order, calibration_of(e), drive_map, clock_ratio)
+    drive_map = e.drive.map if units is None else replace(e.drive.map, full_units=units)
+    driver = RecordedDriver(tape, order, e.sensor.curve, drive_map, clock_ratio)
     clock, comparison = RecordedClock(tape), Comparison(tape, None if units is None else drive_map.quantised)
     loop = ReplayLoop(driver, clock, Guard(guard_settings_of(e)), comparison, e.period_s, stop)
     loop.tape = tape

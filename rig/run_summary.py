@@ -10,8 +10,7 @@ from datetime import datetime
 from pathlib import Path
 
 import rig
-from rig.backends.link_budget import times_error_s
-from rig.bench import Bench
+from rig.backends.registry import Bench, backend_of
 from rig.config import Experiment
 from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import GainSearch
@@ -79,7 +78,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
         order=bench.driver.order,
         period_s=experiment.period_s,
         drive_units=info.drive_units,
-        times_error_s=times_error_s(experiment),
+        times_error_s=backend_of(experiment).times_error_s(experiment),
         firmware=DeviceSeen(
             board=info.board,
             build=info.build,

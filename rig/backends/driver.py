@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-from rig.backends.serial.relay_stream import RelayCommand, RelayRow
 from rig.calibration import Calibration, DriveMap
 from rig.signals import Limits, Order, Sample, plain
 
@@ -72,12 +71,49 @@ class DriverSettings:
     watchdog_s: float
 
 
+class RelayRow(NamedTuple):
+    """One tick of the relay in the device.
+
+    t_s       when the position was sampled, s in host time
+    t_u_s     from when on the drive that was decided on it acts, s
+    y_rad, y_counts   the position
+    u_V       that drive, V
+    block     number of the block that it came in, modulo 2**16
+    """
+
+    t_s: float
+    t_u_s: float
+    y_rad: float
+    y_counts: int
+    u_V: float
+    block: int
+
+
+@dataclass(frozen=True)
+class RelayCommand:
+    """What a device is told to run u = -h1 sgn(y) - h2 sgn(z), in counts and V.
+
+    drives_V             drive of each state: y >= 0 and z >= 0, y >= 0 > z, y < 0 <= z, both < 0
+    count_tick_rad_s     integral of one count for one tick of the device
+    centre_counts        reading at y = 0
+    z_bound_count_ticks  bound on the integral
+    direction            +1 where counts rise with the position, else -1
+    """
+
+    drives_V: tuple[float, float, float, float]
+    count_tick_rad_s: float
+    centre_counts: float
+    z_bound_count_ticks: float
+    direction: int
+
+
 class DeviceWatchdog(NamedTuple):
     """The device sets 0 V by itself, and latches, after ``time_s`` seconds without the host."""
 
     time_s: float
 
 
+@runtime_checkable
 class Clock(Protocol):
     """The time that a loop lives in: the machine's monotonic clock, or a virtual one."""
 

@@ -6,7 +6,9 @@ from rig.backends.driver import (
     DeviceWatchdog,
     Driver,
     DriverSettings,
+    RelayCommand,
     RelayDriver,
+    RelayRow,
     Transport,
 )
 
@@ -16,6 +18,8 @@ __all__ = [
     "DeviceWatchdog",
     "Driver",
     "DriverSettings",
+    "RelayCommand",
     "RelayDriver",
+    "RelayRow",
     "Transport",
 ]

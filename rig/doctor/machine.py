@@ -14,8 +14,8 @@ from pathlib import Path
 
 from serial.tools import list_ports
 
-from rig.backends.serial.usb_adapters import Adapter, adapter_delay_s
-from rig.backends.serial.usb_port import LATENCY_MS, usb_port
+from rig.backends.links.usb_adapters import Adapter, adapter_delay_s
+from rig.backends.links.usb_port import LATENCY_MS, usb_port
 from rig.doctor.finding import Finding, State
 from rig.loop import kernel_workers as kernel_workers_module
 from rig.loop.kernel_workers import workers

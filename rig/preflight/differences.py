@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import isclose
 
-from rig.backends.backend import is_emulated
+from rig.backends.registry import backend_of
 from rig.config.problems import bracketed
 from rig.config.schema import DeadBand, Experiment
 
@@ -16,7 +16,7 @@ _SCALED = "K and f_c will come out scaled"
 
 def differences(e: Experiment) -> Iterator[str]:
     """A sentence for each way in which what is emulated is not what the config describes; none behind a real motor."""
-    if e.emulated is None or not is_emulated(e):
+    if e.emulated is None or not backend_of(e).is_emulated(e):
         return
     yield from _bridge(e)
     yield from _sensor(e)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rig.backends.backend import adapter_of, backend_words, is_emulated, is_plug_in
-from rig.backends.link_budget import block_sum, link_budget, link_sum, sample_to_drive_s
-from rig.backends.modbus.rules import modbus_notes
-from rig.backends.serial.usb_adapters import CHIPS
+from rig.backends.registry import backend_of
 from rig.config.problems import bracketed
 from rig.config.schema import Experiment
 from rig.config.sensor import range_rad
@@ -15,7 +12,6 @@ from rig.preflight.differences import differences
 from rig.preflight.room_to_stop import (
     FRICTION_DIFFERS,
     breakaway_strokes,
-    device_watchdog_s,
     overshoot_terms,
     peak_speed_rad_s,
     room_rad,
@@ -23,12 +19,11 @@ from rig.preflight.room_to_stop import (
     stopping_terms,
 )
 
-_DRIVE_UNITS = 799  # of the firmware at full duty
-
 
 def plan(e: Experiment) -> Iterator[str]:
     """One line after another, of an experiment whose sections and keys are in range."""
-    yield f"backend: {backend_words(e)}, every {e.period_s * 1e3:g} ms"
+    backend = backend_of(e)
+    yield f"backend: {backend.words(e)}, every {e.period_s * 1e3:g} ms"
     yield from _stage_lines(e)
     soft, hard = bracketed(e.limits.soft_rad), bracketed(e.limits.hard_rad)
     full_V = e.drive.supply_V - e.drive.bridge_drop_V
@@ -37,58 +32,31 @@ def plan(e: Experiment) -> Iterator[str]:
         f"{e.limits.max_speed_rad_s:g} rad/s; {e.drive.max_V:g} V of the {full_V:g} V that the bridge can give"
     )
     yield f"stopping {stopping_sum(e)}; room from the centre of travel: {room_rad(e):.3f} rad"
-    if link_budget(e).terms:
-        yield f"link: {link_sum(e)}"
-    if e.daq.driver == "serial":
-        yield f"delay: a drive acts up to {1e3 * sample_to_drive_s(e):.2f} ms after its sample, and what the host takes"
-    if is_plug_in(e):
-        yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
-    yield from _device_drives(e)
-    yield _failsafe(e)
+    yield from backend.plan(e)
+    yield backend.failsafe_words(e)
     for note in notes(e):
         yield f"note: {note}"
 
 
 def notes(e: Experiment) -> Iterator[str]:
     """What a person has to know who reads the results: `rig check` says it before a run, and the run with them."""
+    backend = backend_of(e)
     yield from differences(e)
-    yield from _adapter(e)
-    yield from modbus_notes(e)
+    yield from backend.notes(e)
     low, high = e.limits.soft_rad
     if e.emulated is not None and not low <= e.emulated.motor.start_rad <= high:
         yield "the emulated shaft starts outside the soft limits: a run refuses until `rig jog` has it inside"
-    if e.emulated is not None and not is_emulated(e):
-        if is_plug_in(e):
-            yield "section `emulated` counts as the truth only if the driver says that its device is emulated"
-        else:
-            yield f"section `emulated` is not used with port {e.daq.port}"
-
-
-def _adapter(e: Experiment) -> Iterator[str]:
-    """What is reckoned with between USB and the line, where it is not certain."""
-    if e.daq.driver != "serial":
-        return
-    adapter = adapter_of(e)
-    chip = CHIPS.get(adapter)
-    if chip is not None and e.daq.adapter is None:
-        yield (
-            f"daq.adapter is not given; by the port's name it is reckoned with {chip.words} ({adapter}): "
-            "`rig doctor` says which is there"
-        )
-    if chip is not None and chip.assumed:
-        yield (
-            f"nobody says how long {chip.words} waits; {1e3 * chip.wait_s:g} ms is assumed: `rig doctor` on this "
-            "config measures it"
-        )
+    if e.emulated is not None and not backend.is_emulated(e):
+        yield backend.not_emulated_words(e)
 
 
 def _check_ends_by(watchdog_s: float, e: Experiment) -> str:
     """What ends a stroke of the breakaway check when the host has died, in words."""
     time = f"{1e3 * watchdog_s:.3g} ms"
-    if device_watchdog_s(e) is None or (is_plug_in(e) and e.daq.accept_no_watchdog):
+    watchdog = backend_of(e).watchdog(e)
+    if watchdog.time_s is None or (not watchdog.certain and e.daq.accept_no_watchdog):
         return f"a tick that comes {time} late, not a host that dies: without a watchdog nothing bounds that"
-    modbus = e.daq.modbus
-    if modbus is not None and modbus.registers.watchdog is None:
+    if watchdog.unit_s is None:
         return f"a host that dies in a stroke: the device's own watchdog ends it after {time}"
     return f"a host that dies in a stroke: for this check the device's watchdog is armed with {time}"
 
@@ -149,45 +117,5 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
             f"{e.tracking.duration_s:g} s each; {verify_s:.0f} s"
         )
     unknown = "" if r.target is not None and r.hysteretic is None else ", and the relay tests"
-    clock = " of virtual time" if e.daq.driver == "simulated" else ""
+    clock = backend_of(e).seconds_words(e)
     yield f"together: at most about {total_s:.0f} s{clock}{unknown}, and settling and rests"
-
-
-def _device_drives(e: Experiment) -> Iterator[str]:
-    """How a relay in the device is fed, and what given gains become in whole units of the drive."""
-    if e.relay.where != "device":
-        return
-    if is_plug_in(e):
-        yield "relay in the device: as the plug-in driver runs it; a search runs in the host"
-        return
-    yield f"relay in the device: decides every ms; {block_sum(e)}; a search runs in the host"
-    full_V, dead = e.drive.supply_V - e.drive.bridge_drop_V, e.drive.dead_band_duty.plus
-    for g in e.relay.gains or ():
-        outer, inner = (
-            round(_DRIVE_UNITS * (dead + (1.0 - dead) * u_V / full_V))
-            for u_V in (g.h1_V + g.h2_V, abs(g.h2_V - g.h1_V))
-        )
-        yield f"  at ({g.h1_V:g}, {g.h2_V:g}) V it drives +-{outer} and +-{inner} of {_DRIVE_UNITS} units"
-
-
-def _failsafe(e: Experiment) -> str:
-    """What stops the drive when the host is silent."""
-    modbus = e.daq.modbus
-    if e.daq.driver == "modbus" and modbus is not None and modbus.registers.watchdog is None:
-        if modbus.device_watchdog_s is None:
-            return "failsafe: none, as daq.accept_no_watchdog takes upon itself: have the motor's supply in reach"
-        return (
-            f"failsafe: the device sets 0 V after {modbus.device_watchdog_s * 1e3:g} ms of silence, as set on it "
-            "(daq.modbus.device_watchdog_s): try it, pull the plug at 0.3 V"
-        )
-    if not is_plug_in(e):
-        return (
-            f"failsafe: the device sets 0 V after {e.daq.watchdog_s * 1e3:g} ms of silence "
-            f"({e.daq.watchdog_s / e.period_s:.3g} periods), latched until it is armed again"
-        )
-    accepted = e.daq.accept_no_watchdog
-    return "failsafe: the plug-in driver's; where its device has none, a run " + (
-        "drives all the same (daq.accept_no_watchdog: true): have the motor's supply in reach"
-        if accepted
-        else "is refused"
-    )

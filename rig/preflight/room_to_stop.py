@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from math import ceil, log
 from typing import NamedTuple
 
-from rig.backends.backend import is_plug_in, writes_first
-from rig.backends.link_budget import link_adapter_s
+from rig.backends.registry import backend_of
 from rig.config.schema import Experiment
 
 _REACTION_PERIODS = 3  # of the loop: one until the next tick, two by which the guard's velocity lags
@@ -23,14 +22,14 @@ def reaction_periods(experiment: Experiment) -> int:
     return (
         _REACTION_PERIODS
         + (_BLOCK_AGE_PERIODS if experiment.relay.where == "device" else 0)
-        + (1 if writes_first(experiment) else 0)
+        + (1 if backend_of(experiment).writes_first(experiment) else 0)
     )
 
 
 def reaction_s(experiment: Experiment) -> float:
     """Time until the loop can have reacted to what the shaft does, s."""
     periods_s = reaction_periods(experiment) * experiment.period_s
-    return periods_s + _further_lag_s(experiment) + link_adapter_s(experiment)
+    return periods_s + _further_lag_s(experiment) + backend_of(experiment).reply_delay_s(experiment)
 
 
 def _further_lag_s(e: Experiment) -> float:
@@ -41,12 +40,9 @@ def _further_lag_s(e: Experiment) -> float:
 def device_watchdog_s(experiment: Experiment) -> float | None:
     """Silence of the host after which the device drives 0 V, s; None where it has no watchdog.
 
-    Of a plug-in driver's device the config does not tell: what it is armed with, if it has one.
+    Where only the device can tell whether it has one: what that is armed with.
     """
-    modbus = experiment.daq.modbus
-    if modbus is None or modbus.registers.watchdog is not None:
-        return experiment.daq.watchdog_s
-    return modbus.device_watchdog_s
+    return backend_of(experiment).watchdog(experiment).time_s
 
 
 def known_reaction_s(experiment: Experiment) -> float:
@@ -82,7 +78,7 @@ def stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
     count it, and the device's own hard limit is what ends such a drive.
     """
     v = e.limits.max_speed_rad_s
-    lag_s, adapter_s = _further_lag_s(e), link_adapter_s(e)
+    lag_s, adapter_s = _further_lag_s(e), backend_of(e).reply_delay_s(e)
     watchdog_s = device_watchdog_s(e)
     return (
         (f"{reaction_periods(e)} periods", v * reaction_periods(e) * e.period_s),
@@ -101,7 +97,7 @@ def stopping_sum(e: Experiment) -> str:
     total = f"at {e.limits.max_speed_rad_s:g} rad/s: {written} = {sum(rad for _, rad in terms):.3f} rad"
     if device_watchdog_s(e) is None:
         return f"{total} while the host lives; if it dies nothing bounds it: the device has no watchdog"
-    if is_plug_in(e) and e.daq.accept_no_watchdog:
+    if not backend_of(e).watchdog(e).certain and e.daq.accept_no_watchdog:
         return f"{total} if the plug-in driver's device has a watchdog; without one nothing bounds it if the host dies"
     return total
 
@@ -207,10 +203,10 @@ def _check_watchdogs_s(e: Experiment) -> tuple[float, ...]:
 
     A device whose watchdog cannot be set has one time. The host asks each period: less than two would end each check.
     """
-    modbus = e.daq.modbus
-    if modbus is not None and modbus.registers.watchdog is None and modbus.device_watchdog_s is not None:
-        return (modbus.device_watchdog_s,)
-    unit_s = 0.001 if modbus is None or modbus.registers.watchdog is None else modbus.registers.watchdog.unit_s
+    watchdog = backend_of(e).watchdog(e)
+    if watchdog.unit_s is None and watchdog.time_s is not None:
+        return (watchdog.time_s,)
+    unit_s = 0.001 if watchdog.unit_s is None else watchdog.unit_s
     least_s = _LEAST_WATCHDOG_PERIODS * e.period_s
     tried_s = min(max(_CHECK_WATCHDOG_S, least_s), e.daq.watchdog_s)
     times_s: list[float] = []
@@ -234,8 +230,8 @@ def _strokes_up_to(periods: int, e: Experiment, max_V: float, watchdog_s: float)
     """Strokes of at most so many periods, shorter at higher levels; None where nothing is within the bound."""
     cycle = max(2 * periods, periods + _LEAST_PAUSE_PERIODS, ceil(_CYCLE_S / e.period_s - _ROUNDING))
     step_V = e.breakaway.ramp_V_s * cycle * e.period_s
-    if max_V > _MOST_PAIRS * step_V:
-        return None  # it would take too long
+    if max_V > _MOST_PAIRS * step_V or min(max_V, step_V) <= 0.0:
+        return None  # it would take too long, or there is nothing left of a voltage that is hardly any
     pairs = max(ceil(max_V / step_V - _ROUNDING), 1)
     levels = _levels(pairs, step_V, max_V)
 
@@ -312,7 +308,7 @@ def overshoot_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
     From a speed v that drive d has given it, -d stops it within v tau (1 - ln 2), the more friction the sooner.
     """
     v = e.limits.max_speed_rad_s
-    periods = 3 if writes_first(e) else 2
+    periods = 3 if backend_of(e).writes_first(e) else 2
     return (
         (f"{periods} periods", periods * v * e.period_s),
         ("reversing", v * e.limits.coast_tau_s * (1.0 - log(2.0))),

@@ -1,36 +1,21 @@
 """Whether an experiment may be run: pure arithmetic on the config, no device is touched.
 
-Here are the rules of what several keys say together; what one key says by itself is the schema's. A rule says nothing
-where another has already refused what it builds on, so that one mistake gives one line.
+Here are the rules of what several keys say together; what one key says by itself is the schema's, what a device asks
+for its own. A rule says nothing where another has already refused what it builds on, so that one mistake gives one
+line.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from difflib import get_close_matches
-from functools import partial
-from pathlib import PurePosixPath
 
-from rig.backends.backend import CHIP_BAUDS, CHIP_PORTS, EMULATED_PORTS, adapter_of, is_plug_in
-from rig.backends.link_budget import (
-    BAUD_RATES,
-    LINK_SHARE,
-    REPLY_SHARE,
-    block_share,
-    block_sum,
-    link_adapter_s,
-    link_budget,
-    link_sum,
-    reading_budget,
-)
-from rig.backends.modbus.rules import modbus_rules, reads_too_far_apart
-from rig.backends.modbus.section import is_tcp
-from rig.backends.serial.flashing import WRONG_BRIDGE
-from rig.backends.serial.usb_adapters import Adapter, adapter_delay_s
-from rig.config.problems import Path, Problem, bracketed, printable, wrong
-from rig.config.schema import BUILT_IN_DRIVERS, Experiment, Gains, RelayTarget
+from pydantic import ValidationError
+
+from rig.backends.registry import backend_of
+from rig.config.messages import unplaced
+from rig.config.problems import Path, Problem, bracketed, wrong
+from rig.config.schema import Experiment, Gains, RelayTarget
 from rig.config.sensor import count_rad, range_rad
 from rig.preflight.plan import plan
 from rig.preflight.room_to_stop import (
@@ -69,119 +54,28 @@ class Preflight:
 
 def preflight(experiment: Experiment) -> Preflight:
     """Check an experiment offline. The problems have paths but no places: ``rig.preflight.check`` adds these."""
+    if unread := tuple(_own_section(experiment)):
+        return Preflight((), unread)  # what the device says builds on it
     problems = tuple(problem for rule in _RULES for problem in rule(experiment))
     return Preflight(tuple(plain(line) for line in plan(experiment)), problems)
 
 
-def unknown_driver(name: str, installed: Collection[str] = ()) -> Problem:
-    """What to say of a driver that is neither built in nor, as a plug-in, among those ``installed``."""
-    plug_ins = ", ".join(sorted(installed)) or "none"
-    close = get_close_matches(name, [*BUILT_IN_DRIVERS, *sorted(installed)], n=1)
-    return wrong(
-        "daq.driver",
-        f"no driver {printable(name)!r}; built in: {', '.join(BUILT_IN_DRIVERS)}; plug-ins installed: {plug_ins}",
-        f"did you mean '{close[0]}'?" if close else "install the package that offers it (docs/plug-in-driver.md)",
-    )
+# ---------------------------------------------------------------------- the device
 
 
-# ---------------------------------------------------------------------- the link
+def _own_section(e: Experiment) -> Iterator[Problem]:
+    """What is wrong in the section of the device's own, where it has one."""
+    backend = backend_of(e)
+    if backend.section is not None:
+        try:
+            backend.options(e, backend.section)
+        except ValidationError as error:
+            yield from unplaced(error.errors(include_url=False), backend.section, ("daq", "options"))
 
 
-def _backend(e: Experiment) -> Iterator[Problem]:
-    d = e.daq
-    if d.driver == "simulated" and d.port is not None:
-        yield wrong("daq.port", "`driver: simulated` has no port", "remove it, or set daq.driver to serial")
-    if d.driver == "serial" and d.port is None:
-        yield wrong("daq.port", "`driver: serial` needs a port", "e.g. port: /dev/ttyACM0, or port: emulated")
-    if e.emulated is None and d.driver == "simulated":
-        yield wrong("emulated", "`driver: simulated` needs this section", "describe the bench: see config/demo.yaml")
-    if e.emulated is None and d.driver == "serial" and d.port in EMULATED_PORTS:
-        yield wrong("emulated", f"`port: {d.port}` needs this section", "describe the bench: see config/demo.yaml")
-    if d.port in CHIP_PORTS and d.baud not in CHIP_BAUDS:
-        yield wrong("daq.baud", f"the Uno's firmware does not speak {d.baud} baud", "115200 or 1000000")
-    if d.adapter is not None and d.driver != "serial":
-        hint = "add its delay to daq.modbus.turnaround_s" if d.driver == "modbus" else "remove it"
-        yield wrong("daq.adapter", f"is of `driver: serial`, not of `{d.driver}`", hint)
-    if is_plug_in(e):
-        for key in ("port", "modbus"):
-            if getattr(d, key) is not None:
-                yield wrong(f"daq.{key}", f"is of built-in drivers, not of `{d.driver}`", "see daq.options")
-    elif d.options is not None:
-        yield wrong("daq.options", f"is of plug-in drivers, `driver: {d.driver}` has none", "remove it")
-
-
-def _bridge(e: Experiment) -> Iterator[Problem]:
-    """Nobody but the config can tell what is wired: the firmware is held to it as the port is opened."""
-    port = e.daq.port
-    if e.daq.driver != "serial" or port is None or port.startswith("emulated") or is_tcp(port):
-        return
-    if e.drive.bridge is None:
-        yield wrong(
-            "drive.bridge",
-            f"is missing, and a real motor may be behind {port}: it names the inputs of the bridge, and {WRONG_BRIDGE}",
-            "pwm-dir where the bridge's label says PWM and DIR, in1-in2 where it says IN1 and IN2 (docs/real-bench.md, "
-            "Which bridge); `rig doctor` on this config says which of them the firmware is for",
-        )
-
-
-def _fits(e: Experiment, baud: int, adapter: Adapter | None = None) -> bool:
-    return link_budget(e, baud, adapter).total_s <= LINK_SHARE * e.period_s * (1 + _SLACK)
-
-
-def _quicker_adapter(e: Experiment, fits: Callable[[Adapter], bool]) -> str:
-    """What to do about an adapter where another one would fit; nothing where none would."""
-    adapter = adapter_of(e)
-    if adapter == "ftdi" and fits("ftdi-1ms"):
-        device = PurePosixPath(e.daq.port or "").name if (e.daq.port or "").startswith("/dev/tty") else "ttyUSB0"
-        timer = (
-            f"an FTDI with its latency timer at 1 ms fits: `echo 1 | sudo tee /sys/bus/usb-serial/devices/{device}/"
-            "latency_timer`, and daq.adapter: ftdi-1ms"
-        )
-        return timer if e.daq.adapter is not None else f"daq.adapter: which one `rig doctor` finds there; {timer}"
-    if adapter != "none" and e.daq.adapter is None and fits("native-usb"):
-        return "daq.adapter: which one `rig doctor` finds there, if it is another"
-    return ""
-
-
-def _link_budget(e: Experiment) -> Iterator[Problem]:
-    if not link_budget(e).terms or _fits(e, e.daq.baud):
-        return
-    if e.daq.modbus is not None and reads_too_far_apart(e.daq.modbus):
-        return  # refused by its register: no such request can be made, so its time says nothing
-    if is_tcp(e.daq.port):
-        bauds: tuple[int, ...] = ()
-    else:
-        bauds = CHIP_BAUDS if adapter_of(e) == "16u2" or e.daq.port in CHIP_PORTS else BAUD_RATES
-    quicker = ""
-    for baud in (e.daq.baud, *bauds):
-        quicker = _quicker_adapter(e, partial(_fits, e, baud))
-        if quicker:
-            quicker += "" if baud == e.daq.baud else f", and daq.baud {baud}"
-            break
-    fitting = [f"daq.baud {baud} fits" for baud in bauds if _fits(e, baud)]
-    period_s = _ceil(link_budget(e).total_s / LINK_SHARE)
-    longer = [f"period_s of {period_s:g} and more"] if period_s <= 0.1 else []
-    key = "daq.adapter" if quicker else "period_s" if is_tcp(e.daq.port) else "daq.baud"
-    hint = ", or ".join([*([quicker] if quicker else []), *fitting[:1], *longer])
-    yield wrong(key, f"too slow for the period: {link_sum(e)}", hint)
-
-
-def _reply_time(e: Experiment) -> Iterator[Problem]:
-    """Three readings in a row that are asked for again end a run: of a sound link none is."""
-    reading = reading_budget(e)
-    if e.daq.driver != "serial" or not _fits(e, e.daq.baud):
-        return
-    most_s = REPLY_SHARE * e.daq.timeout_s * (1 + _SLACK)
-    if reading.total_s > most_s:
-        chip_s = link_adapter_s(e)
-        quicker = _quicker_adapter(e, lambda adapter: reading.total_s - chip_s + adapter_delay_s(adapter) <= most_s)
-        least_ms = math.ceil(1e4 * reading.total_s / REPLY_SHARE) / 10
-        yield wrong(
-            "daq.timeout_s",
-            f"{1e3 * e.daq.timeout_s:g} ms is too short for a reading: {reading.written}; after two thirds of the "
-            "time-out it is asked for again, and three such in a row end the run",
-            f"{least_ms / 1e3:g} seconds and more, or {quicker or 'a higher daq.baud'}",
-        )
+def _device(e: Experiment) -> Iterator[Problem]:
+    """What the device itself says: its keys, its link."""
+    yield from backend_of(e).rules(e)
 
 
 def _spin(e: Experiment) -> Iterator[Problem]:
@@ -190,35 +84,6 @@ def _spin(e: Experiment) -> Iterator[Problem]:
             "loop.spin_us",
             f"{e.loop.spin_us:g} us of spinning is more than half the period of {1e3 * e.period_s:g} ms",
             f"at most {0.5e6 * e.period_s:g}",
-        )
-
-
-def _device_relay(e: Experiment) -> Iterator[Problem]:
-    if e.relay.where != "device":
-        return
-    if e.daq.driver in ("simulated", "modbus"):
-        without = "has no device" if e.daq.driver == "simulated" else "knows of no relay in the device"
-        yield wrong(
-            "relay.where", f"`driver: {e.daq.driver}` {without}", "set it to host, or daq.driver to serial with a port"
-        )
-        return
-    if is_plug_in(e):
-        return  # whether its device has a relay, the driver itself tells
-    if block_share(e.daq.baud) > LINK_SHARE:
-        fitting = next(baud for baud in BAUD_RATES if block_share(baud) <= LINK_SHARE)
-        yield wrong(
-            "daq.baud",
-            f"too slow for the samples of a relay in the device: {block_sum(e)}; {LINK_SHARE:.0%} may be used",
-            f"daq.baud {fitting} fits, or relay.where: host",
-        )
-    points = sorted((p.counts, p.rad) for p in e.sensor.calibration)
-    (c0, r0), (c1, r1) = points[0], points[-1]
-    bend_rad = max(abs(r - r0 - (c - c0) * (r1 - r0) / (c1 - c0)) for c, r in points)
-    if bend_rad > 0.5 * count_rad(e):
-        yield wrong(
-            "sensor.calibration",
-            f"bends by {bend_rad / count_rad(e):.1f} counts, but a relay in the device integrates counts",
-            "a straight line within half a count, or relay.where: host",
         )
 
 
@@ -363,8 +228,9 @@ def _unseen_travel(e: Experiment) -> Iterator[Problem]:
 
 
 def _own_watchdog_s(e: Experiment) -> float | None:
-    """The device's own watchdog, which no register sets, s; None where it has none, or where arming sets it."""
-    return None if e.daq.modbus is None or e.daq.modbus.registers.watchdog else e.daq.modbus.device_watchdog_s
+    """The device's own watchdog, which arming does not set, s; None where it has none, or where arming sets it."""
+    watchdog = backend_of(e).watchdog(e)
+    return watchdog.time_s if watchdog.unit_s is None else None
 
 
 def _largest(fits: Callable[[float], bool], below: float) -> float:
@@ -552,13 +418,8 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
 
 
 _RULES: tuple[Rule, ...] = (
-    _backend,
-    modbus_rules,
-    _bridge,
+    _device,
     _spin,
-    _link_budget,
-    _reply_time,
-    _device_relay,
     _watchdog,
     _limits,
     _room_to_stop,
@@ -577,12 +438,6 @@ _RULES: tuple[Rule, ...] = (
 
 def _at_most(volts: float) -> str:
     return f"at most {volts:g} volts"
-
-
-def _ceil(value: float) -> float:
-    """Two digits, rounded up: a hint that is followed must pass."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(f"{math.ceil(value / unit * (1 - _SLACK)) * unit:.2g}")
 
 
 def _floor(value: float) -> float:

@@ -22,10 +22,11 @@ from typing import Any, ClassVar, NamedTuple
 
 from rig import config
 from rig.backends import registry
-from rig.backends.backend import is_plug_in
+from rig.backends.backend import Unopened
 from rig.backends.driver import Clock, DeviceInfo, DeviceWatchdog, Driver
 from rig.backends.link_budget import LINK_SHARE
-from rig.bench import Unopened, calibration_of, drive_map_of, driver_settings_of, limits_of, plug_in_preflight, unopened
+from rig.backends.plug_in import PlugIn
+from rig.backends.registry import backend_of, driver_settings_of, unopened
 from rig.faults import Fault
 from rig.preflight import check
 from rig.signals import Limits, Sample
@@ -55,7 +56,7 @@ def suite(
     path = Path(sys._getframe(1).f_globals.get("__file__", "")).parent / config_path
     experiment = config.load(path)
     bases: list[type[Suite]] = [Suite]
-    if is_plug_in(experiment):
+    if isinstance(backend_of(experiment), PlugIn):
         bases.append(_Constructed)
     if silence:
         bases.append(_Silenced)
@@ -135,9 +136,9 @@ class Suite:
         sample = self.driver.read()
         require(isinstance(sample, Sample), f"read() must return a Sample, not {sample!r}")
         require(type(sample.y_counts) is int, f"y_counts must be a whole number, not {sample.y_counts!r}")
-        expected_rad = calibration_of(self.experiment).to_rad(sample.y_counts)
+        expected_rad = self.experiment.sensor.curve.to_rad(sample.y_counts)
         require(
-            abs(sample.y_rad - expected_rad) <= calibration_of(self.experiment).lsb_rad,
+            abs(sample.y_rad - expected_rad) <= self.experiment.sensor.curve.lsb_rad,
             f"y_rad is {sample.y_rad:.4f}, but {sample.y_counts} counts are {expected_rad:.4f} rad by the calibration",
         )
         require(sample.u_V == 0.0, f"drives {sample.u_V} V before anything was written")
@@ -151,13 +152,13 @@ class Suite:
 
     def test_it_refuses_limits_that_it_cannot_hold(self) -> None:
         """``arm`` raises for limits beyond sensor or drive, and nothing is armed by it."""
-        good, e = limits_of(self.experiment), self.experiment
-        calibration, counts_max = calibration_of(e), e.sensor.counts_max
+        good, e = self.experiment.device_limits, self.experiment
+        calibration, counts_max = e.sensor.curve, e.sensor.counts_max
         ends = sorted((calibration.to_rad(-0.1 * counts_max), calibration.to_rad(1.1 * counts_max)))
         cases: tuple[tuple[str, Limits], ...] = (
             ("hard limits beyond what the sensor can read", replace(good, hard_rad=(ends[0], ends[1]))),
             ("hard limits that leave out the centre of travel", replace(good, hard_rad=(0.5 * ends[1], ends[1]))),
-            ("a drive beyond the supply", replace(good, max_u_V=1.5 * drive_map_of(e).full_V)),
+            ("a drive beyond the supply", replace(good, max_u_V=1.5 * e.drive.map.full_V)),
         )
         for words, limits in cases:
             try:
@@ -216,7 +217,7 @@ class Suite:
         same = sum(a == b for a, b in zip(told[::2], told[1::2], strict=True))
         require(same >= 2, f"u_V echoes what was asked instead of what the device makes of it: {told}")
         if self._info.drive_units is not None:
-            steps = replace(drive_map_of(self.experiment), full_units=self._info.drive_units)
+            steps = replace(self.experiment.drive.map, full_units=self._info.drive_units)
             for told_V in told:
                 require(
                     abs(steps.quantised(told_V) - told_V) <= 1e-6 * steps.full_V,
@@ -225,7 +226,7 @@ class Suite:
 
     def test_it_refuses_drives_beyond_its_range(self) -> None:
         """``write`` raises ValueError beyond supply and bridge and for what is no number; the drive stays as it was."""
-        full_V = drive_map_of(self.experiment).full_V
+        full_V = self.experiment.drive.map.full_V
         beyond = 1.01 * full_V + 0.1
         with self._armed():
             (tick,) = self._ticks([0.0])
@@ -349,7 +350,7 @@ class Suite:
     def _open(cls) -> None:
         """Open the device, anew where it is open."""
         cls._close()
-        check(cls.config_path, plug_in_preflight)
+        check(cls.config_path)
         with ExitStack() as device:
             cls._bench = device.enter_context(unopened(cls.experiment))
             cls._driven = False
@@ -376,7 +377,7 @@ class Suite:
 
     def _armed(self, max_u_V: float | None = None) -> ExitStack:
         """Armed for the block, with the shaft inside the soft limits; stopped after it."""
-        limits = limits_of(self.experiment)
+        limits = self.experiment.device_limits
         self.driver.arm(limits if max_u_V is None else replace(limits, max_u_V=max_u_V))
         with ExitStack() as block:
             block.callback(self.driver.safe_stop)
@@ -423,7 +424,7 @@ class Suite:
 
     def _step_V(self, tick: Tick) -> float:
         """A step of the coarsest drive to expect, 8 bits and a sign, V."""
-        return drive_map_of(self.experiment).full_V / 255.0 if tick.u_V else 0.0
+        return self.experiment.drive.map.full_V / 255.0 if tick.u_V else 0.0
 
     def _try_to_drive(self, u_V: float) -> float:
         """Drive that comes of a ``write`` that should be refused, V; 0 where a Fault or ValueError came instead."""

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from command_line import rig
 
-from rig.bench import truth_of
+from rig.backends.backend import truth_of
 from rig.config import Experiment, load
 from rig.config.schema import Emulated, EmulatedPotentiometer
 from rig.preflight.differences import differences

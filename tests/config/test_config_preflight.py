@@ -12,9 +12,9 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from rig.backends.link_budget import REPLY_SHARE
 from rig.backends.serial import driver as serial_link
 from rig.backends.serial import frames
+from rig.backends.serial.link_budget import REPLY_SHARE
 from rig.bench import guard_settings_of
 from rig.calibration import Calibration
 from rig.config import ConfigError, Experiment, load

@@ -15,7 +15,7 @@ CONFIGS = TESTS.parent / "config"
 
 def stop_the_board(driver):
     """The emulated device dies: its port hangs up."""
-    driver._transport.close()
+    driver._exchange.transport.close()
 
 
 TestSimulated = conformance.suite(CONFIGS / "simulated.yaml", silence=True)

@@ -11,7 +11,7 @@ from plug_in_cards import VirtualCard
 from rig import config
 from rig.backends import registry
 from rig.backends.clock import MonotonicClock, VirtualClock
-from rig.bench import connect, driver_settings_of, plug_in_preflight
+from rig.backends.registry import connect, driver_settings_of
 from rig.cli import main
 from rig.config.load import json_schema
 from rig.faults import Fault
@@ -151,7 +151,7 @@ def test_a_device_without_a_watchdog_needs_leave(installed, tmp_path):
     with pytest.raises(Fault, match="NO_WATCHDOG"), connect(config.load(written(tmp_path, driver="bare-card"))):
         pass
     path = written(tmp_path, driver="bare-card", accept_no_watchdog=True)
-    lines = check(path, plug_in_preflight)[1].lines
+    lines = check(path)[1].lines
     assert any("drives all the same (daq.accept_no_watchdog: true)" in line for line in lines)
 
 

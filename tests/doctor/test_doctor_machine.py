@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rig.backends.serial.usb_adapters import CHIPS, Adapter, adapter_delay_s
+from rig.backends.links.usb_adapters import CHIPS, Adapter, adapter_delay_s
 from rig.doctor import machine
 
 

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from rig.backends.serial.emulated.firmware_build import EmulationError
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.frames import Code, Kind, Setup, encode, pack_ack, pack_arm, pack_drive
 from rig.calibration import DriveMap

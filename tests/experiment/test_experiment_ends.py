@@ -18,7 +18,7 @@ from command_line import rig
 from rig import config as configs
 from rig import experiment as script
 from rig import session
-from rig.bench import Bench
+from rig.backends.registry import Bench
 from rig.config.schema import Experiment
 from rig.control.law import Constant
 from rig.faults import Fault

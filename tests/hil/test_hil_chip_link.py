@@ -13,8 +13,9 @@ from chip_host import BENCH, HELD, QUIET, SETTLE_S, SETUP, ChipHost, armed_chip
 from simulated_bench import CALIBRATION, LIMITS, RAILS
 from virtual_host import LSB_RAD
 
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.driver import SerialDriver
-from rig.backends.serial.emulated.firmware_build import EmulationError, UnoOptions
+from rig.backends.serial.emulated.firmware_build import UnoOptions
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.frames import STATUS_ARMED, Code, FrameReader, Kind, Nack, encode
 from rig.calibration import DriveMap, TachometerScale

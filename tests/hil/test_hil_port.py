@@ -34,7 +34,7 @@ def connect(port):
 
 def test_a_run_and_another_on_the_same_port():
     with HostBoard() as board:
-        port = board.start(EMULATED.model_dump(), 1)
+        port = board.start(EMULATED, 1)
         for _ in range(2):
             with contextlib.closing(connect(port)) as driver:
                 info = driver.open()
@@ -54,7 +54,7 @@ def test_a_run_and_another_on_the_same_port():
 
 
 def test_the_device_disappears():
-    with HostBoard() as board, contextlib.closing(connect(board.start(EMULATED.model_dump(), 1))) as driver:
+    with HostBoard() as board, contextlib.closing(connect(board.start(EMULATED, 1))) as driver:
         driver.open()
         driver.arm(LIMITS)
         driver.read()
@@ -68,7 +68,7 @@ def test_the_device_disappears():
 @pytest.mark.parametrize("device", [HostBoard, ChipBoard])
 def test_the_reset_button_is_seen_by_the_run_and_told_to_the_next(device):
     with device() as board:
-        port = board.start(EMULATED.model_dump(), 1)
+        port = board.start(EMULATED, 1)
         with contextlib.closing(connect(port)) as driver:
             driver.open()
             driver.arm(LIMITS)

@@ -23,18 +23,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.wake_up import cores, fifo_is_allowed
+from rig.backends.backend import truth_of
 from rig.backends.clock import MonotonicClock
+from rig.backends.registry import Bench, connect
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
-from rig.bench import (
-    Bench,
-    calibration_of,
-    connect,
-    drive_map_of,
-    guard_settings_of,
-    limits_of,
-    real_time_of,
-    truth_of,
-)
+from rig.bench import guard_settings_of, real_time_of
 from rig.config import Experiment, load
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
@@ -124,8 +117,8 @@ def in_real_time(experiment: Experiment) -> Iterator[Bench]:
     driver = SimulatedDriver(
         clock,
         truth,
-        calibration_of(experiment),
-        drive_map_of(experiment),
+        experiment.sensor.curve,
+        experiment.drive.map,
         experiment.sensor.rail_counts,
         SimulatedLatency(0.001, 0.0),
         experiment.seed,
@@ -141,7 +134,7 @@ class Turns:
     def __init__(self, experiment: Experiment, bench: Bench, recorder: Recorder, condition: str) -> None:
         self._cores, raise_workers = CONDITIONS[condition]
         self._settings = replace(real_time_of(experiment), raise_workers=raise_workers)
-        self._limits = limits_of(experiment)
+        self._limits = experiment.device_limits
         self._ticks = round(TURN_S / experiment.period_s)
         settings = guard_settings_of(experiment)
         guard = Guard(settings)

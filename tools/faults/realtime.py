@@ -147,15 +147,16 @@ def _overload(case: Case) -> None:
 
 def _serial_start(board: Any, experiment: Experiment, folder: Path) -> str:
     assert experiment.emulated is not None
-    board.start(experiment.emulated.model_dump(), 1, folder / "device", folder / "trace.csv")
+    board.start(experiment.emulated, 1, folder / "device", folder / "trace.csv")
     return str(folder / "device")
 
 
 def _modbus_start(tcp_port: int | None) -> Callable[[Any, Experiment, Path], str]:
     def start(board: Any, experiment: Experiment, folder: Path) -> str:
         assert experiment.emulated is not None and experiment.daq.modbus is not None
-        modbus, emulated = experiment.daq.modbus.model_dump(), experiment.emulated.model_dump()
-        return str(board.start(modbus, emulated, 1, trace=folder / "trace.csv", tcp_port=tcp_port))
+        return str(
+            board.start(experiment.daq.modbus, experiment.emulated, 1, trace=folder / "trace.csv", tcp_port=tcp_port)
+        )
 
     return start
 

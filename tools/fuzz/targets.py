@@ -17,9 +17,9 @@ from pymodbus.framer import FramerRTU
 
 from rig import config
 from rig.backends.driver import Driver
+from rig.backends.modbus.opening import modbus_driver
 from rig.backends.serial import frames
 from rig.backends.serial.driver import SerialDriver
-from rig.bench import modbus_driver
 from rig.calibration import Calibration, DriveMap
 from rig.faults import Fault
 from rig.identify import IdentifyError, identify

@@ -10,7 +10,7 @@ from paper import surviving
 from paper.drawing import Array, finish, new_figure
 from paper.page import Comparison, Paragraph, Remark, Section
 from paper.section_5 import CONFIG, DF, NAMES, PLAIN, SD, TR, motor_of, plain_iteration, theta
-from rig.bench import truth_of
+from rig.backends.backend import truth_of
 from rig.config import Experiment, load
 from rig.identify import IdentifyError, describing_function, sampled_data, triple_relay
 from rig.identify.cycles import find_cycle

@@ -17,7 +17,7 @@ from paper.gauss_newton import MOST_STEPS, iterate
 from paper.gauss_newton import Path as Iteration
 from paper.page import Claim, Comparison, Heading, Paragraph, Remark, Section
 from rig import experiment
-from rig.bench import truth_of
+from rig.backends.backend import truth_of
 from rig.config import Experiment, load
 from rig.identify import Identification, identify
 from rig.identify.estimate import Estimate

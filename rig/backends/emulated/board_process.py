@@ -11,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from rig.backends.serial.emulated.firmware_build import EmulationError
+from rig.backends.emulated.errors import EmulationError
 
 _START_S = 10.0
 _STOP_S = 3.0

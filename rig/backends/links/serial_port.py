@@ -43,6 +43,11 @@ class SerialPort:
         except (ValueError, NotImplementedError):
             self.low_latency = False
 
+    @property
+    def descriptor(self) -> int:
+        """Number of the open file; -1 once it is closed."""
+        return self._fd
+
     def write(self, data: bytes) -> None:
         """Send all of ``data``; LINK_LOST if the port is dead or takes no more."""
         try:

@@ -27,6 +27,11 @@ class TcpTransport:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
 
+    @property
+    def descriptor(self) -> int:
+        """Number of the open socket; -1 once it is closed."""
+        return self._socket.fileno()
+
     def write(self, data: bytes) -> None:
         """Send all of ``data``; LINK_LOST if the connection is dead or takes no more."""
         try:

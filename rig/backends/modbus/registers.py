@@ -6,9 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, Self
+from typing import Literal, NamedTuple, Self
 
 from pymodbus.client.mixin import ModbusClientMixin
+
+from rig.backends.modbus.section import Modbus, PairRegisters
 
 Table = Literal["holding", "input"]
 OFF, ARMED = 0, 1  # of the status register; anything else is a fault
@@ -149,49 +151,42 @@ class RegisterMap:
     faults: Mapping[int, str] | None = None
 
     @classmethod
-    def from_mapping(cls, modbus: Mapping[str, Any]) -> Self:
-        """From the plain values of the config's section ``daq.modbus``."""
-        r = modbus["registers"]
-        low_first = modbus["word_order"] == "low-first"
-        drive, position, table = r["drive"], r["position"], r["position"]["table"]
+    def of(cls, modbus: Modbus) -> Self:
+        """As the section ``daq.modbus`` has it."""
+        r, low_first = modbus.registers, modbus.word_order == "low-first"
+        drive, position, control = r.drive, r.position, r.control
 
-        def holding(name: str, key: str = "address", kind: str = "uint16") -> Register | None:
-            section = r[name]
-            return None if section is None else Register(name, section[key], kind, "holding", low_first)
+        def holding(name: str, address: int, kind: str = "uint16") -> Register:
+            return Register(name, address, kind, "holding", low_first)
 
-        def seen(name: str, key: str = "address", kind: str = "uint16", called: str = "") -> Register | None:
-            section = r[name]
-            return None if section is None else Register(called or name, section[key], kind, table, low_first)
+        def seen(name: str, address: int, kind: str = "uint16") -> Register:
+            return Register(name, address, kind, position.table, low_first)
 
-        def pair(name: str) -> tuple[Register, Register] | None:
-            section = r[name]
-            if section is None:
+        def pair(name: str, bounds: PairRegisters | None) -> tuple[Register, Register] | None:
+            if bounds is None:
                 return None
-            low, high = (
-                Register(f"{name}.{end}", section[end], position["type"], "holding", low_first)
-                for end in ("low", "high")
-            )
-            return low, high
+            low, high = bounds.low, bounds.high
+            return holding(f"{name}.low", low, position.type), holding(f"{name}.high", high, position.type)
 
         return cls(
-            drive=Register("drive", drive["address"], drive["type"], "holding", low_first),
-            position=Register("position", position["address"], position["type"], table, low_first),
-            full=drive["full"],
-            scale=position["scale"],
-            offset_counts=position["offset_counts"],
-            sequence=holding("sequence"),
-            echo=seen("sequence", "echo", called="echo"),
-            applied=seen("applied", kind="int16" if r["applied"] is None else r["applied"]["type"]),
-            status=seen("status"),
-            control=holding("control"),
-            watchdog=holding("watchdog"),
-            limits=pair("limits"),
-            rails=pair("rails"),
-            max_drive=holding("max_drive", kind=drive["type"]),
-            arm=1 if r["control"] is None else r["control"]["arm"],
-            stop=0 if r["control"] is None else r["control"]["stop"],
-            unit_s=0.001 if r["watchdog"] is None else r["watchdog"]["unit_s"],
-            faults={} if r["status"] is None else {value: code for code, value in r["status"]["faults"].items()},
+            drive=holding("drive", drive.address, drive.type),
+            position=seen("position", position.address, position.type),
+            full=drive.full,
+            scale=position.scale,
+            offset_counts=position.offset_counts,
+            sequence=None if r.sequence is None else holding("sequence", r.sequence.address),
+            echo=None if r.sequence is None else seen("echo", r.sequence.echo),
+            applied=None if r.applied is None else seen("applied", r.applied.address, r.applied.type),
+            status=None if r.status is None else seen("status", r.status.address),
+            control=None if control is None else holding("control", control.address),
+            watchdog=None if r.watchdog is None else holding("watchdog", r.watchdog.address),
+            limits=pair("limits", r.limits),
+            rails=pair("rails", r.rails),
+            max_drive=None if r.max_drive is None else holding("max_drive", r.max_drive.address, drive.type),
+            arm=1 if control is None else control.arm,
+            stop=0 if control is None else control.stop,
+            unit_s=0.001 if r.watchdog is None else r.watchdog.unit_s,
+            faults={} if r.status is None else {value: code for code, value in r.status.faults.items()},
         )
 
     @property

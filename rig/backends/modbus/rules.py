@@ -9,7 +9,8 @@ import re
 from collections.abc import Iterable, Iterator
 from itertools import combinations
 
-from rig.backends.link_budget import longest_transaction_s
+from rig.backends.link_budget import BAUD_RATES
+from rig.backends.modbus.link_budget import longest_transaction_s, tick_budget
 from rig.backends.modbus.section import (
     EMULATED_PORTS,
     Modbus,
@@ -32,20 +33,21 @@ _HOST = re.compile(r"\d{1,3}(\.\d{1,3}){3}(:\d+)?")  # as one writes it without 
 
 
 def modbus_rules(e: Experiment) -> Iterator[Problem]:
-    """Everything about ``driver: modbus`` but the link budget."""
-    d = e.daq
-    if d.driver != "modbus":
-        if d.modbus is not None and d.driver in ("simulated", "serial"):
-            yield wrong("daq.modbus", f"is of `driver: modbus`, not of `driver: {d.driver}`", "remove it")
-        if d.driver == "serial" and (is_tcp(d.port) or d.port == "emulated-virtual"):
-            yield wrong("daq.port", f"{d.port} is of `driver: modbus`", "/dev/ttyACM0, or port: emulated")
-        return
+    """Everything that is a Modbus device's own."""
     yield from _port(e)
-    if d.modbus is None:
+    if e.relay.where == "device":
+        yield wrong(
+            "relay.where",
+            "`driver: modbus` knows of no relay in the device",
+            "set it to host, or daq.driver to serial with a port",
+        )
+    modbus = e.daq.modbus
+    if modbus is None:
         yield wrong("daq.modbus", "`driver: modbus` needs this section", "see config/modbus-rtu.yaml")
         return
-    yield from _map(d.modbus)
-    yield from _times(e, d.modbus)
+    yield from _map(modbus)
+    yield from _times(e, modbus)
+    yield from _link_budget(e, modbus)
     if e.tachometer is not None:
         yield wrong("tachometer", "no register of `driver: modbus` holds a velocity", "leave it out")
 
@@ -141,16 +143,17 @@ def _apart(spans: Iterable[Span]) -> Iterator[Problem]:
 
 def _times(e: Experiment, m: Modbus) -> Iterator[Problem]:
     d = e.daq
+    longest_s = longest_transaction_s(d, m)
     if d.timeout_s > e.period_s * (1 + _SLACK):
         yield wrong(
             "daq.timeout_s",
             f"{d.timeout_s:g} s is longer than the period of {e.period_s:g} s: a reply could come in the next tick",
             f"at most {e.period_s:g} seconds",
         )
-    elif d.timeout_s < longest_transaction_s(e) <= e.period_s:  # a longer one is too slow for the period
+    elif d.timeout_s < longest_s <= e.period_s:  # a longer one is too slow for the period
         yield wrong(
             "daq.timeout_s",
-            f"{d.timeout_s * 1e3:g} ms is shorter than a transaction, {longest_transaction_s(e) * 1e3:.2f} ms",
+            f"{d.timeout_s * 1e3:g} ms is shorter than a transaction, {longest_s * 1e3:.2f} ms",
             f"up to {e.period_s:g} seconds",
         )
     watchdog = m.registers.watchdog
@@ -170,6 +173,17 @@ def _times(e: Experiment, m: Modbus) -> Iterator[Problem]:
                 "which takes whole ones from 1 to 65535",
                 "within 5 %, or correct daq.modbus.registers.watchdog.unit_s",
             )
+
+
+def _link_budget(e: Experiment, m: Modbus) -> Iterator[Problem]:
+    if tick_budget(e.daq, m).fits(e.period_s):
+        return
+    if reads_too_far_apart(m):
+        return  # refused by its register: no such request can be made, so its time says nothing
+    bauds = () if is_tcp(e.daq.port) else BAUD_RATES
+    fitting = [f"daq.baud {baud} fits" for baud in bauds if tick_budget(e.daq, m, baud).fits(e.period_s)]
+    key = "period_s" if is_tcp(e.daq.port) else "daq.baud"
+    yield tick_budget(e.daq, m).too_slow(key, e.period_s, fitting[:1])
 
 
 def _registers(span: Span) -> str:

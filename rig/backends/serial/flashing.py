@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 
-from rig.backends.backend import CHIP_BAUDS
+from rig.backends.serial.ports import CHIP_BAUDS
 from rig.config.schema import BRIDGES, Experiment
 
 WRONG_BRIDGE = "with the wrong one 0 V can be full drive"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
+from rig.backends.driver import RelayCommand, RelayRow
 from rig.backends.serial import frames
 from rig.backends.serial.device_clock import DeviceClock
 from rig.backends.serial.frames import BLOCK_ROWS, Block, Packet, RelaySetup
@@ -17,51 +17,16 @@ _INTEGRAL_STEPS = 32  # to a count tick
 _LARGEST_INTEGRAL = 2**30
 
 
-class RelayRow(NamedTuple):
-    """One tick of the relay in the device.
-
-    t_s       when the position was sampled, s in host time
-    t_u_s     from when on the drive that was decided on it acts, s
-    y_rad, y_counts   the position
-    u_V       that drive, V
-    block     number of the block that it came in, modulo 2**16
-    """
-
-    t_s: float
-    t_u_s: float
-    y_rad: float
-    y_counts: int
-    u_V: float
-    block: int
-
-
 @dataclass(frozen=True)
-class RelayCommand:
-    """What a device is told to run u = -h1 sgn(y) - h2 sgn(z), and what that is in counts and V.
-
-    setup                as it goes over the wire
-    drives_V             drive of each state: y >= 0 and z >= 0, y >= 0 > z, y < 0 <= z, both < 0
-    count_tick_rad_s     integral of one count for one tick of the device
-    """
+class FirmwareRelay(RelayCommand):
+    """The command as it goes over the wire, besides."""
 
     setup: RelaySetup
-    drives_V: tuple[float, float, float, float]
-    count_tick_rad_s: float
-
-    @property
-    def centre_counts(self) -> float:
-        """Reading at y = 0."""
-        return self.setup.centre / _CENTRE_STEPS
-
-    @property
-    def z_bound_count_ticks(self) -> float:
-        """Bound on the integral."""
-        return self.setup.z_bound / _INTEGRAL_STEPS
 
 
 def relay_command(
     h1_V: float, h2_V: float, z_bound_rad_s: float, calibration: Calibration, drive_map: DriveMap, tick_s: float
-) -> RelayCommand:
+) -> FirmwareRelay:
     """The command for these gains, drives rounded to whole units.
 
     calibration  must be a straight line; tick_s  the device's tick in host time, s.
@@ -81,7 +46,14 @@ def relay_command(
     volts = tuple(map(drive_map.to_volts, drive))
     centre = round(_CENTRE_STEPS * calibration.to_counts(0.0))
     setup = RelaySetup(drive, centre, z_bound, calibration.direction, BLOCK_ROWS)
-    return RelayCommand(setup, (volts[0], volts[1], volts[2], volts[3]), count_tick_rad_s)
+    return FirmwareRelay(
+        drives_V=(volts[0], volts[1], volts[2], volts[3]),
+        count_tick_rad_s=count_tick_rad_s,
+        centre_counts=setup.centre / _CENTRE_STEPS,
+        z_bound_count_ticks=setup.z_bound / _INTEGRAL_STEPS,
+        direction=calibration.direction,
+        setup=setup,
+    )
 
 
 class RelayStream:

@@ -12,13 +12,17 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple, Self
 
-from rig.backends.modbus.emulated.io_block_registers import RANGES, RegisterMap, Table
-from rig.backends.serial.emulated.firmware_build import EmulationError
-from rig.model.bench import Bench, BenchParameters
+from rig.backends.emulated.bench import bench_parameters
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.modbus.emulated.io_block_registers import RANGES, BlockRegisters
+from rig.backends.modbus.registers import Table
+from rig.backends.modbus.section import Modbus
+from rig.config.schema import Emulated
+from rig.model.bench import Bench
 
 TICK_S = 1e-3
 VENDOR, PRODUCT = "rig", "emulated I/O block"
@@ -92,7 +96,7 @@ class IoBlock:
 
     def __init__(
         self,
-        registers: RegisterMap,
+        registers: BlockRegisters,
         bench: Bench,
         unit: int = 1,
         *,
@@ -133,10 +137,10 @@ class IoBlock:
         self._read_position()
 
     @classmethod
-    def from_mapping(cls, modbus: Mapping[str, Any], emulated: Mapping[str, Any], seed: int, **options: Any) -> Self:
-        """From the plain values of the config's sections ``daq.modbus`` and ``emulated``; options as of the class."""
-        bench = Bench(BenchParameters.from_mapping(emulated), seed)
-        return cls(RegisterMap.from_mapping(modbus), bench, modbus["unit"], **options)
+    def of(cls, modbus: Modbus, emulated: Emulated, seed: int, **options: Any) -> Self:
+        """As the sections ``daq.modbus`` and ``emulated`` have it; options as of the class."""
+        bench = Bench(bench_parameters(emulated), seed)
+        return cls(BlockRegisters.of(modbus), bench, modbus.unit, **options)
 
     # ------------------------------------------------------------------ time
 

@@ -1,7 +1,7 @@
 """The registers of the emulated I/O block: what is at which address, of which type; its words and its status values.
 
-What a register means is the config's section ``daq.modbus``. The block packs its registers by itself, with no code of
-the driver's, so that each side tests the other.
+Block and driver share what the config says, parsed. The block packs its registers by itself, with no code of the
+driver's, so that each side tests the other.
 """
 
 from __future__ import annotations
@@ -9,7 +9,10 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Self
+from typing import NamedTuple, Self
+
+from rig.backends.modbus.registers import Register, RegisterMap, Table
+from rig.backends.modbus.section import Modbus
 
 STATUS_OF_FAULT = {
     "DEVICE_WATCHDOG": 2,
@@ -22,8 +25,6 @@ STATUS_OF_FAULT = {
 
 _FORMAT = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}
 RANGES = {"int16": (-0x8000, 0x7FFF), "uint16": (0, 0xFFFF), "int32": (-(2**31), 2**31 - 1), "uint32": (0, 2**32 - 1)}
-
-Table = Literal["holding", "input"]
 
 
 class Field(NamedTuple):
@@ -51,7 +52,7 @@ class Field(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RegisterMap:
+class BlockRegisters:
     """What is at which address.
 
     readable     fields that are read, by table; written ones can be read back from the holding table
@@ -78,49 +79,34 @@ class RegisterMap:
     watchdog_s: float | None
 
     @classmethod
-    def from_mapping(cls, modbus: Mapping[str, Any]) -> Self:
-        """From the plain values of the config's section ``daq.modbus``."""
-        r = modbus["registers"]
-        drive, position, table = r["drive"], r["position"], r["position"]["table"]
-        written = [Field("drive", drive["address"], drive["type"])]
-        seen = [Field("position", position["address"], position["type"])]
-        if r["sequence"] is not None:
-            written.append(Field("sequence", r["sequence"]["address"]))
-            seen.append(Field("echo", r["sequence"]["echo"]))
-        if r["applied"] is not None:
-            seen.append(Field("applied", r["applied"]["address"], r["applied"]["type"]))
-        if r["status"] is not None:
-            seen.append(Field("status", r["status"]["address"]))
-        if r["control"] is not None:
-            written.append(Field("control", r["control"]["address"]))
-        if r["watchdog"] is not None:
-            written.append(Field("watchdog", r["watchdog"]["address"]))
-        for pair in ("limits", "rails"):
-            if r[pair] is not None:
-                written += [Field(f"{pair}.{end}", r[pair][end], position["type"]) for end in ("low", "high")]
-        if r["max_drive"] is not None:
-            written.append(Field("max_drive", r["max_drive"]["address"], drive["type"]))
-        readable: dict[Table, tuple[Field, ...]] = {
-            "holding": (*written, *seen) if table == "holding" else tuple(written),
-            "input": tuple(seen) if table == "input" else (),
-        }
+    def of(cls, modbus: Modbus) -> Self:
+        """As the section ``daq.modbus`` has it."""
+        found = RegisterMap.of(modbus)
+        pairs = [r for pair in (found.limits, found.rails) if pair is not None for r in pair]
+        written = _fields(found.drive, found.sequence, found.control, found.watchdog, *pairs, found.max_drive)
+        seen = _fields(found.position, found.echo, found.applied, found.status)
+        holding = found.position.table == "holding"
         return cls(
-            readable=readable,
-            writable=tuple(written),
-            low_first=modbus["word_order"] == "low-first",
-            full=drive["full"],
-            scale=position["scale"],
-            offset_counts=position["offset_counts"],
-            arm=r["control"]["arm"] if r["control"] is not None else 1,
-            stop=r["control"]["stop"] if r["control"] is not None else 0,
-            unit_s=r["watchdog"]["unit_s"] if r["watchdog"] is not None else 0.001,
-            status_of=_statuses({} if r["status"] is None else r["status"]["faults"]),
-            watchdog_s=modbus["device_watchdog_s"],
+            readable={"holding": (*written, *seen) if holding else written, "input": () if holding else seen},
+            writable=written,
+            low_first=found.drive.low_first,
+            full=found.full,
+            scale=found.scale,
+            offset_counts=found.offset_counts,
+            arm=found.arm,
+            stop=found.stop,
+            unit_s=found.unit_s,
+            status_of=_statuses({code: value for value, code in (found.faults or {}).items()}),
+            watchdog_s=modbus.device_watchdog_s,
         )
 
     def has(self, name: str) -> bool:
         """Whether there is such a field."""
         return any(f.name == name for fields in self.readable.values() for f in fields)
+
+
+def _fields(*registers: Register | None) -> tuple[Field, ...]:
+    return tuple(Field(r.name, r.address, r.type) for r in registers if r is not None)
 
 
 def _statuses(named: Mapping[str, int]) -> dict[str, int]:

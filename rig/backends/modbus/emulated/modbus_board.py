@@ -7,29 +7,27 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
 from rig.backends.emulated.board_process import BoardProcess
-from rig.backends.modbus.emulated.io_block_registers import RegisterMap
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
-from rig.backends.serial.emulated.firmware_build import EmulationError
+from rig.backends.modbus.section import Modbus, read_in_a_tick, span_of
+from rig.config.schema import Emulated
 
 
-def mbpoll_line(modbus: Mapping[str, Any], port: str, baud: int) -> str:
+def mbpoll_line(modbus: Modbus, port: str, baud: int) -> str:
     """A command of Debian's mbpoll that reads what a tick reads: position, and what stands beside it.
 
-    modbus  plain values of the config's section ``daq.modbus``
+    modbus  section of the config
     """
-    fields = RegisterMap.from_mapping(modbus).readable[modbus["registers"]["position"]["table"]]
-    seen = [f for f in fields if f.name in ("position", "echo", "applied", "status")]
-    first, end = min(f.address for f in seen), max(f.address + f.words for f in seen)
-    table = 4 if modbus["registers"]["position"]["table"] == "holding" else 3
-    what = f"-0 -1 -a {modbus['unit']} -t {table} -r {first} -c {end - first}"
+    first, count = span_of(read_in_a_tick(modbus.registers))
+    table = 4 if modbus.registers.position.table == "holding" else 3
+    what = f"-0 -1 -a {modbus.unit} -t {table} -r {first} -c {count}"
     url = urlsplit(port)
     if url.scheme == "tcp":
         return f"mbpoll -m tcp -p {url.port} {what} {url.hostname}"
-    return f"mbpoll -m rtu -b {baud} -P {modbus['parity']} -s {modbus['stop_bits']} {what} {port}"
+    return f"mbpoll -m rtu -b {baud} -P {modbus.parity} -s {modbus.stop_bits} {what} {port}"
 
 
 class ModbusBoard(BoardProcess):
@@ -37,8 +35,8 @@ class ModbusBoard(BoardProcess):
 
     def start(
         self,
-        modbus: Mapping[str, Any],
-        emulated: Mapping[str, Any],
+        modbus: Modbus,
+        emulated: Emulated,
         seed: int,
         link: Path | None = None,
         trace: Path | None = None,
@@ -51,7 +49,7 @@ class ModbusBoard(BoardProcess):
     ) -> str:
         """Start the process and return the name of its port: a pseudo-terminal's, or ``tcp://127.0.0.1:number``.
 
-        modbus, emulated   plain values of the config's sections ``daq.modbus`` and ``emulated``
+        modbus, emulated   sections of the config
         seed, link, trace  as of HostBoard; the trace's fault is the value of the status register for it. No link to TCP
         baud          RTU: of the wire, whose time is kept
         tcp_port      TCP on this port, 0: on a free one; None: RTU
@@ -64,8 +62,8 @@ class ModbusBoard(BoardProcess):
         if tcp_port is not None and link is not None:
             raise EmulationError("a TCP port cannot have a symbolic link\nleave --link out")
         options = {
-            "modbus": dict(modbus),
-            "emulated": dict(emulated),
+            "modbus": modbus.model_dump(mode="json"),
+            "emulated": emulated.model_dump(mode="json"),
             "seed": seed,
             "baud": baud,
             "tcp_port": tcp_port,

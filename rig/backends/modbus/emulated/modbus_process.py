@@ -25,12 +25,14 @@ from typing import Any, Protocol, TextIO
 
 from rig import __version__
 from rig.backends.emulated.device_process import ORPHAN_S, fail, linked, open_pty, signals, take_priority
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.io_block import IoBlock
 from rig.backends.modbus.emulated.line_faults import Corruption
 from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
 from rig.backends.modbus.emulated.rtu_slave import Line, RtuSlave
 from rig.backends.modbus.emulated.tcp_slave import Stream, TcpSlave
-from rig.backends.serial.emulated.firmware_build import EmulationError
+from rig.backends.modbus.section import Modbus
+from rig.config.schema import Emulated
 
 LOOPBACK = "127.0.0.1"
 _TRACE_S = 0.01
@@ -219,16 +221,15 @@ def main() -> None:
 
 
 def _device(options: Mapping[str, Any], trace: _Trace) -> tuple[IoBlock, _Port]:
-    modbus = options["modbus"]
-    block = IoBlock.from_mapping(
-        modbus, options["emulated"], options["seed"], polarity=options["polarity"], revision=__version__
-    )
+    modbus = Modbus.model_validate_json(json.dumps(options["modbus"]))
+    emulated = Emulated.model_validate_json(json.dumps(options["emulated"]))
+    block = IoBlock.of(modbus, emulated, options["seed"], polarity=options["polarity"], revision=__version__)
     block.on_output = lambda t_s, u_V: trace.row(block)
     misbehaviour = None if options["misbehaviour"] is None else Misbehaviour(**options["misbehaviour"])
     if options["tcp_port"] is not None:
-        return block, _Tcp(TcpSlave(block, modbus["turnaround_s"], misbehaviour), options["tcp_port"])
+        return block, _Tcp(TcpSlave(block, modbus.turnaround_s, misbehaviour), options["tcp_port"])
     corruption = None if options["corruption"] is None else Corruption(**options["corruption"])
-    return block, _Pty(RtuSlave(block, Line.from_mapping(modbus, options["baud"]), misbehaviour, corruption))
+    return block, _Pty(RtuSlave(block, Line.of(modbus, options["baud"]), misbehaviour, corruption))
 
 
 def _run(block: IoBlock, port: _Port, trace: _Trace, start_s: float, ends: int, *, watches_stdin: bool) -> None:

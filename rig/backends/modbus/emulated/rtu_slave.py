@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 from pymodbus.framer import FramerRTU
 
 from rig.backends.modbus.emulated.io_block import IoBlock
 from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.section import Modbus
 
 BROADCAST = 0
 _SHORTEST_FRAME, _LONGEST_FRAME = 4, 256
@@ -40,13 +41,13 @@ class Line:
     turnaround_s: float = 0.0005
 
     @classmethod
-    def from_mapping(cls, modbus: Mapping[str, Any], baud: int) -> Self:
-        """From the plain values of the config's section ``daq.modbus``."""
-        bits = 9 + (modbus["parity"] != "none") + modbus["stop_bits"]
-        silence_s = modbus["silence_s"]
+    def of(cls, modbus: Modbus, baud: int) -> Self:
+        """As the section ``daq.modbus`` has it."""
+        bits = 9 + (modbus.parity != "none") + modbus.stop_bits
+        silence_s = modbus.silence_s
         if silence_s is None:
             silence_s = 3.5 * bits / baud if baud <= 19200 else 0.00175
-        return cls(baud, bits, silence_s, modbus["turnaround_s"])
+        return cls(baud, bits, silence_s, modbus.turnaround_s)
 
     def wire_s(self, n_bytes: int) -> float:
         """Time that so many bytes take."""

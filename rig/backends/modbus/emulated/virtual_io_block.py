@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 from rig.backends.emulated.plug import Plug
 from rig.backends.modbus.emulated.io_block import ExecutedDrive, IoBlock, IoBlockTruth
 from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
 from rig.backends.modbus.emulated.rtu_slave import Disturbance, Line, RtuSlave
+from rig.backends.modbus.section import Modbus
+from rig.config.schema import Emulated
 from rig.model.bench import DriveWiring, SensorWiring
 
 
 class BlockInVirtualTime:
     """The block of a config, powered on at virtual time 0, and its clock; what leads to it passes the time.
 
-    modbus, emulated  plain values of the config's sections ``daq.modbus`` and ``emulated``
+    modbus, emulated  sections of the config
     seed              of the noise
     polarity          +1: positive drive raises the position register; -1: lowers it
     executed          drives that were written, in order
@@ -26,10 +27,10 @@ class BlockInVirtualTime:
 
     absolute = True  # of the clock: it sleeps until an instant, not for a while
 
-    def __init__(self, modbus: Mapping[str, Any], emulated: Mapping[str, Any], seed: int, polarity: int) -> None:
+    def __init__(self, modbus: Modbus, emulated: Emulated, seed: int, polarity: int) -> None:
         self.executed: list[ExecutedDrive] = []
         self.outputs: list[tuple[float, float]] = [(0.0, 0.0)]
-        self.block = IoBlock.from_mapping(
+        self.block = IoBlock.of(
             modbus,
             emulated,
             seed,
@@ -83,8 +84,8 @@ class VirtualIoBlock(BlockInVirtualTime, Plug):
 
     def __init__(
         self,
-        modbus: Mapping[str, Any],
-        emulated: Mapping[str, Any],
+        modbus: Modbus,
+        emulated: Emulated,
         seed: int = 1,
         *,
         baud: int = 115200,
@@ -94,7 +95,7 @@ class VirtualIoBlock(BlockInVirtualTime, Plug):
     ) -> None:
         BlockInVirtualTime.__init__(self, modbus, emulated, seed, polarity)
         Plug.__init__(self, "virtual I/O block")
-        self.line = Line.from_mapping(modbus, baud)
+        self.line = Line.of(modbus, baud)
         self._slave = RtuSlave(self.block, self.line, misbehaviour, disturbance)
 
     # ------------------------------------------------------------------ port

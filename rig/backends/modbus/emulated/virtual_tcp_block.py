@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
 from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
 from rig.backends.modbus.emulated.tcp_slave import Stream, TcpSlave
 from rig.backends.modbus.emulated.virtual_io_block import BlockInVirtualTime
+from rig.backends.modbus.section import Modbus
+from rig.config.schema import Emulated
 from rig.faults import Fault
 
 SENT_AGAIN_S = 0.2
@@ -75,15 +76,15 @@ class VirtualTcpBlock(BlockInVirtualTime):
 
     def __init__(
         self,
-        modbus: Mapping[str, Any],
-        emulated: Mapping[str, Any],
+        modbus: Modbus,
+        emulated: Emulated,
         seed: int = 1,
         *,
         polarity: int = 1,
         misbehaviour: Misbehaviour | None = None,
     ) -> None:
         super().__init__(modbus, emulated, seed, polarity)
-        self._slave = TcpSlave(self.block, modbus["turnaround_s"], misbehaviour)
+        self._slave = TcpSlave(self.block, modbus.turnaround_s, misbehaviour)
         self._ways: dict[To, _Way] = {"host": _Way(), "device": _Way()}
         self._stream: Stream | None = None  # the device's end of the connection
         self._ended = "not connected"  # why the host's end is dead; empty while it is not

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 
+from rig.backends.links.usb_adapters import Adapter
 from rig.backends.serial.emulated.usb_chip import UsbChip
 from rig.backends.serial.emulated.virtual_device import VirtualDevice
-from rig.backends.serial.usb_adapters import Adapter
 from rig.faults import Fault
 
 
@@ -14,7 +14,7 @@ class BehindUsb:
     """A virtual device whose bytes go through an adapter, both ways. Its time passes as the device's does.
 
     device   powered on; used through this from now on
-    adapter  of ``rig.backends.serial.usb_adapters.CHIPS``
+    adapter  of ``rig.backends.links.usb_adapters.CHIPS``
     """
 
     absolute = True  # of the clock

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
+from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.virtual_chip import chip_options, uno_options
-from rig.model.bench import BenchParameters
+from rig.config.schema import Emulated, Tachometer
 
 
 class ChipBoard(BoardProcess):
@@ -20,11 +19,11 @@ class ChipBoard(BoardProcess):
 
     def start(
         self,
-        emulated: Mapping[str, Any],
+        emulated: Emulated,
         seed: int,
         link: Path | None = None,
         trace: Path | None = None,
-        tachometer: Mapping[str, Any] | None = None,
+        tachometer: Tachometer | None = None,
         baud: int = 115200,
         bridge: str | None = None,
     ) -> str:
@@ -35,8 +34,8 @@ class ChipBoard(BoardProcess):
         Raises EmulationError if it cannot be built or does not start.
         """
         self._must_not_run()
-        bench = BenchParameters.from_mapping(emulated, tachometer)
+        bench = bench_parameters(emulated, tachometer)
         options = uno_options(bench, baud, bridge)
         firmware = firmware_build.build_chip(options)
-        wanted = chip_options(firmware, bench, seed, emulated["clock_error_ppm"], options)
+        wanted = chip_options(firmware, bench, seed, emulated.clock_error_ppm, options)
         return self._launch(firmware.program, {**wanted, "baud": str(baud)}, link, trace)

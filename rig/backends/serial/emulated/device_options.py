@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from rig.model.bench import BenchParameters
 
 
@@ -52,11 +49,3 @@ def device_options(
     }
     options = {name: repr(value) for name, value in numbers.items()}
     return {**options, "drive": bench.drive, "sensor": bench.sensor}
-
-
-def options_from_mapping(
-    emulated: Mapping[str, Any], seed: int, tachometer: Mapping[str, Any] | None = None
-) -> dict[str, str]:
-    """Options from the plain values of a config's sections ``emulated`` and ``tachometer``."""
-    bench = BenchParameters.from_mapping(emulated, tachometer)
-    return device_options(bench, seed, emulated["clock_error_ppm"])

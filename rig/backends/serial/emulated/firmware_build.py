@@ -10,13 +10,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import rig
+from rig.backends.emulated.errors import EmulationError
 
 _PACKAGE = Path(rig.__file__).parent
 _AVR_PACKAGES = "gcc-avr avr-libc binutils-avr"
-
-
-class EmulationError(Exception):
-    """Firmware or emulated board could not be built or started; the text says why and what to do."""
 
 
 class HostFirmware(NamedTuple):

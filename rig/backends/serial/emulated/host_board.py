@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
+from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.serial.emulated import firmware_build
-from rig.backends.serial.emulated.device_options import options_from_mapping
+from rig.backends.serial.emulated.device_options import device_options
+from rig.config.schema import Emulated, Tachometer
 
 
 class HostBoard(BoardProcess):
@@ -20,15 +20,15 @@ class HostBoard(BoardProcess):
 
     def start(
         self,
-        emulated: Mapping[str, Any],
+        emulated: Emulated,
         seed: int,
         link: Path | None = None,
         trace: Path | None = None,
-        tachometer: Mapping[str, Any] | None = None,
+        tachometer: Tachometer | None = None,
     ) -> str:
         """Build what is not up to date, start the process, and return the name of its port.
 
-        emulated, tachometer  plain values of the config's sections
+        emulated, tachometer  sections of the config
         seed   of the emulated noise
         link   symbolic link to the port, made for as long as the process lives
         trace  CSV file of the truth: ``t_s,drive_V,y_rad,v_rad_per_s,fault``, a row at each change of the drive
@@ -37,4 +37,5 @@ class HostBoard(BoardProcess):
         """
         self._must_not_run()
         program = firmware_build.build(self._build_folder).program
-        return self._launch(program, options_from_mapping(emulated, seed, tachometer), link, trace)
+        options = device_options(bench_parameters(emulated, tachometer), seed, emulated.clock_error_ppm)
+        return self._launch(program, options, link, trace)

@@ -6,14 +6,14 @@ import sys
 from pathlib import Path
 
 from rig.backends.emulated.board_process import BoardProcess
-from rig.backends.serial.usb_adapters import Adapter
+from rig.backends.links.usb_adapters import Adapter
 
 
 class UsbBoard(BoardProcess):
     """The adapter of a device that runs already; its reset button is the device's.
 
     device   started, and stopped by whoever started it, after this
-    adapter  of ``rig.backends.serial.usb_adapters.CHIPS``
+    adapter  of ``rig.backends.links.usb_adapters.CHIPS``
     """
 
     def __init__(self, device: BoardProcess, adapter: Adapter) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from rig.backends.serial.usb_adapters import CHIPS, FRAME_S, Adapter
+from rig.backends.links.usb_adapters import CHIPS, FRAME_S, Adapter
 
 _ROUNDING = 1e-6  # of a frame
 
@@ -16,7 +16,7 @@ _ROUNDING = 1e-6  # of a frame
 class UsbChip:
     """One adapter, plugged in at time 0, at which its timer and the frames of USB begin.
 
-    adapter  of ``rig.backends.serial.usb_adapters.CHIPS``; KeyError for "none"
+    adapter  of ``rig.backends.links.usb_adapters.CHIPS``; KeyError for "none"
     """
 
     def __init__(self, adapter: Adapter) -> None:

@@ -16,8 +16,8 @@ import time
 from pathlib import Path
 
 from rig.backends.emulated.device_process import ORPHAN_S, fail, linked, open_pty, signals, take_priority
+from rig.backends.links.usb_adapters import CHIPS
 from rig.backends.serial.emulated.usb_chip import UsbChip
-from rig.backends.serial.usb_adapters import CHIPS
 
 _BYTES = 4096
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple
 
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
-from rig.backends.serial.emulated.firmware_build import EmulationError
 from rig.backends.serial.emulated.virtual_device import VirtualDevice, load
 from rig.model.bench import BenchParameters
 
@@ -74,12 +73,6 @@ class VirtualBoard(VirtualDevice):
     ) -> None:
         options = device_options(bench, seed, clock_error_ppm, clock_start_us)
         super().__init__(_load(build_folder), options, round(1e9 * bits_per_byte / baud))
-
-    @classmethod
-    def from_mapping(cls, emulated: Mapping[str, Any], seed: int, tachometer: Mapping[str, Any] | None = None) -> Self:
-        """From the plain values of a config's sections ``emulated`` and ``tachometer``."""
-        bench = BenchParameters.from_mapping(emulated, tachometer)
-        return cls(bench, seed, clock_error_ppm=emulated["clock_error_ppm"])
 
     def truth(self) -> Truth:
         """What is really the case now."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.device_options import device_options
-from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, ChipFirmware, EmulationError, UnoOptions
+from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, ChipFirmware, UnoOptions
 from rig.backends.serial.emulated.virtual_device import VirtualDevice, load
 from rig.model.bench import BenchParameters
 
@@ -115,19 +115,6 @@ class VirtualChip(VirtualDevice):
         wanted = chip_options(firmware, bench, seed, clock_error_ppm, options)
         wanted |= {"dead-time-s": repr(dead_time_s), "measure": f"{measure:d}"}
         super().__init__(_load(str(firmware.library)), wanted, round(1e9 * _BITS_PER_BYTE / options.baud))
-
-    @classmethod
-    def from_mapping(
-        cls,
-        emulated: Mapping[str, Any],
-        seed: int,
-        tachometer: Mapping[str, Any] | None = None,
-        baud: int = 115200,
-        bridge: str | None = None,
-    ) -> Self:
-        """From the plain values of a config's sections ``emulated`` and ``tachometer``, and its drive.bridge."""
-        bench = BenchParameters.from_mapping(emulated, tachometer)
-        return cls(bench, seed, clock_error_ppm=emulated["clock_error_ppm"], options=uno_options(bench, baud, bridge))
 
     def truth(self) -> ChipTruth:
         """What is really the case now."""

@@ -8,8 +8,8 @@ import weakref
 from collections.abc import Mapping
 from typing import Any
 
+from rig.backends.emulated.errors import EmulationError
 from rig.backends.emulated.plug import Plug
-from rig.backends.serial.emulated.firmware_build import EmulationError
 from rig.faults import Fault
 from rig.model.bench import DriveWiring, SensorWiring
 

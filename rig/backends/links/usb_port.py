@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from rig.backends.serial.usb_adapters import CHIPS, Adapter, adapter_by_id, adapter_delay_s
+from rig.backends.links.usb_adapters import CHIPS, Adapter, adapter_by_id, adapter_delay_s
 from rig.faults import Fault
 
 LATENCY_MS = 1  # of an FTDI's timer, at its best
