@@ -11,40 +11,40 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import urlsplit
 
-from rig.config.backend import CHIP_PORTS, adapter_of
-from rig.config.flashing import flash_line
-from rig.config.link_budget import bits_per_byte, silence_s
-from rig.config.modbus import EMULATED_PORTS as MODBUS_EMULATED_PORTS
-from rig.config.modbus import is_tcp, tcp_address
-from rig.config.preflight import Preflight, unknown_driver
+from rig.backends import registry
+from rig.backends.backend import CHIP_PORTS, adapter_of
+from rig.backends.clock import MonotonicClock, VirtualClock
+from rig.backends.driver import Clock, DeviceInfo, Driver, DriverSettings, RelayDriver, Transport
+from rig.backends.emulated.board_process import BoardProcess
+from rig.backends.link_budget import bits_per_byte, silence_s
+from rig.backends.links.serial_port import SerialPort
+from rig.backends.links.tcp_link import TcpTransport
+from rig.backends.modbus.emulated.modbus_board import ModbusBoard
+from rig.backends.modbus.section import EMULATED_PORTS as MODBUS_EMULATED_PORTS
+from rig.backends.modbus.section import is_tcp, tcp_address
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.behind_usb import BehindUsb
+from rig.backends.serial.emulated.chip_board import ChipBoard
+from rig.backends.serial.emulated.host_board import HostBoard
+from rig.backends.serial.emulated.usb_board import UsbBoard
+from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.backends.serial.flashing import flash_line
+from rig.backends.serial.usb_port import check_adapter
+from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
+from rig.calibration import Calibration, DriveMap, TachometerScale, polarity
 from rig.config.problems import ConfigError, Problem
-from rig.config.room_to_stop import known_reaction_s
 from rig.config.schema import Experiment
 from rig.control.guard import GuardSettings
-from rig.daq import registry
-from rig.daq.calibration import Calibration, DriveMap, TachometerScale, polarity
-from rig.daq.driver import Clock, DeviceInfo, Driver, DriverSettings, RelayDriver, Transport
-from rig.daq.serial_link import SerialDriver
-from rig.daq.serial_port import SerialPort
-from rig.daq.simulated import SimulatedDriver, SimulatedLatency
-from rig.daq.tcp_link import TcpTransport
-from rig.daq.usb_port import check_adapter
-from rig.emulate.behind_usb import BehindUsb
-from rig.emulate.board_process import BoardProcess
-from rig.emulate.chip_board import ChipBoard
-from rig.emulate.host_board import HostBoard
-from rig.emulate.modbus_board import ModbusBoard
-from rig.emulate.usb_board import UsbBoard
-from rig.emulate.virtual_chip import VirtualChip
 from rig.faults import Fault
-from rig.loop.clock import MonotonicClock, VirtualClock
 from rig.loop.real_time import RealTimeSettings
 from rig.model.bench import BenchParameters
+from rig.preflight.room_to_stop import known_reaction_s
+from rig.preflight.rules import Preflight, unknown_driver
 from rig.signals import Limits
 
 if TYPE_CHECKING:  # pymodbus loads slowly
-    from rig.daq.modbus import ModbusDriver
-    from rig.emulate.virtual_io_block import VirtualIoBlock
+    from rig.backends.modbus.driver import ModbusDriver
+    from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 
 
 @dataclass(frozen=True)
@@ -303,9 +303,9 @@ def modbus_driver(
     experiment: Experiment, transport: Transport, name: str = "modbus", *, emulated: bool = False
 ) -> ModbusDriver:
     """The Modbus driver of the config on a transport, not opened yet; RTU or TCP as the config's port."""
-    from rig.daq.modbus import ModbusDriver
-    from rig.daq.modbus_client import ModbusLine
-    from rig.daq.modbus_registers import RegisterMap
+    from rig.backends.modbus.client import ModbusLine
+    from rig.backends.modbus.driver import ModbusDriver
+    from rig.backends.modbus.registers import RegisterMap
 
     daq = experiment.daq
     if daq.modbus is None:
@@ -340,7 +340,7 @@ def emulated_io_block(experiment: Experiment) -> VirtualIoBlock:
 
     Raises EmulationError where a register cannot hold what it is for.
     """
-    from rig.emulate.virtual_io_block import VirtualIoBlock
+    from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 
     if experiment.emulated is None or experiment.daq.modbus is None:
         raise ValueError("the config needs the sections `emulated` and `daq.modbus`")

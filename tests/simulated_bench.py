@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+from rig.backends.clock import VirtualClock
+from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
+from rig.calibration import Calibration, DriveMap
 from rig.control.breakaway import BreakawayCheck, StrokePlan
 from rig.control.guard import Guard, GuardSettings
-from rig.daq.calibration import Calibration, DriveMap
-from rig.daq.simulated import SimulatedDriver, SimulatedLatency
-from rig.loop.clock import VirtualClock
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.bench import BenchParameters

@@ -1,4 +1,4 @@
-"""The random experiments of a campaign (theory section 8, the grid): experiment k is the same whoever simulates it.
+"""The random experiments of a campaign (docs/theory.md 7.10): experiment k is the same whoever simulates it.
 
 Each experiment, and in it the motor, the noise, the timing and the second test, has a random stream of its own, derived
 from seed and number alone. So neither order nor company matters, and two campaigns of one seed that differ in noise or
@@ -60,7 +60,7 @@ class Draw:
     static_ratio: float
 
     def motor(self) -> Motor:
-        """The motor; its asymmetry is a bias, as motion cannot tell (theory section 8)."""
+        """The motor; its asymmetry is a bias, as motion cannot tell (docs/theory.md 7.3)."""
         return Motor(self.tau_s, self.K_rad_s_V, coulomb(self.fc_V, self.fc_V * self.static_ratio), self.asym_V)
 
     def second_gains(self, ratio: float) -> tuple[float, float]:

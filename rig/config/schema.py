@@ -1,7 +1,7 @@
 """The schema of an experiment: every key, its unit (in its name), its range and its default.
 
 Strict: an unknown key is an error, numbers are finite, objects are frozen. What one key says by itself is
-checked here; what keys say together (room to stop, link budget, ...) in ``rig.config.preflight``.
+checked here; what keys say together (room to stop, link budget, ...) in ``rig.preflight.rules``.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from rig.config.modbus import Modbus
-from rig.config.section import Interval, NonNegative, Positive
-from rig.config.section import Section as _Section
-from rig.usb_serial import Adapter
+from rig.backends.modbus.section import Modbus
+from rig.backends.section import Interval, NonNegative, Positive
+from rig.backends.section import Section as _Section
+from rig.backends.serial.usb_adapters import Adapter
 
 Method = Literal["sampled-data", "triple-relay", "describing-function"]
 Bridge = Literal["pwm-dir", "in1-in2"]
@@ -199,7 +199,7 @@ class Gains(_Section):
 
 
 class Hysteretic(_Section):
-    """One run of the single relay with hysteresis, from rest at zero (theory section 6)."""
+    """One run of the single relay with hysteresis, from rest at zero (docs/theory.md 5.1)."""
 
     d_V: float = Field(description="drive; its sign is the direction it starts in; above the breakaway level")
     eps_rad: Positive = Field(description="half width of the hysteresis: it switches beyond this position")
@@ -223,7 +223,7 @@ class RelayTarget(_Section):
 
 
 class GainSearch(_Section):
-    """How the gains are found (theory section 5)."""
+    """How the gains are found (docs/theory.md 4.2)."""
 
     h1_start_V: Positive = Field(0.3, description="first h1")
     h2_start_V: Positive = Field(0.1, description="first h2")

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from rig.backends.backend import adapter_of, is_emulated
+from rig.backends.clock import MonotonicClock
+from rig.backends.link_budget import link_budget, reading_budget
 from rig.bench import connect, real_time_of
-from rig.config.backend import adapter_of, is_emulated
-from rig.config.link_budget import link_budget, reading_budget
 from rig.config.schema import Experiment
 from rig.doctor import machine, measured
 from rig.doctor.finding import Finding
 from rig.faults import Fault, since_the_last_run
-from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import real_time
 
 SECONDS = 3.0  # of ticks

@@ -1,4 +1,4 @@
-"""Least squares of one friction law: Coulomb, asymmetric, with a static level, Stribeck (theory sections 1, 8, 9).
+"""Least squares of one friction law: Coulomb, asymmetric, with a static level, Stribeck (docs/theory.md 8.1 and 8.4).
 
 Stribeck friction hardly differs from another tau, K and fc, and its static level from its velocity: a fit from afar
 ends anywhere. So it starts at the fit without it, in the direction in which a little of it lowers the squares most

@@ -7,11 +7,11 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from rig.backends.driver import Clock, Driver, RelayDriver
+from rig.backends.serial.relay_stream import RelayCommand, RelayRow
 from rig.control.guard import WINDOW_S, Guard
 from rig.control.law import Law
 from rig.control.motion import is_obeyed
-from rig.daq.driver import Clock, Driver, RelayDriver
-from rig.daq.relay_stream import RelayCommand, RelayRow
 from rig.faults import Fault
 from rig.loop.device_relay import DeviceRelay
 from rig.loop.pause_watch import PauseWatch

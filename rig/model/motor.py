@@ -1,8 +1,8 @@
-"""The exact event-driven motor: tau dv/dt + v = K (u + b - f(v)), dy/dt = v, dz/dt = y (theory (1)-(5)).
+"""The exact event-driven motor: tau dv/dt + v = K (u + b - f(v)), dy/dt = v, dz/dt = y (docs/theory.md 1.2).
 
 Between the instants at which the drive changes or the velocity crosses zero the motion is a formula: an exponential,
 or under Stribeck friction a chain of Taylor polynomials of bounded error (``rig.model.stribeck``). Viscous friction
-needs no formula of its own: it lowers tau and K alike (theory section 9).
+needs no formula of its own: it lowers tau and K alike (docs/theory.md 8.1).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 class Glide(NamedTuple):
-    """Motion whose velocity tends exponentially to ``target`` (theory section 1); at rest both are 0.
+    """Motion whose velocity tends exponentially to ``target`` (docs/theory.md 1.3); at rest both are 0.
 
     start, duration_s   its first state, and how long it lasts (may be inf)
     target, tau_s       rad/s, s

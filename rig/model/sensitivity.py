@@ -1,8 +1,9 @@
 """The exact motion under a recorded drive, and its derivatives by the motor's parameters.
 
-Between events the motion has a closed form (theory section 1), and so have its derivatives. An event moves when a
-parameter does: by the same instant dt at which it moves, the velocity jumps by (acceleration before - acceleration
-after) * dt to first order, and the position does not. So one pass over the events gives position and Jacobian.
+Between events the motion has a closed form, and so have its derivatives (docs/theory.md 1.3, 1.4). An event moves
+when a parameter does: by the same instant dt at which it moves, the velocity jumps by (acceleration before -
+acceleration after) * dt to first order, and the position does not. So one pass over the events gives position and
+Jacobian.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 class Theta(NamedTuple):
-    """Parameters of a record's motion (theory section 8), in the order of the Jacobian's columns.
+    """Parameters of a record's motion (docs/theory.md 7.2), in the order of the Jacobian's columns.
 
     tau_s, K_rad_s_V, fc_V   the motor
     asym_V                   asymmetry a: the effective drive in motion is u + a - fc sgn(v)

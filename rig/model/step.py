@@ -1,6 +1,6 @@
 """One step of the motor's physics: its motion under a constant drive, from one event to the next.
 
-    tau dv/dt + v = K (u + b - f(v)),   dy/dt = v,   dz/dt = y      (theory (1)-(5))
+    tau dv/dt + v = K (u + b - f(v)),   dy/dt = v,   dz/dt = y      (docs/theory.md 1.2)
 
 Between two events the motion is a formula, which this module calls a segment: an exponential, or under Stribeck
 friction a Taylor polynomial of bounded error (``rig.model.stribeck``). An event is a reversal, a motor that comes to
@@ -111,7 +111,7 @@ def reversal_time(v: float, target: float, tau_s: float) -> float:
 
 
 def glide(state: State, target: float, tau_s: float, h_s: float) -> State:
-    """State ``h_s`` seconds later of a motion whose velocity tends to ``target`` (theory section 1)."""
+    """State ``h_s`` seconds later of a motion whose velocity tends to ``target`` (docs/theory.md 1.3)."""
     return glide_by(state, target, tau_s, h_s, -math.expm1(-h_s / tau_s))
 
 

@@ -4,8 +4,8 @@ While the motor moves one way, with speed x in units of the Stribeck velocity vs
 
     x' = e - x - b expm1(-x),    e = K (D - fs) / vs,    b = K (fs - fc) / vs,    x >= 0
 
-(D: drive along the motion, V; theory section 9; viscous friction is in tau and K already). The right side is analytic,
-so x is a power series in time, and its integrals, position and integral of position, are too.
+(D: drive along the motion, V; viscous friction is in tau and K already; docs/theory.md 8.1, 8.2). The right side is
+analytic, so x is a power series in time, and its integrals, position and integral of position, are too.
 
 The step. With B = b exp(-x0), on the disc |x - x0| <= R the right side is at most M = |x0'| + R + B (exp(R) - 1) and
 its slope at most L = 1 + B exp(R). So the solution is analytic, and stays in the disc, at least for |t| < rho =
@@ -13,7 +13,7 @@ max(R / M, ln(1 + R L / |x0'|) / L) (Picard; Gronwall). By Cauchy's estimate the
 R (t / rho)^k. Steps end at rho / RATIO: what is left off after ORDER is at most R RATIO^-ORDER / (RATIO - 1), 2e-14 R,
 and in practice below rounding, because rho is about half of the true radius.
 
-Where b exp(-x) is below rounding the motion has the closed form of theory section 1, and that is used.
+Where b exp(-x) is below rounding the motion has the closed form of docs/theory.md 1.3, and that is used.
 
 ``rig.model.step`` makes segments of these functions; numba compiles them into the loops of ``rig.model.compiled``.
 ``c`` is a list or an array of ORDER + 1 coefficients.

@@ -19,12 +19,13 @@ from pymodbus.pdu.register_message import (
     WriteMultipleRegistersResponse,
 )
 
+from rig.backends.link_budget import link_budget, reading_budget, transactions
+from rig.backends.modbus.section import tcp_address
 from rig.bench import guard_settings_of
-from rig.config import Experiment, load, notes, preflight
-from rig.config.link_budget import link_budget, reading_budget, transactions
-from rig.config.modbus import tcp_address
-from rig.config.plan import plan
-from rig.config.room_to_stop import device_watchdog_s, reaction_periods, stopping_terms
+from rig.config import Experiment, load
+from rig.preflight import notes, preflight
+from rig.preflight.plan import plan
+from rig.preflight.room_to_stop import device_watchdog_s, reaction_periods, stopping_terms
 
 CONFIG = Path(__file__).parents[2] / "config" / "modbus-rtu.yaml"
 SECTION = "daq.modbus.registers."

@@ -14,16 +14,16 @@ from typing import Any
 import pytest
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
+from rig.backends.modbus.client import ModbusClient, ModbusLine
+from rig.backends.modbus.driver import ModbusDriver
+from rig.backends.modbus.emulated.line_faults import Corruption
+from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.rtu_slave import Direction, check_sum
+from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
+from rig.backends.modbus.requests import Request
 from rig.bench import emulated_io_block, limits_of, modbus_driver
 from rig.config import load
 from rig.config.schema import Experiment
-from rig.daq.modbus import ModbusDriver
-from rig.daq.modbus_client import ModbusClient, ModbusLine
-from rig.daq.modbus_requests import Request
-from rig.emulate.line_faults import Corruption
-from rig.emulate.misbehaviour import Misbehaviour
-from rig.emulate.rtu_slave import Direction, check_sum
-from rig.emulate.virtual_io_block import VirtualIoBlock
 from rig.faults import Fault
 from rig.signals import Sample
 

@@ -13,11 +13,11 @@ from typing import Any
 import pytest
 from libmodbus_peer import EXAMPLE_MAP, LibmodbusSlave
 
+from rig.backends.driver import Driver
 from rig.bench import connect, limits_of
 from rig.config import load
 from rig.config.schema import Experiment
 from rig.control.relay import DualChannelRelay
-from rig.daq.driver import Driver
 from rig.faults import Fault
 from rig.signals import Sample
 

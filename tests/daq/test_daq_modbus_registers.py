@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
+from rig.backends.modbus.frames import Damaged, RtuFraming, TcpFraming
+from rig.backends.modbus.registers import Register, RegisterMap, Span
 from rig.bench import emulated_io_block, limits_of, modbus_driver
 from rig.config import load
 from rig.config.schema import Experiment
-from rig.daq.modbus_frames import Damaged, RtuFraming, TcpFraming
-from rig.daq.modbus_registers import Register, RegisterMap, Span
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "modbus-rtu.yaml"
 FORMATS = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from rig.backends.driver import Transport
+from rig.backends.links.tcp_link import TcpTransport
+from rig.backends.modbus.driver import ModbusDriver
+from rig.backends.modbus.emulated.io_block import IoBlock
 from rig.bench import limits_of, modbus_driver
 from rig.config import load
-from rig.daq.driver import Transport
-from rig.daq.modbus import ModbusDriver
-from rig.daq.tcp_link import TcpTransport
-from rig.emulate.io_block import IoBlock
 from rig.faults import Fault
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "modbus-tcp.yaml"

@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from rig import conformance, experiment
+from rig import experiment
+from rig.backends.driver import DriverSettings
 from rig.bench import connect, limits_of, plug_in_preflight
-from rig.config import check
-from rig.daq.driver import DriverSettings
 from rig.faults import Fault
+from rig.preflight import check
+from rig.testing import conformance
 
 ROOT = Path(__file__).parent.parent.parent
 EXAMPLE = ROOT / "docs/examples/nidaqmx_driver"
@@ -95,7 +96,7 @@ def test_the_whole_experiment(card, tmp_path):
     e = load(config(tmp_path, tracking__duration_s=3.0))
     outcome = experiment.run(e, tmp_path / "runs")
     assert outcome.failure == ""
-    result = outcome.result
+    result = outcome.result.as_json()
     assert result["backend"] == "nidaqmx:Dev1 (PCI-6221, serial 1A2B3C4)"
     estimate, truth = result["estimates"]["sampled-data"], result["truth"]
     assert estimate["verdict"] == "ok"

@@ -11,9 +11,9 @@ import pytest
 from raised import fault_of
 from serial.tools import list_ports
 
+from rig.backends.links.serial_port import SerialPort
 from rig.bench import unopened
 from rig.config import Experiment, load
-from rig.daq.serial_port import SerialPort
 from rig.faults import Fault
 
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 from raised import fault_of
 
+from rig.backends.serial import frames
+from rig.backends.serial.driver import SerialDriver, setup_for
+from rig.backends.serial.frames import Code, Hello, Kind, Nack, Setup, State, encode
 from rig.bench import unopened
+from rig.calibration import Calibration, DriveMap, TachometerScale
 from rig.cli import main
 from rig.config import Experiment, load
-from rig.daq import frames
-from rig.daq.calibration import Calibration, DriveMap, TachometerScale
-from rig.daq.frames import Code, Hello, Kind, Nack, Setup, State, encode
-from rig.daq.serial_link import SerialDriver, setup_for
 from rig.faults import Fault
 from rig.signals import Limits
 

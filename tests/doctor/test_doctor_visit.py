@@ -7,9 +7,9 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.cli import main
 from rig.config import load
-from rig.emulate.virtual_chip import VirtualChip
 
 ROOT = Path(__file__).parents[2]
 

@@ -9,12 +9,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from rig.backends.modbus.emulated.io_block import IoBlock
+from rig.backends.modbus.emulated.rtu_slave import Direction, frame
+from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
+from rig.backends.modbus.section import Modbus
 from rig.config import load
-from rig.config.modbus import Modbus
 from rig.config.schema import Emulated, EmulatedMotor, EmulatedPotentiometer
-from rig.emulate.io_block import IoBlock
-from rig.emulate.rtu_slave import Direction, frame
-from rig.emulate.virtual_io_block import VirtualIoBlock
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 DRIVE, SEQUENCE, CONTROL, WATCHDOG, POSITION, ECHO, APPLIED, STATUS = 0, 1, 8, 9, 16, 17, 18, 19

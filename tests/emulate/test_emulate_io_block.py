@@ -35,8 +35,8 @@ from modbus_device import (
 )
 from pymodbus.client.mixin import ModbusClientMixin
 
-from rig.emulate.firmware_build import EmulationError
-from rig.emulate.io_block import ExecutedDrive, IoBlock
+from rig.backends.modbus.emulated.io_block import ExecutedDrive, IoBlock
+from rig.backends.serial.emulated.firmware_build import EmulationError
 from rig.model.bench import Bench, BenchParameters
 
 WATCHDOG_FAULT, TRAVEL, SENSOR, DRIVE_RANGE, NOT_ARMED = 2, 3, 4, 5, 6

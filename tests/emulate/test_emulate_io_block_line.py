@@ -32,10 +32,10 @@ from pymodbus.framer import FramerRTU
 from pymodbus.pdu import DecodePDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
-from rig.emulate.line_faults import Corruption
-from rig.emulate.misbehaviour import Misbehaviour
-from rig.emulate.rtu_slave import Line, check_sum, frame
-from rig.emulate.virtual_io_block import VirtualIoBlock
+from rig.backends.modbus.emulated.line_faults import Corruption
+from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.rtu_slave import Line, check_sum, frame
+from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.faults import Fault
 
 TICK = read_write(POSITION, 4, DRIVE, 500, 1)

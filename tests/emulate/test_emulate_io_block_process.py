@@ -35,11 +35,11 @@ from processes import alive, rows, wait_until
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
+from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.modbus_board import ModbusBoard, mbpoll_line
+from rig.backends.modbus.emulated.tcp_slave import Adu, Stream
+from rig.backends.serial.emulated.firmware_build import EmulationError
 from rig.cli import main
-from rig.emulate.firmware_build import EmulationError
-from rig.emulate.misbehaviour import Misbehaviour
-from rig.emulate.modbus_board import ModbusBoard, mbpoll_line
-from rig.emulate.tcp_slave import Adu, Stream
 
 pytestmark = pytest.mark.realtime
 
@@ -49,7 +49,7 @@ HOST = """
 import sys, time
 from pathlib import Path
 from pymodbus.client import ModbusSerialClient
-from rig.emulate.modbus_board import ModbusBoard
+from rig.backends.modbus.emulated.modbus_board import ModbusBoard
 board = ModbusBoard()
 port = board.start({modbus}, {emulated}, 1, link=Path(sys.argv[1]), trace=Path(sys.argv[2]))
 print(board.pid, flush=True)

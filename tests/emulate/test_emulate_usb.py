@@ -10,18 +10,18 @@ import yaml
 from command_line import rig
 from simulated_bench import CALIBRATION, DEMO, LIMITS, RAILS
 
+from rig.backends.link_budget import link_budget, reading_budget, sample_to_drive_s
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.behind_usb import BehindUsb
+from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.usb_chip import UsbChip
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.backends.serial.usb_adapters import CHIPS, FRAME_S, Adapter, adapter_by_id, adapter_by_name
 from rig.bench import connect, emulated_board
+from rig.calibration import DriveMap
 from rig.config import Experiment
-from rig.config.link_budget import link_budget, reading_budget, sample_to_drive_s
-from rig.daq.calibration import DriveMap
-from rig.daq.serial_link import SerialDriver
-from rig.emulate.behind_usb import BehindUsb
-from rig.emulate.firmware_build import UnoOptions
-from rig.emulate.usb_chip import UsbChip
-from rig.emulate.virtual_board import VirtualBoard
-from rig.emulate.virtual_chip import VirtualChip
 from rig.faults import Fault
-from rig.usb_serial import CHIPS, FRAME_S, Adapter, adapter_by_id, adapter_by_name
 
 ROOT = Path(__file__).resolve().parents[2]
 CLOCK_PPM = 4000.0

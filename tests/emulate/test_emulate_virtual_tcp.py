@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from rig import config
+from rig.backends.modbus.driver import ModbusDriver
+from rig.backends.modbus.emulated.tcp_slave import Adu
+from rig.backends.modbus.emulated.virtual_tcp_block import SENT_AGAIN_S, VirtualTcpBlock
 from rig.bench import limits_of, modbus_driver
-from rig.daq.modbus import ModbusDriver
-from rig.emulate.tcp_slave import Adu
-from rig.emulate.virtual_tcp_block import SENT_AGAIN_S, VirtualTcpBlock
 from rig.faults import Fault
 
 ROOT = Path(__file__).resolve().parents[2]

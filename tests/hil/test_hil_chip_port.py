@@ -13,13 +13,13 @@ import pytest
 import yaml
 from processes import PATIENCE_S, rows, wait_until
 
+from rig.backends.links.serial_port import SerialPort
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.chip_board import ChipBoard
+from rig.backends.serial.emulated.firmware_build import EmulationError
 from rig.bench import calibration_of, drive_map_of, limits_of
-from rig.config import check
 from rig.config.schema import Experiment
-from rig.daq.serial_link import SerialDriver
-from rig.daq.serial_port import SerialPort
-from rig.emulate.chip_board import ChipBoard
-from rig.emulate.firmware_build import EmulationError
+from rig.preflight import check
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 

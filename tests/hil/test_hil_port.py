@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import pytest
 
+from rig.backends.links.serial_port import SerialPort
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.chip_board import ChipBoard
+from rig.backends.serial.emulated.host_board import HostBoard
+from rig.calibration import Calibration, DriveMap
 from rig.config.schema import Emulated
-from rig.daq.calibration import Calibration, DriveMap
-from rig.daq.serial_link import SerialDriver
-from rig.daq.serial_port import SerialPort
-from rig.emulate.chip_board import ChipBoard
-from rig.emulate.host_board import HostBoard
 from rig.faults import Fault
 from rig.signals import Limits
 

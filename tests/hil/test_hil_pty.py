@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from processes import PATIENCE_S, alive, rows, wait_until
 
+from rig.backends.links.serial_port import SerialPort
+from rig.backends.serial.emulated.firmware_build import EmulationError
+from rig.backends.serial.emulated.host_board import HostBoard
+from rig.backends.serial.frames import Code, FrameReader, Hello, Kind, Packet, Setup, encode, pack_ack, pack_arm
 from rig.config.schema import Emulated, EmulatedMotor
-from rig.daq.frames import Code, FrameReader, Hello, Kind, Packet, Setup, encode, pack_ack, pack_arm
-from rig.daq.serial_port import SerialPort
-from rig.emulate.firmware_build import EmulationError
-from rig.emulate.host_board import HostBoard
 
 pytestmark = pytest.mark.realtime
 
@@ -35,8 +35,8 @@ def arming(setup: Setup = SETUP) -> bytes:
 # A host that arms, drives for as long as it lives, and says when it does.
 HOST = """
 import sys, time
-from rig.daq.frames import Kind, encode, pack_drive
-from rig.daq.serial_port import SerialPort
+from rig.backends.serial.frames import Kind, encode, pack_drive
+from rig.backends.links.serial_port import SerialPort
 port = SerialPort(sys.argv[1])
 port.write({arming})
 for k in range(10**6):
@@ -52,7 +52,7 @@ PARENT = (
     """
 import sys
 from pathlib import Path
-from rig.emulate.host_board import HostBoard
+from rig.backends.serial.emulated.host_board import HostBoard
 board = HostBoard()
 sys.argv[1] = board.start({emulated}, 1, trace=Path(sys.argv[1]))
 print(board.pid, flush=True)

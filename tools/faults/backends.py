@@ -15,25 +15,25 @@ from faults.bounds import Times
 from faults.language import Language, ModbusLanguage, SerialLanguage
 from faults.stages import Course
 from faults.stand import Stand
+from rig.backends.link_budget import bits_per_byte, block_share, link_budget, longest_transaction_s, silence_s
+from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
+from rig.backends.modbus.emulated.virtual_tcp_block import VirtualTcpBlock
+from rig.backends.modbus.section import is_tcp
+from rig.backends.serial import frames
+from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.emulated.virtual_chip import Contact, VirtualChip
+from rig.backends.serial.frames import BLOCK_ROWS, Kind
 from rig.bench import emulated_io_block, guard_settings_of, truth_of
-from rig.config.link_budget import bits_per_byte, block_share, link_budget, longest_transaction_s, silence_s
-from rig.config.modbus import is_tcp
-from rig.config.room_to_stop import breakaway_strokes
 from rig.config.schema import Experiment
 from rig.control.guard import WINDOW_S, GuardSettings
 from rig.control.motion import CycleWatch
 from rig.control.relay import DualChannelRelay
 from rig.control.tracking import linearising_drive
 from rig.control.trajectory import SumOfSines
-from rig.daq import frames
-from rig.daq.frames import BLOCK_ROWS, Kind
-from rig.emulate.firmware_build import UnoOptions
-from rig.emulate.virtual_board import VirtualBoard
-from rig.emulate.virtual_chip import Contact, VirtualChip
-from rig.emulate.virtual_io_block import VirtualIoBlock
-from rig.emulate.virtual_tcp_block import VirtualTcpBlock
 from rig.model.bench import BenchParameters
 from rig.model.motor import State
+from rig.preflight.room_to_stop import breakaway_strokes
 from rig.session import FADE_S
 from rig.signals import Sample
 

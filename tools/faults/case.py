@@ -37,10 +37,10 @@ from faults.stages import ARMING, CYCLE, PAUSE, REST, SEARCH, START, TRACKING, C
 from faults.stand import Stand
 from rig import experiment as script
 from rig.cli import main
-from rig.config import check
 from rig.config.schema import Experiment
 from rig.faults import Fault
 from rig.identify import Identification, IdentifyError, identify
+from rig.preflight import check
 from rig.recording.errors import RecordingError
 from rig.recording.reader import read_run
 

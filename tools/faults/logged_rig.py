@@ -17,9 +17,9 @@ from unittest.mock import patch
 
 import rig.bench
 import rig.session
+from rig.backends.links.serial_port import SerialPort
+from rig.backends.links.tcp_link import TcpTransport
 from rig.cli import main
-from rig.daq.serial_port import SerialPort
-from rig.daq.tcp_link import TcpTransport
 
 
 def hung_up_terminal() -> int:

@@ -23,20 +23,7 @@ from paper.drawing import (
     zero,
 )
 from paper.ideal_relay import Relay, half_periods, ideal_relay
-from paper.page import (
-    Cell,
-    Claim,
-    Comparison,
-    Heading,
-    Paragraph,
-    Remark,
-    Section,
-    Table,
-    listed,
-    number,
-    share,
-    significant,
-)
+from paper.page import Claim, Comparison, Heading, Paragraph, Remark, Section
 from paper.solver import RELATIVE, settled_cycle
 from paper.solver import Cycle as SolverCycle
 from rig.model import describing_function
@@ -45,6 +32,8 @@ from rig.model.friction import coulomb
 from rig.model.limit_cycle import LimitCycle, limit_cycle
 from rig.model.motor import Motor, State
 from rig.report.style import Picture
+from shared.page import listed
+from shared.table import Cell, Table, number, share, significant
 
 EXPANDS = 1.0 + 1e-9
 ARRIVED = 1e-3  # of the cycle's size

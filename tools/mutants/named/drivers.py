@@ -26,7 +26,7 @@ def _in_device(*names: str) -> tuple[str, ...]:
 
 
 SERIAL = of(
-    "rig/daq/serial_link.py",
+    "rig/backends/serial/driver.py",
     (
         "limits' read-back is not compared",
         "SerialDriver.arm",
@@ -233,7 +233,7 @@ SERIAL = of(
 )
 
 FRAMES = of(
-    "rig/daq/frames.py",
+    "rig/backends/serial/frames.py",
     (
         "the host does not check the CRC",
         "_decode",
@@ -251,7 +251,7 @@ FRAMES = of(
 )
 
 STREAM = of(
-    "rig/daq/relay_stream.py",
+    "rig/backends/serial/relay_stream.py",
     (
         "a missing block is not missed",
         "RelayStream.take",
@@ -276,7 +276,7 @@ STREAM = of(
 )
 
 MEETING = of(
-    "rig/daq/introduction.py",
+    "rig/backends/serial/introduction.py",
     (
         "a device of another version is taken",
         "await_introduction",
@@ -294,7 +294,7 @@ MEETING = of(
 )
 
 OPENING = of(
-    "rig/daq/introduction.py",
+    "rig/backends/serial/introduction.py",
     (
         "the opening can be read as 'program page'",
         "_harmless_numbers",
@@ -315,7 +315,7 @@ OPENING = of(
 )
 
 CLOCK = of(
-    "rig/daq/device_clock.py",
+    "rig/backends/serial/device_clock.py",
     (
         "a restart while the clock is measured passes",
         "fit_device_clock",
@@ -326,7 +326,7 @@ CLOCK = of(
 )
 
 CALIBRATION = of(
-    "rig/daq/calibration.py",
+    "rig/calibration.py",
     (
         "the drive's sign is flipped",
         "DriveMap.sign",
@@ -377,7 +377,7 @@ _TCP_MISFITS = in_file(
 )
 
 MODBUS = of(
-    "rig/daq/modbus.py",
+    "rig/backends/modbus/driver.py",
     (
         "a setting's read-back is not compared",
         "ModbusDriver._set",
@@ -465,7 +465,7 @@ MODBUS = of(
 )
 
 MODBUS_CLIENT = of(
-    "rig/daq/modbus_client.py",
+    "rig/backends/modbus/client.py",
     (
         "bytes that nobody asked for are no fault",
         "ModbusClient.in_tick",
@@ -490,7 +490,7 @@ MODBUS_CLIENT = of(
 )
 
 MODBUS_REQUESTS = of(
-    "rig/daq/modbus_requests.py",
+    "rig/backends/modbus/requests.py",
     (
         "a reply to another request is accepted",
         "check",
@@ -524,7 +524,7 @@ MODBUS_REQUESTS = of(
 )
 
 MODBUS_FRAMES = of(
-    "rig/daq/modbus_frames.py",
+    "rig/backends/modbus/frames.py",
     (
         "Modbus's check sum is not checked",
         "RtuFraming.take",

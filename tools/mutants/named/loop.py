@@ -208,7 +208,7 @@ BENCH = of(
 )
 
 ROOM = of(
-    "rig/config/room_to_stop.py",
+    "rig/preflight/room_to_stop.py",
     (
         "the guard is not told of the device's watchdog time",
         "known_reaction_s",
@@ -248,7 +248,7 @@ ROOM = of(
 )
 
 PREFLIGHT = of(
-    "rig/config/preflight.py",
+    "rig/preflight/rules.py",
     (
         "a config whose unseen travel has no bound passes",
         "_unseen_travel",

@@ -1,0 +1,34 @@
+"""A config file that may be run: loaded, and held to the rules, with errors that name file, line and key."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from os import PathLike
+
+from rig.backends.backend import is_plug_in
+from rig.config.load import load_with_places
+from rig.config.problems import ConfigError
+from rig.config.schema import Experiment
+from rig.preflight.rules import Preflight, preflight, unknown_driver
+
+
+def check(
+    path: str | PathLike[str],
+    plug_in: Callable[[Experiment], Preflight] | None = None,
+    passing: Collection[str] = (),
+) -> tuple[Experiment, Preflight]:
+    """``load``, and ``preflight`` on it: the experiment, and what it would do.
+
+    plug_in  what there is to say of a driver that is not built in; without it only built-in drivers are known
+    passing  keys, with dots, whose problems do not count: of what drives nothing
+    Raises ConfigError as ``load`` does, and, with the places of the keys, where the experiment must not be run.
+    """
+    experiment, document = load_with_places(path)
+    found = preflight(experiment)
+    if is_plug_in(experiment):
+        other = Preflight((), (unknown_driver(experiment.daq.driver),)) if plug_in is None else plug_in(experiment)
+        found = Preflight(found.lines + other.lines, found.problems + other.problems)
+    problems = [problem for problem in found.problems if problem.key not in passing]
+    if problems:
+        raise ConfigError(map(document.located, problems))
+    return experiment, found

@@ -1,0 +1,1 @@
+"""What others need to test a driver of theirs."""
