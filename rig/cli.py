@@ -25,6 +25,7 @@ from rig.backends.emulated.errors import EmulationError
 from rig.faults import Fault
 from rig.recording.errors import CannotWriteError, RecordingError
 from rig.recording.folder import json_text
+from rig.results import known
 from rig.terminal import (
     patience,
     progress,
@@ -227,11 +228,11 @@ def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool)
             f"ask for --u-V between {-experiment.drive.max_V:g} and {experiment.drive.max_V:g}, or raise drive.max_V",
         )
     outcome = _perform(lambda on_start: script.jog(experiment, u_V, seconds, out, on_start), as_json)
-    moved = outcome.result.get("jog")
+    moved = outcome.result.jog
     if moved is not None and not as_json:
-        click.echo(f"y {moved['from_rad']:+.3f} -> {moved['to_rad']:+.3f} rad")
-        if moved["refused_ticks"]:
-            click.echo(f"the guard cut the drive in {moved['refused_ticks']} ticks: outward; try the other sign")
+        click.echo(f"y {known(moved.from_rad):+.3f} -> {known(moved.to_rad):+.3f} rad")
+        if moved.refused_ticks:
+            click.echo(f"the guard cut the drive in {moved.refused_ticks} ticks: outward; try the other sign")
     _finish(outcome, as_json)
 
 
@@ -287,15 +288,14 @@ def identify(
             found = identify_recordings(recordings, tuple(methods) or None)
     except (RecordingError, IdentifyError) as error:
         _fail_input(error)
-    result = found.as_dict()
-    estimates = result["estimates"]
-    ok = any(e["verdict"] != "refused" for e in estimates.values())
+    result = found.as_result()
+    ok = any(not estimate.is_refused for estimate in result.estimates.values())
     if as_json:
-        click.echo(json_text({"ok": ok, "records": [str(path) for path in paths], **result}), nl=False)
+        click.echo(json_text({"ok": ok, "records": [str(path) for path in paths], **result.as_json()}), nl=False)
     else:
-        for note in found.notes:
+        for note in result.notes:
             click.echo(note)
-        show_estimates(estimates, None)
+        show_estimates(result.estimates, None)
     sys.exit(0 if ok else EXIT_FAILED)
 
 
@@ -389,7 +389,7 @@ def replay(run_folder: Path, as_json: bool) -> None:
     except config.ConfigError as error:
         _fail_config(error)
     if as_json:
-        click.echo(json_text(done.as_dict()), nl=False)
+        click.echo(json_text(done.as_json()), nl=False)
     else:
         show_replay(done)
     sys.exit(0 if done.is_same else EXIT_FAILED)
@@ -625,6 +625,47 @@ def schema(file: Path | None, old_name: Path | None, of_campaign: bool) -> None:
             file.write_text(text, encoding="utf-8")
         except OSError as error:
             _fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
+
+
+@main.group("config")
+def ready_configs() -> None:
+    """The ready configs that come with rig: list them, copy one."""
+
+
+@ready_configs.command("list")
+def list_configs() -> None:
+    """Names of the ready configs, and what each is for."""
+    from rig.config import ready
+
+    names = ready.names()
+    width = max(map(len, names))
+    for name in names:
+        click.echo(f"{name:{width}}  {ready.purpose(name)}")
+
+
+@ready_configs.command("copy")
+@click.argument("name", metavar="NAME")
+@click.option(
+    "--to", "file", type=click.Path(path_type=Path, dir_okay=False), default=None, metavar="FILE",
+    help="File that is written; default: NAME.yaml here.",
+)  # fmt: skip
+def copy_config(name: str, file: Path | None) -> None:
+    """Copy a ready config, to change it. A file that is there already stays."""
+    from rig.config import ready
+
+    try:
+        text = ready.text(name)
+    except ready.UnknownConfigError as error:
+        _fail(EXIT_BAD_INPUT, error.cause, error.cure)
+    file = file or Path(f"{name.removesuffix('.yaml')}.yaml")
+    try:
+        with file.open("x", encoding="utf-8") as new:
+            new.write(text)
+    except FileExistsError:
+        _fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file: --to FILE")
+    except OSError as error:
+        _fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
+    click.echo(f"{file}: check it with `rig check {shlex.quote(str(file))}`")
 
 
 @contextlib.contextmanager

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 from rig.backends.clock import MonotonicClock
@@ -29,13 +29,14 @@ from rig.control.tracking import Tracking
 from rig.control.trajectory import SumOfSines
 from rig.faults import Fault
 from rig.identify import Identification, identify
+from rig.loop.pre_run import PreRunBench, pre_run
 from rig.loop.real_time import RealTime, real_time
-from rig.loop.rehearsal import RehearsalBench, rehearse
 from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
 from rig.preflight.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
 from rig.recording.folder import write_meta
 from rig.recording.reader import read_run
+from rig.results import JogResult, RealTimeReport, ScriptCall, TrackingResult
 from rig.session import FADE_S, OnStart, Outcome, Session, record
 
 REST_S = 0.7
@@ -118,8 +119,8 @@ def run_tracking(
     """Breakaway and the tracking check, with models identified in an earlier run, ``models_from``."""
 
     def script(session: Session) -> None:
-        session.identification = models
-        session.models_from = models_from
+        session.found.identification = models
+        session.found.models_from = models_from
         drive_check(session)
         verify_models(session)
 
@@ -134,12 +135,12 @@ def jog(
     def script(session: Session) -> None:
         drive_by_hand(session, u_V, duration_s)
 
-    return record(experiment, parent, {"name": "jog", "u_V": u_V, "duration_s": duration_s}, script, on_start)
+    return record(experiment, parent, ScriptCall(name="jog", u_V=u_V, duration_s=duration_s), script, on_start)
 
 
-def _named(script: str) -> dict[str, str | float]:
+def _named(script: str) -> ScriptCall:
     """What meta.json says of a script with a breakaway check."""
-    return {"name": script, "breakaway": BREAKAWAY_LAW}
+    return ScriptCall(name=script, breakaway=BREAKAWAY_LAW)
 
 
 def drive_tests(session: Session, check: BreakawayLaw | None = None) -> None:
@@ -160,10 +161,12 @@ def drive_by_hand(session: Session, u_V: float, duration_s: float) -> None:
     session.loop.guard.recovering = True
     with driving(session):
         session.loop.run(Rest(0.1), "rest")
-        session.jog = {"from_rad": session.loop.last_y_rad}
+        from_rad = session.loop.last_y_rad
         session.loop.run(Constant(u_V, duration_s), "jog")
         session.loop.run(Rest(REST_S), "rest")
-        session.jog |= {"to_rad": session.loop.last_y_rad, "refused_ticks": session.loop.guard.clipped_ticks}
+        session.found.jog = JogResult(
+            from_rad=from_rad, to_rad=session.loop.last_y_rad, refused_ticks=session.loop.guard.clipped_ticks
+        )
 
 
 @contextmanager
@@ -207,11 +210,12 @@ def _prepared(session: Session) -> Iterator[None]:
 
 def _tell_real_time(session: Session, done: RealTime) -> None:
     """Into meta.json, result.json and its notes goes what the machine granted the loop, and what it refused."""
-    if session.real_time is None:
-        session.real_time = done
+    if session.found.real_time is None:
+        report = RealTimeReport(granted=tuple(done.granted), refused=tuple(done.refused))
+        session.found.real_time = report
         granted = ["loop: " + "; ".join(done.granted)] if done.granted else []
-        session.notes += granted + [f"loop: {line}" for line in done.refused]
-        write_meta(session.folder, session.meta | {"real_time": asdict(done)})
+        session.found.notes += granted + [f"loop: {line}" for line in done.refused]
+        write_meta(session.folder, session.meta.model_copy(update={"real_time": report}))
 
 
 def breakaway_check(e: Experiment) -> BreakawayCheck:
@@ -249,14 +253,14 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
         raise Fault("START_OUTSIDE", f"y = {y_rad:.3f} rad, soft limits {low:.2f} to {high:.2f} rad")
     check = breakaway_check(e) if check is None else check
     session.loop.run(check, "breakaway")
-    session.breakaway = check
+    session.found.breakaway = check
     guard = session.loop.guard
     guard.settings = guard_settings_of(e, check.noise_rad)
     guard.static_V = max(check.plus_V, check.minus_V)
     guard.sign_proven = True
     differ = abs(check.plus_V - check.minus_V) / (check.plus_V + check.minus_V)
     if differ > FRICTION_DIFFERS:
-        session.notes.append(
+        session.found.notes.append(
             f"friction differs by {differ:.0%} from its mean between the ways (the shaft broke away at "
             f"{check.plus_V:.2f} V and {check.minus_V:.2f} V): unseen travel in the breakaway check was bounded for at "
             f"most {FRICTION_DIFFERS:.0%}; with a stuck or uncoupled sensor this shaft could turn farther than "
@@ -290,7 +294,9 @@ def test_relays(session: Session) -> None:
         else:
             session.loop.run(RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s), stage, watch)
     if relay.bound_reached:
-        session.notes.append("the relay's integral reached its bound: the first cycles are shorter than they would be")
+        session.found.notes.append(
+            "the relay's integral reached its bound: the first cycles are shorter than they would be"
+        )
     session.loop.run(Rest(REST_S), "rest")
 
 
@@ -318,12 +324,12 @@ def run_in_device(
     test = RelayTest(relay, detector, gains_V, e.relay.cycles, timeout_s)
     session.loop.run_in_device(test, command, stage, watch)
     if relay.bound_reached:
-        session.notes.append(f"{stage}: the relay's integral reached its bound in the device")
+        session.found.notes.append(f"{stage}: the relay's integral reached its bound in the device")
 
 
 def test_hysteretic(session: Session) -> None:
     """Run each hysteretic relay of the config, every time from rest at zero; then let the shaft rest."""
-    e, breakaway = session.experiment, session.breakaway
+    e, breakaway = session.experiment, session.found.breakaway
     if e.relay.hysteretic is None:
         return
     if breakaway is None:
@@ -343,7 +349,7 @@ def test_hysteretic(session: Session) -> None:
 
 def bring_home(session: Session) -> None:
     """Bring the shaft to rest at zero."""
-    e, breakaway = session.experiment, session.breakaway
+    e, breakaway = session.experiment, session.found.breakaway
     if breakaway is None:
         raise ValueError("homing needs a breakaway check")
     lsb_rad, noise_rad = e.sensor.curve.lsb_rad, breakaway.noise_rad
@@ -365,7 +371,7 @@ def bring_home(session: Session) -> None:
 
 def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetector) -> list[tuple[float, float]]:
     """Search gains for the wanted cycle; returns those of the two relay tests, (h1, h2) in V."""
-    e, target, breakaway = session.experiment, session.experiment.relay.target, session.breakaway
+    e, target, breakaway = session.experiment, session.experiment.relay.target, session.found.breakaway
     if target is None or breakaway is None:
         raise ValueError("the gain search needs relay.target and a breakaway check")
     s = e.relay.search
@@ -379,7 +385,7 @@ def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetec
         reach_rad=0.9 * reach_rad(e),
         top_speed_rad_s=0.95 * e.limits.max_speed_rad_s,
     )
-    session.search = search
+    session.found.search = search
     told = 0
 
     def watch(t_s: float) -> None:
@@ -396,8 +402,8 @@ def identify_recorded(session: Session) -> None:
     """Identify what has been recorded so far, by every method."""
     session.recorder.drain()
     session.note("stage", name="identify")
-    session.identification = identify([read_run(session.folder)])
-    _compare_with_data_sheet(session, session.identification)
+    identification = session.found.identification = identify([read_run(session.folder)])
+    _compare_with_data_sheet(session, identification)
     session.loop.check_stop()
 
 
@@ -408,7 +414,7 @@ def _compare_with_data_sheet(session: Session, identification: Identification) -
         return
     no_load_rad_s = best.K_rad_s_V * (e.drive.supply_V - best.fc_V)
     if no_load_rad_s > 1.1 * e.motor.no_load_speed_rad_s:
-        session.notes.append(
+        session.found.notes.append(
             f"motor.no_load_speed_rad_s is {e.motor.no_load_speed_rad_s:g}, but by this estimate the shaft would reach "
             f"{no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V: correct it, the breakaway check's strokes rest on it"
         )
@@ -416,7 +422,7 @@ def _compare_with_data_sheet(session: Session, identification: Identification) -
 
 def verify_models(session: Session) -> None:
     """Track the same trajectory with each method's model: those that are safe in simulation on the best one."""
-    e, identification = session.experiment, session.identification
+    e, identification = session.experiment, session.found.identification
     if e.tracking is None or identification is None:
         return
     best = identification.best
@@ -424,15 +430,17 @@ def verify_models(session: Session) -> None:
     if best is None or (first_choice is not None and first_choice.verdict == "refused"):
         # where the best estimator refuses the record, a reference method is no ground to drive the bench on
         unknown = "no estimate is good enough to rehearse on"
-        session.tracking.update({method: {"not_run": unknown} for method in e.tracking.methods})
+        session.found.tracking.update({method: TrackingResult(not_run=unknown) for method in e.tracking.methods})
         return
     safe: dict[Method, Motor] = {}
     for method in e.tracking.methods:
         estimate = identification.estimates.get(method)
         if estimate is None or estimate.verdict == "refused":
-            session.tracking[method] = {"not_run": "its estimate was refused" if estimate else "no estimate"}
+            session.found.tracking[method] = TrackingResult(
+                not_run="its estimate was refused" if estimate else "no estimate"
+            )
             continue
-        rehearsal = RehearsalBench(
+        bench = PreRunBench(
             motor=best.motor(),
             start_rad=session.loop.last_y_rad,
             noise_rad=session.loop.guard.settings.noise_rad,
@@ -444,15 +452,15 @@ def verify_models(session: Session) -> None:
             order=session.bench.driver.order,
         )
         motor = estimate.motor()
-        reason = rehearse(_tracking_law(session, motor), rehearsal, session.loop.guard.settings)
+        reason = pre_run(_tracking_law(session, motor), bench, session.loop.guard.settings)
         if reason is None:
             safe[method] = motor
         else:
-            session.tracking[method] = {"not_run": reason}
+            session.found.tracking[method] = TrackingResult(not_run=reason)
     if not safe:
         return
     for method, motor in safe.items():
-        session.tracking[method] = {"not_run": "the run ended before it"}
+        session.found.tracking[method] = TrackingResult(not_run="the run ended before it")
         # what a replay tracks with: which models an estimator finds, and which are safe, is not for it to judge
         session.note(
             "model",
@@ -473,7 +481,7 @@ def track(session: Session, models: Mapping[Method, Motor]) -> None:
         for method, law in laws.items():
             session.loop.run(Rest(REST_S), "rest")
             session.loop.run(law, f"track:{method}")
-            session.tracking[method] = {}
+            session.found.tracking[method] = TrackingResult()
         session.loop.run(Rest(REST_S), "rest")
 
 

@@ -1,6 +1,7 @@
 """What holds for every test."""
 
 import contextlib
+import gc
 import resource
 import signal
 from collections.abc import Callable, Iterator
@@ -19,6 +20,13 @@ def pytest_configure() -> None:
     """A runner that was started in the background ignores Ctrl-C, and so would the processes that tests send it to."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _loaded_for_good() -> None:
+    """What is loaded by now stays: the loop collects garbage before each arming, and would look at all of it."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
 """The schema of a campaign: from which ranges random experiments are drawn, and how they are recorded.
 
-The defaults are the grid of theory section 8. Strict, as ``rig.config.schema``.
+The defaults are the grid of docs/theory.md 7.10. Strict, as ``rig.config.schema``.
 """
 
 from __future__ import annotations

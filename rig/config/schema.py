@@ -216,7 +216,7 @@ class Gains(_Section):
 
 
 class Hysteretic(_Section):
-    """One run of the single relay with hysteresis, from rest at zero (theory section 6)."""
+    """One run of the single relay with hysteresis, from rest at zero (docs/theory.md 5.1)."""
 
     d_V: float = Field(description="drive; its sign is the direction it starts in; above the breakaway level")
     eps_rad: Positive = Field(description="half width of the hysteresis: it switches beyond this position")
@@ -240,7 +240,7 @@ class RelayTarget(_Section):
 
 
 class GainSearch(_Section):
-    """How the gains are found (theory section 5)."""
+    """How the gains are found (docs/theory.md 4.2)."""
 
     h1_start_V: Positive = Field(0.3, description="first h1")
     h2_start_V: Positive = Field(0.1, description="first h2")

@@ -95,7 +95,7 @@ class BreakawayCheck(RestingCheck):
     If the sensor is stuck or not coupled the shaft turns unseen. So each stroke is followed by an equal one the other
     way, which takes it back, and every other pair begins the other way: what is left is by how much friction differs
     between the ways. Both ways go on until both are seen, so that this holds whenever the sensor fails.
-    ``rig.preflight.room_to_stop`` has the bound on it, and chooses the strokes.
+    ``rig.preflight.room_to_stop`` has the bound on it, and chooses the strokes (docs/theory.md 10.1).
 
     A tick that comes late makes its stroke longer. The stroke back is as long as that one really was, by the times
     at which the drive acted; where the stroke back itself was longer, one more each way makes them equal again. In

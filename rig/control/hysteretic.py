@@ -1,4 +1,4 @@
-"""One run of the single hysteretic relay from rest: the experiment of the least-squares method (theory section 6)."""
+"""One run of the single hysteretic relay from rest: the experiment of the least-squares method (docs/theory.md 5.1)."""
 
 from __future__ import annotations
 

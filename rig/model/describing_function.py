@@ -1,4 +1,4 @@
-"""The describing function of the triple relay: what a sine would do (theory section 5, Properties 3.1 and 3.2).
+"""The describing function of the triple relay: what a sine would do (docs/theory.md 4.1, Properties 3.1 and 3.2).
 
 With y = A sin(w t) the friction and the dual-channel relay together have N(A) = 4/(pi A) (h1 + j (fc - h2)), and
 1 + G(jw) N(A) = 0 gives w and A. It carries the error of assuming a sine.

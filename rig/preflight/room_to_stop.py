@@ -1,4 +1,4 @@
-"""What the shaft travels until it stands, and the room that there is for it: arithmetic on the config.
+"""What the shaft travels until it stands, and the room for it: arithmetic on the config (docs/theory.md 10.1, 10.2).
 
 ``e`` is the experiment throughout; positions count from 0 rad, the centre of travel.
 """
@@ -263,12 +263,14 @@ def _strokes_up_to(periods: int, e: Experiment, max_V: float, watchdog_s: float)
 def _unseen_rad(e: Experiment, max_V: float, levels: list[float], strokes_s: tuple[float, ...], late_s: float) -> float:
     """The largest unseen travel of these strokes, one of which is longer by ``late_s``, for any friction, rad.
 
+    Where that is more than ``UNSEEN_RAD``, what is found first of it.
+
     levels  of the pairs, relative to max_V
     Lengthened strokes are taken back as well, and beyond ``late_s`` in all the check ends: what they leave is added.
     """
     assert e.motor is not None
     worst_rad = 0.0
-    for step in range(_FRICTION_STEPS):
+    for step in reversed(range(_FRICTION_STEPS)):
         friction = step / _FRICTION_STEPS
         low, high = friction * (1.0 - FRICTION_DIFFERS), friction * (1.0 + FRICTION_DIFFERS)
         top_rad_s = e.motor.no_load_speed_rad_s / max(e.drive.supply_V / max_V - friction, _ROUNDING)
@@ -279,6 +281,8 @@ def _unseen_rad(e: Experiment, max_V: float, levels: list[float], strokes_s: tup
             difference = min(level, high) - low
             worst_rad = max(worst_rad, top_rad_s * (left_s + (level - low) * (stroke_s + late_s) + difference * late_s))
             left_s += difference * stroke_s
+        if worst_rad > UNSEEN_RAD:
+            break
     return worst_rad
 
 

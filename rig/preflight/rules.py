@@ -36,8 +36,8 @@ from rig.signals import plain
 Rule = Callable[[Experiment], Iterator[Problem]]
 
 _WATCHDOG_PERIODS = (3, 10)
-_SHORTEST_CYCLE_PERIODS = 30  # theory section 5: a shorter cycle is delay hunting
-_SMALLEST_CYCLE_COUNTS = 20  # theory section 5
+_SHORTEST_CYCLE_PERIODS = 30  # docs/theory.md 4.3: a shorter cycle is delay hunting
+_SMALLEST_CYCLE_COUNTS = 20  # docs/theory.md 4.3
 _FEWEST_PAIRS = 8  # of strokes in the breakaway check
 _LARGEST_MOTION_RAD = 0.1
 _MOTION_COUNTS = 3  # below this the sensor's last digit would pass for motion

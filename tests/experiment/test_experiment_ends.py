@@ -112,7 +112,7 @@ def test_a_result_that_cannot_be_made_is_the_least_one(tmp_path: Path, monkeypat
     def broken(*_: object) -> None:
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(session, "_result", broken)
+    monkeypatch.setattr(session, "run_result", broken)
     shown = rig("jog", quick(tmp_path), "--u-V", 0.3, "--out", tmp_path / "runs", "--json")
     assert shown.exit_code == 1
     outcome = json.loads(shown.stdout)
@@ -322,7 +322,7 @@ def test_a_model_that_fails_its_rehearsal_never_drives_the_bench(changed: dict[s
     found.estimates["triple-relay"] = replace(found.estimates["triple-relay"], **changed)
     outcome = script.run_tracking(e, found, tmp_path, tmp_path / "runs")
     assert outcome.fault is None
-    assert "in simulation on the best model" in outcome.result["tracking"]["triple-relay"]["not_run"]
+    assert "in simulation on the best model" in outcome.result.tracking["triple-relay"].not_run
     recording = read_run(outcome.folder)
     assert "track:sampled-data" in recording.stages() and "track:triple-relay" not in recording.stages()
     assert abs(recording.y_rad).max() < e.limits.soft_rad[1] and abs(recording.u_V).max() <= e.drive.max_V

@@ -16,9 +16,9 @@ from rig.control.guard import Guard
 from rig.control.law import Law
 from rig.control.relay import DualChannelRelay
 from rig.identify import sampled_data
-from rig.identify.record import Record
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
+from rig.recording.series import Record
 from rig.signals import Order, Sample
 
 

@@ -1,6 +1,6 @@
 """What a tick over Modbus costs beyond the wire: rig's driver, pymodbus's own client and a bare client, in one run.
 
-python tools/bench/modbus_latency.py [--json] [--rounds N]
+PYTHONPATH=tools python -m bench.modbus_latency [--json] [--rounds N]
 
 All three write drive and sequence number and read four registers by one FC23. Each has a slave of its own, all the same
 program on libmodbus (tests/daq/libmodbus_slave), which answers at once; RTU behind a pseudo-terminal, which has no wire
@@ -33,7 +33,7 @@ from rig.config import load
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from libmodbus_peer import EXAMPLE_MAP, LibmodbusSlave  # noqa: E402  # in tests/
+from libmodbus_peer import EXAMPLE_MAP, LibmodbusSlave  # noqa: E402
 
 PAUSE_S = 0.003  # more than the silence that RTU asks for between frames
 WARM_UP = 20

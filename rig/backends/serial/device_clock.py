@@ -1,6 +1,6 @@
 """The device's clock seen from the host: 32-bit microseconds that wrap, run fast or slow, and start anywhere.
 
-A ceramic resonator is half a per cent off, and all of it would go into tau (theory section 8).
+A ceramic resonator is half a per cent off, and all of it would go into tau (docs/theory.md 7.8).
 """
 
 from __future__ import annotations

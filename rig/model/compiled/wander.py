@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from rig.model.compiled.kernel import kernel
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 
-@njit(cache=True)
+@kernel
 def innovations(t_s: Array, starts: Rows, memory_s: float, ratio: float, columns: Array, out: Array) -> float:
     """Fill ``out`` (n, p) with the innovations of ``columns`` in units of the white part; returns sum of log F.
 
@@ -46,7 +47,7 @@ def innovations(t_s: Array, starts: Rows, memory_s: float, ratio: float, columns
     return logs
 
 
-@njit(cache=True)
+@kernel
 def deviance(t_s: Array, starts: Rows, memory_s: float, ratio: float, residual: Array) -> float:
     """-2 log likelihood of the residual (n,), its scale profiled out, up to a constant."""
     n = residual.size

@@ -163,21 +163,21 @@ PAUSE = of(
     ),
 )
 
-REHEARSAL = of(
-    "rig/loop/rehearsal.py",
+PRE_RUN = of(
+    "rig/loop/pre_run.py",
     (
-        "a rehearsal that leaves the soft limits passes",
-        "rehearse",
+        "a pre-run simulation that leaves the soft limits passes",
+        "pre_run",
         "if reached[0] < low or reached[1] > high:",
         "if False:",
-        in_file("tests/loop/test_loop_rehearsal.py", "test_one_that_leaves_the_soft_limits_must_not_drive_the_bench"),
+        in_file("tests/loop/test_loop_pre_run.py", "test_one_that_leaves_the_soft_limits_must_not_drive_the_bench"),
     ),
     (
-        "a rehearsal that asks for too much drive passes",
-        "rehearse",
+        "a pre-run simulation that asks for too much drive passes",
+        "pre_run",
         "if tracking.largest_u_V > guard.limits.max_u_V:",
         "if False:",
-        in_file("tests/loop/test_loop_rehearsal.py", "test_one_that_asks_for_more_than_the_largest_drive_must_not"),
+        in_file("tests/loop/test_loop_pre_run.py", "test_one_that_asks_for_more_than_the_largest_drive_must_not"),
     ),
 )
 
@@ -341,4 +341,4 @@ COMMAND = of(
     ),
 )
 
-MUTANTS = (*RUNNER, *PAUSE, *SESSION, *COMMAND, *REHEARSAL, *SIGNALS, *BENCH, *ROOM, *PREFLIGHT, *SERIAL_RULES)
+MUTANTS = (*RUNNER, *PAUSE, *SESSION, *COMMAND, *PRE_RUN, *SIGNALS, *BENCH, *ROOM, *PREFLIGHT, *SERIAL_RULES)

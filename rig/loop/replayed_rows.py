@@ -119,7 +119,7 @@ class Tape:
         self.flags: list[int] = recording.flags.tolist()[:end]
         # a row of the relay in the device took no time of the loop's
         self.in_device: list[bool] = [math.isnan(late_us) for late_us in recording.late_us.tolist()[:end]]
-        self.stops: list[bool] = [bool(e.get("confirmed", True)) for e in recording.events if e.get("kind") == "stop"]
+        self.stops: list[bool] = [bool(e.detail.get("confirmed", True)) for e in recording.events if e.kind == "stop"]
         self._is_whole = is_whole
         self._stop = stop
         self._on_progress = on_progress

@@ -1,4 +1,4 @@
-"""A rehearsal: the tracking run on the best model, before the bench is driven with it."""
+"""Pre-run simulation: the tracking run on the best model, before the bench is driven with it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rig.signals import Order
 
 
 @dataclass(frozen=True)
-class RehearsalBench:
+class PreRunBench:
     """What is known of the bench: the best model, where the shaft stands, noise, latency, the order of a tick."""
 
     motor: Motor
@@ -33,7 +33,7 @@ class RehearsalBench:
     order: Order = "sample_first"
 
 
-def rehearse(tracking: Tracking, bench: RehearsalBench, guard: GuardSettings, seed: int = 0) -> str | None:
+def pre_run(tracking: Tracking, bench: PreRunBench, guard: GuardSettings, seed: int = 0) -> str | None:
     """Run ``tracking`` on the simulated bench; the reason why it must not drive the real one, or None.
 
     It must not where it leaves the soft limits, asks for more than the largest drive, or raises any fault.

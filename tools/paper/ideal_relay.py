@@ -4,7 +4,7 @@ Nothing is sampled and nothing is stepped. A motion under constant drive comes i
 its sign (``Motor.pieces``), so within each the position is monotone, and between its zeros so is its integral: no
 crossing can be missed, and each is found by bracketing to rounding. For any friction law, from any state; the cycle
 that it settles in is that of Theorem 2.1, where the law is Coulomb's. With hysteresis on the position and h2 = 0 it is
-the single hysteretic relay of theory section 6.
+the single hysteretic relay of docs/theory.md 5.1.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Relay(NamedTuple):
 
     h1_V, h2_V       gains, V, >= 0
     hysteresis_rad   s_y becomes +1 when y exceeds it, -1 when y falls below its negative; 0: s_y = sgn(y)
-    A sign of exactly 0 keeps the previous one (theory section 5).
+    A sign of exactly 0 keeps the previous one (docs/theory.md 2.2).
     """
 
     h1_V: float
@@ -128,7 +128,7 @@ class HalfPeriod(NamedTuple):
 
     @property
     def is_simple(self) -> bool:
-        """Each relay switches once, RA, RB, RC, and friction holds the motor nowhere (theory section 3)."""
+        """Each relay switches once, RA, RB, RC, and friction holds the motor nowhere (docs/theory.md 3.1)."""
         return self.kinds == SIMPLE
 
     @property

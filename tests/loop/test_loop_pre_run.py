@@ -1,4 +1,4 @@
-"""A model that tracks badly, or whose motion leaves its room, never drives the bench: the rehearsal refuses it."""
+"""A model that tracks badly, or whose motion leaves its room, never drives the bench: the simulation refuses it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rig.calibration import DriveMap
 from rig.control.observer import MotorObserver
 from rig.control.tracking import Tracking
 from rig.control.trajectory import Reference
-from rig.loop.rehearsal import RehearsalBench, rehearse
+from rig.loop.pre_run import PreRunBench, pre_run
 
 
 class Ramp:
@@ -29,7 +29,7 @@ class Ramp:
         return Reference(self.start_rad + share * (self.to_rad - self.start_rad), v, 0.0)
 
 
-BENCH = RehearsalBench(DEMO_MOTOR, 0.0, 0.003, 0.0012, CALIBRATION, DriveMap(12.0), RAILS, PERIOD_S)
+BENCH = PreRunBench(DEMO_MOTOR, 0.0, 0.003, 0.0012, CALIBRATION, DriveMap(12.0), RAILS, PERIOD_S)
 
 
 def tracking(to_rad: float, within_s: float = 1.0) -> Tracking:
@@ -38,23 +38,23 @@ def tracking(to_rad: float, within_s: float = 1.0) -> Tracking:
 
 
 def test_one_that_stays_inside_may_drive_the_bench() -> None:
-    assert rehearse(tracking(0.8), BENCH, GUARD) is None
+    assert pre_run(tracking(0.8), BENCH, GUARD) is None
 
 
 @pytest.mark.parametrize("to_rad", [1.2, -1.2])
 def test_one_that_leaves_the_soft_limits_must_not_drive_the_bench(to_rad: float) -> None:
-    why = rehearse(tracking(to_rad), BENCH, GUARD)
+    why = pre_run(tracking(to_rad), BENCH, GUARD)
     assert why is not None and "beyond the soft limits -1.10 to 1.10 rad" in why
     low, high = (float(word) for word in re.findall(r"goes from (\S+) to (\S+) rad", why)[0])
     assert max(-low, high) > 1.1 and min(-low, high) == 0.0  # how far, and on which side
 
 
 def test_one_that_asks_for_more_than_the_largest_drive_must_not() -> None:
-    why = rehearse(tracking(0.8, 0.05), BENCH, GUARD)
+    why = pre_run(tracking(0.8, 0.05), BENCH, GUARD)
     assert why is not None and "more than drive.max_V 3.00 V" in why
 
 
 def test_one_that_ends_in_a_fault_must_not() -> None:
     slow = replace(GUARD, max_speed_rad_s=0.5)
-    why = rehearse(tracking(0.8, 0.5), BENCH, slow)
+    why = pre_run(tracking(0.8, 0.5), BENCH, slow)
     assert why is not None and "OVERSPEED" in why and LIMITS is slow.limits

@@ -1,4 +1,4 @@
-"""The relay loop in continuous time: against Theorems 2.1 and 2.2, an ODE solver with events, and theory section 6."""
+"""The relay loop in continuous time: Theorems 2.1 and 2.2, an ODE solver with events, and docs/theory.md 5.1."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from rig.model.friction import coulomb, tustin
-from rig.model.ideal_relay import (
+from paper.ideal_relay import (
     Relay,
     half_periods,
     ideal_relay,
     settled_cycle,
 )
+from rig.model.friction import coulomb, tustin
 from rig.model.limit_cycle import NoLimitCycle, limit_cycle
 from rig.model.motor import Motor, State
 
-# tau, K, fc, h1, h2 of the table of theory section 4
+# tau, K, fc, h1, h2 of the table of docs/theory.md 3.4
 TABLE = [
     (1.0, 1.0, 0.5, 0.8, 1.0),
     (1.0, 1.0, 0.5, 0.5, 1.2),
@@ -187,7 +187,7 @@ def test_a_motor_that_sticks_waits_for_the_integral_and_then_goes_on():
     assert run.states(np.array([freed.t_s + 0.01]))[0, 0] < 0.0
 
 
-# ------------------------------------------------------------------ Stribeck friction: theory section 9
+# ------------------------------------------------------------------ Stribeck friction: docs/theory.md 8.1
 
 # Chosen, and not the paper's, whose Stribeck parameters did not survive: with these the cycle has its digits.
 EXAMPLE_4_3 = Motor(0.17, 6.75, tustin(0.39, 0.8361, 0.4, 0.03665))
@@ -211,7 +211,7 @@ def test_a_small_stribeck_effect_moves_the_cycle_a_little_and_viscous_friction_i
     assert viscous.durations_s == pytest.approx(shown.durations_s, abs=1e-9)
 
 
-# ------------------------------------------------------------------ the single hysteretic relay: theory section 6
+# ------------------------------------------------------------------ the single hysteretic relay: docs/theory.md 5.1
 
 
 def ideal_hysteretic_relay(motor, d_V, hysteresis_rad, start, duration_s, sign=-1.0):
