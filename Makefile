@@ -21,12 +21,14 @@ search: .venv/.ready firmware  ## the properties among the tests, with other ran
 	@for round in $$(seq $(or $(TIMES),10)); do echo "round $$round"; OPENBLAS_NUM_THREADS=1 .venv/bin/pytest \
 	    -m hypothesis --hypothesis-profile=search || exit 1; done
 
-check: .venv/.ready  ## format, lint, types, import contract, docs; the firmware's C by cppcheck and MISRA
+check: .venv/.ready  ## format, lint, types, import contract, docs, signatures, docstrings; the firmware's C by cppcheck and MISRA
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 	.venv/bin/python tools/check_docs.py
+	.venv/bin/python tools/check_signatures.py
+	.venv/bin/python tools/check_docstrings.py
 	@$(MAKE) --no-print-directory -s -C firmware cppcheck
 
 format: .venv/.ready  ## format the Python code

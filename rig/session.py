@@ -16,7 +16,8 @@ from rig.control.guard import Guard
 from rig.control.tracking import tracking_error
 from rig.faults import Fault, since_the_last_run
 from rig.identify import IdentifyError, identify
-from rig.loop.runner import STOPPING, Loop
+from rig.loop.device_relay import STOPPING
+from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest, stop_on_signals
 from rig.model.supply import SupplyReading
 from rig.recording.errors import RecordingError

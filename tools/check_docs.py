@@ -1,4 +1,4 @@
-"""Holds the documents against the project: links, commands, make targets, and the theory that the code cites.
+"""Holds the documents against the project: links, paths, commands, make targets, and the theory that the code cites.
 
 python tools/check_docs.py          exit status 1 with one line for each thing that does not hold
 python tools/check_docs.py --fix    first writes the lines `Code:` of docs/theory.md anew, from what the code cites
@@ -20,6 +20,11 @@ from rig.cli import main as rig_command
 ROOT = Path(__file__).resolve().parent.parent
 LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(?:#([^)\s]+))?\)")
 CODE = re.compile(r"```(?:sh|console|bash)?\n(.*?)```|`([^`\n]+)`", re.DOTALL)
+
+# a path of the project in a line of code, such as `rig/control/guard.py`
+PATH = re.compile(r"`((?:rig|tests|tools|firmware|config|docs)/[\w./-]*)`")
+# these tell of the project as it was when they were written
+HISTORY = ("docs/decisions/", "docs/mutant-table.md", "CHANGELOG.md")
 
 THEORY = ROOT / "docs" / "theory.md"
 # "docs/theory.md 4.2", "docs/theory.md 3.1, 4.3 and 6.2"; a number that ends a sentence may be followed by a dot
@@ -65,6 +70,8 @@ def problems(path: Path) -> list[str]:
     """What does not hold in one document."""
     text = path.read_text(encoding="utf-8")
     found = list(broken_links(path, text))
+    if not path.as_posix().startswith(tuple((ROOT / name).as_posix() for name in HISTORY)):
+        found += [f"names {name}, which is not there" for name in PATH.findall(text) if not (ROOT / name).exists()]
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     for words in commands(text):
         if words[0] == "make":

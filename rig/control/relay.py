@@ -22,6 +22,7 @@ class DualChannelRelay:
     z is the trapezoidal integral of y over the samples' true times, zero at the first sample, and held
     within +-z_bound_rad_s so that a start far from centre does not wind it up. The bound must exceed three
     times the cycle's largest |z|, else it shortens the period (docs/theory.md 2.2).
+    Raises ValueError for gains below 0 V, and for a bound that is not > 0.
     """
 
     yd_rad = math.nan
@@ -114,6 +115,7 @@ class HystereticRelay:
     The first drive is +d_V, towards rising positions if d_V > 0, as from a start at or below zero.
     d_V     drive, V; not 0
     eps_rad half width of the hysteresis, rad; > 0
+    Raises ValueError outside these ranges.
     """
 
     z_rad_s = math.nan

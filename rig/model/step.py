@@ -88,7 +88,7 @@ def direction(plant: Plant, v: float, drive_V: float) -> float:
 
 
 def friction_levels(plant: Plant, sign: float) -> tuple[float, float]:
-    """Friction in this direction, V: the moving level and the static one."""
+    """Friction in the direction ``sign`` (+1 or -1), V: the moving level and the static one."""
     if sign > 0.0:
         return plant.plus_V, plant.static_plus_V
     return plant.minus_V, plant.static_minus_V
@@ -116,7 +116,7 @@ def glide(state: State, target: float, tau_s: float, h_s: float) -> State:
 
 
 def glide_by(state: State, target: float, tau_s: float, h_s: float, decay: float) -> State:
-    """The same for who has ``decay`` = 1 - exp(-h / tau) already."""
+    """The same, towards ``target``, for who has ``decay`` = 1 - exp(-h / tau) already."""
     v, y, z = state
     excess = v - target
     return State(
@@ -129,6 +129,7 @@ def glide_by(state: State, target: float, tau_s: float, h_s: float, decay: float
 def exponential(plant: Plant, v: float, drive_V: float, longest_s: float) -> tuple[float, float, float, bool]:
     """The next segment under Coulomb friction, at most ``longest_s`` (> 0) long.
 
+    v         velocity, rad/s
     drive_V   drive with the bias, V
     Returns its direction, the velocity that it tends to, rad/s, its duration, s, and whether it ends at a reversal.
     """
@@ -144,6 +145,7 @@ def exponential(plant: Plant, v: float, drive_V: float, longest_s: float) -> tup
 def next_segment(plant: Plant, v: float, drive_V: float, longest_s: float, c: Room, w: Room) -> Segment:
     """The next segment under any friction, at most ``longest_s`` (> 0) long.
 
+    v         velocity, rad/s
     drive_V   drive with the bias, V
     c, w      room for ``stribeck.ORDER + 1`` numbers each: ``c`` is filled with the coefficients of a polynomial;
               without Stribeck effect neither is touched
@@ -203,7 +205,7 @@ def series(start: State, unit: float, tau_s: float, c: Series, h_s: float) -> St
 
 
 def series_position(start: State, unit: float, tau_s: float, c: Series, h_s: float) -> float:
-    """The position alone."""
+    """The position alone, rad; ``unit`` and ``c`` as for ``series``."""
     return start.y + unit * tau_s * path_at(c, h_s / tau_s)
 
 

@@ -42,7 +42,7 @@ TRUNCATION = RATIO**-ORDER / (RATIO - 1.0)  # bound of a step's truncation, over
 
 
 def far_speed(b: float) -> float:
-    """Speed, in vs, from which on the Stribeck effect is below rounding; 0 where there is none."""
+    """Speed, in vs, from which on the Stribeck effect, ``b``, is below rounding; 0 where there is none."""
     return NEGLIGIBLE + math.log1p(b) if SMALLEST <= b <= LARGEST else 0.0
 
 
@@ -57,6 +57,7 @@ def is_exponential(x: float, target: float, b: float) -> bool:
 def expand(x: float, e: float, b: float, c: Room, w: Room) -> float:
     """Fill ``c`` with the coefficients of x(t) about speed ``x``; returns the step, in tau, that they are good for.
 
+    x, e, b   as above, in units of the Stribeck velocity
     ``w`` is room for as many numbers: the coefficients of exp(-x).
     """
     slope = e - x - b * math.expm1(-x)
@@ -98,7 +99,7 @@ def path_at(c: Series, h: float) -> float:
 
 
 def integral_at(c: Series, h: float) -> float:
-    """Integral of that path, in vs tau^2."""
+    """Integral of that path ``h`` after the point of expansion, in vs tau^2."""
     z = 0.0
     for k in range(ORDER, -1, -1):
         z = z * h + c[k] / ((k + 1) * (k + 2))
@@ -127,7 +128,7 @@ def rest_within(c: Series, h: float) -> float:
 
 
 def terminal_speed(x: float, e: float, b: float) -> float:
-    """Speed that the motion from ``x`` tends to, in vs; 0 if it comes to rest, b > 0.
+    """Speed that the motion from ``x`` tends to, in vs; 0 if it comes to rest. ``e``, and ``b`` > 0, as above.
 
     The right side is concave in x: it has no zero, or an unstable one and, above it, a stable one.
     """

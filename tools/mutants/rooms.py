@@ -20,6 +20,7 @@ ROOMS = (
         {
             "recorded": _REPLAY,
             "tape": _REPLAY,
+            "device_relay": ("tests/hil/test_hil_device_relay.py",),
             "statistics": ("tests/loop/test_loop_runner.py",),
             "stop_request": ("tests/loop/test_loop_runner.py",),
         },

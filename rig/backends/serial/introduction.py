@@ -2,7 +2,7 @@
 
 Opening the port restarts an Uno, and its boot loader hears what is said first, perhaps at another baud rate. It must
 never hear "program page", which at once erases a page of the firmware; so these requests are spelled
-(docs/architecture.md).
+(docs/wire.md).
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ def innovations(t_s: Array, starts: Rows, memory_s: float, ratio: float, columns
     """Fill ``out`` (n, p) with the innovations of ``columns`` in units of the white part; returns sum of log F.
 
     starts   first rows of the pieces, each with a wander of its own
+    ratio    variance of the wander over that of the white part
     F is the variance of each innovation over that of the white part: those of ``out`` all have the same variance.
     """
     n, p = columns.shape
@@ -49,7 +50,10 @@ def innovations(t_s: Array, starts: Rows, memory_s: float, ratio: float, columns
 
 @kernel
 def deviance(t_s: Array, starts: Rows, memory_s: float, ratio: float, residual: Array) -> float:
-    """-2 log likelihood of the residual (n,), its scale profiled out, up to a constant."""
+    """-2 log likelihood of the residual (n,), its scale profiled out, up to a constant; rest as ``innovations``.
+
+    ratio   variance of the wander over that of the white part
+    """
     n = residual.size
     total = logs = state = 0.0
     variance = ratio

@@ -109,32 +109,36 @@ RUNNER = of(
         _runner("test_a_stand_before_a_pause_is_none_after_it"),
     ),
     (
+        "a drive that was clipped is not flagged",
+        "Loop._complete_row",
+        "FLAG_SATURATED if clipped else 0",
+        "0",
+        _runner("test_a_drive_that_acts_otherwise_than_asked_is_flagged_unless_it_was_lost"),
+    ),
+)
+
+DEVICE_RELAY = of(
+    "rig/loop/device_relay.py",
+    (
         "a relay in the device that decides otherwise is believed",
-        "Loop._take_row",
+        "DeviceRelay._take_row",
         "if row.u_V != decided_V:",
         "if False:",
         _in_device("test_a_device_that_decides_otherwise_is_found_out"),
     ),
     (
         "the guard's word on a relay in the device is ignored",
-        "Loop._take_row",
+        "DeviceRelay._take_row",
         "if passed_V != row.u_V:",
         "if False:",
         _in_device("test_a_drive_that_the_guard_would_not_let_out_ends_the_run_though_nothing_is_too_fast"),
     ),
     (
         "the last rows of a relay in the device are dropped",
-        "Loop._record_last_rows",
+        "DeviceRelay.record_last_rows",
         "                self._untaken.extend(driver.read_rows())\n",
         "                pass\n",
         _in_device("test_whatever_ends_the_run_each_row_that_came_is_in_the_record"),
-    ),
-    (
-        "a drive that was clipped is not flagged",
-        "Loop._complete_row",
-        "FLAG_SATURATED if clipped else 0",
-        "0",
-        _runner("test_a_drive_that_acts_otherwise_than_asked_is_flagged_unless_it_was_lost"),
     ),
 )
 
@@ -166,14 +170,14 @@ PAUSE = of(
 PRE_RUN = of(
     "rig/loop/pre_run.py",
     (
-        "a pre-run simulation that leaves the soft limits passes",
+        "a rehearsal that leaves the soft limits passes",
         "pre_run",
         "if reached[0] < low or reached[1] > high:",
         "if False:",
         in_file("tests/loop/test_loop_pre_run.py", "test_one_that_leaves_the_soft_limits_must_not_drive_the_bench"),
     ),
     (
-        "a pre-run simulation that asks for too much drive passes",
+        "a rehearsal that asks for too much drive passes",
         "pre_run",
         "if tracking.largest_u_V > guard.limits.max_u_V:",
         "if False:",
@@ -324,7 +328,7 @@ SESSION = of(
 )
 
 COMMAND = of(
-    "rig/experiment.py",
+    "rig/experiment/script.py",
     (
         "each run of one command opens the bench anew",
         "repeated",
@@ -341,4 +345,16 @@ COMMAND = of(
     ),
 )
 
-MUTANTS = (*RUNNER, *PAUSE, *SESSION, *COMMAND, *PRE_RUN, *SIGNALS, *BENCH, *ROOM, *PREFLIGHT, *SERIAL_RULES)
+MUTANTS = (
+    *RUNNER,
+    *DEVICE_RELAY,
+    *PAUSE,
+    *SESSION,
+    *COMMAND,
+    *PRE_RUN,
+    *SIGNALS,
+    *BENCH,
+    *ROOM,
+    *PREFLIGHT,
+    *SERIAL_RULES,
+)
