@@ -25,7 +25,7 @@ from rig.backends.emulated.errors import EmulationError
 from rig.faults import Fault
 from rig.recording.errors import CannotWriteError, RecordingError
 from rig.recording.folder import json_text
-from rig.results import known
+from rig.results import RunMeta, RunResult, known
 from rig.terminal import (
     patience,
     progress,
@@ -464,7 +464,7 @@ def campaign(
         _fail(EXIT_FAILED, f"{folder}: {error.strerror}", "the rows so far are there; the same command goes on")
     except KeyboardInterrupt:
         _fail(EXIT_FAILED, "interrupted before or after the experiments", "the same command goes on")
-    if done.interrupted:
+    if done.summary is None:
         _fail(
             EXIT_FAILED,
             f"interrupted: {done.done} of {asked.experiments} experiments are done in {folder}",
@@ -611,10 +611,19 @@ def flash(
     help="File that is written; default: stdout.",
 )  # fmt: skip
 @click.option("--out", "old_name", type=click.Path(path_type=Path, dir_okay=False), default=None, hidden=True)
-@click.option("--campaign", "of_campaign", is_flag=True, help="Of the configs of `rig campaign`.")
-def schema(file: Path | None, old_name: Path | None, of_campaign: bool) -> None:
-    """Write the JSON Schema of the config, for editors."""
-    text = config.schema_text(config.Campaign if of_campaign else config.Experiment)
+@click.option(
+    "--of", "of", type=click.Choice(["config", "campaign", "meta", "result"]), default="config", show_default=True,
+    help="A config; one of `rig campaign`; a run's meta.json; its result.json.",
+)  # fmt: skip
+@click.option("--campaign", "of_campaign", is_flag=True, help="As --of campaign.")
+def schema(file: Path | None, old_name: Path | None, of: str, of_campaign: bool) -> None:
+    """Write a JSON Schema: of the config, for editors, or of what a run writes."""
+    if of in ("meta", "result"):
+        from rig.results.json_schema import schema_text
+
+        text = schema_text(RunMeta if of == "meta" else RunResult)
+    else:
+        text = config.schema_text(config.Campaign if of_campaign or of == "campaign" else config.Experiment)
     if old_name is not None:
         click.echo(f"note: a file that is written is named by --to now: `rig schema --to {old_name}`", err=True)
     file = file or old_name

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal, cast
 
-from rig import config, experiment
+from rig import config
 from rig.backends.driver import DeviceInfo
 from rig.backends.registry import Bench
 from rig.bench import guard_settings_of
@@ -20,6 +20,7 @@ from rig.config.schema import Experiment, Method
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.guard import Guard
+from rig.experiment import BREAKAWAY_LAW, stages
 from rig.faults import FAULTS, Fault
 from rig.loop.recorded import Comparison, RecordedClock, RecordedDriver, ReplayLoop
 from rig.loop.replayed_rows import OF_GUARD, Difference, Diverged, RecordEnds, Tape
@@ -200,18 +201,18 @@ def _script(recording: Recording) -> Script:
 
     def then_track(session: Session) -> None:
         if models:
-            experiment.track(session, models)
+            stages.track(session, models)
 
     def tests(session: Session) -> None:
-        experiment.drive_tests(session, law(session.experiment))
+        stages.drive_tests(session, law(session.experiment))
         then_track(session)
 
     def check(session: Session) -> None:
-        experiment.drive_check(session, law(session.experiment))
+        stages.drive_check(session, law(session.experiment))
         then_track(session)
 
     def by_hand(session: Session) -> None:
-        experiment.drive_by_hand(session, *jogged)
+        stages.drive_by_hand(session, *jogged)
 
     scripts = {"run": tests, "relay": tests, "breakaway": check, "track": check, "jog": by_hand}
     script = scripts.get(name or "")
@@ -231,8 +232,8 @@ def _script(recording: Recording) -> Script:
 def _breakaway_law(recording: Recording, what: ScriptCall) -> Callable[[Experiment], BreakawayLaw]:
     """The breakaway law that ran: the one of now, or that of an older version."""
     law = what.breakaway
-    if law == experiment.BREAKAWAY_LAW:
-        return experiment.breakaway_check
+    if law == BREAKAWAY_LAW:
+        return stages.breakaway_check
     if law is None:
         return lambda e: OneWayCheck(
             e.breakaway.ramp_V_s, e.breakaway.max_V, e.breakaway.motion_rad, e.breakaway.rest_s

@@ -17,6 +17,7 @@ from rich.text import Text
 from rig.results import EstimateResult, LoopResult, RunResult, TrackingResult, TrueMotor, known
 
 if TYPE_CHECKING:  # each loads slowly
+    from rig.campaign.summary import Summary
     from rig.doctor.finding import Finding
     from rig.replay import Replay
     from rig.session import Outcome
@@ -204,7 +205,7 @@ def _interval(estimate: EstimateResult, name: str, truth: TrueMotor | None) -> s
     return text
 
 
-def show_campaign(found: dict[str, Any], folder: Path) -> None:
+def show_campaign(found: Summary, folder: Path) -> None:
     """A campaign's errors against the bound, and where everything is; ``found`` as of its summary.json."""
     from rig.campaign.report import HEADINGS, sentences, table_rows
 

@@ -26,7 +26,7 @@ from rig.campaign.grid import draw
 from rig.config.schema import Motor as DataSheet
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
-from rig.experiment import breakaway_check
+from rig.experiment.stages import breakaway_check
 from rig.faults import Fault
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State

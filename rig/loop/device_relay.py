@@ -6,10 +6,10 @@ import math
 from collections import deque
 from collections.abc import Callable
 
+from rig.backends.driver import RelayDriver
+from rig.backends.serial.relay_stream import RelayCommand, RelayRow
 from rig.control.guard import Guard
 from rig.control.law import Law
-from rig.daq.driver import RelayDriver
-from rig.daq.relay_stream import RelayCommand, RelayRow
 from rig.faults import Fault
 from rig.loop.statistics import LoopStatistics
 from rig.recording.record import Record

@@ -42,8 +42,8 @@ class ScriptCall(Part):
 class RealTimeReport(Part):
     """What the machine granted the loop, and what it refused: a sentence for each."""
 
-    granted: tuple[Text, ...] = ()
-    refused: tuple[Text, ...] = ()
+    granted: tuple[Text, ...] = Field((), description="what it granted")
+    refused: tuple[Text, ...] = Field((), description="what it refused, and what helps")
 
 
 class TrueMotor(Part):

@@ -85,26 +85,27 @@ def remarks(file: RunMeta | RunResult) -> list[str]:
     return said
 
 
-def _unknown(value: object, above: str) -> Iterator[str]:
+def _unknown(value: object, at: str) -> Iterator[str]:
     if isinstance(value, BaseModel):
-        for name in value.model_extra or {}:
-            yield above + name
+        yield from (_below(at, name) for name in value.model_extra or {})
         for name, field in type(value).model_fields.items():
-            yield from _unknown(getattr(value, name), f"{above}{field.alias or name}")
+            yield from _unknown(getattr(value, name), _below(at, field.alias or name))
     elif isinstance(value, Mapping):
         for key, item in value.items():
-            if isinstance(item, BaseModel):
-                yield from _unknown(item, f"{above}.{key}.")
+            yield from _unknown(item, _below(at, str(key)))
     elif isinstance(value, tuple):
         for number, item in enumerate(value):
-            if isinstance(item, BaseModel):
-                yield from _unknown(item, f"{above}[{number}].")
+            yield from _unknown(item, f"{at}[{number}]")
+
+
+def _below(at: str, key: str) -> str:
+    return f"{at}.{key}" if at else key
 
 
 def _key(path: _Path) -> str:
     text = ""
     for part in path:
-        text += f"[{part}]" if isinstance(part, int) else f"{'.' if text else ''}{part}"
+        text = f"{text}[{part}]" if isinstance(part, int) else _below(text, part)
     return plain(text)
 
 

@@ -15,7 +15,7 @@ from simulated_bench import DEMO_MOTOR, LIMITS, breakaway_check, simulated_bench
 from rig import config, experiment
 from rig.backends.simulated.driver import SimulatedDriver
 from rig.control.breakaway import BreakawayLaw
-from rig.experiment import breakaway_check as check_of
+from rig.experiment.stages import breakaway_check as check_of
 from rig.faults import Fault
 from rig.model.friction import Friction, coulomb
 from rig.model.motor import Motor

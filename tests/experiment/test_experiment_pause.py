@@ -13,7 +13,6 @@ import pytest
 import yaml
 from command_line import rig
 
-from rig import experiment as script
 from rig import session
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.backends.serial.backend import SerialBackend
@@ -21,6 +20,7 @@ from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.opening import emulated_chip
 from rig.backends.simulated.driver import SimulatedDriver
 from rig.config import Experiment, load
+from rig.experiment import script
 from rig.identify import identify
 from rig.loop.pause_watch import PauseWatch
 from rig.recording.reader import read_run

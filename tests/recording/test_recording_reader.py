@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from rig.recording.columns import COLUMNS, HEADER, format_row
+from rig.recording.columns import COLUMNS, HEADER, SampleRow, format_row
 from rig.recording.errors import RecordingError
 from rig.recording.reader import MAX_BYTES, Recording, read, read_csv, read_run
 from rig.results import RunMeta
@@ -35,20 +35,22 @@ def run_text(rows: int) -> str:
     names = ["breakaway", "relay-1", "relay-2"]
     return HEADER + "".join(
         format_row(
-            2 * k,
-            k,
-            0.01 * k,
-            0.01 * k + 0.002,
-            0.1 * k,
-            500 + k,
-            nan,
-            1.0,
-            0.5 * k,
-            nan,
-            names[3 * k // rows],
-            9.0,
-            1e3,
-            4,
+            SampleRow(
+                2 * k,
+                k,
+                0.01 * k,
+                0.01 * k + 0.002,
+                0.1 * k,
+                500 + k,
+                nan,
+                1.0,
+                0.5 * k,
+                nan,
+                names[3 * k // rows],
+                9.0,
+                1e3,
+                4,
+            )
         )
         for k in range(rows)
     )
@@ -368,7 +370,7 @@ def test_any_bytes_as_small_files_likewise(tmp_path: Path, content: bytes) -> No
 def test_every_double_is_read_back_exactly(tmp_path: Path, values: list[tuple[float, float]]) -> None:
     nan = math.nan
     rows = (
-        format_row(k, k, 0.01 * k, nan, y_rad, 0, nan, u_V, 0.0, nan, "a", 0.0, 0.0, 0)
+        format_row(SampleRow(k, k, 0.01 * k, nan, y_rad, 0, nan, u_V, 0.0, nan, "a", 0.0, 0.0, 0))
         for k, (y_rad, u_V) in enumerate(values)
     )
     recording = parse(tmp_path, HEADER + "".join(rows))

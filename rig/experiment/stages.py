@@ -1,4 +1,4 @@
-"""The experiment: breakaway -> search -> relay -> identify -> verify, as a script on an open bench.
+"""The stages of an experiment, each on an open session: arming, breakaway, search, relay tests, tracking.
 
 A stage raises Fault where it ends the run: what the loop raises, and START_OUTSIDE, CONFIG_MISMATCH or DRIVE_TOO_SMALL
 where it cannot begin. ValueError says that it was called out of order.
@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 from rig.backends.clock import MonotonicClock
 from rig.backends.driver import RelayDriver
-from rig.backends.registry import Bench, backend_of, connect
 from rig.bench import guard_settings_of, real_time_of
 from rig.config import Experiment
 from rig.config.schema import Method
@@ -36,111 +34,15 @@ from rig.model.motor import Motor
 from rig.preflight.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
 from rig.recording.folder import write_meta
 from rig.recording.reader import read_run
-from rig.results import JogResult, RealTimeReport, ScriptCall, TrackingResult
-from rig.session import FADE_S, OnStart, Outcome, Session, record
+from rig.results import JogResult, RealTimeReport, TrackingResult
+from rig.session import FADE_S, Session
 
 REST_S = 0.7
 RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
 HOMING_TIMEOUT_S = 40.0
-BREAKAWAY_LAW = "balanced pairs"  # in meta.json, so that a replay knows which law ran
 START_REST_S = 0.5  # recorded before a hysteretic relay's first drive
 HYSTERETIC_SWITCHINGS = 6  # least squares takes the motion up to the first, the sampled-data estimator all of it
 HYSTERETIC_TIMEOUT_S = 10.0  # for each
-
-
-def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None, again: Bench | None = None) -> Outcome:
-    """The whole experiment. The run folder is made below ``parent``; ``on_start`` is told of it.
-
-    again  a bench that the same command has opened already
-    """
-
-    def script(session: Session) -> None:
-        drive_tests(session)
-        identify_recorded(session)
-        verify_models(session)
-
-    return record(experiment, parent, _named("run"), script, on_start, again)
-
-
-def repeated(
-    experiment: Experiment, number: int, parent: Path, perform: Callable[[Callable[[OnStart], Outcome]], Outcome]
-) -> list[Outcome]:
-    """``run`` so many times, each by ``perform``; nothing arms again after a fault, a failure or a signal.
-
-    One person gives one command: what a device latches between two runs is not acknowledged but ends it. A real bench
-    stays open from the first run to the last, so that no opening clears or resets it; an emulated one is made anew,
-    with the next seed. Raises Fault LATCHES_NOTHING for a real device that latches no e-stop, and as ``run``.
-    """
-    outcomes: list[Outcome] = []
-
-    def one(e: Experiment, bench: Bench | None) -> bool:
-        outcomes.append(perform(lambda on_start: run(e, parent, on_start, bench)))
-        return outcomes[-1].fault is None and not outcomes[-1].failures
-
-    if number == 1:
-        one(experiment, None)
-    elif backend_of(experiment).is_emulated(experiment):
-        for k in range(number):
-            if not one(experiment.model_copy(update={"seed": experiment.seed + k}), None):
-                break
-    else:
-        with connect(experiment) as bench:
-            if not bench.info.emulated and not getattr(bench.driver, "latches_stops", False):
-                raise Fault("LATCHES_NOTHING", bench.driver.backend)
-            for k in range(number):
-                told = bench if k == 0 else replace(bench, info=replace(bench.info, acknowledged=()))
-                if not one(experiment, told):
-                    break
-    return outcomes
-
-
-def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
-    """Breakaway, gains and relay tests, and what they identify; no tracking."""
-
-    def script(session: Session) -> None:
-        drive_tests(session)
-        identify_recorded(session)
-
-    return record(experiment, parent, _named("relay"), script, on_start)
-
-
-def run_breakaway(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
-    """The breakaway check alone: whether the bench arms, and whether the shaft moves, the right way."""
-    return record(experiment, parent, _named("breakaway"), drive_check, on_start)
-
-
-def run_tracking(
-    experiment: Experiment,
-    models: Identification,
-    models_from: Path,
-    parent: Path,
-    on_start: OnStart | None = None,
-) -> Outcome:
-    """Breakaway and the tracking check, with models identified in an earlier run, ``models_from``."""
-
-    def script(session: Session) -> None:
-        session.found.identification = models
-        session.found.models_from = models_from
-        drive_check(session)
-        verify_models(session)
-
-    return record(experiment, parent, _named("track"), script, on_start)
-
-
-def jog(
-    experiment: Experiment, u_V: float, duration_s: float, parent: Path, on_start: OnStart | None = None
-) -> Outcome:
-    """A constant drive for a short time, within the limits; from outside them only inward."""
-
-    def script(session: Session) -> None:
-        drive_by_hand(session, u_V, duration_s)
-
-    return record(experiment, parent, ScriptCall(name="jog", u_V=u_V, duration_s=duration_s), script, on_start)
-
-
-def _named(script: str) -> ScriptCall:
-    """What meta.json says of a script with a breakaway check."""
-    return ScriptCall(name=script, breakaway=BREAKAWAY_LAW)
 
 
 def drive_tests(session: Session, check: BreakawayLaw | None = None) -> None:
@@ -421,40 +323,13 @@ def verify_models(session: Session) -> None:
     e, identification = session.experiment, session.found.identification
     if e.tracking is None or identification is None:
         return
-    best = identification.best
-    first_choice = identification.estimates.get("sampled-data")
-    if best is None or (first_choice is not None and first_choice.verdict == "refused"):
-        # where the best estimator refuses the record, a reference method is no ground to drive the bench on
-        unknown = "no estimate is good enough to rehearse on"
-        session.found.tracking.update({method: TrackingResult(not_run=unknown) for method in e.tracking.methods})
-        return
     safe: dict[Method, Motor] = {}
     for method in e.tracking.methods:
-        estimate = identification.estimates.get(method)
-        if estimate is None or estimate.verdict == "refused":
-            session.found.tracking[method] = TrackingResult(
-                not_run="its estimate was refused" if estimate else "no estimate"
-            )
-            continue
-        bench = PreRunBench(
-            motor=best.motor(),
-            start_rad=session.loop.last_y_rad,
-            noise_rad=session.loop.guard.settings.noise_rad,
-            latency_s=session.loop.latency_s,
-            calibration=e.sensor.curve,
-            drive_map=e.drive.map,
-            rail_counts=e.sensor.rail_counts,
-            period_s=e.period_s,
-            order=session.bench.driver.order,
-        )
-        motor = estimate.motor()
-        reason = pre_run(_tracking_law(session, motor), bench, session.loop.guard.settings)
+        reason = _why_not(session, identification, method)
         if reason is None:
-            safe[method] = motor
+            safe[method] = identification.estimates[method].motor()
         else:
             session.found.tracking[method] = TrackingResult(not_run=reason)
-    if not safe:
-        return
     for method, motor in safe.items():
         session.found.tracking[method] = TrackingResult(not_run="the run ended before it")
         # what a replay tracks with: which models an estimator finds, and which are safe, is not for it to judge
@@ -466,7 +341,34 @@ def verify_models(session: Session) -> None:
             fc_V=motor.friction.plus_V,
             bias_V=motor.bias_V,
         )
-    track(session, safe)
+    if safe:
+        track(session, safe)
+
+
+def _why_not(session: Session, identification: Identification, method: Method) -> str | None:
+    """Why the bench is not driven with a method's model, in words; None where nothing speaks against it."""
+    best, first_choice = identification.best, identification.estimates.get("sampled-data")
+    if best is None or (first_choice is not None and first_choice.verdict == "refused"):
+        # where the best estimator refuses the record, a reference method is no ground to drive the bench on
+        return "no estimate is good enough to rehearse on"
+    estimate = identification.estimates.get(method)
+    if estimate is None:
+        return "no estimate"
+    if estimate.verdict == "refused":
+        return "its estimate was refused"
+    e = session.experiment
+    bench = PreRunBench(
+        motor=best.motor(),
+        start_rad=session.loop.last_y_rad,
+        noise_rad=session.loop.guard.settings.noise_rad,
+        latency_s=session.loop.latency_s,
+        calibration=e.sensor.curve,
+        drive_map=e.drive.map,
+        rail_counts=e.sensor.rail_counts,
+        period_s=e.period_s,
+        order=session.bench.driver.order,
+    )
+    return pre_run(_tracking_law(session, estimate.motor()), bench, session.loop.guard.settings)
 
 
 def track(session: Session, models: Mapping[Method, Motor]) -> None:
