@@ -6,8 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 
-from rig.backends.driver import RelayDriver
-from rig.backends.serial.relay_stream import RelayCommand, RelayRow
+from rig.backends.driver import RelayCommand, RelayDriver, RelayRow
 from rig.control.guard import Guard
 from rig.control.law import Law
 from rig.faults import Fault
