@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Callable
 
 from rig.backends.driver import RelayCommand, RelayDriver, RelayRow
-from rig.backends.serial.relay_stream import RelayCommand, RelayRow
 from rig.control.guard import Guard
 from rig.control.law import Law
 from rig.faults import Fault
