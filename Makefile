@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test search check format bench paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -21,12 +21,14 @@ search: .venv/.ready firmware  ## the properties among the tests, with other ran
 	@for round in $$(seq $(or $(TIMES),10)); do echo "round $$round"; OPENBLAS_NUM_THREADS=1 .venv/bin/pytest \
 	    -m hypothesis --hypothesis-profile=search || exit 1; done
 
-check: .venv/.ready  ## format, lint, types, import contract, docs; the firmware's C by cppcheck and MISRA
+check: .venv/.ready  ## format, lint, types, import contract, docs, signatures, docstrings; the firmware's C by cppcheck and MISRA
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 	.venv/bin/python tools/check_docs.py
+	.venv/bin/python tools/check_signatures.py
+	.venv/bin/python tools/check_docstrings.py
 	@$(MAKE) --no-print-directory -s -C firmware cppcheck
 
 format: .venv/.ready  ## format the Python code
@@ -38,6 +40,9 @@ bench: .venv/.ready firmware  ## timing ratios, written to bench.json
 
 paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/report.html
 	PYTHONPATH=tools .venv/bin/python -m paper
+
+figures: .venv/.ready  ## the figures of README and docs/theory.md: docs/figures
+	PYTHONPATH=tools .venv/bin/python tools/figures.py
 
 safety: .venv/.ready firmware  ## what stops the drive, and how soon, on the Uno's emulated chip: docs/safety-table.md
 	PYTHONPATH=tools .venv/bin/python -m safety

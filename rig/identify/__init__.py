@@ -13,6 +13,6 @@ verdict               ok, doubtful or refused
 from rig.identify.estimate import Estimate
 from rig.identify.identification import METHODS, Identification, identify
 from rig.identify.mean_cycle import Cycle
-from rig.identify.record import IdentifyError, Record
+from rig.recording.series import IdentifyError, Record
 
 __all__ = ["METHODS", "Cycle", "Estimate", "Identification", "IdentifyError", "Record", "identify"]

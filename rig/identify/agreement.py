@@ -1,7 +1,8 @@
 """Whether several recordings are of one motor, and which one is not: each is identified alone, and they are compared.
 
-Chi-square of their sampled-data estimates about the weighted mean; then once more with each left out in turn. A
-recording is named where the others agree without it, and where leaving out none of the others would do that, too.
+Chi-square of their sampled-data estimates about the weighted mean, then once more with each left out in turn
+(docs/theory.md 9). A recording is named where the others agree without it, and where leaving out none of the others
+would do that, too.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from scipy.stats import chi2
 
 from rig.identify import sampled_data
 from rig.identify.estimate import Estimate
-from rig.identify.record import IdentifyError, Record
+from rig.recording.series import IdentifyError, Record
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Least squares of one friction law: Coulomb, asymmetric, with a static level, Stribeck (theory sections 1, 8, 9).
+"""Least squares of one friction law: Coulomb, asymmetric, with a static level, Stribeck (docs/theory.md 8.1 and 8.4).
 
 Stribeck friction hardly differs from another tau, K and fc, and its static level from its velocity: a fit from afar
 ends anywhere. So it starts at the fit without it, in the direction in which a little of it lowers the squares most
@@ -20,8 +20,7 @@ from scipy.optimize import least_squares
 from rig.identify import sampled_data
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.sampled_data import Piece, Problem, covariance_of
-from rig.model.sensitivity import Theta, position, position_and_jacobian
-from rig.model.stribeck import StribeckTheta, stribeck_response
+from rig.model.sensitivity import StribeckTheta, Theta, position, position_and_jacobian, stribeck_response
 
 Array = NDArray[np.float64]
 Law = Literal["coulomb", "asymmetric", "static", "stribeck"]

@@ -1,11 +1,11 @@
-"""Which friction law the data ask for: a ladder of four laws, each a case of the next (theory sections 1, 8, 9).
+"""Which friction law the data ask for: a ladder of four laws, each a case of the next (docs/theory.md 8.1 and 8.4).
 
     coulomb     fc sgn(v)
     asymmetric  + a: the two directions differ, or there is a bias
     static      + fs > fc, at rest alone: seen only where the motor stands still under a drive (breakaway, slow drives)
     stribeck    + vs: fs falls to fc over the speed vs, fc + (fs - fc) exp(-|v| / vs)
 
-Viscous friction is no rung: with it tau and K are those of theory section 9, and no motion tells it from them.
+Viscous friction is no rung: with it tau and K are those of docs/theory.md 8.1, and no motion tells it from them.
 
 Each law is fitted to all tests but one by the same least squares with the same noise, that of the richest law's
 residual, and gets Schwarz's criterion. Then it predicts the test that was held out, of another amplitude, where its
@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,9 @@ from rig.identify.breakaway import Breakaway
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.friction_fit import LAWS, ROUNDING, Fit, Law, Tests
 from rig.identify.noise import noise_of
-from rig.identify.record import Record
 from rig.identify.sampled_data import Piece, Problem, repeated_share, repetitions
+from rig.recording.series import Record
+from rig.results import FrictionLawResult, LawFit
 
 Array = NDArray[np.float64]
 Standing = Literal["chosen", "too simple", "not needed", "open"]
@@ -127,29 +128,29 @@ class Ladder:
             "tau, K and fc are good for motion like the recorded one only"
         )
 
-    def as_dict(self) -> dict[str, Any]:
-        """As result.json holds it; a number that is not finite becomes null."""
-        return {
-            "chosen": self.chosen.law,
-            "open": list(self.open),
-            "reason": self.reason,
-            "record": list(self.record),
-            "viscous": self.viscous,
-            "held_out": self.held_out,
-            "effective_samples": self.samples,
-            "rungs": [
-                {
-                    "law": rung.law,
-                    "standing": rung.standing,
-                    "parameters": {name: _number(value) for name, value in rung.parameters.items()},
-                    "standard_errors": {name: _number(value) for name, value in rung.errors.items()},
-                    "rms_rad": rung.rms_rad,
-                    "criterion": rung.criterion,
-                    "held_out_rms_rad": rung.held_out_rms_rad,
-                }
+    def as_result(self) -> FrictionLawResult:
+        """As result.json holds it; a number that is not finite becomes None."""
+        return FrictionLawResult(
+            chosen=self.chosen.law,
+            open=self.open,
+            reason=self.reason,
+            record=self.record,
+            viscous=self.viscous,
+            held_out=self.held_out,
+            effective_samples=self.samples,
+            rungs=tuple(
+                LawFit(
+                    law=rung.law,
+                    standing=rung.standing,
+                    parameters=dict(rung.parameters),
+                    standard_errors=dict(rung.errors),
+                    rms_rad=rung.rms_rad,
+                    criterion=rung.criterion,
+                    held_out_rms_rad=rung.held_out_rms_rad,
+                )
                 for rung in self.rungs
-            ],
-        }
+            ),
+        )
 
     def notes(self) -> list[str]:
         """One or two lines for people."""
@@ -352,7 +353,3 @@ def _judge(rung: Rung, chosen: Rung, held_out: str | None, ramps: _Ramps | None)
     if better > MUCH_BETTER:
         return _Doubt(f"{predicted}, but the criterion gains nothing over {simpler}", SLOW)
     return None
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

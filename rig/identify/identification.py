@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -17,10 +15,11 @@ from rig.identify.estimate import Estimate
 from rig.identify.friction_law import Ladder, friction_law
 from rig.identify.mean_cycle import Cycle
 from rig.identify.plausibility import judge_motor, judge_records
-from rig.identify.record import IdentifyError, Record, from_recording
 from rig.identify.verdict import FEW_CYCLES
 from rig.model.supply import SupplyReading
 from rig.recording.reader import Recording
+from rig.recording.series import IdentifyError, Record, from_recording
+from rig.results import HystereticResult, IdentificationResult, RelayTestResult, StaticFrictionResult
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 
 METHODS = (sampled_data.METHOD, triple_relay.METHOD, describing_function.METHOD, least_squares.METHOD)
@@ -31,8 +30,8 @@ class Identification:
     """Estimates by method, and what they rest on.
 
     estimates   method -> Estimate, in the order of ``METHODS``
-    relays      for each accepted relay test: stage, h1_V, h2_V, period_s, amplitude_rad, cycles
-    hysteretic  for each run of a hysteretic relay: stage, d_V, start_rad, switched_s, switched_rad, rows
+    relays      the accepted relay tests
+    hysteretic  the runs of hysteretic relays
     cycles      stage -> averaged cycle
     breakaway   drives at break-away both ways, None without a breakaway record
     friction_law    the ladder of friction laws, None where it was not asked for or sampled-data gave no estimate
@@ -40,26 +39,23 @@ class Identification:
     """
 
     estimates: dict[str, Estimate] = field(default_factory=dict)
-    relays: list[dict[str, Any]] = field(default_factory=list)
-    hysteretic: list[dict[str, Any]] = field(default_factory=list)
+    relays: list[RelayTestResult] = field(default_factory=list)
+    hysteretic: list[HystereticResult] = field(default_factory=list)
     cycles: dict[str, Cycle] = field(default_factory=dict)
-    breakaway: dict[str, Any] | None = None
+    breakaway: StaticFrictionResult | None = None
     friction_law: Ladder | None = None
     notes: list[str] = field(default_factory=list)
 
-    def as_dict(self) -> dict[str, Any]:
-        """As result.json holds it, by the same names."""
-        optional = {
-            "hysteretic": self.hysteretic or None,
-            "breakaway": self.breakaway,
-            "friction_law": None if self.friction_law is None else self.friction_law.as_dict(),
-        }
-        return {
-            "relays": self.relays,
-            "estimates": {method: estimate.as_dict() for method, estimate in self.estimates.items()},
-            "notes": self.notes,
-            **{name: value for name, value in optional.items() if value is not None},
-        }
+    def as_result(self) -> IdentificationResult:
+        """As `rig identify --json` prints it, and result.json holds it, by the same names."""
+        return IdentificationResult(
+            relays=tuple(self.relays),
+            estimates={method: estimate.as_result() for method, estimate in self.estimates.items()},
+            notes=tuple(self.notes),
+            hysteretic=tuple(self.hysteretic) or None,
+            breakaway=self.breakaway,
+            friction_law=None if self.friction_law is None else self.friction_law.as_result(),
+        )
 
     @property
     def best(self) -> Estimate | None:
@@ -120,7 +116,7 @@ def identify(
             found.cycles[record.name] = cycle
             found.relays.append(_relay(record.name, cycle))
             found.notes += [f"{record.name}: {note}" for note in cycle.notes]
-    found.hysteretic = [least_squares.Transient.of(record).as_dict() for record in hysteretic]
+    found.hysteretic = [least_squares.Transient.of(record).as_result() for record in hysteretic]
     records = records or hysteretic
     if not records:
         raise IdentifyError("no hysteretic run got as far as its first drive", "record it again: `rig relay CONFIG`")
@@ -194,17 +190,13 @@ def _supply(recording: Recording) -> list[str]:
 
     A plain file and a run of an older version do not.
     """
-    device, drive = recording.meta.get("firmware"), recording.meta.get("drive")
-    if not isinstance(device, dict) or not isinstance(drive, dict):
+    device, drive = recording.meta.firmware, recording.meta.drive
+    if device is None or drive is None:
         return []
-    told = (device.get("supply_V"), drive.get("supply_V"), drive.get("bridge_drop_V"))
-    numbers = [float(value) for value in told if isinstance(value, int | float) and math.isfinite(value)]
-    if len(numbers) < len(told):
+    measured_V, believed_V, drop_V = device.supply_V, drive.supply_V, drive.bridge_drop_V
+    if measured_V is None or believed_V is None or drop_V is None or not 0.0 <= drop_V < believed_V:
         return []
-    measured_V, believed_V, drop_V = numbers
-    if not 0.0 <= drop_V < believed_V:
-        return []
-    objection = SupplyReading(measured_V, device.get("supply_at_least") is True, believed_V, drop_V).objection
+    objection = SupplyReading(measured_V, device.supply_at_least is True, believed_V, drop_V).objection
     return [] if objection is None else [objection]
 
 
@@ -240,15 +232,15 @@ def _records(recording: Recording, several: bool, notes: list[str]) -> tuple[lis
     return tests, runs
 
 
-def _relay(stage: str, cycle: Cycle) -> dict[str, Any]:
-    return {
-        "stage": stage,
-        "h1_V": cycle.h1_V,
-        "h2_V": cycle.h2_V,
-        "period_s": cycle.period_s,
-        "amplitude_rad": cycle.amplitude_rad,
-        "cycles": cycle.cycles,
-    }
+def _relay(stage: str, cycle: Cycle) -> RelayTestResult:
+    return RelayTestResult(
+        stage=stage,
+        h1_V=cycle.h1_V,
+        h2_V=cycle.h2_V,
+        period_s=cycle.period_s,
+        amplitude_rad=cycle.amplitude_rad,
+        cycles=cycle.cycles,
+    )
 
 
 def _sampled_data(records: Sequence[Record], cycles: Sequence[Cycle], periods_s: Sequence[float | None]) -> Estimate:
@@ -299,7 +291,7 @@ def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> Br
             found.notes.append(error.cause)
             continue
         shown = breakaway(record, estimate, max(estimate.rms_rad, 1e-9))
-        found.breakaway = shown.as_dict()
+        found.breakaway = shown.as_result()
         found.notes.append(f"breakaway: {shown.reason}")
         if shown.friction_V is not None:
             plus, minus, bias = shown.friction_V

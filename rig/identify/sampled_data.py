@@ -1,4 +1,4 @@
-"""The sampled-data estimator (theory section 8): predict the recorded position under the recorded drive.
+"""The sampled-data estimator (docs/theory.md 7.2, 7.4 and 7.6): predict the recorded position under the recorded drive.
 
 The commanded voltage is known exactly at every sample, so nothing has to be read off the curve: the exact motor under
 the recorded drive is fitted to the recorded positions by least squares. Any drive that moves the motor both ways
@@ -19,8 +19,8 @@ from scipy.special import stdtrit
 
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.noise import WHITE, Noise, noise_of
-from rig.identify.record import IdentifyError, Record
 from rig.model.sensitivity import Drive, Theta, position, position_and_jacobian
+from rig.recording.series import IdentifyError, Record
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -298,7 +298,7 @@ def refit(
 
 
 def ridge_starts(omega_rad_s: float, amplitude_rad: float, h1_V: float, h2_V: float) -> list[Start]:
-    """Starts along the ridge of the describing function (theory section 5): fc a fraction of h2, then tau and K."""
+    """Starts along the ridge of the describing function (docs/theory.md 4.1): fc a fraction of h2, then tau and K."""
     starts = []
     for fraction in (0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8):
         beyond = h2_V * (1.0 - fraction)

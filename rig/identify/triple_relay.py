@@ -1,4 +1,4 @@
-"""The triple-relay estimator (theory section 7, (24)-(29)): Theorem 2.1 turned round.
+"""The triple-relay estimator (docs/theory.md 6.1 and 6.3): Theorem 2.1 turned round.
 
 Friction is the third relay, so one steady cycle determines tau, K and fc: in the paper's form by three durations and
 two positions, five equations (``solve``). A sampled relay switches late, so that its edges are no zero crossings. For a
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from rig.identify.estimate import Estimate, student_intervals
 from rig.identify.mean_cycle import Bins, Cycle, MeanHalf
-from rig.identify.record import IdentifyError
 from rig.identify.sampled_data import Start, ridge_starts
+from rig.recording.series import IdentifyError
 
 Array = NDArray[np.float64]
 

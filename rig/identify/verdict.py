@@ -1,4 +1,4 @@
-"""Whether to believe an estimate: ok, doubtful or refused, with reasons that say what to record instead."""
+"""Whether to believe an estimate: ok, doubtful or refused, and what to record instead (docs/theory.md 7.7)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from rig.identify import describing_function, sampled_data
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.mean_cycle import Cycle
-from rig.identify.record import IdentifyError, Record
 from rig.model.motor import State
 from rig.model.sensitivity import Theta
+from rig.recording.series import IdentifyError, Record
 
 PROMISE = 0.05  # ok means that every parameter is at most this far off,
 SURE = 2.0  # which 95 % intervals so many times narrower promise but for one record in ten thousand
@@ -88,7 +88,7 @@ def judge_reference(estimate: Estimate, records: Sequence[Record], cycles: Seque
 
 
 def _known_bias(estimate: Estimate, records: Sequence[Record], cycles: Sequence[Cycle]) -> Estimate:
-    """Errors that the cycles' scatter, and so the interval, does not show (theory sections 5 and 8)."""
+    """Errors that the cycles' scatter, and so the interval, does not show (docs/theory.md 4.4 and 6.3)."""
     if estimate.method == describing_function.METHOD:
         return estimate.judged(
             "doubtful", "its interval shows the scatter of the cycles, not the error of assuming a sine"

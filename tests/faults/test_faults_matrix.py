@@ -26,10 +26,10 @@ from faults.page import Line, at_worst, cells, render_rows, render_summary, summ
 from faults.realtime import DEVICES, REAL_ROWS
 from faults.rows import FREEZE_S, ROWS, Row
 from faults.stages import ARMING, BY_KEY, CYCLE, OTHER_STAGES, PAUSE, REST, START, Stage
+from rig.backends.modbus.emulated.rtu_slave import frame
+from rig.backends.modbus.emulated.tcp_slave import Adu
+from rig.backends.serial.frames import Block, Kind, RelaySetup, State, encode, pack_drive
 from rig.control.guard import Guard
-from rig.daq.frames import Block, Kind, RelaySetup, State, encode, pack_drive
-from rig.emulate.rtu_slave import frame
-from rig.emulate.tcp_slave import Adu
 
 ROOT = Path(__file__).resolve().parents[2]
 SUMMARY = ROOT / "docs" / "fault-table.md"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 
-from rig.emulate import firmware_build
+from rig.backends.serial.emulated import firmware_build
 
 COUNT = 16  # y of one count
 COUNT_TICK = 32  # z of one count for one tick

@@ -10,8 +10,8 @@ from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 
 from rig.identify import sampled_data
 from rig.identify.cramer_rao import DELAY, PositionNoise, cramer_rao
-from rig.identify.record import Record
 from rig.model.sensitivity import Drive, Theta, position_and_jacobian
+from rig.recording.series import Record
 
 TRUE = Theta(0.17, 6.5, 0.5, 0.02, 0.004, 0.0, 0.0)
 

@@ -10,10 +10,10 @@ from synthetic import Bench, dcr, motor, record, simulate
 
 from rig.identify.cycles import equivalent_edge, find_cycle, relay_gains
 from rig.identify.mean_cycle import Bins, Cycle, average
-from rig.identify.record import IdentifyError, Record
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
+from rig.recording.series import IdentifyError, Record
 
 
 def relay_record(h1=0.8, h2=1.0, rows=1200, first=0, **bench) -> Record:

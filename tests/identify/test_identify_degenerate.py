@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 
 from rig.identify import identify
 from rig.identify.identification import METHODS
-from rig.identify.record import IdentifyError
 from rig.recording.reader import RecordingError, read
+from rig.recording.series import IdentifyError
 
 ROWS = (2, 3, 19, 20, 40, 76, 150, 300, 600)
 REAL = sampled(motor(**PAPER), relay(PAPER["fc_V"]), ticks(max(ROWS)), 0.004)
@@ -111,7 +111,7 @@ def one_line(path: Path, others: list[Path], methods: tuple[str, ...] | None, ma
     for estimate in found.estimates.values():
         assert estimate.verdict == "ok" or estimate.reasons
         assert may_be_ok or estimate.verdict != "ok", (estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V)
-        estimate.as_dict()
+        estimate.as_result()
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -18,10 +18,10 @@ from rig.identify.breakaway import Breakaway, Ramp
 from rig.identify.estimate import Estimate
 from rig.identify.friction_fit import LAWS
 from rig.identify.friction_law import Ladder, effective_samples, friction_law, schwarz
-from rig.identify.record import Record
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Motor
 from rig.recording.reader import Recording, from_columns
+from rig.recording.series import Record
 
 TAU, K, FC = 0.17, 6.5, 0.5
 MOTORS = {
@@ -281,7 +281,7 @@ def test_coulomb_friction_leaves_the_verdict_alone():
 
 
 def test_the_ladder_goes_into_a_result_as_plain_json():
-    found = ladder("stribeck", 0).as_dict()
+    found = ladder("stribeck", 0).as_result().as_json()
     again = json.loads(json.dumps(found, allow_nan=False))
     assert again["chosen"] == "stribeck"
     assert [entry["law"] for entry in again["rungs"]] == list(LAWS)

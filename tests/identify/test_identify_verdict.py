@@ -13,9 +13,9 @@ from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 from rig.identify import sampled_data, verdict
 from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
-from rig.identify.record import TIMES_ERROR_S, IdentifyError, Record
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
+from rig.recording.series import TIMES_ERROR_S, IdentifyError, Record
 
 NOISY = {"noise_rad": 0.003, "lsb_rad": LSB_RAD}
 

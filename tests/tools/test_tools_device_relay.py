@@ -9,7 +9,7 @@ from rig.campaign.grid import Draw, draw
 from rig.config import load_campaign
 from rig.identify import triple_relay
 from rig.identify.cycles import find_cycle
-from rig.identify.record import Record
+from rig.recording.series import Record
 
 CAMPAIGN = load_campaign(CONFIG)
 

@@ -17,8 +17,8 @@ from paper.example_4_1 import below_rests, monotone
 from paper.gauss_newton import features_of, iterate
 from paper.page import BACKEND, Report, Section, render_page
 from paper.solver import settled_cycle
-from rig.config import check
 from rig.model.limit_cycle import limit_cycle
+from rig.preflight import check
 from shared.table import Cell, Table, significant
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -23,9 +23,9 @@ from rig.config import load_campaign
 from rig.config.campaign import Campaign
 from rig.identify import sampled_data, triple_relay
 from rig.identify.cycles import find_cycle
-from rig.identify.record import IdentifyError, Record
 from rig.model.motor import State
-from rig.model.sampled_relay import relay_test
+from rig.model.sampled_relay import Disturbance, relay_test
+from rig.recording.series import IdentifyError, Record
 from shared.table import markdown
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "campaign.yaml"
@@ -55,8 +55,7 @@ def relay_record(campaign: Campaign, one: Draw, period_s: float, delay_s: float)
         one.h2_V,
         t_s,
         delay_s,
-        disturbance_rad=one.offset_rad + campaign.sensor.noise_rad * noise,
-        lsb_rad=campaign.sensor.lsb_rad,
+        disturbance=Disturbance(one.offset_rad + campaign.sensor.noise_rad * noise, lsb_rad=campaign.sensor.lsb_rad),
         start=State(y=one.start_rad),
     )
     kept = t_s >= start_s

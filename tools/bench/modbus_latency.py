@@ -27,7 +27,7 @@ from pathlib import Path
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
 from bench.benchmark import options, tell
-from rig.bench import connect, limits_of
+from rig.backends.registry import connect
 from rig.config import load
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -111,7 +111,7 @@ def ours(slave: LibmodbusSlave, stack: ExitStack) -> Exchange:
     daq = experiment.daq.model_copy(update={"port": slave.port, "timeout_s": TIMEOUT_S})
     experiment = experiment.model_copy(update={"daq": daq})
     driver = stack.enter_context(connect(experiment)).driver
-    driver.arm(replace(limits_of(experiment), watchdog_s=1.0))
+    driver.arm(replace(experiment.device_limits, watchdog_s=1.0))
     return driver.read
 
 

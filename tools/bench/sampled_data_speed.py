@@ -21,7 +21,7 @@ from rig.config.campaign import Campaign
 from rig.identify import sampled_data
 from rig.identify.cycles import find_cycle
 from rig.identify.mean_cycle import Cycle
-from rig.identify.record import Record
+from rig.recording.series import Record
 
 STARTS = 3  # that are iterated, as our own fit does
 

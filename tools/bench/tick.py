@@ -22,30 +22,24 @@ from typing import Any, NamedTuple
 
 from bench.benchmark import options, tell
 from bench.wake_up import cores, fifo_is_allowed
-from rig.bench import (
-    Bench,
-    calibration_of,
-    connect,
-    drive_map_of,
-    guard_settings_of,
-    limits_of,
-    real_time_of,
-    truth_of,
-)
+from rig.backends.backend import truth_of
+from rig.backends.clock import MonotonicClock
+from rig.backends.registry import Bench, connect
+from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
+from rig.bench import guard_settings_of, real_time_of
 from rig.config import Experiment, load
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
 from rig.control.law import Law
 from rig.control.relay import DualChannelRelay
-from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.faults import Fault
-from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import RealTime, real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
 from rig.recording.record import NoRecord
 from rig.recording.recorder import Recorder
+from rig.results.result import LoopResult
 from rig.signals import Sample
 from shared.table import markdown
 
@@ -123,8 +117,8 @@ def in_real_time(experiment: Experiment) -> Iterator[Bench]:
     driver = SimulatedDriver(
         clock,
         truth,
-        calibration_of(experiment),
-        drive_map_of(experiment),
+        experiment.sensor.curve,
+        experiment.drive.map,
         experiment.sensor.rail_counts,
         SimulatedLatency(0.001, 0.0),
         experiment.seed,
@@ -140,7 +134,7 @@ class Turns:
     def __init__(self, experiment: Experiment, bench: Bench, recorder: Recorder, condition: str) -> None:
         self._cores, raise_workers = CONDITIONS[condition]
         self._settings = replace(real_time_of(experiment), raise_workers=raise_workers)
-        self._limits = limits_of(experiment)
+        self._limits = experiment.device_limits
         self._ticks = round(TURN_S / experiment.period_s)
         settings = guard_settings_of(experiment)
         guard = Guard(settings)
@@ -165,11 +159,9 @@ class Turns:
 
     def result(self) -> dict[str, Any]:
         """Quantiles of each part, ours and of the bare tick, us; the share of ticks skipped."""
-        told, peer = self.ours.statistics.summary(), self.bare.statistics.summary()
+        summary, bare = self.ours.statistics.summary(), self.bare.statistics.summary()
+        told, peer = summary.as_json(), bare.as_json()
         ran, skipped = self.ours.statistics.ticks, self.ours.statistics.skipped
-        compute, bare_compute = told["compute_us"], peer["compute_us"]
-        assert isinstance(compute, dict) and isinstance(bare_compute, dict)
-        ours, bare = compute["p99"], bare_compute["p99"]  # None where a fault ended the turns at once
         return {
             "granted": self.done.granted,
             "refused": self.done.refused,
@@ -179,8 +171,17 @@ class Turns:
             "skipped_percent": round(100.0 * skipped / (ran + skipped), 4),
             **{part: told[part] for part in PARTS},
             "bare": {part: peer[part] for part in PARTS},
-            "compute_p99_ratio_to_bare": None if ours is None or bare is None else round(ours / bare, 2),
+            "compute_p99_ratio_to_bare": _ratio(_p99(summary), _p99(bare)),
         }
+
+
+def _p99(loop: LoopResult) -> float | None:
+    """99th percentile of law and guard, us; None where a fault ended all turns at once."""
+    return None if loop.compute_us is None else loop.compute_us.p99
+
+
+def _ratio(ours: float | None, bare: float | None) -> float | None:
+    return None if ours is None or bare is None else round(ours / bare, 2)
 
 
 def measure(case: Case, turns: int, folder: Path) -> dict[str, dict[str, Any]]:

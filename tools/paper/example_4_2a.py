@@ -12,9 +12,9 @@ from paper.page import Agreement, Claim, Comparison, Heading, Paragraph, Remark,
 from rig.control.relay import HystereticRelay
 from rig.identify import least_squares
 from rig.identify.estimate import Estimate
-from rig.identify.record import Record
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
+from rig.recording.series import Record
 from rig.report.style import Picture
 from rig.signals import Sample
 from shared.page import listed

@@ -15,13 +15,13 @@ from paper.page import Claim, Comparison, Paragraph, Remark, Section
 from rig.identify import triple_relay
 from rig.identify.cycles import find_cycle
 from rig.identify.mean_cycle import Cycle, average
-from rig.identify.record import IdentifyError, Record
 from rig.identify.sampled_data import ridge_starts
 from rig.identify.triple_relay import Features
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
-from rig.model.sampled_relay import RelayTest, relay_test
+from rig.model.sampled_relay import Disturbance, RelayTest, relay_test
+from rig.recording.series import IdentifyError, Record
 from rig.report.style import Picture
 from shared.page import listed
 from shared.table import Cell, Table, number, significant
@@ -132,7 +132,7 @@ def _relay_test(noise_rad: float, seed: int) -> RelayTest:
     noise = noise_rad * np.random.default_rng(seed).standard_normal(rows)
     start = State(0.0, -0.8 * cycle.amplitude_rad)
     t_s = np.arange(rows) * np.float64(SAMPLING_S)
-    return relay_test(_motor(), gains.h1_V, gains.h2_V, t_s, 0.0, disturbance_rad=noise, start=start)
+    return relay_test(_motor(), gains.h1_V, gains.h2_V, t_s, 0.0, disturbance=Disturbance(noise), start=start)
 
 
 def _record(test: RelayTest, y_rad: Array) -> Record:

@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 
 from paper import switching
 from paper.drawing import Array, finish, new_figure
+from paper.ideal_relay import Relay, ideal_relay, settled_cycle
 from paper.page import Claim, Comparison, Heading, Paragraph, Remark, Section
 from rig.model.friction import coulomb
-from rig.model.ideal_relay import Relay, ideal_relay, settled_cycle
 from rig.model.limit_cycle import LimitCycle, NoLimitCycle, limit_cycle
 from rig.model.motor import Motor, State
 from rig.report.style import Picture

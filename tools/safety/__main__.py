@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from rig.emulate.firmware_build import build_chip, source_folder
+from rig.backends.serial.emulated.firmware_build import build_chip, source_folder
 from safety import garbage
 from safety.page import Found, is_kept, render, row
 from safety.promises import PROMISES, measure
