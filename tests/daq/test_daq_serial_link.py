@@ -46,7 +46,6 @@ class ScriptedPort:
         self.arriving: list[tuple[float, bytes]] = []
         self.requests = frames.FrameReader()
         self.seq = 0  # of the last request seen
-        self.hellos = 0
         self.dead = False
         self.closed = False
 
@@ -64,7 +63,6 @@ class ScriptedPort:
         (request,) = requests
         self.seq = request.seq
         if request.kind == Kind.HELLO:
-            self.hellos += 1
             if self.t_s >= self.silent_until_s:
                 body = self.hello._replace(now_us=self.device_us(self.t_s + 0.0001)).pack()
                 self.reply(0.0005, encode(Kind.HELLO_REPLY, request.seq, body, self.version))
