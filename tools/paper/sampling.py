@@ -99,8 +99,9 @@ def section(result: Result) -> Section:
         Paragraph(
             "A relay that decides at samples switches up to a sampling period and the delay after the true crossing, "
             f"while t<sub>1</sub> itself is only {1e3 * result.t1_s:.0f} ms here. The equations (24)–(29) then "
-            "do not describe the data: their edges are no crossings (docs/theory.md 7.1). Here the bench's relay "
-            f"tests are repeated at {first:g} to {last:g} ms, {result.trials} trials each, same noise and resolution."
+            "do not describe the data: their edges are no crossings (docs/theory.md, section 7.1). Here "
+            f"the bench's relay tests are repeated at {first:g} to {last:g} ms, {result.trials} trials each, same "
+            "noise and resolution."
         ),
         _table(result),
         picture(result),
