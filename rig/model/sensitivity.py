@@ -7,7 +7,6 @@ after) * dt to first order, and the position does not. So one pass over the even
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 class Theta(NamedTuple):
-    """Parameters of a record's motion (theory section 8), in the order of the Jacobian's columns.
+    """Parameters of a series' motion (theory section 8), in the order of the Jacobian's columns.
 
     tau_s, K_rad_s_V, fc_V   the motor
     asym_V                   asymmetry a: the effective drive in motion is u + a - fc sgn(v)
@@ -34,39 +33,21 @@ class Theta(NamedTuple):
     y0_rad: float = 0.0
 
 
-@dataclass(frozen=True)
-class Drive:
-    """A drive that is constant between edges: ``u_V[j]`` acts from ``edge_s[j]`` on, s, V, arrays of m each."""
-
-    edge_s: Array
-    u_V: Array
-
-    @classmethod
-    def from_arrays(cls, edge_s: Array, u_V: Array) -> Drive:
-        """From arrays of edges (non-decreasing) and drives; edges that change nothing are dropped.
-
-        Raises ValueError if the edges decrease, or shapes differ, or there is none.
-        """
-        if edge_s.shape != u_V.shape or edge_s.ndim != 1 or edge_s.size == 0:
-            raise ValueError("edges and drives must be one-dimensional and of one length")
-        if np.any(np.diff(edge_s) < 0.0):
-            raise ValueError("the times at which the drive acts must not decrease")
-        keep = np.concatenate(([True], u_V[1:] != u_V[:-1]))
-        return cls(np.asarray(edge_s[keep], dtype=float), np.asarray(u_V[keep], dtype=float))
-
-
-def position(theta: Theta, drive: Drive, t_s: Array, static_V: float | None = None) -> Array:
-    """Positions at the times ``t_s`` (n, non-decreasing), rad, without the derivatives."""
+def position(theta: Theta, edge_s: Array, u_V: Array, t_s: Array, static_V: float | None = None) -> Array:
+    """Positions at the times ``t_s``, rad, without the derivatives; arguments as ``position_and_jacobian``."""
     from rig.model.compiled import motion
 
     y = np.empty(t_s.size)
-    motion.position(_floats(theta), _level(theta, static_V), drive.edge_s, drive.u_V, t_s, y)
+    motion.position(_floats(theta), _level(theta, static_V), edge_s, u_V, t_s, y)
     return y
 
 
-def position_and_jacobian(theta: Theta, drive: Drive, t_s: Array, static_V: float | None = None) -> tuple[Array, Array]:
+def position_and_jacobian(
+    theta: Theta, edge_s: Array, u_V: Array, t_s: Array, static_V: float | None = None
+) -> tuple[Array, Array]:
     """Positions at the times ``t_s`` and their derivatives by each of ``Theta``.
 
+    edge_s, u_V  m steps of the drive: u_V[j], V, acts from edge_s[j] on, s, non-decreasing, m >= 1
     t_s       n times, s, non-decreasing, n >= 1
     static_V  level that holds the motor at rest, V; default: as strong as in motion
     Returns y, (n,), rad, and dy/dtheta, (n, 7). The drive before its first edge is that of its first edge. Derivatives
@@ -75,7 +56,7 @@ def position_and_jacobian(theta: Theta, drive: Drive, t_s: Array, static_V: floa
     from rig.model.compiled import motion
 
     y, jacobian = np.empty(t_s.size), np.empty((t_s.size, 7))
-    motion.position_and_jacobian(_floats(theta), _level(theta, static_V), drive.edge_s, drive.u_V, t_s, y, jacobian)
+    motion.position_and_jacobian(_floats(theta), _level(theta, static_V), edge_s, u_V, t_s, y, jacobian)
     return y, jacobian
 
 

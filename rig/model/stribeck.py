@@ -28,8 +28,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model.sensitivity import Drive
-
 Array = NDArray[np.float64]
 Series = Sequence[float] | Array
 Room = MutableSequence[float] | Array
@@ -242,8 +240,8 @@ class StribeckTheta(NamedTuple):
     stribeck_rad_s: float
 
 
-def stribeck_response(theta: StribeckTheta, drive: Drive, t_s: Array) -> Array:
-    """Positions at the times ``t_s`` (n, s, non-decreasing, n >= 1), rad; compiled.
+def stribeck_response(theta: StribeckTheta, edge_s: Array, u_V: Array, t_s: Array) -> Array:
+    """Positions at the times ``t_s`` (n, s, non-decreasing, n >= 1) under the steps u_V from edge_s on, rad; compiled.
 
     The drive before its first edge is that of its first edge. Raises ValueError on parameters out of range.
     """
@@ -253,7 +251,7 @@ def stribeck_response(theta: StribeckTheta, drive: Drive, t_s: Array) -> Array:
     if not (all(map(math.isfinite, theta)) and min(tau, K, unit) > 0.0 and 0.0 <= fc <= fs):
         raise ValueError(f"need tau, K, the Stribeck velocity > 0 and 0 <= fc <= fs, all finite, not {theta}")
     y = np.empty(t_s.size)
-    compiled.position(_floats(theta), drive.edge_s, drive.u_V, t_s, y)
+    compiled.position(_floats(theta), edge_s, u_V, t_s, y)
     return y
 
 
