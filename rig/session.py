@@ -30,9 +30,10 @@ from rig.loop.stop_request import StopRequest, stop_on_signals
 from rig.model.supply import SupplyReading
 from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
-from rig.recording.reader import read_run
+from rig.recording.reader import Recording, read_run
 from rig.recording.record import Record
 from rig.recording.recorder import Recorder
+from rig.recording.stage import Stage, StageKind
 from rig.report import write_report
 from rig.report.words import NOTHING_TO_IDENTIFY
 
@@ -83,10 +84,16 @@ class Session:
     breakaway: BreakawayLaw | None = None
     search: GainSearch | None = None
     identification: Identification | None = None
+    recording: Recording | None = None  # the rows as they were last read
     models_from: Path | None = None  # the run that identified them, where it is another
     jog: dict[str, float] | None = None
     notes: list[str] = field(default_factory=list)
     tracking: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def read(self) -> Recording:
+        """The rows so far; those that were read before are not parsed again. Raises RecordingError."""
+        self.recording = read_run(self.folder, self.recording)
+        return self.recording
 
     def note(self, kind: str, **fields: str | float | int | bool) -> None:
         """An event of now."""
@@ -210,8 +217,8 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
     """Identify what a fault has left, complete result.json, write the report, say what failed."""
     if session.identification is None:
         try:
-            recording = read_run(session.folder)
-            if any(stage.startswith(("relay-", "hysteretic-")) for stage in recording.stages()):
+            recording = session.read()
+            if any(Stage.parse(stage).is_relay_test for stage in recording.stages()):
                 session.identification = identify([recording])
         except (IdentifyError, RecordingError) as error:
             session.notes.append(f"{NOTHING_TO_IDENTIFY}: {error.cause}")
@@ -219,7 +226,7 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
             outcome.failures.append(f"the record was not identified: {_defect(error)}")
         _write_result(session, outcome)
     try:
-        write_report(session.folder, session.identification)
+        write_report(session.folder, session.identification, session.recording)
     except RecordingError as error:
         outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
     except OSError as error:
@@ -265,8 +272,8 @@ def _measure_tracking(session: Session, outcome: Outcome) -> None:
     finished = [method for method, entry in session.tracking.items() if not entry]
     for method in finished:
         try:
-            recording = read_run(session.folder)
-            rows = recording.stage_rows(f"track:{method}")
+            recording = session.read()
+            rows = recording.stage_rows(str(Stage.track(method)))
             rms_rad, max_rad = tracking_error(
                 recording.t_s[rows], recording.y_rad[rows], recording.yd_rad[rows], after_s=FADE_S
             )
@@ -295,7 +302,9 @@ def _result(session: Session, fault: Fault | None) -> dict[str, Any]:
         "config_notes": list(notes(session.experiment)),
         "notes": [*session.notes, *([] if identification is None else identification.notes)],
     }
-    eps_rad = {f"hysteretic-{k}": run.eps_rad for k, run in enumerate(session.experiment.relay.hysteretic or (), 1)}
+    eps_rad = {
+        str(Stage.hysteretic(k)): run.eps_rad for k, run in enumerate(session.experiment.relay.hysteretic or (), 1)
+    }
     if identification is not None and identification.hysteretic:
         result["hysteretic"] = [run | {"eps_rad": eps_rad.get(run["stage"])} for run in identification.hysteretic]
     if session.models_from is not None:
@@ -387,8 +396,9 @@ def _supply(experiment: Experiment, bench: Bench) -> SupplyReading:
 
 def _stages(experiment: Experiment) -> list[str]:
     """Every stage that a run can record."""
-    relays = [f"relay-{number}" for number in range(1, 5)]
+    relays = [str(Stage.relay(number)) for number in range(1, 5)]
     if experiment.relay.hysteretic is not None:
-        relays += ["homing", *(f"hysteretic-{number}" for number in range(1, len(experiment.relay.hysteretic) + 1))]
-    tracks = [] if experiment.tracking is None else [f"track:{method}" for method in experiment.tracking.methods]
+        runs = range(1, len(experiment.relay.hysteretic) + 1)
+        relays += [str(StageKind.HOMING), *(str(Stage.hysteretic(number)) for number in runs)]
+    tracks = [] if experiment.tracking is None else [str(Stage.track(method)) for method in experiment.tracking.methods]
     return ["rest", "jog", "breakaway", "search", *relays, *tracks, STOPPING]

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from rig.identify import laws
 from rig.identify.breakaway import Ramps
 from rig.identify.estimate import PARAMETERS, Estimate
-from rig.identify.laws import LAWS
 from rig.identify.laws.asymmetric import Asymmetric
 from rig.identify.laws.law import CandidateLaw, Plain
 from rig.identify.output_error import SHARED, Problem, covariance_of, initial_state
@@ -39,7 +39,7 @@ PLAIN = Asymmetric()  # what every law is compared with and started from
 
 
 @dataclass(frozen=True)
-class LawFit:
+class LawSolution:
     """One law fitted.
 
     x           full vector: log tau, log K, fc, asym, delay, the law's own parameters, then v0 and y0 of each window
@@ -108,12 +108,12 @@ class LawProblem:
         shared = [math.log(estimate.tau_s), math.log(estimate.K_rad_s_V), estimate.fc_V, estimate.asym_V, delay]
         return self._with_states(np.array(shared))
 
-    def fit(self, start: Array) -> dict[str, LawFit]:
+    def fit(self, start: Array) -> dict[str, LawSolution]:
         """All laws by name, from the vector ``start`` of an asymmetric Coulomb motor."""
         plain = self._solve(PLAIN, start)
-        return {law.name: self._fit(law, plain) for law in LAWS}
+        return {law.name: self._fit(law, plain) for law in laws.LAWS}
 
-    def predict(self, fit: LawFit) -> LawFit:
+    def predict(self, fit: LawSolution) -> LawSolution:
         """What a law fitted elsewhere makes of these tests: only initial states, and an unknown delay, are fitted."""
         return self._solve(fit.law, self._with_states(fit.x[: _count(fit.law)]), given=True)
 
@@ -121,7 +121,7 @@ class LawProblem:
         """The full vector of these parameters, with initial states by eye."""
         return np.concatenate((parameters, *(initial_state(window) for window in self.windows)))
 
-    def _fit(self, law: CandidateLaw, plain: LawFit) -> LawFit:
+    def _fit(self, law: CandidateLaw, plain: LawSolution) -> LawSolution:
         if law.name == PLAIN.name:
             return plain
         if not law.parameters:
@@ -136,11 +136,11 @@ class LawProblem:
             return self._from_residual(law, plain, explained)
         return self._scan(law, plain, explained)
 
-    def _explained(self, plain: LawFit) -> Plain:
+    def _explained(self, plain: LawSolution) -> Plain:
         positions = [PLAIN.position(_theta(plain.x, SHARED, k), (), window) for k, window in enumerate(self.windows)]
         return Plain(self.windows, float(plain.x[FC]), float(plain.x[ASYM]), positions)
 
-    def _scan(self, law: CandidateLaw, plain: LawFit, explained: Plain) -> LawFit:
+    def _scan(self, law: CandidateLaw, plain: LawSolution, explained: Plain) -> LawSolution:
         """The best of all trials; the fit without the law where none shows."""
         found: list[tuple[float, list[float]]] = []
         for trial in law.trials(explained):
@@ -151,7 +151,7 @@ class LawProblem:
         fits = [self._solve(law, _with_own(plain.x, trial)) for _, trial in sorted(found)[:SCANNED]]
         return min([replace(_without(law, plain), seen=bool(found)), *fits], key=lambda fit: fit.squares)
 
-    def _from_residual(self, law: CandidateLaw, plain: LawFit, explained: Plain) -> LawFit:
+    def _from_residual(self, law: CandidateLaw, plain: LawSolution, explained: Plain) -> LawSolution:
         """The best of a few starts; the fit without the law where a little of it makes all of them worse."""
         before, jacobian = self._residual_and_jacobian(plain.x, PLAIN, self._free(PLAIN))
         fitted = np.flatnonzero(self._mask(PLAIN))
@@ -224,7 +224,7 @@ class LawProblem:
         x0: Array,
         ranges: Sequence[tuple[float, float]] | None = None,
         given: bool = False,
-    ) -> LawFit:
+    ) -> LawSolution:
         """Local solution from ``x0``, the law's own parameters within ``ranges``; with ``given`` parameters stay."""
         free, mask = self._free(law, given), self._mask(law, given)
         anywhere = [(-math.inf, math.inf)] * len(law.parameters)
@@ -257,7 +257,7 @@ class LawProblem:
         covariance, _ = covariance_of(np.asarray(found.jac) / scale, found.fun)
         names = tuple(name for name, fitted in zip(_names(law), free, strict=True) if fitted)
         own = slice(0, len(names))
-        return LawFit(law, full.copy(), found.fun, names, covariance[own, own])
+        return LawSolution(law, full.copy(), found.fun, names, covariance[own, own])
 
 
 def _names(law: CandidateLaw) -> tuple[str, ...]:
@@ -280,7 +280,7 @@ def _with_own(plain: Array, own: Sequence[float]) -> Array:
     return np.concatenate((plain[:SHARED], own, plain[SHARED:]))
 
 
-def _without(law: CandidateLaw, plain: LawFit) -> LawFit:
+def _without(law: CandidateLaw, plain: LawSolution) -> LawSolution:
     """The fit without a law, as one of it: its own parameters are 0, and not fitted."""
     return replace(plain, law=law, x=_with_own(plain.x, [0.0] * len(law.parameters)))
 

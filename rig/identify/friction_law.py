@@ -18,10 +18,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from rig.identify import laws
 from rig.identify.breakaway import Breakaway, Ramps
 from rig.identify.estimate import PARAMETERS, Estimate
-from rig.identify.friction_fit import PLAIN, LawFit, LawProblem
-from rig.identify.laws import LAWS
+from rig.identify.friction_fit import PLAIN, LawProblem, LawSolution
 from rig.identify.laws.law import CLEAR, CandidateLaw, Comparison, Doubt
 from rig.identify.noise import noise_of
 from rig.identify.output_error import Problem
@@ -194,24 +194,24 @@ def friction_law(
     reach = (0.0, max(test.longest_delay_s for test in tests)) if unknown else (0.0, 0.0)
     windows = [test.predictable(reach[1]) for test in tests]
     problem = Problem(tuple(windows[k] for k in fitted), reach, (True, True, True, True, unknown))
-    laws = LawProblem(problem, Ramps.of(breakaway, estimate))
-    fits = laws.fit(laws.start(estimate))
-    floor = ROUNDING * laws.spread_rad
-    times = joined_times_s(laws.windows)
-    richest = max(LAWS, key=lambda law: law.size).name
+    first = LawProblem(problem, Ramps.of(breakaway, estimate))
+    fits = first.fit(first.start(estimate))
+    floor = ROUNDING * first.spread_rad
+    times = joined_times_s(first.windows)
+    richest = max(laws.LAWS, key=lambda law: law.size).name
     if fits[richest].rms_rad > floor:
         noise = noise_of(fits[richest].residual, times, problem.lengths())
         if not noise.white:
-            laws = replace(laws, problem=replace(problem, noise=noise))
-            fits = laws.fit(fits[PLAIN.name].x)
+            first = replace(first, problem=replace(problem, noise=noise))
+            fits = first.fit(fits[PLAIN.name].x)
     own = [periods[k] for k in fitted]
-    share = repeated_share(fits[richest].residual, repetitions(laws.windows, own))
-    pairs = zip(laws.windows, own, strict=True)
+    share = repeated_share(fits[richest].residual, repetitions(first.windows, own))
+    pairs = zip(first.windows, own, strict=True)
     cycles = max((window.duration_s / period for window, period in pairs if period), default=1.0)
     samples = effective_samples(times.size, cycles, share)
-    second = None if held is None else replace(laws, problem=replace(laws.problem, windows=(windows[held],)))
-    ranked = [_ranked(fit, second, samples, floor, laws.ramps) for fit in fits.values()]
-    return _choice(ranked, None if held is None else tests[held].name, samples, laws.ramps)
+    second = None if held is None else replace(first, problem=replace(first.problem, windows=(windows[held],)))
+    ranked = [_ranked(fit, second, samples, floor, first.ramps) for fit in fits.values()]
+    return _choice(ranked, None if held is None else tests[held].name, samples, first.ramps)
 
 
 def _second_amplitude(tests: Sequence[TimeSeries]) -> int | None:
@@ -227,7 +227,9 @@ def _second_amplitude(tests: Sequence[TimeSeries]) -> int | None:
     return None
 
 
-def _ranked(fit: LawFit, second: LawProblem | None, samples: float, floor_rad: float, ramps: Ramps | None) -> RankedLaw:
+def _ranked(
+    fit: LawSolution, second: LawProblem | None, samples: float, floor_rad: float, ramps: Ramps | None
+) -> RankedLaw:
     """A fitted law with its criterion, not yet compared, and with its prediction of the test held out."""
     names = [name for name in PARAMETERS if name in fit.fitted]
     own = fit.law.report(fit, ramps)

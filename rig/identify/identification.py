@@ -21,7 +21,7 @@ from rig.identify.sampled_data import SampledData
 from rig.identify.triple_relay import TripleRelay
 from rig.recording.errors import IdentifyError
 from rig.recording.reader import Recording
-from rig.recording.stage import Stage, StageKind
+from rig.recording.stage import StageKind, kind_of
 
 # The estimators, the one to trust first: another one is a file, and a line here.
 ESTIMATORS: list[Estimator] = [
@@ -171,12 +171,11 @@ def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> Br
     if estimate is None or estimate.verdict == "refused":
         return None
     for recording in recordings:
-        stages = [Stage.parse(stage) for stage in recording.stages()]
-        stage = next((stage for stage in stages if stage.kind is StageKind.BREAKAWAY), None)
+        stage = next((name for name in recording.stages() if kind_of(name) is StageKind.BREAKAWAY), None)
         if stage is None:
             continue
         try:
-            ramps, _ = from_recording(recording, recording.stage_rows(stage.name), stage.name)
+            ramps, _ = from_recording(recording, recording.stage_rows(stage), stage)
         except IdentifyError as error:
             found.notes.append(error.cause)
             continue

@@ -15,7 +15,7 @@ from rig.model.supply import SupplyReading
 from rig.recording.errors import IdentifyError
 from rig.recording.reader import Recording
 from rig.recording.series import TimeSeries
-from rig.recording.stage import Stage, StageKind
+from rig.recording.stage import Stage, StageKind, kind_of
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 
 
@@ -100,7 +100,7 @@ def _guarded(recording: Recording) -> list[str]:
     """What the guard changed of the relay's drive, as a sentence for each test."""
     said = []
     for stage in recording.stages():
-        if Stage.parse(stage).kind is StageKind.RELAY:
+        if kind_of(stage) is StageKind.RELAY:
             rows = recording.flags[recording.stage_rows(stage)]
             changed = int(np.count_nonzero(rows & (FLAG_GUARD_BRAKED | FLAG_GUARD_CLIPPED)))
             if changed:

@@ -81,3 +81,8 @@ class Stage:
 
     def __str__(self) -> str:
         return self.name
+
+
+def kind_of(name: str) -> StageKind:
+    """What is done in the stage of this name."""
+    return Stage.parse(name).kind

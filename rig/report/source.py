@@ -178,8 +178,8 @@ def interval(estimate: Json, key: str) -> tuple[float, float] | None:
     return pair(section(estimate, "ci95").get(key))
 
 
-def load(folder: Path) -> Run:
-    """Read a run folder.
+def load(folder: Path, known: Recording | None = None) -> Run:
+    """Read a run folder; ``known``: its rows as far as they were read before.
 
     Raises FileNotFoundError if ``folder`` is no folder; every other want is put into ``Run.missing``.
     """
@@ -192,7 +192,7 @@ def load(folder: Path) -> Run:
     config, config_text = _config(folder / "config.yaml", missing)
     notes: list[str] = []
     try:
-        recording = read_csv(folder / "samples.csv") if (folder / "samples.csv").is_file() else None
+        recording = read_csv(folder / "samples.csv", known=known) if (folder / "samples.csv").is_file() else None
         if recording is None:
             missing.append("samples.csv is missing: nothing that was measured can be shown.")
         else:

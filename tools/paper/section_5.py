@@ -40,6 +40,7 @@ from rig.model.friction import coulomb
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor
 from rig.recording.reader import read_run
+from rig.recording.stage import Stage
 from rig.report.style import Picture, colour
 
 CONFIG = Path(__file__).resolve().parent / "bench.yaml"
@@ -178,7 +179,7 @@ def _as_estimate(found: Iteration) -> Estimate:
 
 def _track(folder: Path, method: str, outcomes: dict[str, dict[str, float]]) -> Track:
     recording = read_run(folder)
-    rows = recording.stage_rows(f"track:{method}")
+    rows = recording.stage_rows(str(Stage.track(method)))
     t = recording.t_s[rows]
     outcome = outcomes[method]
     return Track(
