@@ -17,7 +17,8 @@ nan (unknown, or no such sensor) is an empty field.
 
 from __future__ import annotations
 
-from typing import Final, Literal
+import math
+from typing import Final, Literal, NamedTuple
 
 Kind = Literal["integer", "time", "number", "micros", "name"]
 
@@ -70,6 +71,30 @@ UNITS: Final[dict[str, str]] = {
     "flags": "bits",
 }
 HEADER: Final = ",".join(COLUMNS) + "\n"
+
+
+class RecordedRow(NamedTuple):
+    """One row as numbers of Python's own, its fields in the order of ``COLUMNS``."""
+
+    tick: int
+    seq: int
+    t_s: float
+    t_u_s: float
+    y_rad: float
+    y_counts: int
+    v_rad_per_s: float
+    u_V: float
+    z_rad_s: float
+    yd_rad: float
+    stage: str
+    late_us: float
+    io_us: float
+    flags: int
+
+    @property
+    def in_device(self) -> bool:
+        """Whether it is a tick of the relay in the device: it took no time of the loop's."""
+        return math.isnan(self.late_us)
 
 
 def _number(value: float) -> str:

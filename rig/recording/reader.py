@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.recording.columns import COLUMNS, KINDS
+from rig.recording.columns import COLUMNS, KINDS, RecordedRow
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, RESULT
 from rig.recording.path_kind import no_recording, no_run
@@ -126,6 +126,11 @@ class Recording:
                 f"choose its rows by number: --rows {first}:{end - 1}, or a part of them",
             )
         return slice(first, end)
+
+    def rows(self) -> list[RecordedRow]:
+        """All rows, one by one."""
+        columns = (getattr(self, name).tolist() for name in COLUMNS)
+        return [RecordedRow(*row) for row in zip(*columns, strict=True)]
 
     def select(self, first: int, last: int) -> Recording:
         """Rows ``first`` to ``last``, both included, counted from 0 as in result.json's ``rows``.

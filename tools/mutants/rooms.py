@@ -18,7 +18,7 @@ ROOMS = (
         ("tests/loop", "tests/replay", "tests/hil/test_hil_device_relay.py"),
         {
             "recorded": _REPLAY,
-            "tape": _REPLAY,
+            "replayed_rows": _REPLAY,
             "clock": ("tests/loop/test_loop_real_time.py", "tests/loop/test_loop_runner.py"),
             "statistics": ("tests/loop/test_loop_runner.py",),
             "stop_request": ("tests/loop/test_loop_runner.py",),
