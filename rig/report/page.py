@@ -179,7 +179,7 @@ def _relays(run: Run) -> list[Json]:
 
 
 def _friction_law(run: Run) -> Json | None:
-    """The ladder of friction laws: a line for each, and its reason; None without one."""
+    """The friction laws that were tried: a line for each, and its reason; None without one."""
     found = section(run.result, "friction_law")
     rungs = mappings(found.get("rungs"))
     if not rungs:
