@@ -25,6 +25,7 @@ from rig.emulate.firmware_build import EmulationError
 from rig.faults import Fault
 from rig.recording.errors import CannotWriteError, RecordingError
 from rig.recording.folder import json_text
+from rig.results import RunMeta, RunResult, known
 from rig.terminal import (
     patience,
     progress,
@@ -233,11 +234,11 @@ def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool)
             f"ask for --u-V between {-experiment.drive.max_V:g} and {experiment.drive.max_V:g}, or raise drive.max_V",
         )
     outcome = _perform(lambda on_start: script.jog(experiment, u_V, seconds, out, on_start), as_json)
-    moved = outcome.result.get("jog")
+    moved = outcome.result.jog
     if moved is not None and not as_json:
-        click.echo(f"y {moved['from_rad']:+.3f} -> {moved['to_rad']:+.3f} rad")
-        if moved["refused_ticks"]:
-            click.echo(f"the guard cut the drive in {moved['refused_ticks']} ticks: outward; try the other sign")
+        click.echo(f"y {known(moved.from_rad):+.3f} -> {known(moved.to_rad):+.3f} rad")
+        if moved.refused_ticks:
+            click.echo(f"the guard cut the drive in {moved.refused_ticks} ticks: outward; try the other sign")
     _finish(outcome, as_json)
 
 
@@ -293,15 +294,14 @@ def identify(
             found = identify_recordings(recordings, tuple(methods) or None)
     except (RecordingError, IdentifyError) as error:
         _fail_input(error)
-    result = found.as_dict()
-    estimates = result["estimates"]
-    ok = any(e["verdict"] != "refused" for e in estimates.values())
+    result = found.as_result()
+    ok = any(not estimate.is_refused for estimate in result.estimates.values())
     if as_json:
-        click.echo(json_text({"ok": ok, "records": [str(path) for path in paths], **result}), nl=False)
+        click.echo(json_text({"ok": ok, "records": [str(path) for path in paths], **result.as_json()}), nl=False)
     else:
-        for note in found.notes:
+        for note in result.notes:
             click.echo(note)
-        show_estimates(estimates, None)
+        show_estimates(result.estimates, None)
     sys.exit(0 if ok else EXIT_FAILED)
 
 
@@ -395,7 +395,7 @@ def replay(run_folder: Path, as_json: bool) -> None:
     except config.ConfigError as error:
         _fail_config(error)
     if as_json:
-        click.echo(json_text(done.as_dict()), nl=False)
+        click.echo(json_text(done.as_json()), nl=False)
     else:
         show_replay(done)
     sys.exit(0 if done.is_same else EXIT_FAILED)
@@ -470,7 +470,7 @@ def campaign(
         _fail(EXIT_FAILED, f"{folder}: {error.strerror}", "the rows so far are there; the same command goes on")
     except KeyboardInterrupt:
         _fail(EXIT_FAILED, "interrupted before or after the experiments", "the same command goes on")
-    if done.interrupted:
+    if done.summary is None:
         _fail(
             EXIT_FAILED,
             f"interrupted: {done.done} of {asked.experiments} experiments are done in {folder}",
@@ -619,10 +619,19 @@ def flash(
     help="File that is written; default: stdout.",
 )  # fmt: skip
 @click.option("--out", "old_name", type=click.Path(path_type=Path, dir_okay=False), default=None, hidden=True)
-@click.option("--campaign", "of_campaign", is_flag=True, help="Of the configs of `rig campaign`.")
-def schema(file: Path | None, old_name: Path | None, of_campaign: bool) -> None:
-    """Write the JSON Schema of the config, for editors."""
-    text = config.schema_text(config.Campaign if of_campaign else config.Experiment)
+@click.option(
+    "--of", "of", type=click.Choice(["config", "campaign", "meta", "result"]), default="config", show_default=True,
+    help="A config; one of `rig campaign`; a run's meta.json; its result.json.",
+)  # fmt: skip
+@click.option("--campaign", "of_campaign", is_flag=True, help="As --of campaign.")
+def schema(file: Path | None, old_name: Path | None, of: str, of_campaign: bool) -> None:
+    """Write a JSON Schema: of the config, for editors, or of what a run writes."""
+    if of in ("meta", "result"):
+        from rig.results.json_schema import schema_text
+
+        text = schema_text(RunMeta if of == "meta" else RunResult)
+    else:
+        text = config.schema_text(config.Campaign if of_campaign or of == "campaign" else config.Experiment)
     if old_name is not None:
         click.echo(f"note: a file that is written is named by --to now: `rig schema --to {old_name}`", err=True)
     file = file or old_name

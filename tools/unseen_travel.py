@@ -27,7 +27,7 @@ from rig.config.room_to_stop import FRICTION_DIFFERS, UNSEEN_RAD, breakaway_stro
 from rig.config.schema import Motor as DataSheet
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
-from rig.experiment import breakaway_check
+from rig.experiment.stages import breakaway_check
 from rig.faults import Fault
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State

@@ -20,7 +20,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +33,7 @@ from rig.identify.estimator import Estimator
 from rig.identify.measurements import Measurements
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries
+from rig.results import HystereticResult
 
 Array = NDArray[np.float64]
 
@@ -143,16 +143,16 @@ class Transient:
             (series.first_row + first, series.first_row + last),
         )
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_result(self) -> HystereticResult:
         """As result.json holds it; ``switched_s`` and ``switched_rad`` are None where no switching is recorded."""
-        return {
-            "stage": self.name,
-            "d_V": self.d_V,
-            "start_rad": self.start_rad,
-            "switched_s": float(self.t_s[-1]) if self.switched else None,
-            "switched_rad": float(self.y_rad[-1]) if self.switched else None,
-            "rows": list(self.rows),
-        }
+        return HystereticResult(
+            stage=self.name,
+            d_V=self.d_V,
+            start_rad=self.start_rad,
+            switched_s=float(self.t_s[-1]) if self.switched else None,
+            switched_rad=float(self.y_rad[-1]) if self.switched else None,
+            rows=self.rows,
+        )
 
     @property
     def moves(self) -> bool:

@@ -38,7 +38,7 @@ def test_a_vendor_string_is_shown_escaped_in_result_and_backend(
     e = config.load(ROOT / "config/modbus-rtu.yaml")
     e = e.model_copy(update={"daq": e.daq.model_copy(update={"port": "emulated-virtual"})})
     outcome = experiment.jog(e, 0.0, 0.05, tmp_path)
-    assert SHOWN in outcome.result["backend"] and "\x1b" not in json.dumps(outcome.result, ensure_ascii=False)
+    assert SHOWN in outcome.result.backend and "\x1b" not in json.dumps(outcome.as_json(), ensure_ascii=False)
 
 
 def test_what_any_driver_says_of_its_device_and_any_fault_is_printable() -> None:

@@ -16,7 +16,7 @@ from rig import config, experiment
 from rig.config.room_to_stop import UNSEEN_RAD, breakaway_strokes
 from rig.control.breakaway import BreakawayLaw
 from rig.daq.simulated import SimulatedDriver
-from rig.experiment import breakaway_check as check_of
+from rig.experiment.stages import breakaway_check as check_of
 from rig.faults import Fault
 from rig.model.friction import Friction, coulomb
 from rig.model.motor import Motor

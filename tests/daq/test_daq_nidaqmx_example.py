@@ -95,7 +95,7 @@ def test_the_whole_experiment(card, tmp_path):
     e = load(config(tmp_path, tracking__duration_s=3.0))
     outcome = experiment.run(e, tmp_path / "runs")
     assert outcome.failure == ""
-    result = outcome.result
+    result = outcome.result.as_json()
     assert result["backend"] == "nidaqmx:Dev1 (PCI-6221, serial 1A2B3C4)"
     estimate, truth = result["estimates"]["sampled-data"], result["truth"]
     assert estimate["verdict"] == "ok"

@@ -13,12 +13,12 @@ import pytest
 import yaml
 from command_line import rig
 
-from rig import experiment as script
 from rig import session
 from rig.config import load
 from rig.daq.simulated import SimulatedDriver
 from rig.emulate.virtual_chip import VirtualChip
 from rig.emulate.virtual_io_block import VirtualIoBlock
+from rig.experiment import script
 from rig.identify import identify
 from rig.loop.pause_watch import PauseWatch
 from rig.recording.reader import read_run

@@ -395,7 +395,7 @@ def test_the_loop_records_every_tick_with_the_laws_own_integral() -> None:
     assert [row["z_rad_s"] for row in rows] == pytest.approx(z_rad_s, abs=drift + 1e-4)
     assert bench.detector.settled and bench.detector.mean()[1] == pytest.approx(0.43, rel=0.1)
     assert {round(abs(row["u_V"]), 3) for row in rows} == {1.247, 0.451}
-    summary = bench.loop.statistics.summary()
+    summary = bench.loop.statistics.summary().as_json()
     assert summary["skipped"] == 0
     assert summary["device"] == {"period_s": bench.driver.tick_s, "ticks": len(rows), "missed": 0}
     assert bench.board.truth().pin_V == 0.0
@@ -503,11 +503,11 @@ def test_the_experiment_runs_either_way_by_one_key(where: str, tmp_path: Path, m
     rows = recording.stage_rows("relay-1")
     step_s = float(np.median(np.diff(recording.t_s[rows])))
     assert step_s == pytest.approx(0.01 if where == "host" else 0.001 / 1.004, rel=1e-3)
-    estimate = outcome.result["estimates"]["sampled-data"]
+    estimate = outcome.result.estimates["sampled-data"].as_json()
     for name, truth in (("tau_s", 0.17), ("K_rad_s_V", 6.5), ("fc_V", 0.48)):
         assert estimate[name] == pytest.approx(truth, rel=0.02)
-    assert math.isfinite(outcome.result["relays"][0]["period_s"])
-    assert ("device" in outcome.result["loop"]) == (where == "device")
+    assert math.isfinite(outcome.result.relays[0].period_s)
+    assert ("device" in outcome.result.as_json()["loop"]) == (where == "device")
 
 
 def received(board: VirtualBoard) -> list[int]:

@@ -174,7 +174,7 @@ class Turns:
 
     def result(self) -> dict[str, Any]:
         """Quantiles of each part, ours and of the bare tick, us; the share of ticks skipped."""
-        told, peer = self.ours.statistics.summary(), self.bare.statistics.summary()
+        told, peer = self.ours.statistics.summary().as_json(), self.bare.statistics.summary().as_json()
         ran, skipped = self.ours.statistics.ticks, self.ours.statistics.skipped
         compute, bare_compute = told["compute_us"], peer["compute_us"]
         assert isinstance(compute, dict) and isinstance(bare_compute, dict)

@@ -25,7 +25,7 @@ import yaml
 from click.testing import CliRunner
 
 import rig.bench
-import rig.experiment
+import rig.experiment.stages
 import rig.session
 from faults.backends import Backend
 from faults.bounds import Times
@@ -144,7 +144,7 @@ def patched(stand: Stand, backend: Backend, known: Identification | None = None)
             patches.enter_context(patch.object(rig.bench, name, place))
         patches.enter_context(patch.object(rig.session, "write_report", lambda *_: None))
         patches.enter_context(patch.object(rig.session, "Recorder", partial(PatientRecorder, stand)))
-        patches.enter_context(patch.object(rig.experiment, "identify", identify_in_time))
+        patches.enter_context(patch.object(rig.experiment.stages, "identify", identify_in_time))
         yield identified
 
 

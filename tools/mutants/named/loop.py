@@ -320,7 +320,7 @@ SESSION = of(
 )
 
 COMMAND = of(
-    "rig/experiment.py",
+    "rig/experiment/script.py",
     (
         "each run of one command opens the bench anew",
         "repeated",

@@ -1,4 +1,4 @@
-"""The experiment: breakaway -> search -> relay -> identify -> verify, as a script on an open bench.
+"""The stages of an experiment, each on an open session: arming, breakaway, search, relay tests, tracking.
 
 A stage raises Fault where it ends the run: what the loop raises, and START_OUTSIDE, CONFIG_MISMATCH or DRIVE_TOO_SMALL
 where it cannot begin. ValueError says that it was called out of order.
@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, replace
-from pathlib import Path
+from dataclasses import replace
 
-from rig.bench import Bench, calibration_of, connect, drive_map_of, guard_settings_of, limits_of, real_time_of
+from rig.bench import calibration_of, drive_map_of, guard_settings_of, limits_of, real_time_of
 from rig.config import Experiment
-from rig.config.backend import is_emulated
 from rig.config.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck, BreakawayLaw
@@ -36,110 +34,15 @@ from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
 from rig.recording.folder import write_meta
 from rig.recording.stage import Stage
-from rig.session import FADE_S, OnStart, Outcome, Session, record
+from rig.results import JogResult, RealTimeReport, TrackingResult
+from rig.session import FADE_S, Session
 
 REST_S = 0.7
 RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
 HOMING_TIMEOUT_S = 40.0
-BREAKAWAY_LAW = "balanced pairs"  # in meta.json, so that a replay knows which law ran
 START_REST_S = 0.5  # recorded before a hysteretic relay's first drive
 HYSTERETIC_SWITCHINGS = 6  # least squares takes the motion up to the first, the sampled-data estimator all of it
 HYSTERETIC_TIMEOUT_S = 10.0  # for each
-
-
-def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None, again: Bench | None = None) -> Outcome:
-    """The whole experiment. The run folder is made below ``parent``; ``on_start`` is told of it.
-
-    again  a bench that the same command has opened already
-    """
-
-    def script(session: Session) -> None:
-        drive_tests(session)
-        identify_recorded(session)
-        verify_models(session)
-
-    return record(experiment, parent, _named("run"), script, on_start, again)
-
-
-def repeated(
-    experiment: Experiment, number: int, parent: Path, perform: Callable[[Callable[[OnStart], Outcome]], Outcome]
-) -> list[Outcome]:
-    """``run`` so many times, each by ``perform``; nothing arms again after a fault, a failure or a signal.
-
-    One person gives one command: what a device latches between two runs is not acknowledged but ends it. A real bench
-    stays open from the first run to the last, so that no opening clears or resets it; an emulated one is made anew,
-    with the next seed. Raises Fault LATCHES_NOTHING for a real device that latches no e-stop, and as ``run``.
-    """
-    outcomes: list[Outcome] = []
-
-    def one(e: Experiment, bench: Bench | None) -> bool:
-        outcomes.append(perform(lambda on_start: run(e, parent, on_start, bench)))
-        return outcomes[-1].fault is None and not outcomes[-1].failures
-
-    if number == 1:
-        one(experiment, None)
-    elif is_emulated(experiment):
-        for k in range(number):
-            if not one(experiment.model_copy(update={"seed": experiment.seed + k}), None):
-                break
-    else:
-        with connect(experiment) as bench:
-            if not bench.info.emulated and not getattr(bench.driver, "latches_stops", False):
-                raise Fault("LATCHES_NOTHING", bench.driver.backend)
-            for k in range(number):
-                told = bench if k == 0 else replace(bench, info=replace(bench.info, acknowledged=()))
-                if not one(experiment, told):
-                    break
-    return outcomes
-
-
-def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
-    """Breakaway, gains and relay tests, and what they identify; no tracking."""
-
-    def script(session: Session) -> None:
-        drive_tests(session)
-        identify_recorded(session)
-
-    return record(experiment, parent, _named("relay"), script, on_start)
-
-
-def run_breakaway(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
-    """The breakaway check alone: whether the bench arms, and whether the shaft moves, the right way."""
-    return record(experiment, parent, _named("breakaway"), drive_check, on_start)
-
-
-def run_tracking(
-    experiment: Experiment,
-    models: Identification,
-    models_from: Path,
-    parent: Path,
-    on_start: OnStart | None = None,
-) -> Outcome:
-    """Breakaway and the tracking check, with models identified in an earlier run, ``models_from``."""
-
-    def script(session: Session) -> None:
-        session.identification = models
-        session.models_from = models_from
-        drive_check(session)
-        verify_models(session)
-
-    return record(experiment, parent, _named("track"), script, on_start)
-
-
-def jog(
-    experiment: Experiment, u_V: float, duration_s: float, parent: Path, on_start: OnStart | None = None
-) -> Outcome:
-    """A constant drive for a short time, within the limits; from outside them only inward."""
-
-    def script(session: Session) -> None:
-        drive_by_hand(session, u_V, duration_s)
-
-    return record(experiment, parent, {"name": "jog", "u_V": u_V, "duration_s": duration_s}, script, on_start)
-
-
-def _named(script: str) -> dict[str, str | float]:
-    """What meta.json says of a script with a breakaway check."""
-    return {"name": script, "breakaway": BREAKAWAY_LAW}
 
 
 def drive_tests(session: Session, check: BreakawayLaw | None = None) -> None:
@@ -160,10 +63,12 @@ def drive_by_hand(session: Session, u_V: float, duration_s: float) -> None:
     session.loop.guard.recovering = True
     with driving(session):
         session.loop.run(Rest(0.1), "rest")
-        session.jog = {"from_rad": session.loop.last_y_rad}
+        from_rad = session.loop.last_y_rad
         session.loop.run(Constant(u_V, duration_s), "jog")
         session.loop.run(Rest(REST_S), "rest")
-        session.jog |= {"to_rad": session.loop.last_y_rad, "refused_ticks": session.loop.guard.clipped_ticks}
+        session.found.jog = JogResult(
+            from_rad=from_rad, to_rad=session.loop.last_y_rad, refused_ticks=session.loop.guard.clipped_ticks
+        )
 
 
 @contextmanager
@@ -207,11 +112,12 @@ def _prepared(session: Session) -> Iterator[None]:
 
 def _tell_real_time(session: Session, done: RealTime) -> None:
     """Into meta.json, result.json and its notes goes what the machine granted the loop, and what it refused."""
-    if session.real_time is None:
-        session.real_time = done
+    if session.found.real_time is None:
+        report = RealTimeReport(granted=tuple(done.granted), refused=tuple(done.refused))
+        session.found.real_time = report
         granted = ["loop: " + "; ".join(done.granted)] if done.granted else []
-        session.notes += granted + [f"loop: {line}" for line in done.refused]
-        write_meta(session.folder, session.meta | {"real_time": asdict(done)})
+        session.found.notes += granted + [f"loop: {line}" for line in done.refused]
+        write_meta(session.folder, session.meta.model_copy(update={"real_time": report}))
 
 
 def breakaway_check(e: Experiment) -> BreakawayCheck:
@@ -249,14 +155,14 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
         raise Fault("START_OUTSIDE", f"y = {y_rad:.3f} rad, soft limits {low:.2f} to {high:.2f} rad")
     check = breakaway_check(e) if check is None else check
     session.loop.run(check, "breakaway")
-    session.breakaway = check
+    session.found.breakaway = check
     guard = session.loop.guard
     guard.settings = guard_settings_of(e, check.noise_rad)
     guard.static_V = max(check.plus_V, check.minus_V)
     guard.sign_proven = True
     differ = abs(check.plus_V - check.minus_V) / (check.plus_V + check.minus_V)
     if differ > FRICTION_DIFFERS:
-        session.notes.append(
+        session.found.notes.append(
             f"friction differs by {differ:.0%} from its mean between the ways (the shaft broke away at "
             f"{check.plus_V:.2f} V and {check.minus_V:.2f} V): unseen travel in the breakaway check was bounded for at "
             f"most {FRICTION_DIFFERS:.0%}; with a stuck or uncoupled sensor this shaft could turn farther than "
@@ -290,7 +196,9 @@ def test_relays(session: Session) -> None:
         else:
             session.loop.run(RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s), stage, watch)
     if relay.bound_reached:
-        session.notes.append("the relay's integral reached its bound: the first cycles are shorter than they would be")
+        session.found.notes.append(
+            "the relay's integral reached its bound: the first cycles are shorter than they would be"
+        )
     session.loop.run(Rest(REST_S), "rest")
 
 
@@ -318,12 +226,12 @@ def run_in_device(
     test = RelayTest(relay, detector, gains_V, e.relay.cycles, timeout_s)
     session.loop.run_in_device(test, command, stage, watch)
     if relay.bound_reached:
-        session.notes.append(f"{stage}: the relay's integral reached its bound in the device")
+        session.found.notes.append(f"{stage}: the relay's integral reached its bound in the device")
 
 
 def test_hysteretic(session: Session) -> None:
     """Run each hysteretic relay of the config, every time from rest at zero; then let the shaft rest."""
-    e, breakaway = session.experiment, session.breakaway
+    e, breakaway = session.experiment, session.found.breakaway
     if e.relay.hysteretic is None:
         return
     if breakaway is None:
@@ -343,7 +251,7 @@ def test_hysteretic(session: Session) -> None:
 
 def bring_home(session: Session) -> None:
     """Bring the shaft to rest at zero."""
-    e, breakaway = session.experiment, session.breakaway
+    e, breakaway = session.experiment, session.found.breakaway
     if breakaway is None:
         raise ValueError("homing needs a breakaway check")
     lsb_rad, noise_rad = calibration_of(e).lsb_rad, breakaway.noise_rad
@@ -365,7 +273,7 @@ def bring_home(session: Session) -> None:
 
 def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetector) -> list[tuple[float, float]]:
     """Search gains for the wanted cycle; returns those of the two relay tests, (h1, h2) in V."""
-    e, target, breakaway = session.experiment, session.experiment.relay.target, session.breakaway
+    e, target, breakaway = session.experiment, session.experiment.relay.target, session.found.breakaway
     if target is None or breakaway is None:
         raise ValueError("the gain search needs relay.target and a breakaway check")
     s = e.relay.search
@@ -379,7 +287,7 @@ def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetec
         reach_rad=0.9 * reach_rad(e),
         top_speed_rad_s=0.95 * e.limits.max_speed_rad_s,
     )
-    session.search = search
+    session.found.search = search
     told = 0
 
     def watch(t_s: float) -> None:
@@ -396,8 +304,8 @@ def identify_recorded(session: Session) -> None:
     """Identify what has been recorded so far, by every method."""
     session.recorder.drain()
     session.note("stage", name="identify")
-    session.identification = identify([session.read()])
-    _compare_with_data_sheet(session, session.identification)
+    identification = session.found.identification = identify([session.read()])
+    _compare_with_data_sheet(session, identification)
     session.loop.check_stop()
 
 
@@ -408,7 +316,7 @@ def _compare_with_data_sheet(session: Session, identification: Identification) -
         return
     no_load_rad_s = best.K_rad_s_V * (e.drive.supply_V - best.fc_V)
     if no_load_rad_s > 1.1 * e.motor.no_load_speed_rad_s:
-        session.notes.append(
+        session.found.notes.append(
             f"motor.no_load_speed_rad_s is {e.motor.no_load_speed_rad_s:g}, but by this estimate the shaft would reach "
             f"{no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V: correct it, the breakaway check's strokes rest on it"
         )
@@ -416,43 +324,18 @@ def _compare_with_data_sheet(session: Session, identification: Identification) -
 
 def verify_models(session: Session) -> None:
     """Track the same trajectory with each method's model: those that are safe in simulation on the best one."""
-    e, identification = session.experiment, session.identification
+    e, identification = session.experiment, session.found.identification
     if e.tracking is None or identification is None:
-        return
-    best = identification.best
-    first_choice = identification.estimates.get("sampled-data")
-    if best is None or (first_choice is not None and first_choice.verdict == "refused"):
-        # where the best estimator refuses the record, a reference method is no ground to drive the bench on
-        unknown = "no estimate is good enough to rehearse on"
-        session.tracking.update({method: {"not_run": unknown} for method in e.tracking.methods})
         return
     safe: dict[Method, Motor] = {}
     for method in e.tracking.methods:
-        estimate = identification.estimates.get(method)
-        if estimate is None or estimate.verdict == "refused":
-            session.tracking[method] = {"not_run": "its estimate was refused" if estimate else "no estimate"}
-            continue
-        rehearsal = RehearsalBench(
-            motor=best.motor(),
-            start_rad=session.loop.last_y_rad,
-            noise_rad=session.loop.guard.settings.noise_rad,
-            latency_s=session.loop.latency_s,
-            calibration=calibration_of(e),
-            drive_map=drive_map_of(e),
-            rail_counts=e.sensor.rail_counts,
-            period_s=e.period_s,
-            order=session.bench.driver.order,
-        )
-        motor = estimate.motor()
-        reason = rehearse(_tracking_law(session, motor), rehearsal, session.loop.guard.settings)
+        reason = _why_not(session, identification, method)
         if reason is None:
-            safe[method] = motor
+            safe[method] = identification.estimates[method].motor()
         else:
-            session.tracking[method] = {"not_run": reason}
-    if not safe:
-        return
+            session.found.tracking[method] = TrackingResult(not_run=reason)
     for method, motor in safe.items():
-        session.tracking[method] = {"not_run": "the run ended before it"}
+        session.found.tracking[method] = TrackingResult(not_run="the run ended before it")
         # what a replay tracks with: which models an estimator finds, and which are safe, is not for it to judge
         session.note(
             "model",
@@ -462,7 +345,34 @@ def verify_models(session: Session) -> None:
             fc_V=motor.friction.plus_V,
             bias_V=motor.bias_V,
         )
-    track(session, safe)
+    if safe:
+        track(session, safe)
+
+
+def _why_not(session: Session, identification: Identification, method: Method) -> str | None:
+    """Why the bench is not driven with a method's model, in words; None where nothing speaks against it."""
+    best, first_choice = identification.best, identification.estimates.get("sampled-data")
+    if best is None or (first_choice is not None and first_choice.verdict == "refused"):
+        # where the best estimator refuses the record, a reference method is no ground to drive the bench on
+        return "no estimate is good enough to rehearse on"
+    estimate = identification.estimates.get(method)
+    if estimate is None:
+        return "no estimate"
+    if estimate.verdict == "refused":
+        return "its estimate was refused"
+    e = session.experiment
+    rehearsal = RehearsalBench(
+        motor=best.motor(),
+        start_rad=session.loop.last_y_rad,
+        noise_rad=session.loop.guard.settings.noise_rad,
+        latency_s=session.loop.latency_s,
+        calibration=calibration_of(e),
+        drive_map=drive_map_of(e),
+        rail_counts=e.sensor.rail_counts,
+        period_s=e.period_s,
+        order=session.bench.driver.order,
+    )
+    return rehearse(_tracking_law(session, estimate.motor()), rehearsal, session.loop.guard.settings)
 
 
 def track(session: Session, models: Mapping[Method, Motor]) -> None:
@@ -473,7 +383,7 @@ def track(session: Session, models: Mapping[Method, Motor]) -> None:
         for method, law in laws.items():
             session.loop.run(Rest(REST_S), "rest")
             session.loop.run(law, str(Stage.track(method)))
-            session.tracking[method] = {}
+            session.found.tracking[method] = TrackingResult()
         session.loop.run(Rest(REST_S), "rest")
 
 
