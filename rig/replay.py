@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Literal, cast
 
 from rig import config
-from rig.bench import Bench, calibration_of, drive_map_of, guard_settings_of
+from rig.backends.driver import DeviceInfo
+from rig.backends.registry import Bench
+from rig.bench import guard_settings_of
 from rig.config.schema import Experiment, Method
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.guard import Guard
-from rig.daq.driver import DeviceInfo
 from rig.experiment import BREAKAWAY_LAW, stages
 from rig.faults import FAULTS, Fault
 from rig.loop.recorded import Comparison, RecordedClock, RecordedDriver, ReplayLoop
@@ -108,8 +109,8 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None) 
 
     stop = StopRequest()
     replayed = ReplayedRows(recording, e.period_s, fault, is_whole, stop, on_progress)
-    drive_map = drive_map_of(e) if units is None else replace(drive_map_of(e), full_units=units)
-    driver = RecordedDriver(replayed, order, calibration_of(e), drive_map, clock_ratio)
+    drive_map = e.drive.map if units is None else replace(e.drive.map, full_units=units)
+    driver = RecordedDriver(replayed, order, e.sensor.curve, drive_map, clock_ratio)
     clock, comparison = RecordedClock(replayed), Comparison(replayed, None if units is None else drive_map.quantised)
     loop = ReplayLoop(driver, clock, Guard(guard_settings_of(e)), comparison, e.period_s, stop)
     loop.replayed = replayed

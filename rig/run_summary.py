@@ -10,15 +10,15 @@ from datetime import datetime
 from pathlib import Path
 
 import rig
-from rig.bench import Bench
-from rig.config import Experiment, notes
-from rig.config.link_budget import times_error_s
-from rig.config.room_to_stop import device_watchdog_s
+from rig.backends.registry import Bench, backend_of
+from rig.config import Experiment
 from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import GainSearch
 from rig.faults import Fault
 from rig.identify import Identification
 from rig.loop.statistics import LoopStatistics
+from rig.preflight import notes
+from rig.preflight.room_to_stop import device_watchdog_s
 from rig.recording.stage import Stage
 from rig.results import (
     BreakawayResult,
@@ -79,7 +79,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
         order=bench.driver.order,
         period_s=experiment.period_s,
         drive_units=info.drive_units,
-        times_error_s=times_error_s(experiment),
+        times_error_s=backend_of(experiment).times_error_s(experiment),
         firmware=DeviceSeen(
             board=info.board,
             build=info.build,

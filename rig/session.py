@@ -9,13 +9,15 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from rig.bench import Bench, connect, guard_settings_of
+from rig.backends.registry import Bench, connect
+from rig.bench import guard_settings_of
 from rig.config import Experiment, dump
 from rig.control.guard import Guard
 from rig.control.tracking import tracking_error
 from rig.faults import Fault, since_the_last_run
 from rig.identify import IdentifyError, identify
-from rig.loop.runner import STOPPING, Loop
+from rig.loop.device_relay import STOPPING
+from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest, stop_on_signals
 from rig.model.supply import SupplyReading
 from rig.recording.errors import RecordingError

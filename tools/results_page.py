@@ -7,13 +7,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from rig.results import RunMeta, RunResult
+from rig.results import Part, RunMeta, RunResult
 from rig.results.json_schema import schema_text
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGE = "results.md"
 ANYTHING = "JsonValue"  # how the schema calls any value of JSON
-SCHEMAS = {"meta-schema.json": RunMeta, "result-schema.json": RunResult}
+SCHEMAS: dict[str, type[Part]] = {"meta-schema.json": RunMeta, "result-schema.json": RunResult}
 
 HEAD = """\
 # What a run folder says: meta.json and result.json
@@ -94,7 +94,7 @@ def _kind(of: dict[str, Any]) -> str:
         values = of.get("additionalProperties")
         return f"by name: {_kind(values)}" if isinstance(values, dict) and values else "object"
     words = {"string": "text", "integer": "whole number", "boolean": "true or false"}
-    return words.get(kind, kind)
+    return words.get(kind, str(kind))
 
 
 def _in_order(schema: dict[str, Any], parts: dict[str, Any]) -> list[str]:

@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from rig.bench import Bench, connect
+from rig.backends.registry import Bench, backend_of, connect
 from rig.config import Experiment
-from rig.config.backend import is_emulated
 from rig.experiment.stages import drive_by_hand, drive_check, drive_tests, identify_recorded, verify_models
 from rig.faults import Fault
 from rig.identify import Identification
@@ -49,7 +48,7 @@ def repeated(
 
     if number == 1:
         one(experiment, None)
-    elif is_emulated(experiment):
+    elif backend_of(experiment).is_emulated(experiment):
         for k in range(number):
             if not one(experiment.model_copy(update={"seed": experiment.seed + k}), None):
                 break

@@ -10,11 +10,12 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 
-from rig.bench import calibration_of, drive_map_of, guard_settings_of, limits_of, real_time_of
+from rig.backends.clock import MonotonicClock
+from rig.backends.driver import RelayDriver
+from rig.bench import guard_settings_of, real_time_of
 from rig.config import Experiment
-from rig.config.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
 from rig.config.schema import Method
-from rig.control.breakaway import BreakawayCheck, BreakawayLaw
+from rig.control.breakaway import BreakawayCheck, BreakawayFound, BreakawayLaw, StrokePlan
 from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.homing import Homing
@@ -24,14 +25,13 @@ from rig.control.observer import MotorObserver
 from rig.control.relay import DualChannelRelay, HystereticRelay, RelayOnCounts
 from rig.control.tracking import Tracking
 from rig.control.trajectory import SumOfSines
-from rig.daq.driver import RelayDriver
 from rig.faults import Fault
 from rig.identify import Identification, identify
-from rig.loop.clock import MonotonicClock
+from rig.loop.pre_run import PreRunBench, pre_run
 from rig.loop.real_time import RealTime, real_time
-from rig.loop.rehearsal import RehearsalBench, rehearse
 from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
+from rig.preflight.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
 from rig.recording.folder import write_meta
 from rig.recording.stage import Stage
 from rig.results import JogResult, RealTimeReport, TrackingResult
@@ -74,7 +74,7 @@ def drive_by_hand(session: Session, u_V: float, duration_s: float) -> None:
 @contextmanager
 def driving(session: Session) -> Iterator[None]:
     """The device armed for the block, and this process set up for real time where time is real."""
-    with _prepared(session), session.loop.armed(limits_of(session.experiment)):
+    with _prepared(session), session.loop.armed(session.experiment.device_limits):
         yield
 
 
@@ -83,14 +83,14 @@ def _checked(session: Session, check: BreakawayLaw | None) -> Iterator[None]:
     """As ``driving``, after the breakaway check, for which the device is armed with a watchdog of its own."""
     with _prepared(session):
         _armed_check(session, check)
-        with session.loop.armed(limits_of(session.experiment)):
+        with session.loop.armed(session.experiment.device_limits):
             yield
 
 
 def _armed_check(session: Session, check: BreakawayLaw | None) -> None:
     """The breakaway check, armed: what a host that dies in a stroke leaves on is part of the bound on unseen travel."""
     e = session.experiment
-    limits = limits_of(e)
+    limits = e.device_limits
     strokes = None if e.motor is None or isinstance(check, OneWayCheck) else breakaway_strokes(e)
     if strokes is not None:
         limits = replace(limits, watchdog_s=strokes.watchdog_s)
@@ -135,10 +135,8 @@ def breakaway_check(e: Experiment) -> BreakawayCheck:
         b.max_V,
         b.motion_rad,
         b.rest_s,
-        strokes.strokes_s,
-        strokes.pause_s,
+        StrokePlan(strokes.strokes_s, strokes.pause_s, strokes.watchdog_s),
         e.period_s,
-        strokes.watchdog_s,
     )
 
 
@@ -176,7 +174,7 @@ def test_relays(session: Session) -> None:
     e = session.experiment
     if e.relay.gains is None and e.relay.target is None:
         return
-    lsb_rad = calibration_of(e).lsb_rad
+    lsb_rad = e.sensor.curve.lsb_rad
     detector = CycleDetector(min_period_s=30.0 * e.period_s, min_amplitude_rad=20.0 * lsb_rad)
     relay = DualChannelRelay(0.0, 0.0, _integral_bound_rad_s(e))
     if e.relay.gains is not None:
@@ -217,7 +215,7 @@ def run_in_device(
     command = driver.relay_command(*gains_V, _integral_bound_rad_s(e))
     relay = RelayOnCounts(
         command.centre_counts,
-        command.setup.direction,
+        command.direction,
         command.z_bound_count_ticks,
         command.drives_V,
         command.count_tick_rad_s,
@@ -254,15 +252,13 @@ def bring_home(session: Session) -> None:
     e, breakaway = session.experiment, session.found.breakaway
     if breakaway is None:
         raise ValueError("homing needs a breakaway check")
-    lsb_rad, noise_rad = calibration_of(e).lsb_rad, breakaway.noise_rad
+    lsb_rad, noise_rad = e.sensor.curve.lsb_rad, breakaway.noise_rad
     # without noise a mean reading is no better than the sensor's steps, one of which may have its edge at zero
     dithered = noise_rad > 0.4 * lsb_rad
     tolerance_rad = max(0.3 * lsb_rad, 0.45 * noise_rad) if dithered else 0.6 * lsb_rad
     homing = Homing(
-        breakaway.plus_V,
-        breakaway.minus_V,
+        BreakawayFound(breakaway.plus_V, breakaway.minus_V, noise_rad),
         e.drive.max_V,
-        noise_rad,
         tolerance_rad,
         e.period_s,
         HOMING_TIMEOUT_S,
@@ -361,18 +357,18 @@ def _why_not(session: Session, identification: Identification, method: Method) -
     if estimate.verdict == "refused":
         return "its estimate was refused"
     e = session.experiment
-    rehearsal = RehearsalBench(
+    bench = PreRunBench(
         motor=best.motor(),
         start_rad=session.loop.last_y_rad,
         noise_rad=session.loop.guard.settings.noise_rad,
         latency_s=session.loop.latency_s,
-        calibration=calibration_of(e),
-        drive_map=drive_map_of(e),
+        calibration=e.sensor.curve,
+        drive_map=e.drive.map,
         rail_counts=e.sensor.rail_counts,
         period_s=e.period_s,
         order=session.bench.driver.order,
     )
-    return rehearse(_tracking_law(session, estimate.motor()), rehearsal, session.loop.guard.settings)
+    return pre_run(_tracking_law(session, estimate.motor()), bench, session.loop.guard.settings)
 
 
 def track(session: Session, models: Mapping[Method, Motor]) -> None:

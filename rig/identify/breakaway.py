@@ -1,4 +1,4 @@
-"""Static friction both ways, from the breakaway strokes and the identified motor."""
+"""Static friction both ways, from the breakaway strokes and the identified motor (docs/theory.md 7.3, 8.3)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Which friction law the data ask for: nested models, chosen by Schwarz's criterion (BIC) and by prediction.
 
-The candidates are those of `rig.identify.laws`, each a case of the richer ones (theory sections 1, 8, 9). Viscous
-friction is none of them: with it tau and K are those of theory section 9, and no motion tells it from them.
+The candidates are those of `rig.identify.laws`, each a case of the richer ones (docs/theory.md 8.1 and 8.4). Viscous
+friction is none of them: with it tau and K are those of docs/theory.md 8.1, and no motion tells it from them.
 
 Each law is fitted to all tests but one by the same least squares with the same noise, that of the richest law's
 residual, and gets Schwarz's criterion. Then it predicts the test that was held out, of another amplitude, where its

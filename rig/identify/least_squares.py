@@ -1,4 +1,4 @@
-"""Friction by linear least squares on the transient (Besancon-Voda and Besancon; theory section 6).
+"""Friction by linear least squares on the transient (Besancon-Voda and Besancon; docs/theory.md 5.1 and 5.2).
 
 Hysteretic relays of different drives d_i start from rest at zero. Until the first switching the motion is linear,
 y_i(t) = (d_i - f) g(t) with the same g, so y_j d_i - y_i d_j = f (y_j - y_i): one unknown, by least squares. f is the

@@ -1,4 +1,4 @@
-"""The noise on a recorded position: white, and beside it a part that wanders; and the filter that makes it white.
+"""Noise on a recorded position: white, and beside it a part that wanders; its whitening filter (docs/theory.md 7.5).
 
 The position integrates whatever disturbs the motor and whatever is wrong with the times of its drive, so residuals
 wander. Least squares that take them for white give errors far above the bound and intervals far too narrow. The wander

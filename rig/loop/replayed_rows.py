@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, NoReturn
 
 from rig.faults import Fault
-from rig.loop.runner import STOPPING
+from rig.loop.device_relay import STOPPING
 from rig.loop.stop_request import StopRequest
 from rig.recording.columns import SampleRow
 from rig.recording.reader import Recording

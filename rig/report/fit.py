@@ -77,7 +77,7 @@ def central_difference(t: Array, y: Array) -> Array:
 def cycles_of(run: Run, span: Span) -> Cycles | None:
     """Whole settled cycles of a relay test, as identification finds them; None where it finds none.
 
-    A cycle starts where the integral crosses zero downwards (the drive steps up to h1 + h2, theory section 3);
+    A cycle starts where the integral crosses zero downwards (the drive steps up to h1 + h2, docs/theory.md 3.1);
     crossings closer than half the median are chatter around the edge.
     """
     try:

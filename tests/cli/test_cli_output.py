@@ -122,7 +122,7 @@ def test_a_missing_port_is_said_before_anything_is_loaded_opened_or_waited_for(t
         "numba",
         "serial",
         "rig.bench",
-        "rig.daq.serial_port",
+        "rig.backends.links.serial_port",
         "rig.experiment",
         "rig.loop.runner",
     }
@@ -131,7 +131,7 @@ def test_a_missing_port_is_said_before_anything_is_loaded_opened_or_waited_for(t
 
 
 def test_ports_that_are_there_are_named_where_one_is_missing(tmp_path: Path) -> None:
-    from rig.daq.device_file import require_device_file
+    from rig.backends.links.device_file import require_device_file
     from rig.faults import Fault
 
     (tmp_path / "ttyUSB3").touch()

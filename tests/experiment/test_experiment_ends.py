@@ -17,7 +17,7 @@ from command_line import rig
 
 from rig import config as configs
 from rig import session
-from rig.bench import Bench
+from rig.backends.registry import Bench
 from rig.config.schema import Experiment
 from rig.control.law import Constant
 from rig.experiment import script, stages
@@ -204,7 +204,7 @@ def test_a_run_cut_off_before_a_settled_cycle_gives_no_number_as_ok(tmp_path: Pa
 def test_a_device_without_watchdog_is_refused_unless_the_config_accepts_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, accepted: bool
 ) -> None:
-    from rig.daq.simulated import SimulatedDriver
+    from rig.backends.simulated.driver import SimulatedDriver
 
     original = SimulatedDriver.open
 

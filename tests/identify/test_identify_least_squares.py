@@ -1,4 +1,4 @@
-"""Least squares on the transient of hysteretic relays (theory section 6): the paper's figures, and its failures."""
+"""Least squares on the transient of hysteretic relays (docs/theory.md 5.1): the paper's figures, and its failures."""
 
 from __future__ import annotations
 

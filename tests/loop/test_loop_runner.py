@@ -10,9 +10,9 @@ from array import array
 import pytest
 from simulated_bench import LIMITS, PERIOD_S, SimulatedBench, simulated_bench
 
+from rig.backends.clock import MonotonicClock, VirtualClock
 from rig.control.law import Constant, Rest
 from rig.faults import Fault
-from rig.loop.clock import MonotonicClock, VirtualClock
 from rig.loop.statistics import LoopStatistics, Times, quantiles
 from rig.loop.stop_request import stop_on_signals
 from rig.signals import FLAG_SATURATED, FLAG_SKIPPED

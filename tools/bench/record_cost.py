@@ -3,7 +3,7 @@
 All three record the same row at the same pace, in turn within each tick, so that only their ratios are read: times
 belong to the machine and to its load.
 
-    python tools/bench/record_cost.py [--rows 1000] [--pace-ms 2] [--folder DIR] [--json]
+    PYTHONPATH=tools python -m bench.record_cost [--rows 1000] [--pace-ms 2] [--folder DIR] [--json]
 """
 
 from __future__ import annotations

@@ -15,22 +15,9 @@ from paper import surviving
 from paper.drawing import Array, course, finish, new_figure, note, zero
 from paper.gauss_newton import MOST_STEPS, iterate
 from paper.gauss_newton import Path as Iteration
-from paper.page import (
-    Cell,
-    Claim,
-    Comparison,
-    Heading,
-    Paragraph,
-    Remark,
-    Section,
-    Table,
-    fixed,
-    number,
-    share,
-    significant,
-)
+from paper.page import Claim, Comparison, Heading, Paragraph, Remark, Section
 from rig import experiment
-from rig.bench import truth_of
+from rig.backends.backend import truth_of
 from rig.config import Experiment, load
 from rig.identify import Identification, identify
 from rig.identify.estimate import Estimate
@@ -44,6 +31,7 @@ from rig.recording.reader import read_run
 from rig.recording.stage import Stage
 from rig.report.style import Picture, colour
 from rig.results import TrackingResult, known
+from shared.table import Cell, Table, fixed, number, share, significant
 
 CONFIG = Path(__file__).resolve().parent / "bench.yaml"
 BACKEND = "simulated in virtual time, no device"
