@@ -1,8 +1,10 @@
 # `make help` lists the targets. Everything is installed into .venv.
 CONFIG ?= config/demo$(if $(CHIP),-chip).yaml
 RIG := .venv/bin/rig
+# where it is set, each of the thousand processes that the tests start compiles all its packages anew
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test search check format bench paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -19,12 +21,14 @@ search: .venv/.ready firmware  ## the properties among the tests, with other ran
 	@for round in $$(seq $(or $(TIMES),10)); do echo "round $$round"; OPENBLAS_NUM_THREADS=1 .venv/bin/pytest \
 	    -m hypothesis --hypothesis-profile=search || exit 1; done
 
-check: .venv/.ready  ## format, lint, types, import contract, docs; the firmware's C by cppcheck and MISRA
+check: .venv/.ready  ## format, lint, types, import contract, docs, signatures, docstrings; the firmware's C by cppcheck and MISRA
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 	.venv/bin/python tools/check_docs.py
+	.venv/bin/python tools/check_signatures.py
+	.venv/bin/python tools/check_docstrings.py
 	@$(MAKE) --no-print-directory -s -C firmware cppcheck
 
 format: .venv/.ready  ## format the Python code
@@ -32,10 +36,13 @@ format: .venv/.ready  ## format the Python code
 	.venv/bin/ruff format .
 
 bench: .venv/.ready firmware  ## timing ratios, written to bench.json
-	.venv/bin/python tools/bench/run.py
+	PYTHONPATH=tools .venv/bin/python -m bench
 
 paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/report.html
 	PYTHONPATH=tools .venv/bin/python -m paper
+
+figures: .venv/.ready  ## the figures of README and docs/theory.md: docs/figures
+	PYTHONPATH=tools .venv/bin/python tools/figures.py
 
 safety: .venv/.ready firmware  ## what stops the drive, and how soon, on the Uno's emulated chip: docs/safety-table.md
 	PYTHONPATH=tools .venv/bin/python -m safety
@@ -46,7 +53,7 @@ soak: .venv/.ready firmware  ## HOURS=8 of the devices' time, run after run, wit
 fuzz: .venv/.ready  ## what the host reads, fuzzed; SECONDS_EACH=60 for each target; counts are printed
 	PYTHONPATH=tools .venv/bin/python -m fuzz --seconds $(or $(SECONDS_EACH),60)
 
-faults: .venv/.ready firmware  ## what goes wrong, on every emulated device, and what the bench does: docs/fault-table.md
+faults: .venv/.ready firmware  ## what goes wrong, on every emulated device, and what the bench does: docs/fault-table.md, docs/fault-rows.md
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m faults
 
 mutants: .venv/.ready firmware  ## defects put in on purpose, one at a time: each must fail a test: docs/mutant-table.md

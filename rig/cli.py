@@ -20,11 +20,12 @@ import click
 from rich.console import Console
 
 import rig
-from rig import config
-from rig.emulate.firmware_build import EmulationError
+from rig import config, preflight
+from rig.backends.emulated.errors import EmulationError
 from rig.faults import Fault
 from rig.recording.errors import CannotWriteError, RecordingError
 from rig.recording.folder import json_text
+from rig.results import RunMeta, RunResult, known
 from rig.terminal import (
     patience,
     progress,
@@ -107,19 +108,13 @@ def _fail_config(error: config.ConfigError, verdict: str = "") -> NoReturn:
     sys.exit(EXIT_BAD_INPUT)
 
 
-def _plug_in(experiment: config.Experiment) -> config.Preflight:
-    from rig.bench import plug_in_preflight
-
-    return plug_in_preflight(experiment)
-
-
 def _load(path: Path, *, drives: bool = True) -> config.Experiment:
     """The checked experiment of a config file; exits with 2 and the problems where it is bad.
 
     drives  False: no motor turns, so that the bridge need not be named; `rig doctor` says which the firmware is for
     """
     try:
-        experiment, _ = config.check(path, _plug_in, () if drives else ("drive.bridge",))
+        experiment, _ = preflight.check(path, () if drives else ("drive.bridge",))
     except config.ConfigError as error:
         _fail_config(error)
     return experiment
@@ -127,7 +122,7 @@ def _load(path: Path, *, drives: bool = True) -> config.Experiment:
 
 def _load_bench(path: Path) -> config.Experiment:
     """``_load`` for what drives a bench; exits with 1 where its port is not there, before anything slow is loaded."""
-    from rig.daq.device_file import require_device_file
+    from rig.backends.links.device_file import require_device_file
 
     experiment = _load(path)
     with _faults():
@@ -233,11 +228,11 @@ def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool)
             f"ask for --u-V between {-experiment.drive.max_V:g} and {experiment.drive.max_V:g}, or raise drive.max_V",
         )
     outcome = _perform(lambda on_start: script.jog(experiment, u_V, seconds, out, on_start), as_json)
-    moved = outcome.result.get("jog")
+    moved = outcome.result.jog
     if moved is not None and not as_json:
-        click.echo(f"y {moved['from_rad']:+.3f} -> {moved['to_rad']:+.3f} rad")
-        if moved["refused_ticks"]:
-            click.echo(f"the guard cut the drive in {moved['refused_ticks']} ticks: outward; try the other sign")
+        click.echo(f"y {known(moved.from_rad):+.3f} -> {known(moved.to_rad):+.3f} rad")
+        if moved.refused_ticks:
+            click.echo(f"the guard cut the drive in {moved.refused_ticks} ticks: outward; try the other sign")
     _finish(outcome, as_json)
 
 
@@ -250,7 +245,7 @@ def check(config_path: Path, as_json: bool) -> None:
         if config.is_campaign(config_path):
             lines = list(config.campaign_lines(config.load_campaign(config_path)))
         else:
-            lines = list(config.check(config_path, _plug_in)[1].lines)
+            lines = list(preflight.check(config_path)[1].lines)
     except config.ConfigError as error:
         _fail_config(error, f"verdict: refused, {_counted(len(error.problems), 'problem')}; nothing would be run")
     notes = sum(line.startswith("note: ") for line in lines)
@@ -293,15 +288,14 @@ def identify(
             found = identify_recordings(recordings, tuple(methods) or None)
     except (RecordingError, IdentifyError) as error:
         _fail_input(error)
-    result = found.as_dict()
-    estimates = result["estimates"]
-    ok = any(e["verdict"] != "refused" for e in estimates.values())
+    result = found.as_result()
+    ok = any(not estimate.is_refused for estimate in result.estimates.values())
     if as_json:
-        click.echo(json_text({"ok": ok, "records": [str(path) for path in paths], **result}), nl=False)
+        click.echo(json_text({"ok": ok, "records": [str(path) for path in paths], **result.as_json()}), nl=False)
     else:
-        for note in found.notes:
+        for note in result.notes:
             click.echo(note)
-        show_estimates(estimates, None)
+        show_estimates(result.estimates, None)
     sys.exit(0 if ok else EXIT_FAILED)
 
 
@@ -395,7 +389,7 @@ def replay(run_folder: Path, as_json: bool) -> None:
     except config.ConfigError as error:
         _fail_config(error)
     if as_json:
-        click.echo(json_text(done.as_dict()), nl=False)
+        click.echo(json_text(done.as_json()), nl=False)
     else:
         show_replay(done)
     sys.exit(0 if done.is_same else EXIT_FAILED)
@@ -470,7 +464,7 @@ def campaign(
         _fail(EXIT_FAILED, f"{folder}: {error.strerror}", "the rows so far are there; the same command goes on")
     except KeyboardInterrupt:
         _fail(EXIT_FAILED, "interrupted before or after the experiments", "the same command goes on")
-    if done.interrupted:
+    if done.summary is None:
         _fail(
             EXIT_FAILED,
             f"interrupted: {done.done} of {asked.experiments} experiments are done in {folder}",
@@ -490,23 +484,21 @@ def campaign(
 @click.option("--chip", is_flag=True, help="The Uno's firmware on its emulated chip; it takes daq.baud.")
 def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool) -> None:
     """Run the emulated device of a config until Ctrl-C."""
-    from rig.bench import emulated_board
+    from rig.backends.registry import backend_of, emulated_board
 
     experiment = _load(config_path, drives=False)
     if experiment.emulated is None:
         _fail(EXIT_BAD_INPUT, f"{config_path}: no section emulated", "add one; config/demo.yaml shows how")
-    if chip and experiment.daq.modbus is not None:
+    backend = backend_of(experiment)
+    if chip and not backend.has_chip:
         _fail(EXIT_BAD_INPUT, "--chip is the Uno, which does not speak Modbus", "leave --chip out")
     from rig.loop.stop_request import stop_on_signals
 
     with stop_on_signals() as stop, _faults(), emulated_board(experiment, link, trace, chip=chip) as board:
         port = board.port
         click.echo(f"emulated device on {link or port}; set daq.port to it in another terminal. Ctrl-C ends it.")
-        if experiment.daq.modbus is not None:
-            from rig.emulate.modbus_board import mbpoll_line
-
-            where = str(link or port)
-            click.echo(f"try: {mbpoll_line(experiment.daq.modbus.model_dump(), where, experiment.daq.baud)}")
+        if hint := backend.emulated_hint(experiment, str(link or port)):
+            click.echo(hint)
         while stop.reason is None:
             board.check()
             time.sleep(0.1)
@@ -574,8 +566,8 @@ def flash(
 
     Switch the motor's supply off before: while a board is written, its pins float.
     """
-    from rig import flash as uno
-    from rig.emulate.firmware_build import UnoOptions, build_uno
+    from rig.backends.serial import flash as uno
+    from rig.backends.serial.emulated.firmware_build import UnoOptions, build_uno
 
     options = UnoOptions(bridge.upper().replace("-", "_"), int(baud), tachometer, supply, end_switches)
     if hex_file is not None and options != UnoOptions(baud=int(baud)):
@@ -619,10 +611,19 @@ def flash(
     help="File that is written; default: stdout.",
 )  # fmt: skip
 @click.option("--out", "old_name", type=click.Path(path_type=Path, dir_okay=False), default=None, hidden=True)
-@click.option("--campaign", "of_campaign", is_flag=True, help="Of the configs of `rig campaign`.")
-def schema(file: Path | None, old_name: Path | None, of_campaign: bool) -> None:
-    """Write the JSON Schema of the config, for editors."""
-    text = config.schema_text(config.Campaign if of_campaign else config.Experiment)
+@click.option(
+    "--of", "of", type=click.Choice(["config", "campaign", "meta", "result"]), default="config", show_default=True,
+    help="A config; one of `rig campaign`; a run's meta.json; its result.json.",
+)  # fmt: skip
+@click.option("--campaign", "of_campaign", is_flag=True, help="As --of campaign.")
+def schema(file: Path | None, old_name: Path | None, of: str, of_campaign: bool) -> None:
+    """Write a JSON Schema: of the config, for editors, or of what a run writes."""
+    if of in ("meta", "result"):
+        from rig.results.json_schema import schema_text
+
+        text = schema_text(RunMeta if of == "meta" else RunResult)
+    else:
+        text = config.schema_text(config.Campaign if of_campaign or of == "campaign" else config.Experiment)
     if old_name is not None:
         click.echo(f"note: a file that is written is named by --to now: `rig schema --to {old_name}`", err=True)
     file = file or old_name
@@ -633,6 +634,47 @@ def schema(file: Path | None, old_name: Path | None, of_campaign: bool) -> None:
             file.write_text(text, encoding="utf-8")
         except OSError as error:
             _fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
+
+
+@main.group("config")
+def ready_configs() -> None:
+    """The ready configs that come with rig: list them, copy one."""
+
+
+@ready_configs.command("list")
+def list_configs() -> None:
+    """Names of the ready configs, and what each is for."""
+    from rig.config import ready
+
+    names = ready.names()
+    width = max(map(len, names))
+    for name in names:
+        click.echo(f"{name:{width}}  {ready.purpose(name)}")
+
+
+@ready_configs.command("copy")
+@click.argument("name", metavar="NAME")
+@click.option(
+    "--to", "file", type=click.Path(path_type=Path, dir_okay=False), default=None, metavar="FILE",
+    help="File that is written; default: NAME.yaml here.",
+)  # fmt: skip
+def copy_config(name: str, file: Path | None) -> None:
+    """Copy a ready config, to change it. A file that is there already stays."""
+    from rig.config import ready
+
+    try:
+        text = ready.text(name)
+    except ready.UnknownConfigError as error:
+        _fail(EXIT_BAD_INPUT, error.cause, error.cure)
+    file = file or Path(f"{name.removesuffix('.yaml')}.yaml")
+    try:
+        with file.open("x", encoding="utf-8") as new:
+            new.write(text)
+    except FileExistsError:
+        _fail(EXIT_BAD_INPUT, f"{file} is there already", "name another file: --to FILE")
+    except OSError as error:
+        _fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")
+    click.echo(f"{file}: check it with `rig check {shlex.quote(str(file))}`")
 
 
 @contextlib.contextmanager

@@ -33,6 +33,8 @@ from rig.recording.errors import RecordingError
 from rig.recording.folder import RESULT, json_text, write_whole
 from rig.recording.path_kind import is_file_of_a_run
 from rig.recording.reader import Recording, read_result, read_run
+from rig.results import JsonObject, RunResult
+from rig.results.reading import remarks
 
 LONGEST_NAME: Final = 63  # of a MATLAB variable or field: namelengthmax
 # Words that MATLAB (iskeyword) or Octave do not take as a field's name.
@@ -61,24 +63,32 @@ _MATLAB_WORDS: Final = (
 class Run:
     """What is exported: the rows asked for, and everything else of the folder as it is there.
 
-    config, result  {} where the folder has none
+    config, result  empty where the folder has none
     notes           in words, what the folder lacks
     """
 
     recording: Recording
-    config: dict[str, Any]
-    result: dict[str, Any]
+    config: JsonObject
+    result: RunResult
     notes: tuple[str, ...]
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """The columns that the record has, by name, one entry a row."""
         return {name: getattr(self.recording, name) for name in COLUMNS if name in self.recording.columns_present}
 
-    def papers(self) -> dict[str, Any]:
+    def papers(self) -> JsonObject:
         """Everything but rows and events, as JSON has it."""
-        r = self.recording
-        units = {name: UNITS[name] for name in self.columns()}
-        return {"units": units, "meta": r.meta, "config": self.config, "result": self.result, "notes": list(self.notes)}
+        return {
+            "units": {name: UNITS[name] for name in self.columns()},
+            "meta": self.recording.meta.as_json(),
+            "config": self.config,
+            "result": self.result.as_json(),
+            "notes": list(self.notes),
+        }
+
+    def events(self) -> list[JsonObject]:
+        """The events, as JSON has them."""
+        return [event.as_json() for event in self.recording.events]
 
 
 def export(
@@ -125,9 +135,11 @@ def load(run_folder: Path, stage: str | None = None, rows: tuple[int | None, int
     result = read_result(run_folder)
     if result is None:
         notes.append(f"{RESULT} is missing: the run ended before it had a result")
-    if any(event.get("kind") == "loop_died" for event in recording.events):
+    else:
+        notes.extend(f"{RESULT}: {remark}" for remark in remarks(result))
+    if any(event.kind == "loop_died" for event in recording.events):
         notes.append("the run was killed: its record is complete to its last tick")
-    config: dict[str, Any] = {}
+    config: JsonObject = {}
     try:
         if recording.config_text is None:
             notes.append("config.yaml is missing")
@@ -140,7 +152,7 @@ def load(run_folder: Path, stage: str | None = None, rows: tuple[int | None, int
         recording = recording.select(of_stage.start, of_stage.stop - 1)
     if rows is not None:
         recording = recording.only_rows(*rows)
-    return Run(replace(recording, notes=()), config, result or {}, tuple(notes))
+    return Run(replace(recording, notes=()), config, result or RunResult(), tuple(notes))
 
 
 # -- formats ----------------------------------------------------------------------------------------------------------
@@ -165,14 +177,14 @@ def as_json(run: Run) -> bytes:
     """One strict JSON object in UTF-8."""
     columns = {name: column.tolist() for name, column in run.columns().items()}
     run_name = run.recording.source.resolve().name
-    whole = {"run": run_name, **run.papers(), "events": list(run.recording.events), "samples": columns}
+    whole = {"run": run_name, **run.papers(), "events": run.events(), "samples": columns}
     return json.dumps(json.loads(json_text(whole)), separators=(",", ":")).encode("utf-8") + b"\n"
 
 
 def as_npz(run: Run) -> bytes:
     """A compressed .npz that ``numpy.load`` opens without pickle."""
     papers = {name: np.array(json_text({name: value})) for name, value in run.papers().items()}
-    papers["events"] = np.array(json_text({"events": list(run.recording.events)}))
+    papers["events"] = np.array(json_text({"events": run.events()}))
     out = io.BytesIO()
     arrays: dict[str, Any] = {**run.columns(), **papers}
     np.savez_compressed(out, **arrays)
@@ -191,7 +203,7 @@ def as_mat(run: Run) -> bytes:
     out = io.BytesIO()
     savemat(
         out,  # type: ignore[arg-type]  # scipy writes to open files, its stubs do not know
-        {"samples": columns, "events": _struct_array(run.recording.events), **whole},
+        {"samples": columns, "events": _struct_array(run.events()), **whole},
         long_field_names=True,
         do_compression=True,
         oned_as="column",

@@ -7,21 +7,21 @@ script and the drive's units in meta.json, the models that tracked as events.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal, cast
 
-from rig import config, experiment
-from rig.bench import Bench, calibration_of, drive_map_of, guard_settings_of
+from rig import config
+from rig.backends.driver import DeviceInfo
+from rig.backends.registry import Bench
+from rig.bench import guard_settings_of
 from rig.config.schema import Experiment, Method
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.guard import Guard
-from rig.daq.driver import DeviceInfo
+from rig.experiment import BREAKAWAY_LAW, stages
 from rig.faults import FAULTS, Fault
-from rig.loop.real_time import RealTime
 from rig.loop.recorded import Comparison, RecordedClock, RecordedDriver, ReplayLoop
 from rig.loop.replayed_rows import OF_GUARD, Difference, Diverged, RecordEnds, ReplayedRows
 from rig.loop.stop_request import StopRequest
@@ -31,6 +31,9 @@ from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META
 from rig.recording.reader import Recording, read_run
 from rig.recording.writer import EVENTS
+from rig.results import DrivenModel, JsonObject, RealTimeReport, RunMeta, ScriptCall
+from rig.results.reading import DamagedError, parsed
+from rig.run_summary import Findings
 from rig.session import Script, Session
 from rig.signals import Order
 
@@ -72,7 +75,7 @@ class Replay:
         """Whether the replay gave the drive that was recorded."""
         return self.difference is None
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """For ``rig replay --json``."""
         return {
             "ok": self.is_same,
@@ -106,8 +109,8 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None) 
 
     stop = StopRequest()
     replayed = ReplayedRows(recording, e.period_s, fault, is_whole, stop, on_progress)
-    drive_map = drive_map_of(e) if units is None else replace(drive_map_of(e), full_units=units)
-    driver = RecordedDriver(replayed, order, calibration_of(e), drive_map, clock_ratio)
+    drive_map = e.drive.map if units is None else replace(e.drive.map, full_units=units)
+    driver = RecordedDriver(replayed, order, e.sensor.curve, drive_map, clock_ratio)
     clock, comparison = RecordedClock(replayed), Comparison(replayed, None if units is None else drive_map.quantised)
     loop = ReplayLoop(driver, clock, Guard(guard_settings_of(e)), comparison, e.period_s, stop)
     loop.replayed = replayed
@@ -118,7 +121,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None) 
         comparison,
         loop,
         recording.meta,
-        real_time=RealTime(),  # nothing to be granted, nothing to be written
+        Findings(real_time=RealTimeReport()),  # nothing to be granted, nothing to be written
     )
     difference = _compare(script, session, replayed)
     ending: Ending = "no end" if not is_whole else "its end" if fault is None else "a fault"
@@ -179,57 +182,60 @@ def _with_fault(difference: Difference, fault: Fault) -> Difference:
 def _ending(recording: Recording) -> tuple[Fault | None, bool]:
     """The fault that ended the run, and whether it came to an end that is on record, with all rows."""
     fault: Fault | None = None
-    kinds = [event.get("kind") for event in recording.events]
+    kinds = [event.kind for event in recording.events]
     for event in recording.events:
-        if event.get("kind") == "fault":
-            code = str(event.get("code"))
+        if event.kind == "fault":
+            code = str(event.detail.get("code"))
             if code not in FAULTS:
                 raise RecordingError(
                     recording.source / EVENTS, f"fault {code} is none of this version", "use the version that recorded"
                 )
-            fault = Fault(code, str(event.get("detail", "")))
+            fault = Fault(code, str(event.detail.get("detail", "")))
     torn = any("torn" in note for note in recording.notes)
     return fault, "end" in kinds and not torn and "record_lost" not in kinds
 
 
 def _script(recording: Recording) -> Script:
     """What the run did, without what only looks at its record."""
-    what = _meta(recording, "script")
-    name = what.get("name") if isinstance(what, dict) else what
+    what = _told(recording, "script").script
+    name = None if what is None else what.name
     models = _models(recording)
 
     def then_track(session: Session) -> None:
         if models:
-            experiment.track(session, models)
+            stages.track(session, models)
 
     def tests(session: Session) -> None:
-        experiment.drive_tests(session, law(session.experiment))
+        stages.drive_tests(session, law(session.experiment))
         then_track(session)
 
     def check(session: Session) -> None:
-        experiment.drive_check(session, law(session.experiment))
+        stages.drive_check(session, law(session.experiment))
         then_track(session)
 
     def by_hand(session: Session) -> None:
-        experiment.drive_by_hand(session, what["u_V"], what["duration_s"])
+        stages.drive_by_hand(session, *jogged)
 
     scripts = {"run": tests, "relay": tests, "breakaway": check, "track": check, "jog": by_hand}
-    script = scripts.get(name) if isinstance(name, str) and isinstance(what, dict) else None
-    if script is None:
+    script = scripts.get(name or "")
+    if script is None or what is None:
         raise RecordingError(
             recording.source / META, f"no script {name!r} in this version", "use the version that recorded"
         )
     law = _breakaway_law(recording, what)
-    if script is by_hand and not all(isinstance(what.get(key), int | float) for key in ("u_V", "duration_s")):
-        raise _broken(recording, "script", what)
+    jogged = (0.0, 0.0)
+    if script is by_hand:
+        if what.u_V is None or what.duration_s is None:
+            raise _broken(recording, "script", what.as_json())
+        jogged = (what.u_V, what.duration_s)
     return script
 
 
-def _breakaway_law(recording: Recording, what: dict[str, Any]) -> Callable[[Experiment], BreakawayLaw]:
+def _breakaway_law(recording: Recording, what: ScriptCall) -> Callable[[Experiment], BreakawayLaw]:
     """The breakaway law that ran: the one of now, or that of an older version."""
-    law = what.get("breakaway")
-    if law == experiment.BREAKAWAY_LAW:
-        return experiment.breakaway_check
+    law = what.breakaway
+    if law == BREAKAWAY_LAW:
+        return stages.breakaway_check
     if law is None:
         return lambda e: OneWayCheck(
             e.breakaway.ramp_V_s, e.breakaway.max_V, e.breakaway.motion_rad, e.breakaway.rest_s
@@ -241,18 +247,15 @@ def _breakaway_law(recording: Recording, what: dict[str, Any]) -> Callable[[Expe
 
 def _device(recording: Recording) -> tuple[Order, int | None, float]:
     """Order of a tick, units of the drive (None: it has no steps), device seconds for one of the host's."""
-    order, units, firmware = (_meta(recording, name) for name in ("order", "drive_units", "firmware"))
-    if order not in ("sample_first", "write_first"):
-        raise _broken(recording, "order", order)
-    if units is not None and not (isinstance(units, int) and units > 0):
-        raise _broken(recording, "drive_units", units)
-    clock_ratio = firmware.get("clock_ratio") if isinstance(firmware, dict) else None
-    if not isinstance(clock_ratio, int | float) or not 0.0 < clock_ratio < math.inf:
-        raise _broken(recording, "firmware.clock_ratio", clock_ratio)
-    return order, units, clock_ratio
+    meta = _told(recording, "order", "drive_units", "firmware")
+    if meta.order is None:
+        raise _broken(recording, "order", None)
+    if meta.firmware is None or not meta.firmware.says("clock_ratio"):
+        raise _broken(recording, "firmware.clock_ratio", None)
+    return meta.order, meta.drive_units, meta.firmware.clock_ratio
 
 
-def _broken(recording: Recording, name: str, value: Any) -> RecordingError:
+def _broken(recording: Recording, name: str, value: object) -> RecordingError:
     return RecordingError(recording.source / META, f"{name} is {value!r}", _RECORD_AGAIN)
 
 
@@ -260,24 +263,24 @@ def _models(recording: Recording) -> dict[Method, Motor]:
     """The models that tracked, in order."""
     models: dict[Method, Motor] = {}
     for event in recording.events:
-        if event.get("kind") == "model":
+        if event.kind == "model":
             try:
-                models[event["method"]] = Motor(
-                    event["tau_s"], event["K_rad_s_V"], coulomb(event["fc_V"]), event["bias_V"]
-                )
-            except (KeyError, TypeError, ValueError) as error:
+                said = parsed(DrivenModel, event.detail)
+                models[cast(Method, said.method)] = Motor(said.tau_s, said.K_rad_s_V, coulomb(said.fc_V), said.bias_V)
+            except (DamagedError, ValueError) as error:
                 raise RecordingError(
                     recording.source / EVENTS, f"event model is broken ({error})", _RECORD_AGAIN
                 ) from error
     return models
 
 
-def _meta(recording: Recording, name: str) -> Any:
-    """A field of meta.json that a replay needs."""
-    if name not in recording.meta:
-        raise RecordingError(
-            recording.source / META,
-            f"does not say {name}: an older version recorded this run, and did not keep what a replay needs",
-            _RECORD_AGAIN,
-        )
-    return recording.meta[name]
+def _told(recording: Recording, *names: str) -> RunMeta:
+    """meta.json, which says what a replay needs. Raises RecordingError where it does not."""
+    for name in names:
+        if not recording.meta.says(name):
+            raise RecordingError(
+                recording.source / META,
+                f"does not say {name}: an older version recorded this run, and did not keep what a replay needs",
+                _RECORD_AGAIN,
+            )
+    return recording.meta

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import fmean, stdev
@@ -14,12 +14,15 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from rig.results import EstimateResult, LoopResult, RunResult, TrackingResult, TrueMotor, known
+
 if TYPE_CHECKING:  # each loads slowly
+    from rig.campaign.summary import Summary
     from rig.doctor.finding import Finding
     from rig.replay import Replay
     from rig.session import Outcome
 
-
+MAIN = ("tau_s", "K_rad_s_V", "fc_V")  # the parameters that a table shows
 RECORD_ANEW = (
     "to record anew: `rig relay CONFIG`; more cycles: relay.cycles; slower, larger or other ones: relay.target or "
     "relay.gains; a part of a record: --rows FIRST:LAST"
@@ -77,30 +80,23 @@ def patience(what: str) -> Iterator[None]:
 def show_run(outcome: Outcome) -> None:
     """What a run came to: relays, estimates, loop, where everything is; on stderr why it failed."""
     result = outcome.result
-    click.echo(f"backend: {result['backend']}")
-    for relay_test in result["relays"]:
+    click.echo(f"backend: {result.backend}")
+    for test in result.relays:
         click.echo(
-            f"{relay_test['stage']}: h1 {relay_test['h1_V']:.3f} V, h2 {relay_test['h2_V']:.3f} V -> "
-            f"{relay_test['amplitude_rad']:.3f} rad, {relay_test['period_s']:.3f} s, {relay_test['cycles']} cycles"
+            f"{test.stage}: h1 {test.h1_V:.3f} V, h2 {test.h2_V:.3f} V -> "
+            f"{test.amplitude_rad:.3f} rad, {test.period_s:.3f} s, {test.cycles} cycles"
         )
-    for run in result.get("hysteretic", ()):
-        switched = "no switching" if run["switched_s"] is None else f"switches after {run['switched_s']:.3f} s"
+    for run in result.hysteretic or ():
+        switched = "no switching" if run.switched_s is None else f"switches after {run.switched_s:.3f} s"
         click.echo(
-            f"{run['stage']}: d {run['d_V']:+.3f} V, eps {run['eps_rad']:.3f} rad -> {switched}, "
-            f"from {1e3 * run['start_rad']:+.1f} mrad"
+            f"{run.stage}: d {run.d_V:+.3f} V, eps {known(run.eps_rad):.3f} rad -> {switched}, "
+            f"from {1e3 * known(run.start_rad):+.1f} mrad"
         )
-    if result["estimates"]:
-        show_estimates(result["estimates"], result.get("truth"), result["tracking"])
-    loop = result["loop"]
-    late = loop["late_us"]
-    if late["p50"] is not None:
-        click.echo(
-            f"loop: {loop['ticks']} ticks of {loop['period_s'] * 1e3:g} ms, {loop['skipped']} skipped; "
-            f"late by {late['p50']:.0f} us (median), {late['p99']:.0f} (p99), {late['max']:.0f} (largest)"
-        )
-    for line in loop.get("real_time", {}).get("refused", ()):
-        click.echo(f"loop: {line}")
-    for note in result.get("config_notes", ()):
+    if result.estimates:
+        show_estimates(result.estimates, result.truth, result.tracking)
+    if result.loop is not None:
+        _show_loop(result.loop)
+    for note in result.config_notes:
         click.echo(f"note: {note}")
     click.echo(f"run:    {outcome.folder}")
     if (outcome.folder / "report.html").is_file():  # else the failure says why
@@ -109,6 +105,17 @@ def show_run(outcome: Outcome) -> None:
         click.echo(f"rig: {outcome.failure}", err=True)
         if outcome.fault is not None:
             click.echo(f"     {outcome.fault.cure}", err=True)
+
+
+def _show_loop(loop: LoopResult) -> None:
+    late = loop.late_us
+    if late is not None and late.p50 is not None:
+        click.echo(
+            f"loop: {loop.ticks} ticks of {known(loop.period_s) * 1e3:g} ms, {loop.skipped} skipped; "
+            f"late by {late.p50:.0f} us (median), {known(late.p99):.0f} (p99), {known(late.max):.0f} (largest)"
+        )
+    for line in () if loop.real_time is None else loop.real_time.refused:
+        click.echo(f"loop: {line}")
 
 
 def show_replay(done: Replay) -> None:
@@ -155,49 +162,50 @@ def show_prediction(prediction: dict[str, Any]) -> None:
 
 
 def show_estimates(
-    estimates: dict[str, dict[str, Any]],
-    truth: dict[str, float] | None,
-    tracking: dict[str, dict[str, Any]] | None = None,
+    estimates: Mapping[str, EstimateResult],
+    truth: TrueMotor | None,
+    tracking: Mapping[str, TrackingResult] | None = None,
 ) -> None:
-    """A table, then the reasons: ``estimates`` and ``tracking`` as of result.json; ``truth`` of an emulated motor."""
+    """A table, then the reasons; ``truth`` of an emulated motor."""
     headings = ["method", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict", *(["tracking RMS, rad"] if tracking else [])]
     rows: list[list[str]] = []
     for method, estimate in estimates.items():
-        refused = estimate["verdict"] == "refused"  # a refusal gives no number
-        cells = ["-" if refused else _interval(estimate, name, truth) for name in ("tau_s", "K_rad_s_V", "fc_V")]
-        row = [method, *cells, estimate["verdict"]]
+        # a refusal gives no number
+        cells = ["-" if estimate.is_refused else _interval(estimate, name, truth) for name in MAIN]
+        row = [method, *cells, estimate.verdict]
         if tracking:
-            check_run = tracking.get(method, {"not_run": "not asked for"})
-            row.append(f"{check_run['rms_rad']:.4f}" if "rms_rad" in check_run else "not run")
+            rms_rad = tracking[method].rms_rad if method in tracking else None
+            row.append("not run" if rms_rad is None else f"{rms_rad:.4f}")
         rows.append(row)
     if truth is not None:
-        row = ["truth", *(f"{truth[name]:.4f}" for name in ("tau_s", "K_rad_s_V", "fc_V"))]
+        row = ["truth", *(f"{value:.4f}" for value in (truth.tau_s, truth.K_rad_s_V, truth.fc_V))]
         rows.append([*row, *[""] * (len(headings) - len(row))])
     show_table("estimates" + (" (in brackets: error against the emulated truth)" if truth else ""), headings, rows)
     for method, estimate in estimates.items():
-        for reason in estimate["reasons"]:
+        for reason in estimate.reasons:
             click.echo(f"{method}: {reason}")
-    if any("record" in reason for estimate in estimates.values() for reason in estimate["reasons"]):
+    if any("record" in reason for estimate in estimates.values() for reason in estimate.reasons):
         click.echo(RECORD_ANEW)
     for method, check_run in (tracking or {}).items():
-        if "not_run" in check_run:
-            click.echo(f"tracking with {method}: not run: {check_run['not_run']}")
+        if check_run.not_run is not None:
+            click.echo(f"tracking with {method}: not run: {check_run.not_run}")
 
 
-def _interval(estimate: dict[str, Any], name: str, truth: dict[str, float] | None) -> str:
-    value = estimate[name]
+def _interval(estimate: EstimateResult, name: str, truth: TrueMotor | None) -> str:
+    value = estimate.value(name)
     if value is None:
         return "-"
     text = f"{value:.4f}"
-    bounds = estimate["ci95"].get(name)
-    if bounds and None not in bounds:
+    bounds = estimate.interval(name)
+    if bounds is not None:
         text += f" ±{0.5 * (bounds[1] - bounds[0]):.4f}"
-    if truth is not None and truth.get(name):
-        text += f" ({100.0 * (value / truth[name] - 1.0):+.1f} %)"
+    true = None if truth is None else truth.value(name)
+    if true:
+        text += f" ({100.0 * (value / true - 1.0):+.1f} %)"
     return text
 
 
-def show_campaign(found: dict[str, Any], folder: Path) -> None:
+def show_campaign(found: Summary, folder: Path) -> None:
     """A campaign's errors against the bound, and where everything is; ``found`` as of its summary.json."""
     from rig.campaign.report import HEADINGS, sentences, table_rows
 
@@ -208,17 +216,17 @@ def show_campaign(found: dict[str, Any], folder: Path) -> None:
     click.echo(f"report: {folder / 'report.html'}")
 
 
-def show_scatter(results: Sequence[dict[str, Any]]) -> None:
+def show_scatter(results: Sequence[RunResult]) -> None:
     """The scatter between runs beside the intervals that each run gave; ``results``: of each, its result.json."""
-    estimates = [r["estimates"]["sampled-data"] for r in results if "sampled-data" in r["estimates"]]
+    estimates = [r.estimates["sampled-data"] for r in results if "sampled-data" in r.estimates]
     if len(estimates) < 2:
         click.echo(f"no scatter: it takes two sampled-data estimates, and {len(results)} runs gave {len(estimates)}")
         return
     headings = ("", "mean", "scatter between runs (1.96 s)", "mean half-width of the 95 % intervals")
     rows: list[list[str]] = []
-    for name in ("tau_s", "K_rad_s_V", "fc_V"):
-        values = [e[name] for e in estimates if e[name] is not None]
-        widths = [0.5 * (b[1] - b[0]) for e in estimates if None not in (b := e["ci95"].get(name, (None, None)))]
+    for name in MAIN:
+        values = [value for e in estimates if (value := e.value(name)) is not None]
+        widths = [0.5 * (b[1] - b[0]) for e in estimates if (b := e.interval(name)) is not None]
         if len(values) >= 2 and widths:
             rows.append([name, f"{fmean(values):.5f}", f"{1.96 * stdev(values):.5f}", f"{fmean(widths):.5f}"])
     show_table(f"sampled-data estimates of {len(estimates)} of {len(results)} runs", headings, rows)

@@ -1,6 +1,7 @@
 """What holds for every test."""
 
 import contextlib
+import gc
 import resource
 import signal
 from collections.abc import Callable, Iterator
@@ -21,6 +22,13 @@ def pytest_configure() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _loaded_for_good() -> None:
+    """What is loaded by now stays: the loop collects garbage before each arming, and would look at all of it."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture
 def largest_file() -> Callable[[int], contextlib.AbstractContextManager[None]]:
     """In its block no file of this process grows beyond so many bytes: as a full disk, but EFBIG."""
@@ -35,3 +43,13 @@ def largest_file() -> Callable[[int], contextlib.AbstractContextManager[None]]:
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
     return limited
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made but not rendered: what can go wrong with missing data goes wrong before that."""
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: None)
+    monkeypatch.setattr(Figure, "savefig", lambda self, buffer, **options: buffer.write(b"<svg/>"))

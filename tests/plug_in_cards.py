@@ -6,11 +6,11 @@ from typing import Any
 
 from simulated_bench import CALIBRATION, DEMO, RAILS
 
-from rig.daq.calibration import DriveMap
-from rig.daq.driver import DeviceInfo, DriverSettings
-from rig.daq.simulated import SimulatedDriver, SimulatedLatency
+from rig.backends.clock import VirtualClock
+from rig.backends.driver import DeviceInfo, DriverSettings
+from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
+from rig.calibration import DriveMap
 from rig.faults import Fault
-from rig.loop.clock import VirtualClock
 from rig.signals import Order, Sample
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rig.control.breakaway import BreakawayCheck
+from rig.backends.clock import VirtualClock
+from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
+from rig.calibration import Calibration, DriveMap
+from rig.control.breakaway import BreakawayCheck, StrokePlan
 from rig.control.guard import Guard, GuardSettings
-from rig.daq.calibration import Calibration, DriveMap
-from rig.daq.simulated import SimulatedDriver, SimulatedLatency
-from rig.loop.clock import VirtualClock
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.bench import BenchParameters
@@ -95,17 +95,15 @@ def breakaway_check() -> BreakawayCheck:
         max_V=1.2,
         motion_rad=0.02,
         rest_s=0.4,
-        strokes_s=[0.03] * 16 + [0.02, 0.02, 0.01],
-        pause_s=0.13,
+        plan=StrokePlan([0.03] * 16 + [0.02, 0.02, 0.01], pause_s=0.13, late_s=0.04),
         period_s=PERIOD_S,
-        late_s=0.04,
     )
 
 
 def break_away(loop: Loop) -> BreakawayCheck:
     """The breakaway check inside ``armed``; the guard knows of it then, as in a run."""
     # longer strokes than the bound on unseen travel allows: for motors stiffer than the demo's, too
-    check = BreakawayCheck(0.064, 1.2, 0.02, 0.4, [0.04], 0.12, PERIOD_S, late_s=0.04)
+    check = BreakawayCheck(0.064, 1.2, 0.02, 0.4, StrokePlan([0.04], 0.12, late_s=0.04), PERIOD_S)
     loop.run(check, "breakaway")
     loop.guard.sign_proven = True
     loop.guard.static_V = max(check.plus_V, check.minus_V)

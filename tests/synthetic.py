@@ -86,12 +86,12 @@ def simulate(
 def motor(
     tau_s: float = 0.17, K_rad_s_V: float = 6.5, fc_V: float = 0.5, asym_V: float = 0.0, fs_V: float | None = None
 ) -> Motor:
-    """A motor with Coulomb friction and bias, by default that of theory section 11."""
+    """A motor with Coulomb friction and bias, by default that of docs/theory.md 3.5."""
     return Motor(tau_s, K_rad_s_V, coulomb(fc_V, fs_V), asym_V)
 
 
 def drawn(rng: np.random.Generator) -> tuple[float, float, float, float, float]:
-    """A motor and gains at random, as in theory section 8, with an amplitude of 0.8 rad: tau, K, fc, h1, h2."""
+    """A motor and gains at random, as in docs/theory.md 7.10, with an amplitude of 0.8 rad: tau, K, fc, h1, h2."""
     tau, fc = math.exp(rng.uniform(math.log(0.08), math.log(0.5))), rng.uniform(0.1, 0.5)
     h2 = fc + rng.uniform(0.3, 1.0)
     h1 = rng.uniform(0.4, 1.0) * h2

@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from rig.daq.frames import VERSION, Code, Kind, RelaySetup, Setup, encode, pack_ack, pack_arm, pack_drive
+from rig.backends.serial.frames import VERSION, Code, Kind, RelaySetup, Setup, encode, pack_ack, pack_arm, pack_drive
 
 CORPUS = Path(__file__).resolve().parent.parent / "firmware" / "tests" / "corpus"
 

@@ -28,6 +28,7 @@ from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
 from rig.recording.reader import read_run
 from rig.replay import replay
+from rig.results import JsonObject
 from rig.session import Outcome
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -111,11 +112,11 @@ def experiment_of(golden: Golden) -> config.Experiment:
 
 def answers(folder: Path) -> dict[str, Any]:
     """What `rig replay` and `rig identify` say of a run folder: estimates, or why there are none."""
-    said = replay(folder).as_dict()
+    said = replay(folder).as_json()
     said.pop("folder")
     try:
         found = identify([read_run(folder)])
-        estimates: dict[str, Any] = {method: estimate.as_dict() for method, estimate in found.estimates.items()}
+        estimates: JsonObject = {method: estimate.as_result().as_json() for method, estimate in found.estimates.items()}
         refused = None
     except (IdentifyError, RecordingError) as error:
         estimates, refused = {}, error.cause

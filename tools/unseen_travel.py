@@ -23,14 +23,14 @@ import numpy as np
 
 from rig import config
 from rig.campaign.grid import draw
-from rig.config.room_to_stop import FRICTION_DIFFERS, UNSEEN_RAD, breakaway_strokes
 from rig.config.schema import Motor as DataSheet
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
-from rig.experiment import breakaway_check
+from rig.experiment.stages import breakaway_check
 from rig.faults import Fault
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
+from rig.preflight.room_to_stop import FRICTION_DIFFERS, UNSEEN_RAD, breakaway_strokes
 from rig.signals import Sample
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -1,4 +1,4 @@
-"""The random experiments of a campaign (theory section 8, the grid): experiment k is the same whoever simulates it.
+"""The random experiments of a campaign (docs/theory.md 7.10): experiment k is the same whoever simulates it.
 
 Each experiment, and in it the motor, the noise, the timing and the second test, has a random stream of its own, derived
 from seed and number alone. So neither order nor company matters, and two campaigns of one seed that differ in noise or
@@ -18,7 +18,7 @@ from rig.config.campaign import Campaign
 from rig.model.describing_function import predict
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
-from rig.model.sampled_relay import RelayTest, relay_test
+from rig.model.sampled_relay import Disturbance, RelayTest, relay_test
 
 Array = NDArray[np.float64]
 Stream = Literal["motor", "noise", "timing", "second noise", "second timing"]
@@ -60,7 +60,7 @@ class Draw:
     static_ratio: float
 
     def motor(self) -> Motor:
-        """The motor; its asymmetry is a bias, as motion cannot tell (theory section 8)."""
+        """The motor; its asymmetry is a bias, as motion cannot tell (docs/theory.md 7.3)."""
         return Motor(self.tau_s, self.K_rad_s_V, coulomb(self.fc_V, self.fc_V * self.static_ratio), self.asym_V)
 
     def second_gains(self, ratio: float) -> tuple[float, float]:
@@ -133,9 +133,11 @@ def simulate(campaign: Campaign, one: Draw, *, second: bool = False) -> tuple[Re
         h2,
         sampling.period_s * np.arange(rows) + sampling.jitter_s * unit[0],
         one.delay_s + sampling.delay_jitter_s * unit[1],
-        disturbance_rad=disturbance,
-        disturbance_V=None if torque is None else torque.std_V * autoregressive(white[2], torque.coefficient),
-        lsb_rad=sensor.lsb_rad,
+        disturbance=Disturbance(
+            reading_rad=disturbance,
+            drive_V=None if torque is None else torque.std_V * autoregressive(white[2], torque.coefficient),
+            lsb_rad=sensor.lsb_rad,
+        ),
         start=State(y=one.start_rad),
     )
     return test, recorded_rows(test, relay.settling_cycles, relay.cycles)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -84,13 +85,14 @@ def _error_map(axes: Axes, table: Table, name: str, edges: tuple[Array, Array]) 
     kind = "RMS error / bound"
     if np.isfinite(ratio).any():
         values, _ = cells(table, edges, lambda inside: rms(ratio[inside]))
-        _map(axes, edges, values, 1.0, 0.5, "{:.2f}")
+        _map(axes, edges, values, _Shades(1.0, 0.5, "{:.2f}"))
     else:  # without noise there is no bound
         share = 100.0 * relative_error(table, name)
         kind = "RMS error, %"
         values, _ = cells(table, edges, lambda inside: rms(share[inside]))
         finite = values[np.isfinite(values)]
-        _map(axes, edges, values, 0.0, float(finite.max()) if finite.size and finite.max() > 0.0 else 1.0, "{:.2g}")
+        reach = float(finite.max()) if finite.size and finite.max() > 0.0 else 1.0
+        _map(axes, edges, values, _Shades(0.0, reach, "{:.2g}"))
     axes.set_title(f"{SYMBOLS[name]}: {kind}")
 
 
@@ -99,24 +101,29 @@ def _coverage_map(axes: Axes, table: Table, name: str, edges: tuple[Array, Array
     values, counts = cells(table, edges, lambda inside: 100.0 * float(held[inside].mean()))
     told = counts[counts >= TOLD]
     scatter = 100.0 * math.sqrt(0.95 * 0.05 / float(np.median(told))) if told.size else math.nan
-    _map(axes, edges, values, 95.0, 10.0, "{:.0f}", upside_down=True)
+    _map(axes, edges, values, _Shades(95.0, 10.0, "{:.0f}", upside_down=True))
     chance = f" (chance: 95 ± {scatter:.1f})" if math.isfinite(scatter) else ""
     axes.set_title(f"{SYMBOLS[name]}: coverage, %{chance}")
 
 
-def _map(
-    axes: Axes,
-    edges: tuple[Array, Array],
-    values: Array,
-    centre: float,
-    reach: float,
-    text: str,
-    *,
-    upside_down: bool = False,
-) -> None:
-    """Cells coloured by how far they are from ``centre``, their values written in them."""
+@dataclass(frozen=True)
+class _Shades:
+    """How the cells of a map are coloured: by how far they are from ``centre``, to ``reach`` away from it.
+
+    text         format of the values that are written in them
+    upside_down  low values are the bad ones
+    """
+
+    centre: float
+    reach: float
+    text: str
+    upside_down: bool = False
+
+
+def _map(axes: Axes, edges: tuple[Array, Array], values: Array, shades: _Shades) -> None:
+    """Cells with their values written in them."""
     tau, fc = edges
-    colours = _diverging(upside_down)
+    colours, centre, reach = _diverging(shades.upside_down), shades.centre, shades.reach
     axes.pcolormesh(
         tau, fc, values, cmap=colours, norm=Normalize(centre - reach, centre + reach), edgecolors="white", linewidth=1.0
     )
@@ -124,7 +131,7 @@ def _map(
         if math.isfinite(values[i, j]):
             far = abs(values[i, j] - centre) > 0.6 * reach
             axes.text(
-                math.sqrt(tau[j] * tau[j + 1]), 0.5 * (fc[i] + fc[i + 1]), text.format(values[i, j]),
+                math.sqrt(tau[j] * tau[j + 1]), 0.5 * (fc[i] + fc[i + 1]), shades.text.format(values[i, j]),
                 ha="center", va="center", fontsize=7.5, color="white" if far else INK,
             )  # fmt: skip
     axes.set_xscale("log")

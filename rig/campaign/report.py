@@ -5,14 +5,13 @@ from __future__ import annotations
 import base64
 import math
 from pathlib import Path
-from typing import Any
 
 import jinja2
 
 import rig
 from rig.campaign import picture
 from rig.campaign.results import Table
-from rig.campaign.summary import MAIN
+from rig.campaign.summary import MAIN, ParameterSums, Summary, Sums
 from rig.config import Campaign, dump
 from rig.recording.folder import write_whole
 
@@ -30,7 +29,7 @@ NAMES = {
 HEADINGS = ("", "RMS error", "bound", "RMS/bound", "RMS ratio", "median", "95 %", "largest", "coverage, %")
 
 
-def write_report(folder: Path, campaign: Campaign, table: Table, found: dict[str, Any]) -> None:
+def write_report(folder: Path, campaign: Campaign, table: Table, found: Summary) -> None:
     """Write campaign.png and report.html into the campaign's folder. Raises CannotWriteError."""
     image = picture.draw(campaign, table)
     write_whole(folder / PICTURE, image)
@@ -58,13 +57,12 @@ def write_report(folder: Path, campaign: Campaign, table: Table, found: dict[str
     write_whole(folder / REPORT, page.encode("utf-8"))
 
 
-def table_rows(sums: dict[str, Any]) -> list[tuple[str, ...]]:
+def table_rows(sums: Sums) -> list[tuple[str, ...]]:
     """A row of text for each parameter under ``HEADINGS``; errors in per cent of the truth, or in the unit."""
     rows = []
     for name, values in sums["parameters"].items():
         symbol, unit = NAMES[name]
-        kind = "relative" if name in MAIN else "absolute"
-        sizes = [values[f"{kind}_{q}"] for q in ("median", "p95", "max")]
+        sizes = _sizes(values, name)
         share, scatter = 100.0 * values["coverage"], 100.0 * values["coverage_error"]
         rows.append(
             (
@@ -78,7 +76,7 @@ def table_rows(sums: dict[str, Any]) -> list[tuple[str, ...]]:
     return rows
 
 
-def sentences(found: dict[str, Any]) -> list[str]:
+def sentences(found: Summary) -> list[str]:
     """What else there is to say: verdicts, reasons, outliers, the second test, speed."""
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in found["verdicts"].items())
     off = found["ok_but_off"]
@@ -109,6 +107,13 @@ def sentences(found: dict[str, Any]) -> list[str]:
             f"a second ({session['backend']}, {session['workers']}; median {each_ms:.0f} ms each in its worker)"
         )
     return said
+
+
+def _sizes(values: ParameterSums, name: str) -> tuple[float, float, float]:
+    """Median, 95 % and largest error."""
+    if name in MAIN:
+        return values["relative_median"], values["relative_p95"], values["relative_max"]
+    return values["absolute_median"], values["absolute_p95"], values["absolute_max"]
 
 
 def _named(numbers: list[int], most: int = 12) -> str:

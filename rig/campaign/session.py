@@ -9,7 +9,6 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from rig.campaign import results, runner, summary
 from rig.campaign.grid import BrokenOffError, CampaignError
@@ -29,7 +28,7 @@ class Session:
     done, added  experiments of the campaign that have a row now, and those of them that this session did
     seconds      of this session, without summary and drawing
     interrupted  ended by Ctrl-C: the folder can be resumed
-    summary      ``summary.summarise`` of the rows, and this session's speed; empty if interrupted
+    summary      of the rows, and this session's speed; None if interrupted
     """
 
     folder: Path
@@ -37,7 +36,7 @@ class Session:
     added: int
     seconds: float
     interrupted: bool
-    summary: dict[str, Any]
+    summary: summary.Summary | None
 
 
 def run(
@@ -79,8 +78,9 @@ def run(
         done = int(table["number"].size)
         added = done - before
         if interrupted:
-            return Session(folder, done, added, seconds, True, {})
-        found = {
+            return Session(folder, done, added, seconds, True, None)
+        sums = summary.summarise(table)
+        found: summary.Summary = {
             "campaign": campaign.name,
             "session": {
                 "backend": backend,
@@ -89,9 +89,9 @@ def run(
                 "seconds": seconds,
                 "experiments_per_s": added / seconds if added else None,
             },
-            **summary.summarise(table),
+            **sums,
+            "repeat": repeated_by(folder, sums["failed"][0]) if sums["failed"] else None,
         }
-        found["repeat"] = repeated_by(folder, found["failed"][0]) if found["failed"] else None
         from rig.campaign.report import write_report  # matplotlib takes its time to load
 
         write_whole(folder / SUMMARY, json_text(found).encode("utf-8"))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from typing import Any
+from typing import NotRequired, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,21 +29,94 @@ MOST_NAMED = 20
 VERDICTS = ("ok", "doubtful", "refused", FAILED)
 
 
-def summarise(table: Table) -> dict[str, Any]:
-    """The sums of a campaign, as its summary.json holds them; nan where nothing is to be summed.
+class Seconds(TypedDict):
+    """Worker time for one experiment, s."""
 
-    number        experiments; ``seconds``: worker time for one, median and sum
+    median: float
+    sum: float
+
+
+class Spread(TypedDict):
+    """A ratio over many experiments."""
+
+    median: float
+    p95: float
+    max: float
+
+
+class ParameterSums(TypedDict):
+    """The errors of one parameter: relative to the truth for tau, K and fc, else absolute."""
+
+    rms_error: float
+    rms_bound: float
+    rms_over_bound: float
+    rms_ratio: float
+    coverage: float
+    coverage_error: float
+    standardised: float
+    relative_median: NotRequired[float]
+    relative_p95: NotRequired[float]
+    relative_max: NotRequired[float]
+    absolute_median: NotRequired[float]
+    absolute_p95: NotRequired[float]
+    absolute_max: NotRequired[float]
+
+
+class Sums(TypedDict):
+    """Over so many experiments, the sums of each parameter."""
+
+    number: int
+    parameters: dict[str, ParameterSums]
+
+
+class Sitting(TypedDict):
+    """What one session of the campaign did: ``experiments`` in ``seconds``."""
+
+    backend: str
+    workers: str
+    experiments: int
+    seconds: float
+    experiments_per_s: float | None
+
+
+class TableSummary(TypedDict):
+    """The sums of a campaign's rows; nan where nothing is to be summed.
+
+    number        experiments
     verdicts      verdict -> count; ``reasons``: [reason with its numbers left out, count], most frequent first
-    ok, estimated sums over the experiments called ok, and over all that have an estimate: ``parameters`` -> sums
+    ok, estimated sums over the experiments called ok, and over all that have an estimate
     ok_but_off    numbers of experiments called ok with an error above 5 % in tau, K or fc
     failed        numbers of experiments that an exception ended
     far           numbers of experiments with an error above 5 times its bound, whatever their verdict
     second        residual of the second test as predicted, over that of the true motor; absent without one
     """
+
+    number: int
+    seconds: Seconds
+    verdicts: dict[str, int]
+    reasons: list[list[str | int]]
+    ok: Sums
+    estimated: Sums
+    ok_but_off: list[int]
+    failed: list[int]
+    far: list[int]
+    second: NotRequired[Spread]
+
+
+class Summary(TableSummary):
+    """summary.json: the sums, of which campaign, by which session, and the command that repeats what failed."""
+
+    campaign: str
+    session: Sitting
+    repeat: str | None
+
+
+def summarise(table: Table) -> TableSummary:
+    """The sums of a campaign."""
     ok = table["verdict"] == "ok"
     estimated = np.isfinite(table["tau_s"])
     seconds = table["seconds"]
-    found: dict[str, Any] = {
+    found: TableSummary = {
         "number": int(ok.size),
         "seconds": {"median": _quantile(seconds, 0.5), "sum": float(seconds.sum())},
         "verdicts": {verdict: int(np.count_nonzero(table["verdict"] == verdict)) for verdict in VERDICTS},
@@ -60,7 +133,7 @@ def summarise(table: Table) -> dict[str, Any]:
     return found
 
 
-def sums(table: Table, chosen: NDArray[np.bool_]) -> dict[str, Any]:
+def sums(table: Table, chosen: NDArray[np.bool_]) -> Sums:
     """``number`` of chosen experiments, and for each parameter its sums over them."""
     part = {name: column[chosen] for name, column in table.items()}
     return {"number": int(chosen.sum()), "parameters": {name: _parameter(part, name) for name in PARAMETERS}}
@@ -107,7 +180,7 @@ def numbers(table: Table, chosen: NDArray[np.bool_]) -> list[int]:
     return [int(number) for number in table["number"][chosen]]
 
 
-def reasons(table: Table) -> list[list[Any]]:
+def reasons(table: Table) -> list[list[str | int]]:
     """Why experiments were not called ok: each reason with its numbers left out, and how often it was given."""
     said = Counter(
         re.sub(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", "#", reason)
@@ -118,10 +191,10 @@ def reasons(table: Table) -> list[list[Any]]:
     return [[reason, count] for reason, count in said.most_common(MOST_NAMED)]
 
 
-def _parameter(part: Table, name: str) -> dict[str, float]:
+def _parameter(part: Table, name: str) -> ParameterSums:
     errors, bounds = error(part, name), part[f"bound_{name}"]
     share, scatter = coverage(covered(part, name)[part[f"se_{name}"] != 0.0])  # 0: not estimated, but known
-    found = {
+    found: ParameterSums = {
         "rms_error": rms(errors),
         "rms_bound": rms(bounds),
         "rms_over_bound": rms(errors) / rms(bounds),
@@ -130,9 +203,11 @@ def _parameter(part: Table, name: str) -> dict[str, float]:
         "coverage_error": scatter,
         "standardised": rms(errors / _positive(part[f"se_{name}"])),
     }
-    kind, sizes = ("relative", relative_error(part, name)) if name in MAIN else ("absolute", np.abs(errors))
-    found |= {f"{kind}_{q}": _quantile(sizes, p) for q, p in (("median", 0.5), ("p95", 0.95), ("max", 1.0))}
-    return found
+    sizes = relative_error(part, name) if name in MAIN else np.abs(errors)
+    median, p95, largest = (_quantile(sizes, share) for share in (0.5, 0.95, 1.0))
+    if name in MAIN:
+        return {**found, "relative_median": median, "relative_p95": p95, "relative_max": largest}
+    return {**found, "absolute_median": median, "absolute_p95": p95, "absolute_max": largest}
 
 
 def _positive(values: Array) -> Array:

@@ -24,6 +24,7 @@ from rig.model.sampled_relay import RelayTest
 from rig.model.sensitivity import Theta
 from rig.recording.reader import Recording, RecordingError, from_columns
 from rig.recording.series import LEAST_DELAY_S, TimeSeries, steps_of
+from rig.results import RunMeta
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -109,7 +110,7 @@ def _recording(campaign: Campaign, one: Draw, test: RelayTest, rows: slice) -> R
         test.y_rad[rows],
         one.clock_ratio * (test.t_u_s[rows] - t_0) if sampling.times_known else None,
         np.zeros(count) if own_clock else None,
-        {"period_s": sampling.period_s} if own_clock else None,
+        RunMeta(period_s=sampling.period_s) if own_clock else None,
     )
 
 

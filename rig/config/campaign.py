@@ -1,6 +1,6 @@
 """The schema of a campaign: from which ranges random experiments are drawn, and how they are recorded.
 
-The defaults are the grid of theory section 8. Strict, as ``rig.config.schema``.
+The defaults are the grid of docs/theory.md 7.10. Strict, as ``rig.config.schema``.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from rig.config.section import NonNegative, Positive
+from rig.backends.section import NonNegative, Positive
 
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:

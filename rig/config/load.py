@@ -1,19 +1,16 @@
-"""Load an experiment from YAML with errors that name file, line and key; write one; check one."""
+"""Load an experiment from YAML with errors that name file, line and key; write one."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from rig.config.backend import is_plug_in
 from rig.config.campaign import Campaign
 from rig.config.messages import explain
-from rig.config.preflight import Preflight, preflight, unknown_driver
 from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
 from rig.config.yaml12 import Document, emit, parse
@@ -24,32 +21,15 @@ _Schema = TypeVar("_Schema", Experiment, Campaign)
 def load(path: str | PathLike[str]) -> Experiment:
     """The experiment in a YAML file (UTF-8). Raises ConfigError, and nothing else, if there is none in it.
 
-    What is loaded need not be safe to run: that is ``check``.
+    What is loaded need not be safe to run: that is ``rig.preflight.check``.
     """
-    return _experiment(_read(path))
+    return load_with_places(path)[0]
 
 
-def check(
-    path: str | PathLike[str],
-    plug_in: Callable[[Experiment], Preflight] | None = None,
-    passing: Collection[str] = (),
-) -> tuple[Experiment, Preflight]:
-    """``load``, and ``preflight`` on it: the experiment, and what it would do.
-
-    plug_in  what there is to say of a driver that is not built in; without it only built-in drivers are known
-    passing  keys, with dots, whose problems do not count: of what drives nothing
-    Raises ConfigError as ``load`` does, and, with the places of the keys, where the experiment must not be run.
-    """
+def load_with_places(path: str | PathLike[str]) -> tuple[Experiment, Document]:
+    """``load``, and the file that it came from, which knows the place of each key."""
     document = _read(path)
-    experiment = _experiment(document)
-    found = preflight(experiment)
-    if is_plug_in(experiment):
-        other = Preflight((), (unknown_driver(experiment.daq.driver),)) if plug_in is None else plug_in(experiment)
-        found = Preflight(found.lines + other.lines, found.problems + other.problems)
-    problems = [problem for problem in found.problems if problem.key not in passing]
-    if problems:
-        raise ConfigError(map(document.located, problems))
-    return experiment, found
+    return _experiment(document), document
 
 
 def load_campaign(path: str | PathLike[str]) -> Campaign:

@@ -6,6 +6,7 @@ import difflib
 import json
 import re
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Any, get_args
 
 from pydantic import BaseModel
@@ -26,7 +27,20 @@ _COMPARISONS = {
 
 def explain(errors: Iterable[ErrorDetails], document: Document, schema: type[BaseModel] = Experiment) -> list[Problem]:
     """Problems with their places, in the order of the file. An unknown key that is meant for a missing one: once."""
-    problems: list[Problem] = []
+    found = [document.located(problem, at_key=at_key) for problem, at_key in _found(errors, schema)]
+    unique = {(problem.path, problem.message): problem for problem in found}
+    return sorted(unique.values(), key=lambda problem: (problem.line, problem.column))
+
+
+def unplaced(errors: Iterable[ErrorDetails], schema: type[BaseModel], above: Path) -> list[Problem]:
+    """Problems of a section that stands at ``above``, without their places."""
+    found = [problem for problem, _ in _found(errors, schema)]
+    unique = {(problem.path, problem.message): problem for problem in found}
+    return [replace(problem, path=(*above, *problem.path)) for problem in unique.values()]
+
+
+def _found(errors: Iterable[ErrorDetails], schema: type[BaseModel]) -> Iterator[tuple[Problem, bool]]:
+    """Problems, and whether it is the key that is wrong, not its value."""
     mistyped: set[Path] = set()
     missing: list[Problem] = []
     for error in errors:
@@ -34,14 +48,12 @@ def explain(errors: Iterable[ErrorDetails], document: Document, schema: type[Bas
         if error["type"] == "extra_forbidden":
             wanted, hint = _meant(path, error["input"], schema)
             mistyped.add(wanted)
-            problems.append(document.located(Problem(path, "unknown key", hint), at_key=True))
+            yield Problem(path, "unknown key", hint), True
         elif error["type"] == "missing" and isinstance(path[-1], str):
-            missing.append(document.located(_missing(path, schema)))
+            missing.append(_missing(path, schema))
         elif (problem := _invalid(path, error, schema)) is not None:
-            problems.append(document.located(problem))
-    problems += [problem for problem in missing if problem.path not in mistyped]
-    unique = {(problem.path, problem.message): problem for problem in problems}
-    return sorted(unique.values(), key=lambda problem: (problem.line, problem.column))
+            yield problem, False
+    yield from ((problem, False) for problem in missing if problem.path not in mistyped)
 
 
 def _missing(path: Path, schema: type[BaseModel]) -> Problem:

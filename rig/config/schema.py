@@ -1,7 +1,7 @@
 """The schema of an experiment: every key, its unit (in its name), its range and its default.
 
 Strict: an unknown key is an error, numbers are finite, objects are frozen. What one key says by itself is
-checked here; what keys say together (room to stop, link budget, ...) in ``rig.config.preflight``.
+checked here; what keys say together (room to stop, link budget, ...) in ``rig.preflight.rules``.
 """
 
 from __future__ import annotations
@@ -11,15 +11,16 @@ from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from rig.config.modbus import Modbus
-from rig.config.section import Interval, NonNegative, Positive
-from rig.config.section import Section as _Section
-from rig.usb_serial import Adapter
+from rig.backends.links.usb_adapters import Adapter
+from rig.backends.modbus.section import Modbus
+from rig.backends.section import Interval, NonNegative, Positive
+from rig.backends.section import Section as _Section
+from rig.calibration import Calibration, DriveMap, TachometerScale
+from rig.signals import Limits
 
 Method = Literal["sampled-data", "triple-relay", "describing-function"]
 Bridge = Literal["pwm-dir", "in1-in2"]
 BRIDGES: tuple[Bridge, ...] = get_args(Bridge)
-BUILT_IN_DRIVERS = ("simulated", "serial", "modbus")
 
 
 class Daq(_Section):
@@ -28,7 +29,7 @@ class Daq(_Section):
     driver: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=40)] = Field(
         description="which driver: `simulated`, in virtual time; `serial`, a device with rig's firmware on a serial "
         "port; `modbus`, a Modbus device; or the name of a plug-in that is installed",
-        examples=list(BUILT_IN_DRIVERS),
+        examples=["simulated", "serial", "modbus"],
     )
     port: str | None = Field(
         None,
@@ -116,6 +117,11 @@ class Sensor(_Section):
         (low, low_rad), (high, high_rad) = points[0], points[-1]
         return (high_rad - low_rad) / (high - low), low - low_rad * (high - low) / (high_rad - low_rad)
 
+    @property
+    def curve(self) -> Calibration:
+        """Counts to rad."""
+        return Calibration((p.counts, p.rad) for p in self.calibration)
+
     @field_validator("rail_counts")
     @classmethod
     def _within_adc(cls, rails: tuple[int, int], info: ValidationInfo) -> tuple[int, int]:
@@ -147,6 +153,12 @@ class Drive(_Section):
     max_V: Positive = Field(description="largest drive that anything may command")
     reversed: bool = Field(False, description="positive duty turns the shaft to falling positions")
 
+    @property
+    def map(self) -> DriveMap:
+        """V to drive units."""
+        dead = self.dead_band_duty
+        return DriveMap(self.supply_V, self.bridge_drop_V, dead.plus, dead.minus, self.reversed)
+
 
 class Tachometer(_Section):
     """A velocity channel on the motor's side of the gear."""
@@ -160,6 +172,11 @@ class Tachometer(_Section):
         if self.rad_s_per_count == 0.0:
             raise ValueError("`rad_s_per_count` must not be 0")
         return self
+
+    @property
+    def scale(self) -> TachometerScale:
+        """Counts to rad/s of the measured shaft."""
+        return TachometerScale(self.rad_s_per_count, self.zero_counts, self.gear_ratio)
 
 
 class TravelLimits(_Section):
@@ -199,7 +216,7 @@ class Gains(_Section):
 
 
 class Hysteretic(_Section):
-    """One run of the single relay with hysteresis, from rest at zero (theory section 6)."""
+    """One run of the single relay with hysteresis, from rest at zero (docs/theory.md 5.1)."""
 
     d_V: float = Field(description="drive; its sign is the direction it starts in; above the breakaway level")
     eps_rad: Positive = Field(description="half width of the hysteresis: it switches beyond this position")
@@ -223,7 +240,7 @@ class RelayTarget(_Section):
 
 
 class GainSearch(_Section):
-    """How the gains are found (theory section 5)."""
+    """How the gains are found (docs/theory.md 4.2)."""
 
     h1_start_V: Positive = Field(0.3, description="first h1")
     h2_start_V: Positive = Field(0.1, description="first h2")
@@ -405,6 +422,11 @@ class Experiment(_Section):
     relay: Relay = Field(description="the relay experiment")
     tracking: Tracking | None = Field(None, description="leave out to skip the tracking check")
     emulated: Emulated | None = Field(None, description="the bench behind `driver: simulated` or `port: emulated`")
+
+    @property
+    def device_limits(self) -> Limits:
+        """What the device is armed with."""
+        return Limits(self.limits.soft_rad, self.limits.hard_rad, self.drive.max_V, self.daq.watchdog_s)
 
     @model_validator(mode="after")
     def _emulated_as_believed(self) -> Self:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from statistics import fmean
 from typing import Literal, NamedTuple, Protocol
 
@@ -11,6 +12,19 @@ from rig.faults import Fault
 from rig.signals import Sample
 
 _LEFT_OVER = 0.55  # periods: just more than a stroke back can differ by from one whose length lies between two of them
+
+
+@dataclass(frozen=True)
+class BreakawayFound:
+    """What a breakaway check has found.
+
+    plus_V, minus_V  breakaway levels towards rising and falling positions, V (> 0)
+    noise_rad        the sensor's standard deviation at rest
+    """
+
+    plus_V: float
+    minus_V: float
+    noise_rad: float
 
 
 class BreakawayLaw(Protocol):
@@ -89,26 +103,38 @@ class _Stroke(NamedTuple):
     takes_back: bool
 
 
+@dataclass(frozen=True)
+class StrokePlan:
+    """How long the strokes of a breakaway check are.
+
+    strokes_s   lengths, one period at least: that of each pair, the weakest first; the last one's for all beyond
+    pause_s     after each stroke, four periods at least; it lasts longer where the shaft still coasts
+    late_s      by how much strokes may be longer than meant, together; what is less than half a period is not counted
+    """
+
+    strokes_s: Sequence[float]
+    pause_s: float
+    late_s: float
+
+
 class BreakawayCheck(RestingCheck):
     """Strokes to and fro, pair by pair stronger, until both ways have moved the shaft.
 
     If the sensor is stuck or not coupled the shaft turns unseen. So each stroke is followed by an equal one the other
     way, which takes it back, and every other pair begins the other way: what is left is by how much friction differs
     between the ways. Both ways go on until both are seen, so that this holds whenever the sensor fails.
-    ``rig.config.room_to_stop`` has the bound on it, and chooses the strokes.
+    ``rig.preflight.room_to_stop`` has the bound on it, and chooses the strokes (docs/theory.md 10.1).
 
     A tick that comes late makes its stroke longer. The stroke back is as long as that one really was, by the times
     at which the drive acted; where the stroke back itself was longer, one more each way makes them equal again. In
-    all the strokes may be longer than meant by ``late_s``.
+    all the strokes may be longer than meant by ``plan.late_s``.
 
     step_V      by how much the level rises from pair to pair; within a stroke it rises from the last pair's to its own
     max_V       largest level; Fault NO_MOTION where a pair of it has not moved the shaft both ways
     motion_rad  displacement, gathered over the strokes of one way, that counts as motion
     rest_s      rest before and after; the first one measures the sensor's noise
-    strokes_s   lengths, one period at least: that of each pair, the weakest first; the last one's for all beyond
-    pause_s     after each stroke, four periods at least; it lasts longer where the shaft still coasts
+    plan        how long strokes and pauses are
     period_s    of the loop
-    late_s      by how much strokes may be longer than meant, together; what is less than half a period is not counted
 
     Results, once finished: ``plus_V`` and ``minus_V`` (> 0), each the middle between the last level at which no motion
     was to be seen and the next one, and ``noise_rad``, the sensor's standard deviation at rest. Both may lie above
@@ -123,18 +149,16 @@ class BreakawayCheck(RestingCheck):
         max_V: float,
         motion_rad: float,
         rest_s: float,
-        strokes_s: Sequence[float],
-        pause_s: float,
+        plan: StrokePlan,
         period_s: float,
-        late_s: float,
     ) -> None:
         super().__init__(motion_rad, rest_s)
         self.max_V = max_V
         self._step_V = step_V
-        self._strokes_s = tuple(strokes_s)
-        self._pause_s = pause_s
+        self._strokes_s = tuple(plan.strokes_s)
+        self._pause_s = plan.pause_s
         self._period_s = period_s
-        self._late_s = late_s
+        self._late_s = plan.late_s
         self._phase: Literal["first rest", "stroke", "pause", "last rest"] = "first rest"
         self._since_s = math.nan  # start of the phase
         self._pair = 0

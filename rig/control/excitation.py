@@ -1,4 +1,4 @@
-"""The relay experiment's two laws: the search for gains, and the test at fixed gains (theory section 5)."""
+"""The relay experiment's two laws: the search for gains, and the test at fixed gains (docs/theory.md 4.2)."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class _RelayLaw(Generic[R]):
 
 
 class GainSearch(_RelayLaw[DualChannelRelay]):
-    """Raise h2 until a cycle is accepted, then trim h1 and h2 to an amplitude and a period (theory section 5).
+    """Raise h2 until a cycle is accepted, then trim h1 and h2 to an amplitude and a period (docs/theory.md 4.2).
 
     relay, detector  shared with the tests that follow, so that the cycle runs on
     target           the cycle that is wanted
@@ -226,7 +226,7 @@ class GainSearch(_RelayLaw[DualChannelRelay]):
         self._step_start_s = t_s
 
     def _refine_friction(self) -> None:
-        """f_c from two settled pairs: pi A w / 4 = K h2 - K f_c is a line in h2 (theory section 5)."""
+        """f_c from two settled pairs: pi A w / 4 = K h2 - K f_c is a line in h2 (docs/theory.md 4.2)."""
         if len(self._settled) < 2:
             return
         (_, h2a, wa, Aa), (_, h2b, wb, Ab) = self._settled[-2:]

@@ -6,6 +6,7 @@ import math
 from collections import deque
 from statistics import fmean
 
+from rig.control.breakaway import BreakawayFound
 from rig.faults import Fault
 from rig.signals import Sample
 
@@ -17,14 +18,14 @@ class Homing:
     grows with the square of its time, so each tells how long the next one should be; where it did not move at all the
     next is stronger. A long way is cut short at a quarter of it. No motor model is needed.
 
-    plus_V, minus_V  breakaway levels towards rising and falling positions, V (> 0)
-    max_V            largest drive, V
-    noise_rad        the sensor's standard deviation
-    tolerance_rad    largest mean position that is zero enough
-    period_s         of the loop
-    timeout_s        longest homing; Fault NOT_HOME where it passes first
+    found          by the breakaway check
+    max_V          largest drive, V
+    tolerance_rad  largest mean position that is zero enough
+    period_s       of the loop
+    timeout_s      longest homing; Fault NOT_HOME where it passes first
 
     Results: ``strokes``, how many it took, and ``rest_rad``, the mean position at which the shaft stood last.
+    Raises ValueError for levels or a tolerance that are not > 0.
     """
 
     LOOK_S = 0.2  # over which it has to stand still
@@ -37,24 +38,22 @@ class Homing:
 
     def __init__(
         self,
-        plus_V: float,
-        minus_V: float,
+        found: BreakawayFound,
         max_V: float,
-        noise_rad: float,
         tolerance_rad: float,
         period_s: float,
         timeout_s: float,
     ) -> None:
-        if not (plus_V > 0.0 and minus_V > 0.0 and tolerance_rad > 0.0):
+        if not (found.plus_V > 0.0 and found.minus_V > 0.0 and tolerance_rad > 0.0):
             raise ValueError("homing needs breakaway levels > 0 V and a tolerance > 0 rad")
-        self.noise_rad = noise_rad
+        self.noise_rad = found.noise_rad
         self.tolerance_rad = tolerance_rad
         self.timeout_s = timeout_s
         self.finished = False
         self.strokes = 0
         self.rest_rad = math.nan
         self._max_V = max_V
-        self._breakaway_V = {1: plus_V, -1: minus_V}
+        self._breakaway_V = {1: found.plus_V, -1: found.minus_V}
         self._above = {1: self.ABOVE_BREAKAWAY, -1: self.ABOVE_BREAKAWAY}
         self._reach_rad = {1: math.nan, -1: math.nan}  # displacement of a stroke of one tick, as learned
         self._window: deque[float] = deque(maxlen=max(8, 2 * round(0.5 * self.LOOK_S / period_s)))

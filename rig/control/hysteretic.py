@@ -1,4 +1,4 @@
-"""One run of the single hysteretic relay from rest: the experiment of the least-squares method (theory section 6)."""
+"""One run of the single hysteretic relay from rest: the experiment of the least-squares method (docs/theory.md 5.1)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class HystereticRun:
     timeout_s   longest wait for a switching, s: before the first one a Fault NO_SWITCHING, later the run just ends
 
     Results: ``first_switching_s``, time of the sample that switched the relay first (nan before), ``seen``, switchings
-    so far.
+    so far. Raises ValueError for no switching, and for a time-out that is not > 0.
     """
 
     z_rad_s = math.nan

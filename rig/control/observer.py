@@ -1,4 +1,4 @@
-"""Velocity by an observer on the identified model, with prediction over the delay."""
+"""Velocity by an observer on the identified model, with prediction over the delay (docs/theory.md 11.3)."""
 
 from __future__ import annotations
 

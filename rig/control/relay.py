@@ -8,7 +8,7 @@ from rig.signals import Sample
 
 
 def keep_sign(value: float, previous: int) -> int:
-    """Sign of ``value``; at exactly zero the previous state stays (theory section 5)."""
+    """Sign of ``value``; at exactly zero the previous state stays (docs/theory.md 2.2)."""
     if value > 0.0:
         return 1
     if value < 0.0:
@@ -17,11 +17,12 @@ def keep_sign(value: float, previous: int) -> int:
 
 
 class DualChannelRelay:
-    """u = -h1 sgn(y) - h2 sgn(z), one relay on position and one on its integral (6)-(10).
+    """u = -h1 sgn(y) - h2 sgn(z), one relay on position and one on its integral (docs/theory.md 2.1).
 
     z is the trapezoidal integral of y over the samples' true times, zero at the first sample, and held
     within +-z_bound_rad_s so that a start far from centre does not wind it up. The bound must exceed three
-    times the cycle's largest |z|, else it shortens the period (theory section 5).
+    times the cycle's largest |z|, else it shortens the period (docs/theory.md 2.2).
+    Raises ValueError for gains below 0 V, and for a bound that is not > 0.
     """
 
     yd_rad = math.nan
@@ -109,11 +110,12 @@ class RelayOnCounts:
 
 
 class HystereticRelay:
-    """u = -|d| sgn(y) with hysteresis: the sign changes only once y is beyond eps on the other side (theory section 6).
+    """u = -|d| sgn(y) with hysteresis: the sign changes once y is beyond eps on the other side (docs/theory.md 5.1).
 
     The first drive is +d_V, towards rising positions if d_V > 0, as from a start at or below zero.
     d_V     drive, V; not 0
     eps_rad half width of the hysteresis, rad; > 0
+    Raises ValueError outside these ranges.
     """
 
     z_rad_s = math.nan

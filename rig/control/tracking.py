@@ -1,4 +1,4 @@
-"""Tracking by feedback linearisation, (33)-(35), on an identified model."""
+"""Tracking by feedback linearisation on an identified model (docs/theory.md 11.1 and 11.3)."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ class Tracking:
     The trajectory begins where the first sample finds the shaft.
 
     friction_sign  "reference": sign of the reference velocity; "estimate": of the observed velocity, as in the paper,
-                   and of the reference where that is exactly zero (at 10 ms it chatters around reversals: theory
-                   section 10)
+                   and of the reference where that is exactly zero (at 10 ms it chatters around reversals:
+                   docs/theory.md 11.2)
     """
 
     z_rad_s = math.nan

@@ -1,1 +1,1 @@
-"""Links to the bench: one small interface (`driver`) and one module for each link."""
+"""The old names of what a driver of another package is written with; they stay."""

@@ -1,209 +1,25 @@
-"""The one interface between a controller and a bench, whatever the link.
+"""The old name of ``rig.backends.driver``."""
 
-A run is ``open``, ``arm``, then ``read`` and ``write`` each tick, then ``safe_stop`` and ``close``.
-"""
+from rig.backends.driver import (
+    Clock,
+    DeviceInfo,
+    DeviceWatchdog,
+    Driver,
+    DriverSettings,
+    RelayCommand,
+    RelayDriver,
+    RelayRow,
+    Transport,
+)
 
-from __future__ import annotations
-
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
-
-from rig.daq.calibration import Calibration, DriveMap
-from rig.daq.relay_stream import RelayCommand, RelayRow
-from rig.signals import Limits, Order, Sample, plain
-
-
-@dataclass(frozen=True)
-class DeviceInfo:
-    """What a device says of itself when it is opened.
-
-    build        firmware build
-    board        board's name
-    reset_cause  in words, e.g. "power-on"
-    emulated     True where no real motor can be behind it
-    clock_ratio  device seconds for one second of the host; fixed for the run
-    round_trip_s fastest exchange seen while opening, s; nan where it means nothing
-    supply_V     motor supply as the device measures it, V; nan where it does not
-    supply_at_least  that reading is at its end: the supply is so much or more
-    drive_units  of the drive at full duty: the u_V of a sample is a whole number of them; None: it has no such steps
-    acknowledged codes of the faults that the device had latched before it was opened, and that opening it has cleared
-    """
-
-    build: str
-    board: str
-    reset_cause: str
-    emulated: bool
-    clock_ratio: float = 1.0
-    round_trip_s: float = math.nan
-    supply_V: float = math.nan
-    supply_at_least: bool = False
-    drive_units: int | None = None
-    acknowledged: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        # what a device says of itself is shown on terminals
-        for name in ("build", "board", "reset_cause"):
-            object.__setattr__(self, name, plain(getattr(self, name)))
-
-
-@dataclass(frozen=True)
-class DriverSettings:
-    """What a driver from another package is constructed with, all of it from the config.
-
-    options      daq.options as it stands there: numbers, text, true/false, lists and mappings of these
-    calibration  position sensor, raw reading to rad
-    drive_map    V at the motor to drive units; the driver puts its own ``full_units`` in with ``dataclasses.replace``
-    rail_counts  (low, high): readings at or beyond are a broken sensor
-    counts_max   largest raw reading that the calibration was made for
-    timeout_s    longest wait for one reply
-    period_s     the loop's period: ``read`` and ``write`` together must fit into it, with room to spare
-    watchdog_s   silence of the host after which the device should set 0 V, where it can
-    """
-
-    options: Mapping[str, Any]
-    calibration: Calibration
-    drive_map: DriveMap
-    rail_counts: tuple[int, int]
-    counts_max: int
-    timeout_s: float
-    period_s: float
-    watchdog_s: float
-
-
-class DeviceWatchdog(NamedTuple):
-    """The device sets 0 V by itself, and latches, after ``time_s`` seconds without the host."""
-
-    time_s: float
-
-
-class Clock(Protocol):
-    """The time that a loop lives in: the machine's monotonic clock, or a virtual one."""
-
-    def now_s(self) -> float:
-        """Seconds since an arbitrary zero; never decreases."""
-        ...
-
-    def sleep_until(self, t_s: float) -> float:
-        """Return at ``t_s`` or as soon after as possible, at once if it has passed; the time then, s."""
-        ...
-
-
-class Transport(Protocol):
-    """A port that carries bytes, and the clock that its time-outs are counted in."""
-
-    def write(self, data: bytes) -> None:
-        """Send all of ``data``. Raises Fault LINK_LOST when the port is dead."""
-        ...
-
-    def read(self, timeout_s: float) -> bytes:
-        """What has arrived, at least one byte; b"" after ``timeout_s`` without any.
-
-        ``timeout_s`` >= 0. Raises Fault LINK_LOST when the port is dead.
-        """
-        ...
-
-    def now_s(self) -> float:
-        """Monotonic clock of the host, s."""
-        ...
-
-    def close(self) -> None:
-        """Give the port back. May be called twice."""
-        ...
-
-
-class Driver(Protocol):
-    """A bench behind a link. Times of samples are in the host's clock, s.
-
-    That is ``time.monotonic``; a driver that lives in virtual time has an attribute ``clock``, a ``Clock``. A driver
-    whose device latches an e-stop by itself, armed or not, has an attribute ``latches_stops`` that is true; any other
-    is read throughout the pauses of a run, from another thread while nothing else uses it.
-    Constructing a driver touches no device. ``rig.conformance`` holds a driver to what stands here.
-    """
-
-    @property
-    def order(self) -> Order:
-        """When a drive goes out that a tick has decided on what it read: at once, in ``write`` ("sample_first"), or in
-        the next tick's ``read``, just before that samples ("write_first").
-        """
-        ...
-
-    @property
-    def failsafe(self) -> DeviceWatchdog | None:
-        """What sets 0 V when the host is silent; None: the device holds its last output."""
-        ...
-
-    @property
-    def backend(self) -> str:
-        """What is behind this driver, in words; complete once opened."""
-        ...
-
-    @property
-    def link_statistics(self) -> Mapping[str, int]:
-        """Counts of exchanges and of what went wrong in them, by name; empty where there is no link."""
-        ...
-
-    def open(self) -> DeviceInfo:
-        """Meet the device. Raises Fault LINK_* when it is absent or another than expected."""
-        ...
-
-    def arm(self, limits: Limits) -> None:
-        """Give the device its limits and allow drive; clears no fault that the device has latched since ``open``.
-
-        Raises Fault when the device refuses, ValueError when it cannot hold such limits.
-        """
-        ...
-
-    def read(self) -> Sample:
-        """Sample the bench, armed or not. Raises Fault on any fault of link or device."""
-        ...
-
-    def write(self, u_V: float) -> None:
-        """Set the drive; the next ``read`` says what came of it: when it took effect, and how much, as quantised.
-
-        Raises ValueError beyond the drive's range, or where ``u_V`` is no number. Nothing is driven beyond what the
-        device was armed for, nor unless it is armed: it refuses, at once or in the next ``read``.
-        """
-        ...
-
-    def safe_stop(self) -> bool:
-        """Set 0 V and disarm. True if the device confirmed it; never raises on a dead link, nor before ``open``."""
-        ...
-
-    def close(self) -> None:
-        """Give the link back, stopped. May be called twice."""
-        ...
-
-
-@runtime_checkable
-class RelayDriver(Driver, Protocol):
-    """A driver whose device can run the dual-channel relay by itself, at each of its ticks."""
-
-    @property
-    def tick_s(self) -> float:
-        """The device's tick in host time, s."""
-        ...
-
-    def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
-        """What the device is to be told for these gains. Raises Fault or ValueError where it could not run them."""
-        ...
-
-    def start_relay(self, command: RelayCommand) -> None:
-        """Let the relay drive. Raises Fault where the device refuses, or on any fault of the link."""
-        ...
-
-    def keep(self) -> None:
-        """Tell the device that the host lives; the relay ends when the watchdog time has passed without."""
-        ...
-
-    def read_rows(self) -> list[RelayRow]:
-        """The ticks that have come since the last call; does not wait. Raises Fault on any fault of link or device.
-
-        Once after a ``safe_stop``: the last ticks before it that have come; without a fault.
-        """
-        ...
-
-    def stop_relay(self) -> list[RelayRow]:
-        """End the relay with 0 V, still armed; returns its last ticks. Raises Fault on any fault of the link."""
-        ...
+__all__ = [
+    "Clock",
+    "DeviceInfo",
+    "DeviceWatchdog",
+    "Driver",
+    "DriverSettings",
+    "RelayCommand",
+    "RelayDriver",
+    "RelayRow",
+    "Transport",
+]

@@ -14,12 +14,12 @@ from pathlib import Path
 
 from serial.tools import list_ports
 
-from rig.daq.usb_port import LATENCY_MS, usb_port
+from rig.backends.links.usb_adapters import Adapter, adapter_delay_s
+from rig.backends.links.usb_port import LATENCY_MS, usb_port
 from rig.doctor.finding import Finding, State
 from rig.loop import kernel_workers as kernel_workers_module
 from rig.loop.kernel_workers import workers
 from rig.loop.real_time import real_time
-from rig.usb_serial import Adapter, adapter_delay_s
 
 ROOT = Path("/")
 _FAST_CLOCKS = ("tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter")

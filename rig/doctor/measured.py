@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.config.link_budget import LINK_SHARE
-from rig.daq.driver import Clock
+from rig.backends.driver import Clock
+from rig.backends.link_budget import LINK_SHARE
 from rig.doctor.finding import Finding
 
 _SLOWER, _MACHINES_S = 1.2, 0.5e-3  # than the sum by this factor and this time: so much is the machines' own

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from rig.bench import connect, real_time_of
-from rig.config.backend import adapter_of, is_emulated
-from rig.config.link_budget import link_budget, reading_budget
+from rig.backends.clock import MonotonicClock
+from rig.backends.registry import backend_of, connect
+from rig.bench import real_time_of
 from rig.config.schema import Experiment
 from rig.doctor import machine, measured
 from rig.doctor.finding import Finding
 from rig.faults import Fault, since_the_last_run
-from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import real_time
 
 SECONDS = 3.0  # of ticks
@@ -34,7 +33,8 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
     """
     yield from machine.examine(run_folder)
     port_name = experiment.daq.port or ""
-    is_real_serial = experiment.daq.driver == "serial" and not is_emulated(experiment)
+    backend = backend_of(experiment)
+    adapter = backend.adapter_behind(experiment)
     if port_name.startswith("/"):
         port = machine.serial_port(Path(port_name))
         yield port
@@ -45,8 +45,8 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
             yield Finding("device", "good", bench.driver.backend)
             for code in bench.info.acknowledged:
                 yield Finding("device", "note", since_the_last_run(code))
-            if is_real_serial:  # only now: opening the port asks an FTDI to wait for 1 ms only
-                yield machine.usb_adapter(port_name, adapter_of(experiment))
+            if adapter is not None:  # only now: opening the port asks an FTDI to wait for 1 ms only
+                yield machine.usb_adapter(port_name, adapter)
             if not isinstance(bench.clock, MonotonicClock):
                 yield Finding("period", "note", "this bench lives in virtual time: every period is held")
                 return
@@ -58,9 +58,9 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
         yield Finding("device", "bad", f"{fault.code}: {fault.cause}{detail}", fault.cure)
         return
     yield measured.wake_ups(ticks)
-    reading = reading_budget(experiment)
+    reading = backend.reading_budget(experiment)
     yield measured.round_trip(ticks, reading.total_s, reading.written if reading.terms else "")
-    yield measured.verdict(ticks, link_budget(experiment).total_s - reading.total_s)
+    yield measured.verdict(ticks, backend.budget(experiment).total_s - reading.total_s)
 
 
 def _number(seconds: float, period_s: float) -> int:

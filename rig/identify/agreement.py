@@ -1,7 +1,8 @@
 """Whether several recordings are of one motor, and which one is not: each is identified alone, and they are compared.
 
-Chi-square of their sampled-data estimates about the weighted mean; then once more with each left out in turn. A
-recording is named where the others agree without it, and where leaving out none of the others would do that, too.
+Chi-square of their sampled-data estimates about the weighted mean, then once more with each left out in turn
+(docs/theory.md 9). A recording is named where the others agree without it, and where leaving out none of the others
+would do that, too.
 """
 
 from __future__ import annotations

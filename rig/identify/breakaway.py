@@ -1,10 +1,10 @@
-"""Static friction both ways, from the breakaway strokes and the identified motor."""
+"""Static friction both ways, from the breakaway strokes and the identified motor (docs/theory.md 7.3, 8.3)."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from rig.identify.estimate import Estimate
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.recording.series import TimeSeries
+from rig.results import StaticFrictionResult
 
 Array = NDArray[np.float64]
 
@@ -49,15 +50,15 @@ class Breakaway:
     friction_V: tuple[float, float, float] | None
     reason: str
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_result(self) -> StaticFrictionResult:
         """As result.json holds it: the drives at break-away, their intervals, and the reason."""
-        return {
-            "static_plus_V": None if self.plus is None else self.plus.static_V,
-            "static_minus_V": None if self.minus is None else self.minus.static_V,
-            "static_plus_range_V": None if self.plus is None else [self.plus.low_V, self.plus.high_V],
-            "static_minus_range_V": None if self.minus is None else [self.minus.low_V, self.minus.high_V],
-            "reason": self.reason,
-        }
+        return StaticFrictionResult(
+            static_plus_V=None if self.plus is None else self.plus.static_V,
+            static_minus_V=None if self.minus is None else self.minus.static_V,
+            static_plus_range_V=None if self.plus is None else (self.plus.low_V, self.plus.high_V),
+            static_minus_range_V=None if self.minus is None else (self.minus.low_V, self.minus.high_V),
+            reason=self.reason,
+        )
 
 
 class Ramps(NamedTuple):

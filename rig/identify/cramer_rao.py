@@ -1,4 +1,4 @@
-"""The Cramer-Rao bound of an experiment: no unbiased estimator scatters less (theory section 8).
+"""The Cramer-Rao bound of an experiment: no unbiased estimator scatters less (docs/theory.md 7.9).
 
 For Gaussian noise e of covariance R on the positions and a motion y(theta), the covariance of any unbiased estimate is
 at least (J^T R^-1 J)^-1 with J = dy/dtheta at the truth; all of theta is unknown, the initial state too.

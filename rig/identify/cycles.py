@@ -1,4 +1,4 @@
-"""Limit cycles in a recording: the relay's gains, its edges, and which cycles are settled (theory 3, 5)."""
+"""Limit cycles in a recording: the relay's gains, its edges, and the settled cycles (docs/theory.md 3.1, 4.3, 6.2)."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def find_cycle(series: TimeSeries) -> Cycle:
     """The settled cycle of a relay test, averaged.
 
     Raises IdentifyError with the reason if the drive is no dual-channel relay's, or no three cycles are settled and
-    acceptable (theory section 5: period at least 30 samples, amplitude at least 20 steps of the sensor, edges in the
+    acceptable (docs/theory.md 4.3: period at least 30 samples, amplitude at least 20 steps of the sensor, edges in the
     order RA, RB, RC).
     """
     gains = relay_gains(series)
@@ -240,8 +240,8 @@ def _settled(series: TimeSeries, waves: list[Wave], resolution_rad: float) -> tu
 def _steady(periods: Array, amplitudes: Array, first: int, stop: int, tick_s: float) -> int:
     """First of three settled cycles whose period and amplitude differ from the late ones' by scatter alone.
 
-    The estimators of section 7 take the cycle for periodic, and magnify what is still settling tenfold. At most half of
-    the settled cycles are left out.
+    The triple-relay and describing-function estimators take the cycle for periodic, and magnify what is still settling
+    tenfold. At most half of the settled cycles are left out.
     """
     latest = first + (stop - first) // 2
     late = slice(latest, stop)
@@ -257,7 +257,7 @@ def _steady(periods: Array, amplitudes: Array, first: int, stop: int, tick_s: fl
 
 
 def _accept(series: TimeSeries, cycle: Cycle) -> None:
-    """Theory section 5: what is the limit cycle and what is the loop's delay hunting by itself."""
+    """docs/theory.md 4.3: what is the limit cycle and what is the loop's delay hunting by itself."""
     cure = "raise h2 or lower h1 (relay.gains): a slower and larger cycle; or sample faster (period_s)"
     if cycle.period_s < SHORTEST_PERIODS * series.period_s:
         raise IdentifyError(

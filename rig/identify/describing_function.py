@@ -1,4 +1,4 @@
-"""The describing-function estimator (theory section 5): two relay tests, two straight lines.
+"""The describing-function estimator (docs/theory.md 4.1, 4.4): two relay tests, two straight lines.
 
 pi A w / 4 = K h2 - K fc is linear in K and K fc; tau follows from w = h1 / (tau (h2 - fc)). It carries the error of
 assuming a sine, which no interval shows.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from scipy.special import stdtrit
 from rig.identify.mean_cycle import Cycle
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
+from rig.results import EstimateResult, ResidualResult
 
 Array = NDArray[np.float64]
 Verdict = Literal["ok", "doubtful", "refused"]
@@ -91,26 +92,29 @@ class Estimate:
         new = tuple(reason for reason in reasons if reason not in self.reasons)
         return replace(self, verdict=worst, reasons=self.reasons + new)
 
-    def as_dict(self) -> dict[str, Any]:
-        """As one entry of ``estimates`` in result.json; a number that is not finite becomes null."""
-        scalars = (*PARAMETERS, "fc_plus_V", "fc_minus_V", "bias_V")
-        return {
-            **{name: _number(getattr(self, name)) for name in scalars},
-            "ci95": {name: [_number(low), _number(high)] for name, (low, high) in self.ci95.items()},
-            "covariance_of": list(PARAMETERS),
-            "covariance": [[_number(value) for value in row] for row in self.covariance.tolist()],
-            "correlation": [[_number(value) for value in row] for row in self.correlation.tolist()],
-            "rms_rad": _number(self.rms_rad),
-            "residual": {
-                "repeated": _number(self.repeated),
-                "wander_memory_s": None if self.coloured is None else _number(self.coloured[0]),
-                "wander_over_white": None if self.coloured is None else _number(self.coloured[1]),
-            },
-            "iterations": self.iterations,
-            "verdict": self.verdict,
-            "reasons": list(self.reasons),
-            "rows": list(self.rows),
-        }
+    def as_result(self) -> EstimateResult:
+        """As one entry of ``estimates`` in result.json; a number that is not finite becomes None."""
+        memory_s, size = (None, None) if self.coloured is None else self.coloured
+        return EstimateResult(
+            tau_s=self.tau_s,
+            K_rad_s_V=self.K_rad_s_V,
+            fc_V=self.fc_V,
+            asym_V=self.asym_V,
+            delay_s=self.delay_s,
+            fc_plus_V=self.fc_plus_V,
+            fc_minus_V=self.fc_minus_V,
+            bias_V=self.bias_V,
+            ci95=dict(self.ci95),
+            covariance_of=PARAMETERS,
+            covariance=self.covariance.tolist(),
+            correlation=self.correlation.tolist(),
+            rms_rad=self.rms_rad,
+            residual=ResidualResult(repeated=self.repeated, wander_memory_s=memory_s, wander_over_white=size),
+            iterations=self.iterations,
+            verdict=self.verdict,
+            reasons=self.reasons,
+            rows=self.rows,
+        )
 
 
 def student_intervals(theta: Sequence[float], covariance: Array, freedom: float) -> dict[str, tuple[float, float]]:
@@ -121,7 +125,3 @@ def student_intervals(theta: Sequence[float], covariance: Array, freedom: float)
         name: (value - float(error), value + float(error))
         for name, value, error in zip(PARAMETERS[:3], theta, errors, strict=True)
     }
-
-
-def _number(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else float(value)

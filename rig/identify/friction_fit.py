@@ -1,4 +1,4 @@
-"""Least squares of one friction law (theory sections 1, 8, 9).
+"""Least squares of one friction law (docs/theory.md 8.1 and 8.4).
 
 A law whose parameters are fitted starts at the fit without it, in the direction in which a little of it lowers the
 squares most (all other parameters adjusting, to first order), for each of its trials. One whose parameters are scanned

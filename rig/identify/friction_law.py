@@ -1,7 +1,7 @@
 """Which friction law the data ask for: nested models, chosen by Schwarz's criterion (BIC) and by prediction.
 
-The candidates are those of `rig.identify.laws`, each a case of the richer ones (theory sections 1, 8, 9). Viscous
-friction is none of them: with it tau and K are those of theory section 9, and no motion tells it from them.
+The candidates are those of `rig.identify.laws`, each a case of the richer ones (docs/theory.md 8.1 and 8.4). Viscous
+friction is none of them: with it tau and K are those of docs/theory.md 8.1, and no motion tells it from them.
 
 Each law is fitted to all tests but one by the same least squares with the same noise, that of the richest law's
 residual, and gets Schwarz's criterion. Then it predicts the test that was held out, of another amplitude, where its
@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from rig.identify.noise import noise_of
 from rig.identify.output_error import Problem
 from rig.identify.repetition import repeated_share, repetitions
 from rig.recording.series import TimeSeries, joined_times_s
+from rig.results import FrictionLawResult, LawFit
 
 Standing = Literal["chosen", "too simple", "not needed", "open"]
 
@@ -66,17 +67,17 @@ class RankedLaw:
         """Its name."""
         return self.candidate.name
 
-    def as_dict(self) -> dict[str, Any]:
-        """As an entry of ``rungs`` in result.json; a number that is not finite becomes null."""
-        return {
-            "law": self.law,
-            "standing": self.standing,
-            "parameters": {name: _number(value) for name, value in self.parameters.items()},
-            "standard_errors": {name: _number(value) for name, value in self.errors.items()},
-            "rms_rad": self.rms_rad,
-            "criterion": self.criterion,
-            "held_out_rms_rad": self.held_out_rms_rad,
-        }
+    def as_result(self) -> LawFit:
+        """As an entry of ``rungs`` in result.json; a number that is not finite becomes None."""
+        return LawFit(
+            law=self.law,
+            standing=self.standing,
+            parameters=dict(self.parameters),
+            standard_errors=dict(self.errors),
+            rms_rad=self.rms_rad,
+            criterion=self.criterion,
+            held_out_rms_rad=self.held_out_rms_rad,
+        )
 
 
 @dataclass(frozen=True)
@@ -135,18 +136,18 @@ class FrictionLawChoice:
             "tau, K and fc are good for motion like the recorded one only"
         )
 
-    def as_dict(self) -> dict[str, Any]:
-        """As result.json holds it; a number that is not finite becomes null."""
-        return {
-            "chosen": self.chosen.law,
-            "open": list(self.open),
-            "reason": self.reason,
-            "record": list(self.record),
-            "viscous": self.viscous,
-            "held_out": self.held_out,
-            "effective_samples": self.samples,
-            "rungs": [one.as_dict() for one in self.ranked],
-        }
+    def as_result(self) -> FrictionLawResult:
+        """As result.json holds it; a number that is not finite becomes None."""
+        return FrictionLawResult(
+            chosen=self.chosen.law,
+            open=self.open,
+            reason=self.reason,
+            record=self.record,
+            viscous=self.viscous,
+            held_out=self.held_out,
+            effective_samples=self.samples,
+            rungs=tuple(one.as_result() for one in self.ranked),
+        )
 
     def notes(self) -> list[str]:
         """One or two lines for people."""
@@ -310,7 +311,3 @@ def _judge(one: RankedLaw, chosen: RankedLaw, held_out: str | None, ramps: Ramps
     if better > MUCH_BETTER:
         return Doubt(f"{predicted}, but the criterion gains nothing over {simpler}", SLOW)
     return None
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from rig.identify.agreement import disagreement, opinions
 from rig.identify.breakaway import Breakaway, breakaway
@@ -22,6 +21,7 @@ from rig.identify.triple_relay import TripleRelay
 from rig.recording.errors import IdentifyError
 from rig.recording.reader import Recording
 from rig.recording.stage import StageKind, kind_of
+from rig.results import HystereticResult, IdentificationResult, RelayTestResult, StaticFrictionResult
 
 # The estimators, the one to trust first: another one is a file, and a line here.
 ESTIMATORS: list[Estimator] = [
@@ -39,8 +39,8 @@ class Identification:
     """Estimates by method, and what they rest on.
 
     estimates   method -> Estimate, in the order of ``ESTIMATORS``
-    relays      for each accepted relay test: stage, h1_V, h2_V, period_s, amplitude_rad, cycles
-    hysteretic  for each run of a hysteretic relay: stage, d_V, start_rad, switched_s, switched_rad, rows
+    relays      the accepted relay tests
+    hysteretic  the runs of hysteretic relays
     cycles      stage -> averaged cycle
     breakaway   drives at break-away both ways, None without a breakaway record
     friction_law    the choice of a friction law, None where it was not asked for or sampled-data gave no estimate
@@ -48,26 +48,23 @@ class Identification:
     """
 
     estimates: dict[str, Estimate] = field(default_factory=dict)
-    relays: list[dict[str, Any]] = field(default_factory=list)
-    hysteretic: list[dict[str, Any]] = field(default_factory=list)
+    relays: list[RelayTestResult] = field(default_factory=list)
+    hysteretic: list[HystereticResult] = field(default_factory=list)
     cycles: dict[str, Cycle] = field(default_factory=dict)
-    breakaway: dict[str, Any] | None = None
+    breakaway: StaticFrictionResult | None = None
     friction_law: FrictionLawChoice | None = None
     notes: list[str] = field(default_factory=list)
 
-    def as_dict(self) -> dict[str, Any]:
-        """As result.json holds it, by the same names."""
-        optional = {
-            "hysteretic": self.hysteretic or None,
-            "breakaway": self.breakaway,
-            "friction_law": None if self.friction_law is None else self.friction_law.as_dict(),
-        }
-        return {
-            "relays": self.relays,
-            "estimates": {method: estimate.as_dict() for method, estimate in self.estimates.items()},
-            "notes": self.notes,
-            **{name: value for name, value in optional.items() if value is not None},
-        }
+    def as_result(self) -> IdentificationResult:
+        """As `rig identify --json` prints it, and result.json holds it, by the same names."""
+        return IdentificationResult(
+            relays=tuple(self.relays),
+            estimates={method: estimate.as_result() for method, estimate in self.estimates.items()},
+            notes=tuple(self.notes),
+            hysteretic=tuple(self.hysteretic) or None,
+            breakaway=self.breakaway,
+            friction_law=None if self.friction_law is None else self.friction_law.as_result(),
+        )
 
     @property
     def best(self) -> Estimate | None:
@@ -148,21 +145,21 @@ def _found(data: Measurements) -> Identification:
     cycles = [(test.name, cycle) for test, cycle in zip(data.tests, data.cycles, strict=True) if cycle is not None]
     return Identification(
         relays=[_relay(name, cycle) for name, cycle in cycles],
-        hysteretic=[Transient.of(run).as_dict() for run in data.hysteretic],
+        hysteretic=[Transient.of(run).as_result() for run in data.hysteretic],
         cycles=dict(cycles),
         notes=list(data.notes),
     )
 
 
-def _relay(stage: str, cycle: Cycle) -> dict[str, Any]:
-    return {
-        "stage": stage,
-        "h1_V": cycle.h1_V,
-        "h2_V": cycle.h2_V,
-        "period_s": cycle.period_s,
-        "amplitude_rad": cycle.amplitude_rad,
-        "cycles": cycle.cycles,
-    }
+def _relay(stage: str, cycle: Cycle) -> RelayTestResult:
+    return RelayTestResult(
+        stage=stage,
+        h1_V=cycle.h1_V,
+        h2_V=cycle.h2_V,
+        period_s=cycle.period_s,
+        amplitude_rad=cycle.amplitude_rad,
+        cycles=cycle.cycles,
+    )
 
 
 def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> Breakaway | None:
@@ -180,7 +177,7 @@ def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> Br
             found.notes.append(error.cause)
             continue
         shown = breakaway(ramps, estimate, max(estimate.rms_rad, 1e-9))
-        found.breakaway = shown.as_dict()
+        found.breakaway = shown.as_result()
         found.notes.append(f"breakaway: {shown.reason}")
         if shown.friction_V is not None:
             plus, minus, bias = shown.friction_V

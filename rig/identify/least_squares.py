@@ -1,4 +1,4 @@
-"""Friction by linear least squares on the transient (Besancon-Voda and Besancon; theory section 6).
+"""Friction by linear least squares on the transient (Besancon-Voda and Besancon; docs/theory.md 5.1 and 5.2).
 
 Hysteretic relays of different drives d_i start from rest at zero. Until the first switching the motion is linear,
 y_i(t) = (d_i - f) g(t) with the same g, so y_j d_i - y_i d_j = f (y_j - y_i): one unknown, by least squares. f is the
@@ -20,7 +20,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +33,7 @@ from rig.identify.estimator import Estimator
 from rig.identify.measurements import Measurements
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries
+from rig.results import HystereticResult
 
 Array = NDArray[np.float64]
 
@@ -143,16 +143,16 @@ class Transient:
             (series.first_row + first, series.first_row + last),
         )
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_result(self) -> HystereticResult:
         """As result.json holds it; ``switched_s`` and ``switched_rad`` are None where no switching is recorded."""
-        return {
-            "stage": self.name,
-            "d_V": self.d_V,
-            "start_rad": self.start_rad,
-            "switched_s": float(self.t_s[-1]) if self.switched else None,
-            "switched_rad": float(self.y_rad[-1]) if self.switched else None,
-            "rows": list(self.rows),
-        }
+        return HystereticResult(
+            stage=self.name,
+            d_V=self.d_V,
+            start_rad=self.start_rad,
+            switched_s=float(self.t_s[-1]) if self.switched else None,
+            switched_rad=float(self.y_rad[-1]) if self.switched else None,
+            rows=self.rows,
+        )
 
     @property
     def moves(self) -> bool:

@@ -1,4 +1,4 @@
-"""The mean of a limit cycle: its half periods folded by odd symmetry and averaged point by point (theory 3, 7)."""
+"""The mean of a limit cycle: half periods folded by odd symmetry, averaged point by point (docs/theory.md 3.1, 6.2)."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Cycle:
 
     h1_V, h2_V       gains
     period_s, amplitude_rad
-    t1_s, t2_s, t3_s durations of the three stages (theory section 3), t = 0 where the drive steps to +(h1 + h2). The
+    t1_s, t2_s, t3_s durations of the three stages (docs/theory.md 3.1), t = 0 where the drive steps to +(h1 + h2). The
                      switchings are the drive's: a sampled relay is late by up to a tick plus the delay
     y_rc_rad, y_rb_rad  position at the edges of RC (t = 0) and RB (t = t1 + t2), rad
     y_extremum_rad   position at t1, the minimum

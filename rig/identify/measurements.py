@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -116,17 +115,13 @@ def _supply(recording: Recording) -> list[str]:
 
     A plain file and a run of an older version do not.
     """
-    device, drive = recording.meta.get("firmware"), recording.meta.get("drive")
-    if not isinstance(device, dict) or not isinstance(drive, dict):
+    device, drive = recording.meta.firmware, recording.meta.drive
+    if device is None or drive is None:
         return []
-    told = (device.get("supply_V"), drive.get("supply_V"), drive.get("bridge_drop_V"))
-    numbers = [float(value) for value in told if isinstance(value, int | float) and math.isfinite(value)]
-    if len(numbers) < len(told):
+    measured_V, believed_V, drop_V = device.supply_V, drive.supply_V, drive.bridge_drop_V
+    if measured_V is None or believed_V is None or drop_V is None or not 0.0 <= drop_V < believed_V:
         return []
-    measured_V, believed_V, drop_V = numbers
-    if not 0.0 <= drop_V < believed_V:
-        return []
-    objection = SupplyReading(measured_V, device.get("supply_at_least") is True, believed_V, drop_V).objection
+    objection = SupplyReading(measured_V, device.supply_at_least is True, believed_V, drop_V).objection
     return [] if objection is None else [objection]
 
 

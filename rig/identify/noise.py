@@ -1,4 +1,4 @@
-"""The noise on a recorded position: white and coloured; and the filter that makes it white.
+"""Noise on a recorded position: white and coloured; and the filter that makes it white (docs/theory.md 7.5).
 
 The position integrates whatever disturbs the motor and whatever is wrong with the times of its drive: what is left of
 it after a fit is coloured. Least squares that take it for white give errors far above the bound and intervals far too

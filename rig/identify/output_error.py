@@ -1,4 +1,4 @@
-"""Output-error fit: the exact motion under the recorded drive, fitted to the recorded positions (theory section 8)."""
+"""Output-error fit: the exact motion under the recorded drive, fitted to the recorded positions (docs/theory.md 7.1)."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ SPIKE = 0.02  # of all the travel, by which one position stands out from its nei
 SPIKE_NOISES = 10.0  # and in standard deviations of the noise
 MOVED_NOISES = 8.0  # standard deviations of the noise beyond which a change of position is motion,
 MOVED_STEPS = 3.0  # and steps of the sensor
-FEWEST_STEPS = 40.0  # of the sensor over all the travel: an amplitude of 20 (theory section 5)
+FEWEST_STEPS = 40.0  # of the sensor over all the travel: an amplitude of 20 (docs/theory.md 4.3)
 RAIL_ROWS = 10  # in a row at exactly one end of the travel, in spite of noise
 FEW_LEVELS = 8
 

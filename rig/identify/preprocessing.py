@@ -27,11 +27,11 @@ class ClockRatio:
 
 def clock_ratio(recording: Recording) -> ClockRatio | None:
     """Regress t_s on the host's time of each tick (tick * period + lateness); None where that is not recorded."""
-    period = recording.meta.get("period_s")
+    period_s = recording.meta.period_s
     usable = np.isfinite(recording.late_us)
-    if not isinstance(period, int | float) or not period > 0.0 or int(usable.sum()) < 100:
+    if period_s is None or not period_s > 0.0 or int(usable.sum()) < 100:
         return None
-    host = recording.tick[usable] * float(period) + 1e-6 * recording.late_us[usable]
+    host = recording.tick[usable] * period_s + 1e-6 * recording.late_us[usable]
     x = host - host.mean()
     power = float(x @ x)
     if power == 0.0:
@@ -93,7 +93,5 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[TimeSe
 
 def _times_error_s(recording: Recording) -> float:
     """What meta.json says that the times may be wrong by; a CSV file and a run of an older version say nothing."""
-    said = recording.meta.get("times_error_s")
-    if isinstance(said, int | float) and not isinstance(said, bool) and 0.0 <= said < np.inf:
-        return float(said)
-    return TIMES_ERROR_S
+    said = recording.meta.times_error_s
+    return TIMES_ERROR_S if said is None or said < 0.0 else said

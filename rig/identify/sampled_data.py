@@ -1,4 +1,4 @@
-"""The sampled-data estimator (theory section 8): predict the recorded position under the recorded drive.
+"""The sampled-data estimator (docs/theory.md 7.2, 7.4 and 7.6): predict the recorded position under the recorded drive.
 
 The commanded voltage is known exactly at every sample, so nothing has to be read off the curve: the exact motor under
 the recorded drive is fitted to the recorded positions by least squares. Any drive that moves the motor both ways

@@ -20,7 +20,7 @@ class Start(NamedTuple):
 
 
 def ridge_starts(omega_rad_s: float, amplitude_rad: float, h1_V: float, h2_V: float) -> list[Start]:
-    """Starts along the ridge of the describing function (theory section 5): fc a fraction of h2, then tau and K."""
+    """Starts along the ridge of the describing function (docs/theory.md 4.1): fc a fraction of h2, then tau and K."""
     starts = []
     for fraction in (0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8):
         beyond = h2_V * (1.0 - fraction)

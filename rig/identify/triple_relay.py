@@ -1,4 +1,4 @@
-"""The triple-relay estimator (theory section 7, (24)-(29)): Theorem 2.1 turned round.
+"""The triple-relay estimator (docs/theory.md 6.1 and 6.3): Theorem 2.1 turned round.
 
 Friction is the third relay, so one steady cycle determines tau, K and fc: in the paper's form by three durations and
 two positions, five equations (``solve``). A sampled relay switches late, so that its edges are no zero crossings. For a
@@ -70,7 +70,7 @@ class TripleRelay(Estimator):
 
 
 def sampling_bias(cycles: Sequence[Cycle], tick_s: float) -> str | None:
-    """What averaging cycles that jitter costs, as a sentence; None where the samples are fine enough (theory 8).
+    """What averaging cycles that jitter costs, as a sentence; None where samples are fine enough (docs/theory.md 6.3).
 
     tick_s  between two decisions of the relay
     """

@@ -1,4 +1,4 @@
-"""Whether to believe an estimate: what the estimators' verdicts share; reasons say what to record instead."""
+"""Whether to believe an estimate: what the verdicts share; reasons say what to record instead (docs/theory.md 7.7)."""
 
 from __future__ import annotations
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import threading
 
-from rig.daq.driver import Clock, Driver
+from rig.backends.clock import MonotonicClock
+from rig.backends.driver import Clock, Driver
 from rig.faults import Fault
-from rig.loop.clock import MonotonicClock
 
 VIRTUAL_PAUSE_S = 1.0  # how long a pause lasts in virtual time, which stands still while anything is computed
 

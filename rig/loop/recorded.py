@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
+from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow
+from rig.backends.serial.relay_stream import TICK_S, relay_command
+from rig.calibration import Calibration, DriveMap
 from rig.control.law import Law
-from rig.daq.calibration import Calibration, DriveMap
-from rig.daq.driver import DeviceInfo, DeviceWatchdog
-from rig.daq.relay_stream import TICK_S, RelayCommand, RelayRow, relay_command
 from rig.loop.replayed_rows import AFTER_DRIVING, OF_LAW_OR_GUARD, By, ReplayedRows
 from rig.loop.runner import Loop
 from rig.recording.record import NoRecord, Row

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Literal, NoReturn
 
 from rig.faults import Fault
-from rig.loop.runner import STOPPING
+from rig.loop.device_relay import STOPPING
 from rig.loop.stop_request import StopRequest
-from rig.recording.columns import RecordedRow
+from rig.recording.columns import SampleRow
 from rig.recording.reader import Recording
 
 By = Literal["law", "guard", "record"]
@@ -107,7 +107,7 @@ class ReplayedRows:
         # what came of a relay in the device after the loop had given up: nobody decided on it
         end = next((k for k, row in enumerate(rows) if row.stage == STOPPING), len(rows))
         self._rows = rows[:end]
-        self.stops: list[bool] = [bool(e.get("confirmed", True)) for e in recording.events if e.get("kind") == "stop"]
+        self.stops: list[bool] = [bool(e.detail.get("confirmed", True)) for e in recording.events if e.kind == "stop"]
         self._is_whole = is_whole
         self._stop = stop
         self._on_progress = on_progress
@@ -115,7 +115,7 @@ class ReplayedRows:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def __getitem__(self, row: int) -> RecordedRow:
+    def __getitem__(self, row: int) -> SampleRow:
         return self._rows[row]
 
     @property

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import gc
 import math
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from rig.backends.driver import Clock, Driver, RelayCommand, RelayDriver, RelayRow
 from rig.control.guard import WINDOW_S, Guard
 from rig.control.law import Law
 from rig.control.motion import is_obeyed
-from rig.daq.driver import Clock, Driver, RelayDriver
-from rig.daq.relay_stream import RelayCommand, RelayRow
 from rig.faults import Fault
+from rig.loop.device_relay import DeviceRelay
 from rig.loop.pause_watch import PauseWatch
 from rig.loop.statistics import LoopStatistics
 from rig.loop.stop_request import StopRequest
 from rig.recording.record import Record
 from rig.signals import FLAG_SATURATED, FLAG_SKIPPED, Limits, Sample
 
-STOPPING = "stopping"  # stage of what the relay in the device did until it was stopped, after the loop had given up
 _CHECK_EVERY_TICKS = 25
 
 
@@ -59,10 +57,7 @@ class Loop:
         self.last_y_rad = math.nan  # position at the last tick
         self._last_t_s = math.nan
         self._newest_t_s = -math.inf  # of any row
-        self._last_row_s = math.nan  # of the relay in the device
-        self._relay: RelayDriver | None = None  # while it drives
-        self._device_tick_s = math.nan  # of it
-        self._untaken: deque[RelayRow] = deque()  # its rows that have come and are not in the record yet
+        self._relay = DeviceRelay(guard, record, self.statistics, self._since_start_s)
         self.unconfirmed_stops = 0  # stops that the device did not answer: its watchdog has to do them
         self.latency_s = 0.0  # from sample to effect of the drive, smoothed
 
@@ -143,80 +138,36 @@ class Loop:
         ``law`` runs along: it takes each tick of the device, and what it decides must be what the device did. The guard
         judges each tick, too; a drive that it would not let out ends the run, since only the device could change it.
         Each of the loop's own ticks keeps the device's watchdog quiet and takes what has come.
-        Raises Fault as ``run``, and DEVICE_RELAY, RELAY_STOPPED, LINK_GAP.
+        Raises Fault as ``run``, and DEVICE_RELAY, RELAY_STOPPED, LINK_GAP; ValueError where the driver has no relay.
         """
         driver = self._driver
         if not isinstance(driver, RelayDriver):
             raise ValueError(f"no relay in the device behind {self._driver.backend}")
         self._record.event(self.now_s, "stage", name=stage)
         self._finish_row()
-        self._device_tick_s = driver.tick_s
-        self.guard.pace(self._device_tick_s, max(4.0 * self._period_s, WINDOW_S))
-        driver.start_relay(command)
-        self._relay = driver
+        self.guard.pace(driver.tick_s, max(4.0 * self._period_s, WINDOW_S))
+        self._relay.start(driver, command, self.last_y_rad)
         self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
-        self._last_row_s = math.nan
         while not law.finished:
             due_s, woke_s = self._await_tick()
             driver.keep()
             self._take_rows(driver.read_rows(), law, stage, watch)
             self.statistics.tick((woke_s - due_s) * 1e6, (self._clock.now_s() - woke_s) * 1e6)
             self._end_tick(due_s)
-        last_rows = driver.stop_relay()
-        self._relay = None  # all that it did has come
-        self._take_rows(last_rows, law, stage, watch)
+        self._take_rows(self._relay.stop(driver), law, stage, watch)
         self.guard.pace(self._period_s)
         self._last_t_s = math.nan
         self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
 
     def _take_rows(self, rows: list[RelayRow], law: Law, stage: str, watch: Callable[[float], None] | None) -> None:
-        self._untaken.extend(rows)
-        while self._untaken:
-            self._take_row(self._untaken.popleft(), law, stage, watch)
-
-    def _take_row(self, row: RelayRow, law: Law, stage: str, watch: Callable[[float], None] | None) -> None:
-        """Record one tick of the device, then judge it."""
-        sample = Sample(self._since_start_s(row.t_s), row.y_rad, row.y_counts, seq=row.block)
-        self.last_y_rad = sample.y_rad
         try:
-            decided_V = law.step(sample)
+            self._relay.take(rows, self._tick, law, stage, watch)
         finally:
-            self._record_row(row, sample, stage, law.z_rad_s, law.yd_rad)
-        if row.u_V != decided_V:
-            if self._relay is not None:
-                self._untaken.extend(self._relay.read_rows())  # where the device has stopped it by itself, it says why
-            raise Fault("DEVICE_RELAY", f"{row.u_V:+.3f} V at {row.y_counts} counts, not {decided_V:+.3f} V")
-        passed_V, _ = self.guard.allow(sample, row.u_V)
-        if passed_V != row.u_V:
-            raise Fault(
-                "RELAY_STOPPED",
-                f"{row.u_V:+.2f} V at {sample.y_rad:.3f} rad, {self.guard.velocity_rad_s:+.2f} rad/s, "
-                f"predicted stop {self.guard.predicted_stop_rad:.3f} rad",
-            )
-        if watch is not None:
-            watch(sample.t_s)
-
-    def _record_row(self, row: RelayRow, sample: Sample, stage: str, z_rad_s: float, yd_rad: float) -> None:
-        since_s, tick_s = sample.t_s - self._last_row_s, self._device_tick_s
-        missed = max(round(since_s / tick_s) - 1, 0) if math.isfinite(since_s) else 0
-        self._last_row_s = sample.t_s
-        self.statistics.device_tick(tick_s, missed)
-        flags = FLAG_SKIPPED if missed else 0
-        self._record.sample(self._tick, sample, stage, z_rad_s, yd_rad, row.u_V, math.nan, math.nan, flags)
-        self._record.complete(self._since_start_s(row.t_u_s), row.u_V)
+            self.last_y_rad = self._relay.last_y_rad
 
     def _record_last_rows(self) -> None:
-        """What else has come of a relay in the device when the run ends while it drives: recorded, judged by nobody."""
-        driver, self._relay = self._relay, None
-        if driver is not None:
-            try:
-                self._untaken.extend(driver.read_rows())
-            except Exception as error:  # noqa: BLE001 - a broken driver must not hide why the run ended
-                self._record.event(self.now_s, "rows_lost", error=repr(error))
-        while self._untaken:
-            row = self._untaken.popleft()
-            sample = Sample(self._since_start_s(row.t_s), row.y_rad, row.y_counts, seq=row.block)
-            self._record_row(row, sample, STOPPING, math.nan, math.nan)
+        """What else a relay in the device has done when the run ends while it drives."""
+        self._relay.record_last_rows(self._tick, self.now_s)
 
     def _run_tick(self, law: Law, stage: str) -> Sample:
         now_s = self._clock.now_s

@@ -7,6 +7,8 @@ from array import array
 
 import numpy as np
 
+from rig.results import DeviceLoop, LoopResult, Quantiles
+
 QUANTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
 KEPT = 1_000_000  # ticks; at 100 Hz nearly three hours
 
@@ -33,10 +35,10 @@ class Times:
         if time_us > self._largest_us:
             self._largest_us = time_us
 
-    def quantiles(self) -> dict[str, float | None]:
+    def quantiles(self) -> Quantiles:
         """p50, p99 and p99.9 of those that are kept, and the largest of all; None for each where there are none."""
         found = quantiles(self._last)
-        return found | {"max": round(self._largest_us, 3)} if self.count else found
+        return Quantiles(**(found | {"max": round(self._largest_us, 3)} if self.count else found))
 
 
 class LoopStatistics:
@@ -76,23 +78,20 @@ class LoopStatistics:
         self.device_missed += missed
         self.device_tick_s = tick_s
 
-    def summary(self) -> dict[str, object]:
-        """The ``loop`` object of result.json; quantiles are null where no tick ran.
-
-        ``device`` is there where a relay in the device has run.
-        """
-        device = {"period_s": self.device_tick_s, "ticks": self.device_ticks, "missed": self.device_missed}
-        return {
-            "period_s": self.period_s,
-            "ticks": self.ticks,
-            "skipped": self.skipped,
-            "late_us": self._late.quantiles(),
-            "io_us": self._io.quantiles(),
-            "compute_us": self._compute.quantiles(),
-            "write_us": self._write.quantiles(),
-            "record_us": self._record.quantiles(),
-            **({"device": device} if self.device_ticks else {}),
-        }
+    def summary(self) -> LoopResult:
+        """What result.json says of the loop; ``device`` is there where a relay in the device has run."""
+        device = DeviceLoop(period_s=self.device_tick_s, ticks=self.device_ticks, missed=self.device_missed)
+        return LoopResult(
+            period_s=self.period_s,
+            ticks=self.ticks,
+            skipped=self.skipped,
+            late_us=self._late.quantiles(),
+            io_us=self._io.quantiles(),
+            compute_us=self._compute.quantiles(),
+            write_us=self._write.quantiles(),
+            record_us=self._record.quantiles(),
+            device=device if self.device_ticks else None,
+        )
 
 
 def quantiles(values: array[float]) -> dict[str, float | None]:

@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
-from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 
 DriveWiring = Literal["ok", "reversed", "dead", "stuck_on"]
@@ -56,39 +54,6 @@ class BenchParameters:
     drive: DriveWiring = "ok"
     sensor: SensorWiring = "ok"
     fault_after_s: float = 0.0
-
-    @classmethod
-    def from_mapping(cls, emulated: Mapping[str, Any], tachometer: Mapping[str, Any] | None = None) -> BenchParameters:
-        """Parameters from the plain values of a config's sections ``emulated`` and ``tachometer``.
-
-        What is None there is the class's own default: sections of a whole config have no such values left.
-        """
-        m, w = emulated["motor"], emulated["wiring"]
-        potentiometer = {key: value for key, value in emulated["potentiometer"].items() if value is not None}
-        bridge = {key: emulated[key] for key in ("supply_V", "bridge_drop_V", "reversed") if emulated[key] is not None}
-        dead_band = emulated["dead_band_duty"] or {"plus": 0.0, "minus": 0.0}
-        static_plus = m["fc_plus_V"] if m["fs_plus_V"] is None else m["fs_plus_V"]
-        static_minus = m["fc_minus_V"] if m["fs_minus_V"] is None else m["fs_minus_V"]
-        friction = Friction(
-            m["fc_plus_V"], m["fc_minus_V"], static_plus, static_minus, m["stribeck_rad_s"], m["viscous_V_s_rad"]
-        )
-        has_tachometer = emulated["tachometer"] and tachometer is not None
-        return cls(
-            motor=Motor(m["tau_s"], m["K_rad_s_V"], friction, m["bias_V"]),
-            start_rad=m["start_rad"],
-            stop_rad=tuple(m["stop_rad"]),
-            **potentiometer,
-            **bridge,
-            dead_band_plus=dead_band["plus"],
-            dead_band_minus=dead_band["minus"],
-            drive_counts=emulated["drive_counts"],
-            tachometer_rad_s_per_count=tachometer["rad_s_per_count"] if has_tachometer and tachometer else None,
-            tachometer_zero_counts=tachometer["zero_counts"] if has_tachometer and tachometer else 0.0,
-            gear_ratio=tachometer["gear_ratio"] if has_tachometer and tachometer else 1.0,
-            drive=w["drive"],
-            sensor=w["sensor"],
-            fault_after_s=w["fault_after_s"],
-        )
 
 
 class Bench:

@@ -12,7 +12,7 @@ class DetectedCycle(NamedTuple):
 
     start_s, period_s     time of its start and its length, s
     amplitude_rad         half of the peak-to-peak position
-    accepted              it is the cycle of theory section 3, and not delay hunting (section 5)
+    accepted              it is the cycle of docs/theory.md 3.1, and not delay hunting
     reason                why not, in words; empty if accepted
     """
 
@@ -24,7 +24,7 @@ class DetectedCycle(NamedTuple):
 
 
 class CycleDetector:
-    """Finds periods from samples of position and its integral, and applies the acceptance rule (theory section 5).
+    """Finds periods from samples of position and its integral, and applies the acceptance rule (docs/theory.md 4.3).
 
     min_period_s        30 sampling periods
     min_amplitude_rad   20 LSB

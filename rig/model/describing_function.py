@@ -1,4 +1,4 @@
-"""The describing function of the triple relay: what a sine would do (theory section 5, Properties 3.1 and 3.2).
+"""The describing function of the triple relay: what a sine would do (docs/theory.md 4.1, Properties 3.1 and 3.2).
 
 With y = A sin(w t) the friction and the dual-channel relay together have N(A) = 4/(pi A) (h1 + j (fc - h2)), and
 1 + G(jw) N(A) = 0 gives w and A. It carries the error of assuming a sine.
@@ -39,7 +39,10 @@ class RelayGains(NamedTuple):
 
 
 def triple_relay(amplitude_rad: float, fc_V: float, h1_V: float, h2_V: float) -> complex:
-    """N(A), V/rad: relay on position, on its integral, and friction as a relay on velocity. A > 0."""
+    """N(A), V/rad: relay on position, on its integral, and friction as a relay on velocity.
+
+    Raises ValueError unless A > 0.
+    """
     if not amplitude_rad > 0.0:
         raise ValueError("the amplitude must be > 0")
     return 4.0 / (math.pi * amplitude_rad) * complex(h1_V, fc_V - h2_V)

@@ -1,6 +1,6 @@
 """Friction laws: none, Coulomb, with a static level, by direction, Tustin's with Stribeck effect and viscous friction.
 
-f(v) = (fc + (fs - fc) exp(-|v|/vs)) sgn(v) + fv v, with a level fc and fs for each direction (theory sections 1, 8, 9).
+f(v) = (fc + (fs - fc) exp(-|v|/vs)) sgn(v) + fv v, with a level fc and fs for each way (docs/theory.md 1.2, 7.3, 8.1).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Friction:
-    """Friction referred to the drive input, by direction (theory sections 1, 8, 9).
+    """Friction referred to the drive input, by direction (docs/theory.md 1.2, 7.3 and 8.1).
 
     plus_V, minus_V                level while moving towards +y and -y, V, >= 0
     static_plus_V, static_minus_V  level to break away, V, >= the moving level
@@ -42,7 +42,7 @@ class Friction:
 
     @property
     def fc_V(self) -> float:
-        """Mean Coulomb level of both directions, V: what motion can show (theory section 8)."""
+        """Mean Coulomb level of both directions, V: what motion can show (docs/theory.md 7.3)."""
         return 0.5 * (self.plus_V + self.minus_V)
 
     @property

@@ -1,7 +1,7 @@
 """The limit cycle under a dual-channel relay, exactly: where it is (Theorem 2.1), whether it is stable (Theorem 2.2).
 
 u = -h1 sgn(y) - h2 sgn(z) on tau dv/dt + v = K (u - fc sgn(v)), dy/dt = v, dz/dt = y. Time 0 is where the drive steps
-up to h1 + h2 (theory section 3).
+up to h1 + h2 (docs/theory.md 3.1, 3.2 and 3.3).
 """
 
 from __future__ import annotations
@@ -98,14 +98,14 @@ def input_vector(tau_s: float, K_rad_s_V: float, h_s: float) -> Array:
 
 
 def effective_inputs(fc_V: float, h1_V: float, h2_V: float) -> tuple[float, float, float]:
-    """Effective inputs of the three stages, V (theory section 3)."""
+    """Effective inputs of the three stages, V (docs/theory.md 3.1)."""
     return h1_V + h2_V + fc_V, h1_V + h2_V - fc_V, h2_V - h1_V - fc_V
 
 
 def initial_state(
     tau_s: float, K_rad_s_V: float, durations_s: tuple[float, float, float], inputs_V: tuple[float, float, float]
 ) -> Array:
-    """x(0) from odd symmetry, x(T/2) = -x(0) (theory section 3)."""
+    """x(0) from odd symmetry, x(T/2) = -x(0) (docs/theory.md 3.2)."""
     phi, forced = np.eye(3), np.zeros(3)
     for duration, U in zip(durations_s, inputs_V, strict=True):
         step = transition(tau_s, duration)

@@ -31,6 +31,23 @@ class RelayTest:
     true_y_rad: Array
 
 
+@dataclass(frozen=True)
+class Disturbance:
+    """What a bench adds to a relay test; nothing by default.
+
+    reading_rad   n values added to the position before it is read: noise and offset, rad
+    drive_V       n values added to the drive at the motor during the tick, not recorded, V
+    lsb_rad       step of the reading, rad; 0 for none
+    """
+
+    reading_rad: Array | None = None
+    drive_V: Array | None = None
+    lsb_rad: float = 0.0
+
+
+UNDISTURBED = Disturbance()
+
+
 def relay_test(
     motor: Motor,
     h1_V: float,
@@ -38,20 +55,17 @@ def relay_test(
     t_s: Array,
     latency_s: float | Array,
     *,
-    disturbance_rad: Array | None = None,
-    disturbance_V: Array | None = None,
-    lsb_rad: float = 0.0,
+    disturbance: Disturbance = UNDISTURBED,
     start: State | None = None,
 ) -> RelayTest:
     """Simulate ``u = -h1 sgn(y) - h2 sgn(z)``, decided at each sample and acting a latency later.
 
-    t_s              n times of the samples, s, increasing
-    latency_s        from each sample until its drive acts, s, >= 0; effects must stay in order
-    disturbance_rad  n values added to the position before it is read: noise and offset, rad
-    disturbance_V    n values added to the drive at the motor during the tick, not recorded, V
-    lsb_rad          step of the reading, rad; 0 for none
+    t_s          n times of the samples, s, increasing
+    latency_s    from each sample until its drive acts, s, >= 0; effects must stay in order
+    disturbance  noise, offset, disturbing drive and the step of the reading
+    start        state at the first sample; default: at rest at 0
     The law is that of ``rig.control.relay.DualChannelRelay``. Raises ValueError outside these ranges, and for a motor
-    with Stribeck effect, which has no closed form.
+    with Stribeck effect.
     """
     from rig.model.compiled import sampled_relay as compiled
 
@@ -63,22 +77,19 @@ def relay_test(
         raise ValueError("latencies must be >= 0 s, and drives must take effect in their order")
     if not motor.has_closed_form:
         raise ValueError("the compiled relay test needs a motor without Stribeck effect")
-    zeros = np.zeros(t.size)
-    f = motor.friction
-    levels = (f.plus_V, f.minus_V, f.static_plus_V, f.static_minus_V)
     first = start or State()
     out = np.empty((t.size, 5))
     compiled.relay_test(
-        (motor.tau_eff_s, motor.K_eff_rad_s_V, *levels, motor.bias_V),
-        float(h1_V),
-        float(h2_V),
-        t,
-        t_u,
-        zeros if disturbance_rad is None else np.ascontiguousarray(disturbance_rad, dtype=float),
-        zeros if disturbance_V is None else np.ascontiguousarray(disturbance_V, dtype=float),
-        float(lsb_rad),
-        (float(first.v), float(first.y)),
+        tuple(motor.plant),
+        (float(h1_V), float(h2_V)),
+        (t, t_u),
+        (_or_zeros(disturbance.reading_rad, t), _or_zeros(disturbance.drive_V, t), float(disturbance.lsb_rad)),
+        (float(first.v), float(first.y), 0.0),
         out,
     )
     y, u, z, v, true_y = (np.ascontiguousarray(column) for column in out.T)
     return RelayTest(t, t_u, y, u, z, v, true_y)
+
+
+def _or_zeros(values: Array | None, t_s: Array) -> Array:
+    return np.zeros(t_s.size) if values is None else np.ascontiguousarray(values, dtype=float)

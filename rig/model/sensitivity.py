@@ -1,22 +1,26 @@
-"""The exact motion together with its derivatives by the motor's parameters.
+"""The exact motion under a recorded drive, and its derivatives by the motor's parameters.
 
-Between events the motion has a closed form (theory section 1), and so have its derivatives. An event moves when a
-parameter does: by the same instant dt at which it moves, the velocity jumps by (acceleration before - acceleration
-after) * dt to first order, and the position does not. So one pass over the events gives position and Jacobian.
+Between events the motion has a closed form, and so have its derivatives (docs/theory.md 1.3, 1.4). An event moves
+when a parameter does: by the same instant dt at which it moves, the velocity jumps by (acceleration before -
+acceleration after) * dt to first order, and the position does not. So one pass over the events gives position and
+Jacobian.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.model.step import Numbers, Plant
+
 Array = NDArray[np.float64]
 
 
 class Theta(NamedTuple):
-    """Parameters of a series' motion (theory section 8), in the order of the Jacobian's columns.
+    """Parameters of a series' motion (docs/theory.md 7.2), in the order of the Jacobian's columns.
 
     tau_s, K_rad_s_V, fc_V   the motor
     asym_V                   asymmetry a: the effective drive in motion is u + a - fc sgn(v)
@@ -33,12 +37,33 @@ class Theta(NamedTuple):
     y0_rad: float = 0.0
 
 
+class StribeckTheta(NamedTuple):
+    """Parameters of a series' motion under Tustin's law: those of ``Theta``, and two more.
+
+    tau_s, K_rad_s_V, fc_V   the motor; viscous friction is in tau and K
+    asym_V                   asymmetry a: the effective drive is u + a
+    delay_s                  by which the drive acts later than its edges say
+    v0_rad_per_s, y0_rad     state at the first sample
+    fs_V, stribeck_rad_s     static level, V, >= fc, and the velocity over which it falls to fc, rad/s, > 0
+    """
+
+    tau_s: float
+    K_rad_s_V: float
+    fc_V: float
+    asym_V: float
+    delay_s: float
+    v0_rad_per_s: float
+    y0_rad: float
+    fs_V: float
+    stribeck_rad_s: float
+
+
 def position(theta: Theta, edge_s: Array, u_V: Array, t_s: Array, static_V: float | None = None) -> Array:
     """Positions at the times ``t_s``, rad, without the derivatives; arguments as ``position_and_jacobian``."""
     from rig.model.compiled import motion
 
     y = np.empty(t_s.size)
-    motion.position(_floats(theta), _level(theta, static_V), edge_s, u_V, t_s, y)
+    motion.response(*_motion(theta, static_V), (edge_s, u_V, float(theta.delay_s)), t_s, y)
     return y
 
 
@@ -56,14 +81,28 @@ def position_and_jacobian(
     from rig.model.compiled import motion
 
     y, jacobian = np.empty(t_s.size), np.empty((t_s.size, 7))
-    motion.position_and_jacobian(_floats(theta), _level(theta, static_V), edge_s, u_V, t_s, y, jacobian)
+    motion.position_and_jacobian(*_motion(theta, static_V), (edge_s, u_V, float(theta.delay_s)), t_s, y, jacobian)
     return y, jacobian
 
 
-def _floats(theta: Theta) -> tuple[float, float, float, float, float, float, float]:
-    tau, K, fc, asym, delay, v0, y0 = theta
-    return float(tau), float(K), float(fc), float(asym), float(delay), float(v0), float(y0)
+def stribeck_response(theta: StribeckTheta, edge_s: Array, u_V: Array, t_s: Array) -> Array:
+    """Positions at the times ``t_s`` (n, s, non-decreasing, n >= 1), rad; compiled.
+
+    The drive before its first edge is that of its first edge. Raises ValueError on parameters out of range.
+    """
+    from rig.model.compiled import motion
+
+    tau, K, fc, asym, delay, v0, y0, fs, unit = map(float, theta)
+    if not (all(map(math.isfinite, theta)) and min(tau, K, unit) > 0.0 and 0.0 <= fc <= fs):
+        raise ValueError(f"need tau, K, the Stribeck velocity > 0 and 0 <= fc <= fs, all finite, not {theta}")
+    y = np.empty(t_s.size)
+    plant = Plant(tau, K, fc, fc, fs, fs, unit, asym)
+    motion.response(tuple(plant), (v0, y0, 0.0), (edge_s, u_V, delay), t_s, y)
+    return y
 
 
-def _level(theta: Theta, static_V: float | None) -> float:
-    return float(theta.fc_V if static_V is None else max(static_V, theta.fc_V))
+def _motion(theta: Theta, static_V: float | None) -> tuple[Numbers, Numbers]:
+    """The numbers of the plant, and of its state at the first sample."""
+    tau, K, fc, asym, _, v0, y0 = map(float, theta)
+    fs = fc if static_V is None else max(float(static_V), fc)
+    return tuple(Plant(tau, K, fc, fc, fs, fs, 0.0, asym)), (v0, y0, 0.0)

@@ -4,8 +4,8 @@ While the motor moves one way, with speed x in units of the Stribeck velocity vs
 
     x' = e - x - b expm1(-x),    e = K (D - fs) / vs,    b = K (fs - fc) / vs,    x >= 0
 
-(D: drive along the motion, V; theory section 9; viscous friction is in tau and K already). The right side is analytic,
-so x is a power series in time, and its integrals, position and integral of position, are too.
+(D: drive along the motion, V; viscous friction is in tau and K already; docs/theory.md 8.1, 8.2). The right side is
+analytic, so x is a power series in time, and its integrals, position and integral of position, are too.
 
 The step. With B = b exp(-x0), on the disc |x - x0| <= R the right side is at most M = |x0'| + R + B (exp(R) - 1) and
 its slope at most L = 1 + B exp(R). So the solution is analytic, and stays in the disc, at least for |t| < rho =
@@ -13,17 +13,16 @@ max(R / M, ln(1 + R L / |x0'|) / L) (Picard; Gronwall). By Cauchy's estimate the
 R (t / rho)^k. Steps end at rho / RATIO: what is left off after ORDER is at most R RATIO^-ORDER / (RATIO - 1), 2e-14 R,
 and in practice below rounding, because rho is about half of the true radius.
 
-Where b exp(-x) is below rounding the motion has the closed form of theory section 1, and that is used.
+Where b exp(-x) is below rounding the motion has the closed form of docs/theory.md 1.3, and that is used.
 
-These functions are plain Python; ``rig.model.compiled.stribeck`` is the same, compiled. ``c`` is a list or an array of
-ORDER + 1 coefficients.
+``rig.model.step`` makes segments of these functions; numba compiles them into the loops of ``rig.model.compiled``.
+``c`` is a list or an array of ORDER + 1 coefficients.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import MutableSequence, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +42,7 @@ TRUNCATION = RATIO**-ORDER / (RATIO - 1.0)  # bound of a step's truncation, over
 
 
 def far_speed(b: float) -> float:
-    """Speed, in vs, from which on the Stribeck effect is below rounding; 0 where there is none."""
+    """Speed, in vs, from which on the Stribeck effect, ``b``, is below rounding; 0 where there is none."""
     return NEGLIGIBLE + math.log1p(b) if SMALLEST <= b <= LARGEST else 0.0
 
 
@@ -58,6 +57,7 @@ def is_exponential(x: float, target: float, b: float) -> bool:
 def expand(x: float, e: float, b: float, c: Room, w: Room) -> float:
     """Fill ``c`` with the coefficients of x(t) about speed ``x``; returns the step, in tau, that they are good for.
 
+    x, e, b   as above, in units of the Stribeck velocity
     ``w`` is room for as many numbers: the coefficients of exp(-x).
     """
     slope = e - x - b * math.expm1(-x)
@@ -99,7 +99,7 @@ def path_at(c: Series, h: float) -> float:
 
 
 def integral_at(c: Series, h: float) -> float:
-    """Integral of that path, in vs tau^2."""
+    """Integral of that path ``h`` after the point of expansion, in vs tau^2."""
     z = 0.0
     for k in range(ORDER, -1, -1):
         z = z * h + c[k] / ((k + 1) * (k + 2))
@@ -128,7 +128,7 @@ def rest_within(c: Series, h: float) -> float:
 
 
 def terminal_speed(x: float, e: float, b: float) -> float:
-    """Speed that the motion from ``x`` tends to, in vs; 0 if it comes to rest, b > 0.
+    """Speed that the motion from ``x`` tends to, in vs; 0 if it comes to rest. ``e``, and ``b`` > 0, as above.
 
     The right side is concave in x: it has no zero, or an unstable one and, above it, a stable one.
     """
@@ -147,114 +147,3 @@ def terminal_speed(x: float, e: float, b: float) -> float:
             break
         root = lower
     return root
-
-
-def position(
-    theta: tuple[float, float, float, float, float, float, float, float, float],
-    edge_s: Array,
-    u_V: Array,
-    t_s: Array,
-    y_rad: Array,
-) -> None:
-    """Fill ``y_rad`` with the positions at the times ``t_s``; ``theta`` as ``StribeckTheta``."""
-    tau, K, fc, asym, delay, v0, y, fs, unit = theta
-    n, edges = t_s.size, edge_s.size
-    c, w = np.zeros(ORDER + 1), np.zeros(ORDER + 1)
-    b = K * (fs - fc) / unit
-    far = far_speed(b)
-    y_unit = unit * tau
-    now = t_s[0]
-    x = abs(v0) / unit
-    sign = 1.0 if v0 > 0.0 else -1.0
-    j = 0
-    while j + 1 < edges and edge_s[j + 1] + delay <= now:
-        j += 1
-    k = 0
-    while True:
-        end = edge_s[j + 1] + delay if j + 1 < edges else math.inf
-        drive = u_V[j] + asym
-        while now < end:
-            if x == 0.0:
-                sign = 1.0 if drive > 0.0 else -1.0
-                if sign * drive <= fs:  # held
-                    while k < n and t_s[k] < end:
-                        y_rad[k] = y
-                        k += 1
-                    if k == n:
-                        return
-                    now = end
-                    break
-            e = K * (sign * drive - fs) / unit
-            target = e + b
-            if is_exponential(x, target, b):
-                leaves = now + tau * math.log((x - target) / (far - target)) if target < far < x else math.inf
-                until = min(leaves, end)
-                excess = x - target
-                while k < n and t_s[k] < until:
-                    h = (t_s[k] - now) / tau
-                    y_rad[k] = y + sign * y_unit * (target * h - excess * math.expm1(-h))
-                    k += 1
-                if k == n:
-                    return
-                h = (until - now) / tau
-                y += sign * y_unit * (target * h - excess * math.expm1(-h))
-                x = far if leaves <= end else x + excess * math.expm1(-h)
-            else:
-                step = expand(x, e, b, c, w)
-                until = min(now + tau * step, end, t_s[n - 1])
-                h = (until - now) / tau
-                end_x = speed_at(c, h)
-                if x > 0.0 and end_x <= 0.0:
-                    h = rest_within(c, h)
-                    until = now + tau * h
-                    end_x = 0.0
-                while k < n and t_s[k] <= until:
-                    y_rad[k] = y + sign * y_unit * path_at(c, (t_s[k] - now) / tau)
-                    k += 1
-                if k == n:
-                    return
-                y += sign * y_unit * path_at(c, h)
-                x = end_x
-            now = until
-        j += 1
-
-
-class StribeckTheta(NamedTuple):
-    """Parameters of a record's motion under Tustin's law: those of ``rig.model.sensitivity.Theta``, and two more.
-
-    tau_s, K_rad_s_V, fc_V   the motor; viscous friction is in tau and K
-    asym_V                   asymmetry a: the effective drive is u + a
-    delay_s                  by which the drive acts later than its edges say
-    v0_rad_per_s, y0_rad     state at the first sample
-    fs_V, stribeck_rad_s     static level, V, >= fc, and the velocity over which it falls to fc, rad/s, > 0
-    """
-
-    tau_s: float
-    K_rad_s_V: float
-    fc_V: float
-    asym_V: float
-    delay_s: float
-    v0_rad_per_s: float
-    y0_rad: float
-    fs_V: float
-    stribeck_rad_s: float
-
-
-def stribeck_response(theta: StribeckTheta, edge_s: Array, u_V: Array, t_s: Array) -> Array:
-    """Positions at the times ``t_s`` (n, s, non-decreasing, n >= 1) under the steps u_V from edge_s on, rad; compiled.
-
-    The drive before its first edge is that of its first edge. Raises ValueError on parameters out of range.
-    """
-    from rig.model.compiled import stribeck as compiled
-
-    tau, K, fc, *_, fs, unit = theta
-    if not (all(map(math.isfinite, theta)) and min(tau, K, unit) > 0.0 and 0.0 <= fc <= fs):
-        raise ValueError(f"need tau, K, the Stribeck velocity > 0 and 0 <= fc <= fs, all finite, not {theta}")
-    y = np.empty(t_s.size)
-    compiled.position(_floats(theta), edge_s, u_V, t_s, y)
-    return y
-
-
-def _floats(theta: StribeckTheta) -> tuple[float, float, float, float, float, float, float, float, float]:
-    tau, K, fc, asym, delay, v0, y0, fs, unit = map(float, theta)
-    return tau, K, fc, asym, delay, v0, y0, fs, unit

@@ -73,8 +73,20 @@ UNITS: Final[dict[str, str]] = {
 HEADER: Final = ",".join(COLUMNS) + "\n"
 
 
-class RecordedRow(NamedTuple):
-    """One row as numbers of Python's own, its fields in the order of ``COLUMNS``."""
+def _number(value: float) -> str:
+    return "" if value != value else repr(value)
+
+
+def _time(value_s: float) -> str:
+    return "" if value_s != value_s else f"{value_s:.9f}"
+
+
+def _micros(value_us: float) -> str:
+    return "" if value_us != value_us else f"{value_us:.3f}"
+
+
+class SampleRow(NamedTuple):
+    """One row of samples.csv, in the order of ``COLUMNS``."""
 
     tick: int
     seq: int
@@ -97,35 +109,9 @@ class RecordedRow(NamedTuple):
         return math.isnan(self.late_us)
 
 
-def _number(value: float) -> str:
-    return "" if value != value else repr(value)
-
-
-def _time(value_s: float) -> str:
-    return "" if value_s != value_s else f"{value_s:.9f}"
-
-
-def _micros(value_us: float) -> str:
-    return "" if value_us != value_us else f"{value_us:.3f}"
-
-
-def format_row(
-    tick: int,
-    seq: int,
-    t_s: float,
-    t_u_s: float,
-    y_rad: float,
-    y_counts: int,
-    v_rad_per_s: float,
-    u_V: float,
-    z_rad_s: float,
-    yd_rad: float,
-    stage: str,
-    late_us: float,
-    io_us: float,
-    flags: int,
-) -> str:
-    """One line of samples.csv, line end included; arguments in the order of ``COLUMNS``."""
+def format_row(row: SampleRow) -> str:
+    """One line of samples.csv, line end included."""
+    tick, seq, t_s, t_u_s, y_rad, y_counts, v_rad_per_s, u_V, z_rad_s, yd_rad, stage, late_us, io_us, flags = row
     return (
         f"{tick},{seq},{_time(t_s)},{_time(t_u_s)},{_number(y_rad)},{y_counts},{_number(v_rad_per_s)},"
         f"{_number(u_V)},{_number(z_rad_s)},{_number(yd_rad)},{stage},{_micros(late_us)},{_micros(io_us)},"

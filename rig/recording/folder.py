@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rig.recording.errors import CannotWriteError, RecordingError
+from rig.results.part import Part
 
 CONFIG: Final = "config.yaml"
 META: Final = "meta.json"
@@ -53,7 +54,7 @@ def write_config(folder: Path, text: str) -> None:
     write_whole(folder / CONFIG, text.encode("utf-8"))
 
 
-def write_meta(folder: Path, meta: Mapping[str, Any]) -> None:
+def write_meta(folder: Path, meta: Part | Mapping[str, Any]) -> None:
     """Write meta.json, strict JSON: nan and infinities become null; numpy values are converted.
 
     Raises RecordingError where the file cannot be written, TypeError for what JSON cannot hold.
@@ -61,7 +62,7 @@ def write_meta(folder: Path, meta: Mapping[str, Any]) -> None:
     write_whole(folder / META, json_text(meta).encode("utf-8"))
 
 
-def write_result(folder: Path, result: Mapping[str, Any]) -> None:
+def write_result(folder: Path, result: Part | Mapping[str, Any]) -> None:
     """Write result.json; otherwise as ``write_meta``."""
     write_whole(folder / RESULT, json_text(result).encode("utf-8"))
 
@@ -90,9 +91,10 @@ def write_whole(path: Path, content: bytes) -> None:
         raise CannotWriteError(path, *_cannot_write(error)) from error
 
 
-def json_text(value: Mapping[str, Any]) -> str:
+def json_text(value: Part | Mapping[str, Any]) -> str:
     """JSON that any reader takes: numbers that are not finite become null. Raises TypeError for what it cannot hold."""
-    return json.dumps(_strict(value), indent=2, allow_nan=False) + "\n"
+    plain = value.as_json() if isinstance(value, Part) else value
+    return json.dumps(_strict(plain), indent=2, allow_nan=False) + "\n"
 
 
 def _strict(value: Any) -> Any:

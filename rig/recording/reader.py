@@ -13,16 +13,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.recording.columns import COLUMNS, KINDS, RecordedRow
+from rig.recording.columns import COLUMNS, KINDS, SampleRow
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, RESULT
 from rig.recording.path_kind import no_recording, no_run
 from rig.recording.writer import EVENTS, SAMPLES
+from rig.results import Part, RunEvent, RunMeta, RunResult
+from rig.results.reading import DamagedError, parsed, remarks
 from rig.signals import plain
 
 __all__ = [
@@ -35,6 +37,8 @@ __all__ = [
     "read_run",
     "whole_content",
 ]
+
+_P = TypeVar("_P", bound=Part)
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -77,7 +81,7 @@ class Recording:
     flags        as recorded, else 0
     stage        name of each row's stage, else ""
     columns_present   the columns that the file has, in its order, those unknown to us included
-    meta, config_text, events   of a run folder; {}, None and () for a plain CSV file
+    meta, config_text, events   of a run folder; RunMeta(), None and () for a plain CSV file
     notes        in words, what was tolerated: a torn last line, a missing meta.json
     first_row    number that the first row has in the file; not 0 where rows were selected
     """
@@ -98,9 +102,9 @@ class Recording:
     stage: NDArray[np.str_]
     columns_present: tuple[str, ...]
     source: Path
-    meta: dict[str, Any]
+    meta: RunMeta
     config_text: str | None
-    events: tuple[dict[str, Any], ...]
+    events: tuple[RunEvent, ...]
     notes: tuple[str, ...]
     first_row: int = 0
 
@@ -127,10 +131,10 @@ class Recording:
             )
         return slice(first, end)
 
-    def rows(self) -> list[RecordedRow]:
+    def rows(self) -> list[SampleRow]:
         """All rows, one by one."""
         columns = (getattr(self, name).tolist() for name in COLUMNS)
-        return [RecordedRow(*row) for row in zip(*columns, strict=True)]
+        return [SampleRow(*row) for row in zip(*columns, strict=True)]
 
     def select(self, first: int, last: int) -> Recording:
         """Rows ``first`` to ``last``, both included, counted from 0 as in result.json's ``rows``.
@@ -161,12 +165,12 @@ def from_columns(
     y_rad: Floats,
     t_u_s: Floats | None = None,
     late_us: Floats | None = None,
-    meta: dict[str, Any] | None = None,
+    meta: RunMeta | None = None,
 ) -> Recording:
     """A recording that is in no file: what ``read_csv`` would make of these columns, each of n >= 3 finite values.
 
     source         what to call it in messages
-    late_us, meta  as a run has them: with meta["period_s"] the clock ratio can be told
+    late_us, meta  as a run has them: with meta.period_s the clock ratio can be told
     Raises RecordingError where times do not rise.
     """
     columns: dict[str, NDArray[Any]] = {"t_s": t_s, "u_V": u_V, "y_rad": y_rad}
@@ -182,7 +186,7 @@ def from_columns(
         **columns,
         columns_present=present,
         source=source,
-        meta=meta or {},
+        meta=meta or RunMeta(),
         config_text=None,
         events=(),
         notes=(),
@@ -210,14 +214,15 @@ def read_run(folder: Path, known: Recording | None = None) -> Recording:
     recording = read_csv(folder / SAMPLES, own=True, known=known)
     notes = list(recording.notes)
 
-    meta: dict[str, Any] = {}
-    if (folder / META).exists():
-        meta = _parse_object(folder / META, _text(folder / META, _bytes(folder / META)), None)
+    meta = _read_part(folder / META, RunMeta)
+    if meta is not None:
+        notes.extend(f"{META}: {remark}" for remark in remarks(meta))
     else:
+        meta = RunMeta()
         notes.append(f"{META} is missing")
     config = folder / CONFIG
     config_text = _text(config, _bytes(config)) if config.exists() else None
-    events: list[dict[str, Any]] = []
+    events: list[RunEvent] = []
     if (folder / EVENTS).exists():
         events = _read_events(folder / EVENTS, notes)
     return replace(
@@ -225,10 +230,9 @@ def read_run(folder: Path, known: Recording | None = None) -> Recording:
     )
 
 
-def read_result(folder: Path) -> dict[str, Any] | None:
+def read_result(folder: Path) -> RunResult | None:
     """What a run folder's result.json holds; None where there is none. Raises RecordingError where it is broken."""
-    path = folder / RESULT
-    return _parse_object(path, _text(path, _bytes(path)), None) if path.exists() else None
+    return _read_part(folder / RESULT, RunResult)
 
 
 def read_csv(path: Path, *, own: bool = False, known: Recording | None = None) -> Recording:
@@ -277,7 +281,7 @@ def read_csv(path: Path, *, own: bool = False, known: Recording | None = None) -
         **columns,
         columns_present=header,
         source=path,
-        meta={},
+        meta=RunMeta(),
         config_text=None,
         events=(),
         notes=tuple(notes),
@@ -565,14 +569,26 @@ def _add_absent(columns: dict[str, NDArray[Any]], count: int) -> None:
 # -- JSON -------------------------------------------------------------------------------------------------------------
 
 
-def _read_events(path: Path, notes: list[str]) -> list[dict[str, Any]]:
+def _read_events(path: Path, notes: list[str]) -> list[RunEvent]:
     content, moved = whole_content(path)
     if not content:
         return []
     whole, torn = _without_torn_line(path, content)
     notes.extend(f"{EVENTS}: {note}" for note in [*moved, *torn])
     lines = _text(path, whole).split("\n")
-    return [_parse_object(path, line, number) for number, line in enumerate(lines, 1) if line.strip()]
+    return [_typed(path, RunEvent, line, number) for number, line in enumerate(lines, 1) if line.strip()]
+
+
+def _read_part(path: Path, kind: type[_P]) -> _P | None:
+    """What a JSON file holds; None where there is none."""
+    return _typed(path, kind, _text(path, _bytes(path)), None) if path.exists() else None
+
+
+def _typed(path: Path, kind: type[_P], text: str, line: int | None) -> _P:
+    try:
+        return parsed(kind, _parse_object(path, text, line))
+    except DamagedError as error:
+        raise RecordingError(path, error.cause, "correct it, or take that key out of the file", line) from error
 
 
 def _parse_object(path: Path, text: str, line: int | None) -> dict[str, Any]:

@@ -42,7 +42,7 @@ class Record(Protocol):
 
 
 class NoRecord:
-    """Keeps nothing: for rehearsals."""
+    """Keeps nothing: for simulations before a run."""
 
     def sample(self, *row: *Row) -> None:
         """Do nothing."""

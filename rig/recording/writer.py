@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Final
 
 from rig.recording import layout
-from rig.recording.columns import HEADER, format_row
+from rig.recording.columns import HEADER, SampleRow, format_row
 from rig.recording.end_of_input import EndOfInput, end_of_input
 from rig.recording.layout import ROW, SharedMemory
 
@@ -263,7 +263,8 @@ class Writer:
             t_u_s = _NAN
         self._last_t_s = t_s
         name = self._stages[stage]
-        return format_row(tick, seq, t_s, t_u_s, y_rad, counts, v, u_V, z_rad_s, yd_rad, name, late_us, io_us, flags)
+        row = SampleRow(tick, seq, t_s, t_u_s, y_rad, counts, v, u_V, z_rad_s, yd_rad, name, late_us, io_us, flags)
+        return format_row(row)
 
     def _write_events(self, end: int) -> None:
         shared = self._shared

@@ -7,8 +7,9 @@ import math
 import numpy as np
 from matplotlib.axes import Axes
 
-from rig.report.source import Array, Run, number, section
+from rig.report.source import Array, Run
 from rig.report.style import INK, LIMIT, MEASURED, MUTED, AbsentError, Picture, colour, new_figure, note, render
+from rig.results import known
 
 
 def tracking(run: Run) -> Picture:
@@ -35,8 +36,8 @@ def tracking(run: Run) -> Picture:
         bottom.set_xlabel("time in the stage, s")
         seen = np.abs(error[np.isfinite(error)])
         largest = max(largest, float(seen.max()) if seen.size else 0.0)
-        outcome = section(section(run.result, "tracking"), method)
-        rms = 1e3 * number(outcome.get("rms_rad"))
+        outcome = run.result.tracking.get(method)
+        rms = math.nan if outcome is None else 1e3 * known(outcome.rms_rad)
         if math.isfinite(rms):
             note(bottom, f"RMS {rms:.3g} mrad", loc="upper left")
     panels[0, 0].set_ylabel("position, rad")
@@ -68,8 +69,8 @@ def loop_timing(run: Run) -> Picture:
     _histogram(left, late, "lateness of the tick")
     _histogram(right, io, "time of the exchange with the device")
     left.set_ylabel("ticks")
-    skipped = number(section(run.result, "loop").get("skipped"))
-    words = f" {skipped:.0f} ticks were skipped." if math.isfinite(skipped) else ""
+    skipped = None if run.result.loop is None else run.result.loop.skipped
+    words = "" if skipped is None else f" {skipped} ticks were skipped."
     period = run.period_s
     grid = f" The period is {1e6 * period:.0f} µs." if math.isfinite(period) else ""
     return render(

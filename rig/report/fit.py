@@ -17,7 +17,8 @@ from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.recording.errors import IdentifyError, RecordingError
 from rig.recording.series import TimeSeries
-from rig.report.source import Array, Json, Run, Span, number
+from rig.report.source import Array, Run, Span
+from rig.results import EstimateResult, known
 
 PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
 
@@ -76,7 +77,7 @@ def central_difference(t: Array, y: Array) -> Array:
 def cycles_of(run: Run, span: Span) -> Cycles | None:
     """Whole settled cycles of a relay test, as identification finds them; None where it finds none.
 
-    A cycle starts where the integral crosses zero downwards (the drive steps up to h1 + h2, theory section 3);
+    A cycle starts where the integral crosses zero downwards (the drive steps up to h1 + h2, docs/theory.md 3.1);
     crossings closer than half the median are chatter around the edge.
     """
     try:
@@ -96,16 +97,18 @@ def cycles_of(run: Run, span: Span) -> Cycles | None:
     return Cycles(series, rows) if len(rows) >= 2 else None
 
 
-def motor_of(estimate: Json) -> Motor | None:
+def motor_of(estimate: EstimateResult | None) -> Motor | None:
     """The estimated model; None where the estimate has no usable parameters."""
-    tau, gain, fc = (number(estimate.get(key)) for key in PARAMETERS)
+    if estimate is None:
+        return None
+    tau, gain, fc = (known(estimate.value(key)) for key in PARAMETERS)
     if not (math.isfinite(fc) and tau > 0.0 and gain > 0.0 and fc >= 0.0):
         return None
-    asym = number(estimate.get("asym_V"))
+    asym = known(estimate.asym_V)
     return Motor(tau, gain, Friction(fc, fc, fc, fc), bias_V=asym if math.isfinite(asym) else 0.0)
 
 
-def predict_cycles(run: Run, estimate: Json, cycles: Cycles) -> list[Predicted]:
+def predict_cycles(run: Run, estimate: EstimateResult | None, cycles: Cycles) -> list[Predicted]:
     """Each cycle under its recorded drive, from the start (v0, y0) that fits it best; empty without a model."""
     motor = motor_of(estimate)
     if motor is None:
@@ -113,7 +116,7 @@ def predict_cycles(run: Run, estimate: Json, cycles: Cycles) -> list[Predicted]:
     series = cycles.series
     edges = series.edge_s
     if series.t_u_s is None:  # then the drive acts an estimated delay later, if any method knows it
-        delays = (number(e.get("delay_s")) for e in (estimate, run.estimates.get("sampled-data", {})))
+        delays = (known(e.delay_s) for e in (estimate, run.estimates.get("sampled-data")) if e is not None)
         edges = edges + next((d for d in delays if math.isfinite(d)), 0.0)
     found = []
     for first, last in cycles.rows:

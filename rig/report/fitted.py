@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.identify.estimate import Estimate
 from rig.report.fit import PARAMETERS, average, cycles_of, motor_of, predict_cycles
-from rig.report.source import Array, Run, Span, interval, number
+from rig.report.source import Array, Run, Span
 from rig.report.style import (
     INK,
     MEASURED,
@@ -26,6 +26,7 @@ from rig.report.style import (
     short,
     stage_label,
 )
+from rig.results import known
 
 LABELS = {"tau_s": "τ, s", "K_rad_s_V": "K, (rad/s)/V", "fc_V": r"$\mathbf{f_c}$, V"}
 LONGEST_LAG = 60
@@ -144,7 +145,7 @@ def autocorrelation(pieces: list[Array], longest: int) -> tuple[Array, Array]:
 
 def forest(run: Run) -> Picture:
     """Estimates of tau, K and f_c side by side with their 95 % intervals, and the truth where it is known."""
-    estimates = {m: e for m, e in run.estimates.items() if any(math.isfinite(number(e.get(k))) for k in PARAMETERS)}
+    estimates = {m: e for m, e in run.estimates.items() if any(math.isfinite(known(e.value(k))) for k in PARAMETERS)}
     if not estimates:
         raise AbsentError("There is no estimate to compare.")
     figure = new_figure(0.9 + 0.34 * len(estimates))
@@ -152,14 +153,14 @@ def forest(run: Run) -> Picture:
     names = list(estimates)
     for axes, key in zip(panels, PARAMETERS, strict=True):
         for row, (method, estimate) in enumerate(estimates.items()):
-            value = number(estimate.get(key))
+            value = known(estimate.value(key))
             if not math.isfinite(value):
                 continue
-            bounds = interval(estimate, key)
+            bounds = estimate.interval(key)
             if bounds is not None:
                 axes.plot(bounds, (row, row), "-", color=colour(method), lw=2.2, solid_capstyle="butt")
                 axes.plot(bounds, (row, row), "|", color=colour(method), ms=9, mew=1.6)
-            hollow = estimate.get("verdict") != "ok"
+            hollow = estimate.verdict != "ok"
             axes.plot(value, row, "o", ms=6, color=colour(method), mfc="white" if hollow else colour(method), mew=1.5)
         if key in run.truth:
             axes.axvline(run.truth[key], color=INK, lw=1.0, ls=":", zorder=1)

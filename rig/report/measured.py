@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.transforms import blended_transform_factory
 
 from rig.report.fit import central_difference, cycles_of, predict_cycles
-from rig.report.source import Array, Json, Run, Span, mappings, number, pair, section
+from rig.report.source import Array, Run, Span
 from rig.report.style import (
     BANDS,
     DRIVE,
@@ -31,6 +31,7 @@ from rig.report.style import (
     stage_kind,
     stage_label,
 )
+from rig.results import BreakawayResult, SearchStepResult, known
 
 
 def whole_run(run: Run) -> Picture:
@@ -58,11 +59,11 @@ def whole_run(run: Run) -> Picture:
             starts = t[[first for first, _ in cycles.rows]]
             top.plot(starts, np.full(starts.size, 0.025), "^", ms=3.0, color=INK, transform=foot, zorder=4)
     for fault in run.faults:
-        when = number(fault["t_s"])
+        when = known(fault.t_s)
         if math.isfinite(when):
             for axes in (top, bottom):
                 axes.axvline(when, color=LIMIT, lw=1.2)
-            note(top, plain(f"fault {fault['code']} at {when:.2f} s"), loc="upper left", colour=LIMIT)
+            note(top, plain(f"fault {fault.code} at {when:.2f} s"), loc="upper left", colour=LIMIT)
     low, high = top.get_ylim()
     top.set_ylim(low, high + 0.13 * (high - low))  # room for the legend above the limits
     top.legend(loc="upper right", ncols=4, borderaxespad=0.1)
@@ -74,9 +75,9 @@ def whole_run(run: Run) -> Picture:
 
 
 def _limits(axes: Axes, run: Run) -> None:
-    for which, style, words in (("soft_rad", (0, (5, 3)), "soft limit"), ("hard_rad", "-", "hard limit")):
-        pair = run.limits(which)
-        for k, value in enumerate(pair or ()):
+    soft, hard = run.config.soft_rad, run.config.hard_rad
+    for limits, style, words in ((soft, (0, (5, 3)), "soft limit"), (hard, "-", "hard limit")):
+        for k, value in enumerate(limits or ()):
             axes.axhline(value, color=LIMIT, lw=0.9, ls=style, label=words if k == 0 else None)
 
 
@@ -129,10 +130,10 @@ def relay_tests(run: Run) -> Picture:
         panels[0, column].plot(
             turns, np.interp(turns, time, y[rows]), "D", ms=4.5, mfc="white", mec="#009E73", mew=1.3, label="RA: v = 0"
         )
-        gains = next((r for r in mappings(run.result.get("relays")) if r.get("stage") == span.stage), {})
+        test = next((test for test in run.result.relays if test.stage == span.stage), None)
         title = stage_label(span.stage)
-        if gains:
-            title += f":  h1 = {number(gains.get('h1_V')):.3g} V,  h2 = {number(gains.get('h2_V')):.3g} V"
+        if test is not None:
+            title += f":  h1 = {test.h1_V:.3g} V,  h2 = {test.h2_V:.3g} V"
         panels[0, column].set_title(title)
         panels[2, column].set_xlabel("time, s")
     for axes, words in zip(panels[:, 0], ("y, rad", "z, rad s", "u, V"), strict=True):
@@ -198,7 +199,7 @@ def portraits(run: Run) -> Picture:
         left.plot(y[rows], v[rows], mark, ms=1.8, color=ink, alpha=0.45, mew=0, label=label, rasterized=True)
         right.plot(y[rows], z[rows], mark, ms=1.8, color=ink, alpha=0.45, mew=0, label=label, rasterized=True)
         cycles = cycles_of(run, span)
-        best = next(iter(run.estimates.values()), {})
+        best = next(iter(run.estimates.values()), None)
         for predicted in predict_cycles(run, best, cycles.last()) if cycles else ():
             left.plot(predicted.y_rad, predicted.v_rad_per_s, "-", color=INK, lw=1.0,
                       label="model" if k == 0 else None)  # fmt: skip
@@ -256,17 +257,19 @@ def breakaway(run: Run) -> Picture:
     drive.set_ylabel("drive, V (shaded)", color=DRIVE)
     drive.grid(visible=False)
     drive.spines["right"].set_visible(True)
-    found = section(run.result, "breakaway")
-    for name, sign, ink in (("plus", 1.0, "#0072B2"), ("minus", -1.0, "#D55E00")):
+    found = run.result.breakaway or BreakawayResult()
+    plus = ("plus", 1.0, "#0072B2", found.static_plus_V, found.static_plus_range_V)
+    minus = ("minus", -1.0, "#D55E00", found.static_minus_V, found.static_minus_range_V)
+    for name, sign, ink, static, reach in (plus, minus):
         level, moved = _strokes(y, u, sign)
         if level.size:
             right.plot(level, 1e3 * np.cumsum(moved), ".-", ms=3.0, lw=0.6, color=ink,
                        label=f"{name}: towards {'rising' if sign > 0 else 'falling'} positions")  # fmt: skip
-        static_V = number(found.get(f"static_{name}_V"))
+        static_V = known(static)
         if math.isfinite(static_V):
-            reach = pair(found.get(f"static_{name}_range_V"))
-            if reach is not None:
-                right.axvspan(*reach, color=ink, alpha=0.12, lw=0)
+            low_V, high_V = map(known, reach or (None, None))
+            if math.isfinite(low_V) and math.isfinite(high_V):
+                right.axvspan(low_V, high_V, color=ink, alpha=0.12, lw=0)
             right.axvline(static_V, color=ink, lw=1.2, ls=(0, (4, 2)), label=f"breaks away at {static_V:.3f} V")
     right.set_xlabel("|drive| of a stroke, V")
     right.set_ylabel("moved so far by strokes of this way, mrad")
@@ -275,10 +278,9 @@ def breakaway(run: Run) -> Picture:
         right.legend(loc="upper left")
     else:
         note(right, "the run ended before a stroke")
-    noise = 1e3 * number(found.get("noise_rad"))
+    noise = 1e3 * known(found.noise_rad)
     words = f" At rest the sensor's noise is {noise:.2g} mrad (standard deviation)." if math.isfinite(noise) else ""
-    levels = (number(found.get(f"static_{name}_V")) for name in ("plus", "minus"))
-    if any(math.isfinite(level) for level in levels):
+    if any(math.isfinite(known(level)) for level in (found.static_plus_V, found.static_minus_V)):
         words += (
             " Dashed: the drive at which the identified model, breaking away there, reproduces the motion best, and "
             "its interval; it is static friction less bias towards rising positions, plus bias towards falling ones."
@@ -311,7 +313,8 @@ def gain_search(run: Run) -> Picture:
     if not steps:
         raise AbsentError("The gains were given in the configuration, or the run ended before the search noted a step.")
     t, h1, h2, amplitude, period = (
-        np.array([number(s.get(k)) for s in steps]) for k in ("t_s", "h1_V", "h2_V", "amplitude_rad", "period_s")
+        np.array([known(value) for value in values])
+        for values in zip(*((s.t_s, s.h1_V, s.h2_V, s.amplitude_rad, s.period_s) for s in steps), strict=True)
     )
     figure = new_figure(4.3)
     gains, size, length = figure.subplots(3, 1, sharex=True, height_ratios=(1.3, 1, 1))
@@ -322,14 +325,13 @@ def gain_search(run: Run) -> Picture:
     gains.stairs(h2, edges, baseline=None, color="#D55E00", lw=1.6, ls="--", label="h2 (integral)")
     gains.set_ylabel("gain, V")
     gains.legend(loc="upper left", ncols=2)
-    target = section(section(run.config, "relay"), "target")
-    tolerance = number(target.get("tolerance"))
-    for axes, values, key, words in (
-        (size, amplitude, "amplitude_rad", "amplitude A, rad"),
-        (length, period, "period_s", "period T, s"),
+    tolerance = known(run.config.tolerance)
+    for axes, values, aim, words in (
+        (size, amplitude, run.config.wanted_amplitude_rad, "amplitude A, rad"),
+        (length, period, run.config.wanted_period_s, "period T, s"),
     ):
         axes.plot(t, values, "o", color=MEASURED, ms=5)
-        wanted = number(target.get(key))
+        wanted = known(aim)
         if math.isfinite(wanted):
             axes.axhline(wanted, color="#009E73", lw=1.0, ls=(0, (4, 2)))
             if math.isfinite(tolerance):
@@ -342,7 +344,7 @@ def gain_search(run: Run) -> Picture:
     length.set_xlabel("time since the start, s")
     gains.set_xlim(edges[0], edges[-1] + 0.02 * (edges[-1] - edges[0]))
     settled = int(np.isfinite(amplitude).sum())
-    why = {str(s.get("outcome")) for s, a in zip(steps, amplitude, strict=True) if not math.isfinite(a)} - {"None"}
+    why = {s.outcome for s, a in zip(steps, amplitude, strict=True) if not math.isfinite(a)} - {""}
     others = f" The others: {'; '.join(sorted(why))}." if why else ""
     return render(
         figure, run.backend, "Path of the gain search: gains, amplitude and period over time.",
@@ -352,11 +354,7 @@ def gain_search(run: Run) -> Picture:
     )  # fmt: skip
 
 
-def _search_steps(run: Run) -> list[Json]:
+def _search_steps(run: Run) -> list[SearchStepResult]:
     """Steps of the search from the events, else from the result."""
-    seen = [e for e in run.events if e.get("kind") == "search"]
-    return [
-        s
-        for s in seen or mappings(run.result.get("search"))
-        if all(math.isfinite(number(s.get(k))) for k in ("t_s", "h1_V", "h2_V"))
-    ]
+    seen = run.events_of("search", SearchStepResult) or run.result.search or ()
+    return [s for s in seen if all(math.isfinite(known(value)) for value in (s.t_s, s.h1_V, s.h2_V))]

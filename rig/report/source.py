@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import yaml
@@ -16,9 +16,12 @@ from numpy.typing import NDArray
 from rig.faults import FAULTS
 from rig.recording.reader import Recording, RecordingError, printable, read_csv, whole_content
 from rig.report.style import AbsentError, stage_kind
+from rig.results import EstimateResult, FaultReport, Part, RunEvent, RunMeta, RunResult, known
+from rig.results.estimates import LARGEST
+from rig.results.reading import remarks, salvaged
 
 Array = NDArray[np.float64]
-Json = dict[str, Any]
+_P = TypeVar("_P", bound=Part)
 
 PREFERRED = ("sampled-data", "triple-relay", "describing-function", "least-squares")
 
@@ -32,21 +35,42 @@ class Span(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Settings:
+    """What the report shows of config.yaml; None where the config does not say it.
+
+    soft_rad, hard_rad   travel limits
+    wanted_amplitude_rad, wanted_period_s, tolerance   the cycle that the gain search looks for
+    tracks               whether there is a trajectory to track
+    text                 the file as it is; "" where there is none
+    """
+
+    period_s: float | None = None
+    soft_rad: tuple[float, float] | None = None
+    hard_rad: tuple[float, float] | None = None
+    wanted_amplitude_rad: float | None = None
+    wanted_period_s: float | None = None
+    tolerance: float | None = None
+    tracks: bool = False
+    is_there: bool = False
+    text: str = ""
+
+
+@dataclass(frozen=True)
 class Run:
     """A run folder as far as it could be read.
 
     recording  the rows of samples.csv; None where it is missing or unusable
+    meta, result   empty where there is no such file, or nothing in it can be used
     missing    one sentence for each part that is missing or unreadable
     notes      what was tolerated, such as a torn last line
     """
 
     folder: Path
     recording: Recording | None
-    meta: Json
-    result: Json
-    config: Json
-    config_text: str
-    events: list[Json]
+    meta: RunMeta
+    result: RunResult
+    config: Settings = field(default_factory=Settings)
+    events: tuple[RunEvent, ...] = ()
     missing: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -58,21 +82,28 @@ class Run:
     @property
     def backend(self) -> str:
         """The backend in words, as recorded."""
-        return str(self.meta.get("backend") or self.result.get("backend") or "not recorded (meta.json is missing)")
+        return self.meta.backend or self.result.backend or "not recorded (meta.json is missing)"
 
     @property
     def truth(self) -> dict[str, float]:
         """True parameters where the backend is emulated, else empty."""
-        return numbers(self.meta.get("truth") or self.result.get("truth"))
+        motor = self.meta.truth or self.result.truth
+        if motor is None:
+            return {}
+        values = {name: known(motor.value(name)) for name in type(motor).model_fields}
+        return {name: value for name, value in values.items() if math.isfinite(value)}
+
+    @property
+    def has_result(self) -> bool:
+        """Whether the run came to a result."""
+        return bool(self.result.model_fields_set)
 
     @property
     def period_s(self) -> float:
         """The loop's period, s; nan where it is not recorded."""
-        for source in (self.meta, section(self.result, "loop"), self.config):
-            value = number(source.get("period_s"))
-            if math.isfinite(value):
-                return value
-        return math.nan
+        loop_s = None if self.result.loop is None else self.result.loop.period_s
+        told = (known(value) for value in (self.meta.period_s, loop_s, self.config.period_s))
+        return next((value for value in told if math.isfinite(value)), math.nan)
 
     @property
     def in_virtual_time(self) -> bool:
@@ -80,33 +111,31 @@ class Run:
         return self.backend.startswith("simulated")
 
     @property
-    def estimates(self) -> dict[str, Json]:
+    def estimates(self) -> dict[str, EstimateResult]:
         """Estimates by method, the preferred first."""
-        found = {k: v for k, v in section(self.result, "estimates").items() if isinstance(v, dict)}
+        found = self.result.estimates
         order = [m for m in PREFERRED if m in found] + [m for m in found if m not in PREFERRED]
         return {m: found[m] for m in order}
 
     @property
-    def faults(self) -> list[Json]:
+    def faults(self) -> list[FaultReport]:
         """Faults with code, cause, cure and detail, from the result and the events, each once."""
-        recorded = self.result.get("faults")
-        candidates = list(recorded) if isinstance(recorded, list) else []
-        candidates += [e for e in self.events if e.get("kind") == "fault"]
-        unique: dict[tuple[str, str], Json] = {}
-        for entry in candidates:
-            fault = entry if isinstance(entry, dict) else {"code": str(entry)}
-            code, detail = str(fault.get("code", "unknown")), str(fault.get("detail") or "")
-            known = FAULTS.get(code)
-            old = unique.get((code, detail), {})
-            unique[code, detail] = {
-                "code": code,
-                "cause": fault.get("cause") or (known.cause if known else "not recorded"),
-                "cure": fault.get("cure")
-                or (known.cure if known else "look the code up in docs, or ask with this report"),
-                "detail": detail,
-                "t_s": fault.get("t_s", old.get("t_s")),
-            }
+        unique: dict[tuple[str, str], FaultReport] = {}
+        for fault in (*self.result.faults, *self.events_of("fault", FaultReport)):
+            entry = FAULTS.get(fault.code)
+            before = unique.get((fault.code, fault.detail))
+            unique[fault.code, fault.detail] = FaultReport(
+                code=fault.code,
+                cause=fault.cause or (entry.cause if entry else "not recorded"),
+                cure=fault.cure or (entry.cure if entry else "look the code up in docs, or ask with this report"),
+                detail=fault.detail,
+                t_s=before.t_s if fault.t_s is None and before is not None else fault.t_s,
+            )
         return list(unique.values())
+
+    def events_of(self, kind: str, part: type[_P]) -> list[_P]:
+        """The events of one kind, as far as each says what it should."""
+        return [salvaged(part, {"t_s": e.t_s, **e.detail})[0] for e in self.events if e.kind == kind]
 
     @property
     def rows(self) -> Recording:
@@ -124,59 +153,6 @@ class Run:
         spans = [Span(str(stage[a]), a, b - 1) for a, b in pairwise(starts)]
         return [s for s in spans if s.stage and kind in ("", stage_kind(s.stage))]
 
-    def limits(self, which: str) -> tuple[float, float] | None:
-        """Travel limits ``soft_rad`` or ``hard_rad`` of the configuration, rad; None where they are not known."""
-        return pair(section(self.config, "limits").get(which))
-
-
-def section(of: Json, key: str) -> Json:
-    """``of[key]`` where it is a mapping, else an empty one."""
-    value = of.get(key)
-    return value if isinstance(value, dict) else {}
-
-
-LARGEST = 1e100  # nothing measured is larger, and no axis is drawn to numbers whose square overflows
-
-
-def number(value: Any) -> float:
-    """``value`` as a float; nan where it is no number, or one that cannot have been measured."""
-    if value is None or isinstance(value, bool):
-        return math.nan
-    try:
-        measured = float(value)
-    except (TypeError, ValueError, OverflowError):
-        return math.nan
-    return measured if abs(measured) < LARGEST else math.nan
-
-
-def numbers(of: Any) -> dict[str, float]:
-    """The finite numbers of a mapping."""
-    items = of.items() if isinstance(of, dict) else ()
-    return {k: number(v) for k, v in items if math.isfinite(number(v))}
-
-
-def mappings(value: Any) -> list[Json]:
-    """The mappings in a list; none where ``value`` is no list."""
-    return [v for v in value if isinstance(v, dict)] if isinstance(value, list) else []
-
-
-def texts(value: Any) -> tuple[str, ...]:
-    """The items of a list as texts; none where ``value`` is no list."""
-    return tuple(str(v) for v in value) if isinstance(value, list) else ()
-
-
-def pair(value: Any) -> tuple[float, float] | None:
-    """Two finite numbers of a list; None where it is anything else."""
-    if not isinstance(value, list) or len(value) != 2:
-        return None
-    low, high = number(value[0]), number(value[1])
-    return (low, high) if math.isfinite(low) and math.isfinite(high) else None
-
-
-def interval(estimate: Json, key: str) -> tuple[float, float] | None:
-    """The 95 % interval of one parameter of an estimate; None where it has none."""
-    return pair(section(estimate, "ci95").get(key))
-
 
 def load(folder: Path, known: Recording | None = None) -> Run:
     """Read a run folder; ``known``: its rows as far as they were read before.
@@ -186,11 +162,13 @@ def load(folder: Path, known: Recording | None = None) -> Run:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is not a run folder; give the path that `rig run` printed")
     missing: list[str] = []
-    meta = _json(folder / "meta.json", "the backend, versions and host of this run are not known", missing)
-    result = _json(folder / "result.json", "the run ended before it had a result", missing)
-    events = _events(folder / "events.jsonl", missing)
-    config, config_text = _config(folder / "config.yaml", missing)
     notes: list[str] = []
+    meta = _part(folder / "meta.json", RunMeta, "the backend, versions and host of this run are not known", missing)
+    result = _part(folder / "result.json", RunResult, "the run ended before it had a result", missing)
+    notes.extend(f"meta.json: {remark}." for remark in remarks(meta))
+    notes.extend(f"result.json: {remark}." for remark in remarks(result))
+    events = _events(folder / "events.jsonl", missing)
+    config = _settings(folder / "config.yaml", missing)
     try:
         recording = read_csv(folder / "samples.csv", known=known) if (folder / "samples.csv").is_file() else None
         if recording is None:
@@ -200,38 +178,41 @@ def load(folder: Path, known: Recording | None = None) -> Run:
     except RecordingError as error:
         recording = None
         missing.append(f"samples.csv {error.cause}{_line(error)}: nothing that was measured can be shown.")
-    if any(event.get("kind") == "loop_died" for event in events):
+    if any(event.kind == "loop_died" for event in events):
         notes.append("The process that ran the loop was killed; the record is complete to its last tick.")
     if recording is not None:  # estimators compare the clock with the period in meta
         recording = replace(recording, source=folder, meta=meta)
-    return Run(folder, recording, meta, result, config, config_text, events, missing, notes)
+    return Run(folder, recording, meta, result, config, tuple(events), missing, notes)
 
 
 def _line(error: RecordingError) -> str:
     return "" if error.line is None else f" (line {error.line})"
 
 
-def _json(path: Path, consequence: str, missing: list[str]) -> Json:
+def _part(path: Path, kind: type[_P], consequence: str, missing: list[str]) -> _P:
+    """What a JSON file holds, without what is wrong in it, which is said."""
     if not path.is_file():
         missing.append(f"{path.name} is missing: {consequence}.")
-        return {}
+        return kind()
     try:
         value = json.loads(path.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         missing.append(f"{path.name} cannot be read ({error}): {consequence}.")
-        return {}
+        return kind()
     if not isinstance(value, dict):
         missing.append(f"{path.name} does not hold an object: {consequence}.")
-        return {}
-    return {str(key): printable(item) for key, item in value.items()}
+        return kind()
+    found, left_out = salvaged(kind, {str(key): printable(item) for key, item in value.items()})
+    missing.extend(f"{path.name}: {words}; it is left out." for words in left_out)
+    return found
 
 
-def _events(path: Path, missing: list[str]) -> list[Json]:
+def _events(path: Path, missing: list[str]) -> list[RunEvent]:
     """The events; a torn or broken line is left out and said."""
     if not path.is_file():
         missing.append(f"{path.name} is missing: events and faults are known from the result only.")
         return []
-    events: list[Json] = []
+    events: list[RunEvent] = []
     broken = 0
     for text in whole_content(path)[0].decode("utf-8", errors="replace").splitlines():
         try:
@@ -240,20 +221,50 @@ def _events(path: Path, missing: list[str]) -> list[Json]:
             broken += 1
             continue
         if isinstance(value, dict):
-            events.append({str(key): printable(item) for key, item in value.items()})
+            events.append(salvaged(RunEvent, {str(key): printable(item) for key, item in value.items()})[0])
     if broken:
         missing.append(f"{path.name}: {broken} line(s) are torn or broken and were left out.")
     return events
 
 
-def _config(path: Path, missing: list[str]) -> tuple[Json, str]:
+def _settings(path: Path, missing: list[str]) -> Settings:
+    """What the report shows of a config, whichever version wrote it."""
     if not path.is_file():
         missing.append(f"{path.name} is missing: limits and settings are not known.")
-        return {}, ""
+        return Settings()
     text = path.read_text(encoding="utf-8", errors="replace")
     try:
         value = yaml.safe_load(text)
     except yaml.YAMLError:
         missing.append(f"{path.name} is no valid YAML: limits and settings are not known.")
-        return {}, text
-    return (value if isinstance(value, dict) else {}), text
+        return Settings(text=text)
+
+    def at(*keys: str) -> Any:
+        found = value
+        for key in keys:
+            found = found.get(key) if isinstance(found, dict) else None
+        return found
+
+    return Settings(
+        period_s=_number(at("period_s")),
+        soft_rad=_pair(at("limits", "soft_rad")),
+        hard_rad=_pair(at("limits", "hard_rad")),
+        wanted_amplitude_rad=_number(at("relay", "target", "amplitude_rad")),
+        wanted_period_s=_number(at("relay", "target", "period_s")),
+        tolerance=_number(at("relay", "target", "tolerance")),
+        tracks=bool(at("tracking")),
+        is_there=isinstance(value, dict) and bool(value),
+        text=text,
+    )
+
+
+def _number(value: Any) -> float | None:
+    """A number of a config; None where it is anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return float(value) if abs(value) < LARGEST else None
+
+
+def _pair(value: Any) -> tuple[float, float] | None:
+    low, high = map(_number, value) if isinstance(value, list) and len(value) == 2 else (None, None)
+    return None if low is None or high is None else (low, high)

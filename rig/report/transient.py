@@ -12,7 +12,7 @@ from rig.identify.estimate import Estimate
 from rig.identify.least_squares import Transient
 from rig.identify.preprocessing import from_recording
 from rig.recording.errors import IdentifyError
-from rig.report.source import Run, interval, mappings, number
+from rig.report.source import Run
 from rig.report.style import (
     INK,
     MUTED,
@@ -27,6 +27,7 @@ from rig.report.style import (
     short,
     stage_label,
 )
+from rig.results import EstimateResult, known
 
 BEFORE_S = 0.1  # of the rest that is drawn
 MARKS = "osD^v<>P"
@@ -50,10 +51,10 @@ def first_transients(run: Run) -> Picture:
     found = transients(run)
     if not found:
         raise AbsentError(NO_RUNS)
-    estimate = run.estimates.get(least_squares.METHOD, {})
-    fc, asym = number(estimate.get("fc_V")), number(estimate.get("asym_V"))
+    estimate = run.estimates.get(least_squares.METHOD, EstimateResult())
+    fc, asym = known(estimate.fc_V), known(estimate.asym_V)
     asym = asym if math.isfinite(asym) else 0.0
-    bands = {str(r.get("stage")): number(r.get("eps_rad")) for r in mappings(run.result.get("hysteretic"))}
+    bands = {entry.stage: known(entry.eps_rad) for entry in run.result.hysteretic or ()}
     figure = new_figure(3.9)
     left, right = figure.subplots(1, 2, width_ratios=(1.1, 1.0))
     for k, transient in enumerate(found):
@@ -107,10 +108,10 @@ def recursion(run: Run, fits: Mapping[str, Estimate]) -> Picture:
     half = 0.5 * (bounds[1] - bounds[0]) if bounds else 0.0
     if bounds:
         axes.axhspan(*bounds, color=colour(method), alpha=0.15, lw=0, label="95 % interval, all samples")
-    other = run.estimates.get("sampled-data", {})
-    if math.isfinite(number(other.get("fc_V"))):
-        axes.axhline(number(other["fc_V"]), color=colour("sampled-data"), lw=1.2, label=short("sampled-data"))
-        extent = interval(other, "fc_V")
+    other = run.estimates.get("sampled-data", EstimateResult())
+    if math.isfinite(known(other.fc_V)):
+        axes.axhline(known(other.fc_V), color=colour("sampled-data"), lw=1.2, label=short("sampled-data"))
+        extent = other.interval("fc_V")
         if extent is not None:
             axes.axhspan(*extent, color=colour("sampled-data"), alpha=0.15, lw=0)
     if "fc_V" in run.truth:

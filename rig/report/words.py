@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from rig.report.source import Json, Run, interval, number, section, texts
+from rig.report.source import Run
+from rig.results import BreakawayResult, EstimateResult, known
 
 NOTHING_TO_IDENTIFY = "nothing to identify"  # how the note of a run begins whose record gives no estimate
 Outcome = Literal["ok", "doubtful", "refused", "none"]
@@ -99,13 +100,13 @@ def percent(ratio: float) -> str:
     return f"{value:+.{digits}f} %".replace("-", "−")
 
 
-def quantity(parameter: Parameter, estimate: Json, truth: dict[str, float]) -> Quantity:
+def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, float]) -> Quantity:
     """One parameter of an estimate with its interval, and its error where the truth is known."""
-    exact = number(estimate.get(parameter.key))
+    exact = known(estimate.value(parameter.key))
     if not math.isfinite(exact):
         return Quantity(parameter, None, "–", "", "", "", "")
     value = parameter.factor * exact
-    bounds = interval(estimate, parameter.key)
+    bounds = estimate.interval(parameter.key)
     if parameter not in HEADLINE_PARAMETERS and exact == 0.0 and bounds is None:
         return Quantity(parameter, None, "–", "", "", "", "")  # zero stands for "not estimated"
     between = plus_minus = relative = ""
@@ -131,14 +132,14 @@ def quantity(parameter: Parameter, estimate: Json, truth: dict[str, float]) -> Q
 
 def headline(run: Run) -> Headline:
     """What came of the run: verdict, the three parameters, why, and what to do next."""
-    method, estimate = next(iter(run.estimates.items()), ("", {}))
-    if not estimate:
+    method, estimate = next(iter(run.estimates.items()), ("", EstimateResult()))
+    if estimate == EstimateResult():
         return _nothing(run)
-    outcome: Outcome = next((o for o in ("ok", "doubtful", "refused") if o == estimate.get("verdict")), "doubtful")
-    reasons = texts(estimate.get("reasons"))
+    outcome: Outcome = next((o for o in ("ok", "doubtful", "refused") if o == estimate.verdict), "doubtful")
+    reasons = estimate.reasons
     quantities = tuple(quantity(p, estimate, run.truth) for p in HEADLINE_PARAMETERS)
     name = method.replace("-", " ")
-    models_from = str(run.result.get("models_from") or "")
+    models_from = run.result.models_from or ""
     sentences: list[str] = []
     next_steps: list[Step] = []
     if outcome == "refused":
@@ -180,8 +181,8 @@ def _plain_words(quantities: tuple[Quantity, ...], run: Run) -> list[str]:
         f"After a step of drive the shaft reaches 63 % of its final speed in {1e3 * tau:.0f} ms; each volt beyond "
         f"friction adds {gain:.3g} rad/s; Coulomb friction takes {friction:.3g} V of the drive."
     )
-    found = section(run.result, "breakaway")
-    plus, minus = number(found.get("static_plus_V")), number(found.get("static_minus_V"))
+    found = run.result.breakaway or BreakawayResult()
+    plus, minus = known(found.static_plus_V), known(found.static_minus_V)
     if math.isfinite(plus) and math.isfinite(minus):
         words += (
             f" From rest it takes {plus:.3g} V towards rising and {minus:.3g} V towards falling positions to move it."
@@ -195,7 +196,7 @@ def _command(*parts: str | Path) -> str:
 
 
 def _drive_with(run: Run) -> Step:
-    if not section(run.config, "tracking"):
+    if not run.config.tracks:
         return Step("To drive the bench with this model, add a section `tracking` to the config and run it again.")
     if run.recording is None:
         return Step("Its samples are missing: to drive the bench with this model, identify it anew.")
@@ -205,27 +206,27 @@ def _drive_with(run: Run) -> Step:
 
 def _again(run: Run, text: str) -> Step:
     """The advice to run the whole experiment, with the command where the config is there."""
-    if not run.config:
+    if not run.config.is_there:
         return Step(f"{text}.")
     return Step(f"{text}:", _command("run", run.folder / "config.yaml"))
 
 
 def _nothing(run: Run) -> Headline:
     """The headline of a run without any estimate: why there is none, or what it was for instead."""
-    jogged = section(run.meta, "script").get("name") == "jog"
+    jogged = run.meta.script is not None and run.meta.script.name == "jog"
     reasons: tuple[str, ...] = ()
     if jogged:
         title = "The shaft was moved by hand"
-    elif run.result:
+    elif run.has_result:
         title = "No estimate in this run"
-        reasons = tuple(n for n in texts(run.result.get("notes")) if n.startswith(NOTHING_TO_IDENTIFY))
+        reasons = tuple(n for n in run.result.notes if n.startswith(NOTHING_TO_IDENTIFY))
     else:
         title = "No result: the run ended before it had one"
     if run.faults:
         step = Step("Cure the fault above, then run again.")
     elif jogged:
         step = _again(run, "A jog identifies nothing; run the whole experiment")
-    elif run.result:
+    elif run.has_result:
         step = _again(run, "No relay test could be identified; run the whole experiment")
     elif run.spans("relay") or run.spans("hysteretic"):
         step = _again(run, "The notes below say what its relay tests lack; run the experiment again")

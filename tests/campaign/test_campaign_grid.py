@@ -1,4 +1,4 @@
-"""The random experiments: the same whoever draws them, inside their ranges, of the shape that theory section 8 says."""
+"""The random experiments: the same whoever draws them, inside their ranges, of docs/theory.md 7.10's shape."""
 
 from __future__ import annotations
 

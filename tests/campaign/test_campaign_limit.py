@@ -1,4 +1,9 @@
-"""The estimator at the statistical limit: 2,000 random motors of each ready campaign, as `rig campaign` runs them."""
+"""The estimator at the statistical limit: random motors of each ready campaign, as `rig campaign` runs them.
+
+How many there are decides what a test can see. Intervals that hold the truth in 91 % of the motors instead of 95 % fail
+the wide band (93 to 97 %) with probability 0.987 at 1,000 motors and 0.999 at 2,000, right ones with 0.003 and 0.00004.
+The narrow band (94 to 96 %) needs the 2,000.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +18,21 @@ from rig.config import load_campaign
 
 CONFIGS = Path(__file__).parents[2] / "config"
 MOTORS = 2000
+MOTORS_OF_THE_OTHERS = 1000  # with coarse steps, with correlated noise
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")
 
 
-def summary_of(name: str, folder: Path) -> dict[str, Any]:
-    campaign = load_campaign(CONFIGS / f"{name}.yaml").model_copy(update={"experiments": MOTORS})
+def summary_of(name: str, folder: Path, motors: int) -> dict[str, Any]:
+    campaign = load_campaign(CONFIGS / f"{name}.yaml").model_copy(update={"experiments": motors})
     found = session.run(campaign, folder / name, jobs=os.cpu_count() or 1).summary
-    assert found["number"] == MOTORS
+    assert found["number"] == motors
     return found
 
 
 @pytest.mark.timeout(900)
 def test_on_the_grid_errors_are_at_the_bound_and_intervals_hold(tmp_path):
     """RMS at most 1.1 times the Cramer-Rao bound, medians 0.5 %, 95th percentiles 1.7 %, coverage 94 to 96 %."""
-    found = summary_of("campaign", tmp_path)
+    found = summary_of("campaign", tmp_path, MOTORS)
     for name in MAIN:
         sums = found["estimated"]["parameters"][name]
         assert 0.9 < sums["rms_ratio"] <= 1.1, (name, sums)
@@ -42,7 +48,7 @@ def test_on_the_grid_errors_are_at_the_bound_and_intervals_hold(tmp_path):
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", ["campaign-coarse", "campaign-correlated"])
 def test_intervals_hold_with_coarse_steps_and_with_correlated_noise(name, tmp_path):
-    found = summary_of(name, tmp_path)
+    found = summary_of(name, tmp_path, MOTORS_OF_THE_OTHERS)
     for parameter in MAIN:
         sums = found["estimated"]["parameters"][parameter]
         assert 0.93 <= sums["coverage"] <= 0.97, (parameter, sums)

@@ -129,7 +129,7 @@ def test_ctrl_c_outside_of_the_loop_says_that_nothing_drives(monkeypatch: pytest
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("rig.config.check", interrupted)
+    monkeypatch.setattr("rig.preflight.check", interrupted)
     result = rig("check", ROOT / "config/demo.yaml")
     assert (result.exit_code, result.stderr) == (1, "rig: interrupted; no drive is on\n")
 

@@ -17,20 +17,21 @@ from rich.console import Console
 
 from rig import terminal
 from rig.recording.reader import read_csv
+from rig.results import EstimateResult, TrackingResult, TrueMotor
 from rig.terminal import plain_table, show_estimates
 
 ROOT = Path(__file__).resolve().parents[2]
 SIMULATED = ROOT / "config/simulated.yaml"
 
 
-def estimate(verdict: str = "ok") -> dict:
+def estimate(verdict: str = "ok") -> EstimateResult:
     ci95 = {"tau_s": [0.169, 0.171], "K_rad_s_V": [6.4, 6.6], "fc_V": [0.47, 0.49]}
-    return {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48, "ci95": ci95, "verdict": verdict, "reasons": []}
+    return EstimateResult(tau_s=0.17, K_rad_s_V=6.5, fc_V=0.48, ci95=ci95, verdict=verdict)
 
 
 METHODS = ("sampled-data", "triple-relay", "describing-function", "least-squares")
-TRUTH = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48}
-TRACKING = {method: {"rms_rad": 0.0123} for method in METHODS}
+TRUTH = TrueMotor(tau_s=0.17, K_rad_s_V=6.5, fc_V=0.48)
+TRACKING = {method: TrackingResult(rms_rad=0.0123) for method in METHODS}
 
 
 @pytest.mark.parametrize("width", [80, 60])
@@ -62,7 +63,7 @@ def test_plain_columns_stand_below_each_other() -> None:
 
 def test_a_doubt_to_record_anew_is_followed_by_what_to_type(capsys: pytest.CaptureFixture[str]) -> None:
     show_estimates(
-        {"sampled-data": estimate() | {"verdict": "doubtful", "reasons": ["only 4 cycles: record ten"]}}, None
+        {"sampled-data": EstimateResult(fc_V=0.48, verdict="doubtful", reasons=("only 4 cycles: record ten",))}, None
     )
     assert "`rig relay CONFIG`; more cycles: relay.cycles" in capsys.readouterr().out
 
@@ -121,7 +122,7 @@ def test_a_missing_port_is_said_before_anything_is_loaded_opened_or_waited_for(t
         "numba",
         "serial",
         "rig.bench",
-        "rig.daq.serial_port",
+        "rig.backends.links.serial_port",
         "rig.experiment",
         "rig.loop.runner",
     }
@@ -130,7 +131,7 @@ def test_a_missing_port_is_said_before_anything_is_loaded_opened_or_waited_for(t
 
 
 def test_ports_that_are_there_are_named_where_one_is_missing(tmp_path: Path) -> None:
-    from rig.daq.device_file import require_device_file
+    from rig.backends.links.device_file import require_device_file
     from rig.faults import Fault
 
     (tmp_path / "ttyUSB3").touch()

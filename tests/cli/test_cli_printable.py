@@ -11,9 +11,9 @@ import yaml
 from click.testing import CliRunner
 
 from rig import config, experiment
+from rig.backends.driver import DeviceInfo
+from rig.backends.modbus.requests import identity_of
 from rig.cli import main
-from rig.daq.driver import DeviceInfo
-from rig.daq.modbus_requests import identity_of
 from rig.faults import Fault
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,11 +34,11 @@ def test_a_vendor_string_is_shown_escaped_in_result_and_backend(
     objects = b"".join(bytes([k, len(text)]) + text for k, text in enumerate((CLEAR.encode(), b"block\r\n", b"1.0")))
     reply = bytes([0x2B, 0x0E, 0x01, 0x01, 0x00, 0x00, 3]) + objects
     assert identity_of(reply) == (SHOWN, r"block\r\n", "1.0")
-    monkeypatch.setattr("rig.daq.modbus.identity_of", lambda pdu: identity_of(reply))
+    monkeypatch.setattr("rig.backends.modbus.driver.identity_of", lambda pdu: identity_of(reply))
     e = config.load(ROOT / "config/modbus-rtu.yaml")
     e = e.model_copy(update={"daq": e.daq.model_copy(update={"port": "emulated-virtual"})})
     outcome = experiment.jog(e, 0.0, 0.05, tmp_path)
-    assert SHOWN in outcome.result["backend"] and "\x1b" not in json.dumps(outcome.result, ensure_ascii=False)
+    assert SHOWN in outcome.result.backend and "\x1b" not in json.dumps(outcome.as_json(), ensure_ascii=False)
 
 
 def test_what_any_driver_says_of_its_device_and_any_fault_is_printable() -> None:

@@ -108,7 +108,7 @@ def test_every_command_and_option_that_is_named_is_there() -> None:
 
 def test_every_key_that_is_named_is_there() -> None:
     named = [(place, key) for place, text in sentences() for key in named_keys(text)]
-    elsewhere = ("rig/campaign/", "rig/config/modbus", "rig/emulate/")
+    elsewhere = ("rig/campaign/", "rig/backends/modbus/", "rig/backends/serial/emulated/")
     assert [
         (place, key)
         for place, key in named

@@ -9,10 +9,10 @@ import pytest
 import yaml
 from command_line import rig
 
-from rig.bench import truth_of
+from rig.backends.backend import truth_of
 from rig.config import Experiment, load
-from rig.config.emulated_bench import differences
 from rig.config.schema import Emulated, EmulatedPotentiometer
+from rig.preflight.differences import differences
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted(path.name for path in (ROOT / "config").glob("*.yaml") if "emulated:" in path.read_text())

@@ -9,7 +9,8 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from rig.config import Experiment, preflight
+from rig.config import Experiment
+from rig.preflight import preflight
 
 READY = Path(__file__).parents[2] / "config" / "least-squares.yaml"
 PAPER = [{"d_V": 0.8, "eps_rad": 0.5}, {"d_V": 1.0, "eps_rad": 0.3}]

@@ -10,10 +10,11 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rig.config import ConfigError, Experiment, check, dump, load
+from rig.config import ConfigError, Experiment, dump, load
 from rig.config.problems import Problem
 from rig.config.units import converted, stem_of, unit_of
 from rig.config.yaml12 import emit, parse
+from rig.preflight import check
 
 CONFIGS = Path(__file__).parents[2] / "config"
 DEMO = (CONFIGS / "demo.yaml").read_text(encoding="utf-8")

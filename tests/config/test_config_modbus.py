@@ -19,12 +19,15 @@ from pymodbus.pdu.register_message import (
     WriteMultipleRegistersResponse,
 )
 
+from rig.backends.link_budget import LinkBudget
+from rig.backends.modbus.link_budget import transactions
+from rig.backends.modbus.section import tcp_address
+from rig.backends.registry import backend_of
 from rig.bench import guard_settings_of
-from rig.config import Experiment, load, notes, preflight
-from rig.config.link_budget import link_budget, reading_budget, transactions
-from rig.config.modbus import tcp_address
-from rig.config.plan import plan
-from rig.config.room_to_stop import device_watchdog_s, reaction_periods, stopping_terms
+from rig.config import Experiment, load
+from rig.preflight import notes, preflight
+from rig.preflight.plan import plan
+from rig.preflight.room_to_stop import device_watchdog_s, reaction_periods, stopping_terms
 
 CONFIG = Path(__file__).parents[2] / "config" / "modbus-rtu.yaml"
 SECTION = "daq.modbus.registers."
@@ -41,6 +44,14 @@ def example(registers: dict[str, Any] | None = None, daq: dict[str, Any] | None 
             else:
                 section[name] = value
     return Experiment.model_validate(data)
+
+
+def link_budget(e: Experiment) -> LinkBudget:
+    return backend_of(e).budget(e)
+
+
+def reading_budget(e: Experiment) -> LinkBudget:
+    return backend_of(e).reading_budget(e)
 
 
 def problems(e: Experiment) -> dict[str, str]:

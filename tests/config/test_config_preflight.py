@@ -12,14 +12,16 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from rig.backends.serial import driver as serial_link
+from rig.backends.serial import frames
+from rig.backends.serial.link_budget import REPLY_SHARE
 from rig.bench import guard_settings_of
-from rig.config import ConfigError, Experiment, check, load, preflight
-from rig.config.link_budget import REPLY_SHARE
-from rig.config.room_to_stop import stopping_terms
-from rig.daq import frames, serial_link
-from rig.daq.calibration import Calibration
+from rig.calibration import Calibration
+from rig.config import ConfigError, Experiment, load
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
+from rig.preflight import check, preflight
+from rig.preflight.room_to_stop import stopping_terms
 
 CONFIGS = Path(__file__).parents[2] / "config"
 DEMO = (CONFIGS / "demo.yaml").read_text(encoding="utf-8")

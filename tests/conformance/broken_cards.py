@@ -9,7 +9,7 @@ from typing import Any
 
 from plug_in_cards import VirtualCard
 
-from rig.daq.driver import DeviceInfo, DeviceWatchdog, DriverSettings
+from rig.backends.driver import DeviceInfo, DeviceWatchdog, DriverSettings
 from rig.faults import Fault
 from rig.signals import Limits, Sample
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rig import conformance
+from rig.testing import conformance
 
 TESTS = Path(__file__).parent.parent
 CONFIGS = TESTS.parent / "config"
@@ -15,7 +15,7 @@ CONFIGS = TESTS.parent / "config"
 
 def stop_the_board(driver):
     """The emulated device dies: its port hangs up."""
-    driver._transport.close()
+    driver._exchange.transport.close()
 
 
 TestSimulated = conformance.suite(CONFIGS / "simulated.yaml", silence=True)
@@ -36,7 +36,7 @@ def test_one_line_is_enough_with_pytest_alone(tmp_path, card, passes):
     config = (Path(__file__).parent / "virtual-card.yaml").read_text(encoding="utf-8")
     (tmp_path / "card.yaml").write_text(config, encoding="utf-8")
     (tmp_path / "test_card.py").write_text(
-        'import rig.conformance\n\nTestCard = rig.conformance.suite("card.yaml")\n', encoding="utf-8"
+        'import rig.testing.conformance\n\nTestCard = rig.testing.conformance.suite("card.yaml")\n', encoding="utf-8"
     )
     path = os.pathsep.join(map(str, (tmp_path / "site", TESTS, Path(__file__).parent)))
     done = subprocess.run(
@@ -55,5 +55,5 @@ def test_one_line_is_enough_with_pytest_alone(tmp_path, card, passes):
 
 
 def test_nothing_of_pytest_is_imported_by_rig(tmp_path):
-    program = "import sys, rig.conformance; sys.exit('pytest' in sys.modules)"
+    program = "import sys, rig.testing.conformance; sys.exit('pytest' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=False).returncode == 0

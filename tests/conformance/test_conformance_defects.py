@@ -7,8 +7,8 @@ import pytest
 from broken_cards import CAUGHT_BY
 from plug_in_cards import VirtualCard, WriteFirstCard
 
-from rig import conformance
-from rig.daq import registry
+from rig.backends import registry
+from rig.testing import conformance
 
 CONFIG = Path(__file__).with_name("virtual-card.yaml")
 

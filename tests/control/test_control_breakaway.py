@@ -13,13 +13,13 @@ import pytest
 from simulated_bench import DEMO_MOTOR, LIMITS, breakaway_check, simulated_bench
 
 from rig import config, experiment
-from rig.config.room_to_stop import UNSEEN_RAD, breakaway_strokes
+from rig.backends.simulated.driver import SimulatedDriver
 from rig.control.breakaway import BreakawayLaw
-from rig.daq.simulated import SimulatedDriver
-from rig.experiment import breakaway_check as check_of
+from rig.experiment.stages import breakaway_check as check_of
 from rig.faults import Fault
 from rig.model.friction import Friction, coulomb
 from rig.model.motor import Motor
+from rig.preflight.room_to_stop import UNSEEN_RAD, breakaway_strokes
 from rig.recording.reader import read_run
 from rig.signals import Limits, Sample
 from unseen_travel import check, trials, with_late_tick

@@ -65,7 +65,7 @@ def test_search_gives_up_with_its_story_where_the_wish_cannot_be_had() -> None:
 
 @pytest.mark.parametrize(("h1", "h2", "amplitude_mrad"), [(0.8, 0.0, 40), (0.8, 0.4, 110)])
 def test_delay_hunting_is_never_taken_for_a_cycle(h1: float, h2: float, amplitude_mrad: float) -> None:
-    """Theory section 5: with h2 <= f_c the loop still oscillates by its delay; that is not the limit cycle."""
+    """docs/theory.md 4.3: with h2 <= f_c the loop still oscillates by its delay; that is not the limit cycle."""
     bench = simulated_bench(motor=Motor(0.17, 6.5, coulomb(0.5)), start_rad=0.3, noise_rad=0.0, offset_rad=0.0)
     relay, detector = relay_and_detector()
     bench.guard.sign_proven = True

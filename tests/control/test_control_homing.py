@@ -6,6 +6,7 @@ import pytest
 from directional_friction import directional
 from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, SimulatedBench, break_away, simulated_bench
 
+from rig.control.breakaway import BreakawayFound
 from rig.control.homing import Homing
 from rig.faults import Fault
 from rig.model.friction import coulomb
@@ -29,7 +30,9 @@ MOTORS = {
 def home(bench: SimulatedBench, tolerance_rad: float, timeout_s: float = 40.0) -> Homing:
     with bench.loop.armed(LIMITS):
         check = break_away(bench.loop)
-        homing = Homing(check.plus_V, check.minus_V, 3.0, check.noise_rad, tolerance_rad, PERIOD_S, timeout_s)
+        homing = Homing(
+            BreakawayFound(check.plus_V, check.minus_V, check.noise_rad), 3.0, tolerance_rad, PERIOD_S, timeout_s
+        )
         bench.loop.run(homing, "homing")
     return homing
 
@@ -52,7 +55,7 @@ def test_it_comes_to_rest_at_zero(name: str, start_rad: float, noise_rad: float)
 
 def test_a_shaft_that_stands_at_zero_is_left_alone() -> None:
     bench = simulated_bench(noise_rad=0.0, offset_rad=0.0)
-    homing = Homing(0.54, 0.5, 3.0, 0.0, 0.6 * LSB_RAD, PERIOD_S, 5.0)
+    homing = Homing(BreakawayFound(0.54, 0.5, 0.0), 3.0, 0.6 * LSB_RAD, PERIOD_S, 5.0)
     with bench.loop.armed(LIMITS):
         bench.loop.run(homing, "homing")
     assert homing.strokes == 0
@@ -62,7 +65,9 @@ def test_a_shaft_that_stands_at_zero_is_left_alone() -> None:
 def test_a_level_that_turns_out_too_low_is_raised() -> None:
     bench = simulated_bench(start_rad=0.3, offset_rad=0.0)
     bench.guard.sign_proven = True
-    homing = Homing(0.30, 0.28, 3.0, 0.003, 0.6 * LSB_RAD, PERIOD_S, 40.0)  # 0.54 and 0.50 V would be true
+    homing = Homing(
+        BreakawayFound(0.30, 0.28, 0.003), 3.0, 0.6 * LSB_RAD, PERIOD_S, 40.0
+    )  # 0.54 and 0.50 V would be true
     with bench.loop.armed(LIMITS):
         bench.loop.run(homing, "homing")
     assert abs(homing.rest_rad) <= 0.6 * LSB_RAD
@@ -92,7 +97,7 @@ def stroke(homing: Homing, stands_rad: float) -> tuple[int, float]:
 
 
 def a_homing() -> Homing:
-    return Homing(0.5, 0.4, 3.0, 0.0, 0.004, PERIOD_S, 40.0)
+    return Homing(BreakawayFound(0.5, 0.4, 0.0), 3.0, 0.004, PERIOD_S, 40.0)
 
 
 @pytest.mark.parametrize(("stands_rad", "ticks", "drive_V"), [(-0.3, 12, 0.575), (0.05, 3, -0.46), (-0.05, 3, 0.575)])
@@ -131,4 +136,4 @@ def test_the_shortest_stroke_that_goes_too_far_makes_the_next_weaker() -> None:
 @pytest.mark.parametrize(("plus_V", "tolerance_rad"), [(0.0, 0.002), (0.5, 0.0)])
 def test_senseless_settings_are_refused(plus_V: float, tolerance_rad: float) -> None:
     with pytest.raises(ValueError, match="homing needs"):
-        Homing(plus_V, 0.5, 3.0, 0.003, tolerance_rad, PERIOD_S, 5.0)
+        Homing(BreakawayFound(plus_V, 0.5, 0.003), 3.0, tolerance_rad, PERIOD_S, 5.0)

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import pytest
 from boot_loader import Line, Outcome, Program, Receiver, atmegaboot, optiboot, outcome
 
-from rig.daq import frames
-from rig.daq.frames import Kind
-from rig.daq.introduction import _harmless_numbers, await_introduction
+from rig.backends.serial import frames
+from rig.backends.serial.frames import Kind
+from rig.backends.serial.introduction import _harmless_numbers, await_introduction
 from rig.faults import Fault
 
 OPEN_S = 5.0

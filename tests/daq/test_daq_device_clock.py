@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.daq.device_clock import DeviceClock, TimedExchange, fit_device_clock
+from rig.backends.serial.device_clock import DeviceClock, TimedExchange, fit_device_clock
 
 WRAP = 2**32
 

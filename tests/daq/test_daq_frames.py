@@ -7,8 +7,21 @@ from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.daq import frames
-from rig.daq.frames import Block, Code, FrameReader, Hello, Kind, Nack, Packet, RelaySetup, Setup, State, crc16, encode
+from rig.backends.serial import frames
+from rig.backends.serial.frames import (
+    Block,
+    Code,
+    FrameReader,
+    Hello,
+    Kind,
+    Nack,
+    Packet,
+    RelaySetup,
+    Setup,
+    State,
+    crc16,
+    encode,
+)
 
 u8, u16, u32 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32))
 i16, i32 = (st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (16, 32))

@@ -14,16 +14,16 @@ from typing import Any
 import pytest
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
-from rig.bench import emulated_io_block, limits_of, modbus_driver
+from rig.backends.modbus.client import ModbusClient, ModbusLine
+from rig.backends.modbus.driver import ModbusDriver
+from rig.backends.modbus.emulated.line_faults import Corruption
+from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.rtu_slave import Direction, check_sum
+from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
+from rig.backends.modbus.opening import emulated_io_block, modbus_driver
+from rig.backends.modbus.requests import Request
 from rig.config import load
 from rig.config.schema import Experiment
-from rig.daq.modbus import ModbusDriver
-from rig.daq.modbus_client import ModbusClient, ModbusLine
-from rig.daq.modbus_requests import Request
-from rig.emulate.line_faults import Corruption
-from rig.emulate.misbehaviour import Misbehaviour
-from rig.emulate.rtu_slave import Direction, check_sum
-from rig.emulate.virtual_io_block import VirtualIoBlock
 from rig.faults import Fault
 from rig.signals import Sample
 
@@ -58,7 +58,7 @@ class Rig:
             self.arm()
 
     def arm(self) -> None:
-        self.driver.arm(limits_of(self.experiment))
+        self.driver.arm(self.experiment.device_limits)
         self._due_s = self.block.now_s()
 
     def tick(self, u_V: float) -> Sample:
@@ -589,7 +589,7 @@ def test_armed_again_only_other_limits_are_written() -> None:
     rig.arm()
     assert set(written) == {"control", "drive", "sequence"}
     assert rig.driver.safe_stop()
-    limits = limits_of(rig.experiment)
+    limits = rig.experiment.device_limits
     rig.driver.arm(replace(limits, max_u_V=0.5 * limits.max_u_V))
     assert "max_drive" in written
     assert rig.driver.safe_stop()

@@ -13,11 +13,11 @@ from typing import Any
 import pytest
 from libmodbus_peer import EXAMPLE_MAP, LibmodbusSlave
 
-from rig.bench import connect, limits_of
+from rig.backends.driver import Driver
+from rig.backends.registry import connect
 from rig.config import load
 from rig.config.schema import Experiment
 from rig.control.relay import DualChannelRelay
-from rig.daq.driver import Driver
 from rig.faults import Fault
 from rig.signals import Sample
 
@@ -42,7 +42,7 @@ def experiment_at(port: str, registers: dict[str, Any] | None = None, **modbus: 
 @contextmanager
 def opened(experiment: Experiment) -> Iterator[Driver]:
     with connect(experiment) as bench:
-        bench.driver.arm(limits_of(experiment))
+        bench.driver.arm(experiment.device_limits)
         yield bench.driver
 
 
@@ -169,7 +169,7 @@ def test_without_any_optional_register() -> None:
         daq = experiment.daq.model_copy(update={"port": slave.port, "modbus": plain, "accept_no_watchdog": True})
         with connect(experiment.model_copy(update={"daq": daq})) as bench:
             assert bench.driver.failsafe is None
-            bench.driver.arm(limits_of(experiment))
+            bench.driver.arm(experiment.device_limits)
             assert bench.driver.read().y_counts == 345
             assert bench.driver.safe_stop()
 

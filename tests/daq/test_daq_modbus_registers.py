@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
-from rig.bench import emulated_io_block, limits_of, modbus_driver
+from rig.backends.modbus.frames import Damaged, RtuFraming, TcpFraming
+from rig.backends.modbus.opening import emulated_io_block, modbus_driver
+from rig.backends.modbus.registers import Register, RegisterMap, Span
 from rig.config import load
 from rig.config.schema import Experiment
-from rig.daq.modbus_frames import Damaged, RtuFraming, TcpFraming
-from rig.daq.modbus_registers import Register, RegisterMap, Span
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "modbus-rtu.yaml"
 FORMATS = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}
@@ -154,7 +154,7 @@ def test_driver_and_device_agree_on_every_type_and_word_order(
     block = emulated_io_block(experiment)
     driver = modbus_driver(experiment, block)
     driver.open()
-    driver.arm(limits_of(experiment))
+    driver.arm(experiment.device_limits)
     for u_V, y_rad in ((0.6, 0.0), (-0.7, 1.0), (2.999, -1.0), (-2.999, 0.4), (0.0, -0.4)):
         for _ in range(3):
             block.place(y_rad)

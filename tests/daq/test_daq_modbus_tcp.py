@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from rig.bench import limits_of, modbus_driver
+from rig.backends.driver import Transport
+from rig.backends.links.tcp_link import TcpTransport
+from rig.backends.modbus.driver import ModbusDriver
+from rig.backends.modbus.emulated.io_block import IoBlock
+from rig.backends.modbus.opening import modbus_driver
 from rig.config import load
-from rig.daq.driver import Transport
-from rig.daq.modbus import ModbusDriver
-from rig.daq.tcp_link import TcpTransport
-from rig.emulate.io_block import IoBlock
 from rig.faults import Fault
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "modbus-tcp.yaml"
@@ -28,7 +28,7 @@ class TcpBlock:
     def __init__(self) -> None:
         assert EXPERIMENT.daq.modbus is not None
         assert EXPERIMENT.emulated is not None
-        self.block = IoBlock.from_mapping(EXPERIMENT.daq.modbus.model_dump(), EXPERIMENT.emulated.model_dump(), 1)
+        self.block = IoBlock.of(EXPERIMENT.daq.modbus, EXPERIMENT.emulated, 1)
         self.answer: Answer = lambda header, pdu: [(0.0, header + pdu)]
         self._going: list[tuple[float, bytes]] = []
         self._t_s = 0.0
@@ -64,7 +64,7 @@ def driver(line: TcpBlock) -> ModbusDriver:
     transport: Transport = line
     driver = modbus_driver(EXPERIMENT, transport)
     assert driver.open().emulated
-    driver.arm(limits_of(EXPERIMENT))
+    driver.arm(EXPERIMENT.device_limits)
     for _ in range(3):
         tick(line, driver)
     assert line.block.output_V == pytest.approx(0.6, abs=0.001)

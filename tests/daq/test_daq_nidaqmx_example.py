@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from rig import conformance, experiment
-from rig.bench import connect, limits_of, plug_in_preflight
-from rig.config import check
-from rig.daq.driver import DriverSettings
+from rig import experiment
+from rig.backends.driver import DriverSettings
+from rig.backends.registry import connect
 from rig.faults import Fault
+from rig.preflight import check
+from rig.testing import conformance
 
 ROOT = Path(__file__).parent.parent.parent
 EXAMPLE = ROOT / "docs/examples/nidaqmx_driver"
@@ -70,7 +71,7 @@ def config(tmp_path, driver="nidaqmx-virtual", **changes):
 
 
 def load(path):
-    return check(path, plug_in_preflight)[0]
+    return check(path)[0]
 
 
 def rig(tmp_path, *arguments):
@@ -95,7 +96,7 @@ def test_the_whole_experiment(card, tmp_path):
     e = load(config(tmp_path, tracking__duration_s=3.0))
     outcome = experiment.run(e, tmp_path / "runs")
     assert outcome.failure == ""
-    result = outcome.result
+    result = outcome.result.as_json()
     assert result["backend"] == "nidaqmx:Dev1 (PCI-6221, serial 1A2B3C4)"
     estimate, truth = result["estimates"]["sampled-data"], result["truth"]
     assert estimate["verdict"] == "ok"
@@ -143,7 +144,7 @@ def test_the_output_is_zero_once_it_is_open_whatever_it_held_before(card, tmp_pa
 def test_the_drive_is_that_of_the_converter(card, tmp_path):
     e = load(config(tmp_path))
     with connect(e) as bench:
-        bench.driver.arm(limits_of(e))
+        bench.driver.arm(e.device_limits)
         for u_V in (1.0, -0.7, 3.0):
             bench.driver.write(u_V)
             assert card.output_V == pytest.approx(u_V / 1.2, abs=20.0 / 65536)
@@ -154,7 +155,7 @@ def test_the_drive_is_that_of_the_converter(card, tmp_path):
 def test_a_card_that_is_pulled_out_ends_the_run_and_nobody_claims_that_it_stopped(card, tmp_path):
     e = load(config(tmp_path))
     with connect(e) as bench:
-        bench.driver.arm(limits_of(e))
+        bench.driver.arm(e.device_limits)
         bench.driver.write(1.0)
         card.plugged_in = False
         with pytest.raises(Fault, match=r"LINK_LOST.*Dev1: Device cannot be accessed\.\)$"):

@@ -9,12 +9,13 @@ from click.testing import CliRunner
 from plug_in_cards import VirtualCard
 
 from rig import config
-from rig.bench import connect, driver_settings_of, plug_in_preflight
+from rig.backends import registry
+from rig.backends.clock import MonotonicClock, VirtualClock
+from rig.backends.registry import connect, driver_settings_of
 from rig.cli import main
 from rig.config.load import json_schema
-from rig.daq import registry
 from rig.faults import Fault
-from rig.loop.clock import MonotonicClock, VirtualClock
+from rig.preflight import check
 
 SOURCE = Path(__file__).parent.parent / "conformance/virtual-card.yaml"
 
@@ -84,7 +85,7 @@ def test_with_no_plug_in_installed(monkeypatch, tmp_path):
     monkeypatch.setattr(registry, "entry_points", lambda group: [])
     assert "; plug-ins installed: none; " in refused(tmp_path)[1]
     with pytest.raises(config.ConfigError, match="no driver 'virtual-card'"):
-        config.check(SOURCE)  # nobody said where plug-ins are
+        check(SOURCE)  # nobody said where plug-ins are
     with pytest.raises(config.ConfigError, match="no driver 'virtual-card'"), connect(config.load(SOURCE)):
         pass
 
@@ -150,7 +151,7 @@ def test_a_device_without_a_watchdog_needs_leave(installed, tmp_path):
     with pytest.raises(Fault, match="NO_WATCHDOG"), connect(config.load(written(tmp_path, driver="bare-card"))):
         pass
     path = written(tmp_path, driver="bare-card", accept_no_watchdog=True)
-    lines = config.check(path, plug_in_preflight)[1].lines
+    lines = check(path)[1].lines
     assert any("drives all the same (daq.accept_no_watchdog: true)" in line for line in lines)
 
 

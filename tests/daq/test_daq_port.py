@@ -11,9 +11,9 @@ import pytest
 from raised import fault_of
 from serial.tools import list_ports
 
-from rig.bench import unopened
+from rig.backends.links.serial_port import SerialPort
+from rig.backends.registry import unopened
 from rig.config import Experiment, load
-from rig.daq.serial_port import SerialPort
 from rig.faults import Fault
 
 
@@ -102,7 +102,8 @@ def plug_in(monkeypatch: pytest.MonkeyPatch, device: str, ids: tuple[int | None,
     closed: list[bool] = []
     monkeypatch.setattr(list_ports, "comports", lambda: [SimpleNamespace(device=device, vid=ids[0], pid=ids[1])])
     monkeypatch.setattr(
-        "rig.bench.SerialPort", lambda *_: SimpleNamespace(close=lambda: closed.append(True), now_s=lambda: 0.0)
+        "rig.backends.serial.opening.SerialPort",
+        lambda *_: SimpleNamespace(close=lambda: closed.append(True), now_s=lambda: 0.0),
     )
     return closed
 

@@ -5,8 +5,8 @@ from importlib.metadata import EntryPoint
 import pytest
 from plug_in_cards import BareCard, VirtualCard, settings
 
-from rig.daq import registry
-from rig.daq.registry import PlugInError
+from rig.backends import registry
+from rig.backends.registry import PlugInError
 
 
 def offer(monkeypatch, *pairs):
@@ -39,9 +39,9 @@ def test_two_packages_with_one_name(monkeypatch):
 @pytest.mark.parametrize(
     ("value", "why"),
     [
-        ("rig.daq.device_clock:DeviceClock", "lacks open, arm, read, write, safe_stop, close"),
-        ("rig.daq.serial_link:setup_for", "is not a class"),
-        ("rig.daq.serial_link:SerialDriver", r"must be constructed as SerialDriver\(settings\)"),
+        ("rig.backends.serial.device_clock:DeviceClock", "lacks open, arm, read, write, safe_stop, close"),
+        ("rig.backends.serial.driver:setup_for", "is not a class"),
+        ("rig.backends.serial.driver:SerialDriver", r"must be constructed as SerialDriver\(settings\)"),
         ("plug_in_cards:WriteTakesNothing", "write must take 1 argument"),
         ("plug_in_cards:ReadTakesMore", "read must take no arguments"),
         ("no_such_package:Card", "cannot be imported: ModuleNotFoundError: No module named 'no_such_package'"),

@@ -7,15 +7,17 @@ from pathlib import Path
 import pytest
 from raised import fault_of
 
-from rig.bench import unopened
+from rig.backends.clock import MonotonicClock
+from rig.backends.registry import unopened
+from rig.backends.serial import frames
+from rig.backends.serial.driver import SerialDriver, setup_for
+from rig.backends.serial.frames import Code, Hello, Kind, Nack, Setup, State, encode
+from rig.calibration import Calibration, DriveMap, TachometerScale
 from rig.cli import main
 from rig.config import Experiment, load
-from rig.daq import frames
-from rig.daq.calibration import Calibration, DriveMap, TachometerScale
-from rig.daq.frames import Code, Hello, Kind, Nack, Setup, State, encode
-from rig.daq.serial_link import SerialDriver, setup_for
 from rig.faults import Fault
 from rig.signals import Limits
+from rig.testing.line import on_device
 
 CALIBRATION = Calibration([(24, -2.0015625), (1000, 2.0015625)])
 DRIVE = DriveMap(supply_V=12.0)
@@ -233,9 +235,9 @@ AT = "rig flash --port /dev/ttyACM0 --bridge"
     ],
     ids=["as it is", "tachometer", "no bridge", "another baud"],
 )
-def test_a_board_of_before_gets_the_whole_line_that_flashes_it(monkeypatch, changed, line):
-    monkeypatch.setattr("rig.bench.SerialPort", lambda *_: ScriptedPort(version=1))
-    with unopened(Experiment.model_validate(UNO | changed)) as (driver, _, _):
+def test_a_board_of_before_gets_the_whole_line_that_flashes_it(changed, line):
+    device = on_device(ScriptedPort(version=1), MonotonicClock(), emulated=False)
+    with device, unopened(Experiment.model_validate(UNO | changed)) as (driver, _, _):
         fault = fault_of(driver.open)
     assert fault.code == "LINK_VERSION"
     assert line in fault.detail
@@ -773,7 +775,7 @@ def test_a_trickle_of_noise_does_not_stretch_the_time_out():
 
 def test_sequence_numbers_wrap():
     port, driver = armed()
-    driver._seq = port.seq = 0xFFFE
+    driver._exchange.seq = port.seq = 0xFFFE
     for seq in (0xFFFF, 0, 1):
         port.expect_read(counts=seq & 0x1FF)
         assert driver.read().seq == seq

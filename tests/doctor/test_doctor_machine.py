@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from rig.backends.links.usb_adapters import CHIPS, Adapter, adapter_delay_s
 from rig.doctor import machine
-from rig.usb_serial import CHIPS, Adapter, adapter_delay_s
 
 
 def put(root: Path, name: str, text: str) -> Path:

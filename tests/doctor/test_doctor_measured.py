@@ -2,8 +2,8 @@
 
 import pytest
 
+from rig.backends.clock import VirtualClock
 from rig.doctor import measured
-from rig.loop.clock import VirtualClock
 
 
 class SleepyClock(VirtualClock):

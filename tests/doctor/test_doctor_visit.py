@@ -7,9 +7,10 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+from rig.backends.serial.opening import emulated_chip
 from rig.cli import main
 from rig.config import load
-from rig.emulate.virtual_chip import VirtualChip
+from rig.testing.line import on_device
 
 ROOT = Path(__file__).parents[2]
 
@@ -61,15 +62,14 @@ def test_a_port_without_a_device_behind_it_is_a_finding_not_a_traceback(tmp_path
     assert "->" in done.stdout
 
 
-def test_without_the_bridge_it_says_which_one_the_firmware_is_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_bridge_it_says_which_one_the_firmware_is_for(tmp_path: Path) -> None:
     """No run does without that key; how a person finds out must not."""
     config = config_with(tmp_path, "demo.yaml", port="/dev/null", adapter="none")
     assert CliRunner().invoke(main, ["jog", str(config), "--u-V", "0"]).exit_code == 2
-    device = VirtualChip.from_mapping(load(config).model_dump()["emulated"], 1, bridge="in1-in2")
-    monkeypatch.setattr("rig.bench.SerialPort", lambda *_: device)
-    done = doctor(config)
+    e = load(config)
+    device = emulated_chip(e.model_copy(update={"drive": e.drive.model_copy(update={"bridge": "in1-in2"})}))
+    with on_device(device, emulated=False):
+        done = doctor(config)
     assert done.exit_code == 1
     assert "CONFIG_MISMATCH" in done.stdout and "write bridge: in1-in2" in " ".join(done.stdout.split())
 

@@ -9,12 +9,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from rig.backends.modbus.emulated.io_block import IoBlock
+from rig.backends.modbus.emulated.rtu_slave import Direction, frame
+from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
+from rig.backends.modbus.section import Modbus
 from rig.config import load
-from rig.config.modbus import Modbus
-from rig.config.schema import Emulated, EmulatedMotor, EmulatedPotentiometer
-from rig.emulate.io_block import IoBlock
-from rig.emulate.rtu_slave import Direction, frame
-from rig.emulate.virtual_io_block import VirtualIoBlock
+from rig.config.schema import Emulated, EmulatedMotor, EmulatedPotentiometer, EmulatedWiring
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 DRIVE, SEQUENCE, CONTROL, WATCHDOG, POSITION, ECHO, APPLIED, STATUS = 0, 1, 8, 9, 16, 17, 18, 19
@@ -23,7 +23,7 @@ SETTINGS = (100, 49, 975, 2500, 5, 1018)  # from WATCHDOG on
 FRICTIONLESS = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_plus_V": 0.0, "fc_minus_V": 0.0}
 
 
-def modbus(registers: dict[str, Any] | None = None, **changed: Any) -> dict[str, Any]:
+def modbus(registers: dict[str, Any] | None = None, **changed: Any) -> Modbus:
     """Section daq.modbus of config/modbus-rtu.yaml; a register of None is taken out."""
     plain = copy.deepcopy(_example())
     for name, change in (registers or {}).items():
@@ -31,7 +31,7 @@ def modbus(registers: dict[str, Any] | None = None, **changed: Any) -> dict[str,
             plain["registers"][name] = change
         else:
             plain["registers"][name] |= change
-    return Modbus.model_validate(plain | changed).model_dump()
+    return Modbus.model_validate(plain | changed)
 
 
 @lru_cache
@@ -41,15 +41,13 @@ def _example() -> dict[str, Any]:
     return section.model_dump()
 
 
-def emulated(wiring: dict[str, Any] | None = None, potentiometer: Any = None, **motor: Any) -> dict[str, Any]:
+def emulated(wiring: dict[str, Any] | None = None, potentiometer: Any = None, **motor: Any) -> Emulated:
     """A bench without noise; by default without friction."""
-    bench = Emulated(
+    return Emulated(
         motor=EmulatedMotor.model_validate(FRICTIONLESS | motor),
         potentiometer=EmulatedPotentiometer.model_validate(potentiometer or {}),
+        wiring=EmulatedWiring.model_validate(wiring or {}),
     )
-    plain = bench.model_dump()
-    plain["wiring"] |= wiring or {}
-    return plain
 
 
 def read(address: int, count: int, function: int = 3) -> bytes:
@@ -77,9 +75,9 @@ def words(reply: bytes) -> list[int]:
     return list(struct.unpack(f">{reply[1] // 2}h", reply[2:]))
 
 
-def armed_block(plain: dict[str, Any] | None = None, bench: dict[str, Any] | None = None, **options: Any) -> IoBlock:
+def armed_block(section: Modbus | None = None, bench: Emulated | None = None, **options: Any) -> IoBlock:
     """A block that took its settings and was armed at time 0."""
-    block = IoBlock.from_mapping(plain or modbus(), bench or emulated(), 1, **options)
+    block = IoBlock.of(section or modbus(), bench or emulated(), 1, **options)
     assert block.request(write(WATCHDOG, *SETTINGS), 0.0) == struct.pack(">BHH", 16, WATCHDOG, 6)
     assert block.request(write_one(CONTROL, 1), 0.0) == write_one(CONTROL, 1)
     return block

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.emulate import firmware_build
-from rig.emulate.firmware_build import EmulationError
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.serial.emulated import firmware_build
 
 
 def test_an_installed_rig_builds_in_the_users_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

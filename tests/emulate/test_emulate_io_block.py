@@ -35,9 +35,10 @@ from modbus_device import (
 )
 from pymodbus.client.mixin import ModbusClientMixin
 
-from rig.emulate.firmware_build import EmulationError
-from rig.emulate.io_block import ExecutedDrive, IoBlock
-from rig.model.bench import Bench, BenchParameters
+from rig.backends.emulated.bench import bench_parameters
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.modbus.emulated.io_block import ExecutedDrive, IoBlock
+from rig.model.bench import Bench
 
 WATCHDOG_FAULT, TRAVEL, SENSOR, DRIVE_RANGE, NOT_ARMED = 2, 3, 4, 5, 6
 
@@ -53,7 +54,7 @@ def test_the_motor_moves_as_the_bench_does_under_the_drives_that_were_written() 
     plain = emulated(fc_plus_V=0.5, fc_minus_V=0.45, fs_plus_V=0.6, fs_minus_V=0.5, bias_V=0.02)
     outputs: list[tuple[float, float]] = []
     block = armed_block(bench=plain, on_output=lambda t_s, u_V: outputs.append((t_s, u_V)))
-    bench = Bench(BenchParameters.from_mapping(plain), 1)
+    bench = Bench(bench_parameters(plain), 1)
     draw, t_s, then_s, u_V = random.Random(5), 0.0, 0.0, 0.0
     for _ in range(300):
         t_s += draw.uniform(0.0005, 0.02)
@@ -100,7 +101,7 @@ def test_drive_applied_and_largest_drive_are_of_the_drive_s_type_and_order(kind:
         word_order=order,
     )
     pymodbus_order: Any = {"high-first": "big", "low-first": "little"}[order]
-    block = IoBlock.from_mapping(plain, emulated(), 1)
+    block = IoBlock.of(plain, emulated(), 1)
 
     def packed(value: float) -> list[int]:
         return ModbusClientMixin.convert_to_registers(value, data_type, pymodbus_order)
@@ -130,7 +131,7 @@ def test_the_position_is_of_its_type_scaled(kind: str, order: str) -> None:
         },
         word_order=order,
     )
-    block = IoBlock.from_mapping(plain, emulated(), 1)
+    block = IoBlock.of(plain, emulated(), 1)
     block.place(0.3)
     pymodbus_order: Any = {"high-first": "big", "low-first": "little"}[order]
     data_type = ModbusClientMixin.DATATYPE[kind.upper()]
@@ -140,7 +141,7 @@ def test_the_position_is_of_its_type_scaled(kind: str, order: str) -> None:
 
 
 def test_input_registers_are_read_by_fc04_alone() -> None:
-    block = IoBlock.from_mapping(modbus({"position": {"table": "input"}}, requests="separate"), emulated(), 1)
+    block = IoBlock.of(modbus({"position": {"table": "input"}}, requests="separate"), emulated(), 1)
     assert words(block.request(read(POSITION, 4, function=4), 0.0)) == [512, 0, 0, 0]
     assert block.request(read(POSITION, 1), 0.0) == exception(3, 2)
     assert words(block.request(read(DRIVE, 2), 0.0)) == [0, 0]
@@ -149,17 +150,17 @@ def test_input_registers_are_read_by_fc04_alone() -> None:
 
 def test_a_register_that_cannot_hold_what_it_is_for_is_refused() -> None:
     with pytest.raises(EmulationError, match=r"position runs from 0 to 102300, which uint16 cannot hold"):
-        IoBlock.from_mapping(modbus({"position": {"scale": 0.01}}), emulated(), 1)
+        IoBlock.of(modbus({"position": {"scale": 0.01}}), emulated(), 1)
     wide = {"drive": {"address": 40, "type": "int32", "full": 100_000}, "sequence": {"address": 42}}
     with pytest.raises(EmulationError, match="applied runs from -100000 to 100000, which int16 cannot hold"):
-        IoBlock.from_mapping(modbus(wide), emulated(), 1)
+        IoBlock.of(modbus(wide), emulated(), 1)
 
 
 # ------------------------------------------------------------------ the protocol
 
 
 def test_what_was_written_reads_back_and_what_is_between_reads_0() -> None:
-    block = IoBlock.from_mapping(modbus(), emulated(), 1)
+    block = IoBlock.of(modbus(), emulated(), 1)
     assert block.request(write(WATCHDOG, *SETTINGS), 0.0) == struct.pack(">BHH", 16, WATCHDOG, 6)
     assert words(block.request(read(0, 20), 0.0)) == [0] * 9 + [*SETTINGS, 0, 512, 0, 0, 0]
 
@@ -202,14 +203,14 @@ REQUESTS = {
 @pytest.mark.parametrize("name", REQUESTS)
 def test_bad_requests_get_their_exception_and_change_nothing(name: str) -> None:
     request, code = REQUESTS[name]
-    block = IoBlock.from_mapping(modbus(), emulated(), 1)
+    block = IoBlock.of(modbus(), emulated(), 1)
     before = block.request(read(0, 20), 0.0)
     assert block.request(request, 0.0) == exception(request[0], code)
     assert block.request(read(0, 20), 0.0) == before
 
 
 def test_one_bad_value_of_several_and_nothing_is_written() -> None:
-    block = IoBlock.from_mapping(modbus(), emulated(), 1)
+    block = IoBlock.of(modbus(), emulated(), 1)
     block.request(write(WATCHDOG, *SETTINGS), 0.0)
     assert block.request(write(WATCHDOG, 200, 60, 900, 0, 5, 1018), 0.0) == exception(16, 3)
     assert words(block.request(read(WATCHDOG, 6), 0.0)) == list(SETTINGS)
@@ -217,16 +218,22 @@ def test_one_bad_value_of_several_and_nothing_is_written() -> None:
 
 def test_half_of_a_32_bit_drive_is_not_written() -> None:
     plain = modbus({"drive": {"type": "float32", "full": 1.0, "address": 30}, "sequence": None, "applied": None})
-    block = IoBlock.from_mapping(plain, emulated(), 1)
+    block = IoBlock.of(plain, emulated(), 1)
     assert block.request(write_one(30, 0x3F80), 0.0) == exception(6, 2)
     assert block.request(write(31, 1), 0.0) == exception(16, 2)
 
 
 @pytest.mark.parametrize("drive", [float("nan"), float("inf"), -float("inf")])
 def test_a_drive_that_is_no_number_is_refused(drive: float) -> None:
-    plain = modbus({"drive": {"type": "float32", "full": 1.0, "address": 30}, "sequence": None, "max_drive": None})
-    plain["registers"]["applied"] |= {"address": 20, "type": "float32"}
-    block = IoBlock.from_mapping(plain, emulated(), 1)
+    plain = modbus(
+        {
+            "drive": {"type": "float32", "full": 1.0, "address": 30},
+            "sequence": None,
+            "max_drive": None,
+            "applied": {"address": 20, "type": "float32"},
+        }
+    )
+    block = IoBlock.of(plain, emulated(), 1)
     block.request(write(WATCHDOG, *SETTINGS[:3]), 0.0)
     block.request(write(RAIL_LOW, *SETTINGS[4:]), 0.0)
     block.request(write_one(CONTROL, 1), 0.0)
@@ -238,7 +245,7 @@ def test_a_drive_that_is_no_number_is_refused(drive: float) -> None:
 
 
 def test_it_says_who_it_is() -> None:
-    block = IoBlock.from_mapping(modbus(), emulated(), 1, revision="1.2")
+    block = IoBlock.of(modbus(), emulated(), 1, revision="1.2")
     objects = b"\x00\x03rig\x01\x12emulated I/O block\x02\x031.2"
     assert block.request(b"\x2b\x0e\x01\x00", 0.0) == b"\x2b\x0e\x01\x81\x00\x00\x03" + objects
     assert block.request(b"\x2b\x0e\x03\x02", 0.0) == b"\x2b\x0e\x03\x81\x00\x00\x01\x02\x031.2"
@@ -249,7 +256,7 @@ def test_it_says_who_it_is() -> None:
 @settings(max_examples=300, deadline=None)
 @given(pdus=st.lists(st.binary(min_size=1, max_size=253), min_size=1, max_size=8))
 def test_any_bytes_at_all_are_answered_and_move_nothing(pdus: list[bytes]) -> None:
-    block = IoBlock.from_mapping(modbus(), emulated(), 1)
+    block = IoBlock.of(modbus(), emulated(), 1)
     for k, pdu in enumerate(pdus):
         reply = block.request(pdu, 0.01 * k)
         good = reply[0] == pdu[0] and pdu[0] in (3, 4, 6, 16, 23, 43)
@@ -294,7 +301,7 @@ def test_whatever_is_asked_of_an_armed_block_its_output_stays_within_the_largest
 
 
 def test_power_on_is_off_and_a_drive_is_refused_until_it_is_armed() -> None:
-    block = IoBlock.from_mapping(modbus(), emulated(), 1)
+    block = IoBlock.of(modbus(), emulated(), 1)
     assert words(block.request(read_write(POSITION, 4, DRIVE, 100, 1), 0.0)) == [512, 0, 0, NOT_ARMED]
     assert block.truth().output_V == 0.0
     block.request(write(WATCHDOG, *SETTINGS), 0.0)
@@ -354,8 +361,7 @@ def test_beyond_a_limit_it_stops_latches_and_lets_the_shaft_come_back_inward(sig
 
 
 def test_inward_drive_that_moves_the_shaft_outward_is_stopped() -> None:
-    bench = emulated({"drive": "reversed", "fault_after_s": 0.0})
-    bench["motor"]["start_rad"] = 1.91
+    bench = emulated({"drive": "reversed", "fault_after_s": 0.0}, start_rad=1.91)
     y_rad: list[float] = []
     block = armed_block(bench=bench)
     block.on_output = lambda t_s, u_V: y_rad.append(block.truth().y_rad)
@@ -371,8 +377,7 @@ def test_inward_drive_that_moves_the_shaft_outward_is_stopped() -> None:
 
 
 def test_inward_is_as_whoever_set_it_up_found() -> None:
-    bench = emulated({"drive": "reversed"})
-    bench["motor"]["start_rad"] = 2.0
+    bench = emulated({"drive": "reversed"}, start_rad=2.0)
     block = armed_block(bench=bench, polarity=-1)
     block.request(write_one(DRIVE, 500), 0.01)
     assert state(block, 0.01) == (500, 1)
@@ -426,7 +431,7 @@ def test_arming_again_starts_from_0_V() -> None:
 
 def test_stop_and_a_drive_in_one_request_is_a_stop() -> None:
     plain = modbus({"control": {"address": 2}})
-    block = IoBlock.from_mapping(plain, emulated(), 1)
+    block = IoBlock.of(plain, emulated(), 1)
     block.request(write(WATCHDOG, *SETTINGS), 0.0)
     block.request(write_one(2, 1), 0.0)
     block.request(write(DRIVE, 700, 1), 0.0)
@@ -437,14 +442,14 @@ def test_stop_and_a_drive_in_one_request_is_a_stop() -> None:
 
 
 def test_without_a_status_register_a_refused_drive_is_an_exception() -> None:
-    block = IoBlock.from_mapping(modbus({"status": None}), emulated(), 1)
+    block = IoBlock.of(modbus({"status": None}), emulated(), 1)
     assert block.request(write_one(DRIVE, 100), 0.0) == exception(6, 4)
     assert block.request(write_one(DRIVE, 0), 0.0) == write_one(DRIVE, 0)
     assert words(block.request(read_write(POSITION, 3, DRIVE, 0, 5), 0.0)) == [512, 5, 0]
 
 
 def test_without_a_control_register_a_drive_arms_it_and_0_clears_a_fault() -> None:
-    block = IoBlock.from_mapping(modbus({"control": None}), emulated(), 1)
+    block = IoBlock.of(modbus({"control": None}), emulated(), 1)
     block.request(write_one(DRIVE, 100), 0.0)
     assert state(block, 0.0) == (0, NOT_ARMED)  # it has no settings yet
     block.request(write(WATCHDOG, *SETTINGS), 0.0)
@@ -461,13 +466,13 @@ def test_without_a_control_register_a_drive_arms_it_and_0_clears_a_fault() -> No
 
 def test_a_time_out_that_no_register_sets_is_kept_and_without_any_it_holds_its_drive() -> None:
     bare = dict.fromkeys(("watchdog", "limits", "rails", "max_drive", "control"))
-    block = IoBlock.from_mapping(modbus(bare, device_watchdog_s=0.25), emulated(), 1)
+    block = IoBlock.of(modbus(bare, device_watchdog_s=0.25), emulated(), 1)
     block.request(write_one(DRIVE, 10), 0.0)
     block.advance_to(0.2495)
     assert block.truth().output_V == 0.012
     block.advance_to(0.2505)
     assert block.truth().fault == "DEVICE_WATCHDOG" and block.truth().output_V == 0.0
-    block = IoBlock.from_mapping(modbus(bare), emulated(), 1)
+    block = IoBlock.of(modbus(bare), emulated(), 1)
     block.request(write_one(DRIVE, 10), 0.0)
     block.advance_to(10.0)
     assert block.truth().output_V == 0.012

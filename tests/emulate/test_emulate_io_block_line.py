@@ -32,16 +32,17 @@ from pymodbus.framer import FramerRTU
 from pymodbus.pdu import DecodePDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
-from rig.emulate.line_faults import Corruption
-from rig.emulate.misbehaviour import Misbehaviour
-from rig.emulate.rtu_slave import Line, check_sum, frame
-from rig.emulate.virtual_io_block import VirtualIoBlock
+from rig.backends.modbus.emulated.line_faults import Corruption
+from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.rtu_slave import Line, check_sum, frame
+from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
+from rig.backends.modbus.section import Modbus
 from rig.faults import Fault
 
 TICK = read_write(POSITION, 4, DRIVE, 500, 1)
 
 
-def device(plain: dict[str, Any] | None = None, **options: Any) -> VirtualIoBlock:
+def device(plain: Modbus | None = None, **options: Any) -> VirtualIoBlock:
     return VirtualIoBlock(plain or modbus(), emulated(), **options)
 
 
@@ -154,8 +155,8 @@ def test_a_reply_is_there_after_wire_silence_turnaround_and_wire(
     assert (len(request), len(reply)) == (17, 13)
     executed_s = 0.123 + 17 * bits / baud + silence_s
     assert it.executed[0].t_s == pytest.approx(executed_s, abs=1e-12)
-    assert it.now_s() == pytest.approx(executed_s + plain["turnaround_s"] + 13 * bits / baud, abs=1e-12)
-    assert it.line == Line(baud, bits, pytest.approx(silence_s), plain["turnaround_s"])
+    assert it.now_s() == pytest.approx(executed_s + plain.turnaround_s + 13 * bits / baud, abs=1e-12)
+    assert it.line == Line(baud, bits, pytest.approx(silence_s), plain.turnaround_s)
 
 
 def test_reading_waits_no_longer_than_it_was_told_and_then_finds_the_late_reply() -> None:

@@ -35,11 +35,11 @@ from processes import alive, rows, wait_until
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.modbus_board import ModbusBoard, mbpoll_line
+from rig.backends.modbus.emulated.tcp_slave import Adu, Stream
 from rig.cli import main
-from rig.emulate.firmware_build import EmulationError
-from rig.emulate.misbehaviour import Misbehaviour
-from rig.emulate.modbus_board import ModbusBoard, mbpoll_line
-from rig.emulate.tcp_slave import Adu, Stream
 
 pytestmark = pytest.mark.realtime
 
@@ -49,9 +49,12 @@ HOST = """
 import sys, time
 from pathlib import Path
 from pymodbus.client import ModbusSerialClient
-from rig.emulate.modbus_board import ModbusBoard
+from rig.backends.modbus.emulated.modbus_board import ModbusBoard
+from rig.backends.modbus.section import Modbus
+from rig.config.schema import Emulated
 board = ModbusBoard()
-port = board.start({modbus}, {emulated}, 1, link=Path(sys.argv[1]), trace=Path(sys.argv[2]))
+modbus, emulated = Modbus.model_validate({modbus}), Emulated.model_validate({emulated})
+port = board.start(modbus, emulated, 1, link=Path(sys.argv[1]), trace=Path(sys.argv[2]))
 print(board.pid, flush=True)
 client = ModbusSerialClient(port, baudrate=115200)
 client.connect()
@@ -174,7 +177,11 @@ def test_the_command_refuses_what_the_device_has_not(config: str, option: str, s
 
 def test_a_killed_host_leaves_0_V_and_its_device_ends_with_it(tmp_path: Path) -> None:
     link, trace = tmp_path / "port", tmp_path / "trace.csv"
-    script = HOST.format(modbus=modbus(), emulated=emulated(fc_plus_V=5.0, fc_minus_V=5.0), settings=list(SETTINGS))
+    script = HOST.format(
+        modbus=modbus().model_dump(),
+        emulated=emulated(fc_plus_V=5.0, fc_minus_V=5.0).model_dump(),
+        settings=list(SETTINGS),
+    )
     host = subprocess.Popen([sys.executable, "-c", script, str(link), str(trace)], stdout=subprocess.PIPE, text=True)
     assert host.stdout is not None
     with host.stdout:

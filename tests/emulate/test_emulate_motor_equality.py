@@ -13,10 +13,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from rig.daq.calibration import DriveMap
-from rig.daq.frames import Code, Kind, Setup, encode, pack_ack, pack_arm, pack_drive
-from rig.emulate.firmware_build import EmulationError
-from rig.emulate.virtual_board import VirtualBoard
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.frames import Code, Kind, Setup, encode, pack_ack, pack_arm, pack_drive
+from rig.calibration import DriveMap
 from rig.model.bench import Bench, BenchParameters, DriveWiring, SensorWiring
 from rig.model.friction import Friction, coulomb
 from rig.model.motor import Motor, State

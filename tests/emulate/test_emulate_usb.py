@@ -10,18 +10,18 @@ import yaml
 from command_line import rig
 from simulated_bench import CALIBRATION, DEMO, LIMITS, RAILS
 
-from rig.bench import connect, emulated_board
+from rig.backends.links.usb_adapters import CHIPS, FRAME_S, Adapter, adapter_by_id, adapter_by_name
+from rig.backends.registry import connect, emulated_board
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.behind_usb import BehindUsb
+from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.usb_chip import UsbChip
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.backends.serial.link_budget import reading_budget, sample_to_drive_s, tick_budget
+from rig.calibration import DriveMap
 from rig.config import Experiment
-from rig.config.link_budget import link_budget, reading_budget, sample_to_drive_s
-from rig.daq.calibration import DriveMap
-from rig.daq.serial_link import SerialDriver
-from rig.emulate.behind_usb import BehindUsb
-from rig.emulate.firmware_build import UnoOptions
-from rig.emulate.usb_chip import UsbChip
-from rig.emulate.virtual_board import VirtualBoard
-from rig.emulate.virtual_chip import VirtualChip
 from rig.faults import Fault
-from rig.usb_serial import CHIPS, FRAME_S, Adapter, adapter_by_id, adapter_by_name
 
 ROOT = Path(__file__).resolve().parents[2]
 CLOCK_PPM = 4000.0
@@ -172,7 +172,7 @@ def test_the_sums_of_rig_check_bound_what_the_link_shows(adapter: Adapter, baud:
     """At the shortest period that the sum allows: its phases to the chip's timer and to the frames are all met."""
     e = Experiment.model_validate(config(adapter=adapter, baud=baud))
     reading_s = reading_budget(e).total_s
-    seen = seen_behind(adapter, baud, 1.00123 * link_budget(e).total_s / 0.8)
+    seen = seen_behind(adapter, baud, 1.00123 * tick_budget(e).total_s / 0.8)
     assert seen.reading_s <= reading_s
     unmet_s = 0.001 + (0.0 if adapter == "none" else 2.0 * FRAME_S)  # the device's tick and the frames, by their phase
     assert seen.reading_s > reading_s - unmet_s - 1e-4

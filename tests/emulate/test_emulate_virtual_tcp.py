@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from rig import config
-from rig.bench import limits_of, modbus_driver
-from rig.daq.modbus import ModbusDriver
-from rig.emulate.tcp_slave import Adu
-from rig.emulate.virtual_tcp_block import SENT_AGAIN_S, VirtualTcpBlock
+from rig.backends.modbus.driver import ModbusDriver
+from rig.backends.modbus.emulated.tcp_slave import Adu
+from rig.backends.modbus.emulated.virtual_tcp_block import SENT_AGAIN_S, VirtualTcpBlock
+from rig.backends.modbus.opening import modbus_driver
 from rig.faults import Fault
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,7 +21,7 @@ EXPERIMENT = config.load(ROOT / "config" / "modbus-tcp.yaml").model_copy(
 
 def new_block() -> VirtualTcpBlock:
     assert EXPERIMENT.daq.modbus is not None and EXPERIMENT.emulated is not None
-    return VirtualTcpBlock(EXPERIMENT.daq.modbus.model_dump(), EXPERIMENT.emulated.model_dump())
+    return VirtualTcpBlock(EXPERIMENT.daq.modbus, EXPERIMENT.emulated)
 
 
 def connected() -> VirtualTcpBlock:
@@ -35,7 +35,7 @@ def driven() -> tuple[VirtualTcpBlock, ModbusDriver]:
     block = connected()
     driver = modbus_driver(EXPERIMENT, block)
     driver.open()
-    driver.arm(limits_of(EXPERIMENT))
+    driver.arm(EXPERIMENT.device_limits)
     run_for(block, driver, 0.1)
     assert block.truth().output_V == pytest.approx(0.4, abs=2e-3)
     return block, driver
@@ -136,7 +136,7 @@ def test_connections_end_and_a_new_one_is_made() -> None:
 def test_drives_that_were_kept_back_drive_nothing_after_the_watchdog() -> None:
     """The network stands still for 0.3 s, then hands over what the host had said, drives and stop."""
     block, driver = driven()
-    watchdog_s = limits_of(EXPERIMENT).watchdog_s
+    watchdog_s = EXPERIMENT.device_limits.watchdog_s
     block.block_way("device", 0.3)
     stood_s = block.now_s()
     assert fault_of(block, driver).code == "LINK_TIMEOUT"
@@ -157,5 +157,5 @@ def test_a_device_that_forgot_the_connection_and_one_that_never_answers() -> Non
     block.lose_packet("host")
     assert fault_of(block, driver).code == "LINK_TIMEOUT"
     driver.safe_stop()
-    block.sleep_until(block.now_s() + limits_of(EXPERIMENT).watchdog_s)
+    block.sleep_until(block.now_s() + EXPERIMENT.device_limits.watchdog_s)
     assert block.truth().output_V == 0.0

@@ -16,11 +16,11 @@ import yaml
 from command_line import rig
 
 from rig import config as configs
-from rig import experiment as script
 from rig import session
-from rig.bench import Bench
+from rig.backends.registry import Bench
 from rig.config.schema import Experiment
 from rig.control.law import Constant
+from rig.experiment import script, stages
 from rig.faults import Fault
 from rig.identify import identify
 from rig.recording.reader import read_run
@@ -52,13 +52,13 @@ def test_nothing_arms_again_after_a_fault_or_a_signal(tmp_path: Path) -> None:
 def test_a_signal_in_the_loop_or_while_identifying_ends_the_run_with_a_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
-    original = script.identify
+    original = stages.identify
 
     def interrupted(recordings):  # type: ignore[no-untyped-def]
         os.kill(os.getpid(), number)
         return original(recordings)
 
-    monkeypatch.setattr(script, "identify", interrupted)
+    monkeypatch.setattr(stages, "identify", interrupted)
     result = rig("relay", quick(tmp_path), "--out", tmp_path / "runs", "--json")
     assert result.exit_code == 1
     outcome = json.loads(result.stdout)
@@ -112,7 +112,7 @@ def test_a_result_that_cannot_be_made_is_the_least_one(tmp_path: Path, monkeypat
     def broken(*_: object) -> None:
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(session, "_result", broken)
+    monkeypatch.setattr(session, "run_result", broken)
     shown = rig("jog", quick(tmp_path), "--u-V", 0.3, "--out", tmp_path / "runs", "--json")
     assert shown.exit_code == 1
     outcome = json.loads(shown.stdout)
@@ -204,7 +204,7 @@ def test_a_run_cut_off_before_a_settled_cycle_gives_no_number_as_ok(tmp_path: Pa
 def test_a_device_without_watchdog_is_refused_unless_the_config_accepts_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, accepted: bool
 ) -> None:
-    from rig.daq.simulated import SimulatedDriver
+    from rig.backends.simulated.driver import SimulatedDriver
 
     original = SimulatedDriver.open
 
@@ -266,7 +266,7 @@ def test_nothing_is_tracked_where_the_sampled_data_estimate_is_refused(
     config = yaml.safe_load(quick(tmp_path).read_text(encoding="utf-8"))
     whole = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
     (tmp_path / "whole.yaml").write_text(yaml.safe_dump(config | {"tracking": whole["tracking"]}), encoding="utf-8")
-    original = script.identify
+    original = stages.identify
 
     def refusing(recordings):  # type: ignore[no-untyped-def]
         found = original(recordings)
@@ -274,7 +274,7 @@ def test_nothing_is_tracked_where_the_sampled_data_estimate_is_refused(
         estimates["sampled-data"] = estimates["sampled-data"].judged("refused", "for this test")
         return replace(found, estimates=estimates)
 
-    monkeypatch.setattr(script, "identify", refusing)
+    monkeypatch.setattr(stages, "identify", refusing)
     result = rig("run", tmp_path / "whole.yaml", "--out", tmp_path / "runs", "--json")
     assert result.exit_code == 1
     outcome = json.loads(result.stdout)
@@ -306,7 +306,7 @@ def test_a_defect_after_the_loop_costs_neither_record_nor_result(
     assert "track:sampled-data" in read_run(folder).stages()
 
     monkeypatch.setattr(session, "identify", broken)
-    monkeypatch.setattr(script, "identify", broken)
+    monkeypatch.setattr(stages, "identify", broken)
     result = rig("relay", quick(tmp_path), "--out", tmp_path / "others", "--json")
     folder = Path(json.loads(result.stdout)["folder"])
     outcome = json.loads((folder / "result.json").read_text(encoding="utf-8"))
@@ -322,7 +322,7 @@ def test_a_model_that_fails_its_rehearsal_never_drives_the_bench(changed: dict[s
     found.estimates["triple-relay"] = replace(found.estimates["triple-relay"], **changed)
     outcome = script.run_tracking(e, found, tmp_path, tmp_path / "runs")
     assert outcome.fault is None
-    assert "in simulation on the best model" in outcome.result["tracking"]["triple-relay"]["not_run"]
+    assert "in simulation on the best model" in outcome.result.tracking["triple-relay"].not_run
     recording = read_run(outcome.folder)
     assert "track:sampled-data" in recording.stages() and "track:triple-relay" not in recording.stages()
     assert abs(recording.y_rad).max() < e.limits.soft_rad[1] and abs(recording.u_V).max() <= e.drive.max_V

@@ -84,7 +84,7 @@ def test_in_virtual_time_by_the_search_and_by_separate_requests(tmp_path: Path) 
         outcome = json.loads(result.stdout)
         finds_the_truth(outcome)
         recording = read_run(Path(outcome["folder"]))
-        orders.append(recording.meta["order"])
+        orders.append(recording.meta.order)
     assert orders == ["write_first", "sample_first"]
 
 

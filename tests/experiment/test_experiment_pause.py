@@ -13,17 +13,20 @@ import pytest
 import yaml
 from command_line import rig
 
-from rig import experiment as script
 from rig import session
-from rig.config import load
-from rig.daq.simulated import SimulatedDriver
-from rig.emulate.virtual_chip import VirtualChip
-from rig.emulate.virtual_io_block import VirtualIoBlock
+from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
+from rig.backends.serial.backend import SerialBackend
+from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.backends.serial.opening import emulated_chip
+from rig.backends.simulated.driver import SimulatedDriver
+from rig.config import Experiment, load
+from rig.experiment import script
 from rig.identify import identify
 from rig.loop.pause_watch import PauseWatch
 from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
 from rig.session import Session
+from rig.testing.line import on_device
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -139,26 +142,23 @@ def test_a_power_cycle_of_a_block_ends_the_run(tmp_path: Path, monkeypatch: pyte
 
 def test_the_next_command_clears_it_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On one device, which no opening resets: pressed between two runs."""
-    chips: list[VirtualChip] = []
-    make = VirtualChip.from_mapping
-
-    def same(*given: Any, **named: Any) -> VirtualChip:
-        if not chips:
-            chips.append(make(*given, **named))
-            monkeypatch.setattr(chips[0], "close", lambda: None)  # the next command finds it as it is
-        return chips[0]
-
-    monkeypatch.setattr(VirtualChip, "from_mapping", same)
     path = short(tmp_path, "demo.yaml", "emulated-chip")
+    chip = emulated_chip(load(path))
+    monkeypatch.setattr(chip, "close", lambda: None)  # the next command finds it as it is
+    with on_device(chip):
+        see_it_cleared(chip, path, tmp_path)
+
+
+def see_it_cleared(chip: VirtualChip, path: Path, tmp_path: Path) -> None:
     assert rig("jog", path, "--u-V", 0.2, "--out", tmp_path / "runs").exit_code == 0
-    press(chips[0])
+    press(chip)
     result = rig("jog", path, "--u-V", 0.2, "--out", tmp_path / "runs")
     assert result.exit_code == 0, result.stderr
     assert "e-stop pressed since the last run" in result.stderr
     assert "e-stop" not in rig("jog", path, "--u-V", 0.2, "--out", tmp_path / "runs").stderr
-    press(chips[0])
+    press(chip)
     assert "e-stop pressed since the last run" in rig("doctor", path, "--seconds", 0.2).stdout
-    chips[0].contact("e_stop", is_open=True)
+    chip.contact("e_stop", is_open=True)
     result = rig("jog", path, "--u-V", 0.2, "--out", tmp_path / "runs")
     assert result.exit_code == 1 and "DEVICE_ESTOP" in result.stderr
 
@@ -168,9 +168,13 @@ def test_one_command_of_several_runs_acknowledges_nothing_between_them(
 ) -> None:
     """As on a real bench: the device stays open, and an e-stop opened and closed between two runs ends the command."""
     chips: list[VirtualChip] = []
-    make, conclude = VirtualChip.from_mapping, session._conclude
-    monkeypatch.setattr(VirtualChip, "from_mapping", lambda *a, **k: chips.append(make(*a, **k)) or chips[-1])
-    monkeypatch.setattr(script, "is_emulated", lambda _: False)
+    conclude = session._conclude
+
+    def made(e: Experiment) -> VirtualChip:
+        chips.append(emulated_chip(e))
+        return chips[-1]
+
+    monkeypatch.setattr(SerialBackend, "is_emulated", lambda *_: False)
 
     def pressed(*given: Any) -> Any:
         outcome = conclude(*given)
@@ -179,7 +183,8 @@ def test_one_command_of_several_runs_acknowledges_nothing_between_them(
 
     monkeypatch.setattr(session, "_conclude", pressed)
     path = short(tmp_path, "demo.yaml", "emulated-chip")
-    result = rig("run", path, "--repeat", 3, "--out", tmp_path / "runs", "--json")
+    with on_device(made):
+        result = rig("run", path, "--repeat", 3, "--out", tmp_path / "runs", "--json")
     assert result.exit_code == 1 and len(chips) == 1
     first, second = json.loads(result.stdout)["runs"]
     assert first["ok"] and [fault["code"] for fault in second["faults"]] == ["DEVICE_ESTOP"]

@@ -25,11 +25,19 @@ GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 RUN = GOLDEN / "simulated-fault"
 RESULT: dict[str, Any] = {
     "schema": 1,
-    "estimates": {"sampled-data": {"tau_s": 0.17, "verdict": "ok", "reasons": [], "rows": [10, 20], "fc_plus_V": None}},
-    "relays": [{"stage": "relay-1", "h1_V": 0.4}, {"stage": "relay-2", "h1_V": 0.3, "cycles": 11}],
-    "faults": ["a", "µ"],
-    "end": True,
-    "matrix": [[1.0, None], [3.0, 4.0]],
+    "estimates": {
+        "sampled-data": {
+            "tau_s": 0.17,
+            "verdict": "ok",
+            "reasons": [],
+            "rows": [10, 20],
+            "fc_plus_V": None,
+            "covariance": [[1.0, None], [3.0, 4.0]],
+        }
+    },
+    "tracking": {"end": {"not_run": "no"}},
+    "notes": ["a", "µ"],
+    "search": [{"outcome": "no oscillation"}, {"outcome": "settled", "h1_V": 11.0}],
 }
 
 
@@ -58,14 +66,14 @@ def test_a_mat_file_has_columns_with_units_and_nested_structs(run_folder: Path, 
     estimate = plain["result"]["estimates"]["sampled_data"]
     assert (estimate["tau_s"], estimate["verdict"], estimate["rows"].tolist()) == (0.17, "ok", [10.0, 20.0])
     assert estimate["fc_plus_V"].size == 0
-    assert [relay["stage"] for relay in plain["result"]["relays"]] == ["relay-1", "relay-2"]
-    assert plain["result"]["relays"][1]["cycles"] == 11.0
-    assert plain["result"]["relays"][0]["cycles"].size == 0
-    assert plain["result"]["faults"].tolist() == ["a", "µ"]
-    assert plain["result"]["xend"] == 1  # `end` is no name in MATLAB
-    assert np.array_equal(plain["result"]["matrix"], [[1.0, np.nan], [3.0, 4.0]], equal_nan=True)
+    assert [step["outcome"] for step in plain["result"]["search"]] == ["no oscillation", "settled"]
+    assert plain["result"]["search"][1]["h1_V"] == 11.0
+    assert plain["result"]["search"][0]["h1_V"].size == 0
+    assert plain["result"]["notes"].tolist() == ["a", "µ"]
+    assert plain["result"]["tracking"]["xend"]["not_run"] == "no"  # `end` is no name in MATLAB
+    assert np.array_equal(estimate["covariance"], [[1.0, np.nan], [3.0, 4.0]], equal_nan=True)
     assert plain["config"]["limits"]["soft_rad"].tolist() == [-1.1, 1.1]
-    assert [event["kind"] for event in plain["events"]] == [event["kind"] for event in recording.events]
+    assert [event["kind"] for event in plain["events"]] == [event.kind for event in recording.events]
     assert plain["meta"]["period_s"] == 0.01
 
 
@@ -79,7 +87,7 @@ def test_an_npz_file_opens_without_pickle(run_folder: Path, tmp_path: Path) -> N
             assert np.array_equal(found[name], ours, equal_nan=name != "stage" and ours.dtype.kind == "f")
         assert json.loads(str(found["result"]))["result"] == RESULT
         assert json.loads(str(found["units"]))["units"]["u_V"] == "V"
-        assert json.loads(str(found["events"]))["events"] == list(recording.events)
+        assert json.loads(str(found["events"]))["events"] == [event.as_json() for event in recording.events]
 
 
 def test_a_json_file_is_one_strict_object(run_folder: Path, tmp_path: Path) -> None:
@@ -100,7 +108,7 @@ def test_a_csv_file_gives_exactly_the_estimates_of_the_folder(name: str, tmp_pat
     assert list(ours.estimates) == list(theirs.estimates)
     assert len(theirs.estimates) > 0
     for method, estimate in theirs.estimates.items():
-        assert json.dumps(ours.estimates[method].as_dict()) == json.dumps(estimate.as_dict())
+        assert json.dumps(ours.estimates[method].as_result().as_json()) == json.dumps(estimate.as_result().as_json())
 
 
 def test_a_csv_file_of_one_stage_is_plain_and_gives_what_its_rows_give(tmp_path: Path) -> None:
@@ -114,8 +122,9 @@ def test_a_csv_file_of_one_stage_is_plain_and_gives_what_its_rows_give(tmp_path:
     for name in ("t_s", "u_V", "y_rad", "t_u_s"):
         assert np.array_equal(getattr(found, name), getattr(whole, name)[rows], equal_nan=True)
     ours = identify([found], ("sampled-data",), choose_law=False).estimates["sampled-data"]
-    theirs = identify([whole.select(rows.start, rows.stop - 1)], ("sampled-data",), choose_law=False)
-    assert ours.as_dict() | {"rows": None} == theirs.estimates["sampled-data"].as_dict() | {"rows": None}
+    same = identify([whole.select(rows.start, rows.stop - 1)], ("sampled-data",), choose_law=False)
+    theirs = same.estimates["sampled-data"]
+    assert ours.as_result().as_json() | {"rows": None} == theirs.as_result().as_json() | {"rows": None}
 
 
 def test_the_command_says_what_it_wrote(run_folder: Path, tmp_path: Path) -> None:

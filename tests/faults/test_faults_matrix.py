@@ -22,17 +22,18 @@ from faults.bounds import Times, bound
 from faults.case import Found, measure, new_stand, restart, times, undisturbed
 from faults.language import ModbusLanguage, Reading, SerialLanguage, is_drive
 from faults.matrix import phase_at, phases_of, stages_of
-from faults.page import Line, line, render, summary
+from faults.page import Line, at_worst, cells, render_rows, render_summary, summary
 from faults.realtime import DEVICES, REAL_ROWS
 from faults.rows import FREEZE_S, ROWS, Row
 from faults.stages import ARMING, BY_KEY, CYCLE, OTHER_STAGES, PAUSE, REST, START, Stage
+from rig.backends.modbus.emulated.rtu_slave import frame
+from rig.backends.modbus.emulated.tcp_slave import Adu
+from rig.backends.serial.frames import Block, Kind, RelaySetup, State, encode, pack_drive
 from rig.control.guard import Guard
-from rig.daq.frames import Block, Kind, RelaySetup, State, encode, pack_drive
-from rig.emulate.rtu_slave import frame
-from rig.emulate.tcp_slave import Adu
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "fault-table.md"
+SUMMARY = ROOT / "docs" / "fault-table.md"
+PAGE = ROOT / "docs" / "fault-rows.md"
 
 
 # rows that are the loop's own matter: what device is behind it makes no difference
@@ -207,8 +208,8 @@ def test_a_bound_that_is_too_tight_and_a_code_that_is_another_are_found() -> Non
     found = measure(wrong, BOARD, 0.5)
     assert any("drive on for" in words for words in found.trouble)
     assert any("LINK_TIMEOUT" in words for words in found.trouble)
-    told = line(Line(wrong, BOARD, CYCLE, times(BOARD), (found,)))
-    assert "**broken**" in told and "LINK_TIMEOUT, 1" in told
+    told = cells(Line(wrong, BOARD, CYCLE, times(BOARD), (found,)))
+    assert "**broken**" in told[1] and told[4] == "LINK_TIMEOUT, 1"
 
 
 def test_a_sample_that_the_record_has_not_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -384,7 +385,7 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
     for backend in BACKENDS:
         section = page.split(f"## On {backend.title}\n")[1].split("\n## ")[0]
         lines = {
-            cells[1].strip(): cells for cells in (text.split("|") for text in section.splitlines()) if len(cells) > 7
+            entry[1].strip(): entry for entry in (text.split("|") for text in section.splitlines()) if len(entry) > 7
         }
         for row in ROWS:
             if why := row.why_absent(backend.traits):
@@ -392,12 +393,12 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
             if not row.is_for(backend.traits):
                 assert row.name not in lines
                 continue
-            cells = lines[row.name]
-            assert re.search(r"\d", cells[2]) and re.search(r"\d", cells[3]), cells
+            entry = lines[row.name]
+            assert re.search(r"\d", entry[2]) and re.search(r"\d", entry[3]), entry
             stage = START if row.early else CYCLE
             most = row.on(stage.traits(backend.traits)).may_lose * phases_of(backend, stage)
-            assert int(cells[6]) <= most, cells
-            assert cells[7].strip().endswith("moves"), cells
+            assert int(entry[6]) <= most, entry
+            assert entry[7].strip().endswith("moves"), entry
     stages = page.split("## In the other stages\n")[1].split("\n## ")[0]
     for backend in BACKENDS:
         title = f"### {backend.title[0].upper()}{backend.title[1:]}, by stage\n"
@@ -417,21 +418,26 @@ def test_the_page_has_every_row_on_every_device_with_a_number_and_none_broken() 
     for real_row in REAL_ROWS:
         for device in DEVICES:
             assert (f"| {real_row.name} | {device.key} |" in real) == (not real_row.only or device.key in real_row.only)
-    assert "**broken**" not in page
+    summed_up = SUMMARY.read_text(encoding="utf-8")
+    assert all(f"| {row.name} |" in summed_up for row in ROWS)
+    assert all(f"| {backend.title} |" in summed_up for backend in BACKENDS)
+    assert "**broken**" not in page + summed_up
 
 
 def test_the_page_is_what_the_command_writes(tmp_path: Path) -> None:
     row = next(row for row in ROWS if row.name == "port gone")
     one = Line(row, BOARD, CYCLE, times(BOARD), (measure(row, BOARD, 0.1, restarts=True),))
-    page = render("today", [one], [row], [BOARD])
+    page, short = render_rows("today", [one], [row], [BOARD]), render_summary("today", [one], [BOARD])
     for text in ("## On the host-board device", "| port gone |", "refused: LINK_LOST; mended: moves", "2 tick"):
         assert text in page
     silent_s, within_s = one.found[0].off_s, one.found[0].bound_s
-    assert f"| {BOARD.title} | 1 | 1 | {1e3 * silent_s:.1f} ms | {1e3 * within_s:.1f} ms | port gone, " in page
+    assert f"| {BOARD.title} | 1 | 1 | {1e3 * silent_s:.1f} ms | {1e3 * within_s:.1f} ms | port gone, " in short
+    assert f"| port gone | LINK_LOST | {1e3 * silent_s:.1f} ms | {1e3 * within_s:.1f} ms | {BOARD.title} |" in short
     wrong = replace(one, found=(replace(one.found[0], lost=3, trouble=("3 samples lost",)),))
     assert summary([wrong], [BOARD]).endswith("% | 3 | 1 |")
     head = next(text for text in page.splitlines() if text.startswith("| fault | drive 0"))
     assert head in PAGE.read_text(encoding="utf-8")
+    assert at_worst([one]).splitlines()[0] in SUMMARY.read_text(encoding="utf-8")
 
 
 def test_a_stand_is_the_device_where_nothing_is_done_to_it(tmp_path: Path) -> None:

@@ -20,12 +20,12 @@ from click.testing import CliRunner, Result
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from rig import flash
+from rig.backends.links.serial_port import SerialPort
+from rig.backends.serial import flash
+from rig.backends.serial.emulated.firmware_build import source_folder
+from rig.backends.serial.flash import FlashError, Port
+from rig.backends.serial.frames import FrameReader, Hello, Kind, encode
 from rig.cli import main
-from rig.daq.frames import FrameReader, Hello, Kind, encode
-from rig.daq.serial_port import SerialPort
-from rig.emulate.firmware_build import source_folder
-from rig.flash import FlashError, Port
 
 HELLO = Hello(2, 0, 1, 0, 1023, 400, 0, 0, b"uno 9.9".ljust(16, b"\0"))
 
@@ -273,7 +273,7 @@ def test_without_the_compiler_or_its_library_the_packages_are_named(
 ) -> None:
     sources = tmp_path / "firmware"  # never built
     shutil.copytree(source_folder(), sources)
-    monkeypatch.setattr("rig.emulate.firmware_build.source_folder", lambda: sources)
+    monkeypatch.setattr("rig.backends.serial.emulated.firmware_build.source_folder", lambda: sources)
     for name in here:
         program = avrdude.parent / name
         if name == "avr-gcc":  # without avr-libc

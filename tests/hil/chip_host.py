@@ -7,9 +7,9 @@ from typing import Any
 
 from virtual_host import BENCH, HELD, SETUP, VirtualHost
 
-from rig.daq.frames import Code, Kind, Setup, pack_drive
-from rig.emulate.firmware_build import PLAIN_UNO, UnoOptions
-from rig.emulate.virtual_chip import ChipTruth, VirtualChip
+from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
+from rig.backends.serial.emulated.virtual_chip import ChipTruth, VirtualChip
+from rig.backends.serial.frames import Code, Kind, Setup, pack_drive
 from rig.model.bench import BenchParameters
 
 SETUP = SETUP._replace(max_drive=200)  # of 400

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 
-from rig.emulate import firmware_build
+from rig.backends.serial.emulated import firmware_build
 
 ABOVE_POSITIVE, ABOVE_NEGATIVE, BELOW_POSITIVE, BELOW_NEGATIVE = range(4)
 COUNT = 16  # y of one count

@@ -9,8 +9,8 @@ import subprocess
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from rig.emulate import firmware_build
-from rig.emulate.firmware_build import PLAIN_UNO, UnoOptions
+from rig.backends.serial.emulated import firmware_build
+from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
 from rig.model.bench import BenchParameters
 
 _FOLDER = Path(__file__).parent / "avr8js"

@@ -13,15 +13,15 @@ import yaml
 from click.testing import CliRunner
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, RAILS, ListRecord, break_away
 
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.calibration import DriveMap
 from rig.cli import main
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
 from rig.control.relay import DualChannelRelay
-from rig.daq.calibration import DriveMap
-from rig.daq.serial_link import SerialDriver
-from rig.emulate.firmware_build import UnoOptions
-from rig.emulate.virtual_board import VirtualBoard
-from rig.emulate.virtual_chip import VirtualChip
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector

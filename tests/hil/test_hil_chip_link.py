@@ -13,11 +13,12 @@ from chip_host import BENCH, HELD, QUIET, SETTLE_S, SETUP, ChipHost, armed_chip
 from simulated_bench import CALIBRATION, LIMITS, RAILS
 from virtual_host import LSB_RAD
 
-from rig.daq.calibration import DriveMap, TachometerScale
-from rig.daq.frames import STATUS_ARMED, Code, FrameReader, Kind, Nack, encode
-from rig.daq.serial_link import SerialDriver
-from rig.emulate.firmware_build import EmulationError, UnoOptions
-from rig.emulate.virtual_chip import VirtualChip
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.backends.serial.frames import STATUS_ARMED, Code, FrameReader, Kind, Nack, encode
+from rig.calibration import DriveMap, TachometerScale
 from rig.faults import Fault
 
 FULL = 400

@@ -13,13 +13,12 @@ import pytest
 import yaml
 from processes import PATIENCE_S, rows, wait_until
 
-from rig.bench import calibration_of, drive_map_of, limits_of
-from rig.config import check
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.links.serial_port import SerialPort
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.config.schema import Experiment
-from rig.daq.serial_link import SerialDriver
-from rig.daq.serial_port import SerialPort
-from rig.emulate.chip_board import ChipBoard
-from rig.emulate.firmware_build import EmulationError
+from rig.preflight import check
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -29,12 +28,10 @@ def drive_until_it_moves(port: str, experiment: Experiment) -> float:
     transport = SerialPort(port)
     rails = experiment.sensor.rail_counts
     # a shared machine may hold a process up for long
-    driver = SerialDriver(
-        transport, calibration_of(experiment), drive_map_of(experiment), rails, timeout_s=2.0, emulated=True
-    )
+    driver = SerialDriver(transport, experiment.sensor.curve, experiment.drive.map, rails, timeout_s=2.0, emulated=True)
     info = driver.open()
     assert (info.board, info.emulated, info.reset_cause) == ("uno", True, "power-on")
-    driver.arm(replace(limits_of(experiment), watchdog_s=1.0))
+    driver.arm(replace(experiment.device_limits, watchdog_s=1.0))
     start_rad = y_rad = driver.read().y_rad
     until_s = time.monotonic() + PATIENCE_S
     while abs(y_rad - start_rad) < 0.2:
@@ -81,8 +78,9 @@ def test_the_demo_on_the_chip_is_the_demo_behind_another_port() -> None:
 def test_what_is_not_possible_is_said() -> None:
     experiment, _ = check(CONFIG / "demo.yaml")
     assert experiment.emulated is not None
-    whole = experiment.emulated.model_dump()
+    whole = experiment.emulated
+    wide = whole.potentiometer.model_copy(update={"counts_max": 4095})
     with pytest.raises(EmulationError, match="0 to 1023"):
-        ChipBoard().start({**whole, "potentiometer": {**whole["potentiometer"], "counts_max": 4095}}, 1)
+        ChipBoard().start(whole.model_copy(update={"potentiometer": wide}), 1)
     with pytest.raises(EmulationError, match="baud rate"):
         ChipBoard().start(whole, 1, baud=3_000_000)

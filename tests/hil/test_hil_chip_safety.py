@@ -9,10 +9,10 @@ import pytest
 from chip_host import BENCH, HELD, QUIET, SETTLE_S, SETUP, ChipHost, armed_chip
 from virtual_host import LSB_RAD, TICK_S
 
-from rig.daq.frames import STATUS_FAULT, STATUS_RECOVERING, Code, Kind, encode, pack_ack, pack_drive
-from rig.daq.serial_link import SerialDriver
-from rig.emulate.firmware_build import UnoOptions
-from rig.emulate.virtual_chip import Contact, Hang, VirtualChip
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.virtual_chip import Contact, Hang, VirtualChip
+from rig.backends.serial.frames import STATUS_FAULT, STATUS_RECOVERING, Code, Kind, encode, pack_ack, pack_drive
 from rig.faults import Fault
 from rig.model.bench import SensorWiring
 

@@ -13,7 +13,8 @@ from chip_host import QUIET, SETUP, ChipHost
 from second_chip import SecondChip
 from virtual_host import LSB_RAD, SESSION, TICK_S
 
-from rig.daq.frames import (
+from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.backends.serial.frames import (
     Block,
     Code,
     FrameReader,
@@ -27,7 +28,6 @@ from rig.daq.frames import (
     pack_arm,
     pack_drive,
 )
-from rig.emulate.virtual_chip import VirtualChip
 from rig.model.friction import Friction
 from rig.model.motor import Motor
 

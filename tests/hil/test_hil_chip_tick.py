@@ -10,8 +10,8 @@ from chip_host import HELD, QUIET, ChipHost, armed_chip
 from device_relay import DeviceRelay
 from virtual_host import SETUP, TICK_S
 
-from rig.daq.frames import STATUS_ARMED, STATUS_RELAY, Block, Code, FrameReader, Kind, RelaySetup, encode
-from rig.emulate.firmware_build import PLAIN_UNO, UnoOptions
+from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
+from rig.backends.serial.frames import STATUS_ARMED, STATUS_RELAY, Block, Code, FrameReader, Kind, RelaySetup, encode
 
 RELAY = RelaySetup((-50, 16, -16, 50), 512 * 16, 3_000_000, 1, 10)
 BITE = RelaySetup((-50, 16, -16, 50), 512 * 16, 200, 1, 10)  # the integral follows the position at once

@@ -8,7 +8,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from rig.emulate.firmware_build import source_folder
+from rig.backends.serial.emulated.firmware_build import source_folder
 
 SENT = "void blocks_sent(blocks *b)\n{\n"
 

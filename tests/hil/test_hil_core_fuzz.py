@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import fuzz_corpus
-from rig.emulate.firmware_build import source_folder
+from rig.backends.serial.emulated.firmware_build import source_folder
 
 # What the device promises (rig_core.h), each taken out of the source at one place: file, text, and what stands there
 # instead.

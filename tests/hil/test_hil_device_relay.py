@@ -17,19 +17,19 @@ from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, VirtualHost, armed
 
 import rig.experiment
 import rig.session
-from rig.bench import Bench, calibration_of, drive_map_of
+from rig.backends.driver import RelayCommand, RelayDriver, RelayRow
+from rig.backends.emulated.bench import bench_parameters
+from rig.backends.registry import Bench
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.frames import STATUS_RELAY, Block, Code, FrameReader, Kind, Nack, Packet, RelaySetup, encode
+from rig.calibration import DriveMap
 from rig.config import load
 from rig.config.schema import Experiment, Gains, Relay
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
 from rig.control.law import Constant
 from rig.control.relay import RelayOnCounts
-from rig.daq.calibration import DriveMap
-from rig.daq.driver import RelayDriver
-from rig.daq.frames import STATUS_RELAY, Block, Code, FrameReader, Kind, Nack, Packet, RelaySetup, encode
-from rig.daq.relay_stream import RelayCommand, RelayRow
-from rig.daq.serial_link import SerialDriver
-from rig.emulate.virtual_board import VirtualBoard
 from rig.faults import Fault
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
@@ -274,13 +274,13 @@ def test_a_block_of_another_session_is_a_reset() -> None:
     board, driver = armed_driver()
     start(board, driver)
     run_for(board, driver, 0.1)
-    feed = driver._reader.feed
+    feed = driver._exchange.reader.feed
 
     def another(data: bytes) -> list[Packet]:
         blocks = [(p, Block.unpack(p.body)) for p in feed(data) if p.kind == Kind.BLOCK]
         return [p._replace(body=b._replace(session=b.session ^ 1).pack()) for p, b in blocks]
 
-    driver._reader.feed = another  # type: ignore[method-assign]
+    driver._exchange.reader.feed = another  # type: ignore[method-assign]
     assert fault_of(lambda: run_for(board, driver, 0.3)).code == "DEVICE_RESET"
 
 
@@ -373,7 +373,7 @@ class DeviceBench:
         self.command = c = self.driver.relay_command(*gains_V, 0.7)
         self.detector = CycleDetector(30 * PERIOD_S, 20 * CALIBRATION.lsb_rad)
         self.relay = RelayOnCounts(
-            c.centre_counts, c.setup.direction, c.z_bound_count_ticks, c.drives_V, c.count_tick_rad_s, gains_V
+            c.centre_counts, c.direction, c.z_bound_count_ticks, c.drives_V, c.count_tick_rad_s, gains_V
         )
         self.test = RelayTest(self.relay, self.detector, gains_V, cycles, 30.0)
 
@@ -395,7 +395,7 @@ def test_the_loop_records_every_tick_with_the_laws_own_integral() -> None:
     assert [row["z_rad_s"] for row in rows] == pytest.approx(z_rad_s, abs=drift + 1e-4)
     assert bench.detector.settled and bench.detector.mean()[1] == pytest.approx(0.43, rel=0.1)
     assert {round(abs(row["u_V"]), 3) for row in rows} == {1.247, 0.451}
-    summary = bench.loop.statistics.summary()
+    summary = bench.loop.statistics.summary().as_json()
     assert summary["skipped"] == 0
     assert summary["device"] == {"period_s": bench.driver.tick_s, "ticks": len(rows), "missed": 0}
     assert bench.board.truth().pin_V == 0.0
@@ -481,14 +481,16 @@ def test_a_test_that_never_settles_ends_and_keeps_its_rows() -> None:
 
 @contextmanager
 def virtual_bench(experiment: Experiment) -> Iterator[Bench]:
-    """What `rig.bench.connect` gives, with the emulated board in virtual time."""
+    """What `connect` gives, with the emulated board in virtual time."""
     assert experiment.emulated is not None
-    board = VirtualBoard.from_mapping(experiment.emulated.model_dump(), experiment.seed)
+    board = VirtualBoard(
+        bench_parameters(experiment.emulated), experiment.seed, clock_error_ppm=experiment.emulated.clock_error_ppm
+    )
     driver = SerialDriver(
-        board, calibration_of(experiment), drive_map_of(experiment), experiment.sensor.rail_counts, emulated=True
+        board, experiment.sensor.curve, experiment.drive.map, experiment.sensor.rail_counts, emulated=True
     )
     info = driver.open()
-    yield Bench(driver, board, info, rig.bench.truth_of(experiment))
+    yield Bench(driver, board, info, bench_parameters(experiment.emulated))
     driver.close()
 
 
@@ -503,11 +505,11 @@ def test_the_experiment_runs_either_way_by_one_key(where: str, tmp_path: Path, m
     rows = recording.stage_rows("relay-1")
     step_s = float(np.median(np.diff(recording.t_s[rows])))
     assert step_s == pytest.approx(0.01 if where == "host" else 0.001 / 1.004, rel=1e-3)
-    estimate = outcome.result["estimates"]["sampled-data"]
+    estimate = outcome.result.estimates["sampled-data"].as_json()
     for name, truth in (("tau_s", 0.17), ("K_rad_s_V", 6.5), ("fc_V", 0.48)):
         assert estimate[name] == pytest.approx(truth, rel=0.02)
-    assert math.isfinite(outcome.result["relays"][0]["period_s"])
-    assert ("device" in outcome.result["loop"]) == (where == "device")
+    assert math.isfinite(outcome.result.relays[0].period_s)
+    assert ("device" in outcome.result.as_json()["loop"]) == (where == "device")
 
 
 def received(board: VirtualBoard) -> list[int]:

@@ -5,9 +5,9 @@ import math
 import pytest
 from raised import fault_of
 
-from rig.daq.calibration import Calibration, DriveMap, TachometerScale
-from rig.daq.serial_link import SerialDriver
-from rig.emulate.virtual_board import VirtualBoard
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.calibration import Calibration, DriveMap, TachometerScale
 from rig.model.bench import BenchParameters
 from rig.model.friction import Friction
 from rig.model.motor import Motor

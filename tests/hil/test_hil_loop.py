@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListRecord, break_away
 
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.calibration import DriveMap
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.guard import Guard
 from rig.control.law import Constant, Rest
 from rig.control.relay import DualChannelRelay
-from rig.daq.calibration import DriveMap
-from rig.daq.serial_link import SerialDriver
-from rig.emulate.virtual_board import VirtualBoard
 from rig.faults import Fault
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest

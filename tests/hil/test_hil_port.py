@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import pytest
 
+from rig.backends.links.serial_port import SerialPort
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.chip_board import ChipBoard
+from rig.backends.serial.emulated.host_board import HostBoard
+from rig.calibration import Calibration, DriveMap
 from rig.config.schema import Emulated
-from rig.daq.calibration import Calibration, DriveMap
-from rig.daq.serial_link import SerialDriver
-from rig.daq.serial_port import SerialPort
-from rig.emulate.chip_board import ChipBoard
-from rig.emulate.host_board import HostBoard
 from rig.faults import Fault
 from rig.signals import Limits
 
@@ -34,7 +34,7 @@ def connect(port):
 
 def test_a_run_and_another_on_the_same_port():
     with HostBoard() as board:
-        port = board.start(EMULATED.model_dump(), 1)
+        port = board.start(EMULATED, 1)
         for _ in range(2):
             with contextlib.closing(connect(port)) as driver:
                 info = driver.open()
@@ -54,7 +54,7 @@ def test_a_run_and_another_on_the_same_port():
 
 
 def test_the_device_disappears():
-    with HostBoard() as board, contextlib.closing(connect(board.start(EMULATED.model_dump(), 1))) as driver:
+    with HostBoard() as board, contextlib.closing(connect(board.start(EMULATED, 1))) as driver:
         driver.open()
         driver.arm(LIMITS)
         driver.read()
@@ -68,7 +68,7 @@ def test_the_device_disappears():
 @pytest.mark.parametrize("device", [HostBoard, ChipBoard])
 def test_the_reset_button_is_seen_by_the_run_and_told_to_the_next(device):
     with device() as board:
-        port = board.start(EMULATED.model_dump(), 1)
+        port = board.start(EMULATED, 1)
         with contextlib.closing(connect(port)) as driver:
             driver.open()
             driver.arm(LIMITS)

@@ -13,15 +13,15 @@ from pathlib import Path
 import pytest
 from processes import PATIENCE_S, alive, rows, wait_until
 
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.links.serial_port import SerialPort
+from rig.backends.serial.emulated.host_board import HostBoard
+from rig.backends.serial.frames import Code, FrameReader, Hello, Kind, Packet, Setup, encode, pack_ack, pack_arm
 from rig.config.schema import Emulated, EmulatedMotor
-from rig.daq.frames import Code, FrameReader, Hello, Kind, Packet, Setup, encode, pack_ack, pack_arm
-from rig.daq.serial_port import SerialPort
-from rig.emulate.firmware_build import EmulationError
-from rig.emulate.host_board import HostBoard
 
 pytestmark = pytest.mark.realtime
 
-EMULATED = Emulated(motor=EmulatedMotor(tau_s=0.17, K_rad_s_V=6.5, fc_plus_V=5.0, fc_minus_V=5.0)).model_dump()
+EMULATED = Emulated(motor=EmulatedMotor(tau_s=0.17, K_rad_s_V=6.5, fc_plus_V=5.0, fc_minus_V=5.0))
 SESSION = 99
 SETUP = Setup(SESSION, 49, 975, 5, 1018, 512, 200, 1000, 1)
 
@@ -35,8 +35,8 @@ def arming(setup: Setup = SETUP) -> bytes:
 # A host that arms, drives for as long as it lives, and says when it does.
 HOST = """
 import sys, time
-from rig.daq.frames import Kind, encode, pack_drive
-from rig.daq.serial_port import SerialPort
+from rig.backends.serial.frames import Kind, encode, pack_drive
+from rig.backends.links.serial_port import SerialPort
 port = SerialPort(sys.argv[1])
 port.write({arming})
 for k in range(10**6):
@@ -52,9 +52,10 @@ PARENT = (
     """
 import sys
 from pathlib import Path
-from rig.emulate.host_board import HostBoard
+from rig.backends.serial.emulated.host_board import HostBoard
+from rig.config.schema import Emulated
 board = HostBoard()
-sys.argv[1] = board.start({emulated}, 1, trace=Path(sys.argv[1]))
+sys.argv[1] = board.start(Emulated.model_validate({emulated}), 1, trace=Path(sys.argv[1]))
 print(board.pid, flush=True)
 """
     + HOST
@@ -73,7 +74,7 @@ def ask(port: SerialPort, kind: Kind) -> Packet:
 
 
 def run_host(script: str, argument: str, watchdog_ms: int) -> subprocess.Popen[str]:
-    text = script.format(arming=arming(SETUP._replace(watchdog_ms=watchdog_ms)), emulated=EMULATED)
+    text = script.format(arming=arming(SETUP._replace(watchdog_ms=watchdog_ms)), emulated=EMULATED.model_dump())
     return subprocess.Popen([sys.executable, "-c", text, argument], stdout=subprocess.PIPE, text=True)
 
 
@@ -165,7 +166,7 @@ def test_what_is_not_possible_is_said(tmp_path: Path) -> None:
         board.start(EMULATED, 1, link=tmp_path / "file")
     assert (tmp_path / "file").read_text() == "mine"
     with pytest.raises(EmulationError, match="start-rad"):
-        board.start({**EMULATED, "motor": {**EMULATED["motor"], "start_rad": 9.0}}, 1)
+        board.start(EMULATED.model_copy(update={"motor": EMULATED.motor.model_copy(update={"start_rad": 9.0})}), 1)
     board.stop()
 
 

@@ -17,10 +17,10 @@ import pytest
 from chip_host import HELD, QUIET, SETUP, ChipHost, armed_chip
 from second_chip import SecondChip
 
-from rig.daq.frames import Code
-from rig.emulate import firmware_build
-from rig.emulate.firmware_build import ChipFirmware, UnoOptions
-from rig.emulate.virtual_chip import VirtualChip
+from rig.backends.serial.emulated import firmware_build
+from rig.backends.serial.emulated.firmware_build import ChipFirmware, UnoOptions
+from rig.backends.serial.emulated.virtual_chip import VirtualChip
+from rig.backends.serial.frames import Code
 
 BRIDGES = [UnoOptions(), UnoOptions(bridge="IN1_IN2")]
 EVERYTHING = UnoOptions("IN1_IN2", 1_000_000, tachometer=True, supply=True, end_switches=True)

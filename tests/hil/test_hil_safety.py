@@ -8,7 +8,8 @@ from dataclasses import replace
 import pytest
 from virtual_host import BENCH, HELD, LSB_RAD, SESSION, SETUP, TICK_S, VirtualHost, armed_host
 
-from rig.daq.frames import (
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.frames import (
     STATUS_ARMED,
     STATUS_FAULT,
     STATUS_RECOVERING,
@@ -21,7 +22,6 @@ from rig.daq.frames import (
     pack_arm,
     pack_drive,
 )
-from rig.emulate.virtual_board import VirtualBoard
 from rig.model.bench import SensorWiring
 
 PHASES = 80

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from rig.daq.frames import (
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.frames import (
     STATUS_FAULT,
     VERSION,
     Code,
@@ -19,7 +20,6 @@ from rig.daq.frames import (
     pack_arm,
     pack_drive,
 )
-from rig.emulate.virtual_board import VirtualBoard
 from rig.model.bench import BenchParameters
 from rig.model.friction import coulomb
 from rig.model.motor import Motor

@@ -68,7 +68,7 @@ def with_largest_speed(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_estimator_in_the_list_is_found_and_in_the_result():
     found = identify([read_run(GOLDEN / "simulated")], choose_law=False)
     assert list(found.estimates)[-1] == "largest-speed"
-    mine = found.as_dict()["estimates"]["largest-speed"]
+    mine = found.as_result().as_json()["estimates"]["largest-speed"]
     assert mine["verdict"] == "doubtful"
     assert mine["reasons"] == ["beside 3 better ones"]
     assert "largest-speed: quick" in found.notes
@@ -104,5 +104,5 @@ def test_a_law_in_the_list_is_tried_chosen_and_in_the_result(monkeypatch: pytest
     assert found.chosen.law == "bent sensor"
     value, error = found.chosen.parameters["bend_per_rad"], found.chosen.errors["bend_per_rad"]
     assert abs(value - bend_per_rad) < 4.0 * error
-    assert found.as_dict()["rungs"][-1]["law"] == "bent sensor"
+    assert found.as_result().as_json()["rungs"][-1]["law"] == "bent sensor"
     assert found.notes()[0].startswith("friction law: a bent sensor")

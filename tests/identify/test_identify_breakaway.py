@@ -98,5 +98,5 @@ def test_a_ramp_without_motion_tells_nothing_and_says_so():
     motor = plant()
     found = breakaway(ramped(motor, 0.0, limit_V=0.45), estimate_of(motor), NOISE)
     assert found.plus is None
-    assert found.as_dict()["static_plus_V"] is None
+    assert found.as_result().static_plus_V is None
     assert "ramp higher" in found.reason

@@ -111,7 +111,7 @@ def one_line(path: Path, others: list[Path], methods: tuple[str, ...] | None, ma
     for estimate in found.estimates.values():
         assert estimate.verdict == "ok" or estimate.reasons
         assert may_be_ok or estimate.verdict != "ok", (estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V)
-        estimate.as_dict()
+        estimate.as_result()
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -21,7 +21,7 @@ from rig.identify.measurements import Measurements
 from rig.model.describing_function import Oscillation, predict
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import State
-from rig.model.sampled_relay import relay_test
+from rig.model.sampled_relay import Disturbance, relay_test
 from rig.recording.errors import IdentifyError
 
 
@@ -87,7 +87,7 @@ def test_oscillations_balanced_by_another_library_give_the_motor(truth):
 
 
 def grid(count: int):
-    """Motors as in theory section 8, with the gains of two tests of one frequency (DF) and 1.3 x the amplitude."""
+    """Motors as in docs/theory.md 7.10, with the gains of two tests of one frequency (DF) and 1.3 x the amplitude."""
     rng = np.random.default_rng(5)
     while count:
         tau, K, fc, h1, h2 = drawn(rng)
@@ -116,7 +116,7 @@ def test_at_ten_milliseconds_it_is_off_by_several_per_cent_and_called_doubtful()
             t = np.arange(0.0, 18.0 * limit_cycle(*truth, h1, h2).period_s, 0.01)
             noise = 0.003 * np.random.default_rng(seed).standard_normal(t.size)
             test = relay_test(
-                motor(*truth), h1, h2, t, 0.004, disturbance_rad=noise, lsb_rad=LSB_RAD, start=State(y=0.3)
+                motor(*truth), h1, h2, t, 0.004, disturbance=Disturbance(noise, lsb_rad=LSB_RAD), start=State(y=0.3)
             )
             records.append(record(test))
         cycles = [find_cycle(one) for one in records]

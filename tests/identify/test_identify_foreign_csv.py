@@ -95,7 +95,7 @@ def test_any_drive_at_any_spacing_of_samples(tmp_path: Path, drive: str, spacing
 
 
 def test_the_accuracies_at_ten_milliseconds(tmp_path: Path) -> None:
-    """Ten cycles or so of three motors, plain columns: median 0.5 %, 95th percentile 1.7 % (theory section 8)."""
+    """Ten cycles or so of three motors, plain columns: median 0.5 %, 95th percentile 1.7 % (docs/theory.md 7.10)."""
     seen = []
     for truth, rows in ((PAPER, 1200), (QUICK, 900), (SLOW, 3000)):
         for seed in range(4):

@@ -281,7 +281,7 @@ def test_coulomb_friction_leaves_the_verdict_alone():
 
 
 def test_the_choice_goes_into_a_result_as_plain_json():
-    found = choice("stribeck", 0).as_dict()
+    found = choice("stribeck", 0).as_result().as_json()
     again = json.loads(json.dumps(found, allow_nan=False))
     assert again["chosen"] == "stribeck"
     assert [entry["law"] for entry in again["rungs"]] == list(LAWS)

@@ -49,7 +49,7 @@ def test_a_run_with_two_relay_tests_gives_all_three_methods(tmp_path):
     assert (best.tau_s, best.K_rad_s_V, best.fc_V) == pytest.approx((0.17, 6.5, 0.5), rel=0.03)
     assert 200 <= best.rows[0] < 210
     assert best.rows[1] == 2999
-    assert [(r["stage"], round(r["h1_V"], 6), round(r["h2_V"], 6)) for r in found.relays] == [
+    assert [(r.stage, round(r.h1_V, 6), round(r.h2_V, 6)) for r in found.relays] == [
         ("relay-1", 0.8, 1.0), ("relay-2", 0.6, 1.2),
     ]  # fmt: skip
     assert set(found.cycles) == {"relay-1", "relay-2"}
@@ -63,13 +63,13 @@ def test_a_run_with_two_relay_tests_gives_all_three_methods(tmp_path):
 def test_the_dictionary_is_that_of_result_json(tmp_path):
     found = identify([read_csv(run_csv(tmp_path / "samples.csv"))])
     for estimate in found.estimates.values():
-        entry = json.loads(json.dumps(estimate.as_dict(), allow_nan=False))
+        entry = json.loads(json.dumps(estimate.as_result().as_json(), allow_nan=False))
         assert set(entry) == KEYS
         assert np.array(entry["covariance"], dtype=object).shape == (5, 5)
         assert entry["fc_plus_V"] is None
         assert entry["verdict"] in ("ok", "doubtful", "refused")
         assert all(low is None or low <= entry[name] <= high for name, (low, high) in entry["ci95"].items())
-    assert found.estimates["describing-function"].as_dict()["delay_s"] is None
+    assert found.estimates["describing-function"].as_result().delay_s is None
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -85,7 +85,7 @@ def test_two_csv_files_are_two_tests(tmp_path):
     found = identify([read_csv(file) for file in files], ["describing-function"])
     assert set(found.estimates) == {"describing-function"}
     assert found.estimates["describing-function"].fc_V == pytest.approx(0.5, rel=0.5)
-    assert [r["stage"] for r in found.relays] == ["a.csv", "b.csv"]
+    assert [r.stage for r in found.relays] == ["a.csv", "b.csv"]
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -133,7 +133,7 @@ def test_nonsense_is_refused_in_words_and_never_believed(tmp_path, spoil):
         assert error.cure
         return
     for estimate in found.estimates.values():
-        json.dumps(estimate.as_dict(), allow_nan=False)
+        json.dumps(estimate.as_result().as_json(), allow_nan=False)
     assert all(estimate.verdict != "ok" for estimate in found.estimates.values())
     assert all(estimate.reasons for estimate in found.estimates.values())
 

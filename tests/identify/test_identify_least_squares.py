@@ -1,4 +1,4 @@
-"""Least squares on the transient of hysteretic relays (theory section 6): the paper's figures, and its failures."""
+"""Least squares on the transient of hysteretic relays (docs/theory.md 5.1): the paper's figures, and its failures."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_without_noise_it_is_exact_and_gives_no_tau_and_no_gain() -> None:
     assert math.isnan(estimate.tau_s)
     assert math.isnan(estimate.K_rad_s_V)
     assert not estimate.is_motor
-    shown = estimate.as_dict()
+    shown = estimate.as_result().as_json()
     assert shown["tau_s"] is None
     assert shown["K_rad_s_V"] is None
     with pytest.raises(ValueError, match="no motor"):
@@ -283,9 +283,9 @@ def test_identify_takes_two_csv_files_as_runs_where_it_is_asked_to(tmp_path: Pat
     assert list(found.estimates) == ["least-squares"]
     estimate = found.estimates["least-squares"]
     assert estimate.fc_V == pytest.approx(0.5, rel=0.05)
-    assert [entry["stage"] for entry in found.hysteretic] == ["a.csv", "b.csv"]
-    assert found.hysteretic[1]["d_V"] == 1.0
-    assert 0.1 < found.hysteretic[1]["switched_s"] < found.hysteretic[0]["switched_s"] < 0.6
+    assert [entry.stage for entry in found.hysteretic] == ["a.csv", "b.csv"]
+    assert found.hysteretic[1].d_V == 1.0
+    assert 0.1 < found.hysteretic[1].switched_s < found.hysteretic[0].switched_s < 0.6
     assert found.best is None  # friction alone is no motor
     # of itself it does not take any two records for hysteretic runs
     assert "least-squares" not in identify(recordings).estimates

@@ -21,7 +21,7 @@ NAMES = ("tau_s", "K_rad_s_V", "fc_V")
 
 
 class Draw(NamedTuple):
-    """One motor of the grid of theory section 8, its gains and its bench."""
+    """One motor of the grid of docs/theory.md 7.10, its gains and its bench."""
 
     tau_s: float
     K_rad_s_V: float
@@ -78,7 +78,7 @@ def test_clean_data_give_the_motor_exactly(t_u_known):
 
 
 def test_noisy_data_give_errors_at_the_cramer_rao_bound_and_intervals_that_hold():
-    """Twenty motors of the grid. A prototype gave 1.1 times the bound, medians of 0.3, 0.2, 0.4 % (theory 8)."""
+    """Twenty of the grid. A prototype gave 1.1 times the bound, medians of 0.3, 0.2, 0.4 % (docs/theory.md 7.10)."""
     rng = np.random.default_rng(5)
     relative, standard, covered, efforts = [], [], [], []
     for seed in range(20):

@@ -20,14 +20,14 @@ from rig.identify.triple_relay import Features, residuals, solve, solve_cycle
 from rig.model.describing_function import predict
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import State
-from rig.model.sampled_relay import relay_test
+from rig.model.sampled_relay import Disturbance, relay_test
 from rig.recording.errors import IdentifyError
 from rig.recording.reader import read_csv
 from rig.recording.series import TimeSeries
 
 TRUTH = (0.17, 6.5, 0.5)
 FINE_S = 2e-4
-# the check rows of theory section 4: tau, K, fc, h1, h2
+# the check rows of docs/theory.md 3.4: tau, K, fc, h1, h2
 CHECKS = [
     (0.17, 6.5, 0.5, 0.8, 1.0),
     (1.0, 1.0, 0.5, 0.8, 1.0),
@@ -63,8 +63,7 @@ def recorded(
         h2,
         t,
         ticks * period_s,
-        disturbance_rad=noise,
-        lsb_rad=lsb_rad,
+        disturbance=Disturbance(noise, lsb_rad=lsb_rad),
         start=State(y=0.3),
     )
     return TimeSeries(test.t_s, test.y_rad, test.t_u_s if known else None, test.u_V, name="synthetic")
@@ -242,7 +241,7 @@ def test_the_describing_functions_estimate_starts_it_well():
 
 
 def grid(count: int):
-    """Motors as in theory section 8: parameters, relay, delay in ticks, asymmetry."""
+    """Motors as in docs/theory.md 7.10: parameters, relay, delay in ticks, asymmetry."""
     rng = np.random.default_rng(12)
     while count:
         tau, K, fc, h1, h2 = drawn(rng)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListRecord
 
+from rig.backends.clock import VirtualClock
+from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
+from rig.calibration import DriveMap
 from rig.control.guard import Guard
 from rig.control.law import Law
 from rig.control.relay import DualChannelRelay
-from rig.daq.calibration import DriveMap
-from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.identify import sampled_data
-from rig.loop.clock import VirtualClock
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.recording.series import TimeSeries

@@ -8,9 +8,9 @@ import pytest
 from raised import fault_of
 from simulated_bench import LIMITS, PERIOD_S, simulated_bench
 
+from rig.backends.clock import MonotonicClock, VirtualClock
 from rig.control.law import Rest
 from rig.faults import Fault
-from rig.loop.clock import MonotonicClock, VirtualClock
 from rig.loop.pause_watch import VIRTUAL_PAUSE_S, PauseWatch
 from rig.signals import Sample
 

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from rig.backends.clock import MonotonicClock
 from rig.loop import real_time as module
-from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import RealTimeSettings, real_time
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -20,12 +20,12 @@ import pytest
 import yaml
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, simulated_bench
 
+from rig.backends.clock import MonotonicClock
+from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
+from rig.calibration import DriveMap
 from rig.control.guard import Guard
 from rig.control.law import Constant, Rest
-from rig.daq.calibration import DriveMap
-from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.faults import Fault
-from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest

@@ -1,4 +1,4 @@
-"""Theorems 2.1 and 2.2: the table of theory section 4, an ODE solver with events, and the stepped motor."""
+"""Theorems 2.1 and 2.2: the table of docs/theory.md 3.4, an ODE solver with events, and the stepped motor."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rig.model.friction import coulomb
 from rig.model.limit_cycle import NoLimitCycle, initial_state, limit_cycle
 from rig.model.motor import Motor, State
 
-# tau, K, fc, h1, h2; t1, t2, t3, y(t1); eigenvalues of J; largest eigenvalue of J3 (theory section 4)
+# tau, K, fc, h1, h2; t1, t2, t3, y(t1); eigenvalues of J; largest eigenvalue of J3 (docs/theory.md 3.4)
 TABLE = [
     (1, 1, 0.5, 0.8, 1.0, 0.046812, 0.837516, 0.927743, -0.351390, -0.620786, 0.148697, 1.482359),
     (1, 1, 0.5, 0.5, 1.2, 0.127438, 1.774867, 2.085097, -1.133248, -0.585929, 0.017267, 0.672361),
@@ -25,7 +25,7 @@ TABLE = [
 
 motors = st.tuples(
     st.floats(0.08, 0.5), st.floats(1.0, 20.0), st.floats(0.1, 0.5), st.floats(0.3, 1.0), st.floats(0.4, 1.0)
-)  # the grid of theory section 8: tau, K, fc, h2 - fc, h1 / h2
+)  # the grid of docs/theory.md 7.10: tau, K, fc, h2 - fc, h1 / h2
 
 
 @pytest.mark.parametrize("row", TABLE)

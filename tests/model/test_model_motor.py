@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from rig.model.friction import NONE, Friction, coulomb
-from rig.model.motor import Motor, State, reversal_time
+from rig.model.motor import Motor, State
+from rig.model.step import reversal_time
 
 taus = st.floats(0.02, 1.0)
 gains = st.floats(0.5, 20.0)

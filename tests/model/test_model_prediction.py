@@ -1,4 +1,4 @@
-"""`rig predict`: the check table of theory section 4 to 1e-9, and where there is no simple oscillation, why."""
+"""`rig predict`: the check table of docs/theory.md 3.4 to 1e-9, and where there is no simple oscillation, why."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from paper.ideal_relay import Relay, half_periods, ideal_relay
 from rig.model import limit_cycle as theorem
 from rig.model.describing_function import predict
 from rig.model.friction import coulomb
-from rig.model.ideal_relay import Relay, half_periods, ideal_relay
 from rig.model.limit_cycle import LimitCycle, NoLimitCycle, effective_inputs, limit_cycle
 from rig.model.motor import Motor, State
 from rig.model.prediction import predict_cycle
 
-# tau, K, fc, h1, h2; t1, t2, t3 (theory section 4, where they have six digits)
+# tau, K, fc, h1, h2; t1, t2, t3 (docs/theory.md 3.4, where they have six digits)
 TABLE = [
     ("1", "1", "0.5", "0.8", "1", "0.046812", "0.837516", "0.927743"),
     ("1", "1", "0.5", "0.5", "1.2", "0.127438", "1.774867", "2.085097"),
@@ -44,7 +44,7 @@ def solve(matrix: list[Vector], right: Vector) -> Vector:
 
 
 class Exact:
-    """Theorems 2.1 and 2.2 in 50 digits, written anew from theory sections 1, 3 and 4."""
+    """Theorems 2.1 and 2.2 in 50 digits, written anew from docs/theory.md 1.3, 3.2 and 3.3."""
 
     def __init__(self, tau: Decimal, K: Decimal, fc: Decimal, h1: Decimal, h2: Decimal, guess: Vector) -> None:
         self.tau, self.K = tau, K

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rig.control.relay import DualChannelRelay
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Motor, State
-from rig.model.sampled_relay import relay_test
+from rig.model.sampled_relay import Disturbance, relay_test
 from rig.signals import Sample
 
 
@@ -50,9 +50,7 @@ def test_it_is_the_loops_own_law_on_the_models_own_motor(seed, latency_periods, 
     latency = 0.01 * latency_periods + rng.uniform(0.0, 0.001, t.size)
     noise, torque = 0.003 * rng.standard_normal(t.size), 0.05 * rng.standard_normal(t.size)
     start = State(y=rng.uniform(-0.5, 0.5))
-    test = relay_test(
-        motor, 0.8, 1.0, t, latency, disturbance_rad=noise, disturbance_V=torque, lsb_rad=lsb_rad, start=start
-    )
+    test = relay_test(motor, 0.8, 1.0, t, latency, disturbance=Disturbance(noise, torque, lsb_rad), start=start)
     expected = by_hand(motor, 0.8, 1.0, t, test.t_u_s, noise, torque, lsb_rad, start)
     found = np.column_stack([test.y_rad, test.u_V, test.z_rad_s, test.true_v_rad_s, test.true_y_rad])
     assert np.array_equal(found[:, 1], expected[:, 1])

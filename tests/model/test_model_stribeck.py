@@ -13,7 +13,7 @@ from scipy.integrate import quad, solve_ivp
 from rig.model import stribeck
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Arc, Glide, Motor, State
-from rig.model.stribeck import StribeckTheta, stribeck_response
+from rig.model.sensitivity import StribeckTheta, stribeck_response
 from rig.recording.series import steps_of
 
 taus = st.floats(0.05, 0.5)

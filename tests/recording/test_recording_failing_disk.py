@@ -100,8 +100,8 @@ def test_a_write_error_costs_no_row_and_no_event(bench: Bench, monkeypatch: pyte
     run = read_run(bench.folder)
     assert run.tick.tolist() == list(range(12))
     assert f"the disk failed: from byte {size} on it is {moved.name}" in run.notes
-    assert [event["until"] for event in run.events if event["kind"] == "rows"] == [5, 11, 12]
-    told = [event for event in run.events if event["kind"] == "record_moved"]
+    assert [event.detail["until"] for event in run.events if event.kind == "rows"] == [5, 11, 12]
+    told = [event.as_json() for event in run.events if event.kind == "record_moved"]
     assert (told[0]["to"], told[0]["why"]) == (str(moved), f"{bench.folder / 'samples.csv'}: Input/output error")
     assert bench.shared.counters[layout.STATE] == layout.MOVED
     assert f"samples.csv: Input/output error, so it goes on in {moved}" in bench.shared.reason()

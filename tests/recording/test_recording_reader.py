@@ -13,9 +13,10 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from rig.recording import reader
-from rig.recording.columns import COLUMNS, HEADER, format_row
+from rig.recording.columns import COLUMNS, HEADER, SampleRow, format_row
 from rig.recording.errors import RecordingError
 from rig.recording.reader import MAX_BYTES, Recording, read, read_csv, read_run
+from rig.results import RunMeta
 
 PLAIN = "t_s,u_V,y_rad\n0.00,1.8,0.1\n0.01,-0.2,0.2\n0.02,-0.2,0.3\n"
 
@@ -35,20 +36,22 @@ def run_text(rows: int) -> str:
     names = ["breakaway", "relay-1", "relay-2"]
     return HEADER + "".join(
         format_row(
-            2 * k,
-            k,
-            0.01 * k,
-            0.01 * k + 0.002,
-            0.1 * k,
-            500 + k,
-            nan,
-            1.0,
-            0.5 * k,
-            nan,
-            names[3 * k // rows],
-            9.0,
-            1e3,
-            4,
+            SampleRow(
+                2 * k,
+                k,
+                0.01 * k,
+                0.01 * k + 0.002,
+                0.1 * k,
+                500 + k,
+                nan,
+                1.0,
+                0.5 * k,
+                nan,
+                names[3 * k // rows],
+                9.0,
+                1e3,
+                4,
+            )
         )
         for k in range(rows)
     )
@@ -66,7 +69,7 @@ def test_a_plain_csv_has_what_it_has_and_says_so(tmp_path: Path) -> None:
     for name in ("t_u_s", "v_rad_per_s", "z_rad_s", "yd_rad", "late_us", "io_us"):
         assert np.isnan(getattr(recording, name)).all()
     assert recording.stages() == []
-    assert (recording.meta, recording.config_text, recording.events, recording.notes) == ({}, None, (), ())
+    assert (recording.meta, recording.config_text, recording.events, recording.notes) == (RunMeta(), None, (), ())
     assert recording.source == tmp_path / "log.csv"
 
 
@@ -109,8 +112,8 @@ def test_a_run_folder_has_it_all(tmp_path: Path) -> None:
     run = read(tmp_path)
     assert run.source == tmp_path
     assert run.columns_present == COLUMNS
-    assert (run.meta, run.config_text) == ({"backend": "simulated"}, "name: demo\n")
-    assert [event["kind"] for event in run.events] == ["stage", "limit"]
+    assert (run.meta, run.config_text) == (RunMeta(backend="simulated"), "name: demo\n")
+    assert [event.kind for event in run.events] == ["stage", "limit"]
     assert run.stages() == ["breakaway", "relay-1", "relay-2"]
     assert run.stage_rows("relay-1") == slice(3, 6)
     assert run.y_counts[run.stage_rows("relay-2")].tolist() == [506, 507, 508]
@@ -368,7 +371,7 @@ def test_any_bytes_as_small_files_likewise(tmp_path: Path, content: bytes) -> No
 def test_every_double_is_read_back_exactly(tmp_path: Path, values: list[tuple[float, float]]) -> None:
     nan = math.nan
     rows = (
-        format_row(k, k, 0.01 * k, nan, y_rad, 0, nan, u_V, 0.0, nan, "a", 0.0, 0.0, 0)
+        format_row(SampleRow(k, k, 0.01 * k, nan, y_rad, 0, nan, u_V, 0.0, nan, "a", 0.0, 0.0, 0))
         for k, (y_rad, u_V) in enumerate(values)
     )
     recording = parse(tmp_path, HEADER + "".join(rows))

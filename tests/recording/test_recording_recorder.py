@@ -239,10 +239,10 @@ def test_after_kill_9_every_opened_row_is_in_the_file(tmp_path: Path, seed: int)
     assert not any(map(math.isnan, run.t_u_s[:-1]))
     assert set(run.u_V[:-1]) == {0.5}
     assert run.u_V[-1] == (1.0 if math.isnan(run.t_u_s[-1]) else 0.5)
-    ticks = [event["tick"] for event in run.events[:-1]]
+    ticks = [event.detail["tick"] for event in run.events[:-1]]
     assert ticks == list(range(len(ticks)))
     assert len(ticks) >= last
-    assert run.events[-1] == {"t_s": run.t_s[-1], "kind": "loop_died"}
+    assert run.events[-1].as_json() == {"t_s": run.t_s[-1], "kind": "loop_died"}
 
 
 def test_signals_to_the_writer_do_not_end_it(recorder: Recorder, tmp_path: Path) -> None:
@@ -294,7 +294,7 @@ def test_a_killed_writer_is_reported_and_its_rows_are_rescued(tmp_path: Path) ->
     recorder.close()
     run = read_run(tmp_path)
     assert list(run.tick) == list(range(30))
-    assert [event["kind"] for event in run.events] == ["before", "fault"]
+    assert [event.kind for event in run.events] == ["before", "fault"]
 
 
 def test_a_full_disk_is_reported_with_its_reason(small: Recorder, tmp_path: Path) -> None:
@@ -421,10 +421,10 @@ def test_rows_and_events_that_find_no_room_are_counted_and_never_overwrite(small
         small.close()
     run = read_run(tmp_path)
     assert list(run.tick) == list(range(64))
-    lost = run.events[-1]
+    lost = run.events[-1].as_json()
     assert (lost["kind"], lost["rows"]) == ("record_lost", 36)
     assert len(run.events) - 1 + lost["events"] == 200
-    assert [event["k"] for event in run.events[:-1]] == list(range(len(run.events) - 1))
+    assert [event.detail["k"] for event in run.events[:-1]] == list(range(len(run.events) - 1))
 
 
 @contextlib.contextmanager

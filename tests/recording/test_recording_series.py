@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate, write_csv
@@ -10,6 +13,7 @@ from rig.identify.preprocessing import clock_ratio, from_recording
 from rig.recording.errors import IdentifyError
 from rig.recording.reader import read_csv
 from rig.recording.series import TIMES_ERROR_S, TimeSeries, steps_of
+from rig.results import RunMeta
 
 N = 50
 T = np.arange(N) * 0.01
@@ -64,8 +68,7 @@ def recording(tmp_path, clock: float, jitter_s: float = 0.0):
     path = tmp_path / "samples.csv"
     path.write_text("\n".join(lines) + "\n")
     one = read_csv(path)
-    one.meta["period_s"] = 0.01
-    return one
+    return replace(one, meta=RunMeta(period_s=0.01))
 
 
 def test_the_clocks_ratio_is_refined_where_it_is_significant(tmp_path):
@@ -92,12 +95,12 @@ def test_a_true_clock_is_left_alone_and_a_wild_one_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("said", "error_s"),
-    [(3.5e-4, 3.5e-4), (0, 0.0), (None, TIMES_ERROR_S), ("none", TIMES_ERROR_S), (True, TIMES_ERROR_S)],
+    [(3.5e-4, 3.5e-4), (0, 0.0), (None, TIMES_ERROR_S), (-1.0, TIMES_ERROR_S), (math.nan, TIMES_ERROR_S)],
 )
 def test_what_the_times_may_be_wrong_by_is_metas_word_or_the_default_of_an_older_run(tmp_path, said, error_s):
     one = recording(tmp_path, 1.0)
     if said is not None:
-        one.meta["times_error_s"] = said
+        one = replace(one, meta=RunMeta(times_error_s=said))
     read, _ = from_recording(one, slice(0, 900), "relay-1")
     assert read.part(10, 500).times_error_s == error_s
 

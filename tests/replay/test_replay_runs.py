@@ -12,8 +12,8 @@ from command_line import rig
 from run_copy import GOLDEN, RunCopy
 
 from rig import config, experiment
+from rig.backends.simulated.driver import SimulatedDriver
 from rig.config import Experiment
-from rig.daq.simulated import SimulatedDriver
 from rig.faults import Fault
 from rig.recording.errors import RecordingError
 from rig.recording.reader import read_run

@@ -12,7 +12,7 @@ import numpy as np
 
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
-from rig.recording.columns import HEADER, format_row
+from rig.recording.columns import HEADER, SampleRow, format_row
 
 PERIOD_S = 0.01
 DELAY_S = 0.003
@@ -72,7 +72,9 @@ class Bench:
         late, io = self.rng.gamma(2.0, 20.0), 900 + self.rng.gamma(2.0, 90.0)
         self.rows.append(
             format_row(
-                k, k % 256, t, t + DELAY_S, y, counts, math.nan, u_V, self.z_rad_s, yd_rad, self.stage, late, io, 0
+                SampleRow(
+                    k, k % 256, t, t + DELAY_S, y, counts, math.nan, u_V, self.z_rad_s, yd_rad, self.stage, late, io, 0
+                )
             )
         )
         self.late_us.append(late)

@@ -10,6 +10,7 @@ import re
 import shutil
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -419,12 +420,14 @@ def test_no_tick_labels_overlap(complete: Path, monkeypatch: pytest.MonkeyPatch,
 
     monkeypatch.setattr(Figure, "savefig", look)
     run = load(complete)
-    for estimate in run.result["estimates"].values():
-        for key in ("tau_s", "K_rad_s_V", "fc_V"):
-            estimate[key] *= scale
-            if scale != 1.0:  # all methods alike: ticks of many digits
-                around = {key: [estimate[key] * (1.0 - 1e-3), estimate[key] * (1.0 + 1e-3)]}
-                estimate["ci95"] = (estimate["ci95"] or {}) | around
+    estimates = {}
+    for method, estimate in run.result.estimates.items():
+        changed: dict[str, Any] = {key: estimate.value(key) * scale for key in ("tau_s", "K_rad_s_V", "fc_V")}
+        if scale != 1.0:  # all methods alike: ticks of many digits
+            around = {key: (value * (1.0 - 1e-3), value * (1.0 + 1e-3)) for key, value in changed.items()}
+            changed["ci95"] = (estimate.ci95 or {}) | around
+        estimates[method] = estimate.model_copy(update=changed)
+    run = replace(run, result=run.result.model_copy(update={"estimates": estimates}))
     if scale == 1.0:
         draw(run)
         assert len(seen) == 11

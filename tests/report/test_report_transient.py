@@ -13,10 +13,11 @@ from rig.report import fitted, transient
 from rig.report.source import Run
 from rig.report.style import AbsentError, style
 from rig.report.words import headline
+from rig.results import EstimateResult, RunMeta, RunResult
 
 
-def run_with(estimate: dict[str, Any]) -> Run:
-    return Run(Path("run"), None, {"backend": "here"}, {"estimates": {"least-squares": estimate}}, {}, "", [])
+def run_with(estimate: EstimateResult) -> Run:
+    return Run(Path("run"), None, RunMeta(backend="here"), RunResult(estimates={"least-squares": estimate}))
 
 
 def friction(**changes: Any) -> Estimate:
@@ -26,7 +27,7 @@ def friction(**changes: Any) -> Estimate:
 
 
 def test_the_headline_speaks_of_friction_and_not_of_a_motor() -> None:
-    shown = headline(run_with(friction().as_dict()))
+    shown = headline(run_with(friction().as_result()))
     assert shown.title == "The friction is identified"
     assert [q.text for q in shown.quantities[:2]] == ["–", "–"]
     assert shown.quantities[2].text.startswith("0.50")
@@ -36,7 +37,7 @@ def test_the_headline_speaks_of_friction_and_not_of_a_motor() -> None:
 
 def test_the_recursion_is_drawn() -> None:
     estimate = friction()
-    run = run_with(estimate.as_dict())
+    run = run_with(estimate.as_result())
     with style():
         picture = transient.recursion(run, {"least-squares": estimate})
         assert picture.uri.startswith("data:image/svg+xml")

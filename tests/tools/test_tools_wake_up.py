@@ -7,12 +7,13 @@ import signal
 import time
 from pathlib import Path
 
-import late_ticks
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from late_ticks import (
+
+from bench import late_ticks
+from bench.late_ticks import (
     CAUSES,
     LATE_NS,
     WITNESS_PERIOD_NS,
@@ -29,7 +30,6 @@ from late_ticks import (
     verdict,
     while_the_witness_ran,
 )
-
 from bench.wake_up import WITNESS_PRIORITY, TickingProcess, Witness, available, build, fifo_is_allowed, start
 
 PERIOD_NS = 2_000_000

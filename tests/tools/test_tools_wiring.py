@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import wiring
-from rig.config import check
-from rig.daq.frames import SUPPLY_UNIT_V
+from rig.backends.serial.frames import SUPPLY_UNIT_V
+from rig.preflight import check
 
 UNO = wiring.ROOT / "firmware/boards/uno"
 PAGE = (wiring.ROOT / "docs/real-bench.md").read_text(encoding="utf-8")

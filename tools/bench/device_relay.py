@@ -1,6 +1,6 @@
 """What a relay that decides every 1 ms in the device brings, against 10 ms in the host: same motors, same time.
 
-python tools/bench/device_relay.py [--json] [--motors N]
+PYTHONPATH=tools python -m bench.device_relay [--json] [--motors N]
 
 Motors, gains, offset and noise are those of config/campaign.yaml (10-bit counts, 3 mrad); both records are equally
 long. The host's drive acts 0.5 to 9.5 ms after its sample, the device's 0.1 ms; both are recorded.
@@ -26,7 +26,7 @@ from rig.identify import sampled_data, triple_relay
 from rig.identify.cycles import find_cycle
 from rig.identify.starts import ridge_starts
 from rig.model.motor import State
-from rig.model.sampled_relay import relay_test
+from rig.model.sampled_relay import Disturbance, relay_test
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries
 
@@ -57,8 +57,7 @@ def relay_record(campaign: Campaign, one: Draw, period_s: float, delay_s: float)
         one.h2_V,
         t_s,
         delay_s,
-        disturbance_rad=one.offset_rad + campaign.sensor.noise_rad * noise,
-        lsb_rad=campaign.sensor.lsb_rad,
+        disturbance=Disturbance(one.offset_rad + campaign.sensor.noise_rad * noise, lsb_rad=campaign.sensor.lsb_rad),
         start=State(y=one.start_rad),
     )
     kept = t_s >= start_s

@@ -1,6 +1,6 @@
 """What a tick over Modbus costs beyond the wire: rig's driver, pymodbus's own client and a bare client, in one run.
 
-python tools/bench/modbus_latency.py [--json] [--rounds N]
+PYTHONPATH=tools python -m bench.modbus_latency [--json] [--rounds N]
 
 All three write drive and sequence number and read four registers by one FC23. Each has a slave of its own, all the same
 program on libmodbus (tests/daq/libmodbus_slave), which answers at once; RTU behind a pseudo-terminal, which has no wire
@@ -27,13 +27,13 @@ from pathlib import Path
 
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
-from rig.bench import connect, limits_of
+from rig.backends.registry import connect
 from rig.config import load
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from libmodbus_peer import EXAMPLE_MAP, LibmodbusSlave  # noqa: E402  # in tests/
+from libmodbus_peer import EXAMPLE_MAP, LibmodbusSlave  # noqa: E402
 
 PAUSE_S = 0.003  # more than the silence that RTU asks for between frames
 WARM_UP = 20
@@ -111,7 +111,7 @@ def ours(slave: LibmodbusSlave, stack: ExitStack) -> Exchange:
     daq = experiment.daq.model_copy(update={"port": slave.port, "timeout_s": TIMEOUT_S})
     experiment = experiment.model_copy(update={"daq": daq})
     driver = stack.enter_context(connect(experiment)).driver
-    driver.arm(replace(limits_of(experiment), watchdog_s=1.0))
+    driver.arm(replace(experiment.device_limits, watchdog_s=1.0))
     return driver.read
 
 

@@ -3,7 +3,7 @@
 All three record the same row at the same pace, in turn within each tick, so that only their ratios are read: times
 belong to the machine and to its load.
 
-    python tools/bench/record_cost.py [--rows 1000] [--pace-ms 2] [--folder DIR] [--json]
+    PYTHONPATH=tools python -m bench.record_cost [--rows 1000] [--pace-ms 2] [--folder DIR] [--json]
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.recording.columns import format_row
+from rig.recording.columns import SampleRow, format_row
 from rig.recording.layout import ROW
 from rig.recording.recorder import Recorder
 from rig.signals import Sample
@@ -45,7 +45,7 @@ def measure(rows: int, pace_s: float, folder: Path) -> dict[str, dict[str, float
 
         def to_csv(tick: int, t_s: float, y_rad: float) -> None:
             row = (y_rad, 512, 0.0, 1.75, 0.1, 0.2, "relay-1", 12.0, 1500.0, 0)
-            csv.write(format_row(tick, tick, t_s, t_s + 0.0034, *row))
+            csv.write(format_row(SampleRow(tick, tick, t_s, t_s + 0.0034, *row)))
             csv.flush()
 
         ways: dict[str, Callable[[int, float, float], None]] = {

@@ -3,7 +3,7 @@
 The peer has the same record, starts and unknowns; it predicts with a solver that is restarted at every
 event, and has its Jacobian by differences. Both must come to the same motor.
 
-    python tools/bench/sampled_data_speed.py [--motors 40] [--peers 1] [--json]
+    PYTHONPATH=tools python -m bench.sampled_data_speed [--motors 40] [--peers 1] [--json]
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import time
 
 import numpy as np
 from scipy.optimize import least_squares
-from solver_peer import positions
 
+from bench.solver_peer import Array, positions
 from rig.campaign.grid import draw, simulate
 from rig.config.campaign import Campaign
 from rig.identify import sampled_data
@@ -36,7 +36,7 @@ def record_of(campaign: Campaign, number: int) -> tuple[TimeSeries, Cycle, list[
     return record, cycle, ridge_starts(cycle.omega_rad_s, cycle.amplitude_rad, cycle.h1_V, cycle.h2_V)
 
 
-def peer(record: TimeSeries, starts: list[Start]) -> np.ndarray:
+def peer(record: TimeSeries, starts: list[Start]) -> Array:
     """tau, K, fc of the best of the starts, by the solver."""
     longest = 2.0 * record.period_s
     first = int(np.searchsorted(record.t_s, record.t_s[0] + longest))
@@ -44,7 +44,7 @@ def peer(record: TimeSeries, starts: list[Start]) -> np.ndarray:
     keep = np.concatenate(([True], np.diff(record.u_V) != 0.0))
     edge_s, u_V = record.t_s[keep], record.u_V[keep]
 
-    def residual(x: np.ndarray) -> np.ndarray:
+    def residual(x: Array) -> Array:
         return positions(np.array([np.exp(x[0]), np.exp(x[1]), *x[2:]]), edge_s, u_V, t_s) - y_rad
 
     slope, offset = np.polyfit(t_s[:4] - t_s[0], y_rad[:4], 1)
@@ -72,7 +72,7 @@ def main() -> int:
     campaign = Campaign(name="speed", experiments=arguments.motors)
     cases = [record_of(campaign, number) for number in range(arguments.motors)]
 
-    def own(record: TimeSeries, cycle: Cycle, starts: list[Start]) -> tuple[float, np.ndarray]:
+    def own(record: TimeSeries, cycle: Cycle, starts: list[Start]) -> tuple[float, Array]:
         begin = time.perf_counter()
         found = sampled_data.fit([record], starts, periods_s=[cycle.period_s])
         return time.perf_counter() - begin, np.array([found.tau_s, found.K_rad_s_V, found.fc_V])

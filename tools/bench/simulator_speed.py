@@ -1,6 +1,6 @@
 """Exact simulator of plant and relay at 10 ms ticks, against `solve_ivp` with events at equal accuracy, in one run.
 
-python tools/bench/simulator_speed.py [--json]
+PYTHONPATH=tools python -m bench.simulator_speed [--json]
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ import sys
 import time
 
 import numpy as np
-from solver_peer import glide
+from numpy.typing import NDArray
 
+from bench.solver_peer import glide
 from rig.control.relay import DualChannelRelay
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
@@ -24,12 +25,14 @@ MOTOR = Motor(TAU_S, K_RAD_S_V, coulomb(FC_V))
 H1_V, H2_V, PERIOD_S, START_RAD = 0.8, 1.0, 0.01, 0.3
 
 
-def exact(ticks: int) -> np.ndarray:
+def exact(ticks: int) -> NDArray[np.float64]:
     """Positions at the ticks, by the exact event-driven motor, compiled."""
-    return relay_test(MOTOR, H1_V, H2_V, np.arange(ticks) * PERIOD_S, 0.0, start=State(y=START_RAD)).true_y_rad
+    return relay_test(
+        MOTOR, H1_V, H2_V, np.arange(ticks, dtype=float) * PERIOD_S, 0.0, start=State(y=START_RAD)
+    ).true_y_rad
 
 
-def interpreted(ticks: int) -> np.ndarray:
+def interpreted(ticks: int) -> NDArray[np.float64]:
     """The same by the loop's own classes, as the simulated driver uses them."""
     relay, state, y = DualChannelRelay(H1_V, H2_V, 10.0), State(y=START_RAD), []
     for k in range(ticks):
@@ -38,7 +41,7 @@ def interpreted(ticks: int) -> np.ndarray:
     return np.array(y)
 
 
-def integrated(ticks: int) -> np.ndarray:
+def integrated(ticks: int) -> NDArray[np.float64]:
     """The same by a solver that is restarted at each tick and at each reversal."""
     relay, v, position, y = DualChannelRelay(H1_V, H2_V, 10.0), 0.0, START_RAD, []
     for k in range(ticks):

@@ -1,6 +1,6 @@
 """A whole tick, from the wake-up to the row in the record, split: over a serial device, Modbus and the simulator.
 
-python tools/bench/tick.py [--json] [--seconds 8]
+PYTHONPATH=tools python -m bench.tick [--json] [--seconds 8]
 
 The emulated devices run in real time: processes on this machine, behind a pseudo-terminal or on loopback, so that the
 wire is that of this machine and not of a cable. A relay test runs, recorded to disk, with the config's loop settings.
@@ -22,32 +22,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from wake_up import cores, fifo_is_allowed
-
-from rig.bench import (
-    Bench,
-    calibration_of,
-    connect,
-    drive_map_of,
-    guard_settings_of,
-    limits_of,
-    real_time_of,
-    truth_of,
-)
+from bench.wake_up import cores, fifo_is_allowed
+from rig.backends.backend import truth_of
+from rig.backends.clock import MonotonicClock
+from rig.backends.registry import Bench, connect
+from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
+from rig.bench import guard_settings_of, real_time_of
 from rig.config import Experiment, load
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
 from rig.control.law import Law
 from rig.control.relay import DualChannelRelay
-from rig.daq.simulated import SimulatedDriver, SimulatedLatency
 from rig.faults import Fault
-from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import RealTime, real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
 from rig.recording.record import NoRecord
 from rig.recording.recorder import Recorder
+from rig.results.result import LoopResult
 from rig.signals import Sample
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -81,23 +74,15 @@ class Limited:
 
     def __init__(self, law: Law, ticks: int) -> None:
         self._law, self._left = law, ticks
-        self.finished = False
-
-    @property
-    def z_rad_s(self) -> float:
-        """The law's."""
-        return self._law.z_rad_s
-
-    @property
-    def yd_rad(self) -> float:
-        """The law's."""
-        return self._law.yd_rad
+        self.z_rad_s, self.yd_rad, self.finished = law.z_rad_s, law.yd_rad, False
 
     def step(self, sample: Sample) -> float:
         """The law's drive, V."""
         self._left -= 1
         self.finished = self._left <= 0
-        return self._law.step(sample)
+        u_V = self._law.step(sample)
+        self.z_rad_s, self.yd_rad = self._law.z_rad_s, self._law.yd_rad
+        return u_V
 
 
 class BareRelay:
@@ -132,8 +117,8 @@ def in_real_time(experiment: Experiment) -> Iterator[Bench]:
     driver = SimulatedDriver(
         clock,
         truth,
-        calibration_of(experiment),
-        drive_map_of(experiment),
+        experiment.sensor.curve,
+        experiment.drive.map,
         experiment.sensor.rail_counts,
         SimulatedLatency(0.001, 0.0),
         experiment.seed,
@@ -149,7 +134,7 @@ class Turns:
     def __init__(self, experiment: Experiment, bench: Bench, recorder: Recorder, condition: str) -> None:
         self._cores, raise_workers = CONDITIONS[condition]
         self._settings = replace(real_time_of(experiment), raise_workers=raise_workers)
-        self._limits = limits_of(experiment)
+        self._limits = experiment.device_limits
         self._ticks = round(TURN_S / experiment.period_s)
         settings = guard_settings_of(experiment)
         guard = Guard(settings)
@@ -174,10 +159,9 @@ class Turns:
 
     def result(self) -> dict[str, Any]:
         """Quantiles of each part, ours and of the bare tick, us; the share of ticks skipped."""
-        told, peer = self.ours.statistics.summary(), self.bare.statistics.summary()
+        summary, bare = self.ours.statistics.summary(), self.bare.statistics.summary()
+        told, peer = summary.as_json(), bare.as_json()
         ran, skipped = self.ours.statistics.ticks, self.ours.statistics.skipped
-        compute, bare_compute = told["compute_us"], peer["compute_us"]
-        assert isinstance(compute, dict) and isinstance(bare_compute, dict)
         return {
             "granted": self.done.granted,
             "refused": self.done.refused,
@@ -187,8 +171,14 @@ class Turns:
             "skipped_percent": round(100.0 * skipped / (ran + skipped), 4),
             **{part: told[part] for part in PARTS},
             "bare": {part: peer[part] for part in PARTS},
-            "compute_p99_ratio_to_bare": round(compute["p99"] / bare_compute["p99"], 2),
+            "compute_p99_ratio_to_bare": round(_p99(summary) / _p99(bare), 2),
         }
+
+
+def _p99(loop: LoopResult) -> float:
+    """99th percentile of law and guard, us."""
+    assert loop.compute_us is not None and loop.compute_us.p99 is not None
+    return loop.compute_us.p99
 
 
 def measure(case: Case, turns: int, folder: Path) -> dict[str, dict[str, Any]]:

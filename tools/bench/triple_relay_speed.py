@@ -1,6 +1,6 @@
 """The triple-relay fit against the same equations by `scipy.optimize.least_squares`, from the same starts, in one run.
 
-python tools/bench/triple_relay_speed.py [--json]
+PYTHONPATH=tools python -m bench.triple_relay_speed [--json]
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from rig.identify.cycles import find_cycle
@@ -22,7 +23,7 @@ from rig.identify.triple_relay import Features, fit, solve, solve_cycle
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import effective_inputs, limit_cycle, stage_states
 from rig.model.motor import Motor, State
-from rig.model.sampled_relay import relay_test
+from rig.model.sampled_relay import Disturbance, relay_test
 from rig.recording.series import TimeSeries
 
 TAU_S, K_RAD_S_V, FC_V = 0.17, 6.5, 0.5
@@ -36,12 +37,12 @@ def features() -> Features:
     return Features(*cycle.durations_s, float(cycle.states[1, 1]), float(cycle.states[0, 1]))
 
 
-def by_least_squares(measured: Features, starts: list[Start]) -> np.ndarray:
+def by_least_squares(measured: Features, starts: list[Start]) -> NDArray[np.float64]:
     """Best tau, K, fc of the five equations by a general solver with a numerical Jacobian."""
     durations = measured[:3]
     amplitude, omega = -measured.y_extremum_rad, np.pi / sum(durations)
 
-    def residuals(theta: np.ndarray) -> np.ndarray:
+    def residuals(theta: NDArray[np.float64]) -> NDArray[np.float64]:
         tau, K, fc = theta
         states = stage_states(tau, K, durations, effective_inputs(fc, H1_V, H2_V))
         return np.array(
@@ -66,7 +67,7 @@ def record(period_s: float, cycles: int) -> TimeSeries:
     """A sampled relay's log: 3 mrad of noise, its drive acting 0.4 periods after each sample."""
     t = np.arange(0.0, cycles * limit_cycle(TAU_S, K_RAD_S_V, FC_V, H1_V, H2_V).period_s, period_s)
     noise = 0.003 * np.random.default_rng(1).standard_normal(t.size)
-    test = relay_test(MOTOR, H1_V, H2_V, t, 0.4 * period_s, disturbance_rad=noise, start=State(y=0.3))
+    test = relay_test(MOTOR, H1_V, H2_V, t, 0.4 * period_s, disturbance=Disturbance(noise), start=State(y=0.3))
     return TimeSeries(test.t_s, test.y_rad, test.t_u_s, test.u_V)
 
 

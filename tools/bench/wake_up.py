@@ -1,6 +1,6 @@
 """How late loops wake up: ours, a C loop, cyclictest and loop-rate-limiters, in turn in one run.
 
-python tools/bench/wake_up.py [--json] [--minutes M] [--loops ours,C] [--policies fifo] [--conditions idle,busy]
+PYTHONPATH=tools python -m bench.wake_up [--json] [--minutes M] [--loops ours,C] [--policies fifo]
 
 Blocks of half a second, each loop after the other, so that what else the machine does hits all of them alike: only
 ratios are read. Ours and the C loop (`peers/wake_up_loop.c`) have the same policy, the same spin, locked memory and no
@@ -24,7 +24,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
-from late_ticks import (
+
+from bench.late_ticks import (
     FEWEST_BLOCKS,
     RESOLUTION_US,
     WITNESS_PHASE_US,

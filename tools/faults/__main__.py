@@ -1,13 +1,12 @@
-"""Runs the whole matrix and writes the page: `make faults`, or `PYTHONPATH=tools python -m faults`.
+"""Runs the whole matrix and writes its two pages: `make faults`, or `PYTHONPATH=tools python -m faults`.
 
-A part of it, in virtual time: `python -m faults --only "cable out" --device board --stage pause`; the page is then
+A part of it, in virtual time: `python -m faults --only "cable out" --device board --stage pause`; pages are then
 written only where --out says so, and each case is a line.
 """
 
 from __future__ import annotations
 
 import argparse
-import datetime
 import sys
 import time
 from pathlib import Path
@@ -15,12 +14,13 @@ from pathlib import Path
 from faults import worst
 from faults.backends import BACKENDS
 from faults.matrix import PHASES, in_real_time, in_virtual_time
-from faults.page import render
+from faults.page import render_rows, render_summary
 from faults.rows import ROWS
 from faults.stages import BY_KEY
-from rig.recording.folder import write_whole
+from shared import page
 
 OUT = Path("docs/fault-table.md")
+ROWS_NAME = "fault-rows.md"  # beside it
 REAL_PHASES = 1
 
 
@@ -60,8 +60,9 @@ def main() -> int:
     print("\n".join(trouble + [f"warning: {words}" for words in longer]), flush=True)
     out = given.out or (None if is_part else OUT)
     if out is not None:
-        made = str(datetime.datetime.now(datetime.UTC).date())
-        write_whole(out, render(made, lines, rows, backends, real).encode("utf-8"))
+        made = page.today()
+        page.write(out, render_summary(made, lines, backends))
+        page.write(out.with_name(ROWS_NAME), render_rows(made, lines, rows, backends, real))
     if is_part:
         print("\n".join(one.in_words() for one in found))
     else:

@@ -15,25 +15,29 @@ from faults.bounds import Times
 from faults.language import Language, ModbusLanguage, SerialLanguage
 from faults.stages import Course
 from faults.stand import Stand
-from rig.bench import emulated_io_block, guard_settings_of, truth_of
-from rig.config.link_budget import bits_per_byte, block_share, link_budget, longest_transaction_s, silence_s
-from rig.config.modbus import is_tcp
-from rig.config.room_to_stop import breakaway_strokes
+from rig.backends.backend import Line, truth_of
+from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
+from rig.backends.modbus.emulated.virtual_tcp_block import VirtualTcpBlock
+from rig.backends.modbus.link_budget import bits_per_byte, longest_transaction_s, silence_s
+from rig.backends.modbus.opening import emulated_io_block
+from rig.backends.modbus.section import is_tcp
+from rig.backends.registry import backend_of
+from rig.backends.serial import frames
+from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.emulated.virtual_chip import Contact, VirtualChip
+from rig.backends.serial.frames import BLOCK_ROWS, Kind
+from rig.backends.serial.link_budget import block_share
+from rig.bench import guard_settings_of
 from rig.config.schema import Experiment
 from rig.control.guard import WINDOW_S, GuardSettings
 from rig.control.motion import CycleWatch
 from rig.control.relay import DualChannelRelay
 from rig.control.tracking import linearising_drive
 from rig.control.trajectory import SumOfSines
-from rig.daq import frames
-from rig.daq.frames import BLOCK_ROWS, Kind
-from rig.emulate.firmware_build import UnoOptions
-from rig.emulate.virtual_board import VirtualBoard
-from rig.emulate.virtual_chip import Contact, VirtualChip
-from rig.emulate.virtual_io_block import VirtualIoBlock
-from rig.emulate.virtual_tcp_block import VirtualTcpBlock
 from rig.model.bench import BenchParameters
 from rig.model.motor import State
+from rig.preflight.room_to_stop import breakaway_strokes
 from rig.session import FADE_S
 from rig.signals import Sample
 
@@ -74,7 +78,7 @@ class Backend:
     hardware_s   from a hang until the chip resets itself, at most; nan where nothing can hang
     device       powers it on
     language     of its wire
-    places       functions of rig.bench that give the loop its device, and what gives it the stand instead
+    line         what a driver speaks over, with the stand as its device
     remark       what else is to be said of it
     """
 
@@ -86,7 +90,7 @@ class Backend:
     hardware_s: float
     device: Callable[[Experiment], Any]
     language: Callable[[Experiment], Language]
-    places: Callable[[Stand], Mapping[str, Callable[..., Any]]]
+    line: Callable[[Stand], Line]
     remark: str = ""
 
     def config(self, course: Course = "relay") -> dict[str, Any]:
@@ -111,7 +115,8 @@ class Backend:
         """What the time-out leaves beside the longest question and its answer; all of it where blocks come unasked."""
         if experiment.relay.where == "device":
             return experiment.daq.timeout_s
-        answer_s = longest_transaction_s(experiment) or _on_the_wire_s(experiment)
+        modbus = experiment.daq.modbus
+        answer_s = _on_the_wire_s(experiment) if modbus is None else longest_transaction_s(experiment.daq, modbus)
         return experiment.daq.timeout_s - answer_s
 
     def times(self, experiment: Experiment, cycle_s: float) -> Times:
@@ -143,7 +148,7 @@ def _on_the_wire_s(experiment: Experiment) -> float:
     """A tick's question, answer and drive; of the relay in the device a block."""
     if experiment.relay.where == "device":
         return block_share(experiment.daq.baud) * BLOCK_ROWS * 0.001
-    return link_budget(experiment).total_s
+    return backend_of(experiment).budget(experiment).total_s
 
 
 def _bench(experiment: Experiment) -> BenchParameters:
@@ -318,18 +323,17 @@ def _bare() -> dict[str, Any]:
 def _tcp_block(experiment: Experiment) -> BlockOnStand:
     if experiment.emulated is None or experiment.daq.modbus is None:
         raise ValueError("the matrix needs an emulated block")
-    emulated = experiment.emulated.model_dump()
-    return BlockOnStand(VirtualTcpBlock(experiment.daq.modbus.model_dump(), emulated, experiment.seed))
+    return BlockOnStand(VirtualTcpBlock(experiment.daq.modbus, experiment.emulated, experiment.seed))
 
 
-def _instead(name: str) -> Callable[[Stand], Mapping[str, Callable[..., Any]]]:
-    """The stand for what one function of rig.bench gives."""
-    return lambda stand: {name: lambda experiment: stand}
+def _on_stand(port: str) -> Callable[[Stand], Line]:
+    """The stand as the emulated device of that port."""
+    return lambda stand: Line(stand, stand, port, emulated=True)
 
 
-def _over_tcp(stand: Stand) -> Mapping[str, Callable[..., Any]]:
+def _over_tcp(stand: Stand) -> Line:
     """Each run connects anew, and lives in the stand's time."""
-    return {"_modbus_transport": lambda experiment, port: stand.connected(), "_clock_of": lambda experiment: stand}
+    return Line(stand.connected(), stand, "modbus:tcp://192.168.0.5")
 
 
 def _block_language(experiment: Experiment) -> ModbusLanguage:
@@ -353,7 +357,7 @@ CHIP = Backend(
     0.150,
     _chip,
     lambda e: SerialLanguage(e.drive.supply_V / _CHIP_UNITS),
-    _instead("emulated_chip"),
+    _on_stand("emulated-chip"),
 )
 BOARD = Backend(
     "board",
@@ -364,7 +368,7 @@ BOARD = Backend(
     0.121,
     _board,
     lambda e: SerialLanguage(e.drive.supply_V / _BOARD_UNITS),
-    _instead("emulated_chip"),
+    _on_stand("emulated-chip"),
 )
 MODBUS = Backend(
     "modbus",
@@ -375,7 +379,7 @@ MODBUS = Backend(
     math.nan,
     lambda e: BlockOnStand(emulated_io_block(e)),
     _block_language,
-    _instead("emulated_io_block"),
+    _on_stand("emulated-virtual"),
 )
 _IN_DEVICE = (
     "`relay.where: device`, 115200 baud, largest speed 4.6 rad/s ([device-relay.md](device-relay.md)). The rows come\n"
@@ -419,7 +423,7 @@ TCP = replace(
     device=_tcp_block,
     remark="A network in virtual time, 10 Mbit/s: what it loses is sent again after 0.2 s, and what follows waits.\n"
     "Its ways may be blocked, connections end. No frame is damaged; a gateway may be late or silent, or answer twice.",
-    places=_over_tcp,
+    line=_over_tcp,
 )
 BARE = replace(
     MODBUS,

@@ -14,7 +14,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -24,8 +24,7 @@ from unittest.mock import patch
 import yaml
 from click.testing import CliRunner
 
-import rig.bench
-import rig.experiment
+import rig.experiment.stages
 import rig.session
 from faults.backends import Backend
 from faults.bounds import Times
@@ -37,13 +36,14 @@ from faults.stages import ARMING, CYCLE, PAUSE, REST, SEARCH, START, TRACKING, C
 from faults.stand import Stand
 from rig import experiment as script
 from rig.cli import main
-from rig.config import check
 from rig.config.schema import Experiment
 from rig.faults import Fault
 from rig.identify import Identification, IdentifyError, identify
+from rig.preflight import check
 from rig.recording.errors import RecordingError
 from rig.recording.reader import read_run
 from rig.recording.stage import StageKind, kind_of
+from rig.testing.line import lines_opened_by
 
 FIRST_CYCLE = 4  # the fault comes in the one after it: the amplitude is that of the limit cycle by then
 SETTLE_S = 1.5  # after the run: the watchdog acts, the shaft stops
@@ -140,11 +140,10 @@ def patched(stand: Stand, backend: Backend, known: Identification | None = None)
         return identified[-1]
 
     with ExitStack() as patches:
-        for name, place in backend.places(stand).items():
-            patches.enter_context(patch.object(rig.bench, name, place))
+        patches.enter_context(lines_opened_by(lambda device, e: nullcontext(backend.line(stand))))
         patches.enter_context(patch.object(rig.session, "write_report", lambda *_: None))
         patches.enter_context(patch.object(rig.session, "Recorder", partial(PatientRecorder, stand)))
-        patches.enter_context(patch.object(rig.experiment, "identify", identify_in_time))
+        patches.enter_context(patch.object(rig.experiment.stages, "identify", identify_in_time))
         yield identified
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, Protocol
 
-from rig.daq import frames
-from rig.daq.frames import Block, FrameReader, Kind, State
-from rig.emulate.rtu_slave import check_sum
+from rig.backends.modbus.emulated.rtu_slave import check_sum
+from rig.backends.serial import frames
+from rig.backends.serial.frames import Block, FrameReader, Kind, State
 
 ASKED = -1
 

@@ -11,15 +11,20 @@ import socket
 import struct
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-import rig.bench
 import rig.session
+from rig.backends.backend import Line, LineBackend
+from rig.backends.driver import Transport
+from rig.backends.links.serial_port import SerialPort
+from rig.backends.links.tcp_link import TcpTransport
 from rig.cli import main
-from rig.daq.serial_port import SerialPort
-from rig.daq.tcp_link import TcpTransport
+from rig.config import Experiment
+from rig.testing.line import lines_opened_by
 
 
 def hung_up_terminal() -> int:
@@ -62,41 +67,51 @@ class Hand:
         os.write(self._log, data)
 
 
+class Handled:
+    """A port or a connection of this machine in whose wire the hand is."""
+
+    def __init__(self, link: Transport, hand: Hand) -> None:
+        if isinstance(link, SerialPort):
+            self._descriptor, self._dead = link.descriptor, hung_up_terminal
+        elif isinstance(link, TcpTransport):
+            self._descriptor, self._dead = link.descriptor, reset_connection
+        else:
+            raise TypeError(f"no wire of this machine: {link!r}")
+        self._link, self._hand = link, hand
+
+    def write(self, data: bytes) -> None:
+        """As of a ``Transport``."""
+        if not self._hand.is_cut(self._descriptor, self._dead):
+            self._link.write(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        """As of a ``Transport``."""
+        if self._hand.is_cut(self._descriptor, self._dead):
+            time.sleep(timeout_s)
+            return b""
+        data = self._link.read(timeout_s)
+        self._hand.note(data)
+        return data
+
+    def now_s(self) -> float:
+        """As of a ``Transport``."""
+        return self._link.now_s()
+
+    def close(self) -> None:
+        """As of a ``Transport``."""
+        self._link.close()
+
+
 def run(log: str, word: str, arguments: list[str]) -> None:
     """Run the command."""
     hand = Hand(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644), Path(word))
 
-    class Port(SerialPort):
-        def write(self, data: bytes) -> None:
-            if not hand.is_cut(self._fd, hung_up_terminal):
-                super().write(data)
+    @contextmanager
+    def opened(backend: LineBackend, experiment: Experiment) -> Iterator[Line]:
+        with backend.line(experiment) as line:
+            yield line._replace(transport=Handled(line.transport, hand))
 
-        def read(self, timeout_s: float) -> bytes:
-            if hand.is_cut(self._fd, hung_up_terminal):
-                time.sleep(timeout_s)
-                return b""
-            data = super().read(timeout_s)
-            hand.note(data)
-            return data
-
-    class Connection(TcpTransport):
-        def write(self, data: bytes) -> None:
-            if not hand.is_cut(self._socket.fileno(), reset_connection):
-                super().write(data)
-
-        def read(self, timeout_s: float) -> bytes:
-            if hand.is_cut(self._socket.fileno(), reset_connection):
-                time.sleep(timeout_s)
-                return b""
-            data = super().read(timeout_s)
-            hand.note(data)
-            return data
-
-    with (
-        patch.object(rig.bench, "SerialPort", Port),
-        patch.object(rig.bench, "TcpTransport", Connection),
-        patch.object(rig.session, "write_report", lambda *_: None),
-    ):
+    with lines_opened_by(opened), patch.object(rig.session, "write_report", lambda *_: None):
         main(arguments)
 
 

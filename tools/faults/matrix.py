@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import gc
-import os
 from collections.abc import Sequence
 from functools import lru_cache
-
-from joblib import Parallel, delayed
 
 from faults import realtime
 from faults.backends import BACKENDS, BARE, BOARD, CHIP, MODBUS, PLAIN, TCP, Backend
@@ -16,6 +13,7 @@ from faults.page import Line
 from faults.realtime import DEVICES, REAL_ROWS, RealFound
 from faults.rows import ROWS, Row
 from faults.stages import ARMING, BY_KEY, CYCLE, OTHER_STAGES, PAUSE, START, Stage
+from shared.cases import spread
 
 PHASES = 4  # of the limit cycle
 OTHERS_SHARE = 0.25
@@ -77,7 +75,7 @@ def in_virtual_time(
         for row, backend, stage in places
         for k in range(phases_of(backend, stage, phases))
     ]
-    found: list[Found] = Parallel(n_jobs=os.cpu_count() or 1, batch_size=4)(delayed(_virtual)(*case) for case in cases)
+    found = list(spread(_virtual, cases, batch=4))
     return [
         Line(
             row.on(stage.traits(backend.traits)),
@@ -103,8 +101,7 @@ def in_real_time(phases: int) -> list[RealFound]:
         for k in range(phases)
     ]
     together = [case for case in cases if not REAL_ROWS[case[0]].alone]
-    found: list[RealFound] = Parallel(n_jobs=2)(delayed(_real)(*case) for case in together)
-    return found + [_real(*case) for case in cases if case not in together]
+    return [*spread(_real, together, jobs=2)] + [_real(*case) for case in cases if case not in together]
 
 
 def _virtual(name: str, key: str, stage_key: str, k: int, phases: int) -> Found:

@@ -1,4 +1,4 @@
-"""docs/fault-table.md from what was measured."""
+"""docs/fault-table.md and docs/fault-rows.md from what was measured."""
 
 from __future__ import annotations
 
@@ -12,14 +12,35 @@ from faults.case import Found
 from faults.realtime import RealFound
 from faults.rows import SILENCE, Row
 from faults.stages import CYCLE, OTHER_STAGES, START, Stage
+from shared.table import markdown
 
-_HEAD = """\
+_SUMMARY_HEAD = """\
 # What goes wrong, and what the bench does
 
-Made by `make faults`, {made}. The command fails if a bound is broken, a sample is lost, a code is another than
-expected, a record with a whole relay test cannot be identified, `result.json` is missing, or the next run does what it
-should not. It warns where a drive was on for 1.5 times the worst that was recorded, in
-[fault-worst.json](fault-worst.json). It is in [tools/faults](../tools/faults); `make test` runs, at one of the phases,
+Made by `make faults`, {made}, which puts each fault on each emulated device. It fails if a bound is broken, a sample is
+lost, a code is another than expected, a record with a whole relay test cannot be identified, `result.json` is missing,
+or the next run does what it should not. It warns where a drive was on for 1.5 times the longest time on record, in
+[fault-worst.json](fault-worst.json). `make test` runs a part of it.
+
+This page is the summary. **[fault-rows.md](fault-rows.md) has every row**: on each device, in each stage of the
+experiment, in real time, with its bound and how it is done. The tool is [tools/faults](../tools/faults).
+
+{summary}
+
+* *Host silent*: the worst of the rows that only the device's own watchdog can end.
+* *Lost*: samples that the device told of, and that reached the host intact and in time, but are not in the record.
+* *Wrong*: cases with anything that should not be.
+
+## Each fault at its worst
+
+In the breakaway check or the relay test, on the device where the drive was on for longest.
+
+"""
+
+_HEAD = """\
+# Every row of the fault matrix
+
+Made by `make faults`, {made}; the summary is [fault-table.md](fault-table.md). `make test` runs, at one of the phases,
 each row on the first three devices (on one where the device makes no difference), on the others those that are theirs
 or are other there, and each of the rest on one of them; in the other stages each row once, and all that may happen to
 a device in a pause.
@@ -32,8 +53,6 @@ and limits are those of
 [config/demo.yaml](../config/demo.yaml) unless the device's section says otherwise; the loop's period is
 {period_ms:g} ms, the watchdog {watchdog_ms:g} ms.
 
-{summary}
-
 * *Drive 0*: from the fault until the drive is 0 for good, at the device's own output, the worst phase. Where the run
   goes on: the longest time that one drive acted without a new word of the host, or that the output was not what the
   host had said.
@@ -44,12 +63,13 @@ and limits are those of
   reading that came with the fault is in the fault's event, with its counts or its bytes. Of a host that was killed the
   recorder, which lives on, writes what there is. Of a relay in the device each row of a block counts, up to the first
   block that is missing: that one ends the run.
-* *Host silent*: the worst of the rows that only the device's own watchdog can end. *Wrong*: cases with anything that
-  should not be.
 * *Next run*: tried, as far as the breakaway check: first with the cause still there, then *mended*.
 """
 
-_TABLE = "| fault | drive 0 | within | beyond, rad | shown | lost | next run |\n|---|---|---|---|---|---|---|"
+_COLUMNS = ("fault", "drive 0", "within", "beyond, rad", "shown", "lost", "next run")
+_REAL_COLUMNS = (
+    "fault", "device", "drive 0", "within", "late", "beyond, rad", "shown", "lost", "skipped", "next run",
+)  # fmt: skip
 
 _REAL_HEAD = """\
 ## Host and link in real time
@@ -59,8 +79,6 @@ machine; the drive is that of the device's own trace. *Late* is by how much this
 that run, which the bound is longer by. *Skipped* are ticks of the loop. A Modbus run ends with the first reply that is
 late, by design: an overloaded host mostly ends it.
 
-| fault | device | drive 0 | within | late | beyond, rad | shown | lost | skipped | next run |
-|---|---|---|---|---|---|---|---|---|---|
 """
 
 
@@ -97,21 +115,26 @@ def _time(s: float) -> str:
     return f"{1e3 * s:.1f} ms" if s >= 1e-4 or s == 0.0 else f"{1e6 * s:.0f} us"
 
 
-def line(measured: Line) -> str:
-    """One line of the table."""
+def cells(measured: Line) -> tuple[str, ...]:
+    """A line of a device's table."""
     row, found = measured.row, measured.found
     shown = sorted({f"{f.code or '-'}, {f.status}" for f in found})
     runs_on = all(f.code == "" and f.status in (0, 1) for f in found)
     worst = ("runs on; " if runs_on else "") + _time(measured.worst_s)
     worst += " at the device, never at the motor" if row.only_seen else ""
-    bound_s = row.bound.seconds(measured.times)
-    broken = "" if all(f.off_s <= f.bound_s for f in found) else " **broken**"
     next_run = "; ".join(sorted({f.restart for f in found if f.restart}))
-    beyond = max(f.beyond_rad for f in found)
-    return (
-        f"| {row.name} | {worst}{broken} | {_time(bound_s)} | "
-        f"{f'{beyond:.2f}' if beyond > 0.0 else '-'} | {'; '.join(shown)} | {sum(f.lost for f in found)} | {next_run} |"
-    )
+    lost = str(sum(f.lost for f in found))
+    within = _time(row.bound.seconds(measured.times))
+    return row.name, worst + _broken(found), within, _beyond(found), "; ".join(shown), lost, next_run
+
+
+def _broken(found: Iterable[Found | RealFound]) -> str:
+    return "" if all(f.off_s <= f.bound_s for f in found) else " **broken**"
+
+
+def _beyond(found: Iterable[Found | RealFound]) -> str:
+    beyond_rad = max(f.beyond_rad for f in found)
+    return f"{beyond_rad:.2f}" if beyond_rad > 0.0 else "-"
 
 
 _STAGES_HEAD = """\
@@ -139,13 +162,12 @@ def stage_tables(lines: Sequence[Line], rows: Sequence[Row], backends: Sequence[
         if not shown:
             continue
         stages = [stage for stage in OTHER_STAGES if any((row.name, stage) in own for row in shown)]
-        head = f"| fault | {' | '.join(stage.title for stage in stages)} |\n|---|{'---|' * len(stages)}"
-        body = [
-            f"| {row.name} | " + " | ".join(_cell(own.get((row.name, stage))) for stage in stages) + " |"
-            for row in shown
-        ]
+        table = markdown(
+            ["fault", *(stage.title for stage in stages)],
+            ([row.name, *(_cell(own.get((row.name, stage))) for stage in stages)] for row in shown),
+        )
         title = backend.title[0].upper() + backend.title[1:]
-        parts.append(f"### {title}, by stage\n\n{head}\n" + "\n".join(body) + "\n")
+        parts.append(f"### {title}, by stage\n\n{table}\n")
     absent = {
         f"* {row.name}, {stage.title}: {row.absent[stage.key]}."
         for row in rows
@@ -162,43 +184,62 @@ def _cell(measured: Line | None) -> str:
         return ""
     codes = sorted({f.code or ("killed" if f.status < 0 else "runs on") for f in measured.found})
     off_s, bound_s = measured.worst_s, measured.row.bound.seconds(measured.times)
-    broken = "" if all(f.off_s <= f.bound_s for f in measured.found) else " **broken**"
     within = "0" if off_s == bound_s == 0.0 else f"{_time(off_s)} of {_time(bound_s)}"
-    beyond = max(f.beyond_rad for f in measured.found)
-    return f"{'; '.join(codes)}, {within}{broken}" + (f", {beyond:.2f} rad beyond" if beyond > 0.0 else "")
+    beyond = _beyond(measured.found)
+    return f"{'; '.join(codes)}, {within}{_broken(measured.found)}" + (
+        "" if beyond == "-" else f", {beyond} rad beyond"
+    )
 
 
 def real_table(found: Sequence[RealFound]) -> str:
     """The table of what was measured in real time."""
     names = list(dict.fromkeys((one.row, one.device) for one in found))
-    lines = [_real_line([one for one in found if (one.row, one.device) == name]) for name in names]
-    return _REAL_HEAD + "\n".join(lines) + "\n"
+    rows = [_real_cells([one for one in found if (one.row, one.device) == name]) for name in names]
+    return f"{_REAL_HEAD}{markdown(_REAL_COLUMNS, rows)}\n"
 
 
-def _real_line(found: Sequence[RealFound]) -> str:
+def _real_cells(found: Sequence[RealFound]) -> tuple[object, ...]:
     worst = max(found, key=lambda one: one.off_s - one.bound_s)
     shown = sorted({f"{one.code or '-'}, {one.status}" for one in found})
-    beyond = max(one.beyond_rad for one in found)
-    broken = "" if all(one.off_s <= one.bound_s for one in found) else " **broken**"
     runs_on = "runs on; " if worst.code == "" and worst.status >= 0 else ""
     return (
-        f"| {worst.row} | {worst.device} | {runs_on}{_time(worst.off_s)}{broken} | "
-        f"{_time(worst.bound_s)} | {_time(worst.late_s)} | {f'{beyond:.2f}' if beyond > 0.0 else '-'} | "
-        f"{'; '.join(shown)} | {sum(one.lost for one in found)} | {max(one.skipped for one in found)} | "
-        f"{'; '.join(sorted({one.restart for one in found if one.restart}))} |"
+        worst.row,
+        worst.device,
+        f"{runs_on}{_time(worst.off_s)}{_broken(found)}",
+        _time(worst.bound_s),
+        _time(worst.late_s),
+        _beyond(found),
+        "; ".join(shown),
+        sum(one.lost for one in found),
+        max(one.skipped for one in found),
+        "; ".join(sorted({one.restart for one in found if one.restart})),
     )
 
 
 def summary(lines: Sequence[Line], backends: Sequence[Backend]) -> str:
     """One line a device: how much was tried, what came of it."""
-    told = [_summary_line(backend, own) for backend in backends if (own := [o for o in lines if o.backend is backend])]
-    return (
-        "| device | rows | cases | host silent: drive 0 | within | nearest to its bound | lost | wrong |\n"
-        "|---|---|---|---|---|---|---|---|\n" + "\n".join(told)
+    told = [_device_cells(backend, own) for backend in backends if (own := [o for o in lines if o.backend is backend])]
+    return markdown(
+        ("device", "rows", "cases", "host silent: drive 0", "within", "nearest to its bound", "lost", "wrong"), told
     )
 
 
-def _summary_line(backend: Backend, own: Sequence[Line]) -> str:
+def at_worst(lines: Sequence[Line]) -> str:
+    """One line a fault, on the device where the drive was on for longest in the breakaway check or the relay test."""
+    named: dict[str, list[Line]] = {}
+    for one in lines:
+        if one.stage in (START, CYCLE):
+            named.setdefault(one.row.name, []).append(one)
+    rows = []
+    for own in named.values():
+        codes = sorted({f.code or ("-" if f.status < 0 else "runs on") for one in own for f in one.found})
+        worst = max(own, key=lambda one: one.worst_s)
+        name, drive_0, within = cells(worst)[:3]
+        rows.append((name, "; ".join(codes), drive_0, within, worst.backend.title))
+    return markdown(("fault", "code", "drive 0, longest", "within", "on"), rows)
+
+
+def _device_cells(backend: Backend, own: Sequence[Line]) -> tuple[object, ...]:
     silent = [one for one in own if one.row.bound is SILENCE and one.stage is CYCLE]
     silent_s = max((f.off_s for one in silent for f in one.found), default=math.nan)
     within_s = max((one.row.bound.seconds(one.times) for one in silent), default=math.nan)
@@ -209,26 +250,29 @@ def _summary_line(backend: Backend, own: Sequence[Line]) -> str:
     )
     found = [f for one in own for f in one.found]
     rows = len({one.row.name for one in own})
-    return (
-        f"| {backend.title} | {rows} | {len(found)} | {_time(silent_s)} | {_time(within_s)} | "
-        f"{name}, {100.0 * share:.0f} % | {sum(f.lost for f in found)} | {sum(bool(f.trouble) for f in found)} |"
-    )
+    lost, wrong = sum(f.lost for f in found), sum(bool(f.trouble) for f in found)
+    nearest = f"{name}, {100.0 * share:.0f} %"
+    return backend.title, rows, len(found), _time(silent_s), _time(within_s), nearest, lost, wrong
 
 
-def render(
+def render_summary(made: str, lines: Sequence[Line], backends: Sequence[Backend]) -> str:
+    """The page that people read: docs/fault-table.md."""
+    return _SUMMARY_HEAD.format(made=made, summary=summary(lines, backends)) + at_worst(lines) + "\n"
+
+
+def render_rows(
     made: str,
     lines: Sequence[Line],
     rows: Sequence[Row],
     backends: Sequence[Backend],
     real: Sequence[RealFound] = (),
 ) -> str:
-    """The page."""
+    """The page with every row: docs/fault-rows.md."""
     first = lines[0]
     low, high = first.backend.config()["limits"]["hard_rad"]
     parts = [
         _HEAD.format(
             made=made,
-            summary=summary(lines, backends),
             period_ms=1e3 * first.times.period,
             watchdog_ms=1e3 * first.times.watchdog,
             low=low,
@@ -240,7 +284,7 @@ def render(
         if not own:
             continue
         remark = f"{backend.remark}\n\n" if backend.remark else ""
-        parts.append(f"## On {backend.title}\n\n{remark}{_TABLE}\n" + "\n".join(line(one) for one in own) + "\n")
+        parts.append(f"## On {backend.title}\n\n{remark}{markdown(_COLUMNS, map(cells, own))}\n")
         absent = [f"* {row.name}: does not apply: {why}." for row in rows if (why := row.why_absent(backend.traits))]
         if absent:
             parts.append("\n".join(absent) + "\n")
@@ -254,14 +298,13 @@ def render(
 
 
 def _bounds(lines: Sequence[Line], backends: Sequence[Backend]) -> str:
-    head = "| fault | within | why |\n|---|---|---|\n"
     seen: dict[tuple[str, str, str], list[str]] = {}
     for one in lines:
         where = one.backend.key if one.stage in (START, CYCLE) else f"{one.backend.key} {one.stage.title}"
         seen.setdefault((one.row.name, one.row.bound.formula(), one.row.bound.why), []).append(where)
     keys = {one.row.name: {k[0:2] for k in seen if k[0] == one.row.name} for one in lines}
-    body = [
-        f"| {name}{'' if len(keys[name]) == 1 else ' (' + ', '.join(where) + ')'} | {formula} | {why} |"
+    rows = [
+        (f"{name}{'' if len(keys[name]) == 1 else ' (' + ', '.join(where) + ')'}", formula, why)
         for (name, formula, why), where in seen.items()
         if formula != "0"
     ]
@@ -274,7 +317,7 @@ def _bounds(lines: Sequence[Line], backends: Sequence[Backend]) -> str:
         for backend in backends
         if any(o.backend is backend for o in lines)
     ]
-    return head + "\n".join(body) + "\n\n" + "\n".join(times) + "\n"
+    return markdown(("fault", "within", "why"), rows) + "\n\n" + "\n".join(times) + "\n"
 
 
 def _known(times: Iterable[Times]) -> dict[str, float]:

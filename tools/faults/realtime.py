@@ -27,14 +27,14 @@ import yaml
 from faults.backends import BOARD, CHIP, MODBUS, ROOT, TCP, Backend
 from faults.bounds import Bound, bound
 from faults.rows import AT_ONCE, FREEZE_S, SEEN, SILENCE
-from rig.config import check
+from rig.backends.emulated.board_process import BoardProcess
+from rig.backends.modbus.emulated.modbus_board import ModbusBoard
+from rig.backends.modbus.emulated.rtu_slave import check_sum
+from rig.backends.serial.emulated.chip_board import ChipBoard
+from rig.backends.serial.emulated.host_board import HostBoard
+from rig.backends.serial.frames import FrameReader, Kind
 from rig.config.schema import Experiment
-from rig.daq.frames import FrameReader, Kind
-from rig.emulate.board_process import BoardProcess
-from rig.emulate.chip_board import ChipBoard
-from rig.emulate.host_board import HostBoard
-from rig.emulate.modbus_board import ModbusBoard
-from rig.emulate.rtu_slave import check_sum
+from rig.preflight import check
 from rig.recording.stage import StageKind, kind_of
 
 FIRST_CYCLE = 2
@@ -148,15 +148,16 @@ def _overload(case: Case) -> None:
 
 def _serial_start(board: Any, experiment: Experiment, folder: Path) -> str:
     assert experiment.emulated is not None
-    board.start(experiment.emulated.model_dump(), 1, folder / "device", folder / "trace.csv")
+    board.start(experiment.emulated, 1, folder / "device", folder / "trace.csv")
     return str(folder / "device")
 
 
 def _modbus_start(tcp_port: int | None) -> Callable[[Any, Experiment, Path], str]:
     def start(board: Any, experiment: Experiment, folder: Path) -> str:
         assert experiment.emulated is not None and experiment.daq.modbus is not None
-        modbus, emulated = experiment.daq.modbus.model_dump(), experiment.emulated.model_dump()
-        return str(board.start(modbus, emulated, 1, trace=folder / "trace.csv", tcp_port=tcp_port))
+        return str(
+            board.start(experiment.daq.modbus, experiment.emulated, 1, trace=folder / "trace.csv", tcp_port=tcp_port)
+        )
 
     return start
 

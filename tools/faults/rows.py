@@ -16,7 +16,7 @@ from faults.bounds import Bound, bound
 from faults.language import is_block, is_drive, is_keep
 from faults.stages import STAGES, START
 from faults.stand import Stand
-from rig.emulate.virtual_chip import VirtualChip
+from rig.backends.serial.emulated.virtual_chip import VirtualChip
 
 Act = Callable[[Stand], None]
 Changes = dict[str, dict[str, Any]]  # of a row's fields, by a trait of the device

@@ -17,7 +17,6 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,6 +29,7 @@ from faults.rows import ROWS, RUNNING, RUNS_ON, Row
 from faults.stages import CYCLE
 from faults.stand import Stand
 from rig.config.schema import Experiment
+from shared.cases import spread
 
 CYCLES = 30  # of a relay test, unless something ends it
 FAULTY = 0.5  # share of the runs in which something goes wrong
@@ -130,19 +130,17 @@ def main() -> int:
     options.add_argument("--seed", type=int, default=1)
     given = options.parse_args()
     started_s, failed = time.monotonic(), False
-    with ProcessPoolExecutor(2) as pool:
-        share = given.hours / len(PLAIN)
-        for day in pool.map(spend, [b.key for b in PLAIN], [share] * len(PLAIN), [given.seed] * len(PLAIN)):
-            wrong = sum(count for name, count in day.rows.items() if name != NOTHING.name)
-            print(
-                f"{day.backend}: {day.hours:.2f} h of its time, {day.runs} runs, {wrong} with one of "
-                f"{len(day.rows) - 1} faults; {len(day.trouble)} unexplained; memory {day.memory_MB[-1]:.0f} MB, "
-                f"growth {day.growth_MB:+.1f} MB",
-                flush=True,
-            )
-            for words in day.trouble:
-                print(f"  {words}")
-            failed |= bool(day.trouble) or day.growth_MB > GROWTH_MB
+    for day in spread(spend, [(backend.key, given.hours / len(PLAIN), given.seed) for backend in PLAIN], jobs=2):
+        wrong = sum(count for name, count in day.rows.items() if name != NOTHING.name)
+        print(
+            f"{day.backend}: {day.hours:.2f} h of its time, {day.runs} runs, {wrong} with one of "
+            f"{len(day.rows) - 1} faults; {len(day.trouble)} unexplained; memory {day.memory_MB[-1]:.0f} MB, "
+            f"growth {day.growth_MB:+.1f} MB",
+            flush=True,
+        )
+        for words in day.trouble:
+            print(f"  {words}")
+        failed |= bool(day.trouble) or day.growth_MB > GROWTH_MB
     print(f"{given.hours:g} h in {(time.monotonic() - started_s) / 60.0:.1f} min")
     return 1 if failed else 0
 

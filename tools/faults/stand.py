@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from faults.damage import Damage
 from faults.fork import fork
 from faults.language import ASKED, Language, Reading
-from rig.emulate.virtual_chip import Contact
+from rig.backends.serial.emulated.virtual_chip import Contact
 from rig.faults import Fault
 
 GRAIN_S = 5e-4  # between two looks at the output, from the fault on

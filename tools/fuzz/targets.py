@@ -16,13 +16,14 @@ import numpy as np
 from pymodbus.framer import FramerRTU
 
 from rig import config
-from rig.bench import modbus_driver
-from rig.daq import frames
-from rig.daq.calibration import Calibration, DriveMap
-from rig.daq.driver import Driver
-from rig.daq.serial_link import SerialDriver
+from rig.backends.driver import Driver
+from rig.backends.modbus.opening import modbus_driver
+from rig.backends.serial import frames
+from rig.backends.serial.driver import SerialDriver
+from rig.calibration import Calibration, DriveMap
 from rig.faults import Fault
 from rig.identify import IdentifyError, identify
+from rig.preflight import check
 from rig.recording.reader import Recording, RecordingError, read_csv, read_run
 from rig.replay import replay
 from rig.report.source import load as load_report
@@ -224,7 +225,7 @@ def _file(name: str, data: bytes) -> Path:
 def experiment_config(data: bytes) -> None:
     """Any file as a config: an experiment that loads back equal, or ConfigError."""
     try:
-        experiment, found = config.check(_file("experiment.yaml", data))
+        experiment, found = check(_file("experiment.yaml", data))
     except config.ConfigError as error:
         assert str(error)
         return

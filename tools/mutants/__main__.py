@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import datetime
 import fcntl
 import signal
 import sys
@@ -19,7 +18,7 @@ from mutants.rooms import ROOMS as DRAWN_ROOMS
 from mutants.sampled import draw
 from mutants.session import CAUGHT, SURVIVED, Result, Session, State
 from mutants.workshop import Workshop
-from rig.recording.folder import write_whole
+from shared import page
 
 OUT = Path("docs/mutant-table.md")
 FOLDER = Path("build/mutants")
@@ -67,8 +66,7 @@ def main() -> int:
         results |= Session(workshop, state, with_suite=False).run(_flat(drawn))
     trouble = wrong(_flat(named), _flat(drawn), results, EQUIVALENT, complete=not is_part)
     if not is_part or given.out != OUT:
-        made = str(datetime.datetime.now(datetime.UTC).date())
-        write_whole(given.out, render(made, named, drawn, results, EQUIVALENT).encode("utf-8"))
+        page.write(given.out, render(page.today(), named, drawn, results, EQUIVALENT))
     print("\n".join(trouble))
     print(f"{len(results)} mutants, {len(trouble)} not as they should be, {time.monotonic() - began_s:.0f} s")
     return 1 if trouble else 0

@@ -8,6 +8,7 @@ SEED = "rig 11"
 
 _REPLAY = ("tests/replay",)
 _MODBUS = ("tests/daq/test_daq_modbus.py", "tests/daq/test_daq_modbus_tcp.py")
+_CLOCK = ("tests/loop/test_loop_real_time.py", "tests/loop/test_loop_runner.py")
 _FILES = ("tests/recording/test_recording_recorder.py", "tests/recording/test_recording_failing_disk.py")
 
 ROOMS = (
@@ -19,25 +20,32 @@ ROOMS = (
         {
             "recorded": _REPLAY,
             "replayed_rows": _REPLAY,
-            "clock": ("tests/loop/test_loop_real_time.py", "tests/loop/test_loop_runner.py"),
+            "device_relay": ("tests/hil/test_hil_device_relay.py",),
             "statistics": ("tests/loop/test_loop_runner.py",),
             "stop_request": ("tests/loop/test_loop_runner.py",),
         },
     ),
+    Room("rig/backends", 2, ("tests/daq",), {"driver": ("tests/daq/test_daq_plugin.py",), "clock": _CLOCK}),
     Room(
-        "rig/daq",
-        14,
+        "rig/backends/serial",
+        7,
         ("tests/daq", "tests/hil/test_hil_device_relay.py", "tests/hil/test_hil_driver.py"),
         {
-            "modbus": _MODBUS,
-            "modbus_client": _MODBUS,
-            "modbus_requests": _MODBUS,
-            "modbus_frames": _MODBUS,
             "relay_stream": ("tests/hil/test_hil_device_relay.py",),
             "introduction": ("tests/daq/test_daq_serial_link.py",),
-            "simulated": ("tests/loop/test_loop_runner.py", "tests/loop/test_loop_order.py"),
-            "driver": ("tests/daq/test_daq_plugin.py",),
         },
+    ),
+    Room(
+        "rig/backends/modbus",
+        5,
+        ("tests/daq", "tests/config/test_config_modbus.py"),
+        dict.fromkeys(("driver", "client", "requests", "frames"), _MODBUS),
+    ),
+    Room(
+        "rig/backends/simulated",
+        1,
+        ("tests/loop",),
+        {"driver": ("tests/loop/test_loop_runner.py", "tests/loop/test_loop_order.py")},
     ),
     Room("rig/recording", 10, ("tests/recording",), {"writer": _FILES, "layout": _FILES, "columns": _FILES}),
 )

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,7 +21,8 @@ from paper import (
 )
 from paper.drawing import style
 from paper.page import Report, Section, render_page
-from rig.recording.folder import write_whole
+from shared import page
+from shared.cases import spread
 
 
 def make_4_1(quick: bool) -> Section:
@@ -106,8 +104,7 @@ def build(out: Path, *, quick: bool = False, say: Callable[[str], None] = print)
     say     takes one line for each section when it is done
     """
     report = Report(make_sections(quick, say))
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(out, render_page(report).encode("utf-8"))
+    page.write(out, render_page(report))
     return out
 
 
@@ -115,15 +112,10 @@ def make_sections(quick: bool, say: Callable[[str], None]) -> tuple[Section, ...
     """All sections in their order on the page; the longest is begun first."""
     begin = time.perf_counter()
     made: dict[int, Section] = {}
-    # spawned, not forked: numba's and BLAS's threads do not survive a fork
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(len(STEPS), os.cpu_count() or 1), context) as pool:
-        order = sorted(range(len(STEPS)), key=lambda k: -STEPS[k].share)
-        pending = {pool.submit(timed, k, quick): k for k in order}
-        for future in as_completed(pending):
-            k = pending[future]
-            made[k], took_s = future.result()
-            say(f"[{len(made)}/{len(STEPS)}] {time.perf_counter() - begin:5.1f} s  {STEPS[k].name} ({took_s:.1f} s)")
+    order = sorted(range(len(STEPS)), key=lambda k: -STEPS[k].share)
+    for k, (section, took_s) in zip(order, spread(timed, [(k, quick) for k in order]), strict=True):
+        made[k] = section
+        say(f"[{len(made)}/{len(STEPS)}] {time.perf_counter() - begin:5.1f} s  {STEPS[k].name} ({took_s:.1f} s)")
     return tuple(made[k] for k in range(len(STEPS)))
 
 

@@ -22,29 +22,18 @@ from paper.drawing import (
     shade_stages,
     zero,
 )
-from paper.page import (
-    Cell,
-    Claim,
-    Comparison,
-    Heading,
-    Paragraph,
-    Remark,
-    Section,
-    Table,
-    listed,
-    number,
-    share,
-    significant,
-)
+from paper.ideal_relay import Relay, half_periods, ideal_relay
+from paper.page import Claim, Comparison, Heading, Paragraph, Remark, Section
 from paper.solver import RELATIVE, settled_cycle
 from paper.solver import Cycle as SolverCycle
 from rig.model import describing_function
 from rig.model.describing_function import Oscillation, RelayGains
 from rig.model.friction import coulomb
-from rig.model.ideal_relay import Relay, half_periods, ideal_relay
 from rig.model.limit_cycle import LimitCycle, limit_cycle
 from rig.model.motor import Motor, State
 from rig.report.style import Picture
+from shared.page import listed
+from shared.table import Cell, Table, number, share, significant
 
 EXPANDS = 1.0 + 1e-9
 ARRIVED = 1e-3  # of the cycle's size

@@ -8,21 +8,7 @@ import numpy as np
 
 from paper import surviving
 from paper.drawing import CYCLES, PAPER, Array, finish, new_figure, zero
-from paper.page import (
-    Agreement,
-    Cell,
-    Claim,
-    Comparison,
-    Heading,
-    Paragraph,
-    Remark,
-    Section,
-    Table,
-    fixed,
-    listed,
-    number,
-    significant,
-)
+from paper.page import Agreement, Claim, Comparison, Heading, Paragraph, Remark, Section
 from rig.control.relay import HystereticRelay
 from rig.identify import least_squares
 from rig.identify.estimate import Estimate
@@ -31,6 +17,8 @@ from rig.model.motor import Motor, State
 from rig.recording.series import TimeSeries
 from rig.report.style import Picture
 from rig.signals import Sample
+from shared.page import listed
+from shared.table import Cell, Table, fixed, number, significant
 
 SAMPLING_S = 0.0002  # 1000 samples end just before the first switching
 REST_S = 0.05

@@ -9,27 +9,15 @@ import numpy as np
 from paper import example_4_2c, surviving
 from paper.drawing import Array, finish, new_figure, zero
 from paper.gauss_newton import STOPS, Path, iterate
-from paper.page import (
-    Cell,
-    Claim,
-    Comparison,
-    Heading,
-    Paragraph,
-    Remark,
-    Section,
-    Table,
-    fixed,
-    number,
-    share,
-    significant,
-)
+from paper.ideal_relay import HalfPeriod, Relay, ideal_relay, settled_cycle
+from paper.page import Claim, Comparison, Heading, Paragraph, Remark, Section
 from rig.identify import describing_function
 from rig.identify.triple_relay import Features
 from rig.model.describing_function import RelayGains
 from rig.model.friction import tustin
-from rig.model.ideal_relay import HalfPeriod, Relay, ideal_relay, settled_cycle
 from rig.model.motor import Motor, State
 from rig.report.style import Picture
+from shared.table import Cell, Table, fixed, number, share, significant
 
 # Chosen, none of them survived: near the surviving durations with the tau and K of Example 4.1 (see `section`).
 FC_V = 0.47

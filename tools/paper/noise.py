@@ -11,7 +11,7 @@ from scipy.signal import butter, lfilter
 
 from paper import surviving
 from paper.drawing import PARAMETERS, Array, course, finish, new_figure, zero
-from paper.page import Cell, Claim, Comparison, Paragraph, Remark, Section, Table, listed, number, significant
+from paper.page import Claim, Comparison, Paragraph, Remark, Section
 from rig.identify import triple_relay
 from rig.identify.cycles import find_cycle
 from rig.identify.mean_cycle import Cycle, average
@@ -20,10 +20,12 @@ from rig.identify.triple_relay import Features
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
-from rig.model.sampled_relay import RelayTest, relay_test
+from rig.model.sampled_relay import Disturbance, RelayTest, relay_test
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries
 from rig.report.style import Picture
+from shared.page import listed
+from shared.table import Cell, Table, number, significant
 
 SAMPLING_S = 0.0002
 NOISE_RAD = 0.003
@@ -131,7 +133,7 @@ def _relay_test(noise_rad: float, seed: int) -> RelayTest:
     noise = noise_rad * np.random.default_rng(seed).standard_normal(rows)
     start = State(0.0, -0.8 * cycle.amplitude_rad)
     t_s = np.arange(rows) * np.float64(SAMPLING_S)
-    return relay_test(_motor(), gains.h1_V, gains.h2_V, t_s, 0.0, disturbance_rad=noise, start=start)
+    return relay_test(_motor(), gains.h1_V, gains.h2_V, t_s, 0.0, disturbance=Disturbance(noise), start=start)
 
 
 def _record(test: RelayTest, y_rad: Array) -> TimeSeries:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -13,7 +11,7 @@ import jinja2
 import rig
 from paper import literals
 from rig.report.style import Picture
-from rig.report.words import percent
+from shared.table import Table
 
 TEMPLATE = "report.html.j2"
 BACKEND = "computed on the exact model of the motor, no device"
@@ -38,27 +36,6 @@ class Claim(NamedTuple):
     def says(self, yes: str, no: str) -> str:
         """The words for what was computed."""
         return yes if self.holds else no
-
-
-class Cell(NamedTuple):
-    """One entry of a table: its text (HTML), the exact number behind it, and whose number it is."""
-
-    text: str
-    exact: float | None = None
-    whose: Literal["", "paper", "bad"] = ""
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table with a caption; the first cell of each row names the row."""
-
-    head: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-    caption: str
-
-    def __post_init__(self) -> None:
-        if any(len(row) != len(self.head) for row in self.rows):
-            raise ValueError(f"a row of the table {self.caption[:40]!r} has not {len(self.head)} cells")
 
 
 @dataclass(frozen=True)
@@ -137,46 +114,6 @@ class Report:
     def comparisons(self) -> list[Comparison]:
         """The summary, in the order of the sections."""
         return [line for section in self.sections for line in section.comparisons]
-
-
-def number(value: float, digits: int = 4, *, whose: Literal["", "paper", "bad"] = "") -> Cell:
-    """A number to so many significant digits, exact behind it."""
-    if not math.isfinite(value):
-        return Cell("–")
-    return Cell(significant(value, digits), value, whose)
-
-
-def significant(value: float, digits: int = 4) -> str:
-    """So many significant digits, trailing zeros kept; in powers of ten where that is shorter to read."""
-    if value == 0.0:
-        return "0"
-    size = math.floor(math.log10(abs(value)))
-    if -5 <= size < 6:
-        text = f"{value:.{max(0, digits - 1 - size)}f}"
-    else:
-        mantissa = f"{value / 10.0**size:.{min(digits, 2) - 1}f}"
-        text = f"{mantissa}·10<sup>{size}</sup>"
-    return text.replace("-", "−")
-
-
-def fixed(value: float, decimals: int, *, whose: Literal["", "paper", "bad"] = "") -> Cell:
-    """A number to so many decimals, exact behind it."""
-    return Cell(f"{value:.{decimals}f}".replace("-", "−"), value, whose) if math.isfinite(value) else Cell("–")
-
-
-def share(value: float) -> Cell:
-    """A ratio in per cent with its sign; what is below a thousandth of a per cent is 0."""
-    return Cell("0", 0.0) if abs(value) < 1e-5 else Cell(percent(value), value)
-
-
-def words(*texts: str) -> tuple[Cell, ...]:
-    """Cells of text."""
-    return tuple(Cell(text) for text in texts)
-
-
-def listed(items: Sequence[str]) -> str:
-    """``a, b and c``."""
-    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"
 
 
 def render_page(report: Report) -> str:

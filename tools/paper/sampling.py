@@ -1,4 +1,4 @@
-"""What sampling does to the triple relay: the bench's relay tests at other sampling periods (theory section 8)."""
+"""What sampling does to the triple relay: the bench's relay tests at other sampling periods (docs/theory.md 7.1)."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ import numpy as np
 
 from paper import surviving
 from paper.drawing import Array, finish, new_figure
-from paper.page import Cell, Comparison, Paragraph, Remark, Section, Table, number
+from paper.page import Comparison, Paragraph, Remark, Section
 from paper.section_5 import CONFIG, DF, NAMES, PLAIN, SD, TR, motor_of, plain_iteration, theta
-from rig.bench import truth_of
+from rig.backends.backend import truth_of
 from rig.config import Experiment, load
 from rig.identify import IdentifyError, describing_function, sampled_data, triple_relay
 from rig.identify.cycles import find_cycle
 from rig.identify.starts import Start, ridge_starts
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
-from rig.model.sampled_relay import relay_test
+from rig.model.sampled_relay import Disturbance, relay_test
 from rig.recording.series import TimeSeries
 from rig.report.style import METHODS, Picture
+from shared.table import Cell, Table, number
 
 PERIODS_S = (0.0005, 0.001, 0.002, 0.005, 0.010)
 DELAY = 0.3  # of a sampling period, from a sample to its drive's effect
@@ -69,7 +70,7 @@ def _worst(config: Experiment, motor: Motor, truth: Array, period_s: float, seed
         t = np.arange(round((CYCLES + 4) * 1.1 * exact.period_s / period_s)) * np.float64(period_s)
         test = relay_test(
             motor, gains.h1_V, gains.h2_V, t, DELAY * period_s, start=State(0.0, -0.8 * exact.amplitude_rad),
-            disturbance_rad=noise * rng.standard_normal(t.size), lsb_rad=lsb,
+            disturbance=Disturbance(noise * rng.standard_normal(t.size), lsb_rad=lsb),
         )  # fmt: skip
         records.append(TimeSeries(test.t_s, test.y_rad, test.t_u_s, test.u_V, name="simulated"))
         cycles.append(find_cycle(records[-1]))
@@ -98,11 +99,11 @@ def section(result: Result) -> Section:
         Paragraph(
             "A relay that decides at samples switches up to a sampling period and the delay after the true crossing, "
             f"while t<sub>1</sub> itself is only {1e3 * result.t1_s:.0f} ms here. The equations (24)–(29) then "
-            "do not describe the data: their edges are no crossings (theory, section 8). Here the bench's relay "
+            "do not describe the data: their edges are no crossings (docs/theory.md 7.1). Here the bench's relay "
             f"tests are repeated at {first:g} to {last:g} ms, {result.trials} trials each, same noise and resolution."
         ),
         _table(result),
-        _figure(result),
+        picture(result),
         Remark(
             "ours",
             f"At {last:g} ms the equations as they stand are off by {at[PLAIN]:.0f} % in the worst parameter (median), "
@@ -141,7 +142,8 @@ def _table(result: Result) -> Table:
     )
 
 
-def _figure(result: Result) -> Picture:
+def picture(result: Result) -> Picture:
+    """Error of the worst parameter over the sampling period, by method."""
     figure = new_figure(3.2)
     axes = figure.subplots()
     looks = {PLAIN: ("#8c510a", ":", "v"), DF: (*METHODS[DF][:2], "s"), TR: (*METHODS[TR][:2], "o"),

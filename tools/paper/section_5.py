@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,22 +15,9 @@ from paper import surviving
 from paper.drawing import Array, course, finish, new_figure, note, zero
 from paper.gauss_newton import MOST_STEPS, iterate
 from paper.gauss_newton import Path as Iteration
-from paper.page import (
-    Cell,
-    Claim,
-    Comparison,
-    Heading,
-    Paragraph,
-    Remark,
-    Section,
-    Table,
-    fixed,
-    number,
-    share,
-    significant,
-)
+from paper.page import Claim, Comparison, Heading, Paragraph, Remark, Section
 from rig import experiment
-from rig.bench import truth_of
+from rig.backends.backend import truth_of
 from rig.config import Experiment, load
 from rig.identify import Identification, identify
 from rig.identify.estimate import Estimate
@@ -42,6 +30,8 @@ from rig.model.motor import Motor
 from rig.recording.reader import read_run
 from rig.recording.stage import Stage
 from rig.report.style import Picture, colour
+from rig.results import TrackingResult, known
+from shared.table import Cell, Table, fixed, number, share, significant
 
 CONFIG = Path(__file__).resolve().parent / "bench.yaml"
 BACKEND = "simulated in virtual time, no device"
@@ -152,7 +142,7 @@ def _trial(config: Experiment, seed: int, runs: Path, *, law: bool) -> Trial:
     found = identify([read_run(outcome.folder)])
     plain = tuple(plain_iteration(cycle, found.estimates[DF]) for cycle in found.cycles.values())
     estimates = found.estimates | {PLAIN: _as_estimate(plain[0])}
-    tracks = {m: _track(outcome.folder, m, outcome.result["tracking"]) for m in TRACKED}
+    tracks = {m: _track(outcome.folder, m, outcome.result.tracking) for m in TRACKED}
     tracks[PLAIN] = _plain_track(config, found, estimates[PLAIN], outcome.folder, runs)
     by_law = _by_estimated_sign(config, found, outcome.folder, runs) if law else {}
     return Trial(seed, estimates, tracks, by_law, plain, tuple(found.cycles.values()))
@@ -177,13 +167,13 @@ def _as_estimate(found: Iteration) -> Estimate:
     return Estimate(PLAIN, tau, K, fc, iterations=len(found.iterates) - 1)
 
 
-def _track(folder: Path, method: str, outcomes: dict[str, dict[str, float]]) -> Track:
+def _track(folder: Path, method: str, outcomes: Mapping[str, TrackingResult]) -> Track:
     recording = read_run(folder)
     rows = recording.stage_rows(str(Stage.track(method)))
     t = recording.t_s[rows]
     outcome = outcomes[method]
     return Track(
-        t - t[0], recording.yd_rad[rows], recording.y_rad[rows], float(outcome["rms_rad"]), float(outcome["max_rad"])
+        t - t[0], recording.yd_rad[rows], recording.y_rad[rows], known(outcome.rms_rad), known(outcome.max_rad)
     )
 
 
@@ -192,14 +182,14 @@ def _plain_track(config: Experiment, found: Identification, plain: Estimate, mod
     as_tr = replace(found.estimates[TR], tau_s=plain.tau_s, K_rad_s_V=plain.K_rad_s_V, fc_V=plain.fc_V)
     models = replace(found, estimates=found.estimates | {TR: as_tr})
     outcome = experiment.run_tracking(_tracking(config, methods=(TR,)), models, models_from, runs)
-    return _track(outcome.folder, TR, outcome.result["tracking"])
+    return _track(outcome.folder, TR, outcome.result.tracking)
 
 
 def _by_estimated_sign(config: Experiment, found: Identification, models_from: Path, runs: Path) -> dict[str, float]:
     """Tracking RMS of each model where friction is compensated by the sign of the estimated velocity, rad."""
     changed = _tracking(config, friction_sign="estimate")
     outcome = experiment.run_tracking(changed, found, models_from, runs)
-    return {method: float(entry["rms_rad"]) for method, entry in outcome.result["tracking"].items()}
+    return {method: known(entry.rms_rad) for method, entry in outcome.result.tracking.items()}
 
 
 def _tracking(config: Experiment, **changes: object) -> Experiment:

@@ -9,8 +9,9 @@ import numpy as np
 from paper import example_4_2a, example_4_2b, example_4_2c, surviving
 from paper.drawing import Array
 from paper.gauss_newton import features_of, iterate
-from paper.page import Cell, Claim, Paragraph, Remark, Section, Table, number, share, significant
+from paper.page import Claim, Paragraph, Remark, Section
 from rig.model.limit_cycle import limit_cycle
+from shared.table import Cell, Table, number, share, significant
 
 EXACT = 1e-6  # relative error that counts as none
 

@@ -16,12 +16,13 @@ from matplotlib.figure import Figure
 
 from paper import switching
 from paper.drawing import Array, finish, new_figure
-from paper.page import Cell, Claim, Comparison, Heading, Paragraph, Remark, Section, Table, significant
+from paper.ideal_relay import Relay, ideal_relay, settled_cycle
+from paper.page import Claim, Comparison, Heading, Paragraph, Remark, Section
 from rig.model.friction import coulomb
-from rig.model.ideal_relay import Relay, ideal_relay, settled_cycle
 from rig.model.limit_cycle import LimitCycle, NoLimitCycle, limit_cycle
 from rig.model.motor import Motor, State
 from rig.report.style import Picture
+from shared.table import Cell, Table, significant
 
 A_RANGE = (0.05, 3.0)  # h1 / h2
 A_TICKS = (0.05, 0.1, 0.3, 1.0, 3.0)

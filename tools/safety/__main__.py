@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import datetime
 import hashlib
 import os
 import subprocess
@@ -11,11 +10,11 @@ import sys
 import time
 from pathlib import Path
 
-from rig.emulate.firmware_build import build_chip, source_folder
-from rig.recording.folder import write_whole
+from rig.backends.serial.emulated.firmware_build import build_chip, source_folder
 from safety import garbage
 from safety.page import Found, is_kept, render, row
 from safety.promises import PROMISES, measure
+from shared import page
 
 OUT = Path("docs/safety-table.md")
 BAUDS = (115200, 1_000_000)
@@ -37,7 +36,7 @@ def main() -> int:
     given = parser.parse_args()
     began_s = time.monotonic()
     digest = hashlib.sha256(build_chip().hex.read_bytes()).hexdigest()[:12]
-    made = f"{datetime.datetime.now(datetime.UTC).date()}, `rig_uno.hex` with SHA-256 {digest}..."
+    made = f"{page.today()}, `rig_uno.hex` with SHA-256 {digest}..."
     rows = []
     for promise in PROMISES:
         rows.append(measure(promise, given.phases))
@@ -47,7 +46,7 @@ def main() -> int:
     loads = {baud: chip_load(baud) for baud in BAUDS}
     chip = {baud: text for baud, (_, text) in loads.items()}
     found = Found(made, rows, thrown, errors, guesses, chip)
-    write_whole(given.out, render(found).encode("utf-8"))
+    page.write(given.out, render(found))
     kept = is_kept(found) and all(is_well for is_well, _ in loads.values())
     print(f"{given.out}: {'all bounds hold' if kept else 'A BOUND IS BROKEN'}, {time.monotonic() - began_s:.0f} s")
     return 0 if kept else 1

@@ -12,10 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from rig.bench import calibration_of, limits_of, truth_of
-from rig.config import check
-from rig.daq.calibration import DriveMap
-from rig.daq.frames import (
+from rig.backends.backend import truth_of
+from rig.backends.serial.driver import setup_for
+from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.virtual_chip import ChipTruth, VirtualChip
+from rig.backends.serial.frames import (
     STATUS_FAULT,
     Code,
     FrameReader,
@@ -28,14 +29,13 @@ from rig.daq.frames import (
     pack_arm,
     pack_drive,
 )
-from rig.daq.serial_link import setup_for
-from rig.emulate.firmware_build import UnoOptions
-from rig.emulate.virtual_chip import ChipTruth, VirtualChip
+from rig.calibration import DriveMap
 from rig.model.bench import BenchParameters
+from rig.preflight import check
 
 EXPERIMENT = check(Path(__file__).resolve().parents[2] / "config" / "demo.yaml")[0]
-CALIBRATION = calibration_of(EXPERIMENT)
-LIMITS = limits_of(EXPERIMENT)
+CALIBRATION = EXPERIMENT.sensor.curve
+LIMITS = EXPERIMENT.device_limits
 DRIVE_FULL = 400
 TICK_S = 1e-3
 PERIOD_S = EXPERIMENT.period_s

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from cobs import cobs
 
-from rig.daq.frames import STATUS_ARMED, FrameReader, Kind, State, encode, pack_drive
+from rig.backends.serial.frames import STATUS_ARMED, FrameReader, Kind, State, encode, pack_drive
 from safety.driven_chip import SETUP, DrivenChip, Way
 
 _CHUNK = 8  # pieces of garbage between two looks: the chip has room for 255 bytes

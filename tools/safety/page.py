@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from rig.config.preflight import preflight
+from rig.preflight.rules import preflight
 from safety.driven_chip import DRIVE_FULL, EXPERIMENT, SETUP, Way, steady
 from safety.garbage import Errors, Guesses, Thrown
 from safety.promises import Measured

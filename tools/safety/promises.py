@@ -6,8 +6,8 @@ import random
 from collections.abc import Callable
 from typing import NamedTuple
 
-from rig.daq.frames import Kind, encode
-from rig.emulate.virtual_chip import Hang
+from rig.backends.serial.emulated.virtual_chip import Hang
+from rig.backends.serial.frames import Kind, encode
 from rig.model.motor import State
 from safety.driven_chip import BENCH, PERIOD_S, TICK_S, WATCHDOG_S, DrivenChip, Voice, Way, limit_rad, steady
 

@@ -21,8 +21,8 @@ from nidaqmx.constants import TerminalConfiguration
 from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError
 from nidaqmx.system import Device, System
 
-from rig.daq.calibration import hard_limits_in_counts
-from rig.daq.driver import DeviceInfo, DeviceWatchdog, DriverSettings
+from rig.backends.driver import DeviceInfo, DeviceWatchdog, DriverSettings
+from rig.calibration import hard_limits_in_counts
 from rig.faults import Fault
 from rig.signals import Limits, Order, Sample
 

@@ -1,5 +1,5 @@
 """Does the driver keep what it promises, on the card of card.yaml? The motor may twitch: docs/plug-in-driver.md."""
 
-import rig.conformance
+import rig.testing.conformance
 
-TestCard = rig.conformance.suite("card.yaml")
+TestCard = rig.testing.conformance.suite("card.yaml")

@@ -1,4 +1,4 @@
-/* The emulated device in virtual time, as a shared library (librig_host.so; rig/emulate/virtual_board.py). Nothing
+/* The emulated device in virtual time, as a shared library (librig_host.so; rig/backends/serial/emulated/virtual_board.py). Nothing
  * here looks at a clock and nothing is global: any number of devices can live in one process.
  *
  * A byte takes `byte_ns`, either way.

@@ -22,8 +22,7 @@ from rig.identify.laws.law import (
     Range,
     Values,
 )
-from rig.model.sensitivity import Theta, position
-from rig.model.stribeck import StribeckTheta, stribeck_response
+from rig.model.sensitivity import StribeckTheta, Theta, position, stribeck_response
 from rig.recording.series import Window
 
 SPEEDS = (0.01, 0.03, 0.1, 0.3)  # trials of the Stribeck velocity, over the largest speed

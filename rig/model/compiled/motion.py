@@ -1,84 +1,92 @@
-"""The exact motion under a recorded drive, with its derivatives, sample by sample (see ``rig.model.sensitivity``)."""
+"""The exact motion under a recorded drive, sample by sample: its states, and its positions with their derivatives."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rig.model.compiled.kernel import kernel
+from rig.model.step import (
+    Numbers,
+    Plant,
+    State,
+    direction,
+    exponential,
+    glide,
+    glide_after,
+    glide_by,
+    next_segment,
+    series,
+    series_position,
+    state_after,
+    target_velocity,
+)
+from rig.model.stribeck import ORDER
+
 Array = NDArray[np.float64]
+Drive = tuple[Array, Array, float]  # edges, s, the drives that act from them on, V, and by how much later all do, s
 
 
-@njit(cache=True)
-def target_velocity(v: float, u_V: float, fc_V: float, fs_V: float, K: float) -> tuple[float, float]:
-    """Velocity that the motion tends to, rad/s, and its direction (0: held by friction)."""
-    if v > 0.0 or (v == 0.0 and u_V > fs_V):
-        return K * (u_V - fc_V), 1.0
-    if v < 0.0 or u_V < -fs_V:
-        return K * (u_V + fc_V), -1.0
-    return 0.0, 0.0
+@kernel
+def response(motor: Numbers, start: Numbers, drive: Drive, t_s: Array, out: Array) -> None:
+    """Fill ``out`` at the times ``t_s`` (n, s, non-decreasing): positions, (n,), or v, y, z, (n, 3).
 
-
-@njit(cache=True)
-def position(
-    theta: tuple[float, float, float, float, float, float, float],
-    fs_V: float,
-    edge_s: Array,
-    u_V: Array,
-    t_s: Array,
-    y_rad: Array,
-) -> None:
-    """Fill ``y_rad`` with the positions at the times ``t_s``."""
-    tau, K, fc, asym, delay, v, y = theta
+    start   state at the first sample
+    The drive before its first edge is that of its first edge.
+    """
+    plant, state = Plant(*motor), State(*start)
+    edge_s, u_V, delay_s = drive
     n, edges = t_s.size, edge_s.size
+    c, w = np.zeros(ORDER + 1), np.zeros(ORDER + 1)
     now = t_s[0]
     j = 0
-    while j + 1 < edges and edge_s[j + 1] + delay <= now:
+    while j + 1 < edges and edge_s[j + 1] + delay_s <= now:
         j += 1
-    target, _ = target_velocity(v, u_V[j] + asym, fc, fs_V, K)
     k = 0
     while True:
-        end = edge_s[j + 1] + delay if j + 1 < edges else math.inf
-        while True:
-            reversal = now + tau * math.log1p(-v / target) if v < 0.0 < target or target < 0.0 < v else math.inf
-            reverses = reversal < end
-            until = reversal if reverses else end
-            excess = v - target
-            while k < n and t_s[k] < until:
-                h = t_s[k] - now
-                y_rad[k] = y + target * h - excess * tau * math.expm1(-h / tau)
+        end = edge_s[j + 1] + delay_s if j + 1 < edges else math.inf
+        drive_V = u_V[j] + plant.bias_V
+        while now < end:
+            segment = next_segment(plant, state.v, drive_V, end - now, c, w)
+            until = now + segment.duration_s if segment.duration_s < end - now else end
+            # numba drops the branches that the shape of `out` rules out, and computes nothing for them
+            while segment.is_series and k < n and t_s[k] < until:
+                if out.ndim == 1:
+                    out[k] = series_position(state, segment.sign * plant.stribeck_rad_s, plant.tau_s, c, t_s[k] - now)
+                else:
+                    v, y, z = series(state, segment.sign * plant.stribeck_rad_s, plant.tau_s, c, t_s[k] - now)
+                    out[k, 0], out[k, 1], out[k, 2] = v, y, z
+                k += 1
+            while not segment.is_series and k < n and t_s[k] < until:
+                if out.ndim == 1:
+                    out[k] = glide(state, segment.target_rad_s, plant.tau_s, t_s[k] - now).y
+                else:
+                    v, y, z = glide(state, segment.target_rad_s, plant.tau_s, t_s[k] - now)
+                    out[k, 0], out[k, 1], out[k, 2] = v, y, z
                 k += 1
             if k == n:
                 return
-            h = until - now
-            decay = -math.expm1(-h / tau)
-            y += target * h + excess * tau * decay
-            v = target + excess * (1.0 - decay)
+            state = state_after(plant, segment, c, state) if segment.is_series else glide_after(plant, segment, state)
             now = until
-            if not reverses:
-                break
-            v = 0.0
-            target, _ = target_velocity(0.0, u_V[j] + asym, fc, fs_V, K)
         j += 1
-        target, _ = target_velocity(v, u_V[j] + asym, fc, fs_V, K)
 
 
-@njit(cache=True)
+@kernel
 def position_and_jacobian(
-    theta: tuple[float, float, float, float, float, float, float],
-    fs_V: float,
-    edge_s: Array,
-    u_V: Array,
-    t_s: Array,
-    y_rad: Array,
-    jacobian: Array,
+    motor: Numbers, start: Numbers, drive: Drive, t_s: Array, y_rad: Array, jacobian: Array
 ) -> None:
-    """Fill ``y_rad`` (n,) and ``jacobian`` (n, 7), by tau, K, fc, asym, delay, v0, y0."""
-    tau, K, fc, asym, delay, v0, y0 = theta
+    """Fill ``y_rad`` (n,) and ``jacobian`` (n, 7), by tau, K, fc, asym, delay, v0, y0; no Stribeck effect.
+
+    Of the plant fc is the level of both directions, and asym the bias.
+    """
+    plant, state = Plant(*motor), State(*start)
+    tau, K = plant.tau_s, plant.K_rad_s_V
+    edge_s, u_V, delay = drive
+    v0, y0 = state.v, state.y
     n, edges = t_s.size, edge_s.size
-    now, v, y = t_s[0], v0, y0
+    now = t_s[0]
     # derivatives of v and y at the segment's begin by (tau, fc, asym, delay, v0)
     vt = vf = va = vd = 0.0
     v_0 = 1.0
@@ -86,23 +94,23 @@ def position_and_jacobian(
     j = 0
     while j + 1 < edges and edge_s[j + 1] + delay <= now:
         j += 1
-    target, sign = target_velocity(v, u_V[j] + asym, fc, fs_V, K)
     k = 0
     while True:
         end = edge_s[j + 1] + delay if j + 1 < edges else math.inf
-        while True:
-            reversal = now + tau * math.log1p(-v / target) if v < 0.0 < target or target < 0.0 < v else math.inf
-            reverses = reversal < end
-            until = reversal if reverses else end
+        drive_V = u_V[j] + plant.bias_V
+        target = 0.0
+        while now < end:
+            sign, target, duration_s, reverses = exponential(plant, state.v, drive_V, end - now)
+            until = now + duration_s if reverses else end
             tf = -K * sign
             ta = K if sign != 0.0 else 0.0
-            excess = v - target
+            excess = state.v - target
             while k < n and t_s[k] < until:
                 h = t_s[k] - now
                 decay = -math.expm1(-h / tau)
                 glide = tau * decay
                 drift = h - glide
-                at = y + target * h + excess * glide
+                at = glide_by(state, target, tau, h, decay).y
                 y_rad[k] = at
                 jacobian[k, 0] = yt + vt * glide + excess * (decay - h / tau * (1.0 - decay))
                 # the motion is linear in K at a given v0 / K
@@ -130,17 +138,14 @@ def position_and_jacobian(
             va = va * keep + ta * decay
             vd *= keep
             v_0 *= keep
-            y += target * h + excess * glide
-            v = target + excess * keep
+            after = glide_by(state, target, tau, h, decay)
+            state = State(0.0, after.y, 0.0) if reverses else after
             now = until
-            if not reverses:
-                break
-            v = 0.0
-            before = target
-            target, sign = target_velocity(0.0, u_V[j] + asym, fc, fs_V, K)
-            jump = target / before
-            vt, vf, va, vd, v_0 = vt * jump, vf * jump, va * jump, vd * jump, v_0 * jump
+            if reverses:
+                before = target
+                target = target_velocity(plant, direction(plant, 0.0, drive_V), drive_V)
+                jump = target / before
+                vt, vf, va, vd, v_0 = vt * jump, vf * jump, va * jump, vd * jump, v_0 * jump
         j += 1
-        before = target
-        target, sign = target_velocity(v, u_V[j] + asym, fc, fs_V, K)
-        vd += (before - target) / tau
+        drive_V = u_V[j] + plant.bias_V
+        vd += (target - target_velocity(plant, direction(plant, state.v, drive_V), drive_V)) / tau

@@ -5,59 +5,42 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from rig.model.compiled.kernel import kernel
+from rig.model.step import Numbers, Plant, State, advance_exponentially
 
 Array = NDArray[np.float64]
 
 
-@njit(cache=True)
-def advance(
-    motor: tuple[float, float, float, float, float, float, float], v: float, y: float, u_V: float, dt_s: float
-) -> tuple[float, float]:
-    """Velocity and position after ``dt_s`` of constant drive, through a reversal; as ``Motor.advance``."""
-    tau, K, plus, minus, static_plus, static_minus, bias = motor
-    drive = u_V + bias
-    left = dt_s
-    while left > 0.0:
-        if v > 0.0 or (v == 0.0 and drive > static_plus):
-            target = K * (drive - plus)
-        elif v < 0.0 or drive < -static_minus:
-            target = K * (drive + minus)
-        else:
-            return 0.0, y
-        reversal = tau * math.log1p(-v / target) if v < 0.0 < target or target < 0.0 < v else math.inf
-        h = min(reversal, left)
-        decay = -math.expm1(-h / tau)
-        excess = v - target
-        y += target * h + excess * tau * decay
-        v = 0.0 if reversal < left else v - excess * decay
-        left -= h
-    return v, y
+Disturbance = tuple[Array, Array, float]  # added to the readings, rad, and to the drives, V; step of the reading, rad
 
 
-@njit(cache=True)
+@kernel
 def relay_test(
-    motor: tuple[float, float, float, float, float, float, float],
-    h1_V: float,
-    h2_V: float,
-    t_s: Array,
-    t_u_s: Array,
-    disturbance_rad: Array,
-    disturbance_V: Array,
-    lsb_rad: float,
-    start: tuple[float, float],
+    motor: Numbers,
+    gains_V: tuple[float, float],
+    times_s: tuple[Array, Array],
+    disturbance: Disturbance,
+    start: Numbers,
     out: Array,
 ) -> None:
-    """Fill ``out`` (n, 5): position as read, drive, integral, true velocity, true position."""
+    """Fill ``out`` (n, 5): position as read, drive, integral of what was read, true velocity, true position.
+
+    gains_V   h1, h2
+    times_s   of the samples, and at which each sample's drive acts
+    """
+    h1_V, h2_V = gains_V
+    t_s, t_u_s = times_s
     n = t_s.size
-    v, y = start
+    reading_rad, drive_V, lsb_rad = disturbance
+    plant, state = Plant(*motor), State(*start)
     z = 0.0
     acting, applied = 0.0, 0
     before = 0.0
     sign_y = sign_z = 0.0
     for k in range(n):
-        read = y + disturbance_rad[k]
+        read = state.y + reading_rad[k]
         if lsb_rad > 0.0:
             read = math.floor(read / lsb_rad + 0.5) * lsb_rad
         if k == 0:
@@ -69,14 +52,15 @@ def relay_test(
         if read != 0.0:
             sign_y = 1.0 if read > 0.0 else -1.0
         before = read
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = read, -h1_V * sign_y - h2_V * sign_z, z, v, y
+        out[k, 0], out[k, 1], out[k, 2] = read, -h1_V * sign_y - h2_V * sign_z, z
+        out[k, 3], out[k, 4] = state.v, state.y
         if k + 1 == n:
             return
         now, until = t_s[k], t_s[k + 1]
         while applied <= k and t_u_s[applied] < until:
             at = max(t_u_s[applied], now)
-            v, y = advance(motor, v, y, acting + disturbance_V[k], at - now)
+            state = advance_exponentially(plant, state, acting + drive_V[k], at - now)
             acting = out[applied, 1]
             applied += 1
             now = at
-        v, y = advance(motor, v, y, acting + disturbance_V[k], until - now)
+        state = advance_exponentially(plant, state, acting + drive_V[k], until - now)

@@ -10,15 +10,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from rig.model.compiled.kernel import kernel
 
 Array = NDArray[np.float64]
 
 LARGEST_DAMPING = 1e9
 
 
-@njit(cache=True)
+@kernel
 def switching_conditions(
     theta: Array, gains: tuple[float, float], durations: tuple[float, float, float], values: Array, jacobian: Array
 ) -> None:
@@ -72,7 +73,7 @@ def switching_conditions(
         jacobian[4, column] = K * dy0
 
 
-@njit(cache=True)
+@kernel
 def _inputs(theta: Array, gains: tuple[float, float], inputs: Array) -> None:
     """Fill ``inputs`` (2, 3): effective drives of the stages, folded, of the half that starts upwards and the other."""
     h1, h2 = gains
@@ -82,7 +83,7 @@ def _inputs(theta: Array, gains: tuple[float, float], inputs: Array) -> None:
         inputs[i, 0], inputs[i, 1], inputs[i, 2] = h1 + h2 + fc + a, h1 + h2 - fc + a, h2 - h1 - fc + a
 
 
-@njit(cache=True)
+@kernel
 def _reversals(tau: float, inputs: Array, edges: Array, out: Array) -> None:
     """Fill ``out`` (2, 4): exp(t1 / tau) of both halves, and its derivatives by log tau, fc and asym.
 
@@ -137,14 +138,14 @@ def _reversals(tau: float, inputs: Array, edges: Array, out: Array) -> None:
             out[i, 1], out[i, 2], out[i, 3] = -latest * out[i, 0], 0.0, 0.0
 
 
-@njit(cache=True)
+@kernel
 def _stop(tau: float, drive: tuple[float, float, float], t1: float, rb: float) -> float:
     """When the motor would stop after the RB edge, s; inf if it would not."""
     speed = -drive[1] * math.expm1((t1 - rb) / tau)
     return rb + tau * math.log1p(-speed / drive[2]) if speed > 0.0 > drive[2] else math.inf
 
 
-@njit(cache=True)
+@kernel
 def _travel(
     tau: float,
     drive: tuple[float, float, float],
@@ -197,7 +198,7 @@ def _travel(
     )
 
 
-@njit(cache=True)
+@kernel
 def curve(
     theta: Array, gains: tuple[float, float], edges: Array, halves: tuple[int, int], t_s: Array, y: Array, jac: Array
 ) -> None:
@@ -244,7 +245,7 @@ def curve(
         jac[n, 5] = -fold * K * v
 
 
-@njit(cache=True)
+@kernel
 def _normal_equations(
     residual: Array, jacobian: Array, free: NDArray[np.bool_], normal: Array, gradient: Array
 ) -> None:
@@ -266,7 +267,7 @@ def _normal_equations(
             normal[i, i], gradient[i] = 1.0, 0.0
 
 
-@njit(cache=True)
+@kernel
 def _damped_step(normal: Array, gradient: Array, damping: float, step: Array) -> bool:
     """Fill the step of damped Gauss-Newton, by Cholesky; False where the equations are singular."""
     p = gradient.size
@@ -297,7 +298,7 @@ def _damped_step(normal: Array, gradient: Array, damping: float, step: Array) ->
     return True
 
 
-@njit(cache=True)
+@kernel
 def _misfit(
     theta: Array,
     gains: tuple[float, float],
@@ -326,7 +327,7 @@ def _misfit(
     return cost
 
 
-@njit(cache=True)
+@kernel
 def _move(theta: Array, step: Array, low: Array, high: Array, walls: int, moved: Array) -> bool:
     """Fill ``moved``; False where it is out of reach. From ``walls`` on, parameters stop at their bounds instead."""
     for i in range(theta.size):
@@ -338,7 +339,7 @@ def _move(theta: Array, step: Array, low: Array, high: Array, walls: int, moved:
     return True
 
 
-@njit(cache=True)
+@kernel
 def solve(
     theta: Array,
     free: NDArray[np.bool_],

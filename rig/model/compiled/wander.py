@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from rig.model.compiled.kernel import kernel
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 
-@njit(cache=True)
+@kernel
 def innovations(t_s: Array, starts: Rows, memory_s: float, ratio: float, columns: Array, out: Array) -> float:
     """Fill ``out`` (n, p) with the innovations of ``columns`` in units of the white part; returns sum of log F.
 
     starts   first rows of the pieces, each with a wander of its own
+    ratio    variance of the wander over that of the white part
     F is the variance of each innovation over that of the white part: those of ``out`` all have the same variance.
     """
     n, p = columns.shape
@@ -46,9 +48,12 @@ def innovations(t_s: Array, starts: Rows, memory_s: float, ratio: float, columns
     return logs
 
 
-@njit(cache=True)
+@kernel
 def deviance(t_s: Array, starts: Rows, memory_s: float, ratio: float, residual: Array) -> float:
-    """-2 log likelihood of the residual (n,), its scale profiled out, up to a constant."""
+    """-2 log likelihood of the residual (n,), its scale profiled out, up to a constant; rest as ``innovations``.
+
+    ratio   variance of the wander over that of the white part
+    """
     n = residual.size
     total = logs = state = 0.0
     variance = ratio

@@ -13,9 +13,9 @@ import resource
 import sys
 import time
 
+from rig.backends.clock import MonotonicClock
+from rig.backends.driver import DeviceInfo, DeviceWatchdog
 from rig.control.guard import Guard, GuardSettings
-from rig.daq.driver import DeviceInfo, DeviceWatchdog
-from rig.loop.clock import MonotonicClock
 from rig.loop.real_time import RealTimeSettings, real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest

@@ -26,7 +26,7 @@ def _in_device(*names: str) -> tuple[str, ...]:
 
 
 SERIAL = of(
-    "rig/daq/serial_link.py",
+    "rig/backends/serial/driver.py",
     (
         "limits' read-back is not compared",
         "SerialDriver.arm",
@@ -70,27 +70,6 @@ SERIAL = of(
         _serial("test_three_lost_drives_in_a_row_end_the_run"),
     ),
     (
-        "a stale reply is accepted",
-        "SerialDriver._await",
-        "                    and packet.seq in seqs\n",
-        "",
-        _serial("test_late_replies_are_never_taken_for_the_next_ones"),
-    ),
-    (
-        "a reply of another kind is accepted",
-        "SerialDriver._await",
-        "                    and (packet.kind == kind or packet.kind == Kind.NACK)\n",
-        "",
-        _serial("test_foreign_replies_are_passed_over"),
-    ),
-    (
-        "a reply of another version is accepted",
-        "SerialDriver._await",
-        "                    and packet.version == frames.VERSION\n",
-        "",
-        _serial("test_foreign_replies_are_passed_over"),
-    ),
-    (
         "readings that must be asked for again are never too many",
         "SerialDriver._ask_state",
         "if self._again_in_a_row < _READ_AGAIN:",
@@ -107,7 +86,7 @@ SERIAL = of(
     (
         "a stop is asked for once",
         "SerialDriver._is_stopped",
-        "for _ in range(_ATTEMPTS):",
+        "for _ in range(ATTEMPTS):",
         "for _ in range(1):",
         _serial("test_safe_stop_asks_three_times_and_says_so"),
     ),
@@ -117,34 +96,6 @@ SERIAL = of(
         "            self.safe_stop()\n",
         "            pass\n",
         _serial("test_close_stops_what_is_armed"),
-    ),
-    (
-        "the tables of config and device are not compared",
-        "SerialDriver._check",
-        "if self._counts_max is not None and hello.counts_max != self._counts_max:",
-        "if False:",
-        _serial("test_a_config_that_does_not_fit_the_device"),
-    ),
-    (
-        "the measured supply is not compared",
-        "SerialDriver._measured_supply_V",
-        "if (max(off_V, 0.0) if at_least else abs(off_V)) > _SUPPLY_TOLERANCE * believed_V:",
-        "if False:",
-        in_file("tests/hil/test_hil_chip_link.py", "test_the_motor_supply_where_it_is_wired"),
-    ),
-    (
-        "the relay's read-back is not compared",
-        "SerialDriver.start_relay",
-        "if RelaySetup.unpack(packet.body) != setup:",
-        "if False:",
-        _in_device("test_a_relay_that_was_stored_otherwise_is_refused"),
-    ),
-    (
-        "blocks that stay away are not missed",
-        "SerialDriver.read_rows",
-        "if silent_s > frames.BLOCK_ROWS * TICK_S + self._timeout_s:",
-        "if False:",
-        _in_device("test_a_reset_a_hang_and_a_cable_while_it_runs"),
     ),
     (
         "a device that has lost the session drives on",
@@ -196,27 +147,6 @@ SERIAL = of(
         _serial("test_what_latches_while_a_device_is_opened_stays_latched"),
     ),
     (
-        "the bridge's variant is not compared",
-        "SerialDriver._check",
-        "        self._check_bridge(hello)\n",
-        "",
-        _serial("test_a_bridge_that_is_not_the_configs"),
-    ),
-    (
-        "a bridge that the config does not name is driven",
-        "SerialDriver._check_bridge",
-        "(self._bridge is None and emulated)",
-        "self._bridge is None",
-        _serial("test_a_bridge_that_is_not_the_configs"),
-    ),
-    (
-        "a board that does not say its bridge is driven",
-        "SerialDriver._check_bridge",
-        "(hello.bridge == 0 and emulated)",
-        "hello.bridge == 0",
-        _serial("test_a_bridge_that_is_not_the_configs"),
-    ),
-    (
         "every driver has the same session",
         "SerialDriver.__init__",
         "secrets.randbelow(2**32 - 1) + 1 if session is None else session",
@@ -232,8 +162,90 @@ SERIAL = of(
     ),
 )
 
+EXCHANGE = of(
+    "rig/backends/serial/exchange.py",
+    (
+        "a stale reply is accepted",
+        "Exchange.wait",
+        "                    and packet.seq in seqs\n",
+        "",
+        _serial("test_late_replies_are_never_taken_for_the_next_ones"),
+    ),
+    (
+        "a reply of another kind is accepted",
+        "Exchange.wait",
+        "                    and (packet.kind == kind or packet.kind == Kind.NACK)\n",
+        "",
+        _serial("test_foreign_replies_are_passed_over"),
+    ),
+    (
+        "a reply of another version is accepted",
+        "Exchange.wait",
+        "                    and packet.version == frames.VERSION\n",
+        "",
+        _serial("test_foreign_replies_are_passed_over"),
+    ),
+)
+
+FIT = of(
+    "rig/backends/serial/fit.py",
+    (
+        "the tables of config and device are not compared",
+        "check_fit",
+        "if expected.counts_max is not None and hello.counts_max != expected.counts_max:",
+        "if False:",
+        _serial("test_a_config_that_does_not_fit_the_device"),
+    ),
+    (
+        "the measured supply is not compared",
+        "measured_supply_V",
+        "if (max(off_V, 0.0) if at_least else abs(off_V)) > _SUPPLY_TOLERANCE * believed_V:",
+        "if False:",
+        in_file("tests/hil/test_hil_chip_link.py", "test_the_motor_supply_where_it_is_wired"),
+    ),
+    (
+        "the bridge's variant is not compared",
+        "check_fit",
+        "    _check_bridge(hello, expected)\n",
+        "",
+        _serial("test_a_bridge_that_is_not_the_configs"),
+    ),
+    (
+        "a bridge that the config does not name is driven",
+        "_check_bridge",
+        "(expected.bridge is None and emulated)",
+        "expected.bridge is None",
+        _serial("test_a_bridge_that_is_not_the_configs"),
+    ),
+    (
+        "a board that does not say its bridge is driven",
+        "_check_bridge",
+        "(hello.bridge == 0 and emulated)",
+        "hello.bridge == 0",
+        _serial("test_a_bridge_that_is_not_the_configs"),
+    ),
+)
+
+RELAY = of(
+    "rig/backends/serial/device_relay.py",
+    (
+        "the relay's read-back is not compared",
+        "DeviceRelay.start",
+        "if RelaySetup.unpack(packet.body) != setup:",
+        "if False:",
+        _in_device("test_a_relay_that_was_stored_otherwise_is_refused"),
+    ),
+    (
+        "blocks that stay away are not missed",
+        "DeviceRelay.missed_s",
+        "if silent_s > frames.BLOCK_ROWS * TICK_S + self._exchange.timeout_s:",
+        "if False:",
+        _in_device("test_a_reset_a_hang_and_a_cable_while_it_runs"),
+    ),
+)
+
 FRAMES = of(
-    "rig/daq/frames.py",
+    "rig/backends/serial/frames.py",
     (
         "the host does not check the CRC",
         "_decode",
@@ -251,7 +263,7 @@ FRAMES = of(
 )
 
 STREAM = of(
-    "rig/daq/relay_stream.py",
+    "rig/backends/serial/relay_stream.py",
     (
         "a missing block is not missed",
         "RelayStream.take",
@@ -276,7 +288,7 @@ STREAM = of(
 )
 
 MEETING = of(
-    "rig/daq/introduction.py",
+    "rig/backends/serial/introduction.py",
     (
         "a device of another version is taken",
         "await_introduction",
@@ -294,7 +306,7 @@ MEETING = of(
 )
 
 OPENING = of(
-    "rig/daq/introduction.py",
+    "rig/backends/serial/introduction.py",
     (
         "the opening can be read as 'program page'",
         "_harmless_numbers",
@@ -315,7 +327,7 @@ OPENING = of(
 )
 
 CLOCK = of(
-    "rig/daq/device_clock.py",
+    "rig/backends/serial/device_clock.py",
     (
         "a restart while the clock is measured passes",
         "fit_device_clock",
@@ -326,7 +338,7 @@ CLOCK = of(
 )
 
 CALIBRATION = of(
-    "rig/daq/calibration.py",
+    "rig/calibration.py",
     (
         "the drive's sign is flipped",
         "DriveMap.sign",
@@ -377,7 +389,7 @@ _TCP_MISFITS = in_file(
 )
 
 MODBUS = of(
-    "rig/daq/modbus.py",
+    "rig/backends/modbus/driver.py",
     (
         "a setting's read-back is not compared",
         "ModbusDriver._set",
@@ -465,7 +477,7 @@ MODBUS = of(
 )
 
 MODBUS_CLIENT = of(
-    "rig/daq/modbus_client.py",
+    "rig/backends/modbus/client.py",
     (
         "bytes that nobody asked for are no fault",
         "ModbusClient.in_tick",
@@ -490,7 +502,7 @@ MODBUS_CLIENT = of(
 )
 
 MODBUS_REQUESTS = of(
-    "rig/daq/modbus_requests.py",
+    "rig/backends/modbus/requests.py",
     (
         "a reply to another request is accepted",
         "check",
@@ -524,7 +536,7 @@ MODBUS_REQUESTS = of(
 )
 
 MODBUS_FRAMES = of(
-    "rig/daq/modbus_frames.py",
+    "rig/backends/modbus/frames.py",
     (
         "Modbus's check sum is not checked",
         "RtuFraming.take",
@@ -536,6 +548,9 @@ MODBUS_FRAMES = of(
 
 MUTANTS = (
     *SERIAL,
+    *EXCHANGE,
+    *FIT,
+    *RELAY,
     *FRAMES,
     *STREAM,
     *MEETING,

@@ -109,32 +109,36 @@ RUNNER = of(
         _runner("test_a_stand_before_a_pause_is_none_after_it"),
     ),
     (
+        "a drive that was clipped is not flagged",
+        "Loop._complete_row",
+        "FLAG_SATURATED if clipped else 0",
+        "0",
+        _runner("test_a_drive_that_acts_otherwise_than_asked_is_flagged_unless_it_was_lost"),
+    ),
+)
+
+DEVICE_RELAY = of(
+    "rig/loop/device_relay.py",
+    (
         "a relay in the device that decides otherwise is believed",
-        "Loop._take_row",
+        "DeviceRelay._take_row",
         "if row.u_V != decided_V:",
         "if False:",
         _in_device("test_a_device_that_decides_otherwise_is_found_out"),
     ),
     (
         "the guard's word on a relay in the device is ignored",
-        "Loop._take_row",
+        "DeviceRelay._take_row",
         "if passed_V != row.u_V:",
         "if False:",
         _in_device("test_a_drive_that_the_guard_would_not_let_out_ends_the_run_though_nothing_is_too_fast"),
     ),
     (
         "the last rows of a relay in the device are dropped",
-        "Loop._record_last_rows",
+        "DeviceRelay.record_last_rows",
         "                self._untaken.extend(driver.read_rows())\n",
         "                pass\n",
         _in_device("test_whatever_ends_the_run_each_row_that_came_is_in_the_record"),
-    ),
-    (
-        "a drive that was clipped is not flagged",
-        "Loop._complete_row",
-        "FLAG_SATURATED if clipped else 0",
-        "0",
-        _runner("test_a_drive_that_acts_otherwise_than_asked_is_flagged_unless_it_was_lost"),
     ),
 )
 
@@ -163,21 +167,21 @@ PAUSE = of(
     ),
 )
 
-REHEARSAL = of(
-    "rig/loop/rehearsal.py",
+PRE_RUN = of(
+    "rig/loop/pre_run.py",
     (
         "a rehearsal that leaves the soft limits passes",
-        "rehearse",
+        "pre_run",
         "if reached[0] < low or reached[1] > high:",
         "if False:",
-        in_file("tests/loop/test_loop_rehearsal.py", "test_one_that_leaves_the_soft_limits_must_not_drive_the_bench"),
+        in_file("tests/loop/test_loop_pre_run.py", "test_one_that_leaves_the_soft_limits_must_not_drive_the_bench"),
     ),
     (
         "a rehearsal that asks for too much drive passes",
-        "rehearse",
+        "pre_run",
         "if tracking.largest_u_V > guard.limits.max_u_V:",
         "if False:",
-        in_file("tests/loop/test_loop_rehearsal.py", "test_one_that_asks_for_more_than_the_largest_drive_must_not"),
+        in_file("tests/loop/test_loop_pre_run.py", "test_one_that_asks_for_more_than_the_largest_drive_must_not"),
     ),
 )
 
@@ -204,7 +208,7 @@ BENCH = of(
 )
 
 ROOM = of(
-    "rig/config/room_to_stop.py",
+    "rig/preflight/room_to_stop.py",
     (
         "the guard is not told of the device's watchdog time",
         "known_reaction_s",
@@ -215,7 +219,7 @@ ROOM = of(
     (
         "what the adapter keeps is not counted",
         "reaction_s",
-        " + link_adapter_s(experiment)",
+        " + backend_of(experiment).reply_delay_s(experiment)",
         "",
         _preflight("test_the_guard_reckons_with_every_term_of_the_stopping_sum"),
     ),
@@ -244,7 +248,7 @@ ROOM = of(
 )
 
 PREFLIGHT = of(
-    "rig/config/preflight.py",
+    "rig/preflight/rules.py",
     (
         "a config whose unseen travel has no bound passes",
         "_unseen_travel",
@@ -252,6 +256,10 @@ PREFLIGHT = of(
         "    if False:\n",
         _preflight("test_each_rule_refuses_with_one_line_at_its_key"),
     ),
+)
+
+SERIAL_RULES = of(
+    "rig/backends/serial/rules.py",
     (
         "a config of a real port that names no bridge passes",
         "_bridge",
@@ -320,11 +328,11 @@ SESSION = of(
 )
 
 COMMAND = of(
-    "rig/experiment.py",
+    "rig/experiment/script.py",
     (
         "each run of one command opens the bench anew",
         "repeated",
-        "    elif is_emulated(experiment):\n",
+        "    elif backend_of(experiment).is_emulated(experiment):\n",
         "    elif True:\n",
         _several("test_one_command_of_several_runs_acknowledges_nothing_between_them"),
     ),
@@ -337,4 +345,16 @@ COMMAND = of(
     ),
 )
 
-MUTANTS = (*RUNNER, *PAUSE, *SESSION, *COMMAND, *REHEARSAL, *SIGNALS, *BENCH, *ROOM, *PREFLIGHT)
+MUTANTS = (
+    *RUNNER,
+    *DEVICE_RELAY,
+    *PAUSE,
+    *SESSION,
+    *COMMAND,
+    *PRE_RUN,
+    *SIGNALS,
+    *BENCH,
+    *ROOM,
+    *PREFLIGHT,
+    *SERIAL_RULES,
+)

@@ -8,7 +8,7 @@ from typing import Any
 from simulated_bench import DEMO
 
 from nidaqmx.errors import DaqError
-from rig.loop.clock import VirtualClock
+from rig.backends.clock import VirtualClock
 from rig.model.bench import Bench
 
 AMPLIFIER_GAIN = 1.2

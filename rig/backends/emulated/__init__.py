@@ -1,0 +1,1 @@
+"""What emulated devices have in common."""

@@ -1,0 +1,56 @@
+"""The bench that a config describes under ``emulated``, as the model has it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from rig.config.schema import Emulated, Tachometer
+from rig.model.bench import BenchParameters
+from rig.model.friction import Friction
+from rig.model.motor import Motor
+
+
+def bench_parameters(emulated: Emulated, tachometer: Tachometer | None = None) -> BenchParameters:
+    """What is really there. What the section leaves out is the model's own default: of a whole config nothing is."""
+    m, w, dead_band = emulated.motor, emulated.wiring, emulated.dead_band_duty
+    believed: dict[str, Any] = {
+        "rad_per_count": emulated.potentiometer.rad_per_count,
+        "centre_counts": emulated.potentiometer.centre_counts,
+        "counts_max": emulated.potentiometer.counts_max,
+        "supply_V": emulated.supply_V,
+        "bridge_drop_V": emulated.bridge_drop_V,
+        "reversed": emulated.reversed,
+    }
+    parameters = BenchParameters(
+        motor=Motor(
+            m.tau_s,
+            m.K_rad_s_V,
+            Friction(
+                m.fc_plus_V,
+                m.fc_minus_V,
+                m.fc_plus_V if m.fs_plus_V is None else m.fs_plus_V,
+                m.fc_minus_V if m.fs_minus_V is None else m.fs_minus_V,
+                m.stribeck_rad_s,
+                m.viscous_V_s_rad,
+            ),
+            m.bias_V,
+        ),
+        start_rad=m.start_rad,
+        stop_rad=m.stop_rad,
+        noise_rad=emulated.potentiometer.noise_rad,
+        offset_rad=emulated.potentiometer.offset_rad,
+        dead_band_plus=0.0 if dead_band is None else dead_band.plus,
+        dead_band_minus=0.0 if dead_band is None else dead_band.minus,
+        drive_counts=emulated.drive_counts,
+        drive=w.drive,
+        sensor=w.sensor,
+        fault_after_s=w.fault_after_s,
+    )
+    if emulated.tachometer and tachometer is not None:
+        believed |= {
+            "tachometer_rad_s_per_count": tachometer.rad_s_per_count,
+            "tachometer_zero_counts": tachometer.zero_counts,
+            "gear_ratio": tachometer.gear_ratio,
+        }
+    return replace(parameters, **{name: value for name, value in believed.items() if value is not None})

@@ -1,0 +1,114 @@
+"""An emulated device in real time: a process behind a pseudo-terminal, or on a port of loopback."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from rig.backends.emulated.errors import EmulationError
+
+_START_S = 10.0
+_STOP_S = 3.0
+
+
+class BoardProcess:
+    """Starts and stops the process. Its port opens and closes like a serial device's, as often as one likes.
+
+    The process ends with ``stop``, with the ``with`` block, and, however this process dies, 0.3 s after it.
+    It has a session of its own: a Ctrl-C in the terminal does not reach it.
+    """
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[str] | None = None
+        self.port = ""  # as daq.port takes it, once it is started
+
+    def _launch(
+        self, program: Path | Sequence[str], options: Mapping[str, str], link: Path | None, trace: Path | None
+    ) -> str:
+        """Start the program with its options, by name; the name of its port. Raises EmulationError if it fails."""
+        command = [str(program)] if isinstance(program, Path) else list(program)
+        command += ["--exit-with-stdin"]
+        for name, value in options.items():
+            command += [f"--{name}", value]
+        if link is not None:
+            command += ["--link", str(link)]
+        if trace is not None:
+            command += ["--trace", str(trace)]
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        return self._await_port()
+
+    def _must_not_run(self) -> None:
+        if self._process is not None:
+            raise EmulationError("this emulated board runs already")
+
+    def _await_port(self) -> str:
+        process = self._process
+        assert process is not None and process.stdout is not None and process.stderr is not None
+        ready = select.select([process.stdout], [], [], _START_S)[0]
+        words = process.stdout.readline().split() if ready else []
+        if len(words) == 2 and words[0] == "port":
+            self.port = words[1]
+            return self.port
+        if ready:
+            process.wait(_STOP_S)
+            why = process.stderr.read().strip() or f"exit status {process.returncode}"
+        else:
+            why = f"it said nothing for {_START_S:g} s"
+        self.stop()
+        raise EmulationError(f"the emulated device did not start: {why}")
+
+    @property
+    def pid(self) -> int:
+        """Process id. Raises EmulationError when none runs."""
+        if self._process is None:
+            raise EmulationError("this emulated board does not run")
+        return self._process.pid
+
+    def reset(self) -> None:
+        """Press the device's reset button. Raises EmulationError when none runs."""
+        os.kill(self.pid, signal.SIGUSR1)
+
+    def check(self) -> None:
+        """Raise EmulationError where the process has ended by itself, or runs no more."""
+        process = self._process
+        if process is None:
+            raise EmulationError("this emulated board does not run")
+        if (status := process.poll()) is not None:
+            assert process.stderr is not None
+            raise EmulationError(process.stderr.read().strip() or f"the emulated device ended, exit status {status}")
+
+    def stop(self) -> None:
+        """End the process (its drive goes to 0, its link is removed). May be called twice."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.terminate()
+        try:
+            process.wait(_STOP_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        for stream in (process.stdin, process.stdout, process.stderr):
+            if stream is not None:
+                stream.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.stop()

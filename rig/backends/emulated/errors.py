@@ -1,0 +1,7 @@
+"""What goes wrong with emulated devices."""
+
+from __future__ import annotations
+
+
+class EmulationError(Exception):
+    """Firmware or emulated device could not be built or started; the text says why and what to do."""

@@ -1,0 +1,1 @@
+"""What the bytes of a device go through."""

@@ -1,0 +1,87 @@
+"""A serial port of this machine as a ``Transport``."""
+
+from __future__ import annotations
+
+import errno
+import os
+import select
+import sys
+import time
+
+from rig.faults import Fault
+
+_READ_BYTES = 512
+
+
+class SerialPort:
+    """A serial port of this machine, or a pseudo-terminal; held exclusively.
+
+    parity       N, E or O
+    low_latency  whether the port's driver took the request not to batch what arrives; pseudo-terminals
+                 and some USB chips have no such mode
+    Raises Fault LINK_OPEN if the port cannot be opened.
+    """
+
+    def __init__(self, port: str, baud: int = 115200, parity: str = "N", stop_bits: int = 1) -> None:
+        if sys.platform == "win32":
+            raise Fault(
+                "LINK_OPEN",
+                f"{port}: serial ports work on Linux, and have not been tried on macOS; on Windows a device on Modbus "
+                "TCP, or daq.driver: simulated",
+            )
+        import serial  # not everywhere can it be loaded
+
+        try:
+            self._serial = serial.Serial(port, baud, parity=parity, stopbits=stop_bits, timeout=0, exclusive=True)
+        except (OSError, ValueError) as error:  # SerialException is an OSError; ValueError: impossible baud
+            raise Fault("LINK_OPEN", f"{port}: {_why_not_open(error)}") from error
+        self._port = port
+        self._fd: int = self._serial.fileno()
+        try:
+            self._serial.set_low_latency_mode(True)
+            self.low_latency = True
+        except (ValueError, NotImplementedError):
+            self.low_latency = False
+
+    @property
+    def descriptor(self) -> int:
+        """Number of the open file; -1 once it is closed."""
+        return self._fd
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``; LINK_LOST if the port is dead or takes no more."""
+        try:
+            sent = os.write(self._fd, data)
+        except OSError as error:
+            raise Fault("LINK_LOST", f"{self._port}: {error.strerror}") from error
+        if sent != len(data):
+            raise Fault("LINK_LOST", f"{self._port} takes no more bytes: the device does not read")
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has arrived, at least one byte, or b"" after ``timeout_s``; LINK_LOST if the port is dead."""
+        try:
+            if not select.select([self._fd], [], [], timeout_s)[0]:
+                return b""
+            data = os.read(self._fd, _READ_BYTES)
+        except (OSError, ValueError) as error:  # ValueError: select on a closed port
+            raise Fault("LINK_LOST", f"{self._port}: {error}") from error
+        if not data:
+            raise Fault("LINK_LOST", f"{self._port} hung up")
+        return data
+
+    def now_s(self) -> float:
+        """CLOCK_MONOTONIC, s."""
+        return time.monotonic()
+
+    def close(self) -> None:
+        """Give the port back. May be called twice."""
+        self._fd = -1  # the number may soon be another file's
+        self._serial.close()
+
+
+def _why_not_open(error: OSError | ValueError) -> str:
+    """In a few words; pyserial's own name port and cause twice."""
+    number = error.errno if isinstance(error, OSError) else None
+    if number == errno.EWOULDBLOCK:
+        return "another program holds it"
+    return str(error) if number is None else os.strerror(number)

@@ -1,0 +1,62 @@
+"""A TCP connection as a ``Transport``."""
+
+from __future__ import annotations
+
+import select
+import socket
+import time
+
+from rig.faults import Fault
+
+_READ_BYTES = 1024
+
+
+class TcpTransport:
+    """A connection to host and port number; small frames leave at once (no Nagle delay).
+
+    connect_s  longest wait for the connection
+    Raises Fault LINK_OPEN if there is none.
+    """
+
+    def __init__(self, host: str, port: int, connect_s: float = 5.0) -> None:
+        self._name = f"{host}:{port}"
+        try:
+            self._socket = socket.create_connection((host, port), timeout=connect_s)
+        except OSError as error:
+            raise Fault("LINK_OPEN", f"tcp://{self._name}: {error.strerror or error}") from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setblocking(False)
+
+    @property
+    def descriptor(self) -> int:
+        """Number of the open socket; -1 once it is closed."""
+        return self._socket.fileno()
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``; LINK_LOST if the connection is dead or takes no more."""
+        try:
+            sent = self._socket.send(data)
+        except OSError as error:
+            raise Fault("LINK_LOST", f"{self._name}: {error.strerror}") from error
+        if sent != len(data):
+            raise Fault("LINK_LOST", f"{self._name} takes no more bytes: the device does not read")
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has arrived, at least one byte, or b"" after ``timeout_s``; LINK_LOST if the connection is dead."""
+        try:
+            if not select.select([self._socket], [], [], timeout_s)[0]:
+                return b""
+            data = self._socket.recv(_READ_BYTES)
+        except (OSError, ValueError) as error:  # ValueError: select on a closed socket
+            raise Fault("LINK_LOST", f"{self._name}: {error}") from error
+        if not data:
+            raise Fault("LINK_LOST", f"{self._name} hung up")
+        return data
+
+    def now_s(self) -> float:
+        """CLOCK_MONOTONIC, s."""
+        return time.monotonic()
+
+    def close(self) -> None:
+        """Close the connection. May be called twice."""
+        self._socket.close()

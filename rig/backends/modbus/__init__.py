@@ -1,0 +1,1 @@
+"""A Modbus device, on an RTU line or on TCP."""

@@ -1,0 +1,138 @@
+"""``driver: modbus``: a Modbus device, as a config describes it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.backends.backend import Line, LineBackend, Watchdog
+from rig.backends.driver import Driver
+from rig.backends.keys import foreign_keys
+from rig.backends.link_budget import LinkBudget
+from rig.backends.modbus import link_budget
+from rig.backends.modbus.rules import modbus_notes, modbus_rules
+from rig.backends.modbus.section import EMULATED_PORTS, is_tcp
+from rig.config.problems import Problem
+from rig.config.schema import Experiment
+
+if TYPE_CHECKING:  # it loads slowly
+    from rig.backends.emulated.board_process import BoardProcess
+
+_STAMPS_S = 1e-4  # of a device's own: a conversion, the refresh of its output
+
+
+class ModbusBackend(LineBackend):
+    """A Modbus device on RTU or TCP; or an emulated I/O block on either."""
+
+    name = "modbus"
+    has_chip = False
+
+    def rules(self, e: Experiment) -> Iterator[Problem]:
+        """As of ``Backend``."""
+        yield from foreign_keys(e, "port", "modbus", instead="add its delay to daq.modbus.turnaround_s")
+        yield from modbus_rules(e)
+
+    def watchdog(self, e: Experiment) -> Watchdog:
+        """As of ``Backend``: that of its register; or the one that was set on the device itself."""
+        modbus = e.daq.modbus
+        if modbus is None:
+            return Watchdog(e.daq.watchdog_s)
+        if modbus.registers.watchdog is not None:
+            return Watchdog(e.daq.watchdog_s, modbus.registers.watchdog.unit_s)
+        return Watchdog(modbus.device_watchdog_s, None)
+
+    def writes_first(self, e: Experiment) -> bool:
+        """As of ``Backend``: asked by FC23."""
+        return e.daq.modbus is not None and e.daq.modbus.requests == "read-write"
+
+    def budget(self, e: Experiment) -> LinkBudget:
+        """As of ``Backend``."""
+        return LinkBudget() if e.daq.modbus is None else link_budget.tick_budget(e.daq, e.daq.modbus)
+
+    def reading_budget(self, e: Experiment) -> LinkBudget:
+        """As of ``Backend``."""
+        return LinkBudget() if e.daq.modbus is None else link_budget.reading_budget(e.daq, e.daq.modbus)
+
+    def times_error_s(self, e: Experiment) -> float:
+        """As of ``Backend``.
+
+        The device tells no time: both are reckoned, and where within its turnaround it takes the one and does the other
+        it does not say.
+        """
+        return _STAMPS_S + (0.5 * e.daq.modbus.turnaround_s if e.daq.modbus is not None else 0.0)
+
+    def words(self, e: Experiment) -> str:
+        """As of ``Backend``."""
+        unit = 1 if e.daq.modbus is None else e.daq.modbus.unit
+        if e.daq.port == "emulated-tcp":
+            return f"an emulated I/O block, Modbus TCP on this machine, unit {unit}, real time, nothing moves"
+        rtu = f"Modbus RTU, unit {unit}, {e.daq.baud} baud"
+        if e.daq.port == "emulated-virtual":
+            return f"an emulated I/O block, {rtu}, virtual time, nothing moves"
+        if e.daq.port == "emulated":
+            return f"an emulated I/O block behind a pseudo-terminal, {rtu}, real time, nothing moves"
+        link = f"Modbus TCP, unit {unit}" if is_tcp(e.daq.port) else rtu
+        return f"a REAL MOTOR behind {e.daq.port}, {link}"
+
+    def is_emulated(self, e: Experiment) -> bool:
+        """As of ``Backend``."""
+        return e.daq.port in EMULATED_PORTS
+
+    def plan(self, e: Experiment) -> Iterator[str]:
+        """As of ``Backend``."""
+        budget = self.budget(e)
+        if budget.terms:
+            yield f"link: {budget.beside(e.period_s)}"
+
+    def failsafe_words(self, e: Experiment) -> str:
+        """As of ``Backend``."""
+        modbus = e.daq.modbus
+        if modbus is None or modbus.registers.watchdog is not None:
+            return super().failsafe_words(e)
+        if modbus.device_watchdog_s is None:
+            return "failsafe: none, as daq.accept_no_watchdog takes upon itself: have the motor's supply in reach"
+        return (
+            f"failsafe: the device sets 0 V after {modbus.device_watchdog_s * 1e3:g} ms of silence, as set on it "
+            "(daq.modbus.device_watchdog_s): try it, pull the plug at 0.3 V"
+        )
+
+    def notes(self, e: Experiment) -> Iterator[str]:
+        """As of ``Backend``."""
+        yield from modbus_notes(e)
+
+    def not_emulated_words(self, e: Experiment) -> str:
+        """As of ``Backend``."""
+        return f"section `emulated` is not used with port {e.daq.port}"
+
+    def line(self, e: Experiment) -> AbstractContextManager[Line]:
+        """As of ``LineBackend``."""
+        from rig.backends.modbus.opening import modbus_line
+
+        return modbus_line(e)
+
+    def driver(self, e: Experiment, line: Line) -> Driver:
+        """As of ``LineBackend``."""
+        from rig.backends.modbus.opening import modbus_driver
+
+        return modbus_driver(e, line.transport, line.name, emulated=line.emulated)
+
+    def emulated(
+        self, e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+    ) -> AbstractContextManager[BoardProcess]:
+        """As of ``Backend``; it has no ``chip``."""
+        from rig.backends.modbus.opening import emulated_board
+
+        return emulated_board(e, link, trace)
+
+    def emulated_hint(self, e: Experiment, port: str) -> str:
+        """As of ``Backend``."""
+        if e.daq.modbus is None:
+            return ""
+        from rig.backends.modbus.emulated.modbus_board import mbpoll_line
+
+        return f"try: {mbpoll_line(e.daq.modbus, port, e.daq.baud)}"
+
+
+MODBUS = ModbusBackend()

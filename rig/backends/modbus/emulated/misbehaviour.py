@@ -1,0 +1,74 @@
+"""A Modbus device that answers late, wrong, with an exception, with another unit's id, or not at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from rig.backends.modbus.emulated.io_block import DEVICE_FAILURE, IoBlock
+
+Kind = Literal["late", "wrong", "exception", "unit", "silent"]
+
+
+class Answer(NamedTuple):
+    """What goes back: whose it says it is, its protocol data unit, and by how much it is late, s."""
+
+    unit: int
+    pdu: bytes
+    late_s: float = 0.0
+
+
+@dataclass
+class Misbehaviour:
+    """What the device does, from when, and how often.
+
+    kind     late: executed, answered ``by_s`` after its time. wrong: executed, answered with a register too few, or
+             another address. unit: executed, answered as from ``unit``. exception: answered with ``code``, not
+             executed. silent: neither executed nor answered
+    after_s  device time since it was first armed
+    times    so many requests, then it does as it should; None: for ever
+    """
+
+    kind: Kind
+    after_s: float = 0.0
+    times: int | None = None
+    by_s: float = 0.02
+    unit: int = 99
+    code: int = DEVICE_FAILURE
+
+    @staticmethod
+    def answer_of(misbehaviour: Misbehaviour | None, block: IoBlock, pdu: bytes, t_s: float) -> Answer | None:
+        """The answer to a request that arrives whole at ``t_s``; None: there is none."""
+        block.advance_to(t_s)
+        if misbehaviour is None or not misbehaviour._is_due(block):
+            return Answer(block.unit, block.request(pdu, t_s))
+        return misbehaviour._answer(block, pdu, t_s)
+
+    def _is_due(self, block: IoBlock) -> bool:
+        if self.times == 0 or block.bench.armed_for_s < self.after_s:  # negative before it is armed
+            return False
+        if self.times is not None:
+            self.times -= 1
+        return True
+
+    def _answer(self, block: IoBlock, pdu: bytes, t_s: float) -> Answer | None:
+        if self.kind == "silent":
+            return None
+        if self.kind == "exception":
+            return Answer(block.unit, bytes((pdu[0] | 0x80, self.code)))
+        reply = block.request(pdu, t_s)
+        if self.kind == "late":
+            return Answer(block.unit, reply, self.by_s)
+        if self.kind == "unit":
+            return Answer(self.unit, reply)
+        return Answer(block.unit, _wrong(reply))
+
+
+def _wrong(reply: bytes) -> bytes:
+    """A well formed reply to another request."""
+    if reply[0] in (3, 4, 23):
+        return bytes((reply[0], reply[1] - 2)) + reply[2:-2]
+    if reply[0] in (6, 16):
+        address = int.from_bytes(reply[1:3], "big") ^ 1
+        return reply[:1] + address.to_bytes(2, "big") + reply[3:]
+    return reply

@@ -1,0 +1,75 @@
+"""The emulated Modbus I/O block in real time: a process behind a pseudo-terminal (RTU) or on loopback (TCP)."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from rig.backends.emulated.board_process import BoardProcess
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.section import Modbus, read_in_a_tick, span_of
+from rig.config.schema import Emulated
+
+
+def mbpoll_line(modbus: Modbus, port: str, baud: int) -> str:
+    """A command of Debian's mbpoll that reads what a tick reads: position, and what stands beside it.
+
+    modbus  section of the config
+    """
+    first, count = span_of(read_in_a_tick(modbus.registers))
+    table = 4 if modbus.registers.position.table == "holding" else 3
+    what = f"-0 -1 -a {modbus.unit} -t {table} -r {first} -c {count}"
+    url = urlsplit(port)
+    if url.scheme == "tcp":
+        return f"mbpoll -m tcp -p {url.port} {what} {url.hostname}"
+    return f"mbpoll -m rtu -b {baud} -P {modbus.parity} -s {modbus.stop_bits} {what} {port}"
+
+
+class ModbusBoard(BoardProcess):
+    """The block of ``rig.backends.modbus.emulated.io_block`` with the bench behind it."""
+
+    def start(
+        self,
+        modbus: Modbus,
+        emulated: Emulated,
+        seed: int,
+        link: Path | None = None,
+        trace: Path | None = None,
+        *,
+        baud: int = 115200,
+        tcp_port: int | None = None,
+        polarity: int = 1,
+        misbehaviour: Misbehaviour | None = None,
+        corruption: Mapping[str, float] | None = None,
+    ) -> str:
+        """Start the process and return the name of its port: a pseudo-terminal's, or ``tcp://127.0.0.1:number``.
+
+        modbus, emulated   sections of the config
+        seed, link, trace  as of HostBoard; the trace's fault is the value of the status register for it. No link to TCP
+        baud          RTU: of the wire, whose time is kept
+        tcp_port      TCP on this port, 0: on a free one; None: RTU
+        polarity      +1: positive drive raises the position register; -1: lowers it
+        misbehaviour  of the device
+        corruption    RTU: arguments of ``rig.backends.modbus.emulated.line_faults.Corruption``
+        Raises EmulationError where it does not start.
+        """
+        self._must_not_run()
+        if tcp_port is not None and link is not None:
+            raise EmulationError("a TCP port cannot have a symbolic link\nleave --link out")
+        options = {
+            "modbus": modbus.model_dump(mode="json"),
+            "emulated": emulated.model_dump(mode="json"),
+            "seed": seed,
+            "baud": baud,
+            "tcp_port": tcp_port,
+            "polarity": polarity,
+            "misbehaviour": None if misbehaviour is None else asdict(misbehaviour),
+            "corruption": None if corruption is None else dict(corruption),
+        }
+        command = (sys.executable, "-m", "rig.backends.modbus.emulated.modbus_process")
+        return self._launch(command, {"options": json.dumps(options)}, link, trace)

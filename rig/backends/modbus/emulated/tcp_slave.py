@@ -1,0 +1,98 @@
+"""The emulated I/O block behind Modbus TCP: framing by the header, and no check sum.
+
+Pure: time is told. Modbus Messaging on TCP/IP, V1.0b: transaction (2 bytes), protocol 0 (2), length (2), unit (1), then
+function code and data. A device that is on the network itself is addressed by its unit id, by 255, or by 0.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from typing import NamedTuple
+
+from rig.backends.modbus.emulated.io_block import IoBlock
+from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+
+_HEADER = 7
+_ITSELF = (0, 255)
+_LONGEST_PDU = 253
+
+
+class Adu(NamedTuple):
+    """One request or reply: transaction, unit, function code and data."""
+
+    transaction: int
+    unit: int
+    pdu: bytes
+
+    def pack(self) -> bytes:
+        """As on the wire."""
+        length = (len(self.pdu) + 1).to_bytes(2, "big")
+        return self.transaction.to_bytes(2, "big") + bytes(2) + length + bytes((self.unit,)) + self.pdu
+
+
+class Stream:
+    """What one connection has received. ``broken`` once its bytes cannot be a header: then it must be closed."""
+
+    def __init__(self) -> None:
+        self.broken = False
+        self._bytes = bytearray()
+
+    def feed(self, data: bytes) -> list[Adu]:
+        """The requests that are whole with these bytes."""
+        self._bytes += data
+        whole: list[Adu] = []
+        while len(self._bytes) >= _HEADER and not self.broken:
+            protocol, length = int.from_bytes(self._bytes[2:4], "big"), int.from_bytes(self._bytes[4:6], "big")
+            if protocol != 0 or not 2 <= length <= _LONGEST_PDU + 1:
+                self.broken = True
+                break
+            end = _HEADER - 1 + length
+            if len(self._bytes) < end:
+                break
+            pdu = bytes(self._bytes[_HEADER:end])
+            whole.append(Adu(int.from_bytes(self._bytes[:2], "big"), self._bytes[6], pdu))
+            del self._bytes[:end]
+        return whole
+
+
+class TcpSlave:
+    """The block and the replies that are not out yet.
+
+    turnaround_s  from a request to its reply
+    misbehaviour  of the block, None: it does as it should
+    """
+
+    def __init__(self, block: IoBlock, turnaround_s: float, misbehaviour: Misbehaviour | None = None) -> None:
+        self.block = block
+        self.misbehaviour = misbehaviour
+        self._turnaround_s = turnaround_s
+        self._going: list[tuple[float, int, int, bytes]] = []
+        self._n = 0
+
+    def take(self, connection: int, adu: Adu, t_s: float) -> None:
+        """Execute a request that arrived at ``t_s`` on a connection; one to another unit is not answered."""
+        if adu.unit != self.block.unit and adu.unit not in _ITSELF:
+            return
+        answer = Misbehaviour.answer_of(self.misbehaviour, self.block, adu.pdu, t_s)
+        if answer is not None:
+            unit = adu.unit if answer.unit == self.block.unit else answer.unit
+            reply = Adu(adu.transaction, unit, answer.pdu).pack()
+            self._n += 1
+            heapq.heappush(self._going, (t_s + self._turnaround_s + answer.late_s, self._n, connection, reply))
+
+    def forget(self, connection: int) -> None:
+        """Keep no reply for a connection that is closed: another may get its number."""
+        self._going = [going for going in self._going if going[2] != connection]
+        heapq.heapify(self._going)
+
+    def next_event_s(self) -> float:
+        """When the next reply is due; inf for never."""
+        return self._going[0][0] if self._going else math.inf
+
+    def due(self, t_s: float) -> list[tuple[int, bytes]]:
+        """Connection and bytes of the replies that are due by ``t_s``, once."""
+        out: list[tuple[int, bytes]] = []
+        while self._going and self._going[0][0] <= t_s:
+            out.append(heapq.heappop(self._going)[2:])
+        return out

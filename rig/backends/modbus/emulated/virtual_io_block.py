@@ -1,0 +1,136 @@
+"""The emulated Modbus I/O block in virtual time: line and clock in one, so that waiting for a byte makes time pass."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from rig.backends.emulated.plug import Plug
+from rig.backends.modbus.emulated.io_block import ExecutedDrive, IoBlock, IoBlockTruth
+from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.rtu_slave import Disturbance, Line, RtuSlave
+from rig.backends.modbus.section import Modbus
+from rig.config.schema import Emulated
+from rig.model.bench import DriveWiring, SensorWiring
+
+
+class BlockInVirtualTime:
+    """The block of a config, powered on at virtual time 0, and its clock; what leads to it passes the time.
+
+    modbus, emulated  sections of the config
+    seed              of the noise
+    polarity          +1: positive drive raises the position register; -1: lowers it
+    executed          drives that were written, in order
+    outputs           (time s, drive at the output V) at each change of it, from (0, 0) on
+    Raises EmulationError where a register cannot hold what it is for.
+    """
+
+    absolute = True  # of the clock: it sleeps until an instant, not for a while
+
+    def __init__(self, modbus: Modbus, emulated: Emulated, seed: int, polarity: int) -> None:
+        self.executed: list[ExecutedDrive] = []
+        self.outputs: list[tuple[float, float]] = [(0.0, 0.0)]
+        self.block = IoBlock.of(
+            modbus,
+            emulated,
+            seed,
+            polarity=polarity,
+            on_drive=self.executed.append,
+            on_output=lambda t_s, u_V: self.outputs.append((t_s, u_V)),
+        )
+        self._now_s = 0.0
+
+    def now_s(self) -> float:
+        """Virtual time, s."""
+        return self._now_s
+
+    def sleep_until(self, t_s: float) -> float:
+        """Let time pass to ``t_s``; none if that is past. Returns the time then."""
+        self._run_to(t_s)
+        return self._now_s
+
+    def _run_to(self, t_s: float) -> None:
+        self._now_s = max(self._now_s, t_s)
+        self._advance()
+
+    def _advance(self) -> None:
+        """Let block and link do what is due by now."""
+        raise NotImplementedError
+
+    def rewire(self, drive: DriveWiring = "ok", sensor: SensorWiring = "ok") -> None:
+        """Change the wiring from now on."""
+        self.block.rewire(drive=drive, sensor=sensor, fault_after_s=-math.inf)
+
+    def place(self, y_rad: float, v_rad_per_s: float = 0.0) -> None:
+        """Put the shaft somewhere, as a hand would."""
+        self.block.place(y_rad, v_rad_per_s)
+
+    def power_cycle(self) -> None:
+        """Its supply fails for a moment: 0 V, and nothing that was written is left."""
+        self.block.power_cycle()
+
+    def truth(self) -> IoBlockTruth:
+        """What is really the case now."""
+        return self.block.truth()
+
+
+class VirtualIoBlock(BlockInVirtualTime, Plug):
+    """The block behind an RTU line, as a ``Transport`` that is a ``Clock`` too.
+
+    modbus, emulated, seed, polarity   as of ``BlockInVirtualTime``
+    baud              of the line
+    misbehaviour, disturbance   of the device, of the line; may be set at any time
+    """
+
+    def __init__(
+        self,
+        modbus: Modbus,
+        emulated: Emulated,
+        seed: int = 1,
+        *,
+        baud: int = 115200,
+        polarity: int = 1,
+        misbehaviour: Misbehaviour | None = None,
+        disturbance: Disturbance | None = None,
+    ) -> None:
+        BlockInVirtualTime.__init__(self, modbus, emulated, seed, polarity)
+        Plug.__init__(self, "virtual I/O block")
+        self.line = Line.of(modbus, baud)
+        self._slave = RtuSlave(self.block, self.line, misbehaviour, disturbance)
+
+    # ------------------------------------------------------------------ port
+
+    def write(self, data: bytes) -> None:
+        """Hand ``data`` to the wire; takes no time. Raises Fault LINK_LOST when unplugged."""
+        self._check_plug()
+        self._slave.send(data, self._now_s)
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has arrived, at least one byte; b"" after ``timeout_s`` of virtual time without any.
+
+        A reply arrives whole, when its last bit does. Raises Fault LINK_LOST when unplugged.
+        """
+        self._check_plug()
+        until_s = self._now_s + max(timeout_s, 0.0)
+        while self._slave.next_reply_s() > self._now_s and self._now_s < until_s:
+            self._run_to(min(self._slave.next_event_s(), until_s))
+        self._run_to(self._now_s)
+        return self._slave.receive(self._now_s)
+
+    def _advance(self) -> None:
+        self._slave.advance_to(self._now_s)
+
+    # ------------------------------------------------------------------ what may happen, and what is the case
+
+    def misbehave(self, misbehaviour: Misbehaviour | None) -> None:
+        """From now on the device answers so; None: as it should."""
+        self._slave.misbehaviour = misbehaviour
+
+    def disturb(self, disturbance: Disturbance | None) -> None:
+        """From now on the line does so; None: nothing."""
+        self._slave.disturbance = disturbance
+
+    @property
+    def requests(self) -> Mapping[str, int]:
+        """Requests so far: executed, damaged (dropped), of other units (ignored)."""
+        return {"executed": self._slave.frames, "damaged": self._slave.damaged, "foreign": self._slave.foreign}

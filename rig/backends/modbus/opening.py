@@ -1,0 +1,131 @@
+"""How a Modbus device opens: a serial port or a connection, or an emulated I/O block in real or virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from rig.backends.backend import Line, host_clock
+from rig.backends.driver import Transport
+from rig.backends.emulated.board_process import BoardProcess
+from rig.backends.links.serial_port import SerialPort
+from rig.backends.links.tcp_link import TcpTransport
+from rig.backends.modbus.client import ModbusLine
+from rig.backends.modbus.driver import ModbusDriver
+from rig.backends.modbus.emulated.modbus_board import ModbusBoard
+from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
+from rig.backends.modbus.link_budget import bits_per_byte, silence_s
+from rig.backends.modbus.registers import RegisterMap
+from rig.backends.modbus.section import EMULATED_PORTS, Modbus, is_tcp, tcp_address
+from rig.calibration import polarity
+from rig.config.schema import Emulated, Experiment
+
+
+@contextmanager
+def modbus_line(e: Experiment) -> Iterator[Line]:
+    """As of ``LineBackend.line``."""
+    port = e.daq.port
+    if port is None:
+        raise ValueError("daq.port is missing")
+    if port == "emulated-virtual":
+        block = emulated_io_block(e)
+        yield Line(block, block, port, emulated=True)
+    elif port in EMULATED_PORTS:
+        with emulated_board(e) as board:
+            yield Line(_transport(e, board.port), host_clock(e), f"modbus:{board.port}", emulated=True)
+    else:
+        yield Line(_transport(e, port), host_clock(e), f"modbus:{port}")
+
+
+def _transport(e: Experiment, port: str) -> Transport:
+    if is_tcp(port):
+        return TcpTransport(*tcp_address(port), e.daq.open_timeout_s)
+    modbus = _modbus_of(e)
+    return SerialPort(port, e.daq.baud, modbus.parity[0].upper(), modbus.stop_bits)
+
+
+def modbus_driver(e: Experiment, transport: Transport, name: str = "modbus", *, emulated: bool = False) -> ModbusDriver:
+    """The driver of the config on a transport, not opened yet; RTU or TCP as the config's port."""
+    daq, modbus = e.daq, _modbus_of(e)
+    asked = ModbusLine(
+        tcp=is_tcp(daq.port),
+        unit=modbus.unit,
+        requests=modbus.requests,
+        baud=daq.baud,
+        bits_per_byte=bits_per_byte(modbus),
+        silence_s=silence_s(modbus, daq.baud),
+        turnaround_s=modbus.turnaround_s,
+    )
+    return ModbusDriver(
+        transport,
+        asked,
+        RegisterMap.of(modbus),
+        e.sensor.curve,
+        e.drive.map,
+        e.sensor.rail_counts,
+        daq.timeout_s,
+        daq.open_timeout_s,
+        device_watchdog_s=modbus.device_watchdog_s,
+        counts_max=e.sensor.counts_max,
+        name=name,
+        emulated=emulated,
+    )
+
+
+def emulated_io_block(e: Experiment) -> VirtualIoBlock:
+    """The emulated I/O block of the config in virtual time: RTU line and clock in one.
+
+    Raises EmulationError where a register cannot hold what it is for.
+    """
+    modbus, emulated = _modbus_of(e), _emulated_of(e)
+    return VirtualIoBlock(modbus, emulated, e.seed, baud=e.daq.baud, polarity=_register_polarity(e))
+
+
+@contextmanager
+def emulated_board(e: Experiment, link: Path | None = None, trace: Path | None = None) -> Iterator[BoardProcess]:
+    """The emulated I/O block, running in real time for the block; its ``port`` is as daq.port takes it.
+
+    On TCP where the config's port is that of TCP; then there is no link. Raises EmulationError where it does not start.
+    """
+    with ModbusBoard() as io_block:
+        io_block.start(
+            _modbus_of(e),
+            _emulated_of(e),
+            e.seed,
+            link,
+            trace,
+            baud=e.daq.baud,
+            tcp_port=_tcp_port(e.daq.port),
+            polarity=_register_polarity(e),
+        )
+        yield io_block
+
+
+def _register_polarity(e: Experiment) -> int:
+    """+1 if positive drive raises the position register, -1 if it lowers it."""
+    direction = polarity(e.sensor.curve, e.drive.map)
+    return direction if _modbus_of(e).registers.position.scale > 0.0 else -direction
+
+
+def _tcp_port(port: str | None) -> int | None:
+    """Number of the TCP port on this machine that the emulated device is to serve: 0 for any; None for RTU."""
+    if port == "emulated-tcp":
+        return 0
+    url = urlsplit(port or "")
+    if url.scheme != "tcp":
+        return None
+    return url.port or 502 if url.hostname in ("localhost", "127.0.0.1") else 0
+
+
+def _modbus_of(e: Experiment) -> Modbus:
+    if e.daq.modbus is None:
+        raise ValueError("the config has no section `daq.modbus`")
+    return e.daq.modbus
+
+
+def _emulated_of(e: Experiment) -> Emulated:
+    if e.emulated is None:
+        raise ValueError("the config has no section `emulated`")
+    return e.emulated

@@ -1,0 +1,195 @@
+"""What the keys of a Modbus device say together: one request each way, no two registers in one place.
+
+And what such a device cannot tell, so that a person has to know it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from itertools import combinations
+
+from rig.backends.link_budget import BAUD_RATES
+from rig.backends.modbus.link_budget import longest_transaction_s, tick_budget
+from rig.backends.modbus.section import (
+    EMULATED_PORTS,
+    Modbus,
+    Span,
+    as_in_a_manual,
+    is_tcp,
+    read_in_a_tick,
+    span_of,
+    tcp_address,
+    written_at_arming,
+    written_in_a_tick,
+)
+from rig.config.problems import Problem, wrong
+from rig.config.schema import Experiment
+
+_MOST_READ = 125  # registers of one reply
+_REGISTERS = 65536
+_SLACK = 1e-9
+_HOST = re.compile(r"\d{1,3}(\.\d{1,3}){3}(:\d+)?")  # as one writes it without tcp://
+
+
+def modbus_rules(e: Experiment) -> Iterator[Problem]:
+    """Everything that is a Modbus device's own."""
+    yield from _port(e)
+    if e.relay.where == "device":
+        yield wrong(
+            "relay.where",
+            "`driver: modbus` knows of no relay in the device",
+            "set it to host, or daq.driver to serial with a port",
+        )
+    modbus = e.daq.modbus
+    if modbus is None:
+        yield wrong("daq.modbus", "`driver: modbus` needs this section", "see config/modbus-rtu.yaml")
+        return
+    yield from _map(modbus)
+    yield from _times(e, modbus)
+    yield from _link_budget(e, modbus)
+    if e.tachometer is not None:
+        yield wrong("tachometer", "no register of `driver: modbus` holds a velocity", "leave it out")
+
+
+def modbus_notes(e: Experiment) -> Iterator[str]:
+    """What a Modbus device may not tell of a pause, where it is disarmed; and an address as in a manual."""
+    if e.daq.modbus is None:
+        return
+    r = e.daq.modbus.registers
+    if words := as_in_a_manual((*written_in_a_tick(r), *read_in_a_tick(r), *written_at_arming(r))):
+        yield words
+    if r.status is None:
+        yield (
+            "daq.modbus.registers has no status: an e-stop that is pressed and released in a pause is not seen at all; "
+            "wire it so that it cuts the motor's supply"
+        )
+    elif "DEVICE_ESTOP" not in r.status.faults:
+        yield (
+            "daq.modbus.registers.status.faults names no DEVICE_ESTOP: an e-stop that is pressed and released in a "
+            "pause is seen while it is open, if it changes the status, or not at all; wire it so that it cuts the "
+            "motor's supply"
+        )
+    if r.watchdog is None and r.limits is None and r.rails is None and r.max_drive is None:
+        yield (
+            "daq.modbus.registers has none of watchdog, limits, rails and max_drive, which are read back when it is "
+            "armed again: a power cycle in a pause would go unnoticed"
+        )
+
+
+def _port(e: Experiment) -> Iterator[Problem]:
+    port = e.daq.port
+    if port is None:
+        yield wrong(
+            "daq.port", "`driver: modbus` needs a port", "/dev/ttyUSB0, tcp://192.168.0.5:502, or port: emulated"
+        )
+    elif port in EMULATED_PORTS:
+        if e.emulated is None:
+            yield wrong("emulated", f"`port: {port}` needs this section", "describe the bench: see config/demo.yaml")
+    elif port.startswith("emulated"):
+        yield wrong("daq.port", f"no {port} for `driver: modbus`", f"one of {', '.join(EMULATED_PORTS)}")
+    elif "://" in port or port.startswith("tcp"):
+        try:
+            tcp_address(port)
+        except ValueError as error:
+            yield wrong("daq.port", str(error))
+    elif _HOST.fullmatch(port):
+        yield wrong("daq.port", f"{port} is an address, not a serial port", f"tcp://{port}")
+
+
+def _map(m: Modbus) -> Iterator[Problem]:
+    r = m.registers
+    written, read, armed = list(written_in_a_tick(r)), list(read_in_a_tick(r)), list(written_at_arming(r))
+    for span in (*written, *read, *armed):
+        if span.address + span.words > _REGISTERS:
+            yield _register(span.key, f"{span.words} registers from {span.address} on go beyond the last, 65535")
+    holding = [*written, *armed, *(read if r.position.table == "holding" else ())]
+    yield from _apart(holding)
+    if r.position.table == "input":
+        yield from _apart(read)
+    first, count = span_of(written)
+    if count > sum(span.words for span in written):
+        yield _register(
+            "sequence.address",
+            f"{written[1].address} is not beside the drive, {_registers(written[0])}: both go out in one request",
+            f"{written[0].address + written[0].words}, or {written[0].address - 1}",
+        )
+    first, count = span_of(read)
+    if reads_too_far_apart(m):
+        farthest = max(read, key=lambda span: abs(span.address - read[0].address))
+        yield _register(
+            farthest.key,
+            f"what a tick reads spans {count} registers, {first} to {first + count - 1}; one request "
+            f"takes {_MOST_READ}",
+            as_in_a_manual(read) or "move them together, or leave it out",
+        )
+    if m.requests == "read-write" and r.position.table == "input":
+        yield _register(
+            "position.table", "FC23 reads holding registers only", "table: holding, or daq.modbus.requests: separate"
+        )
+
+
+def reads_too_far_apart(m: Modbus) -> bool:
+    """Whether what a tick reads is more than one reply holds."""
+    return span_of(read_in_a_tick(m.registers))[1] > _MOST_READ
+
+
+def _apart(spans: Iterable[Span]) -> Iterator[Problem]:
+    for a, b in combinations(spans, 2):
+        if a.address < b.address + b.words and b.address < a.address + a.words:
+            lie = "lies" if b.words == 1 else "lie"
+            yield _register(b.key, f"{_registers(b)} {lie} in the place of {a.key}, {_registers(a)}")
+
+
+def _times(e: Experiment, m: Modbus) -> Iterator[Problem]:
+    d = e.daq
+    longest_s = longest_transaction_s(d, m)
+    if d.timeout_s > e.period_s * (1 + _SLACK):
+        yield wrong(
+            "daq.timeout_s",
+            f"{d.timeout_s:g} s is longer than the period of {e.period_s:g} s: a reply could come in the next tick",
+            f"at most {e.period_s:g} seconds",
+        )
+    elif d.timeout_s < longest_s <= e.period_s:  # a longer one is too slow for the period
+        yield wrong(
+            "daq.timeout_s",
+            f"{d.timeout_s * 1e3:g} ms is shorter than a transaction, {longest_s * 1e3:.2f} ms",
+            f"up to {e.period_s:g} seconds",
+        )
+    watchdog = m.registers.watchdog
+    if watchdog is None and m.device_watchdog_s is None and not d.accept_no_watchdog:
+        yield wrong(
+            "daq.modbus",
+            "nothing sets 0 V when the host is silent: no register sets the device's output time-out, nor is it given",
+            "registers.watchdog; or device_watchdog_s, as set on the device; or daq.accept_no_watchdog: true, with the "
+            "motor's supply in reach",
+        )
+    elif watchdog is not None:
+        units = d.watchdog_s / watchdog.unit_s
+        if not (0.5 <= units <= 65535.5 and abs(round(units) * watchdog.unit_s - d.watchdog_s) <= 0.05 * d.watchdog_s):
+            yield wrong(
+                "daq.watchdog_s",
+                f"{d.watchdog_s:g} s is {units:g} units of the watchdog's register, "
+                "which takes whole ones from 1 to 65535",
+                "within 5 %, or correct daq.modbus.registers.watchdog.unit_s",
+            )
+
+
+def _link_budget(e: Experiment, m: Modbus) -> Iterator[Problem]:
+    if tick_budget(e.daq, m).fits(e.period_s):
+        return
+    if reads_too_far_apart(m):
+        return  # refused by its register: no such request can be made, so its time says nothing
+    bauds = () if is_tcp(e.daq.port) else BAUD_RATES
+    fitting = [f"daq.baud {baud} fits" for baud in bauds if tick_budget(e.daq, m, baud).fits(e.period_s)]
+    key = "period_s" if is_tcp(e.daq.port) else "daq.baud"
+    yield tick_budget(e.daq, m).too_slow(key, e.period_s, fitting[:1])
+
+
+def _registers(span: Span) -> str:
+    last = span.address + span.words - 1
+    return f"register {span.address}" if span.words == 1 else f"registers {span.address} and {last}"
+
+
+def _register(key: str, message: str, hint: str = "") -> Problem:
+    return wrong(f"daq.modbus.registers.{key}", message, hint)

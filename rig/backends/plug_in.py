@@ -1,0 +1,203 @@
+"""Drivers of other packages: what an entry point must be, and such a driver as a backend.
+
+A package offers one in its pyproject.toml:
+
+    [project.entry-points."rig.daq"]
+    mycard = "mypackage.card:CardDriver"
+
+It is a class that is constructed with a ``DriverSettings`` and is then a ``Driver``; or a ``Backend``, where the device
+has more to say than a driver can: a section of its own, rules, a link budget, an emulated device.
+"""
+
+from __future__ import annotations
+
+import inspect
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from types import MappingProxyType
+
+from rig.backends.backend import Backend, Unopened, host_clock, truth_of
+from rig.backends.driver import DeviceWatchdog, Driver, DriverSettings, RelayDriver
+from rig.backends.keys import keys_of_built_in
+from rig.config.problems import ConfigError, Problem, wrong
+from rig.config.schema import Experiment
+
+_ARGUMENTS = {"open": 0, "arm": 1, "read": 0, "write": 1, "safe_stop": 0, "close": 0}
+
+
+class PlugInError(Exception):
+    """A driver that cannot be used: who offers it, and what is wrong with it."""
+
+
+def loaded(entry: EntryPoint) -> type[Driver] | Backend:
+    """What the entry names. Raises PlugInError if it cannot be imported, or is neither driver class nor backend.
+
+    A driver class has one argument for the constructor, and the methods of ``Driver`` with as many as there.
+    """
+    who = described(entry)
+    try:
+        found: object = entry.load()
+    except Exception as error:  # whatever it is, the other package did it
+        raise PlugInError(f"{who} cannot be imported: {_in_words(error)}") from error
+    if isinstance(found, Backend):
+        if found.name != entry.name:
+            raise PlugInError(f"{who}: its name must be {entry.name!r}, not {found.name!r}")
+        return found
+    if not isinstance(found, type):
+        raise PlugInError(f"{who} is not a class")
+    missing = [method for method in _ARGUMENTS if not callable(getattr(found, method, None))]
+    if missing:
+        raise PlugInError(f"{who} lacks {', '.join(missing)}")
+    if not _takes(found, 1):
+        raise PlugInError(f"{who} must be constructed as {found.__name__}(settings), with one DriverSettings")
+    for method, arguments in _ARGUMENTS.items():
+        if not _takes(getattr(found, method), 1 + arguments):
+            raise PlugInError(f"{who}: {method} must take {arguments or 'no'} argument{'s' * (not arguments)}")
+    return found
+
+
+def constructed(entry: EntryPoint, driver_class: type[Driver], settings: DriverSettings) -> Driver:
+    """A driver of that class, not opened.
+
+    Raises ValueError where it refuses its options; PlugInError where it fails otherwise, or lacks one of the attributes
+    of ``Driver``.
+    """
+    who = described(entry)
+    try:
+        driver: Driver = driver_class(settings)  # type: ignore[call-arg]
+    except ValueError:
+        raise
+    except Exception as error:  # whatever it is, the other package did it
+        raise PlugInError(f"{who} cannot be constructed: {_in_words(error)}") from error
+    missing = [name for name in ("order", "failsafe", "backend", "link_statistics") if not hasattr(driver, name)]
+    if missing:
+        raise PlugInError(f"{who} lacks {', '.join(missing)}")
+    if driver.order not in ("sample_first", "write_first"):
+        raise PlugInError(f"{who}: order must be sample_first or write_first, not {driver.order!r}")
+    if driver.failsafe is not None and not isinstance(driver.failsafe, DeviceWatchdog):
+        raise PlugInError(f"{who}: failsafe must be a DeviceWatchdog, or None, not {driver.failsafe!r}")
+    if not isinstance(driver.link_statistics, Mapping):
+        raise PlugInError(f"{who}: link_statistics must be a mapping, not {driver.link_statistics!r}")
+    clock = getattr(driver, "clock", None)
+    if clock is not None and not all(callable(getattr(clock, m, None)) for m in ("now_s", "sleep_until")):
+        raise PlugInError(f"{who}: clock must have now_s and sleep_until; leave it out for time.monotonic")
+    return driver
+
+
+def described(entry: EntryPoint) -> str:
+    """A driver in words: its name, where it is, and the package that offers it."""
+    package = f" of {entry.dist.name} {entry.dist.version}" if entry.dist is not None else ""
+    return f"driver {entry.name!r} ({entry.value}{package})"
+
+
+def _takes(function: object, arguments: int) -> bool:
+    """Whether something can be called with so many positional arguments."""
+    try:
+        inspect.signature(function).bind(*[None] * arguments)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+def _in_words(error: Exception) -> str:
+    """An exception of another package: what, and in which of its lines."""
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+    return f"{type(error).__name__}: {error}{place}"
+
+
+def driver_settings_of(e: Experiment) -> DriverSettings:
+    """What a driver of another package is constructed with."""
+    return DriverSettings(
+        options=MappingProxyType(dict(e.daq.options or {})),
+        calibration=e.sensor.curve,
+        drive_map=e.drive.map,
+        rail_counts=e.sensor.rail_counts,
+        counts_max=e.sensor.counts_max,
+        timeout_s=e.daq.timeout_s,
+        period_s=e.period_s,
+        watchdog_s=e.daq.watchdog_s,
+    )
+
+
+class PlugIn(Backend):
+    """A driver class of another package, or none where it cannot be used.
+
+    entry         who offers it
+    driver_class  what it names
+    refusal       why there is no such driver; None where there is one
+    """
+
+    def __init__(
+        self, entry: EntryPoint | None = None, driver_class: type[Driver] | None = None, refusal: Problem | None = None
+    ) -> None:
+        self.entry = entry
+        self.driver_class = driver_class
+        self.refusal = refusal
+
+    def construct(self, settings: DriverSettings) -> Driver:
+        """A driver, not opened. Raises as ``constructed``; ConfigError where there is none."""
+        if self.entry is None or self.driver_class is None:
+            raise ConfigError([] if self.refusal is None else [self.refusal])
+        return constructed(self.entry, self.driver_class, settings)
+
+    def rules(self, e: Experiment) -> Iterator[Problem]:
+        """As of ``Backend``: the driver is constructed, so that it refuses its options here, not before a motor."""
+        yield from keys_of_built_in(e)
+        driver = self._tried(e)
+        if isinstance(driver, Problem):
+            yield driver
+        elif e.relay.where == "device" and not isinstance(driver, RelayDriver):
+            yield wrong("relay.where", f"driver {e.daq.driver!r} has no relay in its device", "set it to host")
+
+    def _tried(self, e: Experiment) -> Driver | Problem:
+        """The driver, not opened; or why there is none."""
+        if self.refusal is not None:
+            return self.refusal
+        try:
+            return self.construct(driver_settings_of(e))
+        except PlugInError as error:
+            return refused(error)
+        except ValueError as error:
+            return wrong("daq.options", f"driver {e.daq.driver!r}: {error}")
+
+    def words(self, e: Experiment) -> str:
+        """As of ``Backend``."""
+        return f"plug-in driver {e.daq.driver}: take it for a REAL MOTOR"
+
+    def plan(self, e: Experiment) -> Iterator[str]:
+        """As of ``Backend``."""
+        yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
+        if e.relay.where == "device":
+            yield "relay in the device: as the plug-in driver runs it; a search runs in the host"
+        driver = self._tried(e)
+        if self.entry is not None and not isinstance(driver, Problem):
+            failsafe = "none"
+            if driver.failsafe is not None:
+                failsafe = f"0 V after {driver.failsafe.time_s * 1e3:g} ms of silence"
+            order = driver.order.replace("_", " ")
+            yield f"{described(self.entry)}: {order}; failsafe before it is opened: {failsafe}"
+
+    def failsafe_words(self, e: Experiment) -> str:
+        """As of ``Backend``."""
+        return "failsafe: the plug-in driver's; where its device has none, a run " + (
+            "drives all the same (daq.accept_no_watchdog: true): have the motor's supply in reach"
+            if e.daq.accept_no_watchdog
+            else "is refused"
+        )
+
+    @contextmanager
+    def unopened(self, e: Experiment) -> Iterator[Unopened]:
+        """As of ``Backend``. Raises ConfigError where there is no such driver, or it refuses its options."""
+        driver = self._tried(e)
+        if isinstance(driver, Problem):
+            raise ConfigError([driver])
+        yield Unopened(driver, getattr(driver, "clock", None) or host_clock(e), truth_of(e))
+
+
+def refused(error: PlugInError) -> Problem:
+    """What to say of a driver that cannot be used."""
+    return wrong("daq.driver", str(error), "see docs/plug-in-driver.md, or ask its author")

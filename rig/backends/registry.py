@@ -1,0 +1,183 @@
+"""Which device a config names: the built-in ones and those of other packages, found and asked alike.
+
+A config comes in here once, and goes out as an open bench.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.backends.backend import Backend, Unopened
+from rig.backends.driver import Clock, DeviceInfo, Driver, DriverSettings
+from rig.backends.plug_in import PlugIn, PlugInError, driver_settings_of, loaded, refused
+from rig.config.problems import Problem, printable, wrong
+from rig.config.schema import Experiment
+from rig.faults import Fault
+
+if TYPE_CHECKING:  # these load slowly
+    from rig.backends.emulated.board_process import BoardProcess
+    from rig.model.bench import BenchParameters
+
+GROUP = "rig.daq"
+BUILT_IN = {
+    name: EntryPoint(name, f"rig.backends.{name}.backend:{name.upper()}", GROUP)
+    for name in ("simulated", "serial", "modbus")
+}
+_EMULATES = "serial"  # what `rig emulate` starts for a config whose device cannot be emulated by itself
+
+
+@dataclass(frozen=True)
+class Bench:
+    """An open bench.
+
+    driver, clock  what the loop runs on
+    info           what the device said of itself
+    truth          the motor behind an emulated bench; None behind a real one
+    """
+
+    driver: Driver
+    clock: Clock
+    info: DeviceInfo
+    truth: BenchParameters | None
+
+
+def registered() -> dict[str, EntryPoint]:
+    """What installed packages offer, by name. Raises PlugInError if two offer the same name."""
+    found: dict[str, EntryPoint] = {}
+    for entry in _installed(entry_points, tuple(sys.path)):
+        if entry.name in found and found[entry.name].value != entry.value:
+            raise PlugInError(
+                f"two drivers are called {entry.name!r}: {found[entry.name].value} and {entry.value}; "
+                "uninstall one of the packages"
+            )
+        found[entry.name] = entry
+    return found
+
+
+@lru_cache(maxsize=4)
+def _installed(finder: Callable[..., Iterable[EntryPoint]], places: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """What is offered. Looking through all packages takes milliseconds: once for each finder and list of places."""
+    return tuple(finder(group=GROUP))
+
+
+def load(name: str) -> type[Driver] | Backend:
+    """The driver class, or the backend, of that name from another package.
+
+    Raises LookupError if there is none, naming those there are; PlugInError as ``plug_in.loaded``.
+    """
+    known = registered()
+    if name not in known:
+        listed = ", ".join(sorted(known)) or "none is installed"
+        raise LookupError(f"no driver {name!r} in entry point group {GROUP!r}; known: {listed}")
+    return loaded(known[name])
+
+
+def construct(name: str, settings: DriverSettings) -> Driver:
+    """A driver of another package, not opened. Raises as ``load``, and as ``plug_in.constructed``."""
+    found = load(name)
+    if isinstance(found, Backend):
+        raise LookupError(f"{name!r} is a backend: its driver comes from its own ``unopened``")
+    return PlugIn(registered()[name], found).construct(settings)
+
+
+def backend_of(e: Experiment) -> Backend:
+    """The device that the config names; one that nothing is known of, and whose rules refuse, where there is none."""
+    return backend_named(e.daq.driver)
+
+
+def backend_named(name: str) -> Backend:
+    """As ``backend_of``, by its name."""
+    if name in BUILT_IN:
+        found = loaded(BUILT_IN[name])
+        assert isinstance(found, Backend)
+        return found
+    try:
+        entries = registered()
+        if name not in entries:
+            return PlugIn(refusal=unknown_driver(name))
+        offered = loaded(entries[name])
+    except PlugInError as error:
+        return PlugIn(refusal=refused(error))
+    return offered if isinstance(offered, Backend) else PlugIn(entries[name], offered)
+
+
+def unknown_driver(name: str) -> Problem:
+    """What to say of a driver that is neither built in nor installed."""
+    installed = sorted(registered())
+    close = get_close_matches(name, [*BUILT_IN, *installed], n=1)
+    return wrong(
+        "daq.driver",
+        f"no driver {printable(name)!r}; built in: {', '.join(BUILT_IN)}; "
+        f"plug-ins installed: {', '.join(installed) or 'none'}",
+        f"did you mean '{close[0]}'?" if close else "install the package that offers it (docs/plug-in-driver.md)",
+    )
+
+
+def unopened(e: Experiment) -> AbstractContextManager[Unopened]:
+    """The driver of the config, not opened as a device yet; what an emulated one needs lives for the block.
+
+    Who opens the driver closes it. Raises as ``connect``, Fault LINK_OPEN included.
+    """
+    return backend_of(e).unopened(e)
+
+
+@contextmanager
+def connect(e: Experiment) -> Iterator[Bench]:
+    """Open the bench for the block; on leaving it is stopped and closed.
+
+    Raises Fault LINK_* where there is no such device, NO_WATCHDOG where it has none and the config forbids that;
+    ConfigError where a driver of another package is not installed, or refuses its options.
+    Nothing is ever simulated in place of a missing device.
+    """
+    with unopened(e) as (driver, clock, truth):
+        try:
+            info = driver.open()
+            if driver.failsafe is None and not e.daq.accept_no_watchdog:
+                raise Fault("NO_WATCHDOG")
+            # only a device that says that it is emulated has a truth to compare with
+            yield Bench(driver, clock, info, truth if info.emulated else None)
+        finally:
+            try:
+                driver.safe_stop()
+            finally:
+                driver.close()
+
+
+def emulated_board(
+    e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+) -> AbstractContextManager[BoardProcess]:
+    """The emulated device of the config, running in real time for the block; its ``port`` is as daq.port takes it.
+
+    link   symbolic link to its port;  trace  CSV file of the truth
+    chip   the Uno's firmware on its emulated chip, wherever the config's port is
+    Raises EmulationError where it cannot be built or started.
+    """
+    for backend in (backend_of(e), backend_named(_EMULATES)):
+        found = backend.emulated(e, link, trace, chip=chip)
+        if found is not None:
+            return found
+    raise LookupError("no device is emulated")
+
+
+__all__ = [
+    "BUILT_IN",
+    "GROUP",
+    "Bench",
+    "PlugInError",
+    "backend_of",
+    "connect",
+    "construct",
+    "driver_settings_of",
+    "emulated_board",
+    "load",
+    "registered",
+    "unopened",
+]

@@ -1,0 +1,1 @@
+"""A device with rig's firmware on a serial port."""

@@ -1,0 +1,142 @@
+"""``driver: serial``: a device with rig's firmware, as a config describes it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.backends.backend import Line, LineBackend, Watchdog
+from rig.backends.driver import Driver
+from rig.backends.keys import foreign_keys
+from rig.backends.link_budget import LinkBudget
+from rig.backends.links.usb_adapters import CHIPS, Adapter
+from rig.backends.serial import link_budget
+from rig.backends.serial.ports import adapter_of, is_emulated
+from rig.backends.serial.rules import serial_rules
+from rig.config.problems import Problem
+from rig.config.schema import Experiment
+
+if TYPE_CHECKING:  # it loads slowly
+    from rig.backends.emulated.board_process import BoardProcess
+
+_DRIVE_UNITS = 799  # of the firmware at full duty
+
+
+class SerialBackend(LineBackend):
+    """A board with rig's firmware behind a serial port; or emulated, as firmware on this machine or on its chip."""
+
+    name = "serial"
+
+    def rules(self, e: Experiment) -> Iterator[Problem]:
+        """As of ``Backend``."""
+        yield from foreign_keys(e, "port", "adapter")
+        yield from serial_rules(e)
+
+    def watchdog(self, e: Experiment) -> Watchdog:
+        """As of ``Backend``: the firmware's, in milliseconds."""
+        return Watchdog(e.daq.watchdog_s)
+
+    def writes_first(self, e: Experiment) -> bool:
+        """As of ``Backend``: a drive goes out at once."""
+        return False
+
+    def budget(self, e: Experiment) -> LinkBudget:
+        """As of ``Backend``."""
+        return link_budget.tick_budget(e)
+
+    def reading_budget(self, e: Experiment) -> LinkBudget:
+        """As of ``Backend``."""
+        return link_budget.reading_budget(e)
+
+    def reply_delay_s(self, e: Experiment) -> float:
+        """As of ``Backend``: the adapter's."""
+        return link_budget.reply_delay_s(e)
+
+    def times_error_s(self, e: Experiment) -> float:
+        """As of ``Backend``: the device stamps both times itself."""
+        return link_budget.STAMPS_S
+
+    def words(self, e: Experiment) -> str:
+        """As of ``Backend``."""
+        emulated = {
+            "emulated-chip": "the Uno's emulated chip with its firmware, {} baud, virtual time, nothing moves",
+            "emulated-chip-realtime": "the Uno's emulated chip with its firmware, {} baud, real time, nothing moves",
+            "emulated": "an emulated device behind a pseudo-terminal, {} baud, real time, nothing moves",
+        }
+        found = emulated.get(e.daq.port or "")
+        if found is not None:
+            return found.format(e.daq.baud)
+        return f"a REAL MOTOR behind the serial port {e.daq.port}, {e.daq.baud} baud"
+
+    def is_emulated(self, e: Experiment) -> bool:
+        """As of ``Backend``."""
+        return is_emulated(e)
+
+    def plan(self, e: Experiment) -> Iterator[str]:
+        """As of ``Backend``."""
+        yield f"link: {self.budget(e).beside(e.period_s)}"
+        delay_ms = 1e3 * link_budget.sample_to_drive_s(e)
+        yield f"delay: a drive acts up to {delay_ms:.2f} ms after its sample, and what the host takes"
+        if e.relay.where == "device":
+            block = link_budget.block_sum(e.daq.baud)
+            yield f"relay in the device: decides every ms; {block}; a search runs in the host"
+            yield from _device_drives(e)
+
+    def notes(self, e: Experiment) -> Iterator[str]:
+        """As of ``Backend``: what is reckoned with between USB and the line, where it is not certain."""
+        adapter = adapter_of(e)
+        chip = CHIPS.get(adapter)
+        if chip is not None and e.daq.adapter is None:
+            yield (
+                f"daq.adapter is not given; by the port's name it is reckoned with {chip.words} ({adapter}): "
+                "`rig doctor` says which is there"
+            )
+        if chip is not None and chip.assumed:
+            yield (
+                f"nobody says how long {chip.words} waits; {1e3 * chip.wait_s:g} ms is assumed: `rig doctor` on this "
+                "config measures it"
+            )
+
+    def not_emulated_words(self, e: Experiment) -> str:
+        """As of ``Backend``."""
+        return f"section `emulated` is not used with port {e.daq.port}"
+
+    def adapter_behind(self, e: Experiment) -> Adapter | None:
+        """As of ``Backend``."""
+        return None if is_emulated(e) else adapter_of(e)
+
+    def line(self, e: Experiment) -> AbstractContextManager[Line]:
+        """As of ``LineBackend``."""
+        from rig.backends.serial.opening import serial_line
+
+        return serial_line(e)
+
+    def driver(self, e: Experiment, line: Line) -> Driver:
+        """As of ``LineBackend``."""
+        from rig.backends.serial.opening import serial_driver
+
+        return serial_driver(e, line)
+
+    def emulated(
+        self, e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+    ) -> AbstractContextManager[BoardProcess]:
+        """As of ``Backend``."""
+        from rig.backends.serial.opening import emulated_board
+
+        return emulated_board(e, link, trace, chip=chip)
+
+
+def _device_drives(e: Experiment) -> Iterator[str]:
+    """What given gains become in whole units of the drive."""
+    full_V, dead = e.drive.supply_V - e.drive.bridge_drop_V, e.drive.dead_band_duty.plus
+    for g in e.relay.gains or ():
+        outer, inner = (
+            round(_DRIVE_UNITS * (dead + (1.0 - dead) * u_V / full_V))
+            for u_V in (g.h1_V + g.h2_V, abs(g.h2_V - g.h1_V))
+        )
+        yield f"  at ({g.h1_V:g}, {g.h2_V:g}) V it drives +-{outer} and +-{inner} of {_DRIVE_UNITS} units"
+
+
+SERIAL = SerialBackend()

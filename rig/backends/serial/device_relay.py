@@ -1,0 +1,102 @@
+"""The relay while it runs in the device: started, heard, stopped."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from rig.backends.driver import RelayRow
+from rig.backends.serial import frames
+from rig.backends.serial.exchange import ATTEMPTS, Exchange
+from rig.backends.serial.frames import Kind, RelaySetup, State
+from rig.backends.serial.introduction import STALE_READS, refusal
+from rig.backends.serial.relay_stream import TICK_S, RelayStream
+from rig.faults import Fault
+
+
+class DeviceRelay:
+    """One run of it. Constructed by ``start``.
+
+    exchange  with the device
+    stream    of its blocks
+    """
+
+    def __init__(self, exchange: Exchange, stream: RelayStream) -> None:
+        self._exchange = exchange
+        self._stream = stream
+
+    @classmethod
+    def start(cls, exchange: Exchange, setup: RelaySetup, stream: RelayStream) -> Self:
+        """Let it drive from the device's next tick on, from 0 V.
+
+        Raises Fault ARM_READBACK, LINK_TIMEOUT, or what the device refuses with.
+        """
+        for _ in range(ATTEMPTS):
+            # a relay whose confirmation was lost runs already: this ends it
+            exchange.send(Kind.DRIVE, frames.pack_drive(0))
+            packet = exchange.answer(exchange.send(Kind.RELAY, setup.pack()), Kind.RELAY_REPLY)
+            if packet is None:
+                continue
+            if packet.kind == Kind.NACK:
+                raise refusal(packet)
+            if RelaySetup.unpack(packet.body) != setup:
+                raise Fault("ARM_READBACK", f"sent {setup}, stored {RelaySetup.unpack(packet.body)}")
+            stream.heard_s = exchange.now_s()
+            return cls(exchange, stream)
+        raise exchange.silence(Kind.RELAY)
+
+    def rows(self) -> list[RelayRow]:
+        """The ticks that have come since the last call, of blocks that were taken."""
+        return self._stream.rows()
+
+    def hear(self) -> None:
+        """Take the blocks that are there; does not wait. Raises Fault LINK_GAP, LINK_LOST, DEVICE_RESET."""
+        for _ in range(STALE_READS):
+            if not self._exchange.listen(0.0):
+                break
+        self._take_blocks()
+
+    def hear_last(self, until_s: float) -> None:
+        """Take what comes of a relay that was stopped, up to the first block that is missing; raises nothing."""
+        try:
+            self._take_blocks()
+            self._until_ended(until_s)
+        except Fault:  # the run has ended for a reason of its own
+            return
+
+    def stop(self) -> None:
+        """End it with 0 V, and take its last blocks. Raises Fault LINK_GAP, LINK_LOST, LINK_TIMEOUT."""
+        for _ in range(ATTEMPTS):
+            self._exchange.send(Kind.DRIVE, frames.pack_drive(0))
+            self._until_ended(self._exchange.now_s() + self._exchange.timeout_s)
+            if self._stream.ended:
+                return
+        raise self._exchange.silence(Kind.DRIVE)
+
+    @property
+    def ended(self) -> State | None:
+        """What the last block says of a relay that has ended; None while it runs."""
+        block = self._stream.last
+        if block is None or not self._stream.ended:
+            return None
+        counts, drive = block.rows[-1] if block.rows else (0, 0)
+        return State(
+            block.t_first_us, counts, frames.NO_TACHOMETER, 0, drive, 0, block.status, block.fault, block.session
+        )
+
+    @property
+    def missed_s(self) -> float:
+        """For how long no block has come, s, where that is longer than it may be; else 0."""
+        silent_s = self._exchange.now_s() - self._stream.heard_s
+        if silent_s > frames.BLOCK_ROWS * TICK_S + self._exchange.timeout_s:
+            return silent_s
+        return 0.0
+
+    def _until_ended(self, until_s: float) -> None:
+        while not self._stream.ended and (left_s := until_s - self._exchange.now_s()) > 0.0:
+            self._exchange.listen(left_s)
+            self._take_blocks()
+
+    def _take_blocks(self) -> None:
+        now_s = self._exchange.now_s()
+        for packet in self._exchange.blocks():
+            self._exchange.stale_replies += not self._stream.take(packet, now_s)

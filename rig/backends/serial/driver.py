@@ -1,0 +1,542 @@
+"""A device behind a serial port: frames, arming, and device time mapped to the host's.
+
+``SerialDriver`` takes its port, and with it its clock, as a ``Transport``: ``links.serial_port`` for a board or an
+emulated device behind a pseudo-terminal, or a virtual board in virtual time.
+"""
+
+from __future__ import annotations
+
+import math
+import secrets
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from statistics import median
+
+from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow, Transport
+from rig.backends.serial import frames
+from rig.backends.serial.device_clock import DeviceClock, TimedExchange, fit_device_clock
+from rig.backends.serial.device_relay import DeviceRelay
+from rig.backends.serial.exchange import ATTEMPTS, Exchange
+from rig.backends.serial.fit import Expected, check_fit, measured_supply_V
+from rig.backends.serial.frames import Code, Hello, Kind, Packet, Setup, State
+from rig.backends.serial.introduction import await_introduction, refusal
+from rig.backends.serial.relay_stream import TICK_S, FirmwareRelay, RelayStream, relay_command
+from rig.calibration import (
+    Calibration,
+    DriveMap,
+    TachometerScale,
+    hard_limits_in_counts,
+    largest_drive_in_units,
+    polarity,
+)
+from rig.faults import Fault
+from rig.signals import Limits, Order, Sample
+
+LONGEST_WATCHDOG_S = 1.0  # that the device accepts
+_SYNCHRONISE_S = 1.0
+_SLOW_SYNCHRONISE_S = 3.0  # where exchanges are few, or differ
+_FEW_EXCHANGES = 100
+_STEADY_S = 0.0005  # between the fastest exchange and the median: more is the frames of USB
+_SHORTEST_PAUSE_S = 0.001  # between two of the exchanges that measure the clock
+_LONGEST_PAUSE_S = 0.020  # of an FTDI's timer of 16 ms every phase is met
+_GOLDEN = 0.618034  # its multiples fall everywhere between 0 and 1
+_READ_SHARES = (2 / 3, 1.0, 1.0)  # of the time-out: until when each of a tick's requests for the state is waited for
+_READ_AGAIN = 3  # readings in a row that had to be asked for again: the link is not fit for the period
+_LOST_DRIVES = 3  # in a row: the drive that acts is no longer the host's
+_FLASHING = "flash it with the options that its wiring asks for: docs/real-bench.md"
+
+# Share of the wire time of a HELLO exchange that passes before the device reads its clock.
+_REQUEST_SHARE = len(frames.encode(Kind.HELLO, 1)) / (
+    len(frames.encode(Kind.HELLO, 1))
+    + len(frames.encode(Kind.HELLO_REPLY, 1, bytes(frames.BODY_LENGTH[Kind.HELLO_REPLY])))
+)
+
+_FAULT_OF_CODE: dict[int, str] = {
+    Code.VERSION: "LINK_VERSION",
+    Code.NOT_ARMED: "DEVICE_NOT_ARMED",
+    Code.WATCHDOG: "DEVICE_WATCHDOG",
+    Code.TRAVEL: "DEVICE_TRAVEL",
+    Code.SENSOR_RAIL: "DEVICE_SENSOR",
+    Code.DRIVE_RANGE: "DEVICE_DRIVE_RANGE",
+    Code.POLARITY: "POLARITY",
+    Code.E_STOP: "DEVICE_ESTOP",
+    Code.END_SWITCH: "DEVICE_END_SWITCH",
+    Code.NO_SETUP: "DEVICE_RESET",
+    Code.RESET: "DEVICE_RESET",
+    Code.SESSION: "DEVICE_RESET",
+}
+_MOST_LATCHED = 16  # faults that a device can have latched
+_RESET_BEFORE_S = 0.25  # opening a port takes less, and what began to run since then was reset by it
+
+
+def setup_for(
+    limits: Limits, calibration: Calibration, drive_map: DriveMap, rail_counts: tuple[int, int], session: int
+) -> Setup:
+    """What the device is told before arming. session  1 to 2**32 - 1.
+
+    Raises ValueError where the device could not hold such limits: as ``hard_limits_in_counts`` and
+    ``largest_drive_in_units``, watchdog outside 1 ms to 1 s.
+    """
+    hard_lo, hard_hi = hard_limits_in_counts(limits, calibration, drive_map, rail_counts)
+    rail_lo, rail_hi = rail_counts
+    max_drive = largest_drive_in_units(limits, drive_map)
+    watchdog_ms = round(1000.0 * limits.watchdog_s)
+    if not 1 <= watchdog_ms <= round(1000.0 * LONGEST_WATCHDOG_S):
+        raise ValueError(f"watchdog time {limits.watchdog_s:g} s is not within 0.001 to {LONGEST_WATCHDOG_S:g} s")
+    return Setup(
+        session=session,
+        hard_lo=hard_lo,
+        hard_hi=hard_hi,
+        rail_lo=rail_lo,
+        rail_hi=rail_hi,
+        centre=round(calibration.to_counts(0.0)),
+        max_drive=max_drive,
+        watchdog_ms=watchdog_ms,
+        polarity=polarity(calibration, drive_map),
+    )
+
+
+class SerialDriver:
+    """The firmware behind a transport, as a ``Driver``. Times of samples are in the transport's clock, s.
+
+    transport       an open port; closed by ``close``, never reopened
+    calibration     position sensor
+    drive_map       H-bridge; its ``full_units`` are replaced by what the device says
+    rail_counts     (low, high): readings at or beyond are a broken sensor
+    timeout_s       longest wait for one reply
+    open_timeout_s  longest wait for the device to introduce itself, its restart on opening included
+    tachometer      scale of the velocity channel; None: not used
+    counts_max      the ADC's largest reading that the calibration was made for; None: not checked
+    bridge          what the board's outputs are wired for, a value of ``frames.BRIDGES``; None: not told
+    flashing        what a person has to do to flash this board, the whole command in it; "": not told
+    session         number of this session, 1 to 2**32 - 1; None: a random one
+    name            of the port, for ``backend``
+    emulated        True where it is known that no real motor is behind the port
+    """
+
+    order: Order = "sample_first"
+    latches_stops = True
+
+    def __init__(
+        self,
+        transport: Transport,
+        calibration: Calibration,
+        drive_map: DriveMap,
+        rail_counts: tuple[int, int],
+        timeout_s: float = 0.03,
+        open_timeout_s: float = 5.0,
+        tachometer: TachometerScale | None = None,
+        *,
+        counts_max: int | None = None,
+        bridge: str | None = None,
+        flashing: str = "",
+        session: int | None = None,
+        name: str = "serial",
+        emulated: bool = False,
+    ) -> None:
+        self.calibration = calibration
+        self.drive_map = drive_map
+        self.tachometer = tachometer
+        self.backend = name
+        self.failsafe: DeviceWatchdog | None = DeviceWatchdog(LONGEST_WATCHDOG_S)  # until armed with less
+        self._exchange = Exchange(transport, timeout_s)
+        self._made_s = transport.now_s()  # just after the port was opened
+        self._expected = Expected(
+            rail_counts, counts_max, tachometer is not None, bridge, flashing or _FLASHING, emulated
+        )
+        self._timeout_s = timeout_s
+        self._open_timeout_s = open_timeout_s
+        self._name = name
+        self._clock = DeviceClock(0.0, 0, 1.0)
+        self._session = secrets.randbelow(2**32 - 1) + 1 if session is None else session
+        self._setup: Setup | None = None  # that the device has confirmed
+        self._armed = False
+        self._unconfirmed: int | None = None  # seq of a DRIVE frame that no STATE has told of yet
+        self._driven = False  # the device has accepted a DRIVE since arming
+        self._t_drive_us = -1  # as last reported, and the same in host time: an old drive is mapped once
+        self._t_u_s = math.nan
+        self._asked_again = 0
+        self._again_in_a_row = 0
+        self._drives_lost = 0
+        self._lost_in_a_row = 0
+        self._relay: DeviceRelay | None = None  # while it runs
+
+    @property
+    def link_statistics(self) -> Mapping[str, int]:
+        """Counts since construction.
+
+        exchanges      requests that were waited for
+        timeouts       of these, without a reply in time
+        asked_again    readings that were asked for more than once, since a reply was damaged or did not come
+        stale_replies  intact replies that were not the awaited one: late, repeated, of another request
+        bad_frames     damaged frames from the device
+        drives_lost    DRIVE frames that the device never accepted
+        """
+        return {
+            "exchanges": self._exchange.exchanges,
+            "timeouts": self._exchange.timeouts,
+            "asked_again": self._asked_again,
+            "stale_replies": self._exchange.stale_replies,
+            "bad_frames": self._exchange.reader.bad_frames,
+            "drives_lost": self._drives_lost,
+        }
+
+    def open(self) -> DeviceInfo:
+        """Wait for the device to introduce itself, clear what it has latched, and measure its clock for one to three s.
+
+        A fault whose cause lasts stays latched, and one that has come since the opening began: ``arm`` raises it.
+        Raises Fault LINK_HELLO, LINK_VERSION, LINK_TIMEOUT, DEVICE_RESET or LINK_LOST; CONFIG_MISMATCH where the config
+        does not fit the device (converter range, rails, tachometer, bridge).
+        """
+        hello = self._meet()
+        check_fit(hello, self._expected)
+        acknowledged = self._acknowledge(hello)
+        self.drive_map = replace(self.drive_map, full_units=hello.drive_full)
+        exchanges = self._time_exchanges()
+        try:
+            self._clock = fit_device_clock(exchanges, _REQUEST_SHARE)
+        except ValueError as error:
+            raise Fault("DEVICE_RESET", f"while its clock was measured: {error}") from error
+        supply_V, supply_at_least = self._measured_supply_V(hello)
+        board = frames.BOARDS.get(hello.board, f"number {hello.board}")
+        emulated = self._expected.emulated or hello.board in frames.EMULATED_BOARDS
+        self.backend = f"{self._name} ({'emulated ' if emulated else ''}{board} board, build {hello.build_text})"
+        return DeviceInfo(
+            build=hello.build_text,
+            board=board,
+            reset_cause=hello.reset_words,
+            emulated=emulated,
+            clock_ratio=self._clock.ratio,
+            round_trip_s=min(e.received_s - e.sent_s for e in exchanges),
+            supply_V=supply_V,
+            supply_at_least=supply_at_least,
+            drive_units=hello.drive_full,
+            acknowledged=acknowledged,
+        )
+
+    def arm(self, limits: Limits) -> None:
+        """Stop, send the limits where the device has not got them yet, read them back, arm.
+
+        What the device has latched since it was opened refuses, and a device that has lost this session: it was reset.
+        Raises ValueError as ``setup_for``; Fault ARM_READBACK, LINK_TIMEOUT, or what the device refuses with.
+        """
+        setup = setup_for(limits, self.calibration, self.drive_map, self._expected.rail_counts, self._session)
+        self._armed = False
+        state = State.unpack(self._exchange.request(Kind.STOP, b"", Kind.STOP_REPLY).body)
+        self._check_pause(state)
+        if setup != self._setup:
+            stored = Setup.unpack(self._exchange.request(Kind.SETUP, setup.pack(), Kind.SETUP_REPLY).body)
+            if stored != setup:
+                raise Fault("ARM_READBACK", f"sent {_fields(setup, stored)}, stored {_fields(stored, setup)}")
+            self._setup = setup
+        code = self._exchange.request(Kind.ARM, frames.pack_arm(self._session), Kind.ARM_REPLY).body[0]
+        if code != Code.NONE:
+            raise Fault(_FAULT_OF_CODE.get(code, "LINK_REJECTED"), f"arming refused, {frames.code_name(code)}")
+        self.failsafe = DeviceWatchdog(1e-3 * setup.watchdog_ms)
+        self._unconfirmed = None
+        self._lost_in_a_row = 0
+        self._again_in_a_row = 0
+        self._driven = False
+        self._relay = None
+        self._exchange.blocks()  # of an earlier run
+        self._armed = True
+
+    def read(self) -> Sample:
+        """Ask for the state and wait for it; ask again where a reply was damaged or stays away, within one time-out.
+
+        ``u_V`` is what acts at the pin by the device's own word, even if the last ``write`` was lost on the
+        way (which ``link_statistics`` counts). Before arming it reads, too.
+        Raises Fault LINK_TIMEOUT, LINK_LOST, DEVICE_RESET, or the fault that the device latched.
+        """
+        packet = self._ask_state()
+        if packet.kind == Kind.NACK:
+            raise refusal(packet)
+        state = State.unpack(packet.body)
+        if self._armed:
+            if (
+                state.status & frames.STATUS_FAULT
+                or not state.status & frames.STATUS_ARMED
+                or state.session != self._session
+            ):
+                raise self._device_fault(state)
+        elif self._unconfirmed is not None and state.fault:
+            raise self._device_fault(state)
+        elif self._setup is not None:
+            self._check_pause(state)
+
+        if self._unconfirmed is not None:
+            if state.drive_seq == self._unconfirmed:
+                self._driven = True
+                self._lost_in_a_row = 0
+            else:
+                self._drives_lost += 1
+                self._lost_in_a_row += 1
+                if self._lost_in_a_row >= _LOST_DRIVES:
+                    # the reading that came with it is in no row: it is here
+                    raise Fault(
+                        "LINK_TIMEOUT", f"{self._lost_in_a_row} drives in a row were not accepted; {self._where(state)}"
+                    )
+            self._unconfirmed = None
+        now_s = self._exchange.now_s()
+        if self._driven and state.t_drive_us != self._t_drive_us:
+            self._t_drive_us = state.t_drive_us
+            self._t_u_s = self._clock.to_host_s(state.t_drive_us, now_s)
+        tachometer = self.tachometer
+        return Sample(
+            self._clock.to_host_s(state.t_sample_us, now_s),
+            self.calibration.to_rad(state.counts),
+            state.counts,
+            math.nan
+            if tachometer is None or state.tach == frames.NO_TACHOMETER
+            else tachometer.to_rad_per_s(state.tach),
+            self._t_u_s if self._driven else math.nan,
+            self.drive_map.to_volts(state.drive),
+            packet.seq,
+        )
+
+    def _ask_state(self) -> Packet:
+        """READ, up to three times within one time-out: again at once where a damaged frame came, or when most is over.
+
+        A late answer to an earlier one of them will do: a state tells itself when it was sampled. Raises Fault
+        LINK_TIMEOUT without any, and where the two readings before had to be asked for again, too.
+        """
+        start_s = self._exchange.now_s()
+        seqs: list[int] = []
+        for share in _READ_SHARES:
+            seqs.append(self._exchange.send(Kind.READ))
+            last = len(seqs) == len(_READ_SHARES)
+            packet = self._exchange.wait(seqs, Kind.STATE, start_s + share * self._timeout_s, damage_ends=not last)
+            if packet is not None:
+                self._again_in_a_row = 0 if len(seqs) == 1 else self._again_in_a_row + 1
+                if self._again_in_a_row < _READ_AGAIN:
+                    return packet
+                state = "refused" if packet.kind == Kind.NACK else self._where(State.unpack(packet.body))
+                raise self._exchange.silence(
+                    Kind.READ, f"{_READ_AGAIN} readings in a row had to be asked for again; {state}"
+                )
+            if self._exchange.now_s() - start_s >= self._timeout_s:
+                break
+            self._asked_again += len(seqs) == 1  # however often
+        self._exchange.timeouts += 1
+        raise self._exchange.silence(Kind.READ)
+
+    def write(self, u_V: float) -> None:
+        """Send the drive, one way. Raises ValueError beyond supply and bridge, Fault LINK_LOST.
+
+        Beyond what it was armed for, the device sets 0 V and the next ``read`` raises DEVICE_DRIVE_RANGE.
+        """
+        self._unconfirmed = self._exchange.send(Kind.DRIVE, frames.pack_drive(self.drive_map.to_units(u_V)))
+
+    def safe_stop(self) -> bool:
+        """Tell the device to stop, up to three times; True once it confirms 0 drive, disarmed.
+
+        On False (or without the host at all) the device's watchdog does it. The last ticks of a relay that ran are for
+        ``read_rows``.
+        """
+        self._armed = False
+        self._unconfirmed = None
+        stopped = self._is_stopped()
+        if self._relay is not None:
+            self._relay.hear_last(self._exchange.now_s() + (self._timeout_s if stopped else 0.0))
+        return stopped
+
+    def _is_stopped(self) -> bool:
+        try:
+            for _ in range(ATTEMPTS):
+                packet = self._exchange.answer(self._exchange.send(Kind.STOP), Kind.STOP_REPLY)
+                if packet is not None and packet.kind == Kind.STOP_REPLY:
+                    state = State.unpack(packet.body)
+                    if state.drive == 0 and not state.status & frames.STATUS_ARMED:
+                        return True
+        except Fault:  # a dead port
+            return False
+        return False
+
+    def close(self) -> None:
+        """Close the port, after a ``safe_stop`` if still armed. May be called twice."""
+        if self._armed:
+            self.safe_stop()
+        self._exchange.transport.close()
+
+    # ------------------------------------------------------------------ the relay in the device
+
+    @property
+    def tick_s(self) -> float:
+        """The device's tick in host time, s."""
+        return TICK_S / self._clock.ratio
+
+    def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
+        """What the device is to be told for these gains; raises as ``relay_stream.relay_command``."""
+        return relay_command(h1_V, h2_V, z_bound_rad_s, self.calibration, self.drive_map, self.tick_s)
+
+    def start_relay(self, command: RelayCommand) -> None:
+        """Let the device's relay drive from its next tick on, from 0 V. It needs ``keep`` from then on.
+
+        Raises Fault ARM_READBACK, LINK_TIMEOUT, or what the device refuses with.
+        """
+        if not isinstance(command, FirmwareRelay):
+            raise TypeError("a command of another driver")
+        self._unconfirmed = None
+        self._relay = None
+        stream = RelayStream(self.calibration, self.drive_map, self._clock, self._session, self._exchange.now_s())
+        self._relay = DeviceRelay.start(self._exchange, command.setup, stream)
+
+    def keep(self) -> None:
+        """Tell the device that the host lives: without this its relay ends when the watchdog time is over."""
+        self._exchange.send(Kind.KEEP)
+
+    def read_rows(self) -> list[RelayRow]:
+        """The relay's ticks that have come since the last call; does not wait. After a ``safe_stop``: the last ones.
+
+        Once there are no more:
+        Raises Fault LINK_GAP, LINK_LOST, LINK_TIMEOUT where blocks stay away, DEVICE_RESET, or what the device latched.
+        """
+        relay = self._running_relay()
+        if not self._armed:
+            self._relay = None
+            return relay.rows()
+        relay.hear()
+        rows = relay.rows()
+        if rows:
+            return rows
+        if relay.ended is not None:
+            raise self._device_fault(relay.ended)
+        if silent_s := relay.missed_s:
+            sample = self.read()  # the device may say why
+            raise Fault(
+                "LINK_TIMEOUT",
+                f"the relay runs, but no block came for {1e3 * silent_s:.0f} ms; {sample.y_rad:.4f} rad, "
+                f"{sample.y_counts} counts",
+            )
+        return rows
+
+    def stop_relay(self) -> list[RelayRow]:
+        """End the device's relay with 0 V; still armed. Returns its last ticks.
+
+        What the device may have latched meanwhile, the next ``read`` raises. Raises Fault LINK_GAP, LINK_LOST,
+        LINK_TIMEOUT.
+        """
+        relay = self._running_relay()
+        relay.stop()
+        self._relay = None
+        return relay.rows()
+
+    def _running_relay(self) -> DeviceRelay:
+        if self._relay is None:
+            raise ValueError("no relay runs in the device")
+        return self._relay
+
+    # ------------------------------------------------------------------ meeting the device
+
+    def _meet(self) -> Hello:
+        try:
+            introduction = await_introduction(self._exchange.transport, self._exchange.reader, self._open_timeout_s)
+        except Fault as fault:
+            if fault.code != "LINK_VERSION":
+                raise
+            raise Fault(fault.code, f"{fault.detail}; {self._expected.flashing}") from fault
+        self._exchange.seq = introduction.requests
+        self._exchange.stale_replies += introduction.stale_replies
+        return introduction.hello
+
+    def _acknowledge(self, hello: Hello) -> tuple[str, ...]:
+        """Clear what the device had latched before the command that opens it; codes of the faults, its reset left out.
+
+        What came after that command stays, for ``arm`` to raise: a code that latches again, and where the device was
+        reset by the opening, as an Uno is, everything but the reset.
+        """
+        known_s = self._exchange.now_s() - self._made_s + _RESET_BEFORE_S
+        was_reset_now = 1e-6 * hello.now_us < known_s
+        cleared: list[int] = []
+        for _ in range(_MOST_LATCHED):
+            state = State.unpack(self._exchange.request(Kind.READ, b"", Kind.STATE).body)
+            code = state.fault
+            if not state.status & frames.STATUS_FAULT or code in cleared or not self._is_cleared(code):
+                break
+            cleared.append(code)
+            if code == Code.RESET and was_reset_now:
+                break
+        return tuple(_FAULT_OF_CODE.get(code, "LINK_REJECTED") for code in cleared if code != Code.RESET)
+
+    def _is_cleared(self, code: int) -> bool:
+        """Acknowledge one fault; False where its cause lasts."""
+        for _ in range(ATTEMPTS):
+            packet = self._exchange.answer(self._exchange.send(Kind.ACK, frames.pack_ack(code)), Kind.ACK_REPLY)
+            if packet is not None:
+                return packet.kind == Kind.ACK_REPLY
+        raise self._exchange.silence(Kind.ACK)
+
+    def _measured_supply_V(self, hello: Hello) -> tuple[float, bool]:
+        """The motor supply as the device measures it now, not in its first millisecond; and whether it may be more.
+
+        nan if it does not. A little off is for the run to say: it ends nothing.
+        """
+        if not hello.features & frames.FEATURE_SUPPLY:
+            return math.nan, False
+        now = Hello.unpack(self._exchange.request(Kind.HELLO, b"", Kind.HELLO_REPLY).body)
+        return measured_supply_V(now, self.drive_map.supply_V)
+
+    def _time_exchanges(self) -> list[TimedExchange]:
+        """Ask for the device's time again and again, for a second, or up to three over a slow link or USB.
+
+        HELLO carries the time at which it is answered; a sample's time may be a device tick old. The pauses differ, up
+        to the longest exchange: with equal ones each reply would meet a USB adapter's timer at the same phase.
+        """
+        now_s = self._exchange.now_s
+        exchanges: list[TimedExchange] = []
+        longest_s = 0.0
+        began_s = sent_s = now_s()
+        while sent_s < began_s + _SYNCHRONISE_S or (sent_s < began_s + _SLOW_SYNCHRONISE_S and _is_vague(exchanges)):
+            packet = self._exchange.answer(self._exchange.send(Kind.HELLO), Kind.HELLO_REPLY)
+            received_s = now_s()
+            if packet is not None and packet.kind == Kind.HELLO_REPLY:
+                exchanges.append(TimedExchange(sent_s, received_s, Hello.unpack(packet.body).now_us))
+                longest_s = min(max(longest_s, received_s - sent_s), _LONGEST_PAUSE_S)
+            pause_s = _SHORTEST_PAUSE_S + longest_s * (_GOLDEN * len(exchanges) % 1.0)
+            self._exchange.ignore(pause_s)
+            sent_s = now_s()
+        if len(exchanges) < 4:
+            raise self._exchange.silence(Kind.HELLO)
+        return exchanges
+
+    # ------------------------------------------------------------------ what a state says
+
+    def _where(self, state: State) -> str:
+        return f"{self.calibration.to_rad(state.counts):.4f} rad, {state.counts} counts"
+
+    def _check_pause(self, state: State) -> None:
+        """Raise what has happened to a disarmed device since it was opened."""
+        if state.status & frames.STATUS_FAULT or (self._setup is not None and state.session != self._session):
+            raise self._device_fault(state)
+
+    def _device_fault(self, state: State) -> Fault:
+        """What a STATE says that ends the run, with this case's numbers."""
+        if self._setup is not None and state.session != self._session:
+            return Fault("DEVICE_RESET", f"the device has lost its session; at {self._where(state)}")
+        if self._armed and not state.status & frames.STATUS_FAULT:
+            return Fault("DEVICE_RESET", f"no longer armed and no fault latched; at {self._where(state)}")
+        detail = f"{frames.code_name(state.fault)} at {self._where(state)}"
+        setup = self._setup
+        if setup is not None:
+            if state.fault == Code.WATCHDOG:
+                detail += f", watchdog {setup.watchdog_ms} ms"
+            elif state.fault == Code.TRAVEL:
+                detail += f", limits {setup.hard_lo} to {setup.hard_hi} counts"
+            elif state.fault == Code.SENSOR_RAIL:
+                detail += f", rails {setup.rail_lo} and {setup.rail_hi} counts"
+            elif state.fault == Code.DRIVE_RANGE:
+                detail += f", largest drive {setup.max_drive} units"
+        return Fault(_FAULT_OF_CODE.get(state.fault, "LINK_REJECTED"), detail)
+
+
+def _is_vague(exchanges: Sequence[TimedExchange]) -> bool:
+    """Whether those of one second are too few, or too unlike, for the device's rate."""
+    if len(exchanges) <= _FEW_EXCHANGES:
+        return True
+    took_s = [exchange.received_s - exchange.sent_s for exchange in exchanges]
+    return median(took_s) - min(took_s) > _STEADY_S
+
+
+def _fields(setup: Setup, other: Setup) -> str:
+    """The fields in which two set-ups differ, with the first one's values."""
+    return ", ".join(f"{name} {a}" for name, a, b in zip(Setup._fields, setup, other, strict=True) if a != b)

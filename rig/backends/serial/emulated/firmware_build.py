@@ -1,0 +1,157 @@
+"""Builds the firmware from its sources: the emulated board with the machine's own compiler, the Uno's with avr-gcc."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import NamedTuple
+
+import rig
+from rig.backends.emulated.errors import EmulationError
+
+_PACKAGE = Path(rig.__file__).parent
+_AVR_PACKAGES = "gcc-avr avr-libc binutils-avr"
+
+
+class HostFirmware(NamedTuple):
+    """What the build gives: the program of the process, and the shared library for virtual time."""
+
+    program: Path
+    library: Path
+
+
+class UnoOptions(NamedTuple):
+    """What the Uno's firmware is built with (firmware/boards/uno/uno.mk); the defaults are the plain ``rig_uno.hex``.
+
+    bridge  "PWM_DIR" or "IN1_IN2"
+    baud    115200 or 1000000
+    tachometer, supply, end_switches  whether they are wired
+    """
+
+    bridge: str = "PWM_DIR"
+    baud: int = 115200
+    tachometer: bool = False
+    supply: bool = False
+    end_switches: bool = False
+
+    @property
+    def name(self) -> str:
+        """Of the file, without its ending."""
+        parts = ["rig_uno"]
+        if self.bridge != "PWM_DIR":
+            parts.append(self.bridge.lower())
+        if self.baud != 115200:
+            parts.append(str(self.baud))
+        words = {"tachometer": self.tachometer, "supply": self.supply, "ends": self.end_switches}
+        return "-".join(parts + [word for word, wired in words.items() if wired])
+
+    def variables(self) -> list[str]:
+        """For make."""
+        flags = f"TACHOMETER={self.tachometer:d}", f"SUPPLY={self.supply:d}", f"END_SWITCHES={self.end_switches:d}"
+        return [f"BRIDGE={self.bridge}", f"BAUD={self.baud}", *flags]
+
+
+PLAIN_UNO = UnoOptions()
+
+
+class ChipFirmware(NamedTuple):
+    """What the build gives: the very .hex that is flashed, and the emulated chip, for virtual time and as a process."""
+
+    hex: Path
+    library: Path
+    program: Path
+
+
+def source_folder() -> Path:
+    """Folder of the firmware's sources: in the repository, else as packaged with rig.
+
+    Raises EmulationError if neither is there.
+    """
+    candidates = (_PACKAGE.parent / "firmware", _PACKAGE / "_firmware")
+    for folder in candidates:
+        if (folder / "Makefile").is_file() and (folder / "core" / "rig_core.c").is_file():
+            return folder
+    raise EmulationError(f"no firmware sources in {candidates[0]} or {candidates[1]}: install rig again")
+
+
+def build(build_folder: Path | None = None) -> HostFirmware:
+    """Build what is not up to date. Processes that build at the same time wait for each other.
+
+    build_folder  where to; default: ``build/firmware`` in the repository, a folder of the user's cache for an
+                  installed rig
+    Raises EmulationError if make or the C compiler is missing, or the build fails.
+    """
+    folder = _make(build_folder, ["host"], {}) / "host"
+    return HostFirmware(folder / "rig_host_board", folder / "librig_host.so")
+
+
+def build_uno(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None) -> Path:
+    """Build the Uno's firmware, as ``build`` does; the .hex to flash.
+
+    Raises EmulationError also where avr-gcc or its library is missing.
+    """
+    folder = _make(build_folder, ["uno", *options.variables()], {"avr-gcc": f"apt-get install {_AVR_PACKAGES}"})
+    return folder / "uno" / f"{options.name}.hex"
+
+
+def build_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None) -> ChipFirmware:
+    """Build the Uno's firmware and its emulated chip, as ``build`` does.
+
+    Raises EmulationError also where avr-gcc is missing, or the repository: what is installed has no emulated chip.
+    """
+    if not (source_folder() / "emulator" / "chip.c").is_file():
+        raise EmulationError("the emulated chip is in rig's repository only: run from there")
+    tools = {"avr-gcc": f"apt-get install {_AVR_PACKAGES} libsimavr-dev"}
+    folder = _make(build_folder, ["chip", *options.variables()], tools)
+    chip = folder / "chip"
+    return ChipFirmware(folder / "uno" / f"{options.name}.hex", chip / "librig_chip.so", chip / "rig_chip_board")
+
+
+def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) -> Path:
+    """Make the targets; the folder that they are in. ``tools``: what they need besides a C compiler, and its cure."""
+    try:
+        import fcntl  # not everywhere
+    except ImportError as error:
+        raise EmulationError(
+            "emulated devices are firmware that is compiled and run here, which takes Linux\n"
+            "set daq.driver: simulated, as in config/simulated.yaml: it runs everywhere"
+        ) from error
+    sources = source_folder()
+    folder = (_default_build_folder(sources) if build_folder is None else build_folder).absolute()
+    compiler = os.environ.get("CC", "cc")
+    cure = "apt-get install make gcc libc6-dev"
+    for tool, package in ({"make": cure, compiler.split()[0]: cure} | tools).items():
+        if shutil.which(tool) is None:
+            raise EmulationError(
+                f"the firmware is compiled on this machine, and `{tool}` is missing: install it (Debian: {package})"
+            )
+    # an outer make's job server and flags are none of this build's business
+    environment = {key: value for key, value in os.environ.items() if key not in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")}
+    command = ["make", "-s", "-C", str(sources), *targets, f"BUILD={folder}", f"CC={compiler}"]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / ".lock").open("wb") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            made = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise EmulationError(f"the firmware cannot be built in {folder}: {error}") from error
+    if "avr/io.h: No such file" in made.stderr:  # Debian's avr-gcc comes without its library
+        raise EmulationError(f"avr-gcc has no C library: install it (Debian: apt-get install {_AVR_PACKAGES})")
+    if made.returncode != 0:
+        raise EmulationError(f"building the firmware failed: `{' '.join(command)}`\n{made.stderr.strip()}")
+    return folder
+
+
+def _default_build_folder(sources: Path) -> Path:
+    if sources.parent != _PACKAGE:
+        return sources.parent / "build" / "firmware"
+    # Installed files carry no useful times, and their folder may not be writable: one folder for each content.
+    digest = hashlib.sha256()
+    for path in sorted(sources.rglob("*")):
+        if path.is_file():
+            digest.update(path.relative_to(sources).as_posix().encode() + b"\0" + path.read_bytes())
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return cache / "rig" / f"firmware-{digest.hexdigest()[:16]}"

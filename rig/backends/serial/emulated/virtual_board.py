@@ -1,0 +1,131 @@
+"""The emulated board in virtual time."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.serial.emulated import firmware_build
+from rig.backends.serial.emulated.device_options import device_options
+from rig.backends.serial.emulated.virtual_device import VirtualDevice, load
+from rig.model.bench import BenchParameters
+
+
+class _View(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_double) for name in ("t_s", "pin_V", "motor_V", "y_rad", "v_rad_per_s", "pin_changed_s")),
+        *((name, ctypes.c_int32) for name in ("armed", "latched", "fault", "recovering", "dropped", "hung")),
+    )
+
+
+class Truth(NamedTuple):
+    """What is really the case on the device, besides what it says on the wire.
+
+    t_s            virtual time, s
+    pin_V          drive at the board's pin; motor_V: what the wiring makes of it
+    y_rad, v_rad_per_s   of the measured shaft
+    pin_changed_s  time at which the drive at the pin changed last; negative: never
+    armed, latched, hung
+    fault          code of the fault, 0 for none
+    recovering     +1 armed above the hard limits, -1 below, 0 neither
+    dropped        damaged frames that the device has dropped
+    """
+
+    t_s: float
+    pin_V: float
+    motor_V: float
+    y_rad: float
+    v_rad_per_s: float
+    pin_changed_s: float
+    armed: bool
+    latched: bool
+    fault: int
+    recovering: int
+    dropped: int
+    hung: bool
+
+
+class VirtualBoard(VirtualDevice):
+    """One emulated board, powered on at virtual time 0. Any number may live side by side.
+
+    bench            what is behind the board
+    seed             of the noise, 0 to 2**32 - 1
+    clock_error_ppm  of the device's clock against virtual time
+    clock_start_us   reading of the device's clock at a reset, 0 to 2**32 - 1
+    baud, bits_per_byte  of the wire, both ways; a real byte takes 10 to 11 bit times
+    build_folder     of the firmware; None: the default one
+    Raises EmulationError if the firmware cannot be built or a parameter is out of range.
+    """
+
+    def __init__(
+        self,
+        bench: BenchParameters,
+        seed: int = 1,
+        *,
+        clock_error_ppm: float = 0.0,
+        clock_start_us: int = 0,
+        baud: int = 115200,
+        bits_per_byte: int = 11,
+        build_folder: Path | None = None,
+    ) -> None:
+        options = device_options(bench, seed, clock_error_ppm, clock_start_us)
+        super().__init__(_load(build_folder), options, round(1e9 * bits_per_byte / baud))
+
+    def truth(self) -> Truth:
+        """What is really the case now."""
+        view = _View()
+        self._library.virtual_look(self._board, ctypes.byref(view))
+        return Truth(
+            view.t_s,
+            view.pin_V,
+            view.motor_V,
+            view.y_rad,
+            view.v_rad_per_s,
+            view.pin_changed_s,
+            bool(view.armed),
+            bool(view.latched),
+            view.fault,
+            view.recovering,
+            view.dropped,
+            bool(view.hung),
+        )
+
+    def reset(self, cause: int) -> None:
+        """Reset the chip: 1 power-on, 2 external, 4 brown-out, 8 watchdog (bits may be combined)."""
+        self._library.virtual_reset(self._board, cause)
+
+    def hang(self) -> None:
+        """Hang the firmware, drive as it is; the hardware watchdog resets the chip 0.12 s after its last tick."""
+        self._library.virtual_hang(self._board)
+
+    def motion(self, v_rad_per_s: float, y_rad: float, u_V: float, dt_s: float) -> tuple[float, float]:
+        """Velocity and position after ``dt_s`` of constant drive, by the motor alone; the board is untouched."""
+        v, y = ctypes.c_double(v_rad_per_s), ctypes.c_double(y_rad)
+        error = self._library.virtual_motion(self._board, ctypes.byref(v), ctypes.byref(y), u_V, dt_s)
+        if error is not None:
+            raise EmulationError(error.decode())
+        return v.value, y.value
+
+    def position_counts(self) -> int:
+        """One conversion of the position channel now; takes a number from the noise."""
+        counts: int = self._library.virtual_position_counts(self._board)
+        return counts
+
+
+@lru_cache
+def _load(build_folder: Path | None) -> ctypes.CDLL:
+    """The library, built once for this process, with its signatures (firmware/boards/host/virtual.c)."""
+    real, where = ctypes.c_double, ctypes.POINTER(ctypes.c_double)
+    return load(
+        str(firmware_build.build(build_folder).library),
+        {
+            "virtual_look": (None, [ctypes.POINTER(_View)]),
+            "virtual_reset": (None, [ctypes.c_uint8]),
+            "virtual_hang": (None, []),
+            "virtual_motion": (ctypes.c_char_p, [where, where, real, real]),
+            "virtual_position_counts": (ctypes.c_int32, []),
+        },
+    )

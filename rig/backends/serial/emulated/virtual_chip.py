@@ -1,0 +1,190 @@
+"""The Uno's emulated chip in virtual time: the very .hex that is flashed, on libsimavr."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.serial.emulated import firmware_build
+from rig.backends.serial.emulated.device_options import device_options
+from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, ChipFirmware, UnoOptions
+from rig.backends.serial.emulated.virtual_device import VirtualDevice, load
+from rig.model.bench import BenchParameters
+
+_BITS_PER_BYTE = 10
+_CONTACT_PIN = {"e_stop": 4, "end_low": 5, "end_high": 6}  # of port D: firmware/boards/uno/wiring.h
+_HANG = {"main loop": 0, "everything": 1, "clock": 2, "converter": 3, "tick": 4}
+_STALL = {"main loop": 1, "tick": 2}
+
+Contact = Literal["e_stop", "end_low", "end_high"]
+Hang = Literal["main loop", "everything", "clock", "converter", "tick"]
+Stall = Literal["main loop", "tick"]
+
+
+def uno_options(bench: BenchParameters, baud: int, bridge: str | None) -> UnoOptions:
+    """What the firmware is built with for a bench; ``bridge`` as the config names it, None: the plain one."""
+    inputs = PLAIN_UNO.bridge if bridge is None else bridge.upper().replace("-", "_")
+    return UnoOptions(inputs, baud, tachometer=bench.tachometer_rad_s_per_count is not None)
+
+
+def chip_options(
+    firmware: ChipFirmware, bench: BenchParameters, seed: int, clock_error_ppm: float, options: UnoOptions
+) -> dict[str, str]:
+    """Names and values of the emulated chip's options: of the bench, and which program runs behind which bridge."""
+    return {
+        **device_options(bench, seed, clock_error_ppm),
+        "hex": str(firmware.hex),
+        "bridge": options.bridge.lower(),
+    }
+
+
+class _View(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_double) for name in ("t_s", "pin_V", "motor_V", "y_rad", "v_rad_per_s", "pin_changed_s")),
+        *((name, ctypes.c_double) for name in ("awake_share", "masked_us", "interrupt_share")),
+        *((name, ctypes.c_double) for name in ("timed_share", "tick_us")),
+        *((name, ctypes.c_int32) for name in ("led", "resets", "overruns", "crashed", "stack_bytes")),
+    )
+
+
+class ChipTruth(NamedTuple):
+    """What is really the case on the chip's pins and on the bench, besides what it says on the wire.
+
+    t_s            virtual time, s
+    pin_V          mean voltage that the bridge makes of the pins; motor_V: what the wiring makes of it
+    y_rad, v_rad_per_s   of the measured shaft
+    pin_changed_s  time at which the drive at the pins changed last; negative: never
+    awake_share    share of the time in which the program did not sleep
+    masked_us      longest time with interrupts masked; this and the next three only where it was made to
+                   ``measure``, else 0
+    interrupt_share  most of a tick spent in interrupts; timed_share: all but the serial port's
+    tick_us        longest control tick, without the interrupts that come between
+    led            is lit: armed, or blinking
+    resets         by whatever, since power on
+    overruns       bytes that the chip's receiver had no room for
+    crashed        the program ended or ran into what is no program
+    stack_bytes    deepest that the stack has been
+    """
+
+    t_s: float
+    pin_V: float
+    motor_V: float
+    y_rad: float
+    v_rad_per_s: float
+    pin_changed_s: float
+    awake_share: float
+    masked_us: float
+    interrupt_share: float
+    timed_share: float
+    tick_us: float
+    led: bool
+    resets: int
+    overruns: int
+    crashed: bool
+    stack_bytes: int
+
+
+class VirtualChip(VirtualDevice):
+    """One emulated Uno, powered on at virtual time 0. Any number may live side by side.
+
+    bench            what is behind the board; its ``drive_counts`` is the chip's own business
+    seed             of the noise, 0 to 2**32 - 1
+    clock_error_ppm  of the chip's clock against virtual time
+    options          that the firmware is built with
+    dead_time_s      for which the bridge does not conduct, once in a PWM period, 0 to 1e-3
+    measure          count masked interrupts and time spent in them: 3 to 10 times as slow
+    build_folder     of the firmware; None: the default one
+    Raises EmulationError if firmware or emulator cannot be built, or a parameter is out of range.
+    """
+
+    def __init__(
+        self,
+        bench: BenchParameters,
+        seed: int = 1,
+        *,
+        clock_error_ppm: float = 0.0,
+        options: UnoOptions = PLAIN_UNO,
+        dead_time_s: float = 0.0,
+        measure: bool = False,
+        build_folder: Path | None = None,
+    ) -> None:
+        firmware = firmware_build.build_chip(options, build_folder)
+        wanted = chip_options(firmware, bench, seed, clock_error_ppm, options)
+        wanted |= {"dead-time-s": repr(dead_time_s), "measure": f"{measure:d}"}
+        super().__init__(_load(str(firmware.library)), wanted, round(1e9 * _BITS_PER_BYTE / options.baud))
+
+    def truth(self) -> ChipTruth:
+        """What is really the case now."""
+        view = _View()
+        self._library.virtual_look(self._board, ctypes.byref(view))
+        return ChipTruth(
+            view.t_s,
+            view.pin_V,
+            view.motor_V,
+            view.y_rad,
+            view.v_rad_per_s,
+            view.pin_changed_s,
+            view.awake_share,
+            view.masked_us,
+            view.interrupt_share,
+            view.timed_share,
+            view.tick_us,
+            bool(view.led),
+            view.resets,
+            view.overruns,
+            bool(view.crashed),
+            view.stack_bytes,
+        )
+
+    def reset(self, cause: int, boot_s: float = 0.0) -> None:
+        """Reset the chip: 1 power-on, 2 external, 4 brown-out; then stay in the boot loader, pins floating."""
+        self._library.virtual_boot(self._board, cause, boot_s)
+
+    def contact(self, which: Contact, is_open: bool) -> None:
+        """Open or close a contact; all are closed at power on."""
+        self._library.virtual_contact(self._board, _CONTACT_PIN[which], is_open)
+
+    def hang(self, what: Hang = "main loop") -> None:
+        """Stop the main loop, that and all interrupts, or one interrupt: the clock's, the converter's, the tick's.
+
+        Raises EmulationError where the firmware has no endless loop to send it to.
+        """
+        if not self._library.virtual_hang(self._board, _HANG[what]):
+            raise EmulationError("the firmware has no endless loop to hang it in")
+
+    def stall(self, what: Stall, duration_s: float) -> None:
+        """Let the main loop's next round, or the next tick, take so much longer, s; interrupts go on.
+
+        Raises as ``hang``.
+        """
+        if not self._library.virtual_stall(self._board, _STALL[what], round(1e9 * duration_s)):
+            raise EmulationError("the firmware has no endless loop to stall it in")
+
+    def broken_rule(self) -> str:
+        """The first rule of the data sheet for writing registers that the program has broken; "" for none so far."""
+        return bytes(self._library.virtual_broken_rule(self._board)).decode()
+
+    def longest_pulse_s(self) -> float:
+        """Longest time for which the bridge has conducted without a break, edge by edge, since the last call, s."""
+        return float(self._library.virtual_longest_pulse_s(self._board))
+
+
+@lru_cache
+def _load(path: str) -> ctypes.CDLL:
+    """The library with its signatures (firmware/emulator/chip.c)."""
+    integer = ctypes.c_int32
+    return load(
+        path,
+        {
+            "virtual_look": (None, [ctypes.POINTER(_View)]),
+            "virtual_boot": (None, [ctypes.c_uint8, ctypes.c_double]),
+            "virtual_contact": (None, [integer, integer]),
+            "virtual_hang": (integer, [integer]),
+            "virtual_stall": (integer, [integer, ctypes.c_int64]),
+            "virtual_broken_rule": (ctypes.c_char_p, []),
+            "virtual_longest_pulse_s": (ctypes.c_double, []),
+        },
+    )

@@ -1,0 +1,121 @@
+"""A device in virtual time: port and clock in one, so that waiting for a byte makes time pass."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import weakref
+from collections.abc import Mapping
+from typing import Any
+
+from rig.backends.emulated.errors import EmulationError
+from rig.backends.emulated.plug import Plug
+from rig.faults import Fault
+from rig.model.bench import DriveWiring, SensorWiring
+
+_READ_BYTES = 512
+
+
+class VirtualDevice(Plug):
+    """Wire, clock and bench of a device in a shared library whose functions are named virtual_... .
+
+    library  as ``load`` gives it
+    options  of the device, by name
+    byte_ns  that a byte takes the host to send
+    Raises EmulationError if an option is wrong.
+    """
+
+    absolute = True  # of the clock: it sleeps until an instant, not for a while
+
+    def __init__(self, library: ctypes.CDLL, options: Mapping[str, str], byte_ns: int) -> None:
+        super().__init__("virtual board")
+        self._library = library
+        self._board = ctypes.c_void_p(library.virtual_new())
+        if not self._board:
+            raise MemoryError("no memory for a virtual board")
+        self._finalizer = weakref.finalize(self, library.virtual_free, self._board)
+        self._buffer = ctypes.create_string_buffer(_READ_BYTES)
+        for name, value in options.items():
+            error = library.virtual_option(self._board, name.encode(), value.encode())
+            if error is not None:
+                raise EmulationError(f"{name} = {value}: {error.decode()}")
+        error = library.virtual_start(self._board, byte_ns)
+        if error is not None:
+            raise EmulationError(error.decode())
+
+    # ------------------------------------------------------------------ port
+
+    def write(self, data: bytes) -> None:
+        """Hand ``data`` to the wire; takes no time. Raises Fault LINK_LOST when unplugged or clogged."""
+        self._check_plug()
+        if self._library.virtual_write(self._board, data, len(data)) != len(data):
+            raise Fault("LINK_LOST", "the virtual wire takes no more bytes")
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has arrived, at least one byte; b"" after ``timeout_s`` of virtual time without any.
+
+        Raises Fault LINK_LOST when unplugged.
+        """
+        self._check_plug()
+        until_ns = self._now_ns() + math.ceil(1e9 * max(timeout_s, 0.0))
+        self._library.virtual_run(self._board, until_ns, True)
+        n = self._library.virtual_read(self._board, self._buffer, _READ_BYTES)
+        return self._buffer.raw[:n]
+
+    # ------------------------------------------------------------------ clock
+
+    def _now_ns(self) -> int:
+        now_ns: int = self._library.virtual_now_ns(self._board)
+        return now_ns
+
+    def now_s(self) -> float:
+        """Virtual time, s."""
+        return self._now_ns() / 1e9
+
+    def sleep_until(self, t_s: float) -> float:
+        """Let time pass to ``t_s`` (to the next nanosecond), none if that is past; the time then, s."""
+        until_ns = math.ceil(1e9 * t_s)
+        if until_ns / 1e9 < t_s:  # rounding
+            until_ns += 1
+        self._library.virtual_run(self._board, until_ns, False)
+        return self.now_s()
+
+    # ------------------------------------------------------------------ what may happen to a bench
+
+    def rewire(self, drive: DriveWiring = "ok", sensor: SensorWiring = "ok") -> None:
+        """Change the wiring from now on. Raises ValueError for wiring that there is not."""
+        error = self._library.virtual_rewire(self._board, drive.encode(), sensor.encode())
+        if error is not None:
+            raise ValueError(f"drive {drive!r}, sensor {sensor!r}: {error.decode()}")
+
+    def place(self, y_rad: float, v_rad_per_s: float = 0.0) -> None:
+        """Put the shaft somewhere, as a hand would."""
+        self._library.virtual_place(self._board, y_rad, v_rad_per_s)
+
+
+def load(path: str, more: Mapping[str, tuple[Any, list[Any]]]) -> ctypes.CDLL:
+    """The library, with the signatures of what every device has.
+
+    more  further functions: name, type of the result, types of the arguments after the device itself
+    """
+    library = ctypes.CDLL(path)
+    text, number, real, count = ctypes.c_char_p, ctypes.c_int64, ctypes.c_double, ctypes.c_uint32
+    signatures: dict[str, tuple[Any, list[Any]]] = {
+        "virtual_free": (None, []),
+        "virtual_option": (text, [text, text]),
+        "virtual_start": (text, [number]),
+        "virtual_write": (count, [text, count]),
+        "virtual_read": (count, [ctypes.c_char_p, count]),
+        "virtual_run": (None, [number, ctypes.c_int32]),
+        "virtual_now_ns": (number, []),
+        "virtual_rewire": (text, [text, text]),
+        "virtual_place": (None, [real, real]),
+        **more,
+    }
+    for name, (result, arguments) in signatures.items():
+        function = getattr(library, name)
+        function.restype = result
+        function.argtypes = [ctypes.c_void_p, *arguments]
+    library.virtual_new.restype = ctypes.c_void_p
+    library.virtual_new.argtypes = []
+    return library

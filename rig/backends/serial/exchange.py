@@ -1,0 +1,119 @@
+"""Requests to a serial device and their replies, one at a time; blocks that come unasked are kept."""
+
+from __future__ import annotations
+
+from rig.backends.driver import Transport
+from rig.backends.serial import frames
+from rig.backends.serial.frames import Kind, Packet
+from rig.backends.serial.introduction import refusal
+from rig.faults import Fault
+
+ATTEMPTS = 3  # of a request outside the loop
+
+
+class Exchange:
+    """The host's end of the wire. Times are in the transport's clock, s.
+
+    transport  an open port
+    timeout_s  longest wait for one reply
+    reader     of what comes
+    seq        of the last request
+    exchanges, timeouts, stale_replies   so far: requests that were waited for; of these, without a reply in time;
+               intact replies that were not the awaited one
+    """
+
+    def __init__(self, transport: Transport, timeout_s: float) -> None:
+        self.transport = transport
+        self.timeout_s = timeout_s
+        self.reader = frames.FrameReader()
+        self.seq = 0
+        self.exchanges = 0
+        self.timeouts = 0
+        self.stale_replies = 0
+        self._blocks: list[Packet] = []  # that came while something else was waited for
+
+    def now_s(self) -> float:
+        """The transport's clock, s."""
+        return self.transport.now_s()
+
+    def send(self, kind: Kind, body: bytes = b"") -> int:
+        """Send a request; its seq."""
+        self.seq = seq = (self.seq + 1) & 0xFFFF
+        self.transport.write(frames.encode(kind, seq, body))
+        return seq
+
+    def answer(self, seq: int, kind: Kind) -> Packet | None:
+        """The reply of that seq and kind, or the refusal; None after the time-out, which is counted."""
+        packet = self.wait([seq], kind, self.now_s() + self.timeout_s)
+        self.timeouts += packet is None
+        return packet
+
+    def wait(self, seqs: list[int], kind: Kind, until_s: float, damage_ends: bool = False) -> Packet | None:
+        """The reply of that kind to one of ``seqs``, or the refusal; None at ``until_s``. Anything else is stale.
+
+        ``damage_ends``: None as soon as a damaged frame has come, too, which may have been it.
+        """
+        transport = self.transport
+        self.exchanges += 1
+        bad_frames = self.reader.bad_frames
+        while (left_s := until_s - transport.now_s()) > 0.0:
+            reply = None
+            for packet in self.reader.feed(transport.read(left_s)):
+                if (
+                    reply is None
+                    and packet.seq in seqs
+                    and (packet.kind == kind or packet.kind == Kind.NACK)
+                    and packet.version == frames.VERSION
+                ):
+                    reply = packet
+                    if kind == Kind.RELAY_REPLY:
+                        self._blocks.clear()  # of an earlier run
+                else:
+                    self._sort([packet])
+            if reply is not None:
+                return reply
+            if damage_ends and self.reader.bad_frames > bad_frames:
+                return None
+        return None
+
+    def request(self, kind: Kind, body: bytes, reply: Kind) -> Packet:
+        """Send until answered, a few times; raises Fault on refusal or silence."""
+        for _ in range(ATTEMPTS):
+            packet = self.answer(self.send(kind, body), reply)
+            if packet is not None:
+                if packet.kind == Kind.NACK:
+                    raise refusal(packet)
+                return packet
+        raise self.silence(kind)
+
+    def silence(self, kind: Kind, what: str = "") -> Fault:
+        """The fault of a device that does not answer, or of what happened instead."""
+        what = what or f"no reply to {kind.name} within {1e3 * self.timeout_s:g} ms"
+        return Fault(
+            "LINK_TIMEOUT",
+            f"{what}; so far {self.reader.bad_frames} damaged frames, {self.stale_replies} stale replies in "
+            f"{self.exchanges} exchanges",
+        )
+
+    def listen(self, for_s: float) -> bool:
+        """Take what comes within a time without asking; whether anything came."""
+        data = self.transport.read(for_s)
+        self._sort(self.reader.feed(data))
+        return data != b""
+
+    def ignore(self, for_s: float) -> None:
+        """Wait for so long, and take nothing of what comes."""
+        self.stale_replies += len(self.reader.feed(self.transport.read(for_s)))
+
+    def blocks(self) -> list[Packet]:
+        """The blocks that have come since the last call."""
+        blocks, self._blocks = self._blocks, []
+        return blocks
+
+    def _sort(self, packets: list[Packet]) -> None:
+        """Keep blocks; nothing else is waited for."""
+        for packet in packets:
+            if packet.kind == Kind.BLOCK and packet.version == frames.VERSION:
+                self._blocks.append(packet)
+            else:
+                self.stale_replies += 1

@@ -1,0 +1,102 @@
+"""Whether the device that says who it is, is the one that the config describes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rig.backends.serial import frames
+from rig.backends.serial.frames import Hello
+from rig.faults import Fault
+
+_LEAST_FULL_UNITS = 50  # coarser, and no drive is near what was asked for
+_SUPPLY_TOLERANCE = 0.15  # of the divider in front of the converter, and of a loaded supply
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What the config says of the board.
+
+    rail_counts   (low, high): readings at or beyond are a broken sensor
+    counts_max    the ADC's largest reading that the calibration was made for; None: not checked
+    tachometer    whether its velocity channel is used
+    bridge        what the board's outputs are wired for, a value of ``frames.BRIDGES``; None: not told
+    flashing      what a person has to do to flash this board
+    emulated      it is known that no real motor is behind it
+    """
+
+    rail_counts: tuple[int, int]
+    counts_max: int | None
+    tachometer: bool
+    bridge: str | None
+    flashing: str
+    emulated: bool
+
+
+def check_fit(hello: Hello, expected: Expected) -> None:
+    """Raise Fault CONFIG_MISMATCH where config and device do not fit, LINK_HELLO where it is no device at all."""
+    if not _LEAST_FULL_UNITS <= hello.drive_full <= 32767:
+        raise Fault(
+            "LINK_HELLO",
+            f"the device says full drive is {hello.drive_full} units; {_LEAST_FULL_UNITS} to 32767 are a drive",
+        )
+    if expected.counts_max is not None and hello.counts_max != expected.counts_max:
+        raise Fault(
+            "CONFIG_MISMATCH",
+            f"sensor.counts_max is {expected.counts_max}, but the device reads 0 to {hello.counts_max}: "
+            "calibrate with this device",
+        )
+    low, high = expected.rail_counts
+    if not 0 <= low < high <= hello.counts_max:
+        raise Fault(
+            "CONFIG_MISMATCH",
+            f"sensor.rail_counts {low}, {high} must lie within the device's 0 to {hello.counts_max}",
+        )
+    if expected.tachometer and not hello.features & frames.FEATURE_TACHOMETER:
+        raise Fault("CONFIG_MISMATCH", "the config has a section `tachometer`, but the device has no such channel")
+    _check_bridge(hello, expected)
+
+
+def _check_bridge(hello: Hello, expected: Expected) -> None:
+    """With the wrong bridge a drive of 0 V can be full drive: the config has to say what is wired."""
+    bridge = frames.BRIDGES.get(hello.bridge)
+    emulated = expected.emulated or hello.board in frames.EMULATED_BOARDS
+    if bridge == expected.bridge or (expected.bridge is None and emulated) or (hello.bridge == 0 and emulated):
+        return
+    if hello.bridge == 0:
+        raise Fault(
+            "CONFIG_MISMATCH",
+            f"drive.bridge is {expected.bridge}, but the device's firmware does not say which bridge it is for, and "
+            f"with the wrong one 0 V can be full drive: {expected.flashing}",
+        )
+    if bridge is None:
+        raise Fault(
+            "CONFIG_MISMATCH", f"the device drives a bridge of kind {hello.bridge}, which this rig does not know"
+        )
+    if expected.bridge is None:
+        raise Fault(
+            "CONFIG_MISMATCH",
+            f"drive.bridge is missing, and the device's firmware is for {bridge}: with the motor's supply off, see "
+            f"that the bridge is wired so (docs/real-bench.md), then write bridge: {bridge}",
+        )
+    raise Fault(
+        "CONFIG_MISMATCH",
+        f"drive.bridge is {expected.bridge}, but the device's firmware is for {bridge}, and 0 V can be full drive: "
+        f"{expected.flashing}",
+    )
+
+
+def measured_supply_V(now: Hello, believed_V: float) -> tuple[float, bool]:
+    """The motor supply as the device measures it; and whether it may be more.
+
+    Raises Fault CONFIG_MISMATCH where it is another than believed. A little off is for the run to say: it ends nothing.
+    """
+    measured_V = frames.SUPPLY_UNIT_V * now.supply
+    at_least = now.supply >= frames.SUPPLY_FULL
+    off_V = measured_V - believed_V
+    if (max(off_V, 0.0) if at_least else abs(off_V)) > _SUPPLY_TOLERANCE * believed_V:
+        raise Fault(
+            "CONFIG_MISMATCH",
+            f"the device measures a motor supply of {'at least ' if at_least else ''}{measured_V:.1f} V, "
+            f"drive.supply_V is {believed_V:g} V: switch it on, or correct the config",
+        )
+    return measured_V, at_least

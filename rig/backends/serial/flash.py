@@ -1,0 +1,231 @@
+"""Putting the firmware into an Arduino Uno: which port, what avrdude is told, what its complaints mean.
+
+The Uno's boot loader (Optiboot) listens at 115200 baud, whatever the firmware speaks afterwards.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from serial.tools import list_ports
+
+from rig.backends.links.serial_port import SerialPort
+from rig.backends.serial.frames import BOARDS, FrameReader, Hello
+from rig.backends.serial.introduction import await_introduction
+from rig.faults import Fault
+
+# The chip between USB and the Uno's serial port; those of the Uno itself are in the Arduino IDE's boards.txt.
+USB_CHIPS = {
+    (0x2341, 0x0001): "Arduino Uno",
+    (0x2341, 0x0043): "Arduino Uno",
+    (0x2341, 0x0243): "Arduino Uno",
+    (0x2341, 0x006A): "Arduino Uno",
+    (0x2A03, 0x0043): "Arduino Uno",
+    (0x1A86, 0x7523): "CH340, as on many clones",
+    (0x0403, 0x6001): "FT232R, as on some clones",
+    (0x10C4, 0xEA60): "CP2102, as on some clones",
+}
+ANSWER_S = 8.0  # for the boot loader, about 1.5 s, and the firmware's first answer
+INTERRUPTED = 130  # exit status, as a shell has it
+
+# What a voltmeter must show at 0 V drive: the wrong choice of the two can be full drive.
+AT_REST = {
+    "pwm-dir": "PWM (D9) must be at 0 V",
+    "in1-in2": "IN1 (D9) and IN2 (D10) must be at 5 V; with a bridge that has PWM and DIR inputs this is full drive",
+}
+
+_BUSY = ("is held by another program", "end the other rig, serial monitor or modem manager: `fuser {port}` names it")
+_ABSENT = ("is not there", "plug the board in; `ls /dev/serial/by-id/` shows which ports there are")
+# Reasons for which a port cannot be opened, in the words of the C library.
+_CANNOT_OPEN = {
+    "No such file or directory": _ABSENT,
+    "No such device": _ABSENT,
+    "Permission denied": ("may not be opened by you", "`sudo adduser $USER dialout`, then log in anew"),
+    "Device or resource busy": _BUSY,
+    "Resource temporarily unavailable": _BUSY,
+}
+# Complaints of avrdude, 6.3 to 7.1, in the order in which they tell most: pattern, cause, cure.
+_COMPLAINTS = (
+    (
+        r"xpected signature",
+        "the chip at {port} is no ATmega328P{signature}",
+        "this firmware is for the ATmega328P of an Arduino Uno",
+    ),
+    (
+        r"verification (error|mismatch)",
+        "the board does not read back what was written",
+        "leave the motor's supply off, and try again with another cable or USB port",
+    ),
+    (
+        r"not in sync|out of sync|not responding|protocol error",
+        "no boot loader answers at {port}: programmer not in sync",
+        "is it an Uno, with nothing wired to D0 and D1? press its reset just when this starts, and try again",
+    ),
+    (
+        r"input file|not readable|invalid record|no valid record|read from file",
+        "avrdude cannot read the .hex: {last}",
+        "leave --hex out, and it is built",
+    ),
+)
+_LAST_WORDS = re.compile(r"^avrdude(?: OS)?(?: error)?: (?!.*TIOCM)(?!.*done\.  Thank you)(.*\S)\s*$", re.MULTILINE)
+_SIGNATURE = re.compile(r"device signature = (0x[0-9a-f]+)", re.IGNORECASE)
+
+
+class FlashError(Exception):
+    """What went wrong and what to do, a line each; ``status`` to exit with: avrdude's own, where it failed."""
+
+    def __init__(self, cause: str, cure: str, status: int = 1) -> None:
+        super().__init__(cause)
+        self.cause = cause
+        self.cure = cure
+        self.status = status
+
+
+class Port(NamedTuple):
+    """A serial port of this machine. vid, pid: of its USB chip; None where there is none."""
+
+    device: str
+    vid: int | None = None
+    pid: int | None = None
+
+    def __str__(self) -> str:
+        if self.vid is None or self.pid is None:
+            return self.device
+        return f"{self.device} ({USB_CHIPS.get((self.vid, self.pid), 'unknown')}, {self.vid:04x}:{self.pid:04x})"
+
+
+def serial_ports() -> list[Port]:
+    """The serial ports of this machine."""
+    return [Port(port.device, port.vid, port.pid) for port in list_ports.comports()]
+
+
+def only_candidate(ports: Iterable[Port]) -> Port:
+    """The one port behind which an Uno may be. Raises FlashError where there is none, or a choice."""
+    on_usb = sorted(port for port in ports if port.vid is not None)
+    candidates = [port for port in on_usb if (port.vid, port.pid) in USB_CHIPS]
+    if len(candidates) == 1:
+        return candidates[0]
+    if candidates:
+        raise FlashError(f"several boards: {', '.join(map(str, candidates))}", "name one: --port PORT")
+    others = f", but {', '.join(map(str, on_usb))}" if on_usb else ""
+    raise FlashError(
+        f"no Arduino Uno on USB{others}", "plug it in, with a cable that has data wires, or name its port: --port PORT"
+    )
+
+
+def find_avrdude() -> str | None:
+    """Path of avrdude; None where it is missing."""
+    return shutil.which("avrdude")
+
+
+def no_avrdude() -> FlashError:
+    """That it is missing, and what to type."""
+    return FlashError("`avrdude`, which writes to the board, is missing", "Debian: apt-get install avrdude")
+
+
+def avrdude_command(avrdude: str, port: str, hex_file: Path) -> list[str]:
+    """What writes the .hex to the Uno at ``port``, and reads it back."""
+    # -D: this boot loader cannot erase the chip; it erases each page that it writes
+    boot_loader = ["-c", "arduino", "-b", "115200", "-P", port]
+    return [avrdude, "-p", "atmega328p", *boot_loader, "-D", "-U", f"flash:w:{hex_file}:i"]
+
+
+def check_port(port: str) -> None:
+    """Raise FlashError where the port cannot be opened, or a program holds it as rig does.
+
+    avrdude itself takes no notice of that. Opening the port restarts an Uno.
+    """
+    try:
+        import fcntl  # not everywhere
+    except ImportError as error:
+        raise FlashError(
+            "flashing is for Linux, where this has been tried", "`rig flash --dry-run` says what would be run"
+        ) from error
+    try:
+        handle = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            if not os.isatty(handle):
+                raise FlashError(f"{port} is no serial port", "`ls /dev/serial/by-id/` shows which are")
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        finally:
+            os.close(handle)
+    except OSError as error:
+        why = os.strerror(error.errno or 0)
+        what, cure = _CANNOT_OPEN.get(why, (f"cannot be opened: {why}", "check the cable and the port's name"))
+        raise FlashError(f"{port} {what}", cure.format(port=port)) from error
+
+
+def write(command: list[str], port: str, show: Callable[[str], None]) -> None:
+    """Run avrdude; ``show`` is given what it says, as it comes.
+
+    Raises FlashError where it fails: cause, cure and its exit status (128 + n after signal n).
+    """
+    said: list[str] = []
+    environment = os.environ | {"LC_ALL": "C"}
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=environment
+    ) as avrdude:
+        assert avrdude.stdout is not None
+        try:
+            while chunk := os.read(avrdude.stdout.fileno(), 4096):
+                said.append(chunk.decode("utf-8", "replace"))
+                show(said[-1])
+        except KeyboardInterrupt:
+            avrdude.terminate()
+            raise FlashError(
+                "interrupted: the board may hold half a program",
+                "leave the motor's supply off, and run this again",
+                INTERRUPTED,
+            ) from None
+    if avrdude.returncode != 0:
+        raise failure(avrdude.returncode if avrdude.returncode > 0 else 128 - avrdude.returncode, "".join(said), port)
+
+
+def failure(status: int, said: str, port: str) -> FlashError:
+    """What it means that avrdude ended with this status, not 0, and these words."""
+    for line in said.splitlines():
+        if "open" in line and (port in line or "device" in line):
+            for reason, (what, cure) in _CANNOT_OPEN.items():
+                if line.rstrip().endswith(reason):
+                    return FlashError(f"{port} {what}", cure.format(port=port), status)
+    words = _LAST_WORDS.findall(said)
+    last = words[-1] if words else "it said nothing"
+    seen = _SIGNATURE.search(said)
+    signature = f": its signature is {seen[1]}" if seen else ""
+    for pattern, cause, cure in _COMPLAINTS:
+        if re.search(pattern, said):
+            return FlashError(cause.format(port=port, signature=signature, last=last), cure, status)
+    return FlashError(f"avrdude failed, status {status}: {last}", "its own words are above", status)
+
+
+def meet(port: str, baud: int, timeout_s: float = ANSWER_S) -> Hello:
+    """Open the port, which restarts an Uno, and wait until the firmware introduces itself.
+
+    Raises FlashError where it does not, Fault LINK_* where the port fails or another protocol is spoken.
+    """
+    reader = FrameReader()
+    with contextlib.closing(SerialPort(port, baud)) as transport:
+        try:
+            return await_introduction(transport, reader, timeout_s).hello
+        except Fault as fault:
+            if fault.code != "LINK_HELLO":
+                raise
+            heard = f"damaged frames ({reader.bad_frames})" if reader.bad_frames else "nothing"
+            raise FlashError(
+                f"written, but the board does not answer: {heard} at {port} in {timeout_s:g} s at {baud} baud",
+                "with --hex, give the --baud that it was built for; press the board's reset; free D0 and D1",
+            ) from fault
+
+
+def in_words(hello: Hello) -> str:
+    """Board, build and reset cause, for people."""
+    # Most boot loaders clear the chip's record of the reset before the firmware can read it.
+    cause = hello.reset_words if hello.reset_cause else "unknown, cleared by the boot loader"
+    return f"board {BOARDS.get(hello.board, hello.board)}, build {hello.build_text}, reset: {cause}"

@@ -1,0 +1,119 @@
+"""How a serial device opens: a port of this machine, an emulated board in real time, or its chip in virtual time."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from rig.backends.backend import Line, host_clock
+from rig.backends.emulated.bench import bench_parameters
+from rig.backends.emulated.board_process import BoardProcess
+from rig.backends.links.serial_port import SerialPort
+from rig.backends.links.usb_port import check_adapter
+from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.emulated.behind_usb import BehindUsb
+from rig.backends.serial.emulated.chip_board import ChipBoard
+from rig.backends.serial.emulated.host_board import HostBoard
+from rig.backends.serial.emulated.usb_board import UsbBoard
+from rig.backends.serial.emulated.virtual_chip import VirtualChip, uno_options
+from rig.backends.serial.flashing import flash_line
+from rig.backends.serial.ports import CHIP_PORTS, adapter_of
+from rig.config.schema import Experiment
+from rig.faults import Fault
+
+
+@contextmanager
+def serial_line(e: Experiment) -> Iterator[Line]:
+    """As of ``LineBackend.line``."""
+    port = e.daq.port
+    if port == "emulated-chip":
+        device = emulated_chip(e)
+        adapter = adapter_of(e)
+        chip = device if adapter == "none" else BehindUsb(device, adapter)
+        yield Line(chip, chip, port, emulated=True)
+    elif port in ("emulated", "emulated-chip-realtime"):
+        with emulated_board(e) as board:
+            yield _line_of_port(e, board.port, emulated=True)
+    elif port is not None:
+        yield _line_of_port(e, port)
+    else:
+        raise ValueError("daq.port is missing")
+
+
+def _line_of_port(e: Experiment, port: str, *, emulated: bool = False) -> Line:
+    transport = SerialPort(port, e.daq.baud)
+    if not emulated:
+        try:
+            check_adapter(port, adapter_of(e))
+        except Fault:
+            transport.close()
+            raise
+    return Line(transport, host_clock(e), f"serial:{port}", emulated=emulated)
+
+
+def serial_driver(e: Experiment, line: Line) -> SerialDriver:
+    """As of ``LineBackend.driver``."""
+    return SerialDriver(
+        line.transport,
+        e.sensor.curve,
+        e.drive.map,
+        e.sensor.rail_counts,
+        e.daq.timeout_s,
+        e.daq.open_timeout_s,
+        None if e.tachometer is None else e.tachometer.scale,
+        counts_max=e.sensor.counts_max,
+        bridge=e.drive.bridge,
+        flashing=flash_line(e),
+        # a chip takes longer over some numbers than over others: an emulated run is the same by its seed
+        session=random.Random(e.seed).randrange(1, 2**32) if line.emulated else None,
+        name=line.name,
+        emulated=line.emulated,
+    )
+
+
+def emulated_chip(e: Experiment) -> VirtualChip:
+    """The Uno's emulated chip with the config's bench behind it: port and clock in one, in virtual time.
+
+    Raises EmulationError where it cannot be built.
+    """
+    if e.emulated is None:
+        raise ValueError("the config has no section `emulated`")
+    bench = bench_parameters(e.emulated, e.tachometer)
+    return VirtualChip(
+        bench,
+        e.seed,
+        clock_error_ppm=e.emulated.clock_error_ppm,
+        options=uno_options(bench, e.daq.baud, e.drive.bridge),
+    )
+
+
+@contextmanager
+def emulated_board(
+    e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
+) -> Iterator[BoardProcess]:
+    """The emulated board of the config, running in real time for the block; its ``port`` is as daq.port takes it.
+
+    chip  the Uno's firmware on its emulated chip, as where the config's port asks for that; else the firmware's core
+          on this machine
+    Raises EmulationError where it cannot be built or started.
+    """
+    if e.emulated is None:
+        raise ValueError("the config has no section `emulated`")
+    adapter = e.daq.adapter or "none"
+    own_link = link if adapter == "none" else None
+    with ExitStack() as stack:
+        board: ChipBoard | HostBoard
+        if chip or e.daq.port in CHIP_PORTS:
+            board = stack.enter_context(ChipBoard())
+            board.start(e.emulated, e.seed, own_link, trace, e.tachometer, baud=e.daq.baud, bridge=e.drive.bridge)
+        else:
+            board = stack.enter_context(HostBoard())
+            board.start(e.emulated, e.seed, own_link, trace, e.tachometer)
+        if adapter == "none":
+            yield board
+            return
+        behind = stack.enter_context(UsbBoard(board, adapter))
+        behind.start(link)
+        yield behind

@@ -1,0 +1,22 @@
+"""What ``daq.port`` names for ``driver: serial``: an emulated device, or a port and what delays its replies."""
+
+from __future__ import annotations
+
+from rig.backends.links.usb_adapters import Adapter, adapter_by_name
+from rig.config.schema import Experiment
+
+CHIP_PORTS = ("emulated-chip", "emulated-chip-realtime")
+EMULATED_PORTS = ("emulated", *CHIP_PORTS)
+CHIP_BAUDS = (115200, 1_000_000)  # that the Uno's firmware is built for
+
+
+def is_emulated(e: Experiment) -> bool:
+    """Whether the port is one of an emulated device."""
+    return e.daq.port in EMULATED_PORTS
+
+
+def adapter_of(e: Experiment) -> Adapter:
+    """What delays the replies: what the config says; else what its port's name gives away."""
+    if e.daq.adapter is not None:
+        return e.daq.adapter
+    return "none" if e.daq.port is None or is_emulated(e) else adapter_by_name(e.daq.port)

@@ -1,0 +1,138 @@
+"""What keeps an experiment from running on a serial device: port, bridge, adapter, times, a relay in the device."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import PurePosixPath
+
+from rig.backends.link_budget import BAUD_RATES, LINK_SHARE
+from rig.backends.links.usb_adapters import Adapter, adapter_delay_s
+from rig.backends.serial.flashing import WRONG_BRIDGE
+from rig.backends.serial.link_budget import (
+    REPLY_SHARE,
+    block_share,
+    block_sum,
+    reading_budget,
+    reply_delay_s,
+    tick_budget,
+)
+from rig.backends.serial.ports import CHIP_BAUDS, CHIP_PORTS, EMULATED_PORTS, adapter_of
+from rig.config.problems import Problem, wrong
+from rig.config.schema import Experiment
+from rig.config.sensor import count_rad
+
+_SLACK = 1e-9  # relative
+_PORTS_OF_MODBUS = ("emulated-tcp", "emulated-virtual")
+
+
+def serial_rules(e: Experiment) -> Iterator[Problem]:
+    """Everything that is a serial device's own."""
+    yield from _keys(e)
+    yield from _bridge(e)
+    yield from _link_budget(e)
+    yield from _reply_time(e)
+    if e.relay.where == "device":
+        yield from _device_relay(e)
+
+
+def _keys(e: Experiment) -> Iterator[Problem]:
+    d = e.daq
+    if d.port is None:
+        yield wrong("daq.port", "`driver: serial` needs a port", "e.g. port: /dev/ttyACM0, or port: emulated")
+    if e.emulated is None and d.port in EMULATED_PORTS:
+        yield wrong("emulated", f"`port: {d.port}` needs this section", "describe the bench: see config/demo.yaml")
+    if d.port in CHIP_PORTS and d.baud not in CHIP_BAUDS:
+        yield wrong("daq.baud", f"the Uno's firmware does not speak {d.baud} baud", "115200 or 1000000")
+    if _is_of_modbus(d.port):
+        yield wrong("daq.port", f"{d.port} is of `driver: modbus`", "/dev/ttyACM0, or port: emulated")
+
+
+def _is_of_modbus(port: str | None) -> bool:
+    return port is not None and (port.startswith("tcp://") or port in _PORTS_OF_MODBUS)
+
+
+def _bridge(e: Experiment) -> Iterator[Problem]:
+    """Nobody but the config can tell what is wired: the firmware is held to it as the port is opened."""
+    port = e.daq.port
+    if port is None or port.startswith("emulated") or _is_of_modbus(port):
+        return
+    if e.drive.bridge is None:
+        yield wrong(
+            "drive.bridge",
+            f"is missing, and a real motor may be behind {port}: it names the inputs of the bridge, and {WRONG_BRIDGE}",
+            "pwm-dir where the bridge's label says PWM and DIR, in1-in2 where it says IN1 and IN2 (docs/real-bench.md, "
+            "Which bridge); `rig doctor` on this config says which of them the firmware is for",
+        )
+
+
+def _fits(e: Experiment, baud: int, adapter: Adapter | None = None) -> bool:
+    return tick_budget(e, baud, adapter).fits(e.period_s)
+
+
+def _quicker_adapter(e: Experiment, fits: Callable[[Adapter], bool]) -> str:
+    """What to do about an adapter where another one would fit; nothing where none would."""
+    adapter = adapter_of(e)
+    if adapter == "ftdi" and fits("ftdi-1ms"):
+        device = PurePosixPath(e.daq.port or "").name if (e.daq.port or "").startswith("/dev/tty") else "ttyUSB0"
+        timer = (
+            f"an FTDI with its latency timer at 1 ms fits: `echo 1 | sudo tee /sys/bus/usb-serial/devices/{device}/"
+            "latency_timer`, and daq.adapter: ftdi-1ms"
+        )
+        return timer if e.daq.adapter is not None else f"daq.adapter: which one `rig doctor` finds there; {timer}"
+    if adapter != "none" and e.daq.adapter is None and fits("native-usb"):
+        return "daq.adapter: which one `rig doctor` finds there, if it is another"
+    return ""
+
+
+def _link_budget(e: Experiment) -> Iterator[Problem]:
+    if _fits(e, e.daq.baud):
+        return
+    bauds = CHIP_BAUDS if adapter_of(e) == "16u2" or e.daq.port in CHIP_PORTS else BAUD_RATES
+    quicker = ""
+    for baud in (e.daq.baud, *bauds):
+        quicker = _quicker_adapter(e, partial(_fits, e, baud))
+        if quicker:
+            quicker += "" if baud == e.daq.baud else f", and daq.baud {baud}"
+            break
+    fitting = [f"daq.baud {baud} fits" for baud in bauds if _fits(e, baud)]
+    ways_out = [*([quicker] if quicker else []), *fitting[:1]]
+    yield tick_budget(e).too_slow("daq.adapter" if quicker else "daq.baud", e.period_s, ways_out)
+
+
+def _reply_time(e: Experiment) -> Iterator[Problem]:
+    """Three readings in a row that are asked for again end a run: of a sound link none is."""
+    if not _fits(e, e.daq.baud):
+        return
+    reading = reading_budget(e)
+    most_s = REPLY_SHARE * e.daq.timeout_s * (1 + _SLACK)
+    if reading.total_s > most_s:
+        chip_s = reply_delay_s(e)
+        quicker = _quicker_adapter(e, lambda adapter: reading.total_s - chip_s + adapter_delay_s(adapter) <= most_s)
+        least_ms = math.ceil(1e4 * reading.total_s / REPLY_SHARE) / 10
+        yield wrong(
+            "daq.timeout_s",
+            f"{1e3 * e.daq.timeout_s:g} ms is too short for a reading: {reading.written}; after two thirds of the "
+            "time-out it is asked for again, and three such in a row end the run",
+            f"{least_ms / 1e3:g} seconds and more, or {quicker or 'a higher daq.baud'}",
+        )
+
+
+def _device_relay(e: Experiment) -> Iterator[Problem]:
+    if block_share(e.daq.baud) > LINK_SHARE:
+        fitting = next(baud for baud in BAUD_RATES if block_share(baud) <= LINK_SHARE)
+        yield wrong(
+            "daq.baud",
+            f"too slow for the samples of a relay in the device: {block_sum(e.daq.baud)}; {LINK_SHARE:.0%} may be used",
+            f"daq.baud {fitting} fits, or relay.where: host",
+        )
+    points = sorted((p.counts, p.rad) for p in e.sensor.calibration)
+    (c0, r0), (c1, r1) = points[0], points[-1]
+    bend_rad = max(abs(r - r0 - (c - c0) * (r1 - r0) / (c1 - c0)) for c, r in points)
+    if bend_rad > 0.5 * count_rad(e):
+        yield wrong(
+            "sensor.calibration",
+            f"bends by {bend_rad / count_rad(e):.1f} counts, but a relay in the device integrates counts",
+            "a straight line within half a count, or relay.where: host",
+        )

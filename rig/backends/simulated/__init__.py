@@ -1,0 +1,1 @@
+"""The motor on this machine, in virtual time: no device."""

@@ -1,0 +1,82 @@
+"""``driver: simulated``: the motor of section ``emulated`` on this machine, in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+from rig.backends.backend import Backend, Unopened, Watchdog, truth_of
+from rig.backends.clock import VirtualClock
+from rig.backends.keys import foreign_keys
+from rig.config.problems import Problem, wrong
+from rig.config.schema import Experiment
+
+_ROUNDED_S = 1e-6  # in the record
+
+
+class SimulatedBackend(Backend):
+    """No device: a model of the motor, and a driver that has its own clock."""
+
+    name = "simulated"
+
+    def rules(self, e: Experiment) -> Iterator[Problem]:
+        """As of ``Backend``."""
+        yield from foreign_keys(e)
+        if e.emulated is None:
+            yield wrong(
+                "emulated", "`driver: simulated` needs this section", "describe the bench: see config/demo.yaml"
+            )
+        if e.relay.where == "device":
+            yield wrong(
+                "relay.where",
+                "`driver: simulated` has no device",
+                "set it to host, or daq.driver to serial with a port",
+            )
+
+    def watchdog(self, e: Experiment) -> Watchdog:
+        """As of ``Backend``."""
+        return Watchdog(e.daq.watchdog_s)
+
+    def writes_first(self, e: Experiment) -> bool:
+        """As of ``Backend``."""
+        return False
+
+    def times_error_s(self, e: Experiment) -> float:
+        """As of ``Backend``: times are exact, but for their digits in a record."""
+        return _ROUNDED_S
+
+    def words(self, e: Experiment) -> str:
+        """As of ``Backend``."""
+        return "a simulation in virtual time, no device, nothing moves"
+
+    def is_emulated(self, e: Experiment) -> bool:
+        """As of ``Backend``."""
+        return True
+
+    def seconds_words(self, e: Experiment) -> str:
+        """As of ``Backend``."""
+        return " of virtual time"
+
+    @contextmanager
+    def unopened(self, e: Experiment) -> Iterator[Unopened]:
+        """As of ``Backend``."""
+        from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
+
+        truth = truth_of(e)
+        if truth is None or e.emulated is None:
+            raise ValueError("a simulated driver needs the section `emulated`")
+        clock = VirtualClock()
+        driver = SimulatedDriver(
+            clock,
+            truth,
+            e.sensor.curve,
+            replace(e.drive.map, full_units=truth.drive_counts),  # as a real device says of itself
+            e.sensor.rail_counts,
+            SimulatedLatency(e.emulated.latency_s, e.emulated.latency_jitter_s),
+            e.seed,
+        )
+        yield Unopened(driver, clock, truth)
+
+
+SIMULATED = SimulatedBackend()

@@ -1,1 +1,0 @@
-"""Emulated devices: the compiled firmware with a simulated bench behind it."""

@@ -1,0 +1,112 @@
+"""The experiment as a script: breakaway -> search -> relay -> identify -> verify, and the parts that run alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from rig.backends.registry import Bench, backend_of, connect
+from rig.config import Experiment
+from rig.experiment.stages import drive_by_hand, drive_check, drive_tests, identify_recorded, verify_models
+from rig.faults import Fault
+from rig.identify import Identification
+from rig.results import ScriptCall
+from rig.session import OnStart, Outcome, Session, record
+
+BREAKAWAY_LAW = "balanced pairs"  # in meta.json, so that a replay knows which law ran
+
+
+def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None, again: Bench | None = None) -> Outcome:
+    """The whole experiment. The run folder is made below ``parent``; ``on_start`` is told of it.
+
+    again  a bench that the same command has opened already
+    """
+
+    def script(session: Session) -> None:
+        drive_tests(session)
+        identify_recorded(session)
+        verify_models(session)
+
+    return record(experiment, parent, _named("run"), script, on_start, again)
+
+
+def repeated(
+    experiment: Experiment, number: int, parent: Path, perform: Callable[[Callable[[OnStart], Outcome]], Outcome]
+) -> list[Outcome]:
+    """``run`` so many times, each by ``perform``; nothing arms again after a fault, a failure or a signal.
+
+    One person gives one command: what a device latches between two runs is not acknowledged but ends it. A real bench
+    stays open from the first run to the last, so that no opening clears or resets it; an emulated one is made anew,
+    with the next seed. Raises Fault LATCHES_NOTHING for a real device that latches no e-stop, and as ``run``.
+    """
+    outcomes: list[Outcome] = []
+
+    def one(e: Experiment, bench: Bench | None) -> bool:
+        outcomes.append(perform(lambda on_start: run(e, parent, on_start, bench)))
+        return outcomes[-1].fault is None and not outcomes[-1].failures
+
+    if number == 1:
+        one(experiment, None)
+    elif backend_of(experiment).is_emulated(experiment):
+        for k in range(number):
+            if not one(experiment.model_copy(update={"seed": experiment.seed + k}), None):
+                break
+    else:
+        with connect(experiment) as bench:
+            if not bench.info.emulated and not getattr(bench.driver, "latches_stops", False):
+                raise Fault("LATCHES_NOTHING", bench.driver.backend)
+            for k in range(number):
+                told = bench if k == 0 else replace(bench, info=replace(bench.info, acknowledged=()))
+                if not one(experiment, told):
+                    break
+    return outcomes
+
+
+def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
+    """Breakaway, gains and relay tests, and what they identify; no tracking."""
+
+    def script(session: Session) -> None:
+        drive_tests(session)
+        identify_recorded(session)
+
+    return record(experiment, parent, _named("relay"), script, on_start)
+
+
+def run_breakaway(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
+    """The breakaway check alone: whether the bench arms, and whether the shaft moves, the right way."""
+    return record(experiment, parent, _named("breakaway"), drive_check, on_start)
+
+
+def run_tracking(
+    experiment: Experiment,
+    models: Identification,
+    models_from: Path,
+    parent: Path,
+    on_start: OnStart | None = None,
+) -> Outcome:
+    """Breakaway and the tracking check, with models identified in an earlier run, ``models_from``."""
+
+    def script(session: Session) -> None:
+        session.found.identification = models
+        session.found.models_from = models_from
+        drive_check(session)
+        verify_models(session)
+
+    return record(experiment, parent, _named("track"), script, on_start)
+
+
+def jog(
+    experiment: Experiment, u_V: float, duration_s: float, parent: Path, on_start: OnStart | None = None
+) -> Outcome:
+    """A constant drive for a short time, within the limits; from outside them only inward."""
+
+    def script(session: Session) -> None:
+        drive_by_hand(session, u_V, duration_s)
+
+    return record(experiment, parent, ScriptCall(name="jog", u_V=u_V, duration_s=duration_s), script, on_start)
+
+
+def _named(script: str) -> ScriptCall:
+    """What meta.json says of a script with a breakaway check."""
+    return ScriptCall(name=script, breakaway=BREAKAWAY_LAW)

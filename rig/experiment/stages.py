@@ -1,0 +1,436 @@
+"""The stages of an experiment, each on an open session: arming, breakaway, search, relay tests, tracking.
+
+A stage raises Fault where it ends the run: what the loop raises, and START_OUTSIDE, CONFIG_MISMATCH or DRIVE_TOO_SMALL
+where it cannot begin. ValueError says that it was called out of order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+
+from rig.backends.clock import MonotonicClock
+from rig.backends.driver import RelayDriver
+from rig.bench import guard_settings_of, real_time_of
+from rig.config import Experiment
+from rig.config.schema import Method
+from rig.control.breakaway import BreakawayCheck, BreakawayFound, BreakawayLaw, StrokePlan
+from rig.control.breakaway_one_way import OneWayCheck
+from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
+from rig.control.homing import Homing
+from rig.control.hysteretic import HystereticRun
+from rig.control.law import Constant, Rest
+from rig.control.observer import MotorObserver
+from rig.control.relay import DualChannelRelay, HystereticRelay, RelayOnCounts
+from rig.control.tracking import Tracking
+from rig.control.trajectory import SumOfSines
+from rig.faults import Fault
+from rig.identify import Identification, identify
+from rig.loop.pre_run import PreRunBench, pre_run
+from rig.loop.real_time import RealTime, real_time
+from rig.model.cycle_detector import CycleDetector
+from rig.model.motor import Motor
+from rig.preflight.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
+from rig.recording.folder import write_meta
+from rig.recording.stage import Stage
+from rig.results import JogResult, RealTimeReport, TrackingResult
+from rig.session import FADE_S, Session
+
+REST_S = 0.7
+RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
+HOMING_TIMEOUT_S = 40.0
+START_REST_S = 0.5  # recorded before a hysteretic relay's first drive
+HYSTERETIC_SWITCHINGS = 6  # least squares takes the motion up to the first, the sampled-data estimator all of it
+HYSTERETIC_TIMEOUT_S = 10.0  # for each
+
+
+def drive_tests(session: Session, check: BreakawayLaw | None = None) -> None:
+    """All that drives in ``run`` and ``run_relay`` before anything is identified; ``check`` as ``check_breakaway``."""
+    with _checked(session, check):
+        test_relays(session)
+        test_hysteretic(session)
+
+
+def drive_check(session: Session, check: BreakawayLaw | None = None) -> None:
+    """The breakaway check alone; ``check`` as ``check_breakaway``."""
+    with _prepared(session):
+        _armed_check(session, check)
+
+
+def drive_by_hand(session: Session, u_V: float, duration_s: float) -> None:
+    """A constant drive between two rests, within the limits; from outside them only inward."""
+    session.loop.guard.recovering = True
+    with driving(session):
+        session.loop.run(Rest(0.1), "rest")
+        from_rad = session.loop.last_y_rad
+        session.loop.run(Constant(u_V, duration_s), "jog")
+        session.loop.run(Rest(REST_S), "rest")
+        session.found.jog = JogResult(
+            from_rad=from_rad, to_rad=session.loop.last_y_rad, refused_ticks=session.loop.guard.clipped_ticks
+        )
+
+
+@contextmanager
+def driving(session: Session) -> Iterator[None]:
+    """The device armed for the block, and this process set up for real time where time is real."""
+    with _prepared(session), session.loop.armed(session.experiment.device_limits):
+        yield
+
+
+@contextmanager
+def _checked(session: Session, check: BreakawayLaw | None) -> Iterator[None]:
+    """As ``driving``, after the breakaway check, for which the device is armed with a watchdog of its own."""
+    with _prepared(session):
+        _armed_check(session, check)
+        with session.loop.armed(session.experiment.device_limits):
+            yield
+
+
+def _armed_check(session: Session, check: BreakawayLaw | None) -> None:
+    """The breakaway check, armed: what a host that dies in a stroke leaves on is part of the bound on unseen travel."""
+    e = session.experiment
+    limits = e.device_limits
+    strokes = None if e.motor is None or isinstance(check, OneWayCheck) else breakaway_strokes(e)
+    if strokes is not None:
+        limits = replace(limits, watchdog_s=strokes.watchdog_s)
+    with session.loop.armed(limits):
+        check_breakaway(session, check)
+
+
+@contextmanager
+def _prepared(session: Session) -> Iterator[None]:
+    """The block runs with this process set up for real time, where time is real."""
+    if not isinstance(session.bench.clock, MonotonicClock):
+        _tell_real_time(session, RealTime(["virtual time: lateness means nothing here"]))
+        yield
+    else:
+        with real_time(real_time_of(session.experiment)) as done:
+            _tell_real_time(session, done)
+            yield
+
+
+def _tell_real_time(session: Session, done: RealTime) -> None:
+    """Into meta.json, result.json and its notes goes what the machine granted the loop, and what it refused."""
+    if session.found.real_time is None:
+        report = RealTimeReport(granted=tuple(done.granted), refused=tuple(done.refused))
+        session.found.real_time = report
+        granted = ["loop: " + "; ".join(done.granted)] if done.granted else []
+        session.found.notes += granted + [f"loop: {line}" for line in done.refused]
+        write_meta(session.folder, session.meta.model_copy(update={"real_time": report}))
+
+
+def breakaway_check(e: Experiment) -> BreakawayCheck:
+    """The breakaway check of a config. Raises Fault CONFIG_MISMATCH where its unseen travel has no bound."""
+    strokes = None if e.motor is None else breakaway_strokes(e)
+    if strokes is None:
+        raise Fault(
+            "CONFIG_MISMATCH",
+            "with a stuck or uncoupled sensor nothing would bound what the shaft turns in the breakaway check: "
+            "motor.no_load_speed_rad_s is missing, or breakaway.max_V is too high for it; see `rig check`",
+        )
+    b = e.breakaway
+    return BreakawayCheck(
+        strokes.step_V,
+        b.max_V,
+        b.motion_rad,
+        b.rest_s,
+        StrokePlan(strokes.strokes_s, strokes.pause_s, strokes.watchdog_s),
+        e.period_s,
+    )
+
+
+def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None:
+    """Prove sensor, drive and sign by strokes to and fro; from then on the guard may brake by itself.
+
+    check  another law than the one of now: that of an older version, for a replay
+    """
+    e = session.experiment
+    session.loop.run(Rest(0.1), "rest")
+    y_rad = session.loop.last_y_rad
+    low, high = e.limits.soft_rad
+    if not low <= y_rad <= high:
+        raise Fault("START_OUTSIDE", f"y = {y_rad:.3f} rad, soft limits {low:.2f} to {high:.2f} rad")
+    check = breakaway_check(e) if check is None else check
+    session.loop.run(check, "breakaway")
+    session.found.breakaway = check
+    guard = session.loop.guard
+    guard.settings = guard_settings_of(e, check.noise_rad)
+    guard.static_V = max(check.plus_V, check.minus_V)
+    guard.sign_proven = True
+    differ = abs(check.plus_V - check.minus_V) / (check.plus_V + check.minus_V)
+    if differ > FRICTION_DIFFERS:
+        session.found.notes.append(
+            f"friction differs by {differ:.0%} from its mean between the ways (the shaft broke away at "
+            f"{check.plus_V:.2f} V and {check.minus_V:.2f} V): unseen travel in the breakaway check was bounded for at "
+            f"most {FRICTION_DIFFERS:.0%}; with a stuck or uncoupled sensor this shaft could turn farther than "
+            "`rig check` says: a lower breakaway.max_V keeps it shorter"
+        )
+    session.note("breakaway", plus_V=check.plus_V, minus_V=check.minus_V, noise_rad=check.noise_rad)
+
+
+def test_relays(session: Session) -> None:
+    """Find the gains, where the config gives none, and run a relay test at each pair; then let the shaft rest."""
+    e = session.experiment
+    if e.relay.gains is None and e.relay.target is None:
+        return
+    lsb_rad = e.sensor.curve.lsb_rad
+    detector = CycleDetector(min_period_s=30.0 * e.period_s, min_amplitude_rad=20.0 * lsb_rad)
+    relay = DualChannelRelay(0.0, 0.0, _integral_bound_rad_s(e))
+    if e.relay.gains is not None:
+        gains_V = [(g.h1_V, g.h2_V) for g in e.relay.gains]
+        expected_period_s = None
+    else:
+        gains_V = search_gains(session, relay, detector)
+        expected_period_s = detector.mean()[0]
+    for number, pair_V in enumerate(gains_V, start=1):
+        cycle_s = expected_period_s if expected_period_s is not None else 2.0
+        timeout_s = RELAY_TIMEOUT_PERIODS * e.relay.cycles * cycle_s
+        stage = str(Stage.relay(number))
+        session.note("gains", stage=stage, h1_V=pair_V[0], h2_V=pair_V[1], cycles=e.relay.cycles)
+        watch = _watch_cycles(session, detector, stage)
+        if e.relay.where == "device":
+            run_in_device(session, pair_V, detector, timeout_s, stage, watch)
+        else:
+            session.loop.run(RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s), stage, watch)
+    if relay.bound_reached:
+        session.found.notes.append(
+            "the relay's integral reached its bound: the first cycles are shorter than they would be"
+        )
+    session.loop.run(Rest(REST_S), "rest")
+
+
+def run_in_device(
+    session: Session,
+    gains_V: tuple[float, float],
+    detector: CycleDetector,
+    timeout_s: float,
+    stage: str,
+    watch: Callable[[float], None],
+) -> None:
+    """One relay test in which the device's own relay drives."""
+    e, driver = session.experiment, session.bench.driver
+    if not isinstance(driver, RelayDriver):
+        raise Fault("CONFIG_MISMATCH", f"relay.where is device, but {driver.backend} has no relay")
+    command = driver.relay_command(*gains_V, _integral_bound_rad_s(e))
+    relay = RelayOnCounts(
+        command.centre_counts,
+        command.direction,
+        command.z_bound_count_ticks,
+        command.drives_V,
+        command.count_tick_rad_s,
+        gains_V,
+    )
+    test = RelayTest(relay, detector, gains_V, e.relay.cycles, timeout_s)
+    session.loop.run_in_device(test, command, stage, watch)
+    if relay.bound_reached:
+        session.found.notes.append(f"{stage}: the relay's integral reached its bound in the device")
+
+
+def test_hysteretic(session: Session) -> None:
+    """Run each hysteretic relay of the config, every time from rest at zero; then let the shaft rest."""
+    e, breakaway = session.experiment, session.found.breakaway
+    if e.relay.hysteretic is None:
+        return
+    if breakaway is None:
+        raise ValueError("a hysteretic run needs a breakaway check")
+    for number, wanted in enumerate(e.relay.hysteretic, start=1):
+        level_V = breakaway.plus_V if wanted.d_V > 0.0 else breakaway.minus_V
+        if abs(wanted.d_V) <= level_V:
+            raise Fault("DRIVE_TOO_SMALL", f"d_V {wanted.d_V:+.3f} V of run {number}; it broke away at {level_V:.3f} V")
+    for number, wanted in enumerate(e.relay.hysteretic, start=1):
+        stage = str(Stage.hysteretic(number))
+        bring_home(session)
+        session.note("hysteretic", stage=stage, d_V=wanted.d_V, eps_rad=wanted.eps_rad)
+        relay = HystereticRelay(wanted.d_V, wanted.eps_rad)
+        session.loop.run(HystereticRun(relay, START_REST_S, HYSTERETIC_SWITCHINGS, HYSTERETIC_TIMEOUT_S), stage)
+        session.loop.run(Rest(REST_S), "rest")
+
+
+def bring_home(session: Session) -> None:
+    """Bring the shaft to rest at zero."""
+    e, breakaway = session.experiment, session.found.breakaway
+    if breakaway is None:
+        raise ValueError("homing needs a breakaway check")
+    lsb_rad, noise_rad = e.sensor.curve.lsb_rad, breakaway.noise_rad
+    # without noise a mean reading is no better than the sensor's steps, one of which may have its edge at zero
+    dithered = noise_rad > 0.4 * lsb_rad
+    tolerance_rad = max(0.3 * lsb_rad, 0.45 * noise_rad) if dithered else 0.6 * lsb_rad
+    homing = Homing(
+        BreakawayFound(breakaway.plus_V, breakaway.minus_V, noise_rad),
+        e.drive.max_V,
+        tolerance_rad,
+        e.period_s,
+        HOMING_TIMEOUT_S,
+    )
+    session.loop.run(homing, "homing")
+    session.note("home", rest_rad=homing.rest_rad, strokes=homing.strokes)
+
+
+def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetector) -> list[tuple[float, float]]:
+    """Search gains for the wanted cycle; returns those of the two relay tests, (h1, h2) in V."""
+    e, target, breakaway = session.experiment, session.experiment.relay.target, session.found.breakaway
+    if target is None or breakaway is None:
+        raise ValueError("the gain search needs relay.target and a breakaway check")
+    s = e.relay.search
+    search = GainSearch(
+        relay,
+        detector,
+        CycleTarget(target.amplitude_rad, target.period_s, target.tolerance),
+        SearchRange(s.h1_start_V, s.h2_start_V, s.h2_step_V, s.step_s, s.h_max_V, e.drive.max_V, s.timeout_s),
+        # moving friction is a little less than what breaks the shaft away
+        friction_V=0.45 * (breakaway.plus_V + breakaway.minus_V),
+        reach_rad=0.9 * reach_rad(e),
+        top_speed_rad_s=0.95 * e.limits.max_speed_rad_s,
+    )
+    session.found.search = search
+    told = 0
+
+    def watch(t_s: float) -> None:
+        nonlocal told
+        for step in search.steps[told:]:
+            session.note("search", **{name: value for name, value in step._asdict().items() if name != "t_s"})
+        told = len(search.steps)
+
+    session.loop.run(search, "search", watch)
+    return [(relay.h1_V, relay.h2_V), search.second_gains(e.relay.second_ratio)]
+
+
+def identify_recorded(session: Session) -> None:
+    """Identify what has been recorded so far, by every method."""
+    session.recorder.drain()
+    session.note("stage", name="identify")
+    identification = session.found.identification = identify([session.read()])
+    _compare_with_data_sheet(session, identification)
+    session.loop.check_stop()
+
+
+def _compare_with_data_sheet(session: Session, identification: Identification) -> None:
+    """Say where the motor is faster than the data sheet's speed, on which the bound of unseen travel rests."""
+    e, best = session.experiment, identification.best
+    if e.motor is None or best is None:
+        return
+    no_load_rad_s = best.K_rad_s_V * (e.drive.supply_V - best.fc_V)
+    if no_load_rad_s > 1.1 * e.motor.no_load_speed_rad_s:
+        session.found.notes.append(
+            f"motor.no_load_speed_rad_s is {e.motor.no_load_speed_rad_s:g}, but by this estimate the shaft would reach "
+            f"{no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V: correct it, the breakaway check's strokes rest on it"
+        )
+
+
+def verify_models(session: Session) -> None:
+    """Track the same trajectory with each method's model: those that are safe in simulation on the best one."""
+    e, identification = session.experiment, session.found.identification
+    if e.tracking is None or identification is None:
+        return
+    safe: dict[Method, Motor] = {}
+    for method in e.tracking.methods:
+        reason = _why_not(session, identification, method)
+        if reason is None:
+            safe[method] = identification.estimates[method].motor()
+        else:
+            session.found.tracking[method] = TrackingResult(not_run=reason)
+    for method, motor in safe.items():
+        session.found.tracking[method] = TrackingResult(not_run="the run ended before it")
+        # what a replay tracks with: which models an estimator finds, and which are safe, is not for it to judge
+        session.note(
+            "model",
+            method=method,
+            tau_s=motor.tau_s,
+            K_rad_s_V=motor.K_rad_s_V,
+            fc_V=motor.friction.plus_V,
+            bias_V=motor.bias_V,
+        )
+    if safe:
+        track(session, safe)
+
+
+def _why_not(session: Session, identification: Identification, method: Method) -> str | None:
+    """Why the bench is not driven with a method's model, in words; None where nothing speaks against it."""
+    best, first_choice = identification.best, identification.estimates.get("sampled-data")
+    if best is None or (first_choice is not None and first_choice.verdict == "refused"):
+        # where the best estimator refuses the record, a reference method is no ground to drive the bench on
+        return "no estimate is good enough to rehearse on"
+    estimate = identification.estimates.get(method)
+    if estimate is None:
+        return "no estimate"
+    if estimate.verdict == "refused":
+        return "its estimate was refused"
+    e = session.experiment
+    bench = PreRunBench(
+        motor=best.motor(),
+        start_rad=session.loop.last_y_rad,
+        noise_rad=session.loop.guard.settings.noise_rad,
+        latency_s=session.loop.latency_s,
+        calibration=e.sensor.curve,
+        drive_map=e.drive.map,
+        rail_counts=e.sensor.rail_counts,
+        period_s=e.period_s,
+        order=session.bench.driver.order,
+    )
+    return pre_run(_tracking_law(session, estimate.motor()), bench, session.loop.guard.settings)
+
+
+def track(session: Session, models: Mapping[Method, Motor]) -> None:
+    """Track the config's trajectory with each of the models, from rest."""
+    # an observer's gain takes longer than a tick
+    laws = {method: _tracking_law(session, motor) for method, motor in models.items()}
+    with driving(session):
+        for method, law in laws.items():
+            session.loop.run(Rest(REST_S), "rest")
+            session.loop.run(law, str(Stage.track(method)))
+            session.found.tracking[method] = TrackingResult()
+        session.loop.run(Rest(REST_S), "rest")
+
+
+def _tracking_law(session: Session, motor: Motor) -> Tracking:
+    e = session.experiment
+    if e.tracking is None:
+        raise ValueError("tracking needs a config with section tracking")
+    tachometer_noise = None
+    if e.tachometer is not None:
+        # one count, seen at the shaft
+        tachometer_noise = abs(e.tachometer.rad_s_per_count) / e.tachometer.gear_ratio
+    observer = MotorObserver(
+        motor, e.period_s, session.loop.guard.settings.noise_rad, tachometer_noise_rad_s=tachometer_noise
+    )
+    observer.latency_s = session.loop.latency_s
+    return Tracking(
+        motor,
+        observer,
+        SumOfSines([(c.amplitude_rad, c.omega_rad_s) for c in e.tracking.trajectory], fade_s=FADE_S),
+        e.tracking.k1_1_s,
+        e.tracking.k2_1_s2,
+        e.tracking.duration_s,
+        e.tracking.friction_sign,
+    )
+
+
+def _integral_bound_rad_s(e: Experiment) -> float:
+    """Bound on the relay's integral: four times the largest |z| of any cycle that is to be expected."""
+    if e.relay.target is not None:
+        # a sine of the wanted period that fills the soft limits
+        return 4.0 * reach_rad(e) * e.relay.target.period_s / 6.28
+    # |z| = A/w with w = h1/(tau (h2 - f_c)) >= h1/(tau h2)
+    longest_s = max(e.limits.coast_tau_s * g.h2_V / g.h1_V for g in e.relay.gains or ())
+    return 4.0 * reach_rad(e) * longest_s
+
+
+def _watch_cycles(session: Session, detector: CycleDetector, stage: str) -> Callable[[float], None]:
+    told = 0
+
+    def watch(t_s: float) -> None:
+        nonlocal told
+        if len(detector.cycles) > told:
+            told = len(detector.cycles)
+            c = detector.cycles[-1]
+            session.note(
+                "cycle",
+                stage=stage,
+                number=told,
+                settled=detector.settled,
+                period_s=c.period_s,
+                amplitude_rad=c.amplitude_rad,
+            )
+
+    return watch

@@ -1,0 +1,111 @@
+"""The relay in the device while it drives: its ticks are held to law and guard, and recorded, as they come."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+
+from rig.backends.driver import RelayCommand, RelayDriver, RelayRow
+from rig.control.guard import Guard
+from rig.control.law import Law
+from rig.faults import Fault
+from rig.loop.statistics import LoopStatistics
+from rig.recording.record import Record
+from rig.signals import FLAG_SKIPPED, Sample
+
+STOPPING = "stopping"  # stage of what the relay in the device did until it was stopped, after the loop had given up
+
+
+class DeviceRelay:
+    """Follows the relay in the device; the loop keeps its watchdog quiet and brings its rows.
+
+    guard, record   the loop's own
+    statistics      counts the device's ticks
+    since_start_s   from a time of the driver's to one of the run's, s
+    """
+
+    def __init__(
+        self, guard: Guard, record: Record, statistics: LoopStatistics, since_start_s: Callable[[float], float]
+    ) -> None:
+        self._guard = guard
+        self._record = record
+        self._statistics = statistics
+        self._since_start_s = since_start_s
+        self._driver: RelayDriver | None = None  # while it drives
+        self._tick_s = math.nan
+        self._last_row_s = math.nan
+        self._untaken: deque[RelayRow] = deque()  # rows that have come and are not in the record yet
+        self.last_y_rad = math.nan  # position at the last tick
+
+    def start(self, driver: RelayDriver, command: RelayCommand, y_rad: float) -> None:
+        """Let the relay drive, from the position ``y_rad`` on."""
+        self.last_y_rad = y_rad
+        self._tick_s = driver.tick_s
+        self._last_row_s = math.nan
+        driver.start_relay(command)
+        self._driver = driver
+
+    def stop(self, driver: RelayDriver) -> list[RelayRow]:
+        """Let it drive no longer; returns its last rows. Raises Fault as the driver does."""
+        last_rows = driver.stop_relay()
+        self._driver = None  # all that it did has come
+        return last_rows
+
+    def take(
+        self, rows: list[RelayRow], tick: int, law: Law, stage: str, watch: Callable[[float], None] | None
+    ) -> None:
+        """Record each row under the loop's ``tick``, then judge it.
+
+        ``law`` takes each tick of the device, and what it decides must be what the device did. ``watch`` is called
+        after each with its time, s. Raises Fault DEVICE_RELAY, RELAY_STOPPED, and the law's and the guard's.
+        """
+        self._untaken.extend(rows)
+        while self._untaken:
+            sample = self._take_row(self._untaken.popleft(), tick, law, stage)
+            if watch is not None:
+                watch(sample.t_s)
+
+    def _take_row(self, row: RelayRow, tick: int, law: Law, stage: str) -> Sample:
+        sample = self._sample(row)
+        self.last_y_rad = sample.y_rad
+        try:
+            decided_V = law.step(sample)
+        finally:
+            self._record_row(row, sample, tick, stage, law.z_rad_s, law.yd_rad)
+        if row.u_V != decided_V:
+            if self._driver is not None:
+                self._untaken.extend(self._driver.read_rows())  # where the device has stopped by itself, it says why
+            raise Fault("DEVICE_RELAY", f"{row.u_V:+.3f} V at {row.y_counts} counts, not {decided_V:+.3f} V")
+        passed_V, _ = self._guard.allow(sample, row.u_V)
+        if passed_V != row.u_V:
+            raise Fault(
+                "RELAY_STOPPED",
+                f"{row.u_V:+.2f} V at {sample.y_rad:.3f} rad, {self._guard.velocity_rad_s:+.2f} rad/s, "
+                f"predicted stop {self._guard.predicted_stop_rad:.3f} rad",
+            )
+        return sample
+
+    def record_last_rows(self, tick: int, now_s: float) -> None:
+        """What else has come when the run ends while the relay drives: recorded, judged by nobody."""
+        driver, self._driver = self._driver, None
+        if driver is not None:
+            try:
+                self._untaken.extend(driver.read_rows())
+            except Exception as error:  # noqa: BLE001 - a broken driver must not hide why the run ended
+                self._record.event(now_s, "rows_lost", error=repr(error))
+        while self._untaken:
+            row = self._untaken.popleft()
+            self._record_row(row, self._sample(row), tick, STOPPING, math.nan, math.nan)
+
+    def _sample(self, row: RelayRow) -> Sample:
+        return Sample(self._since_start_s(row.t_s), row.y_rad, row.y_counts, seq=row.block)
+
+    def _record_row(self, row: RelayRow, sample: Sample, tick: int, stage: str, z_rad_s: float, yd_rad: float) -> None:
+        since_s, tick_s = sample.t_s - self._last_row_s, self._tick_s
+        missed = max(round(since_s / tick_s) - 1, 0) if math.isfinite(since_s) else 0
+        self._last_row_s = sample.t_s
+        self._statistics.device_tick(tick_s, missed)
+        flags = FLAG_SKIPPED if missed else 0
+        self._record.sample(tick, sample, stage, z_rad_s, yd_rad, row.u_V, math.nan, math.nan, flags)
+        self._record.complete(self._since_start_s(row.t_u_s), row.u_V)

@@ -1,0 +1,90 @@
+"""Pre-run simulation: the tracking run on the best model, before the bench is driven with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rig.backends.clock import VirtualClock
+from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
+from rig.calibration import Calibration, DriveMap
+from rig.control.guard import Guard, GuardSettings
+from rig.control.tracking import Tracking
+from rig.faults import Fault
+from rig.loop.runner import Loop
+from rig.loop.stop_request import StopRequest
+from rig.model.bench import BenchParameters
+from rig.model.motor import Motor
+from rig.recording.record import NoRecord
+from rig.signals import Order
+
+
+@dataclass(frozen=True)
+class PreRunBench:
+    """What is known of the bench: the best model, where the shaft stands, noise, latency, the order of a tick."""
+
+    motor: Motor
+    start_rad: float
+    noise_rad: float
+    latency_s: float
+    calibration: Calibration
+    drive_map: DriveMap
+    rail_counts: tuple[int, int]
+    period_s: float
+    order: Order = "sample_first"
+
+
+def pre_run(tracking: Tracking, bench: PreRunBench, guard: GuardSettings, seed: int = 0) -> str | None:
+    """Run ``tracking`` on the simulated bench; the reason why it must not drive the real one, or None.
+
+    It must not where it leaves the soft limits, asks for more than the largest drive, or raises any fault.
+    """
+    clock = VirtualClock()
+    calibration = bench.calibration
+    parameters = BenchParameters(
+        motor=bench.motor,
+        start_rad=bench.start_rad,
+        stop_rad=(-1e3, 1e3),
+        rad_per_count=calibration.lsb_rad * calibration.direction,
+        centre_counts=calibration.to_counts(0.0),
+        counts_max=65535,
+        noise_rad=bench.noise_rad,
+        supply_V=bench.drive_map.full_V,
+        drive_counts=bench.drive_map.full_units,
+    )
+    plain = DriveMap(bench.drive_map.full_V, full_units=bench.drive_map.full_units)
+    driver = SimulatedDriver(
+        clock,
+        parameters,
+        calibration,
+        plain,
+        bench.rail_counts,
+        SimulatedLatency(bench.latency_s, 0.0),
+        seed,
+        bench.order,
+    )
+    watching = Guard(guard)
+    watching.sign_proven = True
+    loop = Loop(driver, clock, watching, NoRecord(), bench.period_s, StopRequest())
+    low, high = guard.limits.soft_rad
+    reached = [bench.start_rad, bench.start_rad]
+
+    def watch(t_s: float) -> None:
+        y = driver.bench.state.y
+        reached[0], reached[1] = min(reached[0], y), max(reached[1], y)
+
+    try:
+        with loop.armed(guard.limits):
+            loop.run(tracking, "rehearsal", watch)
+    except Fault as fault:
+        return f"in simulation on the best model: {fault}"
+    if reached[0] < low or reached[1] > high:
+        return (
+            f"in simulation on the best model it goes from {reached[0]:.2f} to {reached[1]:.2f} rad, "
+            f"beyond the soft limits {low:.2f} to {high:.2f} rad"
+        )
+    if tracking.largest_u_V > guard.limits.max_u_V:
+        return (
+            f"in simulation on the best model it asks for {tracking.largest_u_V:.2f} V, "
+            f"more than drive.max_V {guard.limits.max_u_V:.2f} V"
+        )
+    return None

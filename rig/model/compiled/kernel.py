@@ -1,0 +1,53 @@
+"""How the loops of this room are compiled: they call the plain functions of ``rig.model``, and are kept on disk.
+
+numba looks at a loop's own file to tell whether what it kept is current. A loop here also calls functions of other
+files, so the text of all of them is part of the key.
+
+Plain tuples of numbers go in, and get their names (``Plant``, ``State``) inside: at each call numba takes 5 us to tell
+the type of a named tuple, and what it keeps on disk could not be read any more once such a class is gone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any, TypeVar
+
+from numba import njit
+from numba.core.caching import FunctionCache
+from numba.extending import register_jitable
+
+from rig.model import step, stribeck
+
+PARTS: tuple[ModuleType, ...] = (stribeck, step)  # whose functions the loops may call
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def _digest() -> str:
+    """Of the text of everything that a loop may be made of."""
+    files = [*(Path(str(part.__file__)) for part in PARTS), *sorted(Path(__file__).parent.glob("*.py"))]
+    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
+
+
+class _Cache(FunctionCache):
+    """numba's, with that text in the key."""
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        return super()._index_key(sig, codegen), SOURCE  # type: ignore[no-untyped-call]
+
+
+def kernel(function: Function) -> Function:
+    """A loop over samples, compiled at its first call, and kept on disk until it or what it calls changes."""
+    compiled = njit(function)
+    compiled._cache = _Cache(function)  # type: ignore[no-untyped-call]
+    return compiled  # type: ignore[no-any-return]
+
+
+SOURCE = _digest()
+for part in PARTS:
+    for value in vars(part).values():
+        if isinstance(value, FunctionType) and value.__module__ == part.__name__:
+            register_jitable(value)

@@ -1,0 +1,7 @@
+"""Whether an experiment may be run, and what it would do: no device is touched."""
+
+from rig.preflight.file import check
+from rig.preflight.plan import notes
+from rig.preflight.rules import Preflight, preflight
+
+__all__ = ["Preflight", "check", "notes", "preflight"]

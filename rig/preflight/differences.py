@@ -1,0 +1,80 @@
+"""Where the emulated bench is told to be another than the one that the rest of the config believes in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import isclose
+
+from rig.backends.registry import backend_of
+from rig.config.problems import bracketed
+from rig.config.schema import DeadBand, Experiment
+
+_SLACK = 1e-6  # relative: below it two numbers are one, written with other digits
+_BENT_COUNTS = 1.0  # of a table of calibration against a straight line
+_SCALED = "K and f_c will come out scaled"
+
+
+def differences(e: Experiment) -> Iterator[str]:
+    """A sentence for each way in which what is emulated is not what the config describes; none behind a real motor."""
+    if e.emulated is None or not backend_of(e).is_emulated(e):
+        return
+    yield from _bridge(e)
+    yield from _sensor(e)
+    if e.tachometer is not None and e.emulated.tachometer is False:
+        yield "the emulated bench has no velocity channel (emulated.tachometer), the config has a section tachometer"
+    stops, hard = e.emulated.motor.stop_rad, e.limits.hard_rad
+    if not (stops[0] <= hard[0] and hard[1] <= stops[1]):
+        yield (
+            f"the emulated shaft meets its mechanical stops at {bracketed(stops)} rad, inside limits.hard_rad "
+            f"{bracketed(hard)}: what it does there is no free motion"
+        )
+
+
+def _bridge(e: Experiment) -> Iterator[str]:
+    told, believed = e.emulated, e.drive
+    if told is None or told.supply_V is None or told.bridge_drop_V is None:
+        return
+    full_V, believed_V = told.supply_V - told.bridge_drop_V, believed.supply_V - believed.bridge_drop_V
+    if not isclose(full_V, believed_V, rel_tol=_SLACK):
+        yield f"the emulated bridge gives {full_V:g} V, the config believes {believed_V:g} V: {_SCALED}"
+    if told.dead_band_duty != believed.dead_band_duty:
+        yield (
+            f"the emulated bridge passes nothing below {_shares(told.dead_band_duty)}, drive.dead_band_duty says "
+            f"{_shares(believed.dead_band_duty)}: the drive is not what the record says, and {_SCALED}"
+        )
+    if told.reversed != believed.reversed:
+        yield "the emulated bridge turns the shaft the other way than drive.reversed says"
+
+
+def _sensor(e: Experiment) -> Iterator[str]:
+    if e.emulated is None:
+        return
+    told, (rad_per_count, centre_counts) = e.emulated.potentiometer, e.sensor.straight
+    if told.rad_per_count is None or told.centre_counts is None:
+        return
+    if not isclose(told.rad_per_count, rad_per_count, rel_tol=_SLACK):
+        yield (
+            f"one count of the emulated potentiometer is {told.rad_per_count:.6g} rad, sensor.calibration says "
+            f"{rad_per_count:.6g} rad: every position and K will come out {rad_per_count / told.rad_per_count:.4g} "
+            "times the true one"
+        )
+    if not isclose(told.centre_counts, centre_counts, rel_tol=_SLACK):
+        yield (
+            f"the emulated potentiometer reads {told.centre_counts:g} counts at position 0, sensor.calibration says "
+            f"{centre_counts:g}: every position is off by {abs(told.centre_counts - centre_counts):.3g} counts"
+        )
+    bent_counts = max(abs(centre_counts + point.rad / rad_per_count - point.counts) for point in e.sensor.calibration)
+    if bent_counts > _BENT_COUNTS:
+        yield (
+            f"sensor.calibration is a table that bends by up to {bent_counts:.3g} counts, the emulated potentiometer "
+            "is straight: K will come out by as much too large or too small as the table is steep or flat"
+        )
+    if told.counts_max != e.sensor.counts_max:
+        yield (
+            f"the emulated potentiometer reads 0 to {told.counts_max} counts, sensor.counts_max is "
+            f"{e.sensor.counts_max}: describe it in emulated.potentiometer"
+        )
+
+
+def _shares(dead: DeadBand | None) -> str:
+    return "" if dead is None else f"{dead.plus:.3g} and {dead.minus:.3g} of full duty"

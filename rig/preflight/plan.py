@@ -1,0 +1,121 @@
+"""What an experiment would do, in lines for people: backend, stages, limits, link, failsafe."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rig.backends.registry import backend_of
+from rig.config.problems import bracketed
+from rig.config.schema import Experiment
+from rig.config.sensor import range_rad
+from rig.preflight.differences import differences
+from rig.preflight.room_to_stop import (
+    FRICTION_DIFFERS,
+    breakaway_strokes,
+    overshoot_terms,
+    peak_speed_rad_s,
+    room_rad,
+    stopping_sum,
+    stopping_terms,
+)
+
+
+def plan(e: Experiment) -> Iterator[str]:
+    """One line after another, of an experiment whose sections and keys are in range."""
+    backend = backend_of(e)
+    yield f"backend: {backend.words(e)}, every {e.period_s * 1e3:g} ms"
+    yield from _stage_lines(e)
+    soft, hard = bracketed(e.limits.soft_rad), bracketed(e.limits.hard_rad)
+    full_V = e.drive.supply_V - e.drive.bridge_drop_V
+    yield (
+        f"limits: soft {soft} rad, hard {hard} rad, sensor {bracketed(range_rad(e))} rad; "
+        f"{e.limits.max_speed_rad_s:g} rad/s; {e.drive.max_V:g} V of the {full_V:g} V that the bridge can give"
+    )
+    yield f"stopping {stopping_sum(e)}; room from the centre of travel: {room_rad(e):.3f} rad"
+    yield from backend.plan(e)
+    yield backend.failsafe_words(e)
+    for note in notes(e):
+        yield f"note: {note}"
+
+
+def notes(e: Experiment) -> Iterator[str]:
+    """What a person has to know who reads the results: `rig check` says it before a run, and the run with them."""
+    backend = backend_of(e)
+    yield from differences(e)
+    yield from backend.notes(e)
+    low, high = e.limits.soft_rad
+    if e.emulated is not None and not low <= e.emulated.motor.start_rad <= high:
+        yield "the emulated shaft starts outside the soft limits: a run refuses until `rig jog` has it inside"
+    if e.emulated is not None and not backend.is_emulated(e):
+        yield backend.not_emulated_words(e)
+
+
+def _check_ends_by(watchdog_s: float, e: Experiment) -> str:
+    """What ends a stroke of the breakaway check when the host has died, in words."""
+    time = f"{1e3 * watchdog_s:.3g} ms"
+    watchdog = backend_of(e).watchdog(e)
+    if watchdog.time_s is None or (not watchdog.certain and e.daq.accept_no_watchdog):
+        return f"a tick that comes {time} late, not a host that dies: without a watchdog nothing bounds that"
+    if watchdog.unit_s is None:
+        return f"a host that dies in a stroke: the device's own watchdog ends it after {time}"
+    return f"a host that dies in a stroke: for this check the device's watchdog is armed with {time}"
+
+
+def _stage_lines(e: Experiment) -> Iterator[str]:
+    """The stages with the longest times to expect."""
+    b, r = e.breakaway, e.relay
+    breakaway_s = 2.0 * b.rest_s + 2.0 * b.max_V / b.ramp_V_s
+    total_s = breakaway_s
+    strokes = None if e.motor is None else breakaway_strokes(e)
+    if strokes is not None:
+        longest, shortest = (1e3 * f(strokes.strokes_s) for f in (max, min))
+        lengths = f"{longest:.3g} ms" if longest == shortest else f"{longest:.3g} to {shortest:.3g} ms"
+        yield (
+            f"stage breakaway: strokes of {lengths} to and fro, {1e3 * strokes.step_V:.3g} mV "
+            f"stronger each time, up to {b.max_V:g} V; at most about {breakaway_s:.0f} s"
+        )
+        yield (
+            f"stage breakaway, with a stuck or uncoupled sensor: the shaft turns at most {strokes.unseen_rad:.2f} rad, "
+            f"if friction differs by at most {FRICTION_DIFFERS:.0%} from its mean between the ways and "
+            f"motor.no_load_speed_rad_s is true; that counts {_check_ends_by(strokes.watchdog_s, e)}"
+        )
+    if r.target is not None:
+        amplitudes = r.target.amplitude_rad, r.target.amplitude_rad * r.second_ratio
+        tests_s = 2.0 * r.cycles * r.target.period_s
+        speed = peak_speed_rad_s(max(amplitudes), r.target.period_s)
+        yield (
+            f"stage excite: searches gains for {r.target.amplitude_rad:g} rad every {r.target.period_s:g} s, "
+            f"+-{r.target.tolerance:.0%}; at most {r.search.timeout_s:g} s"
+        )
+        yield (
+            f"stage relay: {r.cycles} settled cycles at {amplitudes[0]:.3g} and at {amplitudes[1]:.3g} rad, "
+            f"up to about {speed:.2g} rad/s; about {tests_s:.0f} s and the settling"
+        )
+        total_s += r.search.timeout_s + tests_s
+    elif r.gains is not None:
+        pairs = ", ".join(f"({g.h1_V:g}, {g.h2_V:g})" for g in r.gains)
+        yield f"stage relay: {r.cycles} settled cycles at each of (h1, h2) = {pairs} V; their period is not known yet"
+    if r.hysteretic is not None:
+        pairs = ", ".join(f"({h.d_V:+g}, {h.eps_rad:g})" for h in r.hysteretic)
+        widest_rad = max(h.eps_rad for h in r.hysteretic)
+        overshoot = sum(rad for _, rad in overshoot_terms(e))
+        horizon_s = sum(rad for _, rad in stopping_terms(e)) / e.limits.max_speed_rad_s
+        yield (
+            f"stage hysteretic: from rest at zero, where the shaft is brought before each, (d, eps) = {pairs} V, rad; "
+            f"at most to {widest_rad + overshoot:.3g} rad; the guard would brake above "
+            f"{(room_rad(e) - widest_rad) / horizon_s:.3g} rad/s; every d must exceed the breakaway level, which is "
+            "measured first"
+        )
+    yield "stage identify: by every method, no motion"
+    if e.tracking is None:
+        yield "stage verify: left out, there is no section `tracking`"
+    else:
+        verify_s = len(e.tracking.methods) * e.tracking.duration_s
+        total_s += verify_s
+        yield (
+            f"stage verify: tracking with the models of {', '.join(e.tracking.methods)}, "
+            f"{e.tracking.duration_s:g} s each; {verify_s:.0f} s"
+        )
+    unknown = "" if r.target is not None and r.hysteretic is None else ", and the relay tests"
+    clock = backend_of(e).seconds_words(e)
+    yield f"together: at most about {total_s:.0f} s{clock}{unknown}, and settling and rests"

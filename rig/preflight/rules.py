@@ -1,0 +1,445 @@
+"""Whether an experiment may be run: pure arithmetic on the config, no device is touched.
+
+Here are the rules of what several keys say together; what one key says by itself is the schema's, what a device asks
+for its own. A rule says nothing where another has already refused what it builds on, so that one mistake gives one
+line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from pydantic import ValidationError
+
+from rig.backends.registry import backend_of
+from rig.config.messages import unplaced
+from rig.config.problems import Path, Problem, bracketed, wrong
+from rig.config.schema import Experiment, Gains, RelayTarget
+from rig.config.sensor import count_rad, range_rad
+from rig.preflight.plan import plan
+from rig.preflight.room_to_stop import (
+    UNSEEN_RAD,
+    breakaway_strokes,
+    device_watchdog_s,
+    limits_are_ordered,
+    overshoot_terms,
+    peak_speed_rad_s,
+    predicted_stop_rad,
+    reach_rad,
+    room_rad,
+    stopping_sum,
+    stopping_terms,
+)
+from rig.signals import plain
+
+Rule = Callable[[Experiment], Iterator[Problem]]
+
+_WATCHDOG_PERIODS = (3, 10)
+_SHORTEST_CYCLE_PERIODS = 30  # docs/theory.md 4.3: a shorter cycle is delay hunting
+_SMALLEST_CYCLE_COUNTS = 20  # docs/theory.md 4.3
+_FEWEST_PAIRS = 8  # of strokes in the breakaway check
+_LARGEST_MOTION_RAD = 0.1
+_MOTION_COUNTS = 3  # below this the sensor's last digit would pass for motion
+_SLACK = 1e-9  # relative: 0.1 s is ten periods of 0.01 s, whatever the binary fractions say
+
+
+@dataclass(frozen=True)
+class Preflight:
+    """``lines``: what the experiment would do, for people; ``problems``: why it must not, empty if it may."""
+
+    lines: tuple[str, ...]
+    problems: tuple[Problem, ...]
+
+
+def preflight(experiment: Experiment) -> Preflight:
+    """Check an experiment offline. The problems have paths but no places: ``rig.preflight.check`` adds these."""
+    if unread := tuple(_own_section(experiment)):
+        return Preflight((), unread)  # what the device says builds on it
+    problems = tuple(problem for rule in _RULES for problem in rule(experiment))
+    return Preflight(tuple(plain(line) for line in plan(experiment)), problems)
+
+
+# ---------------------------------------------------------------------- the device
+
+
+def _own_section(e: Experiment) -> Iterator[Problem]:
+    """What is wrong in the section of the device's own, where it has one."""
+    backend = backend_of(e)
+    if backend.section is not None:
+        try:
+            backend.options(e, backend.section)
+        except ValidationError as error:
+            yield from unplaced(error.errors(include_url=False), backend.section, ("daq", "options"))
+
+
+def _device(e: Experiment) -> Iterator[Problem]:
+    """What the device itself says: its keys, its link."""
+    yield from backend_of(e).rules(e)
+
+
+def _spin(e: Experiment) -> Iterator[Problem]:
+    if 1e-6 * e.loop.spin_us > 0.5 * e.period_s * (1 + _SLACK):
+        yield wrong(
+            "loop.spin_us",
+            f"{e.loop.spin_us:g} us of spinning is more than half the period of {1e3 * e.period_s:g} ms",
+            f"at most {0.5e6 * e.period_s:g}",
+        )
+
+
+def _watchdog(e: Experiment) -> Iterator[Problem]:
+    least_s, most_s = (n * e.period_s for n in _WATCHDOG_PERIODS)
+    watchdog_s = e.daq.watchdog_s
+    if not least_s * (1 - _SLACK) <= watchdog_s <= most_s * (1 + _SLACK):
+        yield wrong(
+            "daq.watchdog_s",
+            f"must be {_WATCHDOG_PERIODS[0]} to {_WATCHDOG_PERIODS[1]} periods of {e.period_s:g} s, "
+            f"not {watchdog_s / e.period_s:.3g}",
+            f"between {least_s:g} and {most_s:g} seconds",
+        )
+    elif e.daq.timeout_s + e.period_s > watchdog_s * (1 + _SLACK):
+        yield wrong(
+            "daq.timeout_s",
+            f"one lost reply would set off the watchdog: {e.daq.timeout_s:g} s time-out + {e.period_s:g} s period "
+            f"is more than daq.watchdog_s {watchdog_s:g}",
+            f"at most {watchdog_s - e.period_s:g} seconds",
+        )
+
+
+# ---------------------------------------------------------------------- travel
+
+
+def _limits(e: Experiment) -> Iterator[Problem]:
+    soft, hard = e.limits.soft_rad, e.limits.hard_rad
+    if not soft[0] < 0.0 < soft[1]:
+        yield wrong(
+            "limits.soft_rad",
+            f"must enclose 0 rad, the centre of travel: {bracketed(soft)} rad does not",
+            "put the zero of the calibration at the centre of travel",
+        )
+    elif not limits_are_ordered(e):
+        yield wrong("limits.soft_rad", f"{bracketed(soft)} rad is not inside limits.hard_rad {bracketed(hard)} rad")
+    low, high = range_rad(e)
+    if not (low <= hard[0] and hard[1] <= high):
+        yield wrong(
+            "limits.hard_rad",
+            f"{bracketed(hard)} rad is not inside the calibrated range of the sensor between its rails, "
+            f"{bracketed((low, high))} rad",
+            "lower the limits, or calibrate farther out",
+        )
+
+
+def _room_to_stop(e: Experiment) -> Iterator[Problem]:
+    if not limits_are_ordered(e):
+        return
+    room = room_rad(e)
+    distance = sum(rad for _, rad in stopping_terms(e))
+    if distance <= room:
+        return
+    slower = e.limits.max_speed_rad_s * room / distance
+    yield wrong(
+        "limits.max_speed_rad_s",
+        f"no room to stop: {stopping_sum(e)}, but from the centre of travel (0 rad) "
+        f"the nearer hard limit is {room:.3f} rad away",
+        f"at most {_floor(slower):g} rad/s"
+        + (", or a shorter daq.watchdog_s" if device_watchdog_s(e) is not None else "")
+        + ", or wider limits.hard_rad",
+    )
+
+
+# ---------------------------------------------------------------------- drive
+
+
+def _drive(e: Experiment) -> Iterator[Problem]:
+    d = e.drive
+    full_V = d.supply_V - d.bridge_drop_V
+    if d.max_V > full_V:
+        yield wrong(
+            "drive.max_V",
+            f"{d.max_V:g} V is more than the {full_V:g} V that the bridge can give "
+            f"({d.supply_V:g} V supply - {d.bridge_drop_V:g} V drop)",
+            f"at most {full_V:g} volts" if full_V > 0.0 else "the supply must exceed the drop",
+        )
+    if e.breakaway.max_V > d.max_V:
+        yield wrong(
+            "breakaway.max_V", f"{e.breakaway.max_V:g} V is more than drive.max_V {d.max_V:g} V", _at_most(d.max_V)
+        )
+
+
+def _breakaway(e: Experiment) -> Iterator[Problem]:
+    if e.breakaway.rest_s < 10.0 * e.period_s * (1 - _SLACK):
+        yield wrong(
+            "breakaway.rest_s",
+            f"{e.breakaway.rest_s:g} s is {e.breakaway.rest_s / e.period_s:.3g} periods of the loop: too few for "
+            "the noise",
+            f"at least {10.0 * e.period_s:g} seconds",
+        )
+    least_rad = _MOTION_COUNTS * count_rad(e)
+    if e.breakaway.motion_rad < least_rad:
+        yield wrong(
+            "breakaway.motion_rad",
+            f"{e.breakaway.motion_rad:g} rad is less than {_MOTION_COUNTS} counts of the sensor ({least_rad:.3g} rad)",
+            "noise would pass for motion: at least that",
+        )
+    elif e.breakaway.motion_rad > _LARGEST_MOTION_RAD:
+        yield wrong(
+            "breakaway.motion_rad",
+            f"{e.breakaway.motion_rad:g} rad is more than {_LARGEST_MOTION_RAD:g} rad: the strokes of the breakaway "
+            "check are too short for it, and the guard would take a turning shaft for one that stands",
+            f"{_floor(max(2.0 * least_rad, 0.02)):g} to {_LARGEST_MOTION_RAD:g} rad",
+        )
+    yield from _unseen_travel(e)
+
+
+def _unseen_travel(e: Experiment) -> Iterator[Problem]:
+    """What the shaft turns in the breakaway check where the sensor does not show it."""
+    b = e.breakaway
+    if e.motor is None:
+        yield wrong(
+            "motor",
+            "motor.no_load_speed_rad_s is missing: without it nothing bounds what the shaft turns in the breakaway "
+            "check if the sensor is stuck or uncoupled",
+            "add the section: the data sheet's no-load speed at drive.supply_V, behind the gear, in rad/s",
+        )
+        return
+    if b.max_V > e.drive.max_V:
+        return
+    strokes = breakaway_strokes(e)
+    if strokes is None:
+        top_rad_s = e.motor.no_load_speed_rad_s * b.max_V / e.drive.supply_V
+        largest_V = _largest(lambda max_V: breakaway_strokes(e, max_V) is not None, b.max_V)
+        yield wrong(
+            "breakaway.max_V",
+            f"{b.max_V:g} V is up to {top_rad_s:.3g} rad/s: with a stuck or uncoupled sensor the shaft could turn more "
+            f"than {UNSEEN_RAD:g} rad unseen, even by strokes of one period ({1e3 * e.period_s:g} ms), one of which "
+            "lasts until the device's watchdog ends it",
+            (f"at most {_floor(largest_V):g} volts, or " if largest_V > 0.0 else "")
+            + "a shorter period_s, or a faster breakaway.ramp_V_s"
+            + ("" if _own_watchdog_s(e) is None else ", or a shorter time-out of the device's output"),
+        )
+    elif strokes.pairs < _FEWEST_PAIRS:
+        slower = b.ramp_V_s * (b.max_V / _FEWEST_PAIRS) / strokes.step_V
+        yield wrong(
+            "breakaway.ramp_V_s",
+            f"{b.ramp_V_s:g} V/s reaches breakaway.max_V in {strokes.pairs} strokes each way: too few to measure "
+            "static friction",
+            f"at most {_floor(0.75 * slower):g} V/s",
+        )
+
+
+def _own_watchdog_s(e: Experiment) -> float | None:
+    """The device's own watchdog, which arming does not set, s; None where it has none, or where arming sets it."""
+    watchdog = backend_of(e).watchdog(e)
+    return watchdog.time_s if watchdog.unit_s is None else None
+
+
+def _largest(fits: Callable[[float], bool], below: float) -> float:
+    """Largest value that fits, of those below one that does not."""
+    low, high = 0.0, below
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low
+
+
+# ---------------------------------------------------------------------- relay
+
+
+def _gains(e: Experiment) -> Iterator[Problem]:
+    s = e.relay.search
+    if e.relay.gains is None and e.relay.target is None:
+        return
+    if e.relay.gains is None:
+        start = Gains(h1_V=s.h1_start_V, h2_V=s.h2_start_V)
+        pairs: list[tuple[Path, Gains, str]] = [(("relay", "search"), start, "_start_V")]
+    else:
+        pairs = [(("relay", "gains", k), g, "_V") for k, g in enumerate(e.relay.gains)]
+    for path, gains, ending in pairs:
+        for name, h_V in (("h1", gains.h1_V), ("h2", gains.h2_V)):
+            if h_V > s.h_max_V:
+                message = f"{h_V:g} V is more than relay.search.h_max_V {s.h_max_V:g} V"
+                yield Problem((*path, name + ending), message, _at_most(s.h_max_V))
+        if gains.h1_V + gains.h2_V > e.drive.max_V * (1 + _SLACK):
+            yield Problem(
+                path,
+                f"h1 + h2 = {gains.h1_V:g} + {gains.h2_V:g} = {gains.h1_V + gains.h2_V:g} V "
+                f"is more than drive.max_V {e.drive.max_V:g} V",
+                "the relay must never saturate: lower the gains or raise drive.max_V",
+            )
+
+
+def _largest_amplitude_rad(e: Experiment, target: RelayTarget) -> float:
+    """Amplitude of the larger of the two tests: the second has ``second_ratio`` times the first's, rad."""
+    return target.amplitude_rad * max(1.0, e.relay.second_ratio)
+
+
+def _target(e: Experiment) -> Iterator[Problem]:
+    target = e.relay.target
+    if target is None:
+        return
+    shortest_s = _SHORTEST_CYCLE_PERIODS * e.period_s
+    if target.period_s < shortest_s * (1 - _SLACK):
+        yield wrong(
+            "relay.target.period_s",
+            f"{target.period_s:g} s is {target.period_s / e.period_s:.3g} periods of the loop; a shorter cycle than "
+            f"{_SHORTEST_CYCLE_PERIODS} is delay hunting",
+            f"at least {shortest_s:g} seconds, or a shorter period_s",
+        )
+    smallest_rad = target.amplitude_rad * min(1.0, e.relay.second_ratio)
+    least_rad = _SMALLEST_CYCLE_COUNTS * count_rad(e)
+    if smallest_rad < least_rad:
+        yield wrong(
+            "relay.target.amplitude_rad",
+            f"the smaller test's {smallest_rad:.3g} rad is less than {_SMALLEST_CYCLE_COUNTS} counts of the sensor "
+            f"({least_rad:.3g} rad)",
+            "raise the amplitude",
+        )
+    if not limits_are_ordered(e):
+        return
+    soft_rad = reach_rad(e)
+    amplitude_rad = _largest_amplitude_rad(e, target)
+    largest_rad = amplitude_rad * (1.0 + target.tolerance)
+    if largest_rad > soft_rad:
+        yield wrong(
+            "relay.target.amplitude_rad",
+            f"the larger test's {amplitude_rad:.3g} rad + {target.tolerance:.0%} tolerance = {largest_rad:.3g} rad "
+            f"leaves the soft limits ({soft_rad:g} rad from the centre of travel)",
+            "lower the amplitude",
+        )
+        return
+    stop_rad = predicted_stop_rad(e, largest_rad, target.period_s)
+    if stop_rad > room_rad(e):
+        yield wrong(
+            "relay.target.amplitude_rad",
+            f"the guard would brake within the cycle: its predicted stop reaches {stop_rad:.3g} rad, the nearer hard "
+            f"limit is {room_rad(e):.3g} rad from the centre of travel",
+            "lower the amplitude, lengthen relay.target.period_s, or widen limits.hard_rad",
+        )
+        return
+    speed = peak_speed_rad_s(amplitude_rad, target.period_s)
+    if speed > e.limits.max_speed_rad_s:
+        yield wrong(
+            "relay.target.amplitude_rad",
+            f"{amplitude_rad:.3g} rad every {target.period_s:g} s peaks at about 8 x amplitude / period = "
+            f"{speed:.3g} rad/s, above limits.max_speed_rad_s {e.limits.max_speed_rad_s:g}",
+            "lower the amplitude or lengthen relay.target.period_s",
+        )
+
+
+def _hysteretic(e: Experiment) -> Iterator[Problem]:
+    """Drives within the largest one; bands that the sensor sees, and that the shaft does not overshoot too far."""
+    overshoot = sum(rad for _, rad in overshoot_terms(e))
+    for k, run in enumerate(e.relay.hysteretic or ()):
+        path: Path = ("relay", "hysteretic", k)
+        if abs(run.d_V) > e.drive.max_V * (1 + _SLACK):
+            yield Problem(
+                (*path, "d_V"),
+                f"{abs(run.d_V):g} V is more than drive.max_V {e.drive.max_V:g} V",
+                _at_most(e.drive.max_V),
+            )
+        least_rad = _SMALLEST_CYCLE_COUNTS * count_rad(e)
+        if run.eps_rad < least_rad:
+            yield Problem(
+                (*path, "eps_rad"),
+                f"{run.eps_rad:g} rad is less than {_SMALLEST_CYCLE_COUNTS} counts of the sensor ({least_rad:.3g} rad)",
+                "widen it: the transient up to it is all that the method sees",
+            )
+        elif limits_are_ordered(e) and run.eps_rad + overshoot > reach_rad(e):
+            written = " + ".join(f"{rad:.3f} {words}" for words, rad in overshoot_terms(e))
+            room = reach_rad(e) - overshoot
+            yield Problem(
+                (*path, "eps_rad"),
+                f"{run.eps_rad:g} rad and the overshoot, at most {written} = {overshoot:.3f} rad at "
+                f"{e.limits.max_speed_rad_s:g} rad/s, leave the soft limits ({reach_rad(e):g} rad from the centre of "
+                "travel)",
+                (f"at most {_floor(room):g} rad, or " if room > least_rad else "")
+                + "lower limits.max_speed_rad_s if the shaft is slower, or widen limits.soft_rad",
+            )
+
+
+# ---------------------------------------------------------------------- tracking, emulated bench
+
+
+def _tracking(e: Experiment) -> Iterator[Problem]:
+    if e.tracking is None or not limits_are_ordered(e):
+        return
+    terms = [(abs(s.amplitude_rad), s.omega_rad_s) for s in e.tracking.trajectory]
+    peak_rad = sum(a for a, _ in terms)
+    speed = sum(a * w for a, w in terms)
+    if peak_rad > reach_rad(e):
+        written = " + ".join(f"{a:g}" for a, _ in terms)
+        yield wrong(
+            "tracking.trajectory",
+            f"its peak, at most {written} = {peak_rad:.3g} rad, leaves the soft limits "
+            f"({reach_rad(e):g} rad from the centre of travel)",
+            "lower the amplitudes",
+        )
+    if speed > e.limits.max_speed_rad_s:
+        written = " + ".join(f"{a:g} x {w:g}" for a, w in terms)
+        yield wrong(
+            "tracking.trajectory",
+            f"its speed, at most {written} = {speed:.3g} rad/s, is above limits.max_speed_rad_s "
+            f"{e.limits.max_speed_rad_s:g}",
+            "lower amplitudes or frequencies",
+        )
+
+
+def _emulated(e: Experiment) -> Iterator[Problem]:
+    if e.emulated is None:
+        return
+    m = e.emulated.motor
+    for side, static_V, moving_V in (("plus", m.fs_plus_V, m.fc_plus_V), ("minus", m.fs_minus_V, m.fc_minus_V)):
+        if static_V is not None and static_V < moving_V:
+            yield wrong(
+                f"emulated.motor.fs_{side}_V",
+                f"static friction {static_V:g} V is less than the moving friction fc_{side}_V {moving_V:g} V",
+                "raise it, or leave it out: as the moving friction",
+            )
+    falls = any(
+        static_V is not None and static_V > moving_V
+        for static_V, moving_V in ((m.fs_plus_V, m.fc_plus_V), (m.fs_minus_V, m.fc_minus_V))
+    )
+    if m.stribeck_rad_s > 0.0 and not falls:
+        yield wrong(
+            "emulated.motor.stribeck_rad_s",
+            "has no effect: static friction is nowhere above moving friction",
+            "raise fs_plus_V and fs_minus_V, or leave it out",
+        )
+    for name, (low, high) in (("mechanical stops", m.stop_rad), ("hard limits", e.limits.hard_rad)):
+        if not low <= m.start_rad <= high:
+            yield wrong(
+                "emulated.motor.start_rad",
+                f"{m.start_rad:g} rad is outside the {name} {bracketed((low, high))} rad",
+                "start inside",
+            )
+            break
+    if e.emulated.tachometer and e.tachometer is None:
+        yield wrong("emulated.tachometer", "needs the section `tachometer`, which says how it is scaled")
+
+
+_RULES: tuple[Rule, ...] = (
+    _device,
+    _spin,
+    _watchdog,
+    _limits,
+    _room_to_stop,
+    _drive,
+    _breakaway,
+    _gains,
+    _target,
+    _hysteretic,
+    _tracking,
+    _emulated,
+)
+
+
+# ---------------------------------------------------------------------- words
+
+
+def _at_most(volts: float) -> str:
+    return f"at most {volts:g} volts"
+
+
+def _floor(value: float) -> float:
+    """Three digits, rounded down: a hint that is followed must pass."""
+    return float(f"{value * 0.995:.3g}")

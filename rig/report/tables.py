@@ -1,0 +1,203 @@
+"""The report's tables: what a run says, in rows of cells. A cell is the exact number, if there is one, and its text."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from datetime import datetime
+
+from pydantic import JsonValue
+
+from rig.report.source import PREFERRED, Run
+from rig.report.style import short
+from rig.report.words import PARAMETERS, Quantity, quantity, rounded
+from rig.results import Quantiles, known
+
+Cell = tuple[float | None, str]
+
+LAWS = {"coulomb": "Coulomb", "asymmetric": "+ asymmetry", "static": "+ static level", "stribeck": "+ Stribeck effect"}
+LAW_PARAMETERS = ("fc_V", "asym_V", "fs_V", "stribeck_rad_s")
+
+
+@dataclass(frozen=True)
+class EstimateRow:
+    """One line of the table of estimates."""
+
+    method: str
+    short: str
+    quantities: tuple[Quantity, ...]
+    rms_rad: float | None
+    rms_text: str
+    iterations: str
+    rows: str
+    verdict: str
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class StageRow:
+    """One line about a stage of the run."""
+
+    stage: str
+    cells: list[Cell]
+
+
+@dataclass(frozen=True)
+class LawRow:
+    """One friction law."""
+
+    law: str
+    cells: list[Cell]
+    standing: str
+
+
+@dataclass(frozen=True)
+class LawTable:
+    """The friction laws, what is to be said of them, and the test that they had to predict."""
+
+    lines: list[LawRow]
+    words: list[str]
+    held_out: str
+
+
+@dataclass(frozen=True)
+class TrackingRow:
+    """One model's tracking check, or the reason why there was none."""
+
+    method: str
+    short: str
+    cells: list[Cell]
+    reason: str
+
+
+def estimates(run: Run) -> list[EstimateRow]:
+    """The estimates, the preferred first."""
+    table = []
+    for method, e in run.estimates.items():
+        rms_rad = known(e.rms_rad)
+        is_known = math.isfinite(rms_rad)
+        table.append(
+            EstimateRow(
+                method,
+                short(method),
+                tuple(quantity(p, e, run.truth) for p in PARAMETERS),
+                rms_rad if is_known else None,
+                rounded(1e3 * rms_rad) if is_known else "–",
+                "–" if e.iterations is None else str(e.iterations),
+                "–" if e.rows is None else f"{e.rows[0]} to {e.rows[1]}",
+                e.verdict,
+                e.reasons,
+            )
+        )
+    return table
+
+
+def relays(run: Run) -> list[StageRow]:
+    """Relay tests as the result has them."""
+    return [
+        StageRow(
+            test.stage.replace("-", " "),
+            [_cell(x) for x in (test.h1_V, test.h2_V, test.period_s, test.amplitude_rad, test.cycles)],
+        )
+        for test in run.result.relays
+    ]
+
+
+def friction_law(run: Run) -> LawTable | None:
+    """The friction laws, a line for each, and why one was chosen; None without any."""
+    found = run.result.friction_law
+    if found is None or not found.rungs:
+        return None
+    lines = []
+    for fit in found.rungs:
+        cells = [_cell(fit.parameters.get(name)) for name in LAW_PARAMETERS]
+        cells += [_cell(fit.criterion), _cell(fit.held_out_rms_rad, 1e3)]
+        lines.append(LawRow(LAWS.get(fit.law, fit.law), cells, fit.standing))
+    words = [sentence for sentence in (found.reason, found.viscous) if sentence]
+    return LawTable(lines, [*words, *found.record], (found.held_out or "").replace("-", " "))
+
+
+def hysteretic(run: Run) -> list[StageRow]:
+    """Hysteretic runs as the result has them, in V, rad, mrad, s and rad."""
+    return [
+        StageRow(
+            entry.stage.replace("-", " "),
+            [
+                _cell(entry.d_V),
+                _cell(entry.eps_rad),
+                _cell(entry.start_rad, 1e3),
+                _cell(entry.switched_s),
+                _cell(entry.switched_rad),
+            ],
+        )
+        for entry in run.result.hysteretic or ()
+    ]
+
+
+def tracking(run: Run) -> list[TrackingRow]:
+    """The tracking checks, the preferred model first; errors in mrad."""
+    table = []
+    outcomes = run.result.tracking
+    for method in sorted(outcomes, key=lambda m: (*PREFERRED, m).index(m)):
+        outcome = outcomes[method]
+        is_known = math.isfinite(known(outcome.rms_rad))
+        reason = "" if is_known else outcome.not_run or "no outcome was recorded"
+        cells = [_cell(outcome.rms_rad, 1e3), _cell(outcome.max_rad, 1e3)]
+        table.append(TrackingRow(method, short(method), cells, reason))
+    return table
+
+
+def loop(run: Run) -> list[tuple[str, Cell]]:
+    """Heading and cell of each column of the loop's table; none where the result has no loop."""
+    told = run.result.loop
+    if told is None:
+        return []
+    cells = [("period, ms", _cell(run.period_s, 1e3)), ("ticks", _cell(told.ticks)), ("skipped", _cell(told.skipped))]
+    if not run.in_virtual_time:
+        late = told.late_us or Quantiles()
+        shown = (("median", late.p50), ("99 %", late.p99), ("99.9 %", late.p999), ("largest", late.max))
+        cells += [(f"late, {name}, µs", _cell(value)) for name, value in shown]
+    return cells
+
+
+def started(run: Run) -> str:
+    """When the run started, in words; empty where it is not recorded."""
+    try:
+        utc = datetime.fromisoformat(run.meta.started_utc or "")
+    except ValueError:
+        return ""
+    return f"{utc:%Y-%m-%d %H:%M:%S} UTC"
+
+
+def facts(run: Run) -> list[tuple[str, str]]:
+    """What is known about the run, in words: (name, value) pairs in the order of meta.json."""
+    told = [
+        (key.replace("_", " "), _in_words(value))
+        for key, value in run.meta.as_json().items()
+        if key not in ("truth", "backend", "schema")
+    ]
+    if run.truth:
+        told.append(("truth (emulated)", ", ".join(f"{k} = {v:.6g}" for k, v in run.truth.items())))
+    return told
+
+
+def _cell(value: float | None, factor: float = 1.0) -> Cell:
+    x = float(known(value))
+    if not math.isfinite(x):
+        return None, "–"
+    return x, f"{factor * x:.4g}" if abs(factor * x) < 1e4 else f"{factor * x:.0f}"
+
+
+def _in_words(value: JsonValue) -> str:
+    """A value of meta.json as people write it: yes and no, numbers with six digits, lists and mappings in a row."""
+    if value is None or value == [] or value == {}:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list):
+        return "; ".join(_in_words(item) for item in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key.replace('_', ' ')}: {_in_words(item)}" for key, item in value.items())
+    return str(value)

@@ -1,0 +1,60 @@
+"""What a run says of itself, typed: meta.json is a ``RunMeta``, result.json a ``RunResult``, a line of events.jsonl a
+``RunEvent``. The models say what each key means; docs/results.md is made from them.
+"""
+
+from rig.results.estimates import (
+    BreakawayResult,
+    EstimateResult,
+    FrictionLawResult,
+    HystereticResult,
+    IdentificationResult,
+    LawFit,
+    RelayTestResult,
+    ResidualResult,
+    StaticFrictionResult,
+    known,
+)
+from rig.results.event import DrivenModel, RunEvent
+from rig.results.meta import DeviceSeen, RealTimeReport, RunMeta, ScriptCall, SupplyBelieved, TrueMotor
+from rig.results.part import JsonObject, Part
+from rig.results.result import (
+    DeviceLoop,
+    FaultReport,
+    JogResult,
+    LoopResult,
+    Quantiles,
+    RunResult,
+    SearchStepResult,
+    TrackingResult,
+)
+
+__all__ = [
+    "BreakawayResult",
+    "DeviceLoop",
+    "DeviceSeen",
+    "DrivenModel",
+    "EstimateResult",
+    "FaultReport",
+    "FrictionLawResult",
+    "HystereticResult",
+    "IdentificationResult",
+    "JogResult",
+    "JsonObject",
+    "LawFit",
+    "LoopResult",
+    "Part",
+    "Quantiles",
+    "RealTimeReport",
+    "RelayTestResult",
+    "ResidualResult",
+    "RunEvent",
+    "RunMeta",
+    "RunResult",
+    "ScriptCall",
+    "SearchStepResult",
+    "StaticFrictionResult",
+    "SupplyBelieved",
+    "TrackingResult",
+    "TrueMotor",
+    "known",
+]

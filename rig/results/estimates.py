@@ -1,0 +1,151 @@
+"""What identification says: relay tests, estimates, static friction and the friction law."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from pydantic import Field
+
+from rig.results.part import NOT_IN_EACH_FILE, Count, Number, Part, Real, Sometimes, Text
+
+Interval = tuple[Number, Number]
+Rows = tuple[Count, Count]
+Matrix = tuple[tuple[Number, ...], ...]
+_IfIdentified = NOT_IN_EACH_FILE
+
+
+class RelayTestResult(Part):
+    """A relay test that was used: its gains, and the limit cycle that settled."""
+
+    stage: Text = Field(description="stage of the run; of a CSV file: the file's name")
+    h1_V: Real = Field(description="gain of the relay on position, V")
+    h2_V: Real = Field(description="gain of the relay on the integral, V")
+    period_s: Real = Field(description="period of the settled cycle, s")
+    amplitude_rad: Real = Field(description="amplitude of the settled cycle, rad")
+    cycles: Count = Field(description="settled cycles that were averaged")
+
+
+class HystereticResult(Part):
+    """A run of a hysteretic relay from rest, up to its first switching."""
+
+    stage: Text = Field(description="stage of the run; of a CSV file: the file's name")
+    d_V: Real = Field(description="drive, V")
+    start_rad: Number = Field(description="where it started, rad")
+    switched_s: Number = Field(None, description="first switching after the drive took effect, s; null: none")
+    switched_rad: Number = Field(None, description="position at the first switching, rad; null: none")
+    rows: Rows | None = Field(None, description="first and last row, counted from 0")
+    eps_rad: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="hysteresis by the config, rad")
+
+
+class ResidualResult(Part):
+    """What is left of the recorded position where the model is taken off."""
+
+    repeated: Number = Field(None, description="share of its power that comes again in each cycle, 0 to 1")
+    wander_memory_s: Number = Field(None, description="memory of its coloured noise, s; null: it is white")
+    wander_over_white: Number = Field(None, description="standard deviation of its coloured noise over the white one's")
+
+
+class EstimateResult(Part):
+    """One estimator's result; null: this method does not know it."""
+
+    tau_s: Number = Field(None, description="velocity time constant, s")
+    K_rad_s_V: Number = Field(None, description="velocity gain of the measured shaft, (rad/s)/V")
+    fc_V: Number = Field(None, description="Coulomb friction, V")
+    asym_V: Number = Field(None, description="asymmetry of the effective drive, V")
+    delay_s: Number = Field(None, description="from a sample to the effect of its drive, s")
+    fc_plus_V: Number = Field(None, description="Coulomb friction towards rising positions, V")
+    fc_minus_V: Number = Field(None, description="Coulomb friction towards falling positions, V")
+    bias_V: Number = Field(None, description="drive that acts beside the commanded one, V")
+    ci95: dict[str, Interval] | None = Field(None, description="95 % intervals by parameter: low, high")
+    covariance_of: tuple[Text, ...] = Field((), description="parameters in the order of the matrices")
+    covariance: Matrix | None = Field(None, description="covariance of the parameters")
+    correlation: Matrix | None = Field(None, description="correlation of the parameters")
+    rms_rad: Number = Field(None, description="RMS of the residual of the position, rad")
+    residual: ResidualResult | None = Field(None, description="what the residual looks like")
+    iterations: Count | None = Field(None, description="iterations of the start that won")
+    verdict: Text = Field("not judged", description="ok, doubtful or refused")
+    reasons: tuple[Text, ...] = Field((), description="what is wrong, and what to record instead")
+    rows: Rows | None = Field(None, description="first and last row used; null: rows of another run")
+
+    def value(self, name: str) -> float | None:
+        """One parameter by its name; None where it is not known."""
+        found = getattr(self, name) if name in type(self).model_fields else None
+        return found if isinstance(found, float) else None
+
+    def interval(self, name: str) -> tuple[float, float] | None:
+        """The 95 % interval of one parameter; None where it has none."""
+        low, high = map(known, (self.ci95 or {}).get(name, (None, None)))
+        return (low, high) if math.isfinite(low) and math.isfinite(high) else None
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether its numbers must not be used."""
+        return self.verdict == "refused"
+
+
+class StaticFrictionResult(Part):
+    """The drives at which the shaft broke away, from the breakaway strokes and the identified motor."""
+
+    static_plus_V: Number = Field(None, description="towards rising positions, V; null: the record does not tell")
+    static_minus_V: Number = Field(None, description="towards falling positions, V; null: the record does not tell")
+    static_plus_range_V: Interval | None = Field(None, description="interval that the record leaves, V")
+    static_minus_range_V: Interval | None = Field(None, description="interval that the record leaves, V")
+    reason: Text = Field("", description="why something is null, or what was assumed")
+
+
+class BreakawayResult(Part):
+    """What the breakaway check saw, and the static friction that was identified from it."""
+
+    seen_plus_V: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="drive at the first motion, rising, V")
+    seen_minus_V: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="drive at the first motion, falling, V")
+    noise_rad: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="noise of the sensor at rest, rad")
+    static_plus_V: Annotated[Number, _IfIdentified] = Field(None, description="static friction, rising, V")
+    static_minus_V: Annotated[Number, _IfIdentified] = Field(None, description="static friction, falling, V")
+    static_plus_range_V: Annotated[Interval | None, _IfIdentified] = Field(None, description="its interval, V")
+    static_minus_range_V: Annotated[Interval | None, _IfIdentified] = Field(None, description="its interval, V")
+    reason: Annotated[Text, _IfIdentified] = Field("", description="why something is null, or what was assumed")
+
+
+class LawFit(Part):
+    """One friction law, fitted to all tests but the one that it has to predict."""
+
+    law: Text = Field(description="coulomb, asymmetric, static or stribeck")
+    standing: Text = Field("", description="chosen, too simple, not needed or open")
+    parameters: dict[str, Number] = Field({}, description="by name, with the unit in the name")
+    standard_errors: dict[str, Number] = Field({}, description="of the parameters")
+    rms_rad: Number = Field(None, description="RMS of the residual, rad")
+    criterion: Number = Field(None, description="Schwarz's criterion less that of the chosen law; larger is worse")
+    held_out_rms_rad: Number = Field(None, description="RMS error of the predicted test, rad; null: there is none")
+
+
+class FrictionLawResult(Part):
+    """Which friction law the tests ask for."""
+
+    chosen: Text = Field("", description="the simplest law that nothing speaks against")
+    open: tuple[Text, ...] = Field((), description="laws that the tests cannot tell from it")
+    reason: Text = Field("", description="why, in words")
+    record: tuple[Text, ...] = Field((), description="what to record to tell the open ones")
+    viscous: Text = Field("", description="what became of viscous friction, in words")
+    held_out: Text | None = Field(None, description="the test that was predicted; null: there is none")
+    effective_samples: Number = Field(None, description="independent samples that the fitted tests are worth")
+    rungs: tuple[LawFit, ...] = Field((), description="the laws, each of which holds the one before it")
+
+
+class IdentificationResult(Part):
+    """What identification says of recordings: `rig identify --json`."""
+
+    relays: tuple[RelayTestResult, ...] = Field((), description="relay tests that were used")
+    estimates: dict[str, EstimateResult] = Field({}, description="estimates by method")
+    notes: tuple[Text, ...] = Field((), description="in words, what else there is to know")
+    hysteretic: Sometimes[tuple[HystereticResult, ...]] = Field(None, description="runs of hysteretic relays")
+    breakaway: Sometimes[StaticFrictionResult] = Field(None, description="static friction")
+    friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law the tests ask for")
+
+
+def known(value: float | None) -> float:
+    """A number of a result, nan where it is not known, or is so large that nothing can have measured it."""
+    return math.nan if value is None or not abs(value) < LARGEST else value
+
+
+LARGEST = 1e100  # no axis is drawn to numbers whose square overflows

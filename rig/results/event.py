@@ -1,0 +1,29 @@
+"""events.jsonl: one event a line, each with keys of its kind."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from rig.results.part import JsonObject, Number, Part, Real, Text
+
+
+class RunEvent(Part):
+    """An event: when, of which kind, and the keys of that kind, which ``detail`` gives."""
+
+    t_s: Number = Field(None, description="when, s since the run's start")
+    kind: Text = Field("", description="stage, gains, cycle, search, model, fault, stop, end, ...")
+
+    @property
+    def detail(self) -> JsonObject:
+        """The keys of this kind."""
+        return dict(self.model_extra or {})
+
+
+class DrivenModel(Part):
+    """Of an event ``model``: the model that tracked."""
+
+    method: Text
+    tau_s: Real
+    K_rad_s_V: Real
+    fc_V: Real
+    bias_V: Real

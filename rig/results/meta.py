@@ -1,0 +1,91 @@
+"""meta.json: what is known of a run before its first row."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, JsonValue
+
+from rig.results.part import VERSION, Count, Flag, Number, Part, Real, Sometimes, Text
+from rig.signals import Order
+
+
+class DeviceSeen(Part):
+    """The device as it introduced itself."""
+
+    board: Text = Field("", description="kind of board or device")
+    build: Text = Field("", description="its firmware, by the name that it gives")
+    reset_cause: Text = Field("", description="why it started last")
+    clock_ratio: Annotated[float, Field(strict=True, gt=0.0)] = Field(
+        1.0, description="seconds of the device's clock for one of the host's"
+    )
+    supply_V: Sometimes[Number] = Field(None, description="motor supply as the device measures it, V")
+    supply_at_least: Sometimes[Flag] = Field(None, description="the supply is beyond what the device can measure")
+
+
+class SupplyBelieved(Part):
+    """The motor supply by the config."""
+
+    supply_V: Number = Field(None, description="supply of the bridge, V")
+    bridge_drop_V: Number = Field(None, description="what the bridge takes of it, V")
+
+
+class ScriptCall(Part):
+    """The script that ran, with its arguments, so that it can be replayed."""
+
+    name: Text = Field(description="run, relay, breakaway, track or jog")
+    breakaway: Sometimes[Text] = Field(None, description="the law of the breakaway check; an older version names none")
+    u_V: Sometimes[Number] = Field(None, description="of a jog: the drive, V")
+    duration_s: Sometimes[Number] = Field(None, description="of a jog: how long, s")
+
+
+class RealTimeReport(Part):
+    """What the machine granted the loop, and what it refused: a sentence for each."""
+
+    granted: tuple[Text, ...] = Field((), description="what it granted")
+    refused: tuple[Text, ...] = Field((), description="what it refused, and what helps")
+
+
+class TrueMotor(Part):
+    """The emulated motor's parameters, as an estimate names them."""
+
+    tau_s: Real = Field(description="time constant that the motion shows, s")
+    K_rad_s_V: Real = Field(description="velocity gain that the motion shows, (rad/s)/V")
+    fc_V: Real = Field(description="Coulomb friction, V")
+    asym_V: Number = Field(None, description="asymmetry of the effective drive, V")
+    static_plus_V: Number = Field(None, description="drive at break-away towards rising positions, V")
+    static_minus_V: Number = Field(None, description="drive at break-away towards falling positions, V")
+    stribeck_rad_s: Sometimes[Number] = Field(None, description="Stribeck velocity, rad/s")
+    viscous_V_s_rad: Sometimes[Number] = Field(None, description="viscous friction, V s/rad")
+    tau_without_viscous_s: Sometimes[Number] = Field(None, description="time constant without viscous friction, s")
+    K_without_viscous_rad_s_V: Sometimes[Number] = Field(None, description="gain without viscous friction, (rad/s)/V")
+
+    def value(self, name: str) -> float | None:
+        """One parameter by its name in an estimate; None where the motor has none by that name."""
+        found = getattr(self, name) if name in type(self).model_fields else None
+        return found if isinstance(found, float) else None
+
+
+class RunMeta(Part):
+    """meta.json of a run folder. A file of an older version may lack any key."""
+
+    version: Annotated[Count, Field(ge=0)] = Field(VERSION, alias="schema", description="version of this file's form")
+    name: Text = Field("", description="the config's name")
+    backend: Text = Field("", description="the bench in words")
+    emulated: Flag = Field(False, description="whether nothing real moves")
+    order: Order | None = Field(None, description="order of a tick: docs/architecture.md, One tick")
+    period_s: Number = Field(None, description="period of the loop, s")
+    drive_units: Annotated[Count, Field(gt=0)] | None = Field(
+        None, description="steps of the drive at full duty; null: the drive has no steps"
+    )
+    times_error_s: Number = Field(None, description="what the times may be wrong by, s")
+    firmware: DeviceSeen | None = Field(None, description="the device as it introduced itself")
+    drive: SupplyBelieved | None = Field(None, description="the motor supply by the config")
+    failsafe: Text = Field("", description="what stops the drive where the host is silent")
+    started_utc: Text | None = Field(None, description="when the run started: ISO 8601, UTC")
+    versions: dict[str, JsonValue] = Field({}, description="of rig and Python")
+    host: dict[str, JsonValue] = Field({}, description="the machine")
+    command: Text | None = Field(None, description="the command line")
+    truth: TrueMotor | None = Field(None, description="the emulated motor; null: the motor is real")
+    script: ScriptCall | None = Field(None, description="what ran")
+    real_time: Sometimes[RealTimeReport] = Field(None, description="written once the loop has asked the machine")

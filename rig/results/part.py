@@ -1,0 +1,90 @@
+"""What every part of meta.json and result.json is: typed, frozen, and written as it was filled in."""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+from typing import Annotated, Any, Final, TypeVar, cast
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    GetJsonSchemaHandler,
+    JsonValue,
+    SerializerFunctionWrapHandler,
+    Strict,
+    StrictInt,
+    StrictStr,
+    model_serializer,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
+
+VERSION: Final = 1  # of both files: their key ``schema``
+
+JsonObject = dict[str, JsonValue]
+_T = TypeVar("_T")
+
+
+class Mark(Enum):
+    """What a key's type says beside its values."""
+
+    NOT_IN_EACH_FILE = "a file of this version may lack the key"
+    NEVER_NULL = "it is left out of the file where there is no such thing"
+
+
+NOT_IN_EACH_FILE: Final = Mark.NOT_IN_EACH_FILE
+
+
+def _known(value: object) -> object:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+Real = Annotated[float, Strict()]
+"""A number; a text or a boolean is none."""
+Number = Annotated[float | None, Strict(), BeforeValidator(_known)]
+"""A number, or None (JSON: null) where it is not known; nan and infinity become None."""
+Flag = Annotated[bool, Strict()]
+Sometimes = Annotated[_T | None, Mark.NOT_IN_EACH_FILE, Mark.NEVER_NULL]
+"""A key that is there only where there is such a thing."""
+Count = StrictInt
+Text = StrictStr
+
+
+class Part(BaseModel):
+    """A part of a file. Equal parts write equal JSON.
+
+    A key that this version does not know is kept, so that it is written again; ``unknown_keys`` names it.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False, populate_by_name=True, defer_build=True)
+
+    def as_json(self) -> JsonObject:
+        """The part as JSON: the keys that were filled in, in the order of the class; unknown ones last."""
+        return cast(JsonObject, self.model_dump(mode="json", by_alias=True, exclude_unset=True))
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        written: dict[str, Any] = serialise(self)
+        for name, field in type(self).model_fields.items():
+            if Mark.NEVER_NULL in field.metadata and getattr(self, name) is None:
+                written.pop(name, None)
+        return written
+
+    def says(self, name: str) -> bool:
+        """Whether the key was there, be it null."""
+        return name in self.model_fields_set
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """Require in the JSON Schema what this version always writes: when reading, an older file may lack it."""
+        found = handler(core_schema)
+        schema = handler.resolve_ref_schema(found)
+        required = [
+            field.alias or name for name, field in cls.model_fields.items() if NOT_IN_EACH_FILE not in field.metadata
+        ]
+        schema["required"] = required
+        if not required:
+            del schema["required"]
+        return found

@@ -1,0 +1,108 @@
+"""result.json: what a run came to."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from rig.results.estimates import (
+    BreakawayResult,
+    EstimateResult,
+    FrictionLawResult,
+    HystereticResult,
+    RelayTestResult,
+)
+from rig.results.meta import RealTimeReport, TrueMotor
+from rig.results.part import NOT_IN_EACH_FILE, VERSION, Count, Number, Part, Sometimes, Text
+
+
+class FaultReport(Part):
+    """The fault that ended the run."""
+
+    code: Text = Field("unknown", description="a code of rig/faults.py")
+    cause: Text = Field("", description="what it means")
+    cure: Text = Field("", description="what to do")
+    detail: Text = Field("", description="what was seen")
+    t_s: Sometimes[Number] = Field(None, description="when, s since the run's start; of an event")
+
+
+class TrackingResult(Part):
+    """A tracking check: its errors, or why there are none."""
+
+    rms_rad: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="RMS error, rad")
+    max_rad: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="largest error, rad")
+    not_run: Sometimes[Text] = Field(None, description="why there is no error to tell")
+
+
+class Quantiles(Part):
+    """Quantiles of the times that one part of a tick took, us; null where no tick ran."""
+
+    p50: Number = Field(None, description="median")
+    p99: Number = Field(None, description="99 %")
+    p999: Number = Field(None, description="99.9 %")
+    max: Number = Field(None, description="the largest of all")
+
+
+class DeviceLoop(Part):
+    """The ticks of a relay in the device."""
+
+    period_s: Number = Field(None, description="its period, s")
+    ticks: Count = Field(0, description="ticks that were recorded")
+    missed: Count = Field(0, description="ticks that it did not run")
+
+
+class LoopResult(Part):
+    """What the loop achieved."""
+
+    period_s: Number = Field(None, description="its period, s")
+    ticks: Count | None = Field(None, description="ticks that ran")
+    skipped: Count | None = Field(None, description="ticks that were left out, since one before took too long")
+    late_us: Quantiles | None = Field(None, description="how late ticks began")
+    io_us: Quantiles | None = Field(None, description="reading the device")
+    compute_us: Quantiles | None = Field(None, description="law and guard")
+    write_us: Quantiles | None = Field(None, description="writing the drive")
+    record_us: Quantiles | None = Field(None, description="handing a row to the recorder")
+    device: Sometimes[DeviceLoop] = Field(None, description="the relay in the device, where one ran")
+    real_time: Sometimes[RealTimeReport] = Field(None, description="what the machine granted the loop")
+
+
+class JogResult(Part):
+    """A drive by hand."""
+
+    from_rad: Number = Field(None, description="where the shaft stood before, rad")
+    to_rad: Number = Field(None, description="where it stands now, rad")
+    refused_ticks: Count = Field(0, description="ticks in which the guard cut the drive")
+
+
+class SearchStepResult(Part):
+    """A pair of gains that the search tried."""
+
+    t_s: Number = Field(None, description="when, s since the run's start")
+    h1_V: Number = Field(None, description="gain of the relay on position, V")
+    h2_V: Number = Field(None, description="gain of the relay on the integral, V")
+    period_s: Number = Field(None, description="of the settled cycle, s; null: none settled")
+    amplitude_rad: Number = Field(None, description="of the settled cycle, rad; null: none settled")
+    outcome: Text = Field("", description="what came of it, in words")
+
+
+class RunResult(Part):
+    """result.json of a run folder. A file of an older version may lack any key."""
+
+    version: Annotated[Count, Field(ge=0)] = Field(VERSION, alias="schema", description="version of this file's form")
+    backend: Text = Field("", description="the bench in words")
+    relays: tuple[RelayTestResult, ...] = Field((), description="relay tests that were used")
+    estimates: dict[str, EstimateResult] = Field({}, description="estimates by method")
+    tracking: dict[str, TrackingResult] = Field({}, description="tracking checks by the method of their model")
+    loop: LoopResult | None = Field(None, description="what the loop achieved")
+    link: dict[str, Count] = Field({}, description="counts of exchanges and of what went wrong in them")
+    faults: tuple[FaultReport, ...] = Field((), description="the fault that ended the run; empty: none did")
+    config_notes: tuple[Text, ...] = Field((), description="what `rig check` notes of the config")
+    notes: tuple[Text, ...] = Field((), description="in words, what else there is to know")
+    hysteretic: Sometimes[tuple[HystereticResult, ...]] = Field(None, description="runs of hysteretic relays")
+    models_from: Sometimes[Text] = Field(None, description="the run whose models were driven, where it is another")
+    breakaway: Sometimes[BreakawayResult] = Field(None, description="the breakaway check, and static friction")
+    friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law the tests ask for")
+    jog: Sometimes[JogResult] = Field(None, description="of a jog")
+    search: Sometimes[tuple[SearchStepResult, ...]] = Field(None, description="the gain search, step by step")
+    truth: Sometimes[TrueMotor] = Field(None, description="the emulated motor")

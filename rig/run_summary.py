@@ -1,0 +1,222 @@
+"""What a run writes of itself: meta.json as it begins, result.json as it ends, made from what is known by then."""
+
+from __future__ import annotations
+
+import math
+import platform
+import sys
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+import rig
+from rig.backends.registry import Bench, backend_of
+from rig.config import Experiment
+from rig.control.breakaway import BreakawayLaw
+from rig.control.excitation import GainSearch
+from rig.faults import Fault
+from rig.identify import Identification
+from rig.loop.statistics import LoopStatistics
+from rig.preflight import notes
+from rig.preflight.room_to_stop import device_watchdog_s
+from rig.recording.stage import Stage
+from rig.results import (
+    BreakawayResult,
+    DeviceSeen,
+    EstimateResult,
+    FaultReport,
+    HystereticResult,
+    JogResult,
+    LoopResult,
+    RealTimeReport,
+    RunMeta,
+    RunResult,
+    ScriptCall,
+    SearchStepResult,
+    SupplyBelieved,
+    TrackingResult,
+    TrueMotor,
+)
+from rig.results.part import VERSION
+
+
+@dataclass
+class Findings:
+    """What is known of a run so far; what has not happened is None or empty.
+
+    real_time       what the machine granted the loop, once it was asked
+    identification  of this run's record, or of ``models_from``
+    models_from     the run whose models are driven, where it is another
+    tracking        by method; an empty one has come to its end and is still to be measured
+    notes           in words, what else there is to know
+    """
+
+    real_time: RealTimeReport | None = None
+    breakaway: BreakawayLaw | None = None
+    search: GainSearch | None = None
+    identification: Identification | None = None
+    models_from: Path | None = None
+    jog: JogResult | None = None
+    tracking: dict[str, TrackingResult] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def of_this_record(self) -> Identification | None:
+        """What was identified from this run's own record: rows, relays and notes of another would be taken for its."""
+        return self.identification if self.models_from is None else None
+
+
+def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: datetime) -> RunMeta:
+    """meta.json of a run that begins on an open bench."""
+    info = bench.info
+    measures_supply = not math.isnan(info.supply_V)
+    watchdog_s = device_watchdog_s(experiment)
+    return RunMeta(
+        version=VERSION,
+        name=experiment.name,
+        backend=bench.driver.backend,
+        emulated=info.emulated,
+        order=bench.driver.order,
+        period_s=experiment.period_s,
+        drive_units=info.drive_units,
+        times_error_s=backend_of(experiment).times_error_s(experiment),
+        firmware=DeviceSeen(
+            board=info.board,
+            build=info.build,
+            reset_cause=info.reset_cause,
+            clock_ratio=info.clock_ratio,
+            supply_V=info.supply_V if measures_supply else None,
+            supply_at_least=info.supply_at_least if measures_supply else None,
+        ),
+        drive=SupplyBelieved(supply_V=experiment.drive.supply_V, bridge_drop_V=experiment.drive.bridge_drop_V),
+        failsafe="none: the device holds its last drive"
+        if bench.driver.failsafe is None or watchdog_s is None
+        else f"device watchdog, {watchdog_s * 1e3:.0f} ms",
+        started_utc=started.isoformat(timespec="milliseconds"),
+        versions={"rig": rig.__version__, "python": platform.python_version()},
+        host={"system": platform.platform(), "machine": platform.machine()},
+        command=" ".join(sys.argv),
+        truth=true_motor(bench),
+        script=script,
+    )
+
+
+def run_result(
+    experiment: Experiment, bench: Bench, statistics: LoopStatistics, found: Findings, fault: Fault | None
+) -> RunResult:
+    """result.json of a run that has ended, by its end or by a fault."""
+    own = found.of_this_record
+    return RunResult(
+        version=VERSION,
+        backend=bench.driver.backend,
+        relays=() if own is None else tuple(own.relays),
+        estimates=_estimates(found),
+        tracking=dict(found.tracking),
+        loop=_loop(statistics, found.real_time),
+        link=dict(bench.driver.link_statistics),
+        faults=_faults(fault),
+        config_notes=tuple(notes(experiment)),
+        notes=_notes(found),
+        hysteretic=None if own is None else _hysteretic(own, experiment),
+        models_from=None if found.models_from is None else str(found.models_from),
+        breakaway=None if found.breakaway is None else _breakaway(found.breakaway, own),
+        friction_law=None if own is None or own.friction_law is None else own.friction_law.as_result(),
+        jog=found.jog,
+        search=None if found.search is None else _search(found.search),
+        truth=true_motor(bench),
+    )
+
+
+def least_result(bench: Bench, statistics: LoopStatistics, said: list[str], fault: Fault | None) -> RunResult:
+    """What can always be said of a run; ``said``: its notes."""
+    return RunResult(
+        version=VERSION,
+        backend=bench.driver.backend,
+        relays=(),
+        estimates={},
+        tracking={},
+        loop=statistics.summary(),
+        link={},
+        faults=_faults(fault),
+        config_notes=(),
+        notes=tuple(said),
+    )
+
+
+def true_motor(bench: Bench) -> TrueMotor | None:
+    """The emulated motor's parameters, as an estimate would name them; None where the motor is real.
+
+    With viscous friction tau_s and K_rad_s_V are those that the motion shows; what they are without it is beside them.
+    """
+    if bench.truth is None:
+        return None
+    motor = bench.truth.motor
+    friction = motor.friction
+    has_viscous = friction.viscous_V_s_rad > 0.0
+    return TrueMotor(
+        tau_s=motor.tau_eff_s,
+        K_rad_s_V=motor.K_eff_rad_s_V,
+        fc_V=friction.fc_V,
+        asym_V=motor.asym_V,
+        static_plus_V=friction.static_plus_V - motor.bias_V,
+        static_minus_V=friction.static_minus_V + motor.bias_V,
+        stribeck_rad_s=friction.stribeck_rad_s if friction.stribeck_rad_s > 0.0 else None,
+        viscous_V_s_rad=friction.viscous_V_s_rad if has_viscous else None,
+        tau_without_viscous_s=motor.tau_s if has_viscous else None,
+        K_without_viscous_rad_s_V=motor.K_rad_s_V if has_viscous else None,
+    )
+
+
+def _estimates(found: Findings) -> dict[str, EstimateResult]:
+    if found.identification is None:
+        return {}
+    estimates = {method: estimate.as_result() for method, estimate in found.identification.estimates.items()}
+    if found.models_from is None:
+        return estimates
+    return {method: estimate.model_copy(update={"rows": None}) for method, estimate in estimates.items()}
+
+
+def _loop(statistics: LoopStatistics, real_time: RealTimeReport | None) -> LoopResult:
+    return statistics.summary().model_copy(update={"real_time": real_time})
+
+
+def _faults(fault: Fault | None) -> tuple[FaultReport, ...]:
+    if fault is None:
+        return ()
+    return (FaultReport(code=fault.code, cause=fault.cause, cure=fault.cure, detail=fault.detail),)
+
+
+def _notes(found: Findings) -> tuple[str, ...]:
+    if found.models_from is not None:
+        return (*found.notes, f"models are those of {found.models_from}")
+    return (*found.notes, *([] if found.identification is None else found.identification.notes))
+
+
+def _hysteretic(own: Identification, experiment: Experiment) -> tuple[HystereticResult, ...] | None:
+    """The runs, with the hysteresis that the config asked for; None where there are none."""
+    eps_rad = {str(Stage.hysteretic(k)): run.eps_rad for k, run in enumerate(experiment.relay.hysteretic or (), 1)}
+    runs = tuple(run.model_copy(update={"eps_rad": eps_rad.get(run.stage)}) for run in own.hysteretic)
+    return runs or None
+
+
+def _breakaway(check: BreakawayLaw, own: Identification | None) -> BreakawayResult:
+    """What the check saw; with what was identified from its record."""
+    seen = BreakawayResult(seen_plus_V=check.plus_V, seen_minus_V=check.minus_V, noise_rad=check.noise_rad)
+    if own is None or own.breakaway is None:
+        return seen
+    static = own.breakaway
+    return seen.model_copy(update={name: getattr(static, name) for name in type(static).model_fields})
+
+
+def _search(search: GainSearch) -> tuple[SearchStepResult, ...]:
+    return tuple(
+        SearchStepResult(
+            t_s=step.t_s,
+            h1_V=step.h1_V,
+            h2_V=step.h2_V,
+            period_s=step.period_s,
+            amplitude_rad=step.amplitude_rad,
+            outcome=step.outcome,
+        )
+        for step in search.steps
+    )

@@ -1,0 +1,73 @@
+"""A wheel, installed into an empty environment, has the ready configs, the firmware's sources and the license."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+UV = ROOT / ".venv" / "bin" / "uv"
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of this tree. Hatchling comes from the cache that the set-up of .venv has filled."""
+    out = tmp_path_factory.mktemp("wheel")
+    tree = tmp_path_factory.mktemp("tree") / "rig"
+    ignored = shutil.ignore_patterns("__pycache__", "node_modules")
+    for name in ("rig", "firmware", "config"):
+        shutil.copytree(ROOT / name, tree / name, ignore=ignored)
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tree / name)
+    subprocess.run(
+        [UV, "build", "--wheel", "--quiet", "--python", sys.executable, "-o", out],
+        cwd=tree, check=True, timeout=120,
+    )  # fmt: skip
+    return next(out.glob("*.whl"))
+
+
+def test_the_wheel_holds_the_configs_the_firmware_and_the_license(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    for config in sorted((ROOT / "config").glob("*.yaml")):
+        assert f"rig/_config/{config.name}" in names
+    assert "rig/_firmware/core/rig_core.c" in names
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+
+
+def test_an_installed_rig_gives_a_config_that_its_check_accepts(wheel: Path, tmp_path: Path) -> None:
+    """In a new environment, which sees this one's packages but not this tree's rig."""
+    home = tmp_path / "venv"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", home], check=True, timeout=60)
+    python = home / "bin" / "python"
+    # offline: what rig needs comes from the tests' own environment, without what its .pth files add: rig itself
+    (packages,) = (home / "lib").glob("python*/site-packages")
+    borrowed = next(Path(path) for path in sys.path if path.endswith("site-packages"))
+    (packages / "borrowed.pth").write_text(f"{borrowed}\n", encoding="utf-8")
+    subprocess.run(
+        [UV, "pip", "install", "--quiet", "--offline", "--no-deps", "--python", python, wheel], check=True, timeout=60
+    )
+    clean = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+
+    def rig(*words: str) -> str:
+        command = [home / "bin" / "rig", *words]
+        return subprocess.run(
+            command, cwd=tmp_path, env=clean, check=True, capture_output=True, text=True, timeout=120
+        ).stdout
+
+    where = subprocess.run(
+        [python, "-c", "import rig; print(rig.__file__)"], cwd=tmp_path, env=clean, check=True, capture_output=True,
+        text=True,
+    ).stdout  # fmt: skip
+    assert Path(where.strip()).is_relative_to(home)
+    assert "simulated" in rig("config", "list")
+    rig("config", "copy", "simulated", "--to", "mine.yaml")
+    assert (tmp_path / "mine.yaml").read_text(encoding="utf-8") == (ROOT / "config" / "simulated.yaml").read_text(
+        encoding="utf-8"
+    )
+    assert "verdict: ok" in rig("check", "mine.yaml")
