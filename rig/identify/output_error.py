@@ -1,4 +1,4 @@
-"""Output-error fit: the exact motion under the recorded drive, fitted to the recorded positions (docs/theory.md 7.1)."""
+"""Output-error fit: exact motion under the recorded drive, fitted to recorded positions (docs/theory.md 7.1)."""
 
 from __future__ import annotations
 
