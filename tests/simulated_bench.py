@@ -15,7 +15,7 @@ from rig.loop.stop_request import StopRequest
 from rig.model.bench import BenchParameters
 from rig.model.friction import Friction
 from rig.model.motor import Motor
-from rig.recording.record import NoRecord
+from rig.recording.sink import NullSink
 from rig.signals import Limits
 
 PERIOD_S = 0.01
@@ -36,7 +36,7 @@ GUARD = GuardSettings(
 )
 
 
-class ListRecord(NoRecord):
+class ListRecord(NullSink):
     """Keeps rows and events in memory, completed as the recorder would."""
 
     def __init__(self) -> None:

@@ -26,7 +26,7 @@ from rig.faults import Fault
 from rig.recording import layout
 from rig.recording.errors import RecordingError
 from rig.recording.layout import COMPLETION, COMPLETION_AT, ROW, SharedMemory
-from rig.recording.record import JsonScalar, Row
+from rig.recording.sink import JsonScalar, Row
 from rig.recording.writer import SAMPLES
 
 __all__ = ["Recorder", "RecordingError"]

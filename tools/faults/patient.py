@@ -9,7 +9,7 @@ from typing import Any
 
 from faults.stand import Stand
 from rig.recording import layout
-from rig.recording.record import JsonScalar
+from rig.recording.sink import JsonScalar
 from rig.recording.recorder import Recorder
 
 _WAIT_S = 60.0

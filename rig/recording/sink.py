@@ -22,7 +22,7 @@ Row = tuple[
 ]
 
 
-class Record(Protocol):
+class RowSink(Protocol):
     """What the loop tells of a run."""
 
     def sample(self, *row: *Row) -> None:
@@ -41,7 +41,7 @@ class Record(Protocol):
         """Return once every completed row can be read."""
 
 
-class NoRecord:
+class NullSink:
     """Keeps nothing: for simulations before a run."""
 
     def sample(self, *row: *Row) -> None:
