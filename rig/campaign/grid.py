@@ -18,7 +18,7 @@ from rig.config.campaign import Campaign
 from rig.model.describing_function import predict
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
-from rig.model.sampled_relay import Disturbance, RelayTest, relay_test
+from rig.model.sampled_relay import Disturbance, SimulatedRelayTest, relay_test
 
 Array = NDArray[np.float64]
 Stream = Literal["motor", "noise", "timing", "second noise", "second timing"]
@@ -108,7 +108,7 @@ def draw(campaign: Campaign, number: int) -> Draw:
     )
 
 
-def simulate(campaign: Campaign, one: Draw, *, second: bool = False) -> tuple[RelayTest, slice]:
+def simulate(campaign: Campaign, one: Draw, *, second: bool = False) -> tuple[SimulatedRelayTest, slice]:
     """The relay test of an experiment from its start, and the rows that are recorded.
 
     second  the test at the second amplitude instead
@@ -143,7 +143,7 @@ def simulate(campaign: Campaign, one: Draw, *, second: bool = False) -> tuple[Re
     return test, recorded_rows(test, relay.settling_cycles, relay.cycles)
 
 
-def recorded_rows(test: RelayTest, settling_cycles: int, cycles: int) -> slice:
+def recorded_rows(test: SimulatedRelayTest, settling_cycles: int, cycles: int) -> slice:
     """Rows of ``cycles`` cycles after ``settling_cycles``, from one fall of the integral through zero to another.
 
     Where the test has fewer, all rows to its end; where not even the settling ones, all.

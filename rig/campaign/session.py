@@ -21,7 +21,7 @@ SYSTEMATIC = 16  # experiments: where so many fail and none has not, all will
 
 
 @dataclass(frozen=True)
-class Session:
+class CampaignSession:
     """How a session ended.
 
     folder       the campaign's
@@ -47,7 +47,7 @@ def run(
     backend: runner.Backend = "joblib",
     scheduler: str | None = None,
     on_progress: Callable[[int, int], None] | None = None,
-) -> Session:
+) -> CampaignSession:
     """Do the experiments that ``folder`` has no row of yet; write its summary.json, campaign.png and report.html.
 
     on_progress  told after each chunk: experiments done, of how many
@@ -78,7 +78,7 @@ def run(
         done = int(table["number"].size)
         added = done - before
         if interrupted:
-            return Session(folder, done, added, seconds, True, None)
+            return CampaignSession(folder, done, added, seconds, True, None)
         sums = summary.summarise(table)
         found: summary.Summary = {
             "campaign": campaign.name,
@@ -96,7 +96,7 @@ def run(
 
         write_whole(folder / SUMMARY, json_text(found).encode("utf-8"))
         write_report(folder, campaign, table, found)
-    return Session(folder, done, added, seconds, False, found)
+    return CampaignSession(folder, done, added, seconds, False, found)
 
 
 def _fill(file: results.ResultFile, campaign: Campaign, missing: list[int], tell: Callable[[int, int], None]) -> None:

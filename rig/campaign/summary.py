@@ -69,7 +69,7 @@ class Sums(TypedDict):
     parameters: dict[str, ParameterSums]
 
 
-class Sitting(TypedDict):
+class SessionSpeed(TypedDict):
     """What one session of the campaign did: ``experiments`` in ``seconds``."""
 
     backend: str
@@ -107,7 +107,7 @@ class Summary(TableSummary):
     """summary.json: the sums, of which campaign, by which session, and the command that repeats what failed."""
 
     campaign: str
-    session: Sitting
+    session: SessionSpeed
     repeat: str | None
 
 

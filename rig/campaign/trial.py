@@ -20,7 +20,7 @@ from rig.identify import IdentifyError, identify, sampled_data
 from rig.identify.cramer_rao import PositionNoise, cramer_rao
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.output_error import refit
-from rig.model.sampled_relay import RelayTest
+from rig.model.sampled_relay import SimulatedRelayTest
 from rig.model.sensitivity import Theta
 from rig.recording.reader import Recording, RecordingError, from_columns
 from rig.recording.series import LEAST_DELAY_S, TimeSeries, steps_of
@@ -97,7 +97,7 @@ def run_trial(campaign: Campaign, number: int) -> Row:
     return {name: row[name] for name in COLUMNS}
 
 
-def _recording(campaign: Campaign, one: Draw, test: RelayTest, rows: slice) -> Recording:
+def _recording(campaign: Campaign, one: Draw, test: SimulatedRelayTest, rows: slice) -> Recording:
     """The recorded rows: a plain CSV's columns, and what tells the clock ratio where the clock has its own rate."""
     sampling = campaign.sampling
     own_clock = sampling.clock_ratio != (1.0, 1.0)
@@ -114,7 +114,7 @@ def _recording(campaign: Campaign, one: Draw, test: RelayTest, rows: slice) -> R
     )
 
 
-def _bound(campaign: Campaign, one: Draw, test: RelayTest, rows: slice) -> dict[str, float]:
+def _bound(campaign: Campaign, one: Draw, test: SimulatedRelayTest, rows: slice) -> dict[str, float]:
     """Cramer-Rao bound over the samples that the estimator can use: those whose drive is known."""
     sampling, sensor = campaign.sampling, campaign.sensor
     if sensor.noise_rad == 0.0 and sensor.lsb_rad == 0.0:
@@ -145,7 +145,7 @@ def _bound(campaign: Campaign, one: Draw, test: RelayTest, rows: slice) -> dict[
     return found | ({"delay_s": math.nan} if known else {})
 
 
-def _cycles(test: RelayTest, rows: slice) -> float:
+def _cycles(test: SimulatedRelayTest, rows: slice) -> float:
     """Falls of the integral through zero within the rows, less one."""
     z = test.z_rad_s[rows]
     return max(0.0, float(np.count_nonzero((z[1:] < 0.0) & (z[:-1] >= 0.0))) - 1.0)

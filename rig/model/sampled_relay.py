@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class RelayTest:
+class SimulatedRelayTest:
     """What was recorded and what was true, n rows each.
 
     t_s, t_u_s       times of the samples, and from which each row's drive acted, s
@@ -57,7 +57,7 @@ def relay_test(
     *,
     disturbance: Disturbance = UNDISTURBED,
     start: State | None = None,
-) -> RelayTest:
+) -> SimulatedRelayTest:
     """Simulate ``u = -h1 sgn(y) - h2 sgn(z)``, decided at each sample and acting a latency later.
 
     t_s          n times of the samples, s, increasing
@@ -88,7 +88,7 @@ def relay_test(
         out,
     )
     y, u, z, v, true_y = (np.ascontiguousarray(column) for column in out.T)
-    return RelayTest(t, t_u, y, u, z, v, true_y)
+    return SimulatedRelayTest(t, t_u, y, u, z, v, true_y)
 
 
 def _or_zeros(values: Array | None, t_s: Array) -> Array:

@@ -30,8 +30,8 @@ from rig.loop.real_time import real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.recording.reader import read_run
-from rig.recording.sink import NullSink
 from rig.recording.recorder import Recorder
+from rig.recording.sink import NullSink
 
 ROOT = Path(__file__).resolve().parents[2]
 STAGES = ("rest", "jog")

@@ -37,8 +37,8 @@ from rig.loop.real_time import RealTime, real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
-from rig.recording.sink import NullSink
 from rig.recording.recorder import Recorder
+from rig.recording.sink import NullSink
 from rig.results.result import LoopResult
 from rig.signals import Sample
 from shared.table import markdown
