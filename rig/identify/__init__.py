@@ -1,14 +1,18 @@
-"""From recordings to an estimate: gather the tests, fit and judge each estimator, choose the friction law.
+"""From recordings to estimates: gather the tests, run and judge each estimator, choose the friction law.
 
-identification   ``identify``, and the list of estimators
-measurements     the tests and cycles in some recordings; preprocessing: clock, missing times
-estimator        what an estimator is: a file of its own, and one entry of the list
-sampled_data     the one to use: exact prediction under the recorded drive, by output_error (from starts)
-triple_relay, describing_function, least_squares   the references
+identification       ``identify``, and the list of estimators
+measurements         the tests and cycles in some recordings
+preprocessing        corrects the clock, fills in missing times
+estimator            the interface of an estimator: one file, and one entry of the list
+sampled_data         the estimator to use: exact prediction under the recorded drive
+output_error, starts     its least-squares fit, and first guesses for it
+triple_relay, describing_function, least_squares   the reference estimators
 cycles, mean_cycle   gains, edges, settled cycles, their average
-friction_law     which law the data ask for, of laws/; friction_fit fits one, breakaway shows static friction
-noise, repetition    what is left over: white, coloured, the same in each cycle
-verdict          ok, doubtful or refused: what all share; plausibility: units and columns; agreement: one motor
+friction_law         chooses a law of laws/; friction_fit fits one law, breakaway shows static friction
+noise, repetition    the residual: white, coloured, repeated in each cycle
+verdict              ok, doubtful or refused: rules that all estimators share
+plausibility         rules about units and columns
+agreement            whether several recordings are of one motor
 """
 
 from rig.identify.estimate import Estimate

@@ -1,8 +1,8 @@
-"""Whether several recordings are of one motor, and which one is not: each is identified alone, and they are compared.
+"""Whether several recordings are of one motor, and which one is not.
 
-Chi-square of their sampled-data estimates about the weighted mean, then once more with each left out in turn
-(docs/theory.md 9). A recording is named where the others agree without it, and where leaving out none of the others
-would do that, too.
+Each recording is identified alone. A chi-square test compares the sampled-data estimates with their weighted mean, for
+all of them, and for all but one in turn (docs/theory.md 9). rig names a recording if the others agree without it, and
+if this is true of no other recording.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from rig.recording.series import TimeSeries
 
 Array = NDArray[np.float64]
 
-CHANCE = 1e-4  # probability by which recordings of one motor are said not to agree
-MODEL_ERROR = 0.01  # of each parameter: what a recording's interval does not show, such as speed and temperature
+CHANCE = 1e-4  # probability of a false alarm for recordings of one motor
+MODEL_ERROR = 0.01  # of each parameter: effects outside a recording's interval, such as speed and temperature
 NAMES = (("tau", "s"), ("K", "(rad/s)/V"), ("f_c", "V"))
 
 
 @dataclass(frozen=True)
 class RecordingEstimate:
-    """What one recording says alone.
+    """The estimate from one recording alone.
 
-    name        as it was given on the command line
+    name        of the recording, as on the command line
     values      (3,): ln tau, ln K, f_c in V
-    covariance  (3, 3) of them, with the model's error
+    covariance  (3, 3) of these values, with ``MODEL_ERROR``
     """
 
     name: str
@@ -43,7 +43,7 @@ class RecordingEstimate:
 
     @classmethod
     def of(cls, name: str, estimate: Estimate) -> RecordingEstimate | None:
-        """An estimate as an opinion; None where it knows nothing."""
+        """From a sampled-data estimate; None if that was refused or has no finite covariance."""
         scale = np.array([1.0 / estimate.tau_s, 1.0 / estimate.K_rad_s_V, 1.0])
         covariance = estimate.covariance[:3, :3] * np.outer(scale, scale)
         covariance = covariance + np.diag([MODEL_ERROR, MODEL_ERROR, MODEL_ERROR * estimate.fc_V]) ** 2
@@ -54,33 +54,33 @@ class RecordingEstimate:
 
 
 def estimates_of_each(recordings: Sequence[tuple[str, Sequence[TimeSeries]]]) -> list[RecordingEstimate]:
-    """Each recording, a name and its tests, identified alone; those that cannot be are left out."""
+    """The estimate of each recording (name, tests) alone, without those that cannot be identified."""
     found = []
     for name, tests in recordings:
         try:
-            opinion = RecordingEstimate.of(name, sampled_data.fit(tests)) if tests else None
+            one = RecordingEstimate.of(name, sampled_data.fit(tests)) if tests else None
         except IdentifyError:
             continue
-        if opinion is not None:
-            found.append(opinion)
+        if one is not None:
+            found.append(one)
     return found
 
 
 def disagreement(found: Sequence[RecordingEstimate]) -> str | None:
-    """Which recording does not belong with the others, in words, and what to do; None where all agree."""
+    """Which recording does not belong with the others, and what to do, as a sentence; None if all agree."""
     if len(found) < 2 or _agree(found):
         return None
     if len(found) == 2:
         first, second = found
         return (
-            f"{first.name} and {second.name} do not agree: {_differences(second, *_mean([first]))} in {second.name}, "
-            "against the other; are they of one motor, supply and calibration? "
+            f"{first.name} and {second.name} do not agree: in {second.name} {_differences(second, *_mean([first]))}; "
+            "are they of one motor, supply and calibration? "
             f"Identify each alone, {_command([first])} and {_command([second])}; with a third one rig names the odd one"
         )
     without = [[other for other in found if other is not odd] for odd in found]
     consistent = [k for k, others in enumerate(without) if _agree(others)]
     if len(consistent) != 1:
-        reason = "more than one differs" if not consistent else "which one is odd, they do not tell"
+        reason = "more than one differs" if not consistent else "rig cannot see which one is odd"
         return (
             f"the {len(found)} recordings do not agree, and {reason}: are they of one motor, supply and calibration? "
             "Identify each alone, such as " + _command(found[:1])
@@ -106,17 +106,17 @@ def _agree(found: Sequence[RecordingEstimate]) -> bool:
 
 
 def _differences(odd: RecordingEstimate, mean: Array, covariance: Array) -> str:
-    """The parameters by which it differs by three standard errors and more, at least the one that differs most."""
+    """The parameters that differ by three standard errors or more; at least the one that differs most."""
     errors = np.sqrt(np.diag(odd.covariance + covariance))
     distances = np.abs(odd.values - mean) / errors
-    told: list[str] = []
+    differences: list[str] = []
     for k in np.argsort(-distances):
-        if told and distances[k] < 3.0:
+        if differences and distances[k] < 3.0:
             break
         own, other = (float(math.exp(v[k]) if k < 2 else v[k]) for v in (odd.values, mean))
         name, unit = NAMES[k]
-        told.append(f"{name} is {own:.4g} {unit}, not {other:.4g} ({distances[k]:.0f} standard errors)")
-    return ", ".join(told)
+        differences.append(f"{name} is {own:.4g} {unit}, not {other:.4g} ({distances[k]:.0f} standard errors)")
+    return ", ".join(differences)
 
 
 def _command(found: Sequence[RecordingEstimate]) -> str:

@@ -1,4 +1,4 @@
-"""Static friction both ways, from the breakaway strokes and the identified motor (docs/theory.md 7.3, 8.3)."""
+"""Static friction in both directions, from the breakaway ramps and the identified motor (docs/theory.md 7.3, 8.3)."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from rig.results import StaticFrictionResult
 
 Array = NDArray[np.float64]
 
-SETTLE_S = 0.3  # after the last drive of a ramp
+SETTLE_S = 0.3  # time after the last drive of a ramp that still belongs to it
 CHANCE = 3.84  # chi-squared of one degree, 95 %
-NEEDED = 0.1  # relative standard error up to which a split of friction and bias is told
+NEEDED = 0.1  # largest relative standard error with which friction and bias are split
 
 
 @dataclass(frozen=True)
 class Ramp:
-    """Drive at which the motor breaks away one way, V (> 0), and the interval that the record leaves."""
+    """Drive at which the motor breaks away in one direction, V (> 0), and its interval."""
 
     static_V: float
     low_V: float
@@ -32,17 +32,17 @@ class Ramp:
 
     @property
     def error_V(self) -> float:
-        """Standard error: that of the interval taken as two standard errors each way."""
+        """Standard error, V: a quarter of the interval's width."""
         return 0.25 * (self.high_V - self.low_V)
 
 
 @dataclass(frozen=True)
 class StaticFriction:
-    """What the ramps show.
+    """Static friction from breakaway ramps.
 
-    plus, minus   towards rising and falling positions; None where the ramp does not tell
+    plus, minus   towards rising and falling positions; None if the ramp does not show it
     friction_V    (fc_plus, fc_minus, bias), V; None unless static friction is clearly above moving friction
-    reason        in words: why something is None, or what was assumed
+    reason        why something is None, or what was assumed, as a sentence
     """
 
     plus: Ramp | None
@@ -62,9 +62,10 @@ class StaticFriction:
 
 
 class Ramps(NamedTuple):
-    """Static level from ramps both ways, V; its standard error, V; and whether each way alone shows one (95 %).
+    """Static level from ramps in both directions, V; its standard error, V; whether each ramp alone shows one (95 %).
 
-    They take friction for fc as soon as the motor moves: with Stribeck friction it seems to break away later.
+    The fit of a ramp takes friction for fc once the motor moves. With Stribeck friction the motor seems to break away
+    later.
     """
 
     fs_V: float
@@ -73,7 +74,7 @@ class Ramps(NamedTuple):
 
     @classmethod
     def of(cls, breakaway: StaticFriction | None, estimate: Estimate) -> Ramps | None:
-        """From a breakaway record, beside the friction in motion; None where it does not show both ways."""
+        """From breakaway ramps, compared with the friction in motion; None unless both directions show a level."""
         if breakaway is None or breakaway.plus is None or breakaway.minus is None:
             return None
         plus, minus = breakaway.plus, breakaway.minus
@@ -86,29 +87,29 @@ class Ramps(NamedTuple):
 
 
 def breakaway(series: TimeSeries, estimate: Estimate, noise_rad: float) -> StaticFriction:
-    """Static friction from the record of a slow ramp each way, in strokes one after the other or to and fro.
+    """Static friction from slow ramps of the drive in both directions, one after the other or alternating.
 
-    The drive at break-away is that for which the exact simulation reproduces the recorded positions (their likelihood's
-    mean). It includes bias: towards rising positions it is static friction less bias, towards falling ones static
-    friction plus bias.
+    noise_rad  standard deviation of the noise on the positions, rad
+    The exact simulation is compared with the recorded positions; the drive at break-away is the mean of the likelihood.
+    It includes bias: towards rising positions it is static friction minus bias, towards falling ones plus bias.
     """
     plus = _ramp(series, estimate, 1.0, noise_rad)
     minus = _ramp(series, estimate, -1.0, noise_rad)
     if plus is not None and minus is not None and _alternates(series):
-        # strokes the other way move the shaft, too: their level was taken for equal so far
+        # Strokes in the other direction move the shaft, too. So far the fit took their level for equal.
         plus = _ramp(series, estimate, 1.0, noise_rad, minus.static_V)
         minus = minus if plus is None else _ramp(series, estimate, -1.0, noise_rad, plus.static_V)
     if plus is None or minus is None:
         which = (
             "either way" if plus is None and minus is None else "towards " + ("rising" if plus is None else "falling")
         )
-        return StaticFriction(plus, minus, None, f"no motion was seen in the breakaway record {which}: ramp higher")
+        return StaticFriction(plus, minus, None, f"the breakaway ramps show no motion {which}: ramp higher")
     friction, reason = split(plus, minus, estimate)
     return StaticFriction(plus, minus, friction, reason)
 
 
 def _alternates(series: TimeSeries) -> bool:
-    """Whether strokes one way lie between those of the other."""
+    """Whether strokes in one direction lie between strokes in the other."""
     signs = np.sign(series.u_V[series.u_V != 0.0])
     return int(np.count_nonzero(np.diff(signs))) > 1
 
@@ -116,9 +117,9 @@ def _alternates(series: TimeSeries) -> bool:
 def _ramp(
     series: TimeSeries, estimate: Estimate, sign: float, noise_rad: float, other_V: float | None = None
 ) -> Ramp | None:
-    """Scan the drives of one way for the level that explains the positions best.
+    """Scan the drives of one direction for the level that explains the positions best.
 
-    other_V  static level of the other way; without it, as the one that is tried
+    other_V  static level of the other direction; None: the level that is tried
     """
     driven = np.flatnonzero(sign * series.u_V > 0.0)
     if driven.size < 5:
@@ -141,7 +142,7 @@ def _ramp(
     levels = levels[levels > moving]
     if levels.size == 0:
         return None
-    # Between two levels that the ramp visits nothing changes: one trial for each gap, and one above all levels.
+    # All levels between two drives of the ramp give one motion: one trial for each gap, and one above all drives.
     lows = np.concatenate(([moving], levels))
     trials = [*(0.5 * (a + b) for a, b in zip(lows[:-1], levels, strict=True)), 2.0 * levels[-1]]
     costs = np.empty(len(trials))
@@ -162,17 +163,17 @@ def _ramp(
     variance = max(costs[best] / t_s.size, noise_rad**2)
     near = np.flatnonzero(costs <= costs[best] + CHANCE * variance)
     low, high = lows[int(near[0])], levels[min(int(near[-1]), levels.size - 1)]
-    # Costs are flat where the noise hides the first motion: the mean over what they leave, not their lowest point.
+    # Costs are flat where noise hides the first motion, so take the mean of the likelihood, not the lowest cost.
     weights = np.diff(np.concatenate((lows[:1], levels))) * np.exp(-0.5 * (costs[:-1] - costs[best]) / variance)
     return Ramp(float(weights @ np.array(trials[:-1]) / weights.sum()), float(low), float(high))
 
 
 def split(plus: Ramp, minus: Ramp, estimate: Estimate) -> tuple[tuple[float, float, float] | None, str]:
-    """(fc_plus, fc_minus, bias), V, or None; and the reason in words.
+    """(fc_plus, fc_minus, bias), V, or None; and the reason as a sentence.
 
-    With static and moving friction equal, bias and direction never separate: moving shows fc_plus - bias and
-    fc_minus + bias, and so does the band in which the motor sticks. If static friction is r > 1 times the moving one,
-    with one ratio both ways, then (r - 1) fc_plus and (r - 1) fc_minus show beside them.
+    If static and moving friction are equal, nothing separates bias from the direction of friction: motion shows only
+    fc_plus - bias and fc_minus + bias, and so does the band in which the motor sticks. If static friction is r > 1
+    times moving friction, with one ratio in both directions, the ramps also show (r - 1) fc_plus and (r - 1) fc_minus.
     """
     moving = (estimate.fc_V - estimate.asym_V, estimate.fc_V + estimate.asym_V)
     ratio = (plus.static_V + minus.static_V) / (2.0 * estimate.fc_V) if estimate.fc_V > 0.0 else math.inf
@@ -183,15 +184,15 @@ def split(plus: Ramp, minus: Ramp, estimate: Estimate) -> tuple[tuple[float, flo
     excess = ratio - 1.0
     if excess <= 3.0 * error / estimate.fc_V:
         return None, (
-            f"static friction is not clearly above moving friction (ratio {ratio:.3f}), and without that bias and "
-            "direction of friction cannot be told apart by any record"
+            f"static friction is not clearly above moving friction (ratio {ratio:.3f}), so bias and "
+            "direction of friction cannot be told apart"
         )
     if error / excess > NEEDED * estimate.fc_V:
         return None, (
             f"static friction is {ratio:.3f} times moving friction, too little to tell bias from direction of friction "
-            f"(it would be good to {error / excess:.2g} V)"
+            f"(their error would be {error / excess:.2g} V)"
         )
     fc_plus, fc_minus = (plus.static_V - moving[0]) / excess, (minus.static_V - moving[1]) / excess
     return (fc_plus, fc_minus, fc_plus - moving[0]), (
-        f"fc_plus, fc_minus and bias assume one ratio of static to moving friction both ways ({ratio:.3f})"
+        f"fc_plus, fc_minus and bias assume one ratio of static to moving friction in both directions ({ratio:.3f})"
     )

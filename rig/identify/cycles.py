@@ -13,12 +13,12 @@ from rig.recording.series import TimeSeries
 
 Array = NDArray[np.float64]
 
-SETTLED = 0.05  # three periods in a row within this show that the oscillation has settled;
-ARRIVED = 0.005  # their mean lies this near the period at which the recording ends
-KEPT = 0.15  # cycles after them belong to it while within this of the median
-STEADY = 0.002  # of period and amplitude: what is still settling beyond the late cycles' scatter is not averaged
-SPARSE = 0.01  # of the rows: values of the drive that are rarer are no level of the relay
-CHATTER = 0.25  # of the median half period: shorter ones are chatter
+SETTLED = 0.05  # the oscillation has settled once three periods in a row lie within this,
+ARRIVED = 0.005  # and their mean is this near the period at the end of the recording
+KEPT = 0.15  # later cycles belong to it while they are within this of the median
+STEADY = 0.002  # of period and amplitude: first cycles that are farther off than this and the scatter are left out
+SPARSE = 0.01  # of the rows: a rarer value of the drive is not a level of the relay
+CHATTER = 0.25  # of the median half period: shorter half periods are chatter
 FEWEST_CYCLES = 3
 SHORTEST_PERIODS = 30  # a cycle lasts at least this many sampling periods,
 SMALLEST_LSB = 20  # and is at least this many steps of the sensor in amplitude; else it is delay hunting
@@ -28,8 +28,9 @@ SMALLEST_LSB = 20  # and is at least this many steps of the sensor in amplitude;
 class MeasuredGains:
     """Gains of the dual-channel relay, found from the levels of the recorded drive, V.
 
+    h1_V, h2_V   gains, V
     side   per row: +1 at +(h1 + h2), -1 at -(h1 + h2), 0 at +-(h2 - h1), nan elsewhere
-    note   how they were found, in words
+    note   how they were found, as a sentence
     """
 
     h1_V: float
@@ -41,15 +42,14 @@ class MeasuredGains:
 def relay_gains(series: TimeSeries) -> MeasuredGains:
     """Gains h1, h2 from the levels of u = -h1 sgn(y) - h2 sgn(z).
 
-    Levels need not be exact: they are clusters, so quantised and saturated drives pass. (Under saturation the levels
-    found are those of the relay that the motor has effectively seen.) Raises IdentifyError if the drive is not a
-    dual-channel relay's.
+    Levels are clusters, so they need not be exact, and a quantised or saturated drive is accepted. (A saturated drive
+    gives the levels that the motor has got.) Raises IdentifyError if the drive does not come from a dual-channel relay.
     """
     u = series.u_V
     largest = float(np.abs(u).max())
     cure = "give a relay test, or use the method sampled-data, which takes any drive"
     if largest == 0.0:
-        raise IdentifyError(f"{series.name}: the drive is zero throughout", "record a relay test: `rig relay CONFIG`")
+        raise IdentifyError(f"{series.name}: the drive is always zero", "record a relay test: `rig relay CONFIG`")
     order = np.sort(u)
     # An averaged relay signal has steps between its levels (Remark 3.2); they are rare.
     near = np.searchsorted(order, order + 0.03 * largest, "right") - np.searchsorted(order, order - 0.03 * largest)
@@ -58,10 +58,10 @@ def relay_gains(series: TimeSeries) -> MeasuredGains:
     groups = [group for group in np.split(order, cuts + 1) if group.size]
     covered = sum(g.size for g in groups) / u.size
     levels = [float(np.median(g)) for g in groups]
-    shown = ", ".join(f"{level:.3g}" for level in levels)
+    listed = ", ".join(f"{level:.3g}" for level in levels)
     if not 3 <= len(groups) <= 4 or covered < 0.9 or any(np.ptp(g) > 0.12 * largest for g in groups):
         raise IdentifyError(
-            f"{series.name}: the drive is not a dual-channel relay's (levels: {shown or 'none'} V)", cure
+            f"{series.name}: the drive is not a dual-channel relay's (levels: {listed or 'none'} V)", cure
         )
     top, bottom = levels[-1], levels[0]
     if (
@@ -69,7 +69,7 @@ def relay_gains(series: TimeSeries) -> MeasuredGains:
         or abs(top + bottom) > 0.25 * largest
         or any(abs(x) > 0.94 * largest for x in levels[1:-1])
     ):
-        raise IdentifyError(f"{series.name}: the drive's levels are not symmetric ({shown} V)", cure)
+        raise IdentifyError(f"{series.name}: the drive's levels are not symmetric ({listed} V)", cure)
     width = 0.06 * largest
     side = np.full(u.size, np.nan)
     side[u >= groups[-1].min() - 0.1 * width] = 1.0
@@ -81,18 +81,18 @@ def relay_gains(series: TimeSeries) -> MeasuredGains:
     middle = side == 0.0
     after_top, after_bottom = u[middle & (before > 0)], u[middle & (before < 0)]
     if after_top.size < 3 or after_bottom.size < 3:
-        raise IdentifyError(f"{series.name}: the drive never passes through +-(h2 - h1)", cure)
+        raise IdentifyError(f"{series.name}: the drive never takes the level +-(h2 - h1)", cure)
     outer = 0.5 * (top - bottom)
     inner = 0.5 * float(np.median(after_top) - np.median(after_bottom))
     h1, h2 = 0.5 * (outer - inner), 0.5 * (outer + inner)
-    note = f"h1 = {h1:.4g} V, h2 = {h2:.4g} V from the drive's levels {shown} V"
+    note = f"h1 = {h1:.4g} V, h2 = {h2:.4g} V from the drive's levels {listed} V"
     if abs(top + bottom) > 0.02 * largest:
-        note += " (unequal both ways: mean taken)"
+        note += " (unequal in the two directions: their mean is used)"
     return MeasuredGains(h1, h2, side, note)
 
 
 def _held(side: Array) -> Array:
-    """Per row the last outer level (+1 or -1) seen, nan before the first: the state of RC, whatever RB chatters."""
+    """For each row the last outer level (+1 or -1), nan before the first. This is the state of RC; RB may chatter."""
     outer = np.flatnonzero(np.abs(side) == 1.0)
     if outer.size == 0:
         return np.full(side.size, np.nan)
@@ -103,9 +103,9 @@ def _held(side: Array) -> Array:
 def find_cycle(series: TimeSeries) -> Cycle:
     """The settled cycle of a relay test, averaged.
 
-    Raises IdentifyError with the reason if the drive is no dual-channel relay's, or no three cycles are settled and
-    acceptable (docs/theory.md 4.3: period at least 30 samples, amplitude at least 20 steps of the sensor, edges in the
-    order RA, RB, RC).
+    Raises IdentifyError if the drive does not come from a dual-channel relay, or if there are no three cycles that are
+    settled and acceptable (docs/theory.md 4.3: period at least 30 samples, amplitude at least 20 steps of the sensor,
+    edges in the order RA, RB, RC).
     """
     gains = relay_gains(series)
     halves = _halves(series, gains)
@@ -134,19 +134,19 @@ class _Halves:
 
 
 def equivalent_edge(begin_s: Array, lasting_s: Array, done: Array) -> float:
-    """When a single step has the area of a staircase (Remark 3.2), s.
+    """Time of the single step that has the area of a staircase (Remark 3.2), s.
 
-    begin_s, lasting_s   n rows: since when each one's drive acts, and for how long
-    done                 n shares of the step that it has taken: 0 before, 1 after, anything between in the chatter
+    begin_s, lasting_s   n rows: time from which the row's drive acts, and for how long
+    done                 n shares of the step: 0 before it, 1 after it, between 0 and 1 during chatter
     """
     return float(begin_s[0] + lasting_s @ (1.0 - done))
 
 
 def _halves(series: TimeSeries, gains: MeasuredGains) -> _Halves:
-    """Complete half periods between RC edges; chatter of either relay is merged into an equivalent edge.
+    """Complete half periods between RC edges. Chatter of a relay becomes one equivalent edge.
 
-    Before the middle of the time that the drive spends at its outer level, lower levels are chatter of RC; after it,
-    outer ones are chatter of RB.
+    Take the middle of the time that the drive spends at its outer level. Lower levels before it are chatter of RC;
+    outer levels after it are chatter of RB.
     """
     acts = series.edge_s
     side, u = gains.side, series.u_V
@@ -186,7 +186,7 @@ def _halves(series: TimeSeries, gains: MeasuredGains) -> _Halves:
 
 
 def _flips(side: Array, acts_s: Array) -> list[int]:
-    """Rows at which the drive's outer level changes its sign, without those that it takes back at once."""
+    """Rows at which the drive's outer level changes its sign, without changes that are taken back at once."""
     state = _held(side)
     rows = np.flatnonzero(state[1:] * state[:-1] == -1.0) + 1
     while rows.size > 3:
@@ -199,10 +199,10 @@ def _flips(side: Array, acts_s: Array) -> list[int]:
 
 
 def _settled(series: TimeSeries, waves: list[Wave], resolution_rad: float) -> tuple[int, int]:
-    """Longest run of cycles whose period and amplitude stay: (first, stop).
+    """Longest sequence of cycles with steady period and amplitude: (first, stop).
 
-    A relay that decides once a tick makes cycles jitter by more than a tick, so three in a row have to agree closely,
-    and the others roughly.
+    A relay that decides once a tick makes cycles jitter by more than a tick. So three cycles in a row must agree
+    closely, and the others roughly.
     """
     periods = np.array([wave.period_s for wave in waves])
     amplitudes = np.array([wave.amplitude_rad for wave in waves])
@@ -225,27 +225,27 @@ def _settled(series: TimeSeries, waves: list[Wave], resolution_rad: float) -> tu
         raise IdentifyError(
             f"{series.name}: no {FEWEST_CYCLES} cycles in a row are settled (periods {periods.min():.3g} to "
             f"{periods.max():.3g} s, amplitudes {amplitudes.min():.3g} to {amplitudes.max():.3g} rad)",
-            "record longer (relay.cycles), or take the steady part alone: --rows FIRST:LAST",
+            "record longer (relay.cycles), or use only the steady part: --rows FIRST:LAST",
         )
     centre = np.array([float(w.up.y_rad.mean() - w.down.y_rad.mean()) / 2 for w in waves[first:stop]])
     drift = float(np.polyfit(np.arange(centre.size), centre, 1)[0]) * centre.size
     if abs(drift) > 0.2 * amplitude:
         raise IdentifyError(
             f"{series.name}: the cycle drifts by {drift:.3g} rad at an amplitude of {amplitude:.3g} rad",
-            "record longer until it is steady (relay.cycles); check the coupling of the sensor",
+            "record until it is steady (relay.cycles); check the coupling of the sensor",
         )
     return first, stop
 
 
 def _steady(periods: Array, amplitudes: Array, first: int, stop: int, tick_s: float) -> int:
-    """First of three settled cycles whose period and amplitude differ from the late ones' by scatter alone.
+    """The first of three settled cycles whose period and amplitude differ from the late ones only by scatter.
 
-    The triple-relay and describing-function estimators take the cycle for periodic, and magnify what is still settling
-    tenfold. At most half of the settled cycles are left out.
+    The triple-relay and describing-function estimators take the cycle for periodic. They magnify a cycle that is still
+    settling tenfold. At most half of the settled cycles are left out.
     """
     latest = first + (stop - first) // 2
     late = slice(latest, stop)
-    # edges at the ticks make periods scatter by a few of these for ever, and amplitudes by twice their share
+    # edges at ticks make periods scatter by a few ticks for ever, and amplitudes by twice this share
     share = max(STEADY, 4.0 * tick_s / float(np.median(periods[late])))
     still = np.zeros(stop, dtype=bool)
     for values, tolerance in ((periods, share), (amplitudes, 2.0 * share)):
@@ -257,7 +257,7 @@ def _steady(periods: Array, amplitudes: Array, first: int, stop: int, tick_s: fl
 
 
 def _accept(series: TimeSeries, cycle: Cycle) -> None:
-    """docs/theory.md 4.3: what is the limit cycle and what is the loop's delay hunting by itself."""
+    """Accept a limit cycle, refuse delay hunting of the loop (docs/theory.md 4.3)."""
     cure = "raise h2 or lower h1 (relay.gains): a slower and larger cycle; or sample faster (period_s)"
     if cycle.period_s < SHORTEST_PERIODS * series.period_s:
         raise IdentifyError(
@@ -265,7 +265,7 @@ def _accept(series: TimeSeries, cycle: Cycle) -> None:
         )
     if not cycle.amplitude_rad > 0.0:
         raise IdentifyError(
-            f"{series.name}: the position does not follow the drive: the averaged cycle has no amplitude",
+            f"{series.name}: the position does not follow the drive: the mean cycle has no amplitude",
             "check that the motor turns and that the sensor is coupled to it, then record again",
         )
     if cycle.amplitude_rad < SMALLEST_LSB * cycle.resolution_rad:
@@ -273,9 +273,7 @@ def _accept(series: TimeSeries, cycle: Cycle) -> None:
             f"{series.name}: the amplitude {cycle.amplitude_rad:.3g} rad is below {SMALLEST_LSB} steps of the sensor",
             cure,
         )
-    # Where stage 3 does not drive it back, the motor may stop before a sampled relay's late RC edge.
+    # If stage 3 does not drive it back, the motor may stop before the late RC edge of a sampled relay.
     earliest = -3.0 * series.period_s if cycle.h1_V <= cycle.h2_V else 0.0
     if not (earliest < cycle.t1_s < cycle.t1_s + cycle.t2_s < 0.5 * cycle.period_s):
-        raise IdentifyError(
-            f"{series.name}: extremum, RB and RC do not follow in this order: not a simple oscillation", cure
-        )
+        raise IdentifyError(f"{series.name}: extremum, RB and RC are not in this order: not a simple oscillation", cure)

@@ -1,7 +1,7 @@
 """The describing-function estimator (docs/theory.md 4.1, 4.4): two relay tests, two straight lines.
 
-pi A w / 4 = K h2 - K fc is linear in K and K fc; tau follows from w = h1 / (tau (h2 - fc)). It carries the error of
-assuming a sine, which no interval shows.
+pi A w / 4 = K h2 - K fc is linear in K and K fc; tau follows from w = h1 / (tau (h2 - fc)). The method assumes a sine.
+No interval shows the error of this assumption.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from rig.recording.errors import IdentifyError
 Array = NDArray[np.float64]
 
 METHOD = "describing-function"
-NEAREST_H2 = 0.05  # relative difference of h2 below which two tests are one
+NEAREST_H2 = 0.05  # smallest relative difference between the gains h2 of two tests
 
 
 class DescribingFunction(Estimator):
-    """A reference: quick, and biased by its own assumption."""
+    """A reference estimator: quick, and biased by the assumption of a sine."""
 
     name = METHOD
 
     def applies(self, data: Measurements) -> IdentifyError | None:
-        """From two settled cycles on."""
+        """It needs two settled cycles."""
         return lacking(data.settled)
 
     def fit(self, data: Measurements) -> Estimate:
@@ -40,7 +40,7 @@ class DescribingFunction(Estimator):
         return fit(data.settled)
 
     def judge(self, estimate: Estimate, data: Measurements, earlier: Mapping[str, Estimate]) -> Estimate:
-        """Doubtful always: no interval shows the error of assuming a sine."""
+        """Always doubtful: no interval shows the error of assuming a sine."""
         bias = "its interval shows the scatter of the cycles, not the error of assuming a sine"
         return unguarded(settled(judge_reference(estimate, data.tests, bias), data), data)
 
@@ -55,7 +55,7 @@ def solve(omegas_rad_s: Array, amplitudes_rad: Array, h1_V: Array, h2_V: Array) 
 
 
 def lacking(cycles: Sequence[Cycle]) -> IdentifyError | None:
-    """Why these cycles are not enough, and what to record; None where they are."""
+    """Why these cycles are not enough, and what to record; None if they are."""
     if len(cycles) < 2:
         return IdentifyError(
             "the describing function needs two relay tests", "give two recordings with different gains h2"
@@ -64,7 +64,7 @@ def lacking(cycles: Sequence[Cycle]) -> IdentifyError | None:
     if np.ptp(h2) < NEAREST_H2 * h2.max():
         return IdentifyError(
             f"the tests' gains h2 lie within {100 * NEAREST_H2:.0f} % of one another",
-            "record the second test with an h2 a fifth larger or smaller, by relay.gains or relay.second_ratio",
+            "record the second test with an h2 a fifth larger or smaller: relay.gains or relay.second_ratio",
         )
     return None
 
@@ -72,8 +72,8 @@ def lacking(cycles: Sequence[Cycle]) -> IdentifyError | None:
 def fit(cycles: Sequence[Cycle]) -> Estimate:
     """Estimate tau, K and fc from two or more relay tests with different gains.
 
-    Intervals come from the scatter between periods alone. rms_rad is left to the caller. Raises IdentifyError on fewer
-    than two tests, or gains too near one another.
+    Intervals come only from the scatter between periods. The caller sets rms_rad. Raises IdentifyError for fewer than
+    two tests, and for gains that are too near one another.
     """
     wrong = lacking(cycles)
     if wrong is not None:
@@ -101,13 +101,13 @@ def fit(cycles: Sequence[Cycle]) -> Estimate:
         return estimate.judged(
             "refused",
             f"the oscillations give no motor (fc = {theta.fc_V:.3g} V, K = {theta.K_rad_s_V:.3g} (rad/s)/V): "
-            "record larger and slower cycles, whose gains differ more",
+            "record larger and slower cycles, with gains that differ more",
         )
     return estimate
 
 
 def _propagated(cycles: Sequence[Cycle], omegas: Array, amplitudes: Array, h1: Array, h2: Array) -> Array:
-    """Covariance of tau, K, fc from that of each test's mean frequency and amplitude."""
+    """Covariance of tau, K, fc from the covariances of each test's mean frequency and amplitude."""
     total = np.zeros((3, 3))
     for k, cycle in enumerate(cycles):
         pairs = np.array([(2.0 * math.pi / wave.period_s, wave.amplitude_rad) for wave in cycle.waves])

@@ -1,4 +1,4 @@
-"""What an estimator hands over: parameters with their intervals, and whether to believe them."""
+"""The result of an estimator: parameters with their intervals, and a verdict."""
 
 from __future__ import annotations
 
@@ -24,24 +24,25 @@ PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V", "asym_V", "delay_s")
 
 @dataclass(frozen=True)
 class Estimate:
-    """One estimator's result, as ``result.json`` holds it (architecture.md).
+    """One estimator's result, an entry of ``estimates`` in result.json (docs/results.md).
 
     method          "sampled-data", "triple-relay", "describing-function" or "least-squares"
-    tau_s .. delay_s    parameters; asym_V is 0 and delay_s nan where a method knows nothing of them; tau_s and
-                    K_rad_s_V are nan from least squares, which gives friction alone
-    fc_plus_V, fc_minus_V, bias_V    None where the record cannot tell
+    tau_s, K_rad_s_V    time constant, s, and gain, (rad/s)/V; nan from least squares, which gives friction alone
+    fc_V, asym_V    friction and its asymmetry, V; asym_V is 0 if the method does not estimate it
+    delay_s         of the drive, s; nan if the method does not estimate it
+    fc_plus_V, fc_minus_V, bias_V    V; None if the recording cannot show them
     ci95            parameter -> (low, high)
-    covariance      (5, 5), of ``PARAMETERS``; nan where unknown
-    rms_rad         of the residual of the recorded position
-    iterations      of the start that won
-    verdict, reasons    reasons say what is wrong and what to record instead
+    covariance      (5, 5), of ``PARAMETERS``; nan if unknown
+    rms_rad         RMS residual of the recorded position, rad
+    iterations      from the best start
+    verdict, reasons    the reasons say what is wrong and what to record instead
     rows            first and last row used
     iterates        (n, 3): tau_s, K_rad_s_V, fc_V at each iteration, or after each sample of a recursion
-    residual_rad, residual_t_s  series of the residual, and its times
-    repeated        share of the residual's power that comes again in each cycle, 0 to 1
-    coloured        (memory s, size): coloured noise beside the white one, and its standard deviation over that of the
-                    white one; None if there is none
-    cycles          the limit cycles that it rests on; () for a method that needs none
+    residual_rad, residual_t_s  the residual, rad, and its times, s
+    repeated        share of the residual's power that repeats in each cycle, 0 to 1
+    coloured        coloured noise beside the white noise: its memory, s, and its standard deviation over the white
+                    one's; None without it
+    cycles          the limit cycles behind the estimate; () for a method that needs none
     """
 
     method: str
@@ -69,24 +70,24 @@ class Estimate:
 
     @property
     def correlation(self) -> Array:
-        """(5, 5) correlation of ``PARAMETERS``; nan where a parameter was not estimated."""
+        """(5, 5) correlation of ``PARAMETERS``; nan for a parameter that was not estimated."""
         spread = np.sqrt(np.diag(self.covariance))
         spread = np.where(np.isfinite(spread) & (spread > 0.0), spread, np.nan)
         return np.asarray(self.covariance / np.outer(spread, spread))
 
     @property
     def is_motor(self) -> bool:
-        """Whether it is a whole motor: tau and K, not friction alone."""
+        """Whether it has tau and K, not friction alone."""
         return math.isfinite(self.tau_s) and math.isfinite(self.K_rad_s_V)
 
     def motor(self) -> Motor:
-        """The identified motor: Coulomb friction fc_V, its asymmetry as a bias. Raises ValueError if it is none."""
+        """The identified motor: Coulomb friction fc_V, its asymmetry as a bias. Raises ValueError without tau and K."""
         if not self.is_motor:
             raise ValueError(f"{self.method} gives no motor: tau and K are unknown")
         return Motor(self.tau_s, self.K_rad_s_V, coulomb(self.fc_V), self.asym_V)
 
     def judged(self, verdict: Verdict, *reasons: str) -> Estimate:
-        """The same with a verdict at least as severe as ``verdict``, and further reasons."""
+        """The estimate with a verdict at least as severe as ``verdict``, and further ``reasons``."""
         order: tuple[Verdict, ...] = ("ok", "doubtful", "refused")
         worst = max(self.verdict, verdict, key=order.index)
         new = tuple(reason for reason in reasons if reason not in self.reasons)

@@ -1,4 +1,4 @@
-"""What an estimator is. Each is a file of its own and one entry of ``ESTIMATORS`` in identification.py."""
+"""The interface of an estimator. Each estimator is one file, and one entry of ``ESTIMATORS`` in identification.py."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from rig.recording.series import TimeSeries
 class Estimator(Protocol):
     """From measurements to an estimate with a verdict.
 
-    name               as commands, results and reports have it
-    reads_relay_tests  whether it reads relay tests, or any drive of a plain file; else the runs of hysteretic relays
+    name               its name in commands, results and reports
+    reads_relay_tests  True: it reads relay tests, or any drive of a plain file; False: runs of hysteretic relays
     """
 
     name: str
     reads_relay_tests: bool = True
 
     def series(self, data: Measurements) -> Sequence[TimeSeries]:
-        """What it reads of the measurements. Without anything to read it is left out, unless it was asked for."""
+        """The series that it reads. Without any, the estimator is left out, unless the caller asked for it by name."""
         return data.tests if self.reads_relay_tests else data.hysteretic
 
     def applies(self, data: Measurements) -> IdentifyError | None:
-        """Why it cannot work on these measurements, and what to record for it; None where it can."""
+        """Why it cannot work on these measurements, and what to record for it; None if it can."""
         return None
 
     @abstractmethod
     def fit(self, data: Measurements) -> Estimate:
-        """The estimate, verdict "ok" unless the fit itself failed. Raises IdentifyError where nothing can be fitted."""
+        """The estimate; its verdict is "ok" unless the fit failed. Raises IdentifyError if nothing can be fitted."""
 
     @abstractmethod
     def judge(self, estimate: Estimate, data: Measurements, earlier: Mapping[str, Estimate]) -> Estimate:
-        """The estimate with its verdict and reasons. Units, columns and holes are judged by plausibility.py for all.
+        """The estimate with its verdict and reasons. plausibility.py judges units, columns and gaps for all estimators.
 
         earlier  estimates of the estimators before it in the list, by name
-        Raises IdentifyError where the data are too short to judge it.
+        Raises IdentifyError if the data are too short for a judgement.
         """
 
     def notes(self, estimate: Estimate, data: Measurements) -> list[str]:
-        """What else there is to say, in words: it changes no verdict."""
+        """Further sentences for the user. They change no verdict."""
         return []

@@ -1,8 +1,8 @@
 """Least squares of one friction law (docs/theory.md 8.1 and 8.4).
 
-A law whose parameters are fitted starts at the fit without it, in the direction in which a little of it lowers the
-squares most (all other parameters adjusting, to first order), for each of its trials. One whose parameters are scanned
-is tried at all of them. What the breakaway record tells is kept.
+The fit of a law starts at the fit without the law. For each trial it takes the direction in which a little of the law
+lowers the squares most, to first order, while all other parameters adjust. A law whose parameters are scanned is tried
+at all of its trials. Parameters that the breakaway ramps show are kept.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from rig.recording.series import Window, spread_rad
 
 Array = NDArray[np.float64]
 
-LOGARITHMS = (0, 1)  # of the vector's first five: tau and K
+LOGARITHMS = (0, 1)  # entries of the vector that are logarithms: tau and K
 FC, ASYM, DELAY = 2, 3, 4
-STEPS = (1e-5, 1e-5, 1e-5, 1e-6, 1e-6)  # of forward differences of these, in the vector's units
-STATE_STEP = 1e-5  # the same, of an initial velocity, rad/s
-STARTS = 2  # of a law's trials that are iterated,
-SCANNED = 4  # of those that are scanned
+STEPS = (1e-5, 1e-5, 1e-5, 1e-6, 1e-6)  # of forward differences of the first five entries, in the vector's units
+STATE_STEP = 1e-5  # of forward differences of an initial velocity, rad/s
+STARTS = 2  # number of a law's trials that are iterated
+SCANNED = 4  # number of scanned trials that are iterated
 MAX_ITERATIONS = 40
-VISIBLE = 1.0  # change of the sum of squares, over the noise's variance, that shows
-PLAIN = Asymmetric()  # what every law is compared with and started from
+VISIBLE = 1.0  # smallest visible change of the sum of squares, over the noise's variance
+PLAIN = Asymmetric()  # every law starts from this one, and is compared with it
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class LawSolution:
     residual    whitened, of the tests alone, rad
     fitted      names of the parameters that are fitted
     covariance  of these, in their units
-    seen        whether the tests depend on what the law adds
+    seen        whether the tests depend on the parameters that the law adds
     """
 
     law: CandidateLaw
@@ -67,12 +67,12 @@ class LawSolution:
         return math.sqrt(self.squares / self.residual.size)
 
     def value(self, name: str) -> float:
-        """A parameter of this name, in its unit."""
+        """The parameter ``name``, in its unit."""
         at = _names(self.law).index(name)
         return math.exp(self.x[at]) if at in _logarithms(self.law) else float(self.x[at])
 
     def error(self, *names: str) -> float | None:
-        """Standard error of a parameter, or of the sum of several; None where one is not fitted."""
+        """Standard error of a parameter, or of the sum of several; None if one of them is not fitted."""
         if not all(name in self.fitted for name in names):
             return None
         at = [self.fitted.index(name) for name in names]
@@ -83,10 +83,10 @@ class LawSolution:
 
 @dataclass(frozen=True)
 class LawProblem:
-    """The tests that laws are fitted to.
+    """The tests to which laws are fitted.
 
-    problem   their windows, bounds and noise; its fifth entry of ``free`` says whether the delay is fitted
-    ramps     static levels as a breakaway record shows them; None without one
+    problem   their windows, bounds and noise; the fifth entry of its ``free`` says whether the delay is fitted
+    ramps     static levels from breakaway ramps; None without ramps
     """
 
     problem: OutputErrorProblem
@@ -94,7 +94,7 @@ class LawProblem:
 
     @property
     def windows(self) -> tuple[Window, ...]:
-        """What is predicted of each test."""
+        """The predicted window of each test."""
         return self.problem.windows
 
     @cached_property
@@ -103,7 +103,7 @@ class LawProblem:
         return spread_rad(self.windows)
 
     def start(self, estimate: Estimate) -> Array:
-        """The full vector of a sampled-data estimate: asymmetric Coulomb friction, initial states by eye."""
+        """The full vector of a sampled-data estimate: asymmetric Coulomb friction, rough initial states."""
         delay = estimate.delay_s if self.problem.free[DELAY] else 0.0
         shared = [math.log(estimate.tau_s), math.log(estimate.K_rad_s_V), estimate.fc_V, estimate.asym_V, delay]
         return self._with_states(np.array(shared))
@@ -114,11 +114,11 @@ class LawProblem:
         return {law.name: self._fit(law, plain) for law in laws.LAWS}
 
     def predict(self, fit: LawSolution) -> LawSolution:
-        """What a law fitted elsewhere makes of these tests: only initial states, and an unknown delay, are fitted."""
+        """Prediction of these tests by a law fitted to others: only initial states and an unknown delay are fitted."""
         return self._solve(fit.law, self._with_states(fit.x[: _count(fit.law)]), given=True)
 
     def _with_states(self, parameters: Array) -> Array:
-        """The full vector of these parameters, with initial states by eye."""
+        """The full vector of these parameters, with rough initial states."""
         return np.concatenate((parameters, *(initial_state(window) for window in self.windows)))
 
     def _fit(self, law: CandidateLaw, plain: LawSolution) -> LawSolution:
@@ -141,7 +141,7 @@ class LawProblem:
         return Plain(self.windows, float(plain.x[FC]), float(plain.x[ASYM]), positions)
 
     def _scan(self, law: CandidateLaw, plain: LawSolution, explained: Plain) -> LawSolution:
-        """The best of all trials; the fit without the law where none shows."""
+        """The best of all trials; the fit without the law if no trial is visible."""
         found: list[tuple[float, list[float]]] = []
         for trial in law.trials(explained):
             residual = self.problem.whiten(self._residual(_with_own(plain.x, trial), law))
@@ -152,7 +152,7 @@ class LawProblem:
         return min([replace(_without(law, plain), seen=bool(found)), *fits], key=lambda fit: fit.squares)
 
     def _from_residual(self, law: CandidateLaw, plain: LawSolution, explained: Plain) -> LawSolution:
-        """The best of a few starts; the fit without the law where a little of it makes all of them worse."""
+        """The best of a few starts; the fit without the law if a little of the law makes all starts worse."""
         before, jacobian = self._residual_and_jacobian(plain.x, PLAIN, self._free(PLAIN))
         fitted = np.flatnonzero(self._mask(PLAIN))
         trials = law.trials(explained)
@@ -188,11 +188,11 @@ class LawProblem:
         return np.insert(low, at, [a for a, _ in ranges]), np.insert(high, at, [b for _, b in ranges])
 
     def _residual(self, x: Array, law: CandidateLaw) -> Array:
-        """Predicted less recorded positions, rad."""
+        """Predicted minus recorded positions, rad."""
         return np.concatenate([_position(x, law, k, window) - window.y_rad for k, window in enumerate(self.windows)])
 
     def _residual_and_jacobian(self, x: Array, law: CandidateLaw, free: Sequence[bool]) -> tuple[Array, Array]:
-        """The residual and its derivatives by the full vector, as far as that is ``free``."""
+        """The residual and its derivatives by the ``free`` entries of the full vector."""
         residuals, blocks = [], []
         count = _count(law)
         for k, window in enumerate(self.windows):
@@ -225,7 +225,7 @@ class LawProblem:
         ranges: Sequence[tuple[float, float]] | None = None,
         given: bool = False,
     ) -> LawSolution:
-        """Local solution from ``x0``, the law's own parameters within ``ranges``; with ``given`` parameters stay."""
+        """Local solution from ``x0``, the law's own parameters within ``ranges``; with ``given`` these stay fixed."""
         free, mask = self._free(law, given), self._mask(law, given)
         anywhere = [(-math.inf, math.inf)] * len(law.parameters)
         low, high = (bound[mask] for bound in self._bounds(law, anywhere if ranges is None else ranges))
@@ -265,7 +265,7 @@ def _names(law: CandidateLaw) -> tuple[str, ...]:
 
 
 def _logarithms(law: CandidateLaw) -> tuple[int, ...]:
-    """Where the vector has logarithms."""
+    """Indices of the vector's logarithms."""
     own = (SHARED + k for k, parameter in enumerate(law.parameters) if parameter.logarithmic)
     return (*LOGARITHMS, *own)
 
@@ -276,17 +276,17 @@ def _count(law: CandidateLaw) -> int:
 
 
 def _with_own(plain: Array, own: Sequence[float]) -> Array:
-    """The vector of asymmetric Coulomb friction with a law's own parameters put in."""
+    """The vector of asymmetric Coulomb friction, with a law's ``own`` parameters inserted."""
     return np.concatenate((plain[:SHARED], own, plain[SHARED:]))
 
 
 def _without(law: CandidateLaw, plain: LawSolution) -> LawSolution:
-    """The fit without a law, as one of it: its own parameters are 0, and not fitted."""
+    """The fit without a law, in the form of a fit of it: its own parameters are 0, and not fitted."""
     return replace(plain, law=law, x=_with_own(plain.x, [0.0] * len(law.parameters)))
 
 
 def _theta(x: Array, count: int, k: int) -> Theta:
-    """Window ``k`` under the moving level alone, its states after ``count`` parameters."""
+    """``Theta`` of window ``k``: the motor, and the window's states after the ``count`` parameters of the vector."""
     fc, asym, delay = (float(value) for value in x[FC : DELAY + 1])
     v0, y0 = (float(value) for value in x[count + 2 * k : count + 2 * k + 2])
     return Theta(math.exp(x[0]), math.exp(x[1]), fc, asym, delay, v0, y0)

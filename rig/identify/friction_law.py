@@ -1,12 +1,11 @@
-"""Which friction law the data ask for: nested models, chosen by Schwarz's criterion (BIC) and by prediction.
+"""The choice of a friction law: nested models, compared by Schwarz's criterion (BIC) and by prediction.
 
-The candidates are those of `rig.identify.laws`, each a case of the richer ones (docs/theory.md 8.1 and 8.4). Viscous
-friction is none of them: with it tau and K are those of docs/theory.md 8.1, and no motion tells it from them.
+The candidates are the laws of `rig.identify.laws`. Each is a special case of the richer ones (docs/theory.md 8.1 and
+8.4). Viscous friction is not a candidate: it only changes tau and K (docs/theory.md 8.1), so no motion can show it.
 
-Each law is fitted to all tests but one by the same least squares with the same noise, that of the richest law's
-residual, and gets Schwarz's criterion. Then it predicts the test that was held out, of another amplitude, where its
-initial state alone (and a delay that is not recorded) is fitted. A law replaces a simpler one only if both gain
-clearly.
+Each law is fitted to all tests but one. All laws get the noise of the richest law's residual. The fit gives Schwarz's
+criterion. Then the law predicts the held-out test, which has another amplitude; only the initial state, and a delay
+that is not recorded, are fitted there. A law replaces a simpler one only if criterion and prediction both gain clearly.
 """
 
 from __future__ import annotations
@@ -32,9 +31,9 @@ from rig.results import FrictionLawResult, LawFit
 Standing = Literal["chosen", "too simple", "not needed", "open"]
 
 BETTER = 1.1  # ratio of prediction errors of the held-out test that decides
-MUCH_BETTER = 1.2  # the same, that keeps a law open which the criterion does not ask for
-OTHER_AMPLITUDE = 0.05  # relative difference of position or drive that makes a test one of another amplitude
-ROUNDING = 1e-7  # residual over the spread of positions that is rounding
+MUCH_BETTER = 1.2  # ratio that keeps a law open although the criterion does not ask for it
+OTHER_AMPLITUDE = 0.05  # relative difference of position or drive from which on two tests differ in amplitude
+ROUNDING = 1e-7  # residual over the spread of positions that is only rounding
 SLOW = "record longer tests, and smaller and slower ones"
 
 
@@ -43,14 +42,14 @@ class RankedLaw:
     """One law, fitted and compared.
 
     candidate           the law
-    parameters, errors  tau_s, K_rad_s_V, fc_V, asym_V, delay_s, and the law's own, as far as the law has them and the
-                        tests tell them; and their standard errors
-    rms_rad             of the fit, whitened
-    criterion           `schwarz`, less that of the chosen law: positive is worse
-    held_out_rms_rad    of the prediction of the test that was held out, whitened; None without one
-    seen                whether the tests depend on what the law adds
-    standing            "chosen"; "too simple"; "not needed": what it adds does not pay; "open": the tests cannot tell
-                        it from the chosen one
+    parameters, errors  tau_s, K_rad_s_V, fc_V, asym_V, delay_s and the law's own, and their standard errors; only
+                        those that the law has and the tests show
+    rms_rad             RMS residual of the fit, whitened, rad
+    criterion           `schwarz` minus that of the chosen law: positive is worse
+    held_out_rms_rad    RMS residual of the predicted held-out test, whitened, rad; None without such a test
+    seen                whether the tests depend on the parameters that the law adds
+    standing            "chosen"; "too simple"; "not needed": it gains too little; "open": the tests cannot tell it
+                        from the chosen one
     """
 
     candidate: CandidateLaw
@@ -82,13 +81,13 @@ class RankedLaw:
 
 @dataclass(frozen=True)
 class FrictionLawChoice:
-    """The laws, which is chosen, and why.
+    """The compared laws, the chosen one, and why.
 
-    ranked    in the order of `LAWS`
-    reason    in words
-    record    what to record to tell the open ones from the chosen one; empty if none is open
-    held_out  name of the test that was held out; None if there is none of another amplitude
-    samples   how many independent samples the fitted ones are worth
+    ranked    the laws in the order of `LAWS`
+    reason    why, as a sentence
+    record    what to record to decide about the open laws; empty if none is open
+    held_out  name of the held-out test; None if no test has another amplitude
+    samples   effective number of independent samples in the fit
     """
 
     ranked: tuple[RankedLaw, ...]
@@ -109,19 +108,19 @@ class FrictionLawChoice:
 
     @property
     def viscous(self) -> str:
-        """What became of viscous friction, in words."""
+        """Why viscous friction is not a candidate, as a sentence."""
         own = self.chosen.parameters
         return (
-            "viscous friction is within tau and K, no motion tells it from them; "
+            "viscous friction is within tau and K, no motion can show it apart; "
             f"tau / K = {own['tau_s'] / own['K_rad_s_V']:.4g} V s^2/rad is the same with and without it"
         )
 
     def of(self, law: str) -> RankedLaw:
-        """The law of this name. Raises KeyError if it was not among the candidates."""
+        """The law of this name. Raises KeyError if it is not a candidate."""
         return {one.law: one for one in self.ranked}[law]
 
     def better(self, law: str, than: str) -> float | None:
-        """How many times smaller the error is with which ``law`` predicts the held-out test; None without one."""
+        """Error of law ``than`` over that of ``law`` in predicting the held-out test; None without one."""
         return _better(self.of(law), self.of(than))
 
     @property
@@ -132,8 +131,8 @@ class FrictionLawChoice:
         if better is None or better <= BETTER:
             return None
         return (
-            f"{law.title}: {self.held_out} is predicted {better:.1f} times better than without; "
-            "tau, K and fc are good for motion like the recorded one only"
+            f"{law.title}: it predicts {self.held_out} {better:.1f} times better than asymmetric Coulomb friction; "
+            "use tau, K and fc only for motion like the recorded one"
         )
 
     def as_result(self) -> FrictionLawResult:
@@ -159,17 +158,21 @@ def schwarz(squares: float, rows: int, parameters: int, samples: float) -> float
     """Schwarz's criterion (BIC, Annals of Statistics 6, 1978) of a fit, N ln(S / n) + k ln N, up to a constant.
 
     squares     S, sum of squared whitened residuals, > 0
-    rows        n, their number
-    parameters  k, fitted
-    samples     N <= n, how many independent samples they are worth: likelihood and penalty both count these
+    rows        n, number of residuals
+    parameters  k, number of fitted parameters
+    samples     N <= n, effective number of independent samples; likelihood and penalty both use it
     """
     return samples * math.log(squares / rows) + parameters * math.log(samples)
 
 
 def effective_samples(rows: int, cycles: float, repeated: float) -> float:
-    """How many independent samples ``rows`` are worth if a share ``repeated`` of their power comes again each cycle.
+    """Effective number of independent samples of a residual that partly repeats in each cycle.
 
     n / (1 + (m - 1) rho), the design effect of clusters (Kish, Survey Sampling, 1965), one for each phase of the cycle.
+
+    rows      n, number of residuals
+    cycles    m, number of cycles
+    repeated  rho, share of the residual's power that repeats, 0 to 1
     """
     return rows / (1.0 + max(0.0, cycles - 1.0) * repeated)
 
@@ -180,13 +183,13 @@ def friction_law(
     periods_s: Sequence[float | None] | None = None,
     breakaway: StaticFriction | None = None,
 ) -> FrictionLawChoice:
-    """The law that all tests ask for.
+    """Choose the friction law for all tests.
 
-    estimate   the sampled-data estimate of these tests: where the fits start
-    periods_s  for each test the period of its limit cycle, s, or None; default: none have
-    breakaway  static levels from slow ramps, where there are any
-    The test held out is the last one in which position or drive swings 5 % more or less than in the first.
-    Raises IdentifyError if a test is too short to be fitted.
+    estimate   the sampled-data estimate of these tests: the fits start from it
+    periods_s  for each test the period of its limit cycle, s, or None; default: no test has a cycle
+    breakaway  static levels from slow ramps; None without ramps
+    The held-out test is the last one whose position or drive swings 5 % more or less than in the first test.
+    Raises IdentifyError if a test is too short for a fit.
     """
     periods = list(periods_s or [None] * len(tests))
     held = _second_amplitude(tests)
@@ -216,7 +219,7 @@ def friction_law(
 
 
 def _second_amplitude(tests: Sequence[TimeSeries]) -> int | None:
-    """The last test whose position or drive swings clearly more or less than the first's."""
+    """Index of the last test whose position or drive swings clearly more or less than in the first; else None."""
     swings = []
     for test in tests:
         line = np.polynomial.Polynomial.fit(test.t_s, test.y_rad, 1)
@@ -231,12 +234,12 @@ def _second_amplitude(tests: Sequence[TimeSeries]) -> int | None:
 def _ranked(
     fit: LawSolution, second: LawProblem | None, samples: float, floor_rad: float, ramps: Ramps | None
 ) -> RankedLaw:
-    """A fitted law with its criterion, not yet compared, and with its prediction of the test held out."""
+    """A fitted law with its criterion and its prediction of the held-out test, not compared yet."""
     names = [name for name in PARAMETERS if name in fit.fitted]
     own = fit.law.report(fit, ramps)
     parameters = {name: fit.value(name) for name in names} | own.parameters
     errors = {name: error for name in names if (error := fit.error(name)) is not None} | own.errors
-    ramps_squared = 0.0  # what the breakaway record adds to twice the negative log likelihood
+    ramps_squared = 0.0  # part of the breakaway ramps in twice the negative log likelihood
     if ramps is not None and all(ramps.shown) and not fit.law.has_static_level:
         ramps_squared = max(0.0, ramps.fs_V - fit.value("fc_V")) ** 2 / (ramps.error_V**2 + errors["fc_V"] ** 2)
     rows = fit.residual.size
@@ -254,7 +257,7 @@ def _ranked(
 
 
 def _better(own: RankedLaw, other: RankedLaw) -> float | None:
-    """How many times smaller the error is with which ``own`` predicts the held-out test; None without one."""
+    """Error of ``other`` over that of ``own`` in predicting the held-out test; None without one."""
     if own.held_out_rms_rad is None or other.held_out_rms_rad is None:
         return None
     return other.held_out_rms_rad / own.held_out_rms_rad
@@ -263,7 +266,7 @@ def _better(own: RankedLaw, other: RankedLaw) -> float | None:
 def _choice(
     ranked: Sequence[RankedLaw], held_out: str | None, samples: float, ramps: Ramps | None
 ) -> FrictionLawChoice:
-    """The simplest law that neither the criterion nor the prediction rejects, and what stays open beside it."""
+    """The simplest law that neither criterion nor prediction rejects, and the laws that stay open."""
     chosen = ranked[0]
     reason = f"{chosen.candidate.title} is enough"
     simpler: list[str] = []
@@ -290,7 +293,7 @@ def _choice(
 
 
 def _judge(one: RankedLaw, chosen: RankedLaw, held_out: str | None, ramps: Ramps | None) -> str | Doubt | None:
-    """Why a law replaces the simpler ``chosen``, as a sentence; or the doubt that it might; None if not needed."""
+    """Why a law replaces the simpler ``chosen`` one, as a sentence; a doubt if it may; None if it is not needed."""
     gain = chosen.criterion - one.criterion
     better = _better(one, chosen)
     title, simpler = one.candidate.title, chosen.candidate.title
@@ -301,11 +304,11 @@ def _judge(one: RankedLaw, chosen: RankedLaw, held_out: str | None, ramps: Ramps
         return first
     if better is None:
         return one.candidate.from_one_amplitude(against)
-    predicted = f"{held_out} is predicted {better:.2g} times better"
+    predicted = f"it predicts {held_out} {better:.2g} times better"
     if gain > CLEAR and better > BETTER:
         return f"{title}: {gained}, and {predicted}"
     if gain > CLEAR:
-        return Doubt(f"{gained}, but {held_out} is predicted no better ({better:.2g} times)", SLOW)
+        return Doubt(f"{gained}, but it predicts {held_out} no better ({better:.2g} times)", SLOW)
     if gain > 0.0:
         return Doubt(f"{gained}, too little to decide", SLOW)
     if better > MUCH_BETTER:

@@ -23,7 +23,7 @@ from rig.recording.reader import Recording
 from rig.recording.stage import StageKind, kind_of
 from rig.results import HystereticResult, IdentificationResult, RelayTestResult, StaticFrictionResult
 
-# The estimators, the one to trust first: another one is a file, and a line here.
+# The estimators; the most trusted one is first. To add one, write one file, and one line here.
 ESTIMATORS: list[Estimator] = [
     SampledData(),
     TripleRelay(),
@@ -31,20 +31,20 @@ ESTIMATORS: list[Estimator] = [
     LeastSquares(),
 ]
 METHODS = tuple(estimator.name for estimator in ESTIMATORS)
-LEADING = ESTIMATORS[0].name  # asks for least, and its model is the one that friction laws are added to
+LEADING = ESTIMATORS[0].name  # it needs the least data, and friction laws extend its model
 
 
 @dataclass
 class Identification:
-    """Estimates by method, and what they rest on.
+    """Estimates by method, and the data behind them.
 
     estimates   method -> Estimate, in the order of ``ESTIMATORS``
     relays      the accepted relay tests
     hysteretic  the runs of hysteretic relays
     cycles      stage -> averaged cycle
-    breakaway   drives at break-away both ways, None without a breakaway record
-    friction_law    the choice of a friction law, None where it was not asked for or sampled-data gave no estimate
-    notes       which rows were used, how the gains were found, what was left out and why
+    breakaway   drives at break-away in both directions; None without breakaway ramps
+    friction_law    the choice of a friction law; None if not asked for, or without a sampled-data estimate
+    notes       rows used, how the gains were found, what was left out and why
     """
 
     estimates: dict[str, Estimate] = field(default_factory=dict)
@@ -56,7 +56,7 @@ class Identification:
     notes: list[str] = field(default_factory=list)
 
     def as_result(self) -> IdentificationResult:
-        """As `rig identify --json` prints it, and result.json holds it, by the same names."""
+        """As `rig identify --json` prints it. result.json has the same names."""
         return IdentificationResult(
             relays=tuple(self.relays),
             estimates={method: estimate.as_result() for method, estimate in self.estimates.items()},
@@ -68,7 +68,7 @@ class Identification:
 
     @property
     def best(self) -> Estimate | None:
-        """The first estimate, in the order of the list, that was not refused and is a motor; None if all were."""
+        """The first estimate of the list that is not refused and has tau and K; None without one."""
         usable = (estimate for estimate in self.estimates.values() if estimate.verdict != "refused")
         return next((estimate for estimate in usable if estimate.is_motor), None)
 
@@ -79,10 +79,10 @@ def identify(
     """Identify one motor from run folders or CSV files.
 
     methods     names of ``ESTIMATORS``; default: all that the data allow
-    choose_law  whether to look for the friction law, with the sampled-data estimate
-    A run's relay tests are used, or its hysteretic runs if it has no others; least squares takes the hysteretic runs
-    alone. A CSV file without stages is used whole; it is taken for a hysteretic run only where least squares is asked
-    for. Raises IdentifyError if a wanted method cannot work on the data, or none can.
+    choose_law  whether to choose a friction law, from the sampled-data estimate
+    The estimators read a run's relay tests, or its hysteretic runs if it has no relay tests. Least squares reads only
+    hysteretic runs. A CSV file without stages is one test; it counts as a hysteretic run only if ``methods`` has least
+    squares. Raises IdentifyError if a method of ``methods`` cannot work on the data, or if no method can.
     """
     wanted = _wanted(methods)
     if not recordings:
@@ -106,20 +106,20 @@ def identify(
         found.estimates[estimator.name] = estimate
         found.notes += estimator.notes(estimate, data)
     if not found.estimates:
-        # the estimator that asks for least: what it misses is what the record lacks
+        # the estimator that needs the least data: what it misses, the recording lacks
         leading = complaints.pop(LEADING, None)
         raise leading or [*data.complaints, *complaints.values()][0]
     odd = disagreement(estimates_of_each(data.sources)) if len(recordings) > 1 and reads_tests else None
     for objection in [*([] if odd is None else [odd]), *data.supplies]:
         found.estimates = {method: e.judged("doubtful", objection) for method, e in found.estimates.items()}
-    shown = _add_breakaway(recordings, found)
+    static = _add_breakaway(recordings, found)
     if choose_law:
-        _add_friction_law(data, shown, found)
+        _add_friction_law(data, static, found)
     return found
 
 
 def _wanted(methods: Sequence[str] | None) -> list[Estimator]:
-    """The estimators of these names, in the order of the list; all without names. Raises IdentifyError."""
+    """The estimators of these names, in the order of the list; all if ``methods`` is None. Raises IdentifyError."""
     known = [estimator.name for estimator in ESTIMATORS]
     unknown = [method for method in methods or () if method not in known]
     if unknown:
@@ -128,7 +128,7 @@ def _wanted(methods: Sequence[str] | None) -> list[Estimator]:
 
 
 def _estimate(estimator: Estimator, data: Measurements, earlier: dict[str, Estimate]) -> Estimate:
-    """One estimator's estimate, with its verdict; what the columns and units say goes first. Raises IdentifyError."""
+    """One estimator's estimate with its verdict. Reasons about columns and units come first. Raises IdentifyError."""
     lacking = estimator.applies(data)
     if lacking is not None:
         raise lacking
@@ -141,7 +141,7 @@ def _estimate(estimator: Estimator, data: Measurements, earlier: dict[str, Estim
 
 
 def _found(data: Measurements) -> Identification:
-    """What there is to say before anything is estimated."""
+    """The identification before the first estimate: tests, cycles, notes."""
     cycles = [(test.name, cycle) for test, cycle in zip(data.tests, data.cycles, strict=True) if cycle is not None]
     return Identification(
         relays=[_relay(name, cycle) for name, cycle in cycles],
@@ -163,7 +163,7 @@ def _relay(stage: str, cycle: Cycle) -> RelayTestResult:
 
 
 def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> StaticFriction | None:
-    """Static friction, from the first recording that has a breakaway stage, on the sampled-data model."""
+    """Static friction from the first recording with a breakaway stage, by the sampled-data model."""
     estimate = found.estimates.get(LEADING)
     if estimate is None or estimate.verdict == "refused":
         return None
@@ -176,23 +176,23 @@ def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> St
         except IdentifyError as error:
             found.notes.append(error.cause)
             continue
-        shown = breakaway(ramps, estimate, max(estimate.rms_rad, 1e-9))
-        found.breakaway = shown.as_result()
-        found.notes.append(f"breakaway: {shown.reason}")
-        if shown.friction_V is not None:
-            plus, minus, bias = shown.friction_V
+        static = breakaway(ramps, estimate, max(estimate.rms_rad, 1e-9))
+        found.breakaway = static.as_result()
+        found.notes.append(f"breakaway: {static.reason}")
+        if static.friction_V is not None:
+            plus, minus, bias = static.friction_V
             found.estimates[LEADING] = replace(estimate, fc_plus_V=plus, fc_minus_V=minus, bias_V=bias)
-        return shown
+        return static
     return None
 
 
-def _add_friction_law(data: Measurements, shown: StaticFriction | None, found: Identification) -> None:
-    """The choice of a law; the sampled-data estimate is doubtful where one beyond its own predicts better."""
+def _add_friction_law(data: Measurements, static: StaticFriction | None, found: Identification) -> None:
+    """Choose a law. The sampled-data estimate becomes doubtful if a richer law predicts better."""
     estimate = found.estimates.get(LEADING)
     if estimate is None or estimate.verdict == "refused":
         return
     try:
-        choice = friction_law(data.tests, estimate, data.periods_s, shown)
+        choice = friction_law(data.tests, estimate, data.periods_s, static)
     except IdentifyError as error:
         found.notes.append(f"friction law: {error.cause}")
         return

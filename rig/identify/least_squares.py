@@ -1,17 +1,17 @@
 """Friction by linear least squares on the transient (Besancon-Voda and Besancon; docs/theory.md 5.1 and 5.2).
 
-Hysteretic relays of different drives d_i start from rest at zero. Until the first switching the motion is linear,
-y_i(t) = (d_i - f) g(t) with the same g, so y_j d_i - y_i d_j = f (y_j - y_i): one unknown, by least squares. f is the
-moving friction towards the side that the runs go to, less the bias: fc - asym upwards, fc + asym downwards. tau and K
-stay unknown.
+Hysteretic relays with different drives d_i start from rest at zero. Until the first switching the motion is linear:
+y_i(t) = (d_i - f) g(t) with one g for all runs. So y_j d_i - y_i d_j = f (y_j - y_i), with one unknown, by least
+squares. f is the moving friction in the direction of the runs, less the bias: fc - asym upwards, fc + asym downwards.
+tau and K stay unknown.
 
-Both sides of the equation carry noise and every start that is not zero, and both bend the estimate: noise pulls it
-towards the mean of the drives, a start of a few mrad can cost several per cent. So the value is the method's, and its
-interval is that of a fit which knows both: total least squares of (y_1, ..., y_n) against (d_1 - f, ..., d_n - f) on
-displacements from the measured starts. Where the two disagree the estimate is doubtful, with the numbers.
+Both sides of the equation contain noise, and every start that is not zero. Both bias the estimate: noise pulls it
+towards the mean of the drives, and a start of a few mrad can cost several per cent. The value is the method's own. Its
+interval comes from a fit that allows for both: total least squares of (y_1, ..., y_n) against (d_1 - f, ..., d_n - f)
+on displacements from the measured starts. If the two disagree, the estimate is doubtful, with the numbers.
 
-What the method cannot see: runs of a motor that changes between them, or of friction that depends on speed, look nearly
-like multiples of one curve too. ``compared_with`` compares it with an estimate that can.
+The method cannot see a motor that changes between runs, or friction that depends on speed: these runs, too, look nearly
+like multiples of one curve. ``compared_with`` compares it with an estimate that can see this.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ Array = NDArray[np.float64]
 
 METHOD = "least-squares"
 FEWEST_SAMPLES = 8  # from the first drive to the first switching
-START_S = 0.4  # of the rows before the first drive, which show the start
-START_MATTERS = 0.05  # error by the starts, relative to the friction, from which on they are not zero
-MOTION_COUNTS = 4.0  # sensor steps, or standard deviations of its noise, that are motion
+START_S = 0.4  # length of the rows before the first drive that show the start
+START_MATTERS = 0.05  # error from the starts, relative to the friction, from which on the starts count as not zero
+MOTION_COUNTS = 4.0  # smallest motion, in sensor steps or in standard deviations of its noise
 WIDE, TOO_WIDE = 0.1, 0.5  # half width of the interval, relative to the friction
 NOISY = 2.0  # residual over the sensor's noise
-NEGLIGIBLE = 0.003  # residual over the spread of positions, below which it is no objection
-CORRELATED = 4.0  # neighbours in the residual, in standard deviations of white noise
-DITHERED = 0.4  # noise over the sensor's step from which on a mean is not tied to its steps
+NEGLIGIBLE = 0.003  # residual over the spread of positions, below which it does not matter
+CORRELATED = 4.0  # largest correlation of neighbours in the residual, in standard deviations of white noise
+DITHERED = 0.4  # noise over the sensor's step from which on a mean is finer than the steps
 
 
 class LeastSquares(Estimator):
-    """Friction alone, from the runs of hysteretic relays. It reads the drive only until that first changes."""
+    """Friction alone, from the runs of hysteretic relays. It reads each run until its drive changes."""
 
     name = METHOD
     reads_relay_tests = False
@@ -64,7 +64,7 @@ class LeastSquares(Estimator):
         return fit(data.hysteretic)
 
     def judge(self, estimate: Estimate, data: Measurements, earlier: Mapping[str, Estimate]) -> Estimate:
-        """Held to the sampled-data estimate, which sees what a transient cannot show."""
+        """Compare it with the sampled-data estimate, which uses the whole motion."""
         whole = earlier.get(sampled_data.METHOD)
         return estimate if whole is None else compared_with(estimate, whole, data.hysteretic)
 
@@ -75,12 +75,12 @@ class Transient:
 
     name            of the series
     d_V             its drive, V
-    t_s, y_rad      time since the drive took effect, and position as recorded; from the last row before it
-    start_rad       mean position at rest before; start_error_rad its standard error
-    start_v_rad_s   slope of the position there, and start_v_error_rad_s its standard error (inf where not seen)
-    noise_rad, step_rad   of the sensor: standard deviation, resolution
-    switched        whether the first switching is in the record
-    timed           whether the record says when the drive took effect
+    t_s, y_rad      time since the drive took effect, s, and recorded position, rad; from the last row before the drive
+    start_rad       mean position at rest before the drive, rad; start_error_rad its standard error
+    start_v_rad_s   slope of the position there, and start_v_error_rad_s its standard error (inf if not recorded)
+    noise_rad, step_rad   standard deviation of the sensor's noise, and its resolution, rad
+    switched        whether the first switching is recorded
+    timed           whether the time at which the drive took effect is recorded
     rows            first and last row of ``t_s`` in the file
     """
 
@@ -100,14 +100,14 @@ class Transient:
 
     @classmethod
     def of(cls, series: TimeSeries) -> Transient:
-        """The transient in a series whose drive is 0 at first, if that is recorded, then d until it changes.
+        """The transient of a series. Its drive is 0 at first, if that is recorded, then d until it changes.
 
-        Raises IdentifyError where the series has no drive, or too few rows to look at.
+        Raises IdentifyError if the drive is always 0, or if the series has too few rows.
         """
         driven = np.flatnonzero(series.u_V != 0.0)
         if driven.size == 0:
             raise IdentifyError(
-                f"{series.name}: the drive is 0 V throughout",
+                f"{series.name}: the drive is 0 V throughout the run",
                 "record a hysteretic relay from rest: `rig relay CONFIG` with relay.hysteretic",
             )
         first = int(driven[0])
@@ -116,7 +116,7 @@ class Transient:
         switched = changed.size > 0 and series.u_V[first + int(changed[0])] * d_V < 0.0
         last = first + int(changed[0]) if changed.size else len(series) - 1
         noise, step = series.noise_rad(), series.resolution_rad()
-        # the row of the first drive was sampled before it
+        # the sample in the row of the first drive is from before that drive
         rest = slice(int(np.searchsorted(series.t_s, series.t_s[first] - START_S)), first + 1)
         t, y = series.t_s[rest], series.y_rad[rest]
         error = noise / math.sqrt(y.size)
@@ -144,7 +144,7 @@ class Transient:
         )
 
     def as_result(self) -> HystereticResult:
-        """As result.json holds it; ``switched_s`` and ``switched_rad`` are None where no switching is recorded."""
+        """As in result.json; ``switched_s`` and ``switched_rad`` are None if no switching is recorded."""
         return HystereticResult(
             stage=self.name,
             d_V=self.d_V,
@@ -156,7 +156,7 @@ class Transient:
 
     @property
     def moves(self) -> bool:
-        """Whether it left its start beyond noise and resolution of the sensor."""
+        """Whether it moved from its start by more than noise and resolution of the sensor."""
         way = math.copysign(1.0, self.d_V)
         reached = float(np.median(way * (self.y_rad[-3:] - self.start_rad)))
         return reached > MOTION_COUNTS * max(self.noise_rad, self.step_rad, 1e-12)
@@ -164,16 +164,17 @@ class Transient:
 
 @dataclass(frozen=True)
 class OneWay:
-    """Friction from runs that all start the same way.
+    """Friction from runs that all start in one direction.
 
-    friction_V      the method's value: least squares on the positions as recorded
-    corrected_V     total least squares on displacements from the measured starts
-    error_V         standard error of that; freedom its degrees
-    by_starts_V, by_noise_V   what starts and noise add to the method's value
-    by_timing_V_s   what it would change for each second by which one run's drive acts later than the other's
-    t_s             n times since the drive took effect
-    trace_V         n values of the recursion
-    residual_rad    (n, runs - 1) of the corrected fit, across (d_1 - f, ...); rms_rad with its degrees of freedom
+    friction_V      the method's value, V: least squares on the recorded positions
+    corrected_V     total least squares on displacements from the measured starts, V
+    error_V         standard error of ``corrected_V``, with ``freedom`` degrees of freedom
+    by_starts_V, by_noise_V   parts of the method's value from starts and from noise, V
+    by_timing_V_s   change of the value for each second by which one run's drive acts later than the other's, V/s
+    t_s             n times since the drive took effect, s
+    trace_V         n values of the recursion, V
+    residual_rad    (n, runs - 1) residuals of the corrected fit, across (d_1 - f, ...), rad
+    rms_rad         their RMS, by the degrees of freedom, rad
     """
 
     friction_V: float
@@ -190,7 +191,7 @@ class OneWay:
 
 
 def batch(y_rad: Array, d_V: Array) -> float:
-    """Least-squares friction, V, from (n, runs) positions under the drives ``d_V``; nan where they do not differ."""
+    """Least-squares friction, V, from (n, runs) positions under the drives ``d_V``; nan if the runs do not differ."""
     x, b = _equation(y_rad, d_V)
     power = float(x @ x)
     return float(x @ b) / power if power > 0.0 else math.nan
@@ -199,8 +200,9 @@ def batch(y_rad: Array, d_V: Array) -> float:
 def recursive(y_rad: Array, d_V: Array, first_V: float = 0.0, covariance: float = math.inf) -> Array:
     """Recursive least squares: n estimates of the friction, V, one after each of n samples of all runs.
 
-    first_V, covariance   value and covariance (V^2/rad^2, of unit noise) to start from; by default nothing is known,
-                          and the last value is the batch's. Entries are nan until the runs differ.
+    first_V, covariance   start value, V, and its covariance (V^2/rad^2, of unit noise); by default nothing is known
+                          at the start, and the last value is that of ``batch``
+    Entries are nan until the runs differ.
     """
     x, b = _equation(y_rad, d_V)
     pairs = x.size // y_rad.shape[0]
@@ -217,10 +219,10 @@ def recursive(y_rad: Array, d_V: Array, first_V: float = 0.0, covariance: float 
 
 
 def total(y_rad: Array, d_V: Array) -> float:
-    """Total least squares: f for which (n, runs) displacements are nearest to g(t) (d_1 - f, ..., d_n - f), V.
+    """Total least squares: the f, V, for which (n, runs) displacements are nearest to g(t) (d_1 - f, ..., d_n - f).
 
-    Nearest in the sum of squares over all runs, g free at each time: maximum likelihood where all have equal white
-    noise. The extremes of |Y w|^2/|w|^2 over w = d - f are the roots of a quadratic in f.
+    Nearest means the least sum of squares over all runs, with g free at each time. This is maximum likelihood if all
+    runs have equal white noise. The extremes of |Y w|^2/|w|^2 over w = d - f are the roots of a quadratic in f.
     """
     scatter = y_rad.T @ y_rad
     ones = np.ones(d_V.size)
@@ -234,7 +236,7 @@ def total(y_rad: Array, d_V: Array) -> float:
 
 
 def _equation(y_rad: Array, d_V: Array) -> tuple[Array, Array]:
-    """Both sides of b = f x for each sample and pair of runs, samples first."""
+    """Both sides of b = f x, for each sample and pair of runs; the first index is the sample."""
     pairs = list(combinations(range(d_V.size), 2))
     x = np.stack([y_rad[:, j] - y_rad[:, i] for i, j in pairs], axis=1)
     b = np.stack([y_rad[:, j] * d_V[i] - y_rad[:, i] * d_V[j] for i, j in pairs], axis=1)
@@ -242,9 +244,9 @@ def _equation(y_rad: Array, d_V: Array) -> tuple[Array, Array]:
 
 
 def one_way(runs: Sequence[Transient]) -> OneWay:
-    """Friction from two or more runs that start the same way with different drives.
+    """Friction from two or more runs that start in one direction with different drives.
 
-    Raises IdentifyError where they have too few samples in common.
+    Raises IdentifyError if the runs have too few samples in common.
     """
     shortest = min(runs, key=lambda run: float(run.t_s[-1]))
     begin, end = max(max(0.0, float(run.t_s[0])) for run in runs), float(shortest.t_s[-1])
@@ -266,7 +268,7 @@ def one_way(runs: Sequence[Transient]) -> OneWay:
     residual = moved @ null_space(w[np.newaxis, :])
     freedom = max(1, t_s.size * (d.size - 1) - 1)
     rms = math.sqrt(float(np.sum(residual**2)) / freedom)
-    across = 1.0 - w * float(w.sum()) / float(w @ w)  # how a change of f turns w, seen across it
+    across = 1.0 - w * float(w.sum()) / float(w @ w)  # change of w with f, its part perpendicular to w
     power = float(across @ across) * float(shape @ shape)
     starts = np.array([run.start_error_rad for run in runs])
     variance = rms**2 / power + float(np.sum((across * starts) ** 2)) * (float(shape.sum()) / power) ** 2
@@ -287,7 +289,7 @@ def one_way(runs: Sequence[Transient]) -> OneWay:
 
 
 def lacking(tests: Sequence[TimeSeries]) -> IdentifyError | None:
-    """Why these runs are not enough, and what to record; None where they are."""
+    """Why these runs are not enough, and what to record; None if they are."""
     if len(tests) >= 2:
         return None
     return IdentifyError(
@@ -299,10 +301,10 @@ def lacking(tests: Sequence[TimeSeries]) -> IdentifyError | None:
 def fit(tests: Sequence[TimeSeries]) -> Estimate:
     """Friction from the runs of hysteretic relays, with its verdict.
 
-    tests    two or more runs, each from rest at zero, with different drives of one sign; with two or more of the other
-             sign too, the friction's asymmetry shows
+    tests    two or more runs, each from rest at zero, with different drives of one sign; two or more runs of the other
+             sign also give the asymmetry
     tau_s and K_rad_s_V are nan: the method does not give them. ``iterates`` is the recursion: nan, nan, friction.
-    Raises IdentifyError where there are no two runs.
+    Raises IdentifyError for fewer than two runs.
     """
     wrong = lacking(tests)
     if wrong is not None:
@@ -322,40 +324,43 @@ def fit(tests: Sequence[TimeSeries]) -> Estimate:
 
 
 def _unusable(runs: Sequence[Transient]) -> list[str]:
-    """Runs that did not move, or did not switch: a sentence for each."""
-    said = []
+    """One sentence for each run that did not move, or did not switch."""
+    reasons = []
     for run in runs:
         if not run.moves:
-            said.append(
-                f"{run.name}: {run.d_V:+.3g} V does not move the shaft: from rest it takes more than static friction; "
-                "record with more"
+            reasons.append(
+                f"{run.name}: {run.d_V:+.3g} V does not move the shaft, which takes more than static friction: "
+                "record with a larger drive"
             )
         elif not run.switched:
-            said.append(
-                f"{run.name}: the first switching is not in the record, so nothing shows that the relay was running: "
-                "record on until the drive has changed sign"
+            reasons.append(
+                f"{run.name}: the recording ends before the first switching, so nothing shows that the relay ran: "
+                "record until the drive has changed sign"
             )
-    return said
+    return reasons
 
 
 def _unequal(runs: Sequence[Transient]) -> list[str]:
-    """Ways in which all drives are equal, or there is one run alone: a sentence for each."""
-    said = []
+    """One sentence for each direction with equal drives, or with a single run."""
+    reasons = []
     for word, way in (
         ("rising", [run for run in runs if run.d_V > 0.0]),
         ("falling", [run for run in runs if run.d_V < 0.0]),
     ):
         drives = sorted(abs(run.d_V) for run in way)
         if len(way) == 1:
-            said.append(f"one run alone starts towards {word} positions: record two with different drives each way")
+            reasons.append(f"only one run starts towards {word} positions: record two with different drives each way")
         elif drives and drives[-1] - drives[0] < 0.02 * drives[-1]:
             written = ", ".join(f"{drive:.3g}" for drive in drives)
-            said.append(f"the drives towards {word} positions ({written} V) do not differ: the equation is 0 = 0 then")
-    return said
+            reasons.append(
+                f"the drives towards {word} positions ({written} V) do not differ, so the equation is 0 = 0: "
+                "record with different drives"
+            )
+    return reasons
 
 
 def _combined(found: Sequence[OneWay], rows: tuple[int, int]) -> Estimate:
-    """One estimate from one way or both: f = fc - asym upwards, fc + asym downwards."""
+    """One estimate from one direction or both: f = fc - asym upwards, fc + asym downwards."""
     share = 1.0 / len(found)
     fc = share * sum(way.friction_V for way in found)
     corrected = share * sum(way.corrected_V for way in found)
@@ -367,7 +372,7 @@ def _combined(found: Sequence[OneWay], rows: tuple[int, int]) -> Estimate:
     asym = 0.0
     if len(found) == 2:
         up, down = found
-        asym = 0.5 * (down.corrected_V - up.corrected_V)  # no quantity of the method: without what bends its values
+        asym = 0.5 * (down.corrected_V - up.corrected_V)  # the method does not define it: use the unbiased values
         intervals["asym_V"] = (asym - reach, asym + reach)
         covariance[3, 3] = error**2
         covariance[2, 3] = covariance[3, 2] = 0.25 * (down.error_V**2 - up.error_V**2)
@@ -402,14 +407,14 @@ def _judged(estimate: Estimate, found: Sequence[OneWay], ways: Sequence[Sequence
         if abs(run.start_v_rad_s) > 4.0 * run.start_v_error_rad_s:
             estimate = estimate.judged(
                 "refused",
-                f"{run.name}: the shaft turns at {1e3 * run.start_v_rad_s:+.2g} mrad/s before the drive: the method "
-                "needs a start from rest; let it come to rest",
+                f"{run.name}: the shaft turns at {1e3 * run.start_v_rad_s:+.2g} mrad/s before the drive: the "
+                "method needs a start from rest; let it come to rest",
             )
     unseen = [run.name for run in runs if math.isinf(run.start_v_error_rad_s)]
     if unseen:
         estimate = estimate.judged(
             "doubtful",
-            f"{', '.join(unseen)}: too little is recorded before the drive to see that the shaft rests: record "
+            f"{', '.join(unseen)}: too few rows before the drive to see that the shaft rests: record "
             f"{START_S:g} s at 0 V before each run",
         )
     starts = ", ".join(f"{1e3 * run.start_rad:+.1f} mrad ({run.name})" for run in runs)
@@ -417,7 +422,7 @@ def _judged(estimate: Estimate, found: Sequence[OneWay], ways: Sequence[Sequence
     if seen and any(abs(way.by_starts_V) > START_MATTERS * size for way in found):
         estimate = estimate.judged(
             "refused",
-            f"the runs do not start from zero but from {starts}, and the method fails then: it moves the value by "
+            f"the runs do not start from zero but from {starts}: this changes the value by "
             f"{by_starts:+.2g} V; bring the shaft to zero before each run",
         )
     elif abs(estimate.fc_V - corrected) > 0.5 * reach:
@@ -439,7 +444,7 @@ def _judged(estimate: Estimate, found: Sequence[OneWay], ways: Sequence[Sequence
     if untimed:
         estimate = estimate.judged(
             "ok",
-            "without t_u_s the drives of all runs are taken to act equally late: a difference of 1 ms would change "
+            "without t_u_s rig assumes that the drives of all runs act equally late: a difference of 1 ms would change "
             f"the value by {max(untimed):.2g} mV",
         )
     if len(found) == 1:
@@ -453,29 +458,32 @@ def _judged(estimate: Estimate, found: Sequence[OneWay], ways: Sequence[Sequence
 
 
 def _one_shape(estimate: Estimate, found: Sequence[OneWay], runs: Sequence[Transient]) -> Estimate:
-    """Whether the runs are multiples of one curve, but for noise, which is white."""
+    """Doubtful unless the runs are multiples of one curve plus white noise."""
     neighbours = max(_neighbours(way.residual_rad) for way in found)
     noise = math.sqrt(sum(run.noise_rad**2 for run in runs) / len(runs))
     spread = max(float(np.ptp(run.y_rad)) for run in runs)
     if estimate.rms_rad > NEGLIGIBLE * spread and (estimate.rms_rad > NOISY * noise or neighbours > CORRELATED):
         return estimate.judged(
             "doubtful",
-            f"the runs are no multiples of one curve: what is left, {1e3 * estimate.rms_rad:.2g} mrad, is "
-            f"{estimate.rms_rad / noise if noise > 0.0 else math.inf:.1f} times the sensor's noise, and neighbours in "
-            f"it go together by {neighbours:.1f} standard deviations: the motor changed between the runs, friction is "
-            "not Coulomb's alone, the runs do not start from rest, or their times are wrong",
+            f"the runs are not multiples of one curve: the residual, {1e3 * estimate.rms_rad:.2g} mrad, is "
+            f"{estimate.rms_rad / noise if noise > 0.0 else math.inf:.1f} times the sensor's noise, and its neighbours "
+            f"correlate by {neighbours:.1f} standard deviations: the motor changed between the runs, friction is "
+            "more than Coulomb friction, the runs do not start from rest, or their times are wrong",
         )
     return estimate
 
 
 def _neighbours(residual: Array) -> float:
-    """Lag-one autocorrelation of (n, runs - 1) residuals, in standard deviations of that of white noise."""
+    """Lag-one autocorrelation of (n, runs - 1) residuals, in standard deviations for white noise."""
     power = float(np.sum(residual**2))
     return math.sqrt(residual.size) * float(np.sum(residual[1:] * residual[:-1])) / power if power > 0.0 else 0.0
 
 
 def compared_with(estimate: Estimate, whole: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
-    """The friction held to that of a whole motor, ``whole``: doubtful where they differ beyond both intervals."""
+    """Compare the friction with that of ``whole``, an estimate of the whole motor.
+
+    The estimate becomes doubtful if the two differ by more than both intervals together.
+    """
     if "fc_V" not in estimate.ci95 or "fc_V" not in whole.ci95 or whole.verdict == "refused":
         return estimate
     ways = {math.copysign(1.0, Transient.of(series).d_V) for series in tests}
@@ -490,7 +498,7 @@ def compared_with(estimate: Estimate, whole: Estimate, tests: Sequence[TimeSerie
         return estimate
     return estimate.judged(
         "doubtful",
-        f"the {whole.method} estimate says {friction:.4f} V here, and both intervals together do not reach from one to "
-        "the other: friction that depends on speed, or a motor that changed between the runs, would do that; trust "
+        f"the {whole.method} estimate says {friction:.4f} V here, which differs by more than both intervals: "
+        "perhaps friction depends on speed, or the motor changed between the runs; trust "
         f"the {whole.method} estimate",
     )

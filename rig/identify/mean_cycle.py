@@ -1,4 +1,4 @@
-"""The mean of a limit cycle: half periods folded by odd symmetry, averaged point by point (docs/theory.md 3.1, 6.2)."""
+"""The mean of a limit cycle: half periods, folded by odd symmetry and averaged by point (docs/theory.md 3.1, 6.2)."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 class Half:
     """One half period, folded by odd symmetry so that the drive starts at +(h1 + h2).
 
-    tau_s, y_rad  its samples: time since the RC edge (from before it, to after the next), and position
-    inner_s       time of the RB edge after the RC edge, s (t1 + t2). Edges are the equivalent ones of Remark 3.2
-    length_s      to the next RC edge, s
+    tau_s, y_rad  its samples: time since the RC edge, s, and position, rad; from before that edge to after the next
+    inner_s       time from the RC edge to the RB edge, s (t1 + t2); edges are the equivalent ones of Remark 3.2
+    length_s      time to the next RC edge, s
     """
 
     tau_s: Array
@@ -49,10 +49,10 @@ class Wave:
 
 @dataclass(frozen=True)
 class MeanHalf:
-    """The average of the halves that start one way, aligned at their RC edges, folded like them.
+    """The mean of the halves that start in one direction, aligned at their RC edges and folded like them.
 
     at_s, y_rad        n times since the RC edge, s, and positions, rad
-    inner_s, length_s  mean times of the RB edge and of the next RC edge
+    inner_s, length_s  mean times of the RB edge and of the next RC edge, s
     """
 
     at_s: Array
@@ -65,23 +65,23 @@ class MeanHalf:
 class Cycle:
     """The settled limit cycle of a relay test, averaged over its periods.
 
-    h1_V, h2_V       gains
-    period_s, amplitude_rad
-    t1_s, t2_s, t3_s durations of the three stages (docs/theory.md 3.1), t = 0 where the drive steps to +(h1 + h2). The
-                     switchings are the drive's: a sampled relay is late by up to a tick plus the delay
+    h1_V, h2_V       gains, V
+    period_s, amplitude_rad   period, s, and half of peak to peak, rad
+    t1_s, t2_s, t3_s durations of the three stages, s (docs/theory.md 3.1); t = 0 where the drive steps to +(h1 + h2).
+                     They are between edges of the drive: a sampled relay is late by up to a tick plus the delay
     y_rc_rad, y_rb_rad  position at the edges of RC (t = 0) and RB (t = t1 + t2), rad
     y_extremum_rad   position at t1, the minimum
     z_rc_rad_s       integral of position at t = 0, rad s
-    phase, curve_rad averaged curve over one period: phase 0..1, position
+    phase, curve_rad mean curve over one period: phase 0..1, position, rad
     spread_rad       standard deviation between half periods at these phases, rad
     cycles           periods averaged
     scatter          standard deviation between periods of "period_s", "amplitude_rad", "inner_s" (t1 + t2), "t3_s"
     rows             first and last row of the settled cycles in the file
-    waves            what was averaged
-    halves           the halves that start upwards and those that start downwards, averaged apart
-    period_sampling_s, resolution_rad   of the record
-    drive_times_known   whether edges are where the drive acted (t_u_s); else it acted an unknown delay later
-    notes            which rows, and how the gains were found
+    waves            the averaged periods
+    halves           mean of the halves that start upwards, and mean of those that start downwards
+    period_sampling_s, resolution_rad   sampling period, s, and step of the positions, rad
+    drive_times_known   whether edges are at the times of the drive (t_u_s); else the drive acted an unknown delay later
+    notes            rows used, and how the gains were found
     """
 
     h1_V: float
@@ -124,10 +124,11 @@ def average(
     notes: tuple[str, ...] = (),
     drive_times_known: bool = True,
 ) -> Cycle:
-    """Average full periods point by point, aligned at their RC edges, halves folded by odd symmetry (Remark 3.1).
+    """Average full periods point by point, aligned at their RC edges, with halves folded by odd symmetry (Remark 3.1).
 
-    A sampled relay switches at its ticks, so samples of all periods fall on nearly the same times after the edge.
+    A sampled relay switches at its ticks, so the samples of all periods have nearly the same times after the edge.
     An offset of position cancels between the halves.
+    Raises IdentifyError if the edges of RB and RC coincide.
     """
     halves = [half for wave in waves for half in (wave.up, wave.down)]
     inner = float(np.mean([half.inner_s for half in halves]))
@@ -180,11 +181,11 @@ def average(
 
 @dataclass(frozen=True)
 class Bins:
-    """Sums over samples that lie equally far behind their RC edges: (2, waves, bins), of halves up and halves down.
+    """Sums over samples with equal times after their RC edges: (2, waves, bins), for halves up and halves down.
 
-    count, time_s, y_rad, square   how many samples, sums of their times, positions and squared positions
-    inner_s, length_s              (2, waves)
-    sampling_s                     width of a bin
+    count, time_s, y_rad, square   number of samples; sums of their times, positions and squared positions
+    inner_s, length_s              (2, waves), s
+    sampling_s                     width of a bin, s
     """
 
     count: Array
@@ -201,7 +202,7 @@ class Bins:
         halves = [wave.up for wave in waves] + [wave.down for wave in waves]
         tau = np.concatenate([half.tau_s for half in halves])
         y = np.concatenate([half.y_rad for half in halves])
-        # Samples lie at one phase of the grid; centre the bins on it (circular mean).
+        # All samples have one phase of the grid; centre the bins on it (circular mean).
         angle = 2.0 * math.pi * tau / sampling_s
         shift = sampling_s / (2.0 * math.pi) * math.atan2(float(np.sin(angle).mean()), float(np.cos(angle).mean()))
         index = np.round((tau - shift) / sampling_s).astype(int)
@@ -227,7 +228,7 @@ class Bins:
         )
 
     def folded(self) -> tuple[Array, Array, Array]:
-        """Mean time, mean position and its spread in each bin, up and down halves weighing the same."""
+        """Mean time, mean position and its spread in each bin; up and down halves have equal weight."""
         count, time, y, square = (x.sum(axis=(0, 1)) for x in (self.count, self.time_s, self.y_rad, self.square))
         enough = count >= max(1, self.inner_s.size // 2)
         count, time, y, square = count[enough], time[enough], y[enough], square[enough]
@@ -261,8 +262,8 @@ class Bins:
 def _extremum(tau: Array, y: Array, inner_s: float) -> tuple[float, float]:
     """Time and position of the minimum.
 
-    Acceleration jumps at RA, but right of it the curve is smooth: the vertex of a cubic through the samples between
-    the lowest and the RB edge is the extremum.
+    Acceleration jumps at RA, but after it the curve is smooth. The extremum is the vertex of a cubic through the
+    samples between the lowest one and the RB edge.
     """
     near = np.flatnonzero((tau > -0.1 * inner_s) & (tau < inner_s))
     lowest = near[int(np.argmin(y[near]))]

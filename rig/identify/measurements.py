@@ -1,4 +1,4 @@
-"""What estimators work on: the tests in some recordings of one motor, their cycles, and what was against them."""
+"""The data for the estimators: the tests in some recordings of one motor, their cycles, and their defects."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 class Measurements:
     """The tests of one motor.
 
-    tests       relay tests, and plain files whole; the hysteretic runs where there are no others
+    tests       relay tests, and plain files as a whole; hysteretic runs if there are no others
     hysteretic  runs of hysteretic relays
     cycles      for each of ``tests`` its averaged limit cycle, or None
     complaints  why a test has no cycle
-    unsettled   names of the relay tests in which no cycle has settled
-    guarded     what the guard changed of a relay's drive: a sentence for each such test
-    supplies    what a motor supply that is not the config's speaks against
+    unsettled   names of the relay tests without a settled cycle
+    guarded     one sentence for each test in which the guard changed the relay's drive
+    supplies    one sentence for each motor supply that differs from the config
     sources     for each recording its name, and its series
-    notes       what was left out, what was put right, how gains and cycles were found
+    notes       what was left out or corrected, how gains and cycles were found
     """
 
     tests: list[TimeSeries] = field(default_factory=list)
@@ -45,26 +45,26 @@ class Measurements:
 
     @property
     def settled(self) -> list[Cycle]:
-        """The limit cycles that there are."""
+        """The limit cycles that were found."""
         return [cycle for cycle in self.cycles if cycle is not None]
 
     @property
     def periods_s(self) -> list[float | None]:
-        """For each of ``tests`` the period of its cycle, s; None where it has none."""
+        """For each of ``tests`` the period of its cycle, s; None if it has no cycle."""
         return [None if cycle is None else cycle.period_s for cycle in self.cycles]
 
 
 def measurements(recordings: Sequence[Recording], *, with_cycles: bool, plain_is_hysteretic: bool) -> Measurements:
-    """Gather what the recordings hold.
+    """Gather the tests of the recordings.
 
     with_cycles          whether to find the limit cycles
-    plain_is_hysteretic  whether a file without stages may be the run of a hysteretic relay, too
-    Raises IdentifyError where a recording has no test, or there is none that can be read.
+    plain_is_hysteretic  whether a file without stages may also be the run of a hysteretic relay
+    Raises IdentifyError if a recording has no test, or if no test can be used.
     """
     data = Measurements()
     for recording in recordings:
         data.guarded += _guarded(recording)
-        data.supplies += [said for said in _supply(recording) if said not in data.supplies]
+        data.supplies += [reason for reason in _supply(recording) if reason not in data.supplies]
         tests, runs = _series_of(recording, len(recordings) > 1, data.notes)
         if plain_is_hysteretic and not recording.stages():
             runs = tests
@@ -77,12 +77,12 @@ def measurements(recordings: Sequence[Recording], *, with_cycles: bool, plain_is
         data.tests = data.hysteretic
         data.cycles = [None] * len(data.tests)
     if not data.tests:
-        raise IdentifyError("no hysteretic run got as far as its first drive", "record it again: `rig relay CONFIG`")
+        raise IdentifyError("every hysteretic run ended before its first drive", "record again: `rig relay CONFIG`")
     return data
 
 
 def _cycle(test: TimeSeries, data: Measurements) -> Cycle | None:
-    """The limit cycle of a test; where there is none, the data say why."""
+    """The limit cycle of a test. Without one, the reason goes into ``data``."""
     try:
         cycle = find_cycle(test)
     except IdentifyError as error:
@@ -96,24 +96,24 @@ def _cycle(test: TimeSeries, data: Measurements) -> Cycle | None:
 
 
 def _guarded(recording: Recording) -> list[str]:
-    """What the guard changed of the relay's drive, as a sentence for each test."""
-    said = []
+    """One sentence for each test in which the guard changed the relay's drive."""
+    reasons = []
     for stage in recording.stages():
         if kind_of(stage) is StageKind.RELAY:
             rows = recording.flags[recording.stage_rows(stage)]
             changed = int(np.count_nonzero(rows & (FLAG_GUARD_BRAKED | FLAG_GUARD_CLIPPED)))
             if changed:
-                said.append(
+                reasons.append(
                     f"{stage}: the guard changed the drive in {changed} rows, so this is not the relay's own cycle; "
                     "record again with a smaller amplitude or wider limits"
                 )
-    return said
+    return reasons
 
 
 def _supply(recording: Recording) -> list[str]:
-    """What a motor supply that is not the config's speaks against, from meta.json; nothing where that does not tell.
+    """One sentence if the measured motor supply in meta.json differs from the config.
 
-    A plain file and a run of an older version do not.
+    It is empty for a plain file and for a run of an older version: they have no measurement.
     """
     device, drive = recording.meta.firmware, recording.meta.drive
     if device is None or drive is None:
@@ -126,7 +126,7 @@ def _supply(recording: Recording) -> list[str]:
 
 
 def _series_of(recording: Recording, several: bool, notes: list[str]) -> tuple[list[TimeSeries], list[TimeSeries]]:
-    """The relay tests of a run, or all rows of a plain file; and the runs of hysteretic relays."""
+    """The relay tests of a run, or all rows of a plain file; and its runs of hysteretic relays."""
     name = recording.source.name or str(recording.source)
     notes += [f"{name}: {note}" for note in recording.notes]
     stages = recording.stages()
@@ -149,9 +149,9 @@ def _series_of(recording: Recording, several: bool, notes: list[str]) -> tuple[l
         elif series.u_V.any():
             runs.append(series)
         else:
-            notes.append(f"{label}: left out, it ended before its first drive")
+            notes.append(f"{label}: left out, because it ended before its first drive")
         notes += [remark for remark in remarks if remark not in notes]
         saturated = int(np.count_nonzero(recording.flags[rows] & FLAG_SATURATED))
         if saturated:
-            notes.append(f"{label}: the drive was saturated in {saturated} rows; the drive as it acted is used")
+            notes.append(f"{label}: the drive was saturated in {saturated} rows; rig uses the drive that acted")
     return tests, runs

@@ -1,9 +1,8 @@
-"""Noise on a recorded position: white and coloured; and the filter that makes it white (docs/theory.md 7.5).
+"""Noise on a recorded position, white and coloured, and the filter that whitens it (docs/theory.md 7.5).
 
-The position integrates whatever disturbs the motor and whatever is wrong with the times of its drive: what is left of
-it after a fit is coloured. Least squares that take it for white give errors far above the bound and intervals far too
-narrow. The coloured part is an Ornstein-Uhlenbeck process: with a long memory it is a random walk, with a short one
-low-passed noise.
+The position integrates disturbances of the motor and errors in the times of its drive, so the residual of a fit is
+coloured. Least squares for white noise would then give errors far above the bound, and intervals far too narrow. The
+coloured noise is an Ornstein-Uhlenbeck process: a random walk for a long memory, low-passed noise for a short one.
 """
 
 from __future__ import annotations
@@ -16,28 +15,32 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-NEEDED = 8.0  # twice the gain of log likelihood from which on coloured noise is believed
-GRID = 7  # points each way in each round of the search for its memory and size
+NEEDED = 8.0  # twice the gain of log likelihood from which on noise counts as coloured
+GRID = 7  # points of each axis, memory and size, in each round of the search
 ROUNDS = 4
 
 
 @dataclass(frozen=True)
 class Noise:
-    """White noise, and coloured noise of variance ``ratio`` times the white one's that lasts ``memory_s``."""
+    """White noise and coloured noise.
+
+    memory_s  correlation time of the coloured noise, s
+    ratio     variance of the coloured noise over the variance of the white noise; 0: white noise alone
+    """
 
     memory_s: float = 1.0
     ratio: float = 0.0
 
     @property
     def white(self) -> bool:
-        """Whether none of it is coloured."""
+        """Whether there is no coloured noise."""
         return self.ratio == 0.0
 
     def whiten(self, columns: Array, t_s: Array, lengths: Sequence[int]) -> Array:
-        """The rows of ``columns``, (n,) or (n, p), as innovations: white, in units of the white part's.
+        """Innovations of ``columns``, (n,) or (n, p): white, with the standard deviation of the white noise.
 
-        t_s       times of the rows, s
-        lengths   rows of each of the consecutive windows, each with coloured noise of its own
+        t_s       n times of the rows, s
+        lengths   number of rows of each window, in order; each window has coloured noise of its own
         """
         if self.white:
             return columns
@@ -53,10 +56,10 @@ WHITE = Noise()
 
 
 def noise_of(residual: Array, t_s: Array, lengths: Sequence[int]) -> Noise:
-    """The most likely noise of a residual, rad; white unless coloured noise is much likelier.
+    """The most likely noise of a ``residual``, (n,), rad; white unless coloured noise is much more likely.
 
-    t_s       times of the rows, s
-    lengths   rows of each of the consecutive windows
+    t_s       n times of the rows, s
+    lengths   number of rows of each window, in order
     """
     from rig.model.compiled import coloured_noise
 

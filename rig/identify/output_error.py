@@ -1,4 +1,4 @@
-"""Output-error fit: exact motion under the recorded drive, fitted to recorded positions (docs/theory.md 7.1)."""
+"""Output-error fit: exact motion under the recorded drive, fitted to the recorded positions (docs/theory.md 7.1)."""
 
 from __future__ import annotations
 
@@ -17,18 +17,20 @@ from rig.recording.series import TimeSeries, Window, joined_times_s
 
 Array = NDArray[np.float64]
 
-SHARED = 5  # tau, K, fc, asym, delay: what all windows have in common
+SHARED = 5  # number of parameters that all windows share: tau, K, fc, asym, delay
 MAX_ITERATIONS = 100
 LARGEST_LOG_K = 40.0  # keeps exp(log K) finite
-SINGULAR = 1e10  # condition of the scaled Jacobian beyond which parameters cannot be told apart
+SINGULAR = 1e10  # condition of the scaled Jacobian beyond which parameters cannot be separated
 
 
 @dataclass(frozen=True)
 class OutputErrorProblem:
-    """Least squares over windows with tau, K, fc, asym and delay in common, and a v0 and y0 for each window.
+    """Least squares over windows. They share tau, K, fc, asym and delay; each window has its own v0 and y0.
 
-    Internally tau and K are logarithms. ``free`` says which of the shared five are fitted; the others keep the value of
-    the start. ``noise`` is that of the residual, whose whitened squares are minimised.
+    The full vector is log tau, log K, fc, asym, delay, then v0 and y0 of each window.
+
+    free   which of the shared five are fitted; the others keep their start value
+    noise  of the residual; the fit minimises the whitened squares
     """
 
     windows: tuple[Window, ...]
@@ -37,7 +39,7 @@ class OutputErrorProblem:
     noise: Noise = WHITE
 
     def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds of the full vector."""
+        """Lower and upper bounds of the full vector, in its order."""
         period = min(window.period_s for window in self.windows)
         duration = max(window.duration_s for window in self.windows)
         largest = max(float(np.abs(window.steps.u_V).max()) for window in self.windows)
@@ -51,7 +53,7 @@ class OutputErrorProblem:
         return [window.t_s.size for window in self.windows]
 
     def whiten(self, rows: Array) -> Array:
-        """Rows of all windows, filtered so that the noise on them is white."""
+        """``rows`` of all windows, (n,) or (n, p), any unit, filtered so that their noise is white."""
         return self.noise.whiten(rows, joined_times_s(self.windows), self.lengths())
 
     def mask(self) -> NDArray[np.bool_]:
@@ -59,7 +61,7 @@ class OutputErrorProblem:
         return np.array([*self.free, *([True] * (2 * len(self.windows)))])
 
     def residual_and_jacobian(self, x: Array) -> tuple[Array, Array]:
-        """Predicted minus recorded positions of all windows, rad, and the Jacobian by the full vector."""
+        """Predicted minus recorded positions of all windows, rad, and their Jacobian by the full vector ``x``."""
         residuals, blocks = [], []
         tau, K = math.exp(x[0]), math.exp(x[1])
         for k, window in enumerate(self.windows):
@@ -118,7 +120,7 @@ class OutputErrorProblem:
 
 
 def _arrived(jacobian: Array, residual: Array) -> bool:
-    """Whether the next Gauss-Newton step is small beside the standard errors, though the iterations ran out."""
+    """Whether the next Gauss-Newton step is small against the standard errors, although the iterations ran out."""
     step = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
     covariance, _ = covariance_of(jacobian, residual)
     return bool(np.all(np.abs(step) < 0.05 * np.sqrt(np.diag(covariance))))
@@ -126,7 +128,7 @@ def _arrived(jacobian: Array, residual: Array) -> bool:
 
 @dataclass(frozen=True)
 class Solution:
-    """A local solution: full vector, residual, Jacobian (in logarithms of tau and K), iterates, converged or not."""
+    """A local solution: full vector, residual, Jacobian (by log tau and log K), iterates, and whether it converged."""
 
     x: Array
     residual: Array
@@ -146,11 +148,11 @@ def refit(
     free: Sequence[str] = (),
     delay_bounds_s: tuple[float, float] | None = None,
 ) -> Solution:
-    """Prediction of the tests by a given motor: initial states are fitted, and the parameters named in ``free``.
+    """Prediction of the tests by a given motor, with only the initial states and the ``free`` parameters fitted.
 
-    theta           the motor, where the others start or stay; its v0 and y0 are not used
-    free            names of ``PARAMETERS``
-    delay_bounds_s  bounds of the delay if that is free, s; may be negative
+    theta           the motor: fixed parameters have its values, free ones start there; its v0 and y0 are not used
+    free            names of ``PARAMETERS`` to fit
+    delay_bounds_s  bounds of a free delay, s; they may be negative
     """
     reach = delay_bounds_s or (theta.delay_s, theta.delay_s)
     windows = tuple(test.predictable(max(0.0, reach[1])) for test in tests)
@@ -161,16 +163,17 @@ def refit(
 
 
 def initial_state(window: Window) -> tuple[float, float]:
-    """Velocity and position at the first sample, from a line through the first few."""
+    """Velocity and position at the first sample, from a line through the first few samples."""
     n = 4
     slope, offset = np.polyfit(window.t_s[:n] - window.t_s[0], window.y_rad[:n], 1)
     return float(slope), float(offset)
 
 
 def covariance_of(jacobian: Array, residual: Array) -> tuple[Array, float]:
-    """Covariance of a least-squares solution, (J^T J)^-1 s^2, and the degrees of freedom behind it.
+    """Covariance of a least-squares solution, (J^T J)^-1 s^2, and its degrees of freedom.
 
-    jacobian, residual  (n, p) and (n,), whitened. Infinite where parameters cannot be told apart.
+    jacobian, residual  (n, p) and (n,), whitened
+    The covariance is infinite for parameters that cannot be separated.
     """
     n, p = jacobian.shape
     columns = np.linalg.norm(jacobian, axis=0)

@@ -1,8 +1,8 @@
-"""Signs that a recording is not what its columns' names say: what no fit can notice by itself.
+"""Signs that the columns of a recording are not what their names say. A fit alone cannot notice this.
 
-A motor in milliseconds and millivolts is a motor too, and fits as well. So every column is held to what a bench with a
-small motor, its sensor and its logger can show. A reading outside of it is refused with a question. Where both the
-reading and a thousandth or a thousand times it are conceivable, the estimate is doubtful.
+A motor in milliseconds and millivolts fits just as well. So each column is compared with what a bench with a small
+motor, its sensor and its logger can show. A column outside this range is refused, with a question. The estimate is
+doubtful if both the column and a thousand times or a thousandth of it are possible.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from rig.recording.series import TimeSeries
 
 Array = NDArray[np.float64]
 
-LONGEST_PERIOD_S = 0.5  # between samples: slower than any motor's time constant
-SHORTEST_PERIOD_S = 20e-6  # faster than any logger of positions
+LONGEST_PERIOD_S = 0.5  # between samples: longer than any motor's time constant
+SHORTEST_PERIOD_S = 20e-6  # between samples: shorter than that of any logger of positions
 SHORTEST_RECORD_S = 0.1
 LARGEST_SPAN_RAD = 40.0  # six turns
 SMALL_SPAN_RAD, SMALLEST_SPAN_RAD = 0.04, 0.01
@@ -29,28 +29,28 @@ SMALL_DRIVE_V, SMALLEST_DRIVE_V = 0.1, 0.02
 LONG_TAU_S, LONGEST_TAU_S = 2.0, 20.0
 SHORT_TAU_S, SHORTEST_TAU_S = 2e-3, 0.5e-3
 GAP_PERIODS = 5.0
-LARGE_SPAN_RAD = 12.6  # two turns: more than a potentiometer of one turn shows
+LARGE_SPAN_RAD = 12.6  # two turns: a potentiometer of one turn cannot show more
 
-TIMED_GAP_S = 0.05  # where the times of the drive were recorded, it was held until the next one
-JUMP = 0.25  # of all the travel, in one sampling period: no motor does that
-SPIKE = 0.02  # of all the travel, by which one position stands out from its neighbours,
-SPIKE_NOISES = 10.0  # and in standard deviations of the noise
-MOVED_NOISES = 8.0  # standard deviations of the noise beyond which a change of position is motion,
-MOVED_STEPS = 3.0  # and steps of the sensor
-FEWEST_STEPS = 40.0  # of the sensor over all the travel: an amplitude of 20 (docs/theory.md 4.3)
-RAIL_ROWS = 10  # in a row at exactly one end of the travel, in spite of noise
+TIMED_GAP_S = 0.05  # with recorded times of the drive: the drive stayed constant until the next one
+JUMP = 0.25  # of the whole travel, in one sampling period: no motor moves that fast
+SPIKE = 0.02  # of the whole travel: a spike differs from its neighbours by at least this,
+SPIKE_NOISES = 10.0  # and by so many standard deviations of the noise
+MOVED_NOISES = 8.0  # standard deviations of the noise: a larger change of position is motion,
+MOVED_STEPS = 3.0  # if it is also more than this many steps of the sensor
+FEWEST_STEPS = 40.0  # of the sensor over the whole travel: an amplitude of 20 (docs/theory.md 4.3)
+RAIL_ROWS = 10  # successive rows at exactly one end of the travel, in spite of noise
 FEW_LEVELS = 8
 
 
 class Objection(NamedTuple):
-    """What speaks against a record or a motor, as a sentence that says what to do, and how bad that is."""
+    """A reason not to trust a recording or a motor, with what to do, and the verdict that it gives."""
 
     verdict: Verdict
     reason: str
 
 
 def judge_records(tests: Sequence[TimeSeries]) -> list[Objection]:
-    """Objections to the records: units, columns that do not belong together, holes, a drive that shows too little."""
+    """Objections to the recordings: units, columns that do not belong together, gaps, too little motion."""
     said: list[Objection] = []
     for test in tests:
         said += _columns(test) or [
@@ -75,7 +75,7 @@ def judge_motor(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objecti
 
 
 def _columns(test: TimeSeries) -> list[Objection]:
-    """Signs that u and y are not drive and position of one motor."""
+    """Signs that u and y are not the drive and the position of one motor."""
     y, u = test.y_rad, test.u_V
     name, span = test.name, float(np.ptp(y))
     y_levels, u_levels = np.unique(y).size, np.unique(u).size
@@ -83,11 +83,11 @@ def _columns(test: TimeSeries) -> list[Objection]:
         return [
             Objection(
                 "refused",
-                f"{name}: y_rad takes {y_levels} values and u_V {u_levels}: are the two columns swapped?",
+                f"{name}: y_rad has {y_levels} different values and u_V {u_levels}: are the two columns swapped?",
             )
         ]
     if span == 0.0:
-        return []  # the fit says so
+        return []  # the fit reports that
     steps = np.abs(np.diff(y))
     k = int(np.argmax(np.where(np.diff(test.t_s) < 2.0 * test.period_s, steps, 0.0)))
     if steps[k] > JUMP * span and steps[k] > _motion(test):
@@ -103,14 +103,14 @@ def _columns(test: TimeSeries) -> list[Objection]:
         return [
             Objection(
                 "refused",
-                f"{name}: the motor turns against its drive: reverse the sign of u_V or of y_rad, or are they swapped?",
+                f"{name}: the motor turns against its drive: reverse the sign of u_V or y_rad, or are they swapped?",
             )
         ]
     return []
 
 
 def _turns_against_drive(test: TimeSeries) -> bool:
-    """Whether the drive takes work out of the motor, beyond what noise could make of it: sum of u dy < 0."""
+    """Whether the drive takes work out of the motor, sum of u dy < 0, by more than noise could explain."""
     u, y = test.u_V, test.y_rad
     work = float(u[:-1] @ np.diff(y))
     scatter = test.noise_rad() * float(np.sqrt(np.sum(np.diff(u) ** 2) + u[0] ** 2 + u[-1] ** 2))
@@ -129,7 +129,7 @@ def _units(test: TimeSeries) -> list[Objection]:
     if period > LONGEST_PERIOD_S:
         object_to("refused", f"samples are {period:.3g} s apart: is t_s in milliseconds?")
     elif period < SHORTEST_PERIOD_S:
-        cure = "is t_s in seconds? If it is, keep each tenth row"
+        cure = "is t_s in seconds? If it is, keep every tenth row"
         object_to("refused", f"samples are {period:.3g} s apart: {cure}")
     elif duration < SHORTEST_RECORD_S:
         object_to("doubtful", f"the whole record lasts {duration:.3g} s: is t_s in seconds?")
@@ -172,15 +172,15 @@ def _holes(test: TimeSeries) -> list[Objection]:
         said.append(
             Objection(
                 "doubtful",
-                f"{test.name}: gap of {steps[k]:.3g} s after row {test.first_row + k}: what the drive did in it is "
-                "unknown; identify the part before or after it",
+                f"{test.name}: gap of {steps[k]:.3g} s after row {test.first_row + k}, where the drive is "
+                "unknown: identify the part before or after it",
             )
         )
     return said
 
 
 def _spikes(test: TimeSeries) -> list[Objection]:
-    """Single positions that stand out from the median of their neighbours."""
+    """Single positions that differ from the median of their neighbours."""
     y = test.y_rad
     if y.size < 5:
         return []
@@ -191,18 +191,18 @@ def _spikes(test: TimeSeries) -> list[Objection]:
         return [
             Objection(
                 "doubtful",
-                f"{test.name}: the position in row {test.first_row + k + 2} stands out by {off[k]:.2g} rad from "
-                "those around it: correct or delete this row",
+                f"{test.name}: the position in row {test.first_row + k + 2} differs by {off[k]:.2g} rad from "
+                "the rows around it: correct or delete this row",
             )
         ]
     return []
 
 
 def _rails(test: TimeSeries) -> list[Objection]:
-    """Positions that stay exactly at one end of the travel although there is noise: the sensor's rail."""
+    """Positions that stay exactly at one end of the travel in spite of noise: the end of the sensor's range."""
     y, step = test.y_rad, test.resolution_rad()
     if test.noise_rad() <= max(0.5 * step, 1e-6 * float(np.ptp(y))):
-        return []  # without noise that moves the reading, a turning shaft stays at one step too
+        return []  # without visible noise the reading of a turning shaft can stay at one step, too
     said = []
     for end in (float(y.min()), float(y.max())):
         edges = np.flatnonzero(np.diff(np.concatenate(([False], y == end, [False]))))
@@ -214,14 +214,14 @@ def _rails(test: TimeSeries) -> list[Objection]:
                 Objection(
                     "doubtful",
                     f"{test.name}: the position stays at exactly {end:.4g} rad from row {first} to row "
-                    f"{first + int(lengths[k]) - 1}: the end of the sensor's range or of the travel? Keep off it",
+                    f"{first + int(lengths[k]) - 1}: is it the end of the sensor's range or travel? Keep off it",
                 )
             )
     return said
 
 
 def _information(test: TimeSeries) -> list[Objection]:
-    """Motion that cannot tell the parameters apart, whatever is fitted to it."""
+    """Motion that cannot separate the parameters, in any fit."""
     y = test.y_rad
     motion = _motion(test)
     forth = float(np.max(y - np.minimum.accumulate(y)))
@@ -231,7 +231,7 @@ def _information(test: TimeSeries) -> list[Objection]:
             Objection(
                 "refused",
                 f"{test.name}: the position moves by {1e3 * max(forth, back):.2g} mrad, no more than its noise: "
-                "record with a larger drive, beyond friction",
+                "record with a drive above friction",
             )
         ]
     step = test.resolution_rad()
@@ -249,7 +249,7 @@ def _information(test: TimeSeries) -> list[Objection]:
             *coarse,
             Objection(
                 "refused",
-                f"{test.name}: the motor moves one way only, which cannot tell K, fc and asymmetry apart: record a "
+                f"{test.name}: the motor moves only one way, so K, fc and asymmetry cannot be told apart: record a "
                 "drive that moves it both ways",
             ),
         ]
@@ -257,5 +257,5 @@ def _information(test: TimeSeries) -> list[Objection]:
 
 
 def _motion(test: TimeSeries) -> float:
-    """Change of position that noise and the sensor's steps do not make, rad."""
+    """Smallest change of position that noise and the sensor's steps cannot explain, rad."""
     return max(MOVED_NOISES * test.noise_rad(), MOVED_STEPS * test.resolution_rad())

@@ -1,4 +1,4 @@
-"""What is put right before anything is fitted: the device's clock, and drives whose times are missing."""
+"""Corrections before a fit: the device's clock, and missing times of drives."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rig.recording.stage import Stage
 
 @dataclass(frozen=True)
 class ClockRatio:
-    """Ratio of a recording's times to the host's, and its standard error."""
+    """Ratio of a recording's clock to the host's clock, and its standard error."""
 
     ratio: float
     error: float
@@ -26,7 +26,7 @@ class ClockRatio:
 
 
 def clock_ratio(recording: Recording) -> ClockRatio | None:
-    """Regress t_s on the host's time of each tick (tick * period + lateness); None where that is not recorded."""
+    """Regress t_s on the host's time of each tick (tick * period + lateness); None if that is not recorded."""
     period_s = recording.meta.period_s
     usable = np.isfinite(recording.late_us)
     if period_s is None or not period_s > 0.0 or int(usable.sum()) < 100:
@@ -43,11 +43,11 @@ def clock_ratio(recording: Recording) -> ClockRatio | None:
 
 
 def from_recording(recording: Recording, rows: slice, name: str) -> tuple[TimeSeries, list[str]]:
-    """Rows of a recording as a ``TimeSeries``, and notes on what was done to the times.
+    """Rows of a recording as a ``TimeSeries``, and notes on corrected times.
 
-    Times are divided by the clock ratio over the whole run where that is significant. Rows before the first known t_u_s
-    are dropped; a t_u_s missing between others is filled in with the median latency. Raises IdentifyError,
-    also for fewer than twenty rows.
+    If the clock ratio over the whole run is significant, times are divided by it. Rows before the first known t_u_s are
+    left out. A missing t_u_s between others gets the median latency. Raises IdentifyError for fewer than twenty rows,
+    for times that do not fit the ticks, and as ``TimeSeries`` does.
     """
     first, stop, _ = rows.indices(len(recording))
     if stop - first < FEWEST_ROWS:
@@ -62,7 +62,7 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[TimeSe
         if abs(clock.ratio - 1.0) > 0.03:
             raise IdentifyError(
                 f"{name}: t_s runs {100.0 * (clock.ratio - 1.0):+.1f} % against the ticks and period_s of meta.json",
-                "correct the times; a clock is a few per cent off at most",
+                "correct the times: a clock is wrong by a few per cent at most",
             )
         scale = clock.ratio
         notes.append(f"{name}: times divided by the clock ratio over the run, {scale:.6f} +- {clock.error:.6f}")
@@ -92,6 +92,6 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[TimeSe
 
 
 def _times_error_s(recording: Recording) -> float:
-    """What meta.json says that the times may be wrong by; a CSV file and a run of an older version say nothing."""
-    said = recording.meta.times_error_s
-    return TIMES_ERROR_S if said is None or said < 0.0 else said
+    """Largest error of the times by meta.json, s; the default for a CSV file and for a run of an older version."""
+    error_s = recording.meta.times_error_s
+    return TIMES_ERROR_S if error_s is None or error_s < 0.0 else error_s

@@ -1,4 +1,4 @@
-"""What comes again in each cycle: it does not average out, as noise does."""
+"""The part of a residual that repeats in each cycle. Unlike noise it does not average out."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ Rows = NDArray[np.int64]
 
 
 def repetitions(windows: Sequence[Window], periods_s: Sequence[float | None]) -> list[tuple[Rows, Rows]]:
-    """Pairs of rows one, two, ... whole cycles apart, as far as the windows go; none where there is no cycle."""
+    """Pairs of rows that are one, two, ... whole cycles apart, within the windows; none without a cycle.
+
+    periods_s  for each window the period of its cycle, s, or None
+    """
     pairs = []
     at = 0
     for window, period in zip(windows, periods_s, strict=True):
@@ -30,9 +33,9 @@ def repetitions(windows: Sequence[Window], periods_s: Sequence[float | None]) ->
 
 
 def repeated_share(residual: Array, pairs: Sequence[tuple[Rows, Rows]]) -> float:
-    """Share of a residual's power that comes again in each cycle, 0 to 1; 0 where chance explains it.
+    """Share of the power of a ``residual``, (n,), that repeats in each cycle, 0 to 1; 0 if chance explains it.
 
-    What repeats does not average out over the cycles: the steps of a coarse sensor, or what the model leaves out.
+    Steps of a coarse sensor repeat, and so do effects that the model leaves out.
     """
     power = float(residual @ residual) / residual.size
     count = sum(first.size for first, _ in pairs)
@@ -43,13 +46,15 @@ def repeated_share(residual: Array, pairs: Sequence[tuple[Rows, Rows]]) -> float
 
 
 def with_repetition(covariance: Array, jacobian: Array, pairs: Sequence[tuple[Rows, Rows]], share: float) -> Array:
-    """The covariance of a fit of which ``share`` of the residual's power repeats in each cycle.
+    """The ``covariance``, (p, p), of a fit with the repeated part of its residual: standard errors grow.
 
-    jacobian   (n, p), whitened. Standard errors grow, correlations stay.
+    jacobian   (n, p), whitened
+    share      of the residual's power that repeats in each cycle, 0 to 1
+    Correlations stay as they are.
     """
     if share == 0.0 or not np.all(np.isfinite(covariance)):
         return covariance
-    influence = covariance @ jacobian.T  # (p, n), up to the variance of the residual
+    influence = covariance @ jacobian.T  # (p, n), but for the variance of the residual
     own = np.sum(influence * influence, axis=1)
     again = sum(
         (2.0 * np.sum(influence[:, first] * influence[:, later], axis=1) for first, later in pairs), np.zeros_like(own)

@@ -1,8 +1,8 @@
 """The sampled-data estimator (docs/theory.md 7.2, 7.4 and 7.6): predict the recorded position under the recorded drive.
 
-The commanded voltage is known exactly at every sample, so nothing has to be read off the curve: the exact motor under
-the recorded drive is fitted to the recorded positions by least squares. Any drive that moves the motor both ways
-will do.
+The voltage is known exactly at every sample. So the exact motor under the recorded drive can be fitted to the recorded
+positions by least squares; the curve needs no features such as edges or extrema. Any drive that moves the motor in both
+directions will do.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from rig.recording.series import TimeSeries, Window, joined_times_s, spread_rad
 Array = NDArray[np.float64]
 
 METHOD = "sampled-data"
-POLISHED = 3  # starts that are iterated
-FIRST_CYCLES = 2.5  # length of the part of the record on which they compete, in cycles
-NOISE_ROUNDS = 3  # times that the noise is estimated from the residual, and the fit repeated
-EXACT = 1e-7  # residual over the spread of positions that is rounding
+POLISHED = 3  # number of starts that are iterated
+FIRST_CYCLES = 2.5  # length of the first part of the recording, in cycles: the starts are compared there
+NOISE_ROUNDS = 3  # rounds of estimating the noise from the residual and repeating the fit
+EXACT = 1e-7  # residual over the spread of positions that is only rounding
 
 
 class SampledData(Estimator):
-    """The estimator to use: it takes any drive, and reads it as it acted, whatever the guard changed."""
+    """The estimator to use. It takes any drive, as it acted: the guard may have changed it."""
 
     name = METHOD
 
     def fit(self, data: Measurements) -> Estimate:
-        """Started along the ridge of the first cycle, else from a coarse grid."""
+        """Start along the ridge of the first cycle; without a cycle, from a coarse grid."""
         starts = None
         if data.settled:
             first = data.settled[0]
@@ -51,11 +51,11 @@ class SampledData(Estimator):
         return fit(data.tests, starts, periods_s=data.periods_s)
 
     def judge(self, estimate: Estimate, data: Measurements, earlier: Mapping[str, Estimate]) -> Estimate:
-        """By the motion itself, in every sample."""
+        """Judge it by the motion in every sample."""
         return settled(judge(estimate, data.tests, data.settled), data)
 
     def notes(self, estimate: Estimate, data: Measurements) -> list[str]:
-        """What an unknown delay costs, and what the guard changed."""
+        """The cost of an unknown delay, and changes of the drive by the guard."""
         return [*filter(None, [confounding(estimate)]), *data.guarded]
 
 
@@ -68,18 +68,18 @@ def fit(
 ) -> Estimate:
     """Fit one motor to all tests.
 
-    The noise is first taken for white; where the residual is coloured, it is fitted again by the noise found in it.
+    The first fit takes the noise for white. If its residual is coloured, the fit is repeated with that noise.
 
-    tests       each with its own initial state
-    starts      first guesses; default: a coarse grid scored by simulation
-    free_delay  fit a constant delay, between -1 period and `TimeSeries.longest_delay_s`; default: only where a test
-                has no t_u_s
-    periods_s   for each test the period of its limit cycle, s, or None where it has none; default: that of its drive
+    tests       each has its own initial state
+    starts      first guesses; default: a coarse grid, scored by simulation
+    free_delay  whether to fit a constant delay, between -1 period and `TimeSeries.longest_delay_s`; default: only if a
+                test has no t_u_s
+    periods_s   for each test the period of its limit cycle, s, or None without a cycle; default: the drive's period
     Returns an ``Estimate`` with verdict "ok" unless the fit itself failed; `SampledData.judge` judges it.
     Raises IdentifyError if there is nothing to fit.
     """
     free = any(test.t_u_s is None for test in tests) if free_delay is None else free_delay
-    # a drive that acts at once must not lie at a bound, and a slipped row shows as a negative delay
+    # A delay of 0 must not lie at a bound, and a column that is off by a row shows as a negative delay.
     earliest = -max(test.period_s for test in tests)
     bounds = (earliest, max(test.longest_delay_s for test in tests)) if free else (0.0, 0.0)
     windows = tuple(test.predictable(bounds[1]) for test in tests)
@@ -111,10 +111,10 @@ def fit(
 
 
 def _extended(problem: OutputErrorProblem, candidates: Sequence[Array], first_s: float, last_s: float) -> Solution:
-    """Solution on the whole record by way of ever longer parts of it.
+    """Solution on the whole recording, by way of ever longer parts of it.
 
-    A small error of asymmetry or friction runs away over a long test, which makes false minima. Over a few cycles it
-    does not: the starts compete there, and the winner stays near the minimum while the record grows.
+    Over a long test a small error of asymmetry or friction grows, and makes false minima. Over a few cycles it does
+    not. So the starts are compared there, and the best one stays near the minimum while the part grows.
     """
     horizon_s = first_s
     best: Solution | None = None
@@ -133,12 +133,12 @@ def _extended(problem: OutputErrorProblem, candidates: Sequence[Array], first_s:
 
 
 def _exact(solution: Solution, windows: Sequence[Window]) -> bool:
-    """Whether what is left is rounding."""
+    """Whether the residual is only rounding."""
     return math.sqrt(solution.cost / solution.residual.size) < EXACT * spread_rad(windows)
 
 
 def _score(windows: Sequence[Window], start: Start, delay_s: float) -> tuple[float, Array]:
-    """Sum of squares of a start after its linear part (gain, offset, drift) is solved, and the full vector it gives."""
+    """Sum of squares of a start, with its linear part (gain, offset, drift) solved, and the resulting full vector."""
     gain = start.K_rad_s_V
     states = [initial_state(window) for window in windows]
     cost = math.inf
@@ -159,7 +159,7 @@ def _score(windows: Sequence[Window], start: Start, delay_s: float) -> tuple[flo
         cost = float(residual @ residual)
     if not math.isfinite(gain):
         gain = 1.0
-    # What is left of a drift over the record is asymmetry.
+    # A remaining drift over the recording is asymmetry.
     drifts = []
     for window, (v0, y0) in zip(windows, states, strict=True):
         y = position(Theta(start.tau_s, gain, start.fc_V, 0.0, delay_s, v0, y0), *window.steps, window.t_s)

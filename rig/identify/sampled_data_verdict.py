@@ -1,4 +1,4 @@
-"""Whether to believe a sampled-data estimate: its intervals, bounds and residual, and what the motion itself says."""
+"""The verdict on a sampled-data estimate: its intervals, bounds and residual, and checks of the motion."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries
 
 NOISY, TOO_NOISY = 3.0, 8.0  # residual over the sensor's noise
-REPEATED = 0.3  # share of the residual's power that comes again in each cycle
-NEGLIGIBLE = 0.003  # residual over the spread of positions, below which it is no objection
-SLIPPED = 0.3  # of a period, by which the drive seems to act beside its recorded times
-TRANSFER = 1.5  # residual of a second test predicted by the first's model, over that of its own
-STUCK = 0.3  # of the time
+REPEATED = 0.3  # share of the residual's power that repeats in each cycle
+NEGLIGIBLE = 0.003  # residual over the spread of positions, below which it does not matter
+SLIPPED = 0.3  # of a period: largest difference between the recorded times of the drive and those that fit best
+TRANSFER = 1.5  # residual of a test predicted by the first test's model, over the residual of its own fit
+STUCK = 0.3  # share of the time in which the motor stands still
 
 
 def judge(estimate: Estimate, tests: Sequence[TimeSeries], cycles: Sequence[Cycle]) -> Estimate:
@@ -43,7 +43,7 @@ def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     duration = max(float(test.t_s[-1] - test.t_s[0]) for test in tests)
     if estimate.tau_s < 0.5 * period:
         return estimate.judged(
-            "refused", f"tau = {estimate.tau_s:.3g} s is too fast for samples every {period:.3g} s: sample faster"
+            "refused", f"tau = {estimate.tau_s:.3g} s is too short for samples every {period:.3g} s: sample faster"
         )
     if estimate.tau_s > 2.0 * duration:
         return estimate.judged(
@@ -79,8 +79,8 @@ def _residual(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     if share > NEGLIGIBLE and estimate.repeated > REPEATED:
         estimate = estimate.judged(
             "doubtful",
-            f"{100 * estimate.repeated:.0f} % of the residual ({1e3 * estimate.rms_rad:.2g} mrad) comes again in each "
-            "cycle: the motor is not tau, K and Coulomb friction alone (Stribeck effect, backlash, stops?), or its "
+            f"{100 * estimate.repeated:.0f} % of the residual ({1e3 * estimate.rms_rad:.2g} mrad) repeats in each "
+            "cycle: the motor is more than tau, K and Coulomb friction (Stribeck effect, backlash, stops?), or its "
             "sensor is too coarse for this amplitude",
         )
     if share > NEGLIGIBLE and estimate.rms_rad > NOISY * noise:
@@ -88,13 +88,13 @@ def _residual(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
         return estimate.judged(
             "refused" if ratio > TOO_NOISY and share > 0.1 else "doubtful",
             f"the residual, {1e3 * estimate.rms_rad:.2g} mrad, is {ratio:.1f} times the sensor's noise: "
-            "the motor is not tau, K and Coulomb friction alone (stops, backlash, loads?), or the times are wrong",
+            "the motor is more than tau, K and Coulomb friction (stops, backlash, loads?), or the times are wrong",
         )
     return estimate
 
 
 def _asymmetry(estimate: Estimate) -> Estimate:
-    """The asymmetry is clearly beyond the friction: one direction would be driven by it, which no friction does."""
+    """Doubtful if the asymmetry is clearly larger than the friction: it would drive the motor, and friction cannot."""
     beyond = abs(estimate.asym_V) - estimate.fc_V
     error = math.sqrt(max(0.0, float(estimate.covariance[2, 2] + estimate.covariance[3, 3])))
     if beyond > 3.0 * error and beyond > 0.01 * abs(estimate.asym_V):
@@ -107,7 +107,7 @@ def _asymmetry(estimate: Estimate) -> Estimate:
 
 
 def confounding(estimate: Estimate) -> str | None:
-    """How much of tau's error is due to an unknown delay, in words; None where the delay was known."""
+    """How much of tau's error comes from an unknown delay, as a sentence; None for a known delay."""
     shared = float(estimate.correlation[0, 4])
     if not math.isfinite(shared):
         return None
@@ -121,9 +121,9 @@ def confounding(estimate: Estimate) -> str | None:
 
 
 def _row_convention(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
-    """With known t_u_s the drive must act then: a free delay has to come out as nothing.
+    """With a known t_u_s the drive must act at that time, so a free delay must come out as zero.
 
-    Nothing is also what the link's own times may be wrong by: a record without noise shows microseconds.
+    The error of the link's times counts as zero, too: a recording without noise shows microseconds.
     """
     if any(test.t_u_s is None for test in tests):
         return estimate
@@ -149,8 +149,8 @@ def _row_convention(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate
         return estimate.judged(
             "doubtful",
             f"with the drive {1e3 * abs(slip):.2g} ms {'later' if slip > 0.0 else 'earlier'} the fit is better and "
-            f"{' and '.join(shifted)} out of the interval: t_u_s is not when the drive acted, or rows between these "
-            "were left out; record every tick",
+            f"{' and '.join(shifted)} outside the interval: t_u_s is not when the drive acted, or rows are missing; "
+            "record every tick",
         )
     return estimate
 
@@ -180,7 +180,7 @@ def _sticking(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
 
 
 def _transfer(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
-    """Of several tests, the first one's model has to predict the others nearly as well as their own."""
+    """The model of the first test must predict the other tests nearly as well as their own models do."""
     if len(tests) < 2:
         return estimate
     theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, estimate.delay_s)
@@ -199,11 +199,11 @@ def _transfer(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
             if rms > NEGLIGIBLE * spread_rad([test]):
                 ratios.append(math.sqrt(given.cost / own.cost) if own.cost > 0.0 else math.inf)
     except IdentifyError:
-        return estimate  # too short to be fitted alone
+        return estimate  # a test is too short for a fit of its own
     if ratios and max(ratios) > TRANSFER:
         return estimate.judged(
             "doubtful",
             f"the first test's model predicts another with {max(ratios):.1f} times the residual of its own fit: "
-            "friction or gain depend on speed, amplitude or temperature; record the tests nearer to the use",
+            "friction or gain depend on speed, amplitude or temperature; record tests like the motion of the later use",
         )
     return estimate

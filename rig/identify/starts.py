@@ -1,4 +1,4 @@
-"""First guesses of a motor: from a limit cycle by its describing function, and for any drive."""
+"""First guesses of a motor: from a limit cycle by the describing function, or from a grid for any drive."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Start(NamedTuple):
 
 
 def ridge_starts(omega_rad_s: float, amplitude_rad: float, h1_V: float, h2_V: float) -> list[Start]:
-    """Starts along the ridge of the describing function (docs/theory.md 4.1): fc a fraction of h2, then tau and K."""
+    """Starts along the ridge of the describing function (docs/theory.md 4.1): fc as fractions of h2, then tau, K."""
     starts = []
     for fraction in (0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8):
         beyond = h2_V * (1.0 - fraction)
@@ -33,7 +33,7 @@ def ridge_starts(omega_rad_s: float, amplitude_rad: float, h1_V: float, h2_V: fl
 
 
 def grid_starts(windows: Sequence[Window]) -> list[Start]:
-    """A coarse grid over tau and fc for any drive; K is left to the linear part of the score."""
+    """A coarse grid over tau and fc for any drive. The linear part of the score finds K."""
     largest = max(float(np.abs(window.steps.u_V).max()) for window in windows)
     period = min(window.period_s for window in windows)
     duration = max(window.duration_s for window in windows)

@@ -1,10 +1,10 @@
-"""The triple-relay estimator (docs/theory.md 6.1 and 6.3): Theorem 2.1 turned round.
+"""The triple-relay estimator (docs/theory.md 6.1 and 6.3): the inverse of Theorem 2.1.
 
-Friction is the third relay, so one steady cycle determines tau, K and fc: in the paper's form by three durations and
-two positions, five equations (``solve``). A sampled relay switches late, so that its edges are no zero crossings. For a
-recorded cycle (``solve_cycle``) its planes are therefore the positions measured at the edges, and the extremum follows
-from the motor that is sought: one fit, to the averaged curve, of the steady motion under the recorded edges. Damped
-Gauss-Newton from several starts in either case.
+Friction is the third relay, so one steady cycle determines tau, K and fc. The paper's form has five equations, for
+three durations and two positions (``solve``). A sampled relay switches late, so its edges are not zero crossings. For a
+recorded cycle (``solve_cycle``) the switching planes are the positions measured at the edges, and the extremum follows
+from the motor: the steady motion under the recorded edges is fitted to the mean curve. Both use damped Gauss-Newton
+from several starts.
 """
 
 from __future__ import annotations
@@ -29,31 +29,31 @@ from rig.recording.errors import IdentifyError
 Array = NDArray[np.float64]
 
 METHOD = "triple-relay"
-FINE_SAMPLING = 120.0  # samples a cycle below which averaging cycles that jitter costs over 4 %
+FINE_SAMPLING = 120.0  # samples in a cycle: with fewer, averaging cycles that jitter costs more than 4 %
 MAX_ITERATIONS = 60
-FARTHEST = 12.0  # of the logarithms of tau and K from the cycle's own
-LEAST_FRICTION = -0.1  # in units of h2: a motor without friction may seem to have a little less
-SAME = 1e-3  # relative difference in tau and K, and of fc to h2, of starts that lead to one solution
-EXACT, ROUGH = 1e-9, 1e-4  # last step in log tau, log K, and the others relative to their size
-FAR, NEAR = 1e-3, 1e-8  # first damping from a guess, and from a solution
-FEW_SAMPLES = 60  # of each half: enough to tell which start leads to the best solution
-LONGEST_DELAY = 2.0  # sampling periods, where t_u_s is not known
+FARTHEST = 12.0  # largest distance of log tau and log K from the cycle's own
+LEAST_FRICTION = -0.1  # in units of h2: a motor without friction may seem to have a little less than none
+SAME = 1e-3  # largest difference between equal solutions: relative in tau and K, of fc in units of h2
+EXACT, ROUGH = 1e-9, 1e-4  # last step of log tau and log K, and of the others relative to their size
+FAR, NEAR = 1e-3, 1e-8  # first damping, from a guess and from a solution
+FEW_SAMPLES = 60  # of each half: enough to see which start leads to the best solution
+LONGEST_DELAY = 2.0  # sampling periods, if t_u_s is not known
 
 
 class TripleRelay(Estimator):
-    """A reference: of several tests it takes the one whose cycles scatter least."""
+    """A reference estimator. Of several tests it takes the one whose cycles scatter least."""
 
     name = METHOD
 
     def applies(self, data: Measurements) -> IdentifyError | None:
-        """From one settled cycle on."""
+        """It needs one settled cycle."""
         if data.settled:
             return None
         nothing = IdentifyError("there is no relay test", "record one: `rig relay CONFIG`")
         return data.complaints[-1] if data.complaints else nothing
 
     def fit(self, data: Measurements) -> Estimate:
-        """From the averaged curve; the describing function gives the first start where there are two tests."""
+        """Fit the mean curve. With two tests the describing function gives the first start."""
         cycles = data.settled
         first = None
         if describing_function.lacking(cycles) is None:
@@ -64,15 +64,15 @@ class TripleRelay(Estimator):
         return min(estimates, key=lambda e: e.covariance[0, 0] / e.tau_s**2 if e.covariance[0, 0] >= 0.0 else np.inf)
 
     def judge(self, estimate: Estimate, data: Measurements, earlier: Mapping[str, Estimate]) -> Estimate:
-        """Doubtful where the relay decides too seldom in a cycle."""
+        """Doubtful if the relay decides too seldom in a cycle."""
         bias = sampling_bias(estimate.cycles, max(test.period_s for test in data.tests))
         return unguarded(settled(judge_reference(estimate, data.tests, bias), data), data)
 
 
 def sampling_bias(cycles: Sequence[Cycle], tick_s: float) -> str | None:
-    """What averaging cycles that jitter costs, as a sentence; None where samples are fine enough (docs/theory.md 6.3).
+    """The cost of averaging cycles that jitter, as a sentence; None for fine enough samples (docs/theory.md 6.3).
 
-    tick_s  between two decisions of the relay
+    tick_s  time between two decisions of the relay
     """
     shortest_s = min((cycle.period_s for cycle in cycles), default=math.inf)
     if shortest_s >= FINE_SAMPLING * tick_s:
@@ -85,13 +85,13 @@ def sampling_bias(cycles: Sequence[Cycle], tick_s: float) -> str | None:
 
 
 class Features(NamedTuple):
-    """What is read off a cycle; t = 0 where the drive steps to +(h1 + h2).
+    """Features of a cycle; t = 0 where the drive steps to +(h1 + h2).
 
     t1_s, t2_s, t3_s   durations of the stages, s
-    y_extremum_rad     position at t1
-    y_rc_rad           position at t = 0
-    y_rb_rad, z_rc_rad_s   position at the RB edge and integral at the RC edge: zero for an ideal relay; measured at the
-                       edge for a sampled one, which switches late
+    y_extremum_rad     position at t1, rad
+    y_rc_rad           position at t = 0, rad
+    y_rb_rad, z_rc_rad_s   position at the RB edge, rad, and integral at the RC edge, rad s: zero for an ideal relay;
+                       measured at the edge for a sampled relay, which switches late
     """
 
     t1_s: float
@@ -109,10 +109,10 @@ class Fit:
 
     theta     tau, s, K, (rad/s)/V, and fc, V
     cost      sum of squared residuals: of the five equations relative to the cycle's size, or of the curve, rad^2
-    iterates  (n, 3): theta at each iteration from the start that won, the start first
-    converged the last step was negligible
-    asym_V    asymmetry of the drive
-    delay_s   from the recorded edges to the drive's; nan if these are known to be the same
+    iterates  (n, 3): theta at each iteration from the best start; the start is first
+    converged whether the last step was negligible
+    asym_V    asymmetry of the drive, V
+    delay_s   time from the recorded edges to those of the drive, s; nan if they are known to be equal
     """
 
     theta: Start
@@ -141,7 +141,7 @@ def _logarithmic(theta: Start) -> Array:
 
 
 def _conditions(features: Features) -> tuple[Array, Array]:
-    """What the five conditions have to be, and one over their size."""
+    """Targets of the five conditions, and one over their size."""
     amplitude = abs(features.y_extremum_rad)
     omega = math.pi / sum(features[:3])
     measured = [features.z_rc_rad_s, 0.0, features.y_rb_rad, features.y_extremum_rad, features.y_rc_rad]
@@ -149,9 +149,9 @@ def _conditions(features: Features) -> tuple[Array, Array]:
 
 
 def _reach(amplitude_rad: float, half_s: float, h2_V: float) -> tuple[Array, Array]:
-    """Where log tau, log K and fc are looked for.
+    """Range of log tau, log K and fc in the search.
 
-    Far below zero friction there is a minimum that is no motor's; from h2 on there is no cycle (Property 3.1).
+    Far below zero friction there is a minimum that is not a motor. From h2 upwards there is no cycle (Property 3.1).
     """
     omega = math.pi / half_s
     centre = np.array([-math.log(omega), math.log(amplitude_rad * omega / h2_V)])
@@ -159,9 +159,9 @@ def _reach(amplitude_rad: float, half_s: float, h2_V: float) -> tuple[Array, Arr
 
 
 def solve(features: Features, h1_V: float, h2_V: float, starts: Sequence[Start]) -> Fit:
-    """Best solution of the five equations (24)-(29) from the given starts, t1 being known.
+    """Best solution of the five equations (24)-(29) from the given starts, for a known t1.
 
-    Raises IdentifyError if no start leads anywhere.
+    Raises IdentifyError if no start leads to a solution.
     """
     from rig.model.compiled import steady_cycle as compiled
 
@@ -196,13 +196,13 @@ def solve(features: Features, h1_V: float, h2_V: float, starts: Sequence[Start])
 
 
 def solve_cycle(cycle: Cycle, starts: Sequence[Start], halves: tuple[MeanHalf, MeanHalf] | None = None) -> Fit:
-    """The same for an averaged, recorded cycle: its curve under its edges, t1 following from v(t1) = 0.
+    """Best fit to the mean curve of a recorded cycle, under its edges. t1 follows from v(t1) = 0.
 
-    halves   what to fit in place of the cycle's own: averages over some of its waves
-    Beside tau, K and fc it leaves free what the paper's symmetric cycle has not: the asymmetry of the drive, which
-    makes the halves differ, an offset of position, and, without t_u_s, the delay of the drive. All samples weigh the
-    same. A motor that stops before a late RC edge and waits for it is included.
-    Raises IdentifyError if no start leads anywhere.
+    halves   mean halves over some of its waves, to fit in place of the cycle's own
+    Beside tau, K and fc it fits what the paper's symmetric cycle does not have: the asymmetry of the drive, which makes
+    the halves differ; an offset of position; and, without t_u_s, the delay of the drive. All samples have equal weight.
+    The motor may stop before a late RC edge and wait for it.
+    Raises IdentifyError if no start leads to a solution.
     """
     halves = halves or cycle.halves
     few = max(1, *(half.at_s.size // FEW_SAMPLES for half in halves))
@@ -227,7 +227,7 @@ def _descend(
     tolerance: float,
     damping: float,
 ) -> list[tuple[Fit, Array]]:
-    """Solutions from each start, on every ``stride``-th sample; starts without a finite one are left out."""
+    """The solution from each start, on every ``stride``-th sample, without those that are not finite."""
     from rig.model.compiled import steady_cycle as compiled
 
     up, down = halves
@@ -265,7 +265,7 @@ def _all_natural(iterates: Array) -> Array:
 
 
 def _best(fits: Sequence[Fit], h2_V: float) -> Fit:
-    """The first that leads to the solution of least cost."""
+    """The first fit that has the solution of least cost."""
     if not fits:
         raise IdentifyError(
             "no start of the triple-relay equations converges", "record a longer, settled relay test: relay.cycles"
@@ -295,9 +295,9 @@ def features_of(cycle: Cycle) -> Features:
 def fit(cycle: Cycle, start: Start | None = None) -> Estimate:
     """Estimate tau, K and fc, and the asymmetry and an unknown delay, from one averaged cycle.
 
-    start   a first guess, e.g. the describing function's: the two-stage method (Remark 3.3). It goes first, so that its
-            iterates are reported if it leads where the others do
-    Intervals are a jackknife over periods. rms_rad is left to the caller. Raises IdentifyError if nothing converges.
+    start   a first guess, e.g. from the describing function: the two-stage method (Remark 3.3). It is tried first, so
+            its iterates are reported if it leads to the best solution
+    Intervals come from a jackknife over periods. The caller sets rms_rad. Raises IdentifyError if no start converges.
     """
     starts = ridge_starts(cycle.omega_rad_s, cycle.amplitude_rad, cycle.h1_V, cycle.h2_V)
     found = solve_cycle(cycle, ([start] if start is not None else []) + starts)
@@ -319,17 +319,15 @@ def fit(cycle: Cycle, start: Start | None = None) -> Estimate:
     )
     if not found.converged:
         estimate = estimate.judged(
-            "doubtful", f"it has not converged in {MAX_ITERATIONS} iterations: record more settled cycles"
+            "doubtful", f"the fit has not converged in {MAX_ITERATIONS} iterations: record more settled cycles"
         )
     if covariance is None:
-        return estimate.judged(
-            "doubtful", "its interval could not be had from the cycles: record at least ten settled ones"
-        )
+        return estimate.judged("doubtful", "these cycles give no interval: record at least ten settled ones")
     return estimate
 
 
 def _jackknife(cycle: Cycle, found: Fit) -> Array | None:
-    """(5, 5) covariance over periods, each left out in turn; None if one of these does not converge."""
+    """(5, 5) covariance from fits that leave out each period in turn; None if one of them does not converge."""
     bins = Bins.of(cycle.waves, cycle.period_sampling_s)
     n = cycle.cycles
     solutions = np.empty((n, 5))

@@ -1,4 +1,4 @@
-"""Whether to believe an estimate: what the verdicts share; reasons say what to record instead (docs/theory.md 7.7)."""
+"""Rules that the verdicts of all estimators share. Reasons say what to record instead (docs/theory.md 7.7)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from rig.identify.output_error import refit
 from rig.model.sensitivity import Theta
 from rig.recording.series import TimeSeries, joined_times_s
 
-PROMISE = 0.05  # ok means that every parameter is at most this far off,
-SURE = 2.0  # which 95 % intervals so many times narrower promise but for one record in ten thousand
+PROMISE = 0.05  # verdict ok promises that no relative error of a parameter is larger,
+SURE = 2.0  # so a 95 % interval must be this many times narrower: then one recording in ten thousand breaks the promise
 TOO_WIDE = 0.5  # half width of an interval, relative to its parameter
 POOR, TOO_POOR = 0.1, 0.4  # residual of a reference method over the spread of positions
 FEW_CYCLES = 5
@@ -25,10 +25,10 @@ FEW_CYCLES = 5
 def judge_reference(estimate: Estimate, tests: Sequence[TimeSeries], known_bias: str | None = None) -> Estimate:
     """A triple-relay or describing-function estimate with its residual on the tests, and its verdict.
 
-    The residual is that of the exact prediction under the recorded drive, with initial states, asymmetry and an
-    unknown delay fitted.
+    The residual comes from the exact prediction under the recorded drive. Initial states, asymmetry and an unknown
+    delay are fitted.
 
-    known_bias  an error of the method that neither the cycles' scatter nor the interval shows, as a sentence
+    known_bias  an error of the method that neither the scatter of the cycles nor the interval shows, as a sentence
     """
     if not (estimate.tau_s > 0.0 and estimate.K_rad_s_V > 0.0 and estimate.fc_V >= 0.0):
         return estimate.judged(
@@ -44,7 +44,7 @@ def judge_reference(estimate: Estimate, tests: Sequence[TimeSeries], known_bias:
         longest = max(test.longest_delay_s for test in tests)
         free.append("delay_s")
         bounds, delay = (0.0, longest), 0.25 * longest
-        if 0.0 < estimate.delay_s < longest:  # nan where the method knows nothing of it
+        if 0.0 < estimate.delay_s < longest:  # nan if the method does not estimate it
             delay = estimate.delay_s
     theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, delay)
     solution = refit(tests, theta, free, bounds)
@@ -73,9 +73,9 @@ def spread_rad(tests: Sequence[TimeSeries]) -> float:
 
 
 def intervals(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
-    """Judged by the widths of its intervals."""
+    """Judge the estimate by the widths of its intervals."""
     sizes = {"tau_s": estimate.tau_s, "K_rad_s_V": estimate.K_rad_s_V}
-    # a motor without friction has none to be known to a tenth: then the drive is the measure
+    # friction near zero has no useful relative error: then compare with the drive
     sizes["fc_V"] = max(abs(estimate.fc_V), 0.03 * max(float(np.abs(test.u_V).max()) for test in tests))
     for name, size in sizes.items():
         if name not in estimate.ci95:
@@ -85,7 +85,7 @@ def intervals(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
         if not math.isfinite(share):
             return estimate.judged(
                 "refused",
-                f"the record cannot tell {name} from the others: record a drive that moves the motor both ways",
+                f"the recording cannot separate {name} from the others: record a drive that moves the motor both ways",
             )
         if SURE * share > PROMISE:
             estimate = estimate.judged(
@@ -97,7 +97,7 @@ def intervals(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
 
 
 def enough_cycles(estimate: Estimate, cycles: Sequence[Cycle]) -> Estimate:
-    """Judged by the number of settled cycles."""
+    """Judge the estimate by the number of settled cycles."""
     few = [cycle.cycles for cycle in cycles if cycle.cycles < FEW_CYCLES]
     if few:
         return estimate.judged("doubtful", f"only {min(few)} settled cycles: record ten")
@@ -105,7 +105,7 @@ def enough_cycles(estimate: Estimate, cycles: Sequence[Cycle]) -> Estimate:
 
 
 def settled(estimate: Estimate, data: Measurements) -> Estimate:
-    """Refused where relay tests were made and no cycle has settled in any."""
+    """Refused if there are relay tests, but no settled cycle in any of them."""
     if not data.unsettled or data.settled:
         return estimate
     return estimate.judged(
@@ -114,5 +114,5 @@ def settled(estimate: Estimate, data: Measurements) -> Estimate:
 
 
 def unguarded(estimate: Estimate, data: Measurements) -> Estimate:
-    """Doubtful where the guard changed the relay's drive: for methods that take the cycle for the relay's own."""
+    """Doubtful if the guard changed the relay's drive: for methods that need the relay's own cycle."""
     return estimate.judged("doubtful", *data.guarded) if data.guarded else estimate

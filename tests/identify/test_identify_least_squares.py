@@ -204,8 +204,8 @@ REFUSED = {
     "equal drives": (((0.8, 0.5), (0.8, 0.3)), {}, "do not differ"),
     "too little drive": (((0.45, 0.5), (1.0, 0.3)), {}, "does not move the shaft"),
     "between moving and static friction": (((0.6, 0.5), (1.0, 0.3)), {"fs_V": 0.7}, "more than static friction"),
-    "never switched": (((0.8, 0.5), (1.0, 30.0)), {}, "first switching is not in the record"),
-    "one each way": (((0.8, 0.5), (-1.0, 0.3)), {}, "one run alone"),
+    "never switched": (((0.8, 0.5), (1.0, 30.0)), {}, "ends before the first switching"),
+    "one each way": (((0.8, 0.5), (-1.0, 0.3)), {}, "only one run"),
     "too few samples": (((2.0, 0.02), (3.0, 0.02)), {}, "too few"),
 }
 

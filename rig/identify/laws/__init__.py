@@ -1,4 +1,4 @@
-"""The friction laws that the data are asked about, the simplest first: another one is a file, and a line here."""
+"""The candidate friction laws, the simplest first. To add one, write one file, and one line here."""
 
 from rig.identify.laws.asymmetric import Asymmetric
 from rig.identify.laws.coulomb import Coulomb

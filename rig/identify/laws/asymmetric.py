@@ -1,4 +1,4 @@
-"""Coulomb friction that differs between the two directions, or a bias: fc sgn(v) - a. Motion does not tell which."""
+"""Coulomb friction that differs between the two directions, or a bias: fc sgn(v) - a. Motion cannot show which."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from rig.identify.laws.law import CLEAR, Doubt, LawComparison
 
 
 class Asymmetric(Coulomb):
-    """The law of the sampled-data estimate, and what the other laws add to."""
+    """The law of the sampled-data estimate. The other laws add parameters to it."""
 
     name = "asymmetric"
     title = "asymmetric Coulomb friction"
@@ -15,5 +15,5 @@ class Asymmetric(Coulomb):
     confounded_with = ("bias_V",)
 
     def from_one_amplitude(self, against: LawComparison) -> str | Doubt | None:
-        """Within each cycle the two directions are told apart: the criterion alone decides."""
+        """The criterion alone decides: every cycle contains both directions."""
         return f"{against.title}: {against.gained}" if against.gain > CLEAR else None

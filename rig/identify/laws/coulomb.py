@@ -10,7 +10,7 @@ from rig.recording.series import Window
 
 
 class Coulomb(CandidateLaw):
-    """The same both ways, at rest as in motion."""
+    """One level in both directions, at rest and in motion."""
 
     name = "coulomb"
     title = "Coulomb friction"

@@ -1,8 +1,8 @@
-"""What a friction law is, to the fit and to the choice. Each is a file of its own and one entry of ``LAWS``.
+"""The interface of a friction law, for the fit and for the choice. Each law is one file, and one entry of ``LAWS``.
 
-All laws have tau, K, fc and, where it is not known, the delay; all but plain Coulomb friction have the asymmetry asym.
-What a law has beyond these is its ``parameters``. Their vector is called ``own`` here, in the fit's units: natural
-logarithms where a parameter says so. The first is the law's strength: at 0 the law is asymmetric Coulomb friction.
+All laws have tau, K, fc and an unknown delay. All but plain Coulomb friction have the asymmetry asym. A law's further
+parameters are its ``parameters``. The vector ``own`` holds their values in the units of the fit: natural logarithms for
+logarithmic ones. The first is the law's strength: at 0 the law is asymmetric Coulomb friction.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from rig.recording.series import Window
 Array = NDArray[np.float64]
 Range = tuple[float, float]
 
-CLEAR = 10.0  # difference of criterion that decides ("very strong", Kass & Raftery, J. Am. Stat. Assoc. 90, 1995)
+CLEAR = 10.0  # decisive difference of criterion ("very strong", Kass & Raftery, J. Am. Stat. Assoc. 90, 1995)
 SECOND_AMPLITUDE = "record a second relay test of another amplitude"
 
 
 class LawParameter(NamedTuple):
-    """One that a law has beyond tau, K, fc, asym and delay.
+    """A parameter of a law beyond tau, K, fc, asym and delay.
 
     name         with its unit
     step         of forward differences, in the fit's unit
     logarithmic  whether its logarithm is fitted
-    fitted       by least squares; else it is only scanned: the motion depends on it in steps
+    fitted       True: least squares fits it; False: it is only scanned, because the motion depends on it in steps
     """
 
     name: str
@@ -44,9 +44,9 @@ class LawParameter(NamedTuple):
 
 @dataclass(frozen=True)
 class Plain:
-    """The tests as asymmetric Coulomb friction explains them: what a law starts from.
+    """The fit of asymmetric Coulomb friction to the tests. A law starts from it.
 
-    positions_rad  of each window, predicted
+    positions_rad  predicted positions of each window, rad
     """
 
     windows: Sequence[Window]
@@ -67,36 +67,37 @@ class Plain:
 
 
 class Values(NamedTuple):
-    """Parameters as a result reports them, and their standard errors, by name."""
+    """Parameters for the result, and their standard errors, by name."""
 
     parameters: dict[str, float]
     errors: dict[str, float]
 
 
 class Fitted(Protocol):
-    """A law that was fitted, as its ``report`` reads it."""
+    """A fitted law, for its ``report``."""
 
     def value(self, name: str) -> float:
         """A parameter in its unit."""
 
     def error(self, *names: str) -> float | None:
-        """Standard error of a parameter, or of the sum of several; None where one is not fitted."""
+        """Standard error of a parameter, or of the sum of several; None if one of them is not fitted."""
 
 
 class Doubt(NamedTuple):
-    """Why a law cannot be told from the chosen one, and what to record instead."""
+    """Why the tests cannot decide between a law and the chosen one, and what to record instead."""
 
     reason: str
     record: str
 
 
 class LawComparison(NamedTuple):
-    """A law beside the simpler one that is chosen so far.
+    """A law compared with the simpler one that is chosen so far.
 
-    title   of the law; gained   what it gains, in words
+    title   of the law
+    gained  its gain, as words
     gain    of the criterion
-    seen    whether the tests depend on what the law adds
-    ramps   static levels from breakaway ramps, if there are any
+    seen    whether the tests depend on the parameters that the law adds
+    ramps   static levels from breakaway ramps; None without ramps
     """
 
     title: str
@@ -107,14 +108,14 @@ class LawComparison(NamedTuple):
 
 
 class CandidateLaw(Protocol):
-    """A friction law that may be what the data ask for.
+    """A candidate friction law.
 
-    name              as results have it
-    title             in words
+    name              its name in results
+    title             its name in sentences
     asymmetric        whether the two directions may differ
-    parameters        what it adds; () for Coulomb friction
+    parameters        its further parameters; () for Coulomb friction
     has_static_level  whether it holds the motor at rest more strongly than in motion
-    confounded_with   parameters and laws that look like it from one kind of motion
+    confounded_with   parameters and laws that one kind of motion cannot separate from it
     """
 
     name: str
@@ -126,19 +127,19 @@ class CandidateLaw(Protocol):
 
     @property
     def size(self) -> int:
-        """Number of its parameters, an unknown delay not counted: the larger is the richer law."""
+        """Number of its parameters without the delay. The richer law has more."""
         return 3 + self.asymmetric + len(self.parameters)
 
     @abstractmethod
     def position(self, theta: Theta, own: Sequence[float], window: Window) -> Array:
-        """Its part of the model: the positions of a window, rad."""
+        """The predicted positions of a window, rad. ``own``: its own parameters, in the fit's units."""
 
     def position_and_jacobian(self, theta: Theta, own: Sequence[float], window: Window) -> tuple[Array, Array] | None:
-        """The same with the derivatives by ``Theta``, (n, 7); None: they are taken by differences."""
+        """``position`` for ``own``, and its derivatives by ``Theta``, (n, 7). None: the fit takes differences."""
         return None
 
     def trials(self, plain: Plain) -> list[list[float]]:
-        """Values of ``own`` to start from, or to scan. The strength to start from follows from the residual."""
+        """Values of ``own`` to start from or to scan. The fit finds the first strength from the residual."""
         return [[0.0] * len(self.parameters)]
 
     def ranges(self, plain: Plain) -> list[Range]:
@@ -146,21 +147,21 @@ class CandidateLaw(Protocol):
         return [(0.0, plain.largest_V)] * len(self.parameters)
 
     def known(self, plain: Plain, ramps: Ramps | None) -> list[float] | None:
-        """``own`` where the breakaway record gives it; None where it does not."""
+        """``own`` from the breakaway ramps; None if they do not show it."""
         return None
 
     def report(self, fit: Fitted, ramps: Ramps | None) -> Values:
-        """Its own parameters, as far as they were fitted."""
+        """Its own parameters, those that were fitted."""
         own = {p.name: fit.error(p.name) for p in self.parameters}
         errors = {name: error for name, error in own.items() if error is not None}
         return Values({name: fit.value(name) for name in errors}, errors)
 
     def needs(self, against: LawComparison) -> str | Doubt | None:
-        """What it takes before criterion and prediction are asked: a sentence that decides for it, or a doubt."""
+        """A first check, before criterion and prediction: a sentence that decides for the law, a doubt, or None."""
         return None
 
     def from_one_amplitude(self, against: LawComparison) -> str | Doubt | None:
-        """The same where there is no test of another amplitude to be predicted; None: it is not needed."""
+        """The decision without a test of another amplitude: as ``needs``. None: the law is not needed."""
         if against.gain <= CLEAR:
             return None
         return Doubt(f"{against.gained}, without a second amplitude", SECOND_AMPLITUDE)

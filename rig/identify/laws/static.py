@@ -1,4 +1,4 @@
-"""A static level fs > fc, at rest alone: seen only where the motor stands still under a drive."""
+"""A static level fs > fc, at rest alone. It shows only while the motor stands still under a drive."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from rig.identify.laws.coulomb import Coulomb
 from rig.identify.laws.law import CLEAR, Doubt, Fitted, LawComparison, LawParameter, Plain, Values
 from rig.model.sensitivity import Theta
 
-LEVELS = 24  # that are tried,
-LARGEST = 2.0  # up to so many times the moving one
+LEVELS = 24  # number of tried levels
+LARGEST = 2.0  # the largest of them, times the moving level
 
 RAMPS = "record breakaway ramps both ways"
 SLOW_RAMPS = "record breakaway ramps again, slower"
 
 
 class Static(Coulomb):
-    """Known from breakaway ramps, or else the level that explains the motion best."""
+    """The static level comes from breakaway ramps, or else is the one that explains the motion best."""
 
     name = "static"
     title = "Coulomb friction with a static level"
@@ -30,11 +30,11 @@ class Static(Coulomb):
     confounded_with = ("stribeck",)
 
     def static_V(self, theta: Theta, own: Sequence[float]) -> float:
-        """The moving level and what static friction exceeds it by, V."""
+        """The moving level plus the excess of static friction, V; the excess is the entry of ``own``."""
         return theta.fc_V + own[0]
 
     def trials(self, plain: Plain) -> list[list[float]]:
-        """One level between each two drives that occur: between these nothing depends on it."""
+        """One level between each two drives of the tests: the motion is the same for all levels between them."""
         drives = np.concatenate([window.steps.u_V for window in plain.windows])
         levels = np.unique(np.abs(drives + plain.asym_V))
         levels = levels[levels > plain.fc_V]
@@ -49,14 +49,14 @@ class Static(Coulomb):
         return None if ramps is None else [max(0.0, ramps.fs_V - plain.fc_V)]
 
     def report(self, fit: Fitted, ramps: Ramps | None) -> Values:
-        """The level, where ramps or the motion show one; only ramps give its error."""
+        """The level, if ramps or the motion show one. Only ramps give its standard error."""
         if ramps is None and not fit.value("excess_V") > 0.0:
             return Values({}, {})
         level_V = fit.value("fc_V") + fit.value("excess_V")
         return Values({"fs_V": level_V}, {"fs_V": math.nan if ramps is None else ramps.error_V})
 
     def needs(self, against: LawComparison) -> str | Doubt | None:
-        """Both ramps, or a motor that stands still in motion."""
+        """It needs both ramps, or a motor that stands still during a test."""
         ramps = against.ramps
         if ramps is not None and any(ramps.shown):
             if all(ramps.shown) and against.gain > CLEAR:

@@ -1,6 +1,7 @@
 """The Stribeck effect: fs falls to fc over the speed vs, fc + (fs - fc) exp(-|v| / vs).
 
-It hardly differs from another tau, K and fc, and its static level from its velocity: a fit from afar ends anywhere.
+Its motion hardly differs from that of another tau, K and fc, and a change of its static level looks like one of its
+velocity. So a fit must start near the solution.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from rig.identify.laws.law import (
 from rig.model.sensitivity import StribeckTheta, Theta, position, stribeck_response
 from rig.recording.series import Window
 
-SPEEDS = (0.01, 0.03, 0.1, 0.3)  # trials of the Stribeck velocity, over the largest speed
+SPEEDS = (0.01, 0.03, 0.1, 0.3)  # tried Stribeck velocities, over the largest speed
 SPEED_RANGE = (0.003, 1.0)
 
 
@@ -39,7 +40,7 @@ class Stribeck(CandidateLaw):
     confounded_with = ("tau_s", "K_rad_s_V", "fc_V")
 
     def position(self, theta: Theta, own: Sequence[float], window: Window) -> Array:
-        """By Taylor series of bounded error."""
+        """Positions by Taylor series of bounded error, rad. ``own``: its own parameters, in the fit's units."""
         excess, log_speed = own
         if excess <= 0.0:
             return position(theta, *window.steps, window.t_s, theta.fc_V + excess)
@@ -47,12 +48,12 @@ class Stribeck(CandidateLaw):
         return stribeck_response(motor, *window.steps, window.t_s)
 
     def trials(self, plain: Plain) -> list[list[float]]:
-        """A few velocities; none where nothing moves."""
+        """A few velocities; none if the motor does not move."""
         top_rad_s = plain.top_rad_s
         return [[0.0, math.log(share * top_rad_s)] for share in SPEEDS] if top_rad_s > 0.0 else []
 
     def ranges(self, plain: Plain) -> list[Range]:
-        """The excess up to the largest drive, the velocity by the largest speed."""
+        """The excess goes up to the largest drive; the range of the velocity follows from the largest speed."""
         slowest, fastest = (math.log(share * plain.top_rad_s) for share in SPEED_RANGE)
         return [(0.0, plain.largest_V), (slowest, fastest)]
 
@@ -65,6 +66,6 @@ class Stribeck(CandidateLaw):
         return Values({"fs_V": level_V, "stribeck_rad_s": speed}, {"fs_V": level_error, "stribeck_rad_s": speed_error})
 
     def from_one_amplitude(self, against: LawComparison) -> str | Doubt | None:
-        """Never: it looks much like another tau, K and fc there."""
+        """Never decides for it: at one amplitude it looks like another tau, K and fc."""
         wants = f"{against.gained}, but " if against.gain > CLEAR else ""
         return Doubt(f"{wants}at one amplitude it looks like another tau, K and fc", SECOND_AMPLITUDE)
