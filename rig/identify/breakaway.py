@@ -70,7 +70,7 @@ class Ramps(NamedTuple):
 
     fs_V: float
     error_V: float
-    shown: tuple[bool, bool]
+    significant: tuple[bool, bool]
 
     @classmethod
     def of(cls, breakaway: StaticFriction | None, estimate: Estimate) -> Ramps | None:

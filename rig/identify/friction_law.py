@@ -240,7 +240,7 @@ def _ranked(
     parameters = {name: fit.value(name) for name in names} | own.parameters
     errors = {name: error for name in names if (error := fit.error(name)) is not None} | own.errors
     ramps_squared = 0.0  # part of the breakaway ramps in twice the negative log likelihood
-    if ramps is not None and all(ramps.shown) and not fit.law.has_static_level:
+    if ramps is not None and all(ramps.significant) and not fit.law.has_static_level:
         ramps_squared = max(0.0, ramps.fs_V - fit.value("fc_V")) ** 2 / (ramps.error_V**2 + errors["fc_V"] ** 2)
     rows = fit.residual.size
     squares = max(fit.squares, rows * floor_rad**2)  # below rounding there is nothing to explain

@@ -51,12 +51,12 @@ class Objection(NamedTuple):
 
 def judge_records(tests: Sequence[TimeSeries]) -> list[Objection]:
     """Objections to the recordings: units, columns that do not belong together, gaps, too little motion."""
-    said: list[Objection] = []
+    found: list[Objection] = []
     for test in tests:
-        said += _columns(test) or [
+        found += _columns(test) or [
             objection for look in (_units, _holes, _spikes, _rails, _information) for objection in look(test)
         ]
-    return said
+    return found
 
 
 def judge_motor(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objection]:
@@ -121,10 +121,10 @@ def _units(test: TimeSeries) -> list[Objection]:
     name, period = test.name, test.period_s
     y, span, largest = test.y_rad, float(np.ptp(test.y_rad)), float(np.abs(test.u_V).max())
     duration = float(test.t_s[-1] - test.t_s[0])
-    said: list[Objection] = []
+    found: list[Objection] = []
 
     def object_to(verdict: Verdict, reason: str) -> None:
-        said.append(Objection(verdict, f"{name}: {reason}"))
+        found.append(Objection(verdict, f"{name}: {reason}"))
 
     if period > LONGEST_PERIOD_S:
         object_to("refused", f"samples are {period:.3g} s apart: is t_s in milliseconds?")
@@ -157,26 +157,26 @@ def _units(test: TimeSeries) -> list[Objection]:
         object_to("refused", f"the drive never exceeds {1e3 * largest:.2g} mV: is u_V in V?")
     elif 0.0 < largest < SMALL_DRIVE_V:
         object_to("doubtful", f"the drive never exceeds {1e3 * largest:.2g} mV: is u_V in V?")
-    return said
+    return found
 
 
 def _holes(test: TimeSeries) -> list[Objection]:
     """Holes in the samples."""
-    said: list[Objection] = []
+    found: list[Objection] = []
     steps = np.diff(test.t_s)
     k = int(np.argmax(steps))
     allowed_s = GAP_PERIODS * test.period_s
     if test.t_u_s is not None:
         allowed_s = max(allowed_s, TIMED_GAP_S)
     if steps[k] > allowed_s:
-        said.append(
+        found.append(
             Objection(
                 "doubtful",
                 f"{test.name}: gap of {steps[k]:.3g} s after row {test.first_row + k}, where the drive is "
                 "unknown: identify the part before or after it",
             )
         )
-    return said
+    return found
 
 
 def _spikes(test: TimeSeries) -> list[Objection]:
@@ -203,21 +203,21 @@ def _rails(test: TimeSeries) -> list[Objection]:
     y, step = test.y_rad, test.resolution_rad()
     if test.noise_rad() <= max(0.5 * step, 1e-6 * float(np.ptp(y))):
         return []  # without visible noise the reading of a turning shaft can stay at one step, too
-    said = []
+    found = []
     for end in (float(y.min()), float(y.max())):
         edges = np.flatnonzero(np.diff(np.concatenate(([False], y == end, [False]))))
         begins, lengths = edges[::2], edges[1::2] - edges[::2]
         k = int(np.argmax(lengths))
         if lengths[k] >= RAIL_ROWS:
             first = test.first_row + int(begins[k])
-            said.append(
+            found.append(
                 Objection(
                     "doubtful",
                     f"{test.name}: the position stays at exactly {end:.4g} rad from row {first} to row "
                     f"{first + int(lengths[k]) - 1}: is it the end of the sensor's range or travel? Keep off it",
                 )
             )
-    return said
+    return found
 
 
 def _information(test: TimeSeries) -> list[Objection]:

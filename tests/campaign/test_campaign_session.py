@@ -219,7 +219,7 @@ def test_where_all_fail_it_ends_at_once_and_keeps_no_row(tmp_path, monkeypatch, 
         session.run(small(count), tmp_path, jobs=1)
     assert f"the first {min(count, 16)} experiments all failed" in caught.value.cause
     assert "ZeroDivisionError: division by zero (test_campaign_session.py:" in caught.value.cause
-    assert caught.value.cure == f"see where: rig campaign {tmp_path / 'config.yaml'} --experiment 0"
+    assert caught.value.cure == f"repeat it to see where: rig campaign {tmp_path / 'config.yaml'} --experiment 0"
     assert len(seen) < 40
     assert results.read(tmp_path)["number"].size == 0
     monkeypatch.undo()

@@ -58,8 +58,8 @@ class Static(Coulomb):
     def needs(self, against: LawComparison) -> str | Doubt | None:
         """It needs both ramps, or a motor that stands still during a test."""
         ramps = against.ramps
-        if ramps is not None and any(ramps.shown):
-            if all(ramps.shown) and against.gain > CLEAR:
+        if ramps is not None and any(ramps.significant):
+            if all(ramps.significant) and against.gain > CLEAR:
                 return f"{against.title}: both breakaway ramps show it, and {against.gained}"
             return Doubt("the breakaway ramps do not show it clearly both ways", SLOW_RAMPS)
         if ramps is None and not against.seen:
