@@ -11,6 +11,7 @@ from rig.backends.clock import MonotonicClock
 from rig.backends.registry import unopened
 from rig.backends.serial import frames
 from rig.backends.serial.driver import SerialDriver, setup_for
+from rig.backends.serial.fit import Board
 from rig.backends.serial.frames import Code, Hello, Kind, Nack, Setup, State, encode
 from rig.calibration import Calibration, DriveMap, TachometerScale
 from rig.cli import main
@@ -45,7 +46,6 @@ class ScriptedPort:
         self.arriving: list[tuple[float, bytes]] = []
         self.requests = frames.FrameReader()
         self.seq = 0  # of the last request seen
-        self.hellos = 0
         self.dead = False
         self.closed = False
 
@@ -63,7 +63,6 @@ class ScriptedPort:
         (request,) = requests
         self.seq = request.seq
         if request.kind == Kind.HELLO:
-            self.hellos += 1
             if self.t_s >= self.silent_until_s:
                 body = self.hello._replace(now_us=self.device_us(self.t_s + 0.0001)).pack()
                 self.reply(0.0005, encode(Kind.HELLO_REPLY, request.seq, body, self.version))
@@ -276,7 +275,7 @@ def test_the_device_restarts_while_its_clock_is_measured():
 @pytest.mark.parametrize(
     ("hello", "options", "words"),
     [
-        ({"counts_max": 4095}, {"counts_max": 1023}, "reads 0 to 4095"),
+        ({"counts_max": 4095}, {"board": Board(counts_max=1023)}, "reads 0 to 4095"),
         ({"counts_max": 1000}, {}, "rail_counts"),
         ({"features": 0}, {"tachometer": TachometerScale(1.0)}, "tachometer"),
     ],
@@ -299,7 +298,9 @@ def test_a_config_that_does_not_fit_the_device(hello, options, words):
 )
 def test_a_bridge_that_is_not_the_configs(told, config, words):
     """The wrong one can be full drive at 0 V: nothing but questions goes out."""
-    fault = fault_of(make(ScriptedPort(board=2, bridge=told), bridge=config, flashing="type: this line").open)
+    fault = fault_of(
+        make(ScriptedPort(board=2, bridge=told), board=Board(bridge=config, flashing="type: this line")).open
+    )
     assert fault.code == "CONFIG_MISMATCH"
     assert words in fault.detail
 
@@ -310,7 +311,7 @@ def test_a_bridge_that_is_not_the_configs(told, config, words):
 )
 def test_a_bridge_that_is_the_configs_or_none(board, told, config):
     """A board that is emulated has none to say, whatever the config names."""
-    make(ScriptedPort(board=board, bridge=told), bridge=config).open()
+    make(ScriptedPort(board=board, bridge=told), board=Board(bridge=config)).open()
 
 
 # ---------------------------------------------------------------------- what is latched already

@@ -20,7 +20,6 @@ from rig.config import dump, load
 from rig.config.schema import Experiment
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
-PORT = {"rtu": "emulated", "tcp": "emulated-tcp"}
 WATCHDOG_MS = 800
 
 

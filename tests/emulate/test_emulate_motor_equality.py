@@ -18,8 +18,10 @@ from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.frames import Code, Kind, Setup, encode, pack_ack, pack_arm, pack_drive
 from rig.calibration import DriveMap
 from rig.model.bench import Bench, BenchParameters, DriveWiring, SensorWiring
-from rig.model.friction import Friction, coulomb
+from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Motor, State
+from rig.model.step import next_segment
+from rig.model.stribeck import ORDER
 
 NO_STOPS = (-1e6, 1e6)
 
@@ -73,6 +75,36 @@ def test_motion_with_stops_equals_small_steps_of_the_python_bench(
             bench.advance(dt_s / n)
     assert -2.1 <= y <= 2.3
     assert abs(y - bench.state.y) <= 2.0 * fastest * total_s / n + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("friction", "v0", "u_V", "duration_s", "segments"),
+    [
+        (coulomb(0.4, 0.6), 0.0, 0.5, 1.0, [(False, 0.0, None)]),  # sticks
+        (coulomb(0.4, 0.6), 0.0, -0.7, 1.0, [(False, -1.0, None)]),  # breaks away
+        (coulomb(0.4, 0.6), 3.0, -2.0, 1.0, [(False, 1.0, 0.0), (False, -1.0, None)]),  # reverses
+        (coulomb(0.4, 0.6), -3.0, 0.5, 2.0, [(False, -1.0, 0.0), (False, 0.0, None)]),  # stops and is held
+        (tustin(0.4, 0.6, 0.01), 4.0, 0.1, 2.0, [(False, 1.0, 0.01), (True, 1.0, None)]),  # the effect begins
+        (tustin(0.4, 0.6, 0.3), 0.05, 0.1, 1.0, [(True, 1.0, 0.0), (False, 0.0, None)]),  # rests under it
+    ],
+)
+def test_each_kind_of_segment_in_c_is_that_of_the_model(
+    friction: Friction, v0: float, u_V: float, duration_s: float, segments: list[tuple[bool, float, float | None]]
+) -> None:
+    """``segments``: the first ones: whether a series, the direction, and the velocity at the event that ends it."""
+    motor = Motor(0.17, 6.5, friction)
+    room = [0.0] * (ORDER + 1), [0.0] * (ORDER + 1)
+    v, left_s = v0, duration_s
+    for is_series, sign, end in segments:
+        segment = next_segment(motor.plant, v, u_V, left_s, *room)
+        assert (segment.is_series, segment.sign) == (is_series, sign)
+        if end is None:
+            break
+        assert segment.end_rad_s == 0.0 if end == 0.0 else segment.end_rad_s > end
+        v, left_s = segment.end_rad_s, left_s - segment.duration_s
+    state = motor.advance(State(v0, 0.2), u_V, duration_s)
+    board = VirtualBoard(BenchParameters(motor, stop_rad=NO_STOPS))
+    assert board.motion(v0, 0.2, u_V, duration_s) == pytest.approx((state.v, state.y), rel=1e-9, abs=1e-9)
 
 
 def test_a_stop_is_met_at_the_exact_instant_and_left_at_once() -> None:

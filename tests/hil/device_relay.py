@@ -6,7 +6,6 @@ import ctypes
 
 from rig.backends.serial.emulated import firmware_build
 
-ABOVE_POSITIVE, ABOVE_NEGATIVE, BELOW_POSITIVE, BELOW_NEGATIVE = range(4)
 COUNT = 16  # y of one count
 COUNT_TICK = 32  # z of one count for one tick
 Z_MAX = 2**30

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +18,6 @@ import rig.experiment
 import rig.session
 from rig.backends.driver import RelayCommand, RelayDriver, RelayRow
 from rig.backends.emulated.bench import bench_parameters
-from rig.backends.registry import Bench
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.frames import STATUS_RELAY, Block, Code, FrameReader, Kind, Nack, Packet, RelaySetup, encode
@@ -37,6 +35,7 @@ from rig.model.cycle_detector import CycleDetector
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.recording.reader import read_run
+from rig.testing.line import on_device
 
 GAINS_V = (0.4, 0.85)
 RELAY = RelaySetup((-80, 30, -30, 80), 512 * 16, 5_000_000, 1, 10)
@@ -479,27 +478,19 @@ def test_a_test_that_never_settles_ends_and_keeps_its_rows() -> None:
 # ---------------------------------------------------------------------- the whole experiment, by one key
 
 
-@contextmanager
-def virtual_bench(experiment: Experiment) -> Iterator[Bench]:
-    """What `connect` gives, with the emulated board in virtual time."""
+def board_of(experiment: Experiment) -> VirtualBoard:
+    """The emulated board of a config, in virtual time."""
     assert experiment.emulated is not None
-    board = VirtualBoard(
-        bench_parameters(experiment.emulated), experiment.seed, clock_error_ppm=experiment.emulated.clock_error_ppm
-    )
-    driver = SerialDriver(
-        board, experiment.sensor.curve, experiment.drive.map, experiment.sensor.rail_counts, emulated=True
-    )
-    info = driver.open()
-    yield Bench(driver, board, info, bench_parameters(experiment.emulated))
-    driver.close()
+    bench, error_ppm = bench_parameters(experiment.emulated), experiment.emulated.clock_error_ppm
+    return VirtualBoard(bench, experiment.seed, clock_error_ppm=error_ppm)
 
 
 @pytest.mark.parametrize("where", ["host", "device"])
-def test_the_experiment_runs_either_way_by_one_key(where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rig.session, "connect", virtual_bench)
+def test_the_experiment_runs_either_way_by_one_key(where: str, tmp_path: Path) -> None:
     experiment = load(Path(__file__).parents[2] / "config" / "device-relay.yaml")
     relay = Relay(where=where, gains=(Gains(h1_V=0.4, h2_V=0.85),), cycles=5)  # type: ignore[arg-type]
-    outcome = rig.experiment.run_relay(experiment.model_copy(update={"relay": relay}), tmp_path)
+    with on_device(board_of):
+        outcome = rig.experiment.run_relay(experiment.model_copy(update={"relay": relay}), tmp_path)
     assert outcome.failure == ""
     recording = read_run(outcome.folder)
     rows = recording.stage_rows("relay-1")

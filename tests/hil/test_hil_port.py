@@ -10,6 +10,7 @@ from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.backends.serial.emulated.host_board import HostBoard
+from rig.backends.serial.fit import Board
 from rig.calibration import Calibration, DriveMap
 from rig.config.schema import Emulated
 from rig.faults import Fault
@@ -28,7 +29,7 @@ def connect(port):
     # a shared machine may hold a process up for long
     transport, drive_map = SerialPort(port), DriveMap(supply_V=12.0)
     return SerialDriver(
-        transport, CALIBRATION, drive_map, (5, 1018), 2.0, counts_max=1023, bridge="pwm-dir", name=f"serial:{port}"
+        transport, CALIBRATION, drive_map, (5, 1018), 2.0, board=Board(1023, "pwm-dir"), name=f"serial:{port}"
     )
 
 

@@ -42,7 +42,7 @@ def test_what_is_promised_is_what_was_asked_for() -> None:
 
 def test_a_broken_promise_is_found_and_shown() -> None:
     broken = measure(PROMISES[0]._replace(bound_s=0.095), 2)
-    assert broken.late == 2 and "**late: 2**" in row(broken)
+    assert broken.late == 2 and "**late: 2**" in row(broken)[3]
     errors, guesses = garbage.Errors(1, 1, 0), garbage.Guesses(1, 0)
     kept = Found("", [broken._replace(late=0)], [garbage.Thrown(115200, 1, 0)], errors, guesses, {})
     assert is_kept(kept)
@@ -107,4 +107,4 @@ def test_the_page_is_what_the_command_writes() -> None:
     page = render(found)
     head = "| what happens | driven by | off within | worst | coast, rad | in all, rad |"
     assert head in page and head in PAGE.read_text(encoding="utf-8")
-    assert row(some) in page and "took 2 (1.0 are to be expected)" in page and "7e-13" in page
+    assert f"| {' | '.join(row(some))} |" in page and "took 2 (1.0 are to be expected)" in page and "7e-13" in page

@@ -8,8 +8,6 @@ long. The host's drive acts 0.5 to 9.5 ms after its sample, the device's 0.1 ms;
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import statistics
 import sys
@@ -19,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bench.benchmark import options, tell
 from rig.campaign.grid import LONGEST_CYCLE, Draw, draw
 from rig.config import load_campaign
 from rig.config.campaign import Campaign
@@ -29,6 +28,7 @@ from rig.model.motor import State
 from rig.model.sampled_relay import Disturbance, relay_test
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries
+from shared.table import markdown
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "campaign.yaml"
 HOST_S, DEVICE_S = 0.010, 0.001
@@ -105,19 +105,14 @@ def medians(found: list[Found]) -> Found:
 
 def main() -> int:
     """Print the table, or JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true")
+    parser = options("A relay in the device against one in the host.")
     parser.add_argument("--motors", type=int, default=50)
     arguments = parser.parse_args()
     began = time.perf_counter()
     found = compare(arguments.motors)
     host, device = medians(found["host"]), medians(found["device"])
     narrower = sum(d.interval < h.interval for h, d in zip(found["host"], found["device"], strict=True))
-    if arguments.json:
-        numbers = {"motors": arguments.motors, "host": host._asdict(), "device": device._asdict(), "narrower": narrower}
-        print(json.dumps(numbers))
-        return 0
-    print("| median over the motors, worst of tau, K, fc | host, 10 ms | device, 1 ms | ratio |\n|---|---|---|---|")
+    rows = []
     for name, words in (
         ("five_equations", "error of the triple relay by the paper's five equations"),
         ("triple_relay", "error of `triple-relay`"),
@@ -125,9 +120,13 @@ def main() -> int:
         ("interval", "half of the 95 % interval of `sampled-data`"),
     ):
         a, b = getattr(host, name), getattr(device, name)
-        print(f"| {words} | {a:.3%} | {b:.3%} | {b / a:.2f} |")
-    print(
-        f"\nThe interval is narrower for {narrower} of {arguments.motors} motors. {time.perf_counter() - began:.0f} s"
+        rows.append((words, f"{a:.3%}", f"{b:.3%}", f"{b / a:.2f}"))
+    table = markdown(("median over the motors, worst of tau, K, fc", "host, 10 ms", "device, 1 ms", "ratio"), rows)
+    took_s = time.perf_counter() - began
+    tell(
+        {"motors": arguments.motors, "host": host._asdict(), "device": device._asdict(), "narrower": narrower},
+        as_json=arguments.json,
+        text=f"{table}\n\nThe interval is narrower for {narrower} of {arguments.motors} motors. {took_s:.0f} s",
     )
     return 0
 

@@ -10,7 +10,6 @@ finished request and waits for as many bytes as the reply has: the wire and the 
 
 from __future__ import annotations
 
-import argparse
 import gc
 import json
 import os
@@ -27,6 +26,7 @@ from pathlib import Path
 
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 
+from bench.benchmark import options, tell
 from rig.backends.registry import connect
 from rig.config import load
 
@@ -160,14 +160,13 @@ def summary(times: dict[str, list[float]]) -> dict[str, float]:
 
 def main() -> int:
     """Both links, one after the other."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--json", action="store_true")
+    parser = options("A tick over Modbus beyond the wire.")
     parser.add_argument("--rounds", type=int, default=500)
     arguments = parser.parse_args()
     result: dict[str, object] = {"rounds": arguments.rounds, "goal_rig_overhead_median_ms": GOAL_MS}
     for name, kind in (("rtu_pty", "rtu"), ("tcp_loopback", "tcp")):
         result[name] = summary(measured_ms(kind, arguments.rounds))
-    print(json.dumps(result) if arguments.json else json.dumps(result, indent=2))
+    tell(result, as_json=arguments.json, text=json.dumps(result, indent=2))
     return 0
 
 

@@ -8,8 +8,6 @@ belong to the machine and to its load.
 
 from __future__ import annotations
 
-import argparse
-import json
 import subprocess
 import sys
 import tempfile
@@ -19,10 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.benchmark import options, tell
 from rig.recording.columns import SampleRow, format_row
 from rig.recording.layout import ROW
 from rig.recording.recorder import Recorder
 from rig.signals import Sample
+from shared.table import markdown
 
 BASE = "shared memory"
 
@@ -81,22 +81,16 @@ def measure(rows: int, pace_s: float, folder: Path) -> dict[str, dict[str, float
 
 def main() -> int:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description="What recording one row costs the loop.")
+    parser = options("What recording one row costs the loop.")
     parser.add_argument("--rows", type=int, default=1000)
     parser.add_argument("--pace-ms", type=float, default=2.0)
     parser.add_argument("--folder", type=Path, default=None, help="where to write (default: a temporary folder)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
         result = measure(arguments.rows, arguments.pace_ms / 1e3, Path(folder))
-    if arguments.json:
-        print(json.dumps(result))
-        return 0
-    print(f"{'':15}{'median us':>10}{'p99 us':>10}{'ratio':>8}{'p99 ratio':>11}")
-    for name, way in result.items():
-        print(
-            f"{name:15}{way['median_us']:10.1f}{way['p99_us']:10.1f}{way['median_ratio']:8.2f}{way['p99_ratio']:11.2f}"
-        )
+    columns = ("median_us", "p99_us", "median_ratio", "p99_ratio")
+    rows = ((name, *(f"{way[column]:.3g}" for column in columns)) for name, way in result.items())
+    tell(result, as_json=arguments.json, text=markdown(("way", *columns), rows))
     return 0
 
 

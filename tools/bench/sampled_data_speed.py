@@ -8,14 +8,13 @@ event, and has its Jacobian by differences. Both must come to the same motor.
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import time
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from bench.benchmark import options, tell
 from bench.solver_peer import Array, positions
 from rig.campaign.grid import draw, simulate
 from rig.config.campaign import Campaign
@@ -64,10 +63,9 @@ def peer(record: TimeSeries, starts: list[Start]) -> Array:
 
 def main() -> int:
     """Print the median time of a fit over many motors, and its ratio to the peer's on the first."""
-    parser = argparse.ArgumentParser(description="One sampled-data fit against solve_ivp and least_squares.")
+    parser = options("One sampled-data fit against solve_ivp and least_squares.")
     parser.add_argument("--motors", type=int, default=40)
     parser.add_argument("--peers", type=int, default=1, help="motors that the peer fits too (about a minute each)")
-    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     campaign = Campaign(name="speed", experiments=arguments.motors)
     cases = [record_of(campaign, number) for number in range(arguments.motors)]
@@ -95,7 +93,7 @@ def main() -> int:
         "ratio": min(ratios),
         "largest_relative_difference": max(differences),
     }
-    print(json.dumps(result) if arguments.json else "\n".join(f"{k}: {v:.6g}" for k, v in result.items()))
+    tell(result, as_json=arguments.json)
     return 0
 
 

@@ -5,14 +5,13 @@ PYTHONPATH=tools python -m bench.simulator_speed [--json]
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import time
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.benchmark import median_s, options, tell
 from bench.solver_peer import glide
 from rig.control.relay import DualChannelRelay
 from rig.model.friction import coulomb
@@ -53,32 +52,23 @@ def integrated(ticks: int) -> NDArray[np.float64]:
 
 def main() -> int:
     """Print times of a tick, their ratios, and the largest difference of the trajectories."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--json", action="store_true")
-    as_json = parser.parse_args().json
+    as_json = options("The exact simulator against solve_ivp.").parse_args().json
     ticks = 500
-    exact(ticks)
-    times: dict[str, list[float]] = {"compiled": [], "interpreted": []}
-    for _ in range(9):
-        for name, simulate in (("compiled", exact), ("interpreted", interpreted)):
-            begin = time.perf_counter()
-            simulate(ticks)
-            times[name].append(time.perf_counter() - begin)
+    compiled_s, interpreted_s = median_s(lambda: exact(ticks), 9), median_s(lambda: interpreted(ticks), 9)
     begin = time.perf_counter()
     y_integrated = integrated(ticks)
     peer_s = time.perf_counter() - begin
-    medians = {name: sorted(values)[len(values) // 2] for name, values in times.items()}
     result = {
         "ticks": ticks,
-        "compiled_us_per_tick": 1e6 * medians["compiled"] / ticks,
-        "interpreted_us_per_tick": 1e6 * medians["interpreted"] / ticks,
+        "compiled_us_per_tick": 1e6 * compiled_s / ticks,
+        "interpreted_us_per_tick": 1e6 * interpreted_s / ticks,
         "solve_ivp_us_per_tick": 1e6 * peer_s / ticks,
-        "ratio": peer_s / medians["compiled"],
-        "ratio_interpreted": peer_s / medians["interpreted"],
+        "ratio": peer_s / compiled_s,
+        "ratio_interpreted": peer_s / interpreted_s,
         "largest_difference_rad": float(np.abs(exact(ticks) - y_integrated).max()),
         "largest_difference_interpreted_rad": float(np.abs(interpreted(ticks) - y_integrated).max()),
     }
-    print(json.dumps(result) if as_json else "\n".join(f"{k}: {v:.6g}" for k, v in result.items()))
+    tell(result, as_json=as_json)
     return 0
 
 

@@ -10,8 +10,6 @@ What ours computes beyond it is what guard, cycle detector and checks cost.
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import os
 import sys
@@ -22,6 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bench.benchmark import options, tell
 from bench.wake_up import cores, fifo_is_allowed
 from rig.backends.backend import truth_of
 from rig.backends.clock import MonotonicClock
@@ -42,6 +41,7 @@ from rig.recording.record import NoRecord
 from rig.recording.recorder import Recorder
 from rig.results.result import LoopResult
 from rig.signals import Sample
+from shared.table import markdown
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 GAINS_V = (0.8, 1.0)
@@ -171,14 +171,17 @@ class Turns:
             "skipped_percent": round(100.0 * skipped / (ran + skipped), 4),
             **{part: told[part] for part in PARTS},
             "bare": {part: peer[part] for part in PARTS},
-            "compute_p99_ratio_to_bare": round(_p99(summary) / _p99(bare), 2),
+            "compute_p99_ratio_to_bare": _ratio(_p99(summary), _p99(bare)),
         }
 
 
-def _p99(loop: LoopResult) -> float:
-    """99th percentile of law and guard, us."""
-    assert loop.compute_us is not None and loop.compute_us.p99 is not None
-    return loop.compute_us.p99
+def _p99(loop: LoopResult) -> float | None:
+    """99th percentile of law and guard, us; None where a fault ended all turns at once."""
+    return None if loop.compute_us is None else loop.compute_us.p99
+
+
+def _ratio(ours: float | None, bare: float | None) -> float | None:
+    return None if ours is None or bare is None else round(ours / bare, 2)
 
 
 def measure(case: Case, turns: int, folder: Path) -> dict[str, dict[str, Any]]:
@@ -199,34 +202,31 @@ def measure(case: Case, turns: int, folder: Path) -> dict[str, dict[str, Any]]:
 
 def table(results: dict[str, dict[str, Any]]) -> str:
     """For people, as Markdown."""
-    lines = [
-        "| bench, period | ticks | skipped | wake | wire: read | compute | wire: write | record | bare compute |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
+    rows = []
     for name, found in results.items():
         parts = [f"{found[part]['p50']:.0f} / {found[part]['p99']:.0f}" for part in PARTS]
         bare = f"{found['bare']['compute_us']['p50']:.0f} / {found['bare']['compute_us']['p99']:.0f}"
         skipped = f"{found['skipped_percent']:.3g} %"
-        lines.append(f"| {name} | {found['ticks']} | {skipped} | " + " | ".join([*parts, bare]) + " |")
+        rows.append((name, found["ticks"], skipped, *parts, bare))
     faults = [f"{name}: ended by {', '.join(found['faults'])}" for name, found in results.items() if found["faults"]]
-    return "\n".join([*lines, "", "Each: median / p99, us.", *faults])
+    head = (
+        "bench, period", "ticks", "skipped", "wake", "wire: read", "compute", "wire: write", "record", "bare compute",
+    )  # fmt: skip
+    return "\n".join([markdown(head, rows), "", "Each: median / p99, us.", *faults])
 
 
 def main(cases: Sequence[Case] = CASES) -> int:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description="A whole tick, split into its parts.")
+    parser = options("A whole tick, split into its parts.")
     parser.add_argument("--seconds", type=float, default=8.0, help="of each case; half of it is the bare loop's")
-    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     results: dict[str, dict[str, Any]] = {}
     turns = max(round(0.5 * arguments.seconds / TURN_S), 1)
     with tempfile.TemporaryDirectory() as folder:
         for number, case in enumerate(cases):
             results |= measure(case, turns, Path(folder) / str(number))
-    if arguments.json:
-        print(json.dumps({"fifo": fifo_is_allowed(), "cores": os.cpu_count(), "cases": results}))
-    else:
-        print(table(results))
+    told = {"fifo": fifo_is_allowed(), "cores": os.cpu_count(), "cases": results}
+    tell(told, as_json=arguments.json, text=table(results))
     return 0
 
 

@@ -5,17 +5,13 @@ PYTHONPATH=tools python -m bench.triple_relay_speed [--json]
 
 from __future__ import annotations
 
-import argparse
-import json
-import statistics
 import sys
-import time
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from bench.benchmark import median_s, options, tell
 from rig.identify.cycles import find_cycle
 from rig.identify.mean_cycle import Cycle
 from rig.identify.starts import Start, ridge_starts
@@ -76,27 +72,14 @@ def ridge(cycle: Cycle) -> list[Start]:
     return ridge_starts(cycle.omega_rad_s, cycle.amplitude_rad, cycle.h1_V, cycle.h2_V)
 
 
-def median_ms(work: Callable[[], object], times: int) -> float:
-    """Median time of a call, ms; the first, which may compile, does not count."""
-    work()
-    taken = []
-    for _ in range(times):
-        begin = time.perf_counter()
-        work()
-        taken.append(1e3 * (time.perf_counter() - begin))
-    return statistics.median(taken)
-
-
 def main() -> int:
     """Print times and ratios."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--json", action="store_true")
-    as_json = parser.parse_args().json
+    as_json = options("The triple-relay fit against least_squares.").parse_args().json
     measured = features()
     omega = np.pi / sum(measured[:3])
     starts = ridge_starts(omega, -measured.y_extremum_rad, H1_V, H2_V)
-    own_ms = median_ms(lambda: solve(measured, H1_V, H2_V, starts), 51)
-    peer_ms = median_ms(lambda: by_least_squares(measured, starts), 5)
+    own_ms = 1e3 * median_s(lambda: solve(measured, H1_V, H2_V, starts), 51)
+    peer_ms = 1e3 * median_s(lambda: by_least_squares(measured, starts), 5)
     own, peer = np.array(solve(measured, H1_V, H2_V, starts).theta), by_least_squares(measured, starts)
     coarse, fine = record(0.01, 15), record(0.0002, 40)
     coarse_cycle, fine_cycle = find_cycle(coarse), find_cycle(fine)
@@ -106,14 +89,14 @@ def main() -> int:
         "least_squares_ms": peer_ms,
         "ratio": peer_ms / own_ms,
         "largest_relative_difference": float(np.abs(own / peer - 1.0).max()),
-        "cycle_at_10_ms_ms": median_ms(lambda: solve_cycle(coarse_cycle, ridge(coarse_cycle)), 31),
-        "cycle_at_0.2_ms_ms": median_ms(lambda: solve_cycle(fine_cycle, ridge(fine_cycle)), 31),
+        "cycle_at_10_ms_ms": 1e3 * median_s(lambda: solve_cycle(coarse_cycle, ridge(coarse_cycle)), 31),
+        "cycle_at_0.2_ms_ms": 1e3 * median_s(lambda: solve_cycle(fine_cycle, ridge(fine_cycle)), 31),
         "cycles_at_10_ms": coarse_cycle.cycles,
-        "find_fit_jackknife_at_10_ms_ms": median_ms(lambda: fit(find_cycle(coarse)), 15),
+        "find_fit_jackknife_at_10_ms_ms": 1e3 * median_s(lambda: fit(find_cycle(coarse)), 15),
         "rows_at_0.2_ms": len(fine),
-        "find_fit_jackknife_at_0.2_ms_ms": median_ms(lambda: fit(find_cycle(fine)), 5),
+        "find_fit_jackknife_at_0.2_ms_ms": 1e3 * median_s(lambda: fit(find_cycle(fine)), 5),
     }
-    print(json.dumps(result) if as_json else "\n".join(f"{k}: {v:.6g}" for k, v in result.items()))
+    tell(result, as_json=as_json)
     return 0
 
 

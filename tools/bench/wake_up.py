@@ -12,7 +12,6 @@ tick gets a cause: `late_ticks.py`. So do the loops of --loops.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -25,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.benchmark import options, tell
 from bench.late_ticks import (
     FEWEST_BLOCKS,
     RESOLUTION_US,
@@ -41,6 +41,7 @@ from bench.late_ticks import (
     verdict,
     while_the_witness_ran,
 )
+from shared.table import markdown
 
 PEERS = Path(__file__).resolve().parent / "peers"
 PRIORITY = {"fifo": 60, "ordinary": 0}
@@ -259,7 +260,7 @@ def compare(ours: Sequence[Block], peer: Sequence[Block], name: str) -> dict[str
 
 def table(result: dict[str, dict[str, dict[str, object]]]) -> str:
     """For people, as Markdown."""
-    lines = ["| cores, policy, loop | ticks | p50 us | p99 us | max us | skipped |", "|---|---|---|---|---|---|"]
+    rows: list[tuple[str, ...]] = []
     notes = []
     for condition, policies in result.items():
         for policy, row in policies.items():
@@ -268,8 +269,8 @@ def table(result: dict[str, dict[str, dict[str, object]]]) -> str:
                     notes.append(f"{condition}, {policy}: {name} {found}")
                     continue
                 values = (found[key] for key in ("ticks", "p50_us", "p99_us", "max_us", "skipped"))
-                cells = " | ".join("-" if value is None else str(value) for value in values)
-                lines.append(f"| {condition}, {policy}: {name} | {cells} |")
+                cells = ("-" if value is None else str(value) for value in values)
+                rows.append((f"{condition}, {policy}: {name}", *cells))
                 for key in (
                     "late_by_cause",
                     "skipped_by_cause",
@@ -278,18 +279,18 @@ def table(result: dict[str, dict[str, dict[str, object]]]) -> str:
                 ):
                     if key in found:
                         notes.append(f"{condition}, {policy}, {name}: {key} {found[key]}")
-    return "\n".join([*lines, "", *notes])
+    head = ("cores, policy, loop", "ticks", "p50 us", "p99 us", "max us", "skipped")
+    return "\n".join([markdown(head, rows), "", *notes])
 
 
 def main() -> int:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description="How late loops wake up, side by side.")
+    parser = options("How late loops wake up, side by side.")
     parser.add_argument("--minutes", type=float, default=None, help="of each loop in each condition (default: 3 s)")
     parser.add_argument("--period-us", type=int, default=2000)
     parser.add_argument("--loops", default=None, help="e.g. ours,C: these with a spin only")
     parser.add_argument("--policies", default="fifo,ordinary")
     parser.add_argument("--conditions", default="idle,busy")
-    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     rounds = 6 if arguments.minutes is None else max(round(60.0 * arguments.minutes / BLOCK_S), 1)
     loops = available() if arguments.loops is None else tuple(f"{name}, spin" for name in arguments.loops.split(","))
@@ -322,7 +323,7 @@ def main() -> int:
         **({"pair": pair} if pair else {}),
     }
     tables = [table(result), *(["", "Longer, the pair that the goal is for:", "", table(pair)] if pair else [])]
-    print(json.dumps(numbers) if arguments.json else "\n".join([*notes, *tables]))
+    tell(numbers, as_json=arguments.json, text="\n".join([*notes, *tables]))
     return 0
 
 

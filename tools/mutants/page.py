@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from mutants.mutant import Mutant
 from mutants.session import CAUGHT, SURVIVED, Result
+from shared.table import markdown
 
 _HEAD = """\
 # Defects put in on purpose, and what catches them
@@ -28,9 +29,6 @@ Changes that [cosmic-ray](https://pypi.org/project/cosmic-ray/) knows (operators
 loops, decorators), at places drawn with a seed from all modules of the room; left out are annotations and what only
 makes the words of a message. A place keeps its lot when the code changes elsewhere. Each meets the tests of its room
 alone. A mutant that hangs is ended by its bound on processor time, and counts as caught.
-
-| room | drawn | caught | equivalent |
-|---|---|---|---|
 """
 
 
@@ -57,27 +55,20 @@ def render(
         )
     ]
     for room, mutants in named.items():
-        parts.append(f"## {room[0].upper()}{room[1:]}\n\n| defect | in | caught by |\n|---|---|---|\n")
-        parts[-1] += "".join(
-            f"| {_cell(mutant.name)} | {_where(mutant)} | {_by(results[mutant.name])} |\n" for mutant in mutants
-        )
-    parts.append(_RANDOM_HEAD)
-    for room, mutants in drawn.items():
-        same = sum(mutant.name in equivalent for mutant in mutants)
-        parts[-1] += f"| `{room}` | {len(mutants)} | {_caught(mutants, results)} | {same} |\n"
+        rows = ((_cell(mutant.name), _where(mutant), _by(results[mutant.name])) for mutant in mutants)
+        parts.append(f"## {room[0].upper()}{room[1:]}\n\n{markdown(('defect', 'in', 'caught by'), rows)}\n")
+    counts = (
+        (f"`{room}`", len(mutants), _caught(mutants, results), sum(mutant.name in equivalent for mutant in mutants))
+        for room, mutants in drawn.items()
+    )
+    parts.append(f"{_RANDOM_HEAD}\n{markdown(('room', 'drawn', 'caught', 'equivalent'), counts)}\n")
     survivors = [mutant for mutant in all_drawn if results[mutant.name].outcome == SURVIVED]
     if survivors:
-        parts.append("### What survives, and why nothing can tell it\n\n| in | change | why |\n|---|---|---|\n")
-        parts[-1] += "".join(
-            f"| {_where(mutant)} | {_change(mutant)} | {equivalent.get(mutant.name, '**unknown**')} |\n"
-            for mutant in survivors
-        )
-    parts.append("### What is caught\n\n| in | change | caught by |\n|---|---|---|\n")
-    parts[-1] += "".join(
-        f"| {_where(mutant)} | {_change(mutant)} | {_by(results[mutant.name])} |\n"
-        for mutant in all_drawn
-        if mutant not in survivors
-    )
+        whys = ((_where(mutant), _change(mutant), equivalent.get(mutant.name, "**unknown**")) for mutant in survivors)
+        head = "### What survives, and why nothing can tell it"
+        parts.append(f"{head}\n\n{markdown(('in', 'change', 'why'), whys)}\n")
+    caught = ((_where(m), _change(m), _by(results[m.name])) for m in all_drawn if m not in survivors)
+    parts.append(f"### What is caught\n\n{markdown(('in', 'change', 'caught by'), caught)}\n")
     return "\n".join(parts)
 
 

@@ -32,7 +32,8 @@ ROOMS = (
         ("tests/daq", "tests/hil/test_hil_device_relay.py", "tests/hil/test_hil_driver.py"),
         {
             "relay_stream": ("tests/hil/test_hil_device_relay.py",),
-            "introduction": ("tests/daq/test_daq_serial_link.py",),
+            "device_relay": ("tests/hil/test_hil_device_relay.py",),
+            **dict.fromkeys(("introduction", "exchange", "fit"), ("tests/daq/test_daq_serial_link.py",)),
         },
     ),
     Room(

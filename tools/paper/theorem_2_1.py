@@ -267,11 +267,6 @@ def reached(result: Result) -> Claim:
     return Claim(all(v.arrived == v.starts and v.worst < AGREED for v in result.visited_where(False)))
 
 
-def not_always_reached(result: Result) -> Claim:
-    """Some initial state comes to rest instead where h1 > h2 + fc."""
-    return Claim(any(visit.rested for visit in result.visited_where(True)))
-
-
 def section(result: Result) -> Section:
     """Its part of the page."""
     below, beyond = result.below, result.beyond

@@ -40,7 +40,7 @@ def main() -> int:
     rows = []
     for promise in PROMISES:
         rows.append(measure(promise, given.phases))
-        print(row(rows[-1]), flush=True)
+        print(*row(rows[-1]), sep=" | ", flush=True)
     thrown = [garbage.throw(baud, 100 * given.phases) for baud in BAUDS]
     errors, guesses = garbage.errors(10 * given.phases), garbage.guesses(1311 * given.phases)
     loads = {baud: chip_load(baud) for baud in BAUDS}

@@ -9,6 +9,7 @@ from rig.preflight.rules import preflight
 from safety.driven_chip import DRIVE_FULL, EXPERIMENT, SETUP, Way, steady
 from safety.garbage import Errors, Guesses, Thrown
 from safety.promises import Measured
+from shared.table import markdown
 
 _CONDITIONS = """\
 # What stops the drive, and how soon
@@ -51,8 +52,6 @@ _GARBAGE = """\
 Noise, frames with one to four wrong bits, frames cut short, frames run into one another and bursts of wrong bytes, at
 a chip that is armed and stands at 0 V:
 
-| baud | pieces | moves of the drive |
-|---|---|---|
 {thrown}
 
 What remains is the CRC. Of all {errors:,} errors of one bit and of two bits on the wire in {frames:,} DRIVE frames,
@@ -129,20 +128,18 @@ def _time(time_s: float) -> str:
     return f"{1e3 * time_s:.2f} ms" if time_s >= 1e-4 else f"{1e6 * time_s:.0f} us"
 
 
-def row(measured: Measured) -> str:
+def row(measured: Measured) -> tuple[str, ...]:
     """One line of the table."""
     promise = measured.promise
     late = f" **late: {measured.late}**" if measured.late else ""
-    return (
-        f"| {promise.what} | {_way(promise.way)} | {_bound(promise.bound_s)} | {_time(measured.off_s)}{late} | "
-        f"{measured.coast_rad:.2f} | {measured.travel_rad:.2f} |"
-    )
+    rad = (f"{measured.coast_rad:.2f}", f"{measured.travel_rad:.2f}")
+    return promise.what, _way(promise.way), _bound(promise.bound_s), f"{_time(measured.off_s)}{late}", *rad
 
 
 def table(rows: Sequence[Measured]) -> str:
     """The table of promises."""
-    head = "| what happens | driven by | off within | worst | coast, rad | in all, rad |\n|---|---|---|---|---|---|"
-    return "\n".join([head, *(row(measured) for measured in rows)])
+    head = ("what happens", "driven by", "off within", "worst", "coast, rad", "in all, rad")
+    return markdown(head, map(row, rows))
 
 
 def render(found: Found) -> str:
@@ -165,7 +162,7 @@ def render(found: Found) -> str:
             counted_rad=limits.max_speed_rad_s * (EXPERIMENT.daq.watchdog_s + limits.coast_tau_s),
         ),
         _GARBAGE.format(
-            thrown="\n".join(f"| {t.baud} | {t.pieces} | {t.moves} |" for t in found.thrown),
+            thrown=markdown(("baud", "pieces", "moves of the drive"), found.thrown),
             errors=errors.errors,
             frames=errors.frames,
             taken=errors.taken or "none",

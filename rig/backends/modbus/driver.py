@@ -47,7 +47,6 @@ class ModbusDriver:
     rail_counts       (low, high): readings at or beyond are a broken sensor
     timeout_s         longest wait for the reply in a tick
     open_timeout_s    longest wait for the first reply
-    device_watchdog_s output time-out that is set on the device itself, where no register sets it
     counts_max        largest reading of the sensor; None: unknown
     name              of the port, for ``backend``
     emulated          True where it is known that no real motor is behind the port
@@ -64,7 +63,6 @@ class ModbusDriver:
         timeout_s: float = 0.0095,
         open_timeout_s: float = 5.0,
         *,
-        device_watchdog_s: float | None = None,
         counts_max: int | None = None,
         name: str = "modbus",
         emulated: bool = False,
@@ -75,8 +73,8 @@ class ModbusDriver:
         self.failsafe: DeviceWatchdog | None = None
         if registers.watchdog is not None:
             self.failsafe = DeviceWatchdog(_LONGEST_WATCHDOG_S)  # until armed with less
-        elif device_watchdog_s is not None:
-            self.failsafe = DeviceWatchdog(device_watchdog_s)
+        elif registers.device_watchdog_s is not None:
+            self.failsafe = DeviceWatchdog(registers.device_watchdog_s)
         self._transport = transport
         self._client = ModbusClient(transport, line)
         self._line = line

@@ -128,6 +128,7 @@ class RegisterMap:
     scale, offset_counts  counts = scale x position + offset_counts
     arm, stop             values of ``control``
     unit_s                of ``watchdog``
+    device_watchdog_s     output time-out that is set on the device itself, where no register sets it
     faults                code of a fault by the value of ``status``
     """
 
@@ -148,6 +149,7 @@ class RegisterMap:
     arm: int = 1
     stop: int = 0
     unit_s: float = 0.001
+    device_watchdog_s: float | None = None
     faults: Mapping[int, str] | None = None
 
     @classmethod
@@ -186,6 +188,7 @@ class RegisterMap:
             arm=1 if control is None else control.arm,
             stop=0 if control is None else control.stop,
             unit_s=0.001 if r.watchdog is None else r.watchdog.unit_s,
+            device_watchdog_s=modbus.device_watchdog_s,
             faults={} if r.status is None else {value: code for code, value in r.status.faults.items()},
         )
 

@@ -17,7 +17,7 @@ from rig.backends.serial import frames
 from rig.backends.serial.device_clock import DeviceClock, TimedExchange, fit_device_clock
 from rig.backends.serial.device_relay import DeviceRelay
 from rig.backends.serial.exchange import ATTEMPTS, Exchange
-from rig.backends.serial.fit import Expected, check_fit, measured_supply_V
+from rig.backends.serial.fit import PLAIN_BOARD, Board, Expected, check_fit, measured_supply_V
 from rig.backends.serial.frames import Code, Hello, Kind, Packet, Setup, State
 from rig.backends.serial.introduction import await_introduction, refusal
 from rig.backends.serial.relay_stream import TICK_S, FirmwareRelay, RelayStream, relay_command
@@ -43,7 +43,6 @@ _GOLDEN = 0.618034  # its multiples fall everywhere between 0 and 1
 _READ_SHARES = (2 / 3, 1.0, 1.0)  # of the time-out: until when each of a tick's requests for the state is waited for
 _READ_AGAIN = 3  # readings in a row that had to be asked for again: the link is not fit for the period
 _LOST_DRIVES = 3  # in a row: the drive that acts is no longer the host's
-_FLASHING = "flash it with the options that its wiring asks for: docs/real-bench.md"
 
 # Share of the wire time of a HELLO exchange that passes before the device reads its clock.
 _REQUEST_SHARE = len(frames.encode(Kind.HELLO, 1)) / (
@@ -106,9 +105,7 @@ class SerialDriver:
     timeout_s       longest wait for one reply
     open_timeout_s  longest wait for the device to introduce itself, its restart on opening included
     tachometer      scale of the velocity channel; None: not used
-    counts_max      the ADC's largest reading that the calibration was made for; None: not checked
-    bridge          what the board's outputs are wired for, a value of ``frames.BRIDGES``; None: not told
-    flashing        what a person has to do to flash this board, the whole command in it; "": not told
+    board           what the config says of it
     session         number of this session, 1 to 2**32 - 1; None: a random one
     name            of the port, for ``backend``
     emulated        True where it is known that no real motor is behind the port
@@ -127,9 +124,7 @@ class SerialDriver:
         open_timeout_s: float = 5.0,
         tachometer: TachometerScale | None = None,
         *,
-        counts_max: int | None = None,
-        bridge: str | None = None,
-        flashing: str = "",
+        board: Board = PLAIN_BOARD,
         session: int | None = None,
         name: str = "serial",
         emulated: bool = False,
@@ -141,9 +136,7 @@ class SerialDriver:
         self.failsafe: DeviceWatchdog | None = DeviceWatchdog(LONGEST_WATCHDOG_S)  # until armed with less
         self._exchange = Exchange(transport, timeout_s)
         self._made_s = transport.now_s()  # just after the port was opened
-        self._expected = Expected(
-            rail_counts, counts_max, tachometer is not None, bridge, flashing or _FLASHING, emulated
-        )
+        self._expected = Expected(board, rail_counts, tachometer is not None, emulated)
         self._timeout_s = timeout_s
         self._open_timeout_s = open_timeout_s
         self._name = name
@@ -198,12 +191,12 @@ class SerialDriver:
         except ValueError as error:
             raise Fault("DEVICE_RESET", f"while its clock was measured: {error}") from error
         supply_V, supply_at_least = self._measured_supply_V(hello)
-        board = frames.BOARDS.get(hello.board, f"number {hello.board}")
+        told_board = frames.BOARDS.get(hello.board, f"number {hello.board}")
         emulated = self._expected.emulated or hello.board in frames.EMULATED_BOARDS
-        self.backend = f"{self._name} ({'emulated ' if emulated else ''}{board} board, build {hello.build_text})"
+        self.backend = f"{self._name} ({'emulated ' if emulated else ''}{told_board} board, build {hello.build_text})"
         return DeviceInfo(
             build=hello.build_text,
-            board=board,
+            board=told_board,
             reset_cause=hello.reset_words,
             emulated=emulated,
             clock_ratio=self._clock.ratio,
@@ -434,7 +427,7 @@ class SerialDriver:
         except Fault as fault:
             if fault.code != "LINK_VERSION":
                 raise
-            raise Fault(fault.code, f"{fault.detail}; {self._expected.flashing}") from fault
+            raise Fault(fault.code, f"{fault.detail}; {self._expected.board.flashing}") from fault
         self._exchange.seq = introduction.requests
         self._exchange.stale_replies += introduction.stale_replies
         return introduction.hello

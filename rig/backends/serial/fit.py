@@ -13,22 +13,35 @@ _SUPPLY_TOLERANCE = 0.15  # of the divider in front of the converter, and of a l
 
 
 @dataclass(frozen=True)
-class Expected:
-    """What the config says of the board.
+class Board:
+    """The board of a config.
 
-    rail_counts   (low, high): readings at or beyond are a broken sensor
     counts_max    the ADC's largest reading that the calibration was made for; None: not checked
-    tachometer    whether its velocity channel is used
     bridge        what the board's outputs are wired for, a value of ``frames.BRIDGES``; None: not told
-    flashing      what a person has to do to flash this board
+    flashing      what a person has to do to flash it, the whole command in it
+    """
+
+    counts_max: int | None = None
+    bridge: str | None = None
+    flashing: str = "flash it with the options that its wiring asks for: docs/real-bench.md"
+
+
+PLAIN_BOARD = Board()
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What the config says of the device.
+
+    board         which it is
+    rail_counts   (low, high): readings at or beyond are a broken sensor
+    tachometer    whether its velocity channel is used
     emulated      it is known that no real motor is behind it
     """
 
+    board: Board
     rail_counts: tuple[int, int]
-    counts_max: int | None
     tachometer: bool
-    bridge: str | None
-    flashing: str
     emulated: bool
 
 
@@ -39,10 +52,10 @@ def check_fit(hello: Hello, expected: Expected) -> None:
             "LINK_HELLO",
             f"the device says full drive is {hello.drive_full} units; {_LEAST_FULL_UNITS} to 32767 are a drive",
         )
-    if expected.counts_max is not None and hello.counts_max != expected.counts_max:
+    if expected.board.counts_max is not None and hello.counts_max != expected.board.counts_max:
         raise Fault(
             "CONFIG_MISMATCH",
-            f"sensor.counts_max is {expected.counts_max}, but the device reads 0 to {hello.counts_max}: "
+            f"sensor.counts_max is {expected.board.counts_max}, but the device reads 0 to {hello.counts_max}: "
             "calibrate with this device",
         )
     low, high = expected.rail_counts
@@ -58,21 +71,22 @@ def check_fit(hello: Hello, expected: Expected) -> None:
 
 def _check_bridge(hello: Hello, expected: Expected) -> None:
     """With the wrong bridge a drive of 0 V can be full drive: the config has to say what is wired."""
-    bridge = frames.BRIDGES.get(hello.bridge)
+    bridge, believed = frames.BRIDGES.get(hello.bridge), expected.board.bridge
+    flashing = expected.board.flashing
     emulated = expected.emulated or hello.board in frames.EMULATED_BOARDS
-    if bridge == expected.bridge or (expected.bridge is None and emulated) or (hello.bridge == 0 and emulated):
+    if bridge == believed or (believed is None and emulated) or (hello.bridge == 0 and emulated):
         return
     if hello.bridge == 0:
         raise Fault(
             "CONFIG_MISMATCH",
-            f"drive.bridge is {expected.bridge}, but the device's firmware does not say which bridge it is for, and "
-            f"with the wrong one 0 V can be full drive: {expected.flashing}",
+            f"drive.bridge is {believed}, but the device's firmware does not say which bridge it is for, and "
+            f"with the wrong one 0 V can be full drive: {flashing}",
         )
     if bridge is None:
         raise Fault(
             "CONFIG_MISMATCH", f"the device drives a bridge of kind {hello.bridge}, which this rig does not know"
         )
-    if expected.bridge is None:
+    if believed is None:
         raise Fault(
             "CONFIG_MISMATCH",
             f"drive.bridge is missing, and the device's firmware is for {bridge}: with the motor's supply off, see "
@@ -80,8 +94,7 @@ def _check_bridge(hello: Hello, expected: Expected) -> None:
         )
     raise Fault(
         "CONFIG_MISMATCH",
-        f"drive.bridge is {expected.bridge}, but the device's firmware is for {bridge}, and 0 V can be full drive: "
-        f"{expected.flashing}",
+        f"drive.bridge is {believed}, but the device's firmware is for {bridge}, and 0 V can be full drive: {flashing}",
     )
 
 

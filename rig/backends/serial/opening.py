@@ -18,6 +18,7 @@ from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.backends.serial.emulated.host_board import HostBoard
 from rig.backends.serial.emulated.usb_board import UsbBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip, uno_options
+from rig.backends.serial.fit import Board
 from rig.backends.serial.flashing import flash_line
 from rig.backends.serial.ports import CHIP_PORTS, adapter_of
 from rig.config.schema import Experiment
@@ -63,9 +64,7 @@ def serial_driver(e: Experiment, line: Line) -> SerialDriver:
         e.daq.timeout_s,
         e.daq.open_timeout_s,
         None if e.tachometer is None else e.tachometer.scale,
-        counts_max=e.sensor.counts_max,
-        bridge=e.drive.bridge,
-        flashing=flash_line(e),
+        board=Board(e.sensor.counts_max, e.drive.bridge, flash_line(e)),
         # a chip takes longer over some numbers than over others: an emulated run is the same by its seed
         session=random.Random(e.seed).randrange(1, 2**32) if line.emulated else None,
         name=line.name,

@@ -87,7 +87,7 @@ def _quicker_adapter(e: Experiment, fits: Callable[[Adapter], bool]) -> str:
 
 
 def _link_budget(e: Experiment) -> Iterator[Problem]:
-    if _fits(e, e.daq.baud):
+    if _fits(e, e.daq.baud) or _is_of_modbus(e.daq.port):
         return
     bauds = CHIP_BAUDS if adapter_of(e) == "16u2" or e.daq.port in CHIP_PORTS else BAUD_RATES
     quicker = ""

@@ -192,7 +192,7 @@ FIT = of(
     (
         "the tables of config and device are not compared",
         "check_fit",
-        "if expected.counts_max is not None and hello.counts_max != expected.counts_max:",
+        "if expected.board.counts_max is not None and hello.counts_max != expected.board.counts_max:",
         "if False:",
         _serial("test_a_config_that_does_not_fit_the_device"),
     ),
@@ -213,8 +213,8 @@ FIT = of(
     (
         "a bridge that the config does not name is driven",
         "_check_bridge",
-        "(expected.bridge is None and emulated)",
-        "expected.bridge is None",
+        "(believed is None and emulated)",
+        "believed is None",
         _serial("test_a_bridge_that_is_not_the_configs"),
     ),
     (

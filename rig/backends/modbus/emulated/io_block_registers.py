@@ -97,7 +97,7 @@ class BlockRegisters:
             stop=found.stop,
             unit_s=found.unit_s,
             status_of=_statuses({code: value for value, code in (found.faults or {}).items()}),
-            watchdog_s=modbus.device_watchdog_s,
+            watchdog_s=found.device_watchdog_s,
         )
 
     def has(self, name: str) -> bool:

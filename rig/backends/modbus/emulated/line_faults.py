@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from rig.backends.modbus.emulated.rtu_slave import Direction
 
 _DIRECTIONS: tuple[Direction, ...] = ("request", "reply")
+
+
+class CorruptionRate(NamedTuple):
+    """How often a line damages what passes: arguments of ``Corruption``."""
+
+    rate_1_s: float
+    seed: int
+    after_s: float = 0.0
 
 
 class Corruption:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.emulated.errors import EmulationError
+from rig.backends.modbus.emulated.line_faults import CorruptionRate
 from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
 from rig.backends.modbus.section import Modbus, read_in_a_tick, span_of
 from rig.config.schema import Emulated
@@ -45,7 +45,7 @@ class ModbusBoard(BoardProcess):
         tcp_port: int | None = None,
         polarity: int = 1,
         misbehaviour: Misbehaviour | None = None,
-        corruption: Mapping[str, float] | None = None,
+        corruption: CorruptionRate | None = None,
     ) -> str:
         """Start the process and return the name of its port: a pseudo-terminal's, or ``tcp://127.0.0.1:number``.
 
@@ -55,7 +55,7 @@ class ModbusBoard(BoardProcess):
         tcp_port      TCP on this port, 0: on a free one; None: RTU
         polarity      +1: positive drive raises the position register; -1: lowers it
         misbehaviour  of the device
-        corruption    RTU: arguments of ``rig.backends.modbus.emulated.line_faults.Corruption``
+        corruption    RTU: damage on the line
         Raises EmulationError where it does not start.
         """
         self._must_not_run()
@@ -69,7 +69,7 @@ class ModbusBoard(BoardProcess):
             "tcp_port": tcp_port,
             "polarity": polarity,
             "misbehaviour": None if misbehaviour is None else asdict(misbehaviour),
-            "corruption": None if corruption is None else dict(corruption),
+            "corruption": None if corruption is None else corruption._asdict(),
         }
         command = (sys.executable, "-m", "rig.backends.modbus.emulated.modbus_process")
         return self._launch(command, {"options": json.dumps(options)}, link, trace)
