@@ -49,7 +49,7 @@ def relay_gains(series: TimeSeries) -> MeasuredGains:
     largest = float(np.abs(u).max())
     cure = "give a relay test, or use the method sampled-data, which takes any drive"
     if largest == 0.0:
-        raise IdentifyError(f"{series.name}: the drive is always zero", "record a relay test: `rig relay CONFIG`")
+        raise IdentifyError(f"{series.name}: the drive is zero throughout", "record a relay test: `rig relay CONFIG`")
     order = np.sort(u)
     # An averaged relay signal has steps between its levels (Remark 3.2); they are rare.
     near = np.searchsorted(order, order + 0.03 * largest, "right") - np.searchsorted(order, order - 0.03 * largest)

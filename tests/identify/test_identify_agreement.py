@@ -49,7 +49,7 @@ def test_recordings_of_one_motor_agree() -> None:
 def test_of_two_neither_is_named() -> None:
     said = disagreement([opinion("a"), opinion("odd")])
     assert said is not None
-    assert said.startswith("a.csv and odd.csv do not agree: K is 7.")
+    assert said.startswith("a.csv and odd.csv do not agree: in odd.csv K is 7.")
     assert "with a third one rig names the odd one" in said
 
 
