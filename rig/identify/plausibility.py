@@ -249,7 +249,7 @@ def _information(test: TimeSeries) -> list[Objection]:
             *coarse,
             Objection(
                 "refused",
-                f"{test.name}: the motor moves only one way, so K, fc and asymmetry cannot be told apart: record a "
+                f"{test.name}: the motor moves one way only, so K, fc and asymmetry cannot be told apart: record a "
                 "drive that moves it both ways",
             ),
         ]
