@@ -23,8 +23,8 @@ from rig.model.supply import SupplyReading
 from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
 from rig.recording.reader import Recording, read_run
-from rig.recording.record import Record
 from rig.recording.recorder import Recorder
+from rig.recording.sink import RowSink
 from rig.recording.stage import Stage, StageKind
 from rig.report import write_report
 from rig.report.words import NOTHING_TO_IDENTIFY
@@ -70,7 +70,7 @@ class Session:
     experiment: Experiment
     folder: Path
     bench: Bench
-    recorder: Record
+    recorder: RowSink
     loop: Loop
     meta: RunMeta
     found: Findings = field(default_factory=Findings)
