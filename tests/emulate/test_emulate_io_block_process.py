@@ -37,7 +37,7 @@ from pymodbus.exceptions import ModbusException
 
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.line_faults import CorruptionRate
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.reply_faults import Misbehaviour
 from rig.backends.modbus.emulated.modbus_board import ModbusBoard, mbpoll_line
 from rig.backends.modbus.emulated.tcp_slave import Adu, Stream
 from rig.cli import main

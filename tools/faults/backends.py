@@ -14,7 +14,7 @@ import yaml
 from faults.bounds import Times
 from faults.language import Language, ModbusLanguage, SerialLanguage
 from faults.stages import Course
-from faults.stand import Stand
+from faults.injector import Stand
 from rig.backends.backend import Line, truth_of
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.backends.modbus.emulated.virtual_tcp_block import VirtualTcpBlock

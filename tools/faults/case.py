@@ -33,7 +33,7 @@ from faults.language import ASKED
 from faults.patient import PatientRecorder
 from faults.rows import Row
 from faults.stages import ARMING, CYCLE, PAUSE, REST, SEARCH, START, TRACKING, Course, Stage
-from faults.stand import Stand
+from faults.injector import Stand
 from rig import experiment as script
 from rig.cli import main
 from rig.config.schema import Experiment

@@ -8,7 +8,7 @@ import signal
 import time
 from pathlib import Path
 
-from faults.stand import Stand
+from faults.injector import Stand
 
 _CLONE_NEWNS, _CLONE_NEWUSER = 0x20000, 0x10000000
 _MS_REC, _MS_PRIVATE = 0x4000, 0x40000

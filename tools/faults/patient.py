@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from faults.stand import Stand
+from faults.injector import Stand
 from rig.recording import layout
 from rig.recording.record import JsonScalar
 from rig.recording.recorder import Recorder

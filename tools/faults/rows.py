@@ -15,7 +15,7 @@ from faults import damage, host
 from faults.bounds import Bound, bound
 from faults.language import is_block, is_drive, is_keep
 from faults.stages import STAGES, START
-from faults.stand import Stand
+from faults.injector import Stand
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 
 Act = Callable[[Stand], None]

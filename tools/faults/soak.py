@@ -27,7 +27,7 @@ from faults.case import run as run_on
 from faults.case import times as times_of
 from faults.rows import ROWS, RUNNING, RUNS_ON, Row
 from faults.stages import CYCLE
-from faults.stand import Stand
+from faults.injector import Stand
 from rig.config.schema import Experiment
 from shared.cases import spread
 

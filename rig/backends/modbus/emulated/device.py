@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from rig.backends.modbus.emulated.io_block_registers import BlockRegisters
 from rig.backends.modbus.emulated.line_faults import CorruptionRate
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.reply_faults import Misbehaviour
 from rig.backends.modbus.emulated.rtu_slave import Line
 from rig.model.bench import BenchParameters
 

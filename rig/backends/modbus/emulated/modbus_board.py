@@ -12,7 +12,7 @@ from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.device import Device
 from rig.backends.modbus.emulated.io_block_registers import BlockRegisters
 from rig.backends.modbus.emulated.line_faults import CorruptionRate
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.reply_faults import Misbehaviour
 from rig.backends.modbus.emulated.rtu_slave import Line
 from rig.backends.modbus.section import Modbus, read_in_a_tick, span_of
 from rig.config.schema import Emulated

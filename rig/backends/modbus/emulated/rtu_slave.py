@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, Self
 from pymodbus.framer import FramerRTU
 
 from rig.backends.modbus.emulated.io_block import IoBlock
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.reply_faults import Misbehaviour
 
 if TYPE_CHECKING:  # the process of an emulated device starts without the config
     from rig.backends.modbus.section import Modbus

@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from rig.backends.modbus.emulated.io_block import IoBlock
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.reply_faults import Misbehaviour
 
 _HEADER = 7
 _ITSELF = (0, 255)

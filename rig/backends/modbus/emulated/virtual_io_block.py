@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from rig.backends.emulated.plug import Plug
 from rig.backends.modbus.emulated.io_block import ExecutedDrive, IoBlock, IoBlockTruth
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.reply_faults import Misbehaviour
 from rig.backends.modbus.emulated.rtu_slave import Disturbance, Line, RtuSlave
 from rig.backends.modbus.section import Modbus
 from rig.config.schema import Emulated

@@ -11,7 +11,7 @@ import math
 from collections import deque
 from typing import Literal
 
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.reply_faults import Misbehaviour
 from rig.backends.modbus.emulated.tcp_slave import Stream, TcpSlave
 from rig.backends.modbus.emulated.virtual_io_block import BlockInVirtualTime
 from rig.backends.modbus.section import Modbus
