@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from rig.backends.registry import backend_of
 from rig.config.messages import unplaced
 from rig.config.problems import Path, Problem, bracketed, wrong
-from rig.config.schema import Experiment, Gains, RelayTarget
+from rig.config.schema import Experiment, RelayGains, RelayTarget
 from rig.config.sensor import count_rad, range_rad
 from rig.preflight.plan import plan
 from rig.preflight.room_to_stop import (
@@ -250,8 +250,8 @@ def _gains(e: Experiment) -> Iterator[Problem]:
     if e.relay.gains is None and e.relay.target is None:
         return
     if e.relay.gains is None:
-        start = Gains(h1_V=s.h1_start_V, h2_V=s.h2_start_V)
-        pairs: list[tuple[Path, Gains, str]] = [(("relay", "search"), start, "_start_V")]
+        start = RelayGains(h1_V=s.h1_start_V, h2_V=s.h2_start_V)
+        pairs: list[tuple[Path, RelayGains, str]] = [(("relay", "search"), start, "_start_V")]
     else:
         pairs = [(("relay", "gains", k), g, "_V") for k, g in enumerate(e.relay.gains)]
     for path, gains, ending in pairs:

@@ -19,7 +19,7 @@ import pytest
 from faults import damage, logged_rig, realtime, worst
 from faults.backends import BACKENDS, BARE, BOARD, CHIP, CHIP_RELAY, OTHERS, PLAIN, SEPARATE, TCP, Backend
 from faults.bounds import Times, bound
-from faults.case import Found, measure, new_stand, restart, times, undisturbed
+from faults.case import Found, measure, new_injector, restart, times, undisturbed
 from faults.language import ModbusLanguage, Reading, SerialLanguage, is_drive
 from faults.matrix import phase_at, phases_of, stages_of
 from faults.page import Line, at_worst, cells, render_rows, render_summary, summary
@@ -166,11 +166,11 @@ def test_the_next_run_is_refused_while_the_cause_is_there_and_moves_after(name: 
 @pytest.mark.parametrize("backend", [CHIP, BOARD], ids=lambda backend: backend.key)
 def test_the_next_run_says_why_the_device_was_reset(name: str, cause: str, backend: Backend, tmp_path: Path) -> None:
     row = next(row for row in ROWS if row.name == name)
-    stand, experiment = new_stand(backend, backend.config(), tmp_path, 1)
-    stand.watch(0.1)
-    row.act(stand)
-    stand.watch(0.3)
-    assert restart(stand, backend, experiment) == ""
+    injector, experiment = new_injector(backend, backend.config(), tmp_path, 1)
+    injector.watch(0.1)
+    row.act(injector)
+    injector.watch(0.3)
+    assert restart(injector, backend, experiment) == ""
     meta = json.loads(next((tmp_path / "runs").glob("*/meta.json")).read_text(encoding="utf-8"))
     assert meta["firmware"]["reset_cause"] == cause
 
@@ -353,10 +353,10 @@ def test_a_dead_terminal_and_a_dead_connection_are_dead(tmp_path: Path) -> None:
     with pytest.raises(OSError):
         os.write(terminal, b"a")
     os.close(terminal)
-    hand = logged_rig.Hand(0, tmp_path / "hand")
-    assert not hand.is_cut(0, lambda: 0)
-    realtime.say("cut")(realtime.Case(None, None, tmp_path / "hand"))  # type: ignore[arg-type]
-    assert hand.is_cut(0, lambda: 0)
+    link_fault = logged_rig.LinkFault(0, tmp_path / "link-fault")
+    assert not link_fault.is_cut(0, lambda: 0)
+    realtime.say("cut")(realtime.Case(None, None, tmp_path / "link-fault"))  # type: ignore[arg-type]
+    assert link_fault.is_cut(0, lambda: 0)
 
 
 # ---------------------------------------------------------------------- clocks
@@ -440,10 +440,10 @@ def test_the_page_is_what_the_command_writes(tmp_path: Path) -> None:
     assert at_worst([one]).splitlines()[0] in SUMMARY.read_text(encoding="utf-8")
 
 
-def test_a_stand_is_the_device_where_nothing_is_done_to_it(tmp_path: Path) -> None:
-    stand, experiment = new_stand(BOARD, BOARD.config(), tmp_path, 1)
+def test_an_injector_is_the_device_where_nothing_is_done_to_it(tmp_path: Path) -> None:
+    injector, experiment = new_injector(BOARD, BOARD.config(), tmp_path, 1)
     bare = BOARD.device(experiment)
-    for port in (stand, bare):
+    for port in (injector, bare):
         port.write(encode(Kind.HELLO, 3))
-    assert stand.read(0.1) == b"".join(iter(lambda: bare.read(0.01), b""))
-    assert stand.read(0.01) == b"" and stand.now_s() > 0.01
+    assert injector.read(0.1) == b"".join(iter(lambda: bare.read(0.01), b""))
+    assert injector.read(0.01) == b"" and injector.now_s() > 0.01

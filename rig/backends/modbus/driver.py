@@ -15,7 +15,7 @@ from dataclasses import replace
 
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, Transport
 from rig.backends.modbus.client import ATTEMPTS, ModbusClient, ModbusLine, Reply
-from rig.backends.modbus.registers import ARMED, OFF, Register, RegisterMap, Span
+from rig.backends.modbus.registers import ARMED, OFF, Register, RegisterMap, RegisterSpan
 from rig.backends.modbus.requests import (
     Request,
     identification,
@@ -299,7 +299,7 @@ class ModbusDriver:
 
     def _stored(self, register: Register) -> list[int]:
         """The words that a setting's register holds now."""
-        return registers_of(self._client.patiently(reading(Span((register,))), self._unhurried_s).pdu)
+        return registers_of(self._client.patiently(reading(RegisterSpan((register,))), self._unhurried_s).pdu)
 
     def _check_settings(self) -> None:
         """Raises Fault DEVICE_RESET where a register no longer holds what was written in this session."""
@@ -387,7 +387,7 @@ class ModbusDriver:
 
     # ------------------------------------------------------------------ what the values say
 
-    def _values(self, span: Span, reply: Reply) -> dict[str, float]:
+    def _values(self, span: RegisterSpan, reply: Reply) -> dict[str, float]:
         return span.values(registers_of(reply.pdu))
 
     def _check_range(self, value: float) -> None:

@@ -83,7 +83,7 @@ class Register(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Span:
+class RegisterSpan:
     """Registers that one request takes, gaps included."""
 
     registers: tuple[Register, ...]
@@ -195,15 +195,15 @@ class RegisterMap:
         )
 
     @property
-    def written(self) -> Span:
+    def written(self) -> RegisterSpan:
         """What goes out with each drive."""
-        return Span((self.drive,) if self.sequence is None else (self.drive, self.sequence))
+        return RegisterSpan((self.drive,) if self.sequence is None else (self.drive, self.sequence))
 
     @property
-    def read(self) -> Span:
+    def read(self) -> RegisterSpan:
         """What comes back in each tick."""
         others = (self.echo, self.applied, self.status)
-        return Span((self.position, *(r for r in others if r is not None)))
+        return RegisterSpan((self.position, *(r for r in others if r is not None)))
 
     @property
     def full_units(self) -> int:

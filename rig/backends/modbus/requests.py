@@ -19,7 +19,7 @@ from pymodbus.pdu.register_message import (
 )
 
 from rig.backends.modbus.frames import Frame, is_exception
-from rig.backends.modbus.registers import Register, Span
+from rig.backends.modbus.registers import Register, RegisterSpan
 from rig.faults import Fault
 from rig.signals import plain
 
@@ -43,20 +43,20 @@ class Request(NamedTuple):
     about: str
 
 
-def reading(span: Span) -> Request:
+def reading(span: RegisterSpan) -> Request:
     """FC03, or FC04 of input registers."""
     kind = ReadInputRegistersRequest if span.registers[0].table == "input" else ReadHoldingRegistersRequest
     return Request(kind(address=span.address, count=span.words), str(span))
 
 
-def writing(what: Register | Span, words: list[int]) -> Request:
+def writing(what: Register | RegisterSpan, words: list[int]) -> Request:
     """FC06 of one register, FC16 of more."""
     if len(words) == 1:
         return Request(WriteSingleRegisterRequest(address=what.address, registers=words), str(what))
     return Request(WriteMultipleRegistersRequest(address=what.address, registers=words), str(what))
 
 
-def reading_and_writing(read: Span, written: Span, words: list[int]) -> Request:
+def reading_and_writing(read: RegisterSpan, written: RegisterSpan, words: list[int]) -> Request:
     """FC23: the device writes ``words``, then reads."""
     pdu = ReadWriteMultipleRegistersRequest(
         read_address=read.address,

@@ -13,8 +13,8 @@ from rig.backends.link_budget import BAUD_RATES
 from rig.backends.modbus.link_budget import longest_transaction_s, tick_budget
 from rig.backends.modbus.section import (
     EMULATED_PORTS,
+    KeySpan,
     Modbus,
-    Span,
     as_in_a_manual,
     is_tcp,
     read_in_a_tick,
@@ -134,7 +134,7 @@ def reads_too_far_apart(m: Modbus) -> bool:
     return span_of(read_in_a_tick(m.registers))[1] > _MOST_READ
 
 
-def _apart(spans: Iterable[Span]) -> Iterator[Problem]:
+def _apart(spans: Iterable[KeySpan]) -> Iterator[Problem]:
     for a, b in combinations(spans, 2):
         if a.address < b.address + b.words and b.address < a.address + a.words:
             lie = "lies" if b.words == 1 else "lie"
@@ -186,7 +186,7 @@ def _link_budget(e: Experiment, m: Modbus) -> Iterator[Problem]:
     yield tick_budget(e.daq, m).too_slow(key, e.period_s, fitting[:1])
 
 
-def _registers(span: Span) -> str:
+def _registers(span: KeySpan) -> str:
     last = span.address + span.words - 1
     return f"register {span.address}" if span.words == 1 else f"registers {span.address} and {last}"
 

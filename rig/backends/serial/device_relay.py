@@ -7,13 +7,13 @@ from typing import Self
 from rig.backends.driver import RelayRow
 from rig.backends.serial import frames
 from rig.backends.serial.exchange import ATTEMPTS, Exchange
-from rig.backends.serial.frames import Kind, RelaySetup, State
+from rig.backends.serial.frames import DeviceState, Kind, RelaySetup
 from rig.backends.serial.introduction import STALE_READS, refusal
 from rig.backends.serial.relay_stream import TICK_S, RelayStream
 from rig.faults import Fault
 
 
-class DeviceRelay:
+class RelayRun:
     """One run of it. Constructed by ``start``.
 
     exchange  with the device
@@ -73,13 +73,13 @@ class DeviceRelay:
         raise self._exchange.silence(Kind.DRIVE)
 
     @property
-    def ended(self) -> State | None:
+    def ended(self) -> DeviceState | None:
         """What the last block says of a relay that has ended; None while it runs."""
         block = self._stream.last
         if block is None or not self._stream.ended:
             return None
         counts, drive = block.rows[-1] if block.rows else (0, 0)
-        return State(
+        return DeviceState(
             block.t_first_us, counts, frames.NO_TACHOMETER, 0, drive, 0, block.status, block.fault, block.session
         )
 

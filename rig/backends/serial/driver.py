@@ -15,10 +15,10 @@ from statistics import median
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow, Transport
 from rig.backends.serial import frames
 from rig.backends.serial.device_clock import DeviceClock, TimedExchange, fit_device_clock
-from rig.backends.serial.device_relay import DeviceRelay
+from rig.backends.serial.device_relay import RelayRun
 from rig.backends.serial.exchange import ATTEMPTS, Exchange
 from rig.backends.serial.fit import PLAIN_BOARD, Board, Expected, check_fit, measured_supply_V
-from rig.backends.serial.frames import Code, Hello, Kind, Packet, Setup, State
+from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Packet, Setup
 from rig.backends.serial.introduction import await_introduction, refusal
 from rig.backends.serial.relay_stream import TICK_S, FirmwareRelay, RelayStream, relay_command
 from rig.calibration import (
@@ -152,7 +152,7 @@ class SerialDriver:
         self._again_in_a_row = 0
         self._drives_lost = 0
         self._lost_in_a_row = 0
-        self._relay: DeviceRelay | None = None  # while it runs
+        self._relay: RelayRun | None = None  # while it runs
 
     @property
     def link_statistics(self) -> Mapping[str, int]:
@@ -215,7 +215,7 @@ class SerialDriver:
         """
         setup = setup_for(limits, self.calibration, self.drive_map, self._expected.rail_counts, self._session)
         self._armed = False
-        state = State.unpack(self._exchange.request(Kind.STOP, b"", Kind.STOP_REPLY).body)
+        state = DeviceState.unpack(self._exchange.request(Kind.STOP, b"", Kind.STOP_REPLY).body)
         self._check_pause(state)
         if setup != self._setup:
             stored = Setup.unpack(self._exchange.request(Kind.SETUP, setup.pack(), Kind.SETUP_REPLY).body)
@@ -244,7 +244,7 @@ class SerialDriver:
         packet = self._ask_state()
         if packet.kind == Kind.NACK:
             raise refusal(packet)
-        state = State.unpack(packet.body)
+        state = DeviceState.unpack(packet.body)
         if self._armed:
             if (
                 state.status & frames.STATUS_FAULT
@@ -303,7 +303,7 @@ class SerialDriver:
                 self._again_in_a_row = 0 if len(seqs) == 1 else self._again_in_a_row + 1
                 if self._again_in_a_row < _READ_AGAIN:
                     return packet
-                state = "refused" if packet.kind == Kind.NACK else self._where(State.unpack(packet.body))
+                state = "refused" if packet.kind == Kind.NACK else self._where(DeviceState.unpack(packet.body))
                 raise self._exchange.silence(
                     Kind.READ, f"{_READ_AGAIN} readings in a row had to be asked for again; {state}"
                 )
@@ -338,7 +338,7 @@ class SerialDriver:
             for _ in range(ATTEMPTS):
                 packet = self._exchange.answer(self._exchange.send(Kind.STOP), Kind.STOP_REPLY)
                 if packet is not None and packet.kind == Kind.STOP_REPLY:
-                    state = State.unpack(packet.body)
+                    state = DeviceState.unpack(packet.body)
                     if state.drive == 0 and not state.status & frames.STATUS_ARMED:
                         return True
         except Fault:  # a dead port
@@ -372,7 +372,7 @@ class SerialDriver:
         self._unconfirmed = None
         self._relay = None
         stream = RelayStream(self.calibration, self.drive_map, self._clock, self._session, self._exchange.now_s())
-        self._relay = DeviceRelay.start(self._exchange, command.setup, stream)
+        self._relay = RelayRun.start(self._exchange, command.setup, stream)
 
     def keep(self) -> None:
         """Tell the device that the host lives: without this its relay ends when the watchdog time is over."""
@@ -414,7 +414,7 @@ class SerialDriver:
         self._relay = None
         return relay.rows()
 
-    def _running_relay(self) -> DeviceRelay:
+    def _running_relay(self) -> RelayRun:
         if self._relay is None:
             raise ValueError("no relay runs in the device")
         return self._relay
@@ -442,7 +442,7 @@ class SerialDriver:
         was_reset_now = 1e-6 * hello.now_us < known_s
         cleared: list[int] = []
         for _ in range(_MOST_LATCHED):
-            state = State.unpack(self._exchange.request(Kind.READ, b"", Kind.STATE).body)
+            state = DeviceState.unpack(self._exchange.request(Kind.READ, b"", Kind.STATE).body)
             code = state.fault
             if not state.status & frames.STATUS_FAULT or code in cleared or not self._is_cleared(code):
                 break
@@ -494,15 +494,15 @@ class SerialDriver:
 
     # ------------------------------------------------------------------ what a state says
 
-    def _where(self, state: State) -> str:
+    def _where(self, state: DeviceState) -> str:
         return f"{self.calibration.to_rad(state.counts):.4f} rad, {state.counts} counts"
 
-    def _check_pause(self, state: State) -> None:
+    def _check_pause(self, state: DeviceState) -> None:
         """Raise what has happened to a disarmed device since it was opened."""
         if state.status & frames.STATUS_FAULT or (self._setup is not None and state.session != self._session):
             raise self._device_fault(state)
 
-    def _device_fault(self, state: State) -> Fault:
+    def _device_fault(self, state: DeviceState) -> Fault:
         """What a STATE says that ends the run, with this case's numbers."""
         if self._setup is not None and state.session != self._session:
             return Fault("DEVICE_RESET", f"the device has lost its session; at {self._where(state)}")

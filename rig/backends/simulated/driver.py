@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from rig.backends.driver import Clock, DeviceInfo, DeviceWatchdog
 from rig.calibration import Calibration, DriveMap, hard_limits_in_counts
 from rig.faults import Fault
-from rig.model.bench import Bench, BenchParameters
+from rig.model.bench import BenchModel, BenchParameters
 from rig.signals import Limits, Order, Sample
 
 
@@ -48,7 +48,7 @@ class SimulatedDriver:
         order: Order = "sample_first",
     ) -> None:
         self.order: Order = order
-        self.bench = Bench(bench, seed)
+        self.bench = BenchModel(bench, seed)
         self.failsafe: DeviceWatchdog | None = DeviceWatchdog(1.0)  # until armed with less
         self.link_statistics: Mapping[str, int] = {}
         self._clock = clock

@@ -20,7 +20,7 @@ from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.io_block_registers import RANGES, BlockRegisters
 from rig.backends.modbus.registers import Table
-from rig.model.bench import Bench
+from rig.model.bench import BenchModel
 
 if TYPE_CHECKING:  # the process of an emulated device starts without the config
     from rig.backends.modbus.section import Modbus
@@ -99,7 +99,7 @@ class IoBlock:
     def __init__(
         self,
         registers: BlockRegisters,
-        bench: Bench,
+        bench: BenchModel,
         unit: int = 1,
         *,
         polarity: int = 1,
@@ -141,7 +141,7 @@ class IoBlock:
     @classmethod
     def of(cls, modbus: Modbus, emulated: Emulated, seed: int, **options: Any) -> Self:
         """As the sections ``daq.modbus`` and ``emulated`` have it; options as of the class."""
-        bench = Bench(bench_parameters(emulated), seed)
+        bench = BenchModel(bench_parameters(emulated), seed)
         return cls(BlockRegisters.of(modbus), bench, modbus.unit, **options)
 
     # ------------------------------------------------------------------ time

@@ -29,7 +29,7 @@ from rig.backends.modbus.emulated.io_block import IoBlock
 from rig.backends.modbus.emulated.line_faults import Corruption
 from rig.backends.modbus.emulated.rtu_slave import RtuSlave
 from rig.backends.modbus.emulated.tcp_slave import Stream, TcpSlave
-from rig.model.bench import Bench
+from rig.model.bench import BenchModel
 
 LOOPBACK = "127.0.0.1"
 _TRACE_S = 0.01
@@ -218,13 +218,13 @@ def main() -> None:
 
 
 def _device(device: Device, trace: _Trace) -> tuple[IoBlock, _Port]:
-    bench = Bench(device.bench, device.seed)
+    bench = BenchModel(device.bench, device.seed)
     block = IoBlock(device.registers, bench, device.unit, polarity=device.polarity, revision=__version__)
     block.on_output = lambda t_s, u_V: trace.row(block)
     if device.tcp_port is not None:
-        return block, _Tcp(TcpSlave(block, device.line.turnaround_s, device.misbehaviour), device.tcp_port)
+        return block, _Tcp(TcpSlave(block, device.line.turnaround_s, device.reply_fault), device.tcp_port)
     corruption = None if device.corruption is None else Corruption(*device.corruption)
-    return block, _Pty(RtuSlave(block, device.line, device.misbehaviour, corruption))
+    return block, _Pty(RtuSlave(block, device.line, device.reply_fault, corruption))
 
 
 def _run(block: IoBlock, port: _Port, trace: _Trace, start_s: float, ends: int, *, watches_stdin: bool) -> None:

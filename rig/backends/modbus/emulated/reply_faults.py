@@ -19,7 +19,7 @@ class Answer(NamedTuple):
 
 
 @dataclass
-class Misbehaviour:
+class ReplyFault:
     """What the device does, from when, and how often.
 
     kind     late: executed, answered ``by_s`` after its time. wrong: executed, answered with a register too few, or
@@ -37,12 +37,12 @@ class Misbehaviour:
     code: int = DEVICE_FAILURE
 
     @staticmethod
-    def answer_of(misbehaviour: Misbehaviour | None, block: IoBlock, pdu: bytes, t_s: float) -> Answer | None:
+    def answer_of(reply_fault: ReplyFault | None, block: IoBlock, pdu: bytes, t_s: float) -> Answer | None:
         """The answer to a request that arrives whole at ``t_s``; None: there is none."""
         block.advance_to(t_s)
-        if misbehaviour is None or not misbehaviour._is_due(block):
+        if reply_fault is None or not reply_fault._is_due(block):
             return Answer(block.unit, block.request(pdu, t_s))
-        return misbehaviour._answer(block, pdu, t_s)
+        return reply_fault._answer(block, pdu, t_s)
 
     def _is_due(self, block: IoBlock) -> bool:
         if self.times == 0 or block.bench.armed_for_s < self.after_s:  # negative before it is armed

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, Self
 from pymodbus.framer import FramerRTU
 
 from rig.backends.modbus.emulated.io_block import IoBlock
-from rig.backends.modbus.emulated.reply_faults import Misbehaviour
+from rig.backends.modbus.emulated.reply_faults import ReplyFault
 
 if TYPE_CHECKING:  # the process of an emulated device starts without the config
     from rig.backends.modbus.section import Modbus
@@ -29,7 +29,7 @@ Disturbance = Callable[[Direction, bytes, float], Sequence[tuple[float, bytes]]]
 
 
 @dataclass(frozen=True)
-class Line:
+class LineTimes:
     """Times of a serial line.
 
     baud, bits_per_byte   start, parity and stop bits included: 10 (8N1) or 11
@@ -72,7 +72,7 @@ class RtuSlave:
 
     block         time passes for it together with the line's
     line          times
-    misbehaviour  of the block, None: it does as it should
+    reply_fault  of the block, None: it does as it should
     disturbance   on the line, both ways; may be changed at any time
     frames, damaged, foreign   requests so far: executed ones; dropped for their check sum or length; of other units
     """
@@ -80,13 +80,13 @@ class RtuSlave:
     def __init__(
         self,
         block: IoBlock,
-        line: Line,
-        misbehaviour: Misbehaviour | None = None,
+        line: LineTimes,
+        reply_fault: ReplyFault | None = None,
         disturbance: Disturbance | None = None,
     ) -> None:
         self.block = block
         self.line = line
-        self.misbehaviour = misbehaviour
+        self.reply_fault = reply_fault
         self.disturbance = disturbance
         self.frames = self.damaged = self.foreign = 0
         self._coming: list[tuple[float, int, bytes]] = []  # heaps by time, in order of sending where it is the same
@@ -154,7 +154,7 @@ class RtuSlave:
         if unit == BROADCAST:
             self.block.request(pdu, t_s)
             return
-        answer = Misbehaviour.answer_of(self.misbehaviour, self.block, pdu, t_s)
+        answer = ReplyFault.answer_of(self.reply_fault, self.block, pdu, t_s)
         if answer is None:
             return
         begins_s = max(t_s + self.line.turnaround_s + answer.late_s, self._free_s)
