@@ -28,7 +28,7 @@ from faults.rows import FREEZE_S, ROWS, Row
 from faults.stages import ARMING, BY_KEY, CYCLE, OTHER_STAGES, PAUSE, REST, START, Stage
 from rig.backends.modbus.emulated.rtu_slave import frame
 from rig.backends.modbus.emulated.tcp_slave import Adu
-from rig.backends.serial.frames import Block, Kind, RelaySetup, State, encode, pack_drive
+from rig.backends.serial.frames import Block, DeviceState, Kind, RelaySetup, encode, pack_drive
 from rig.control.guard import Guard
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -267,7 +267,7 @@ def test_what_is_needed_of_the_wire_is_read_off_it() -> None:
     drive = encode(Kind.DRIVE, 7, pack_drive(-50))
     assert serial.drive_V(drive) == -1.5 and serial.drive_V(encode(Kind.STOP, 8)) == 0.0
     assert serial.asked(encode(Kind.READ, 9)) == 9 and serial.asked(drive) is None
-    state = encode(Kind.STATE, 9, State(1, 512, 0, 2, 3, 4, 1, 0, 5).pack())
+    state = encode(Kind.STATE, 9, DeviceState(1, 512, 0, 2, 3, 4, 1, 0, 5).pack())
     assert serial.replies(state[:5]) == [] and serial.replies(state[5:] + b"\1") == [state]
     assert serial.readings(state) == [Reading(9, 512, state)]
     assert serial.readings(bytes((state[0], state[1] ^ 1)) + state[2:]) == []
@@ -342,7 +342,7 @@ def test_what_a_host_was_told_in_real_time_is_counted() -> None:
     log = frame(1, bytes((3, 2, 1, 23))) + frame(1, reply) + frame(1, reply)[:-1] + b"\0" + frame(1, reply)
     assert rtu(log) == [1, 2]  # the one between is damaged
     assert tcp(Adu(1, 1, bytes((3, 2, 1, 23))).pack() + 2 * Adu(2, 1, reply).pack()) == [1, 2]
-    assert DEVICES[0].told(encode(Kind.STATE, 9, State(1, 512, 0, 2, 3, 4, 1, 0, 5).pack())) == [9]
+    assert DEVICES[0].told(encode(Kind.STATE, 9, DeviceState(1, 512, 0, 2, 3, 4, 1, 0, 5).pack())) == [9]
 
 
 def test_a_dead_terminal_and_a_dead_connection_are_dead(tmp_path: Path) -> None:
