@@ -1,4 +1,4 @@
-"""The relay while it runs in the device: started, heard, stopped."""
+"""The relay while it runs in the device: start it, take its blocks, stop it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rig.faults import Fault
 
 
 class RelayRun:
-    """One run of it. Constructed by ``start``.
+    """One run of the relay in the device. ``start`` constructs it.
 
     exchange  with the device
     stream    of its blocks
@@ -26,9 +26,9 @@ class RelayRun:
 
     @classmethod
     def start(cls, exchange: Exchange, setup: RelaySetup, stream: RelayStream) -> Self:
-        """Let it drive from the device's next tick on, from 0 V.
+        """Let the relay drive from the device's next tick on, from 0 V.
 
-        Raises Fault ARM_READBACK, LINK_TIMEOUT, or what the device refuses with.
+        Raises Fault ARM_READBACK, LINK_TIMEOUT, or the refusal of the device.
         """
         for _ in range(ATTEMPTS):
             # a relay whose confirmation was lost runs already: this ends it
@@ -45,18 +45,18 @@ class RelayRun:
         raise exchange.silence(Kind.RELAY)
 
     def rows(self) -> list[RelayRow]:
-        """The ticks that have come since the last call, of blocks that were taken."""
+        """The ticks, since the last call, of the blocks taken so far."""
         return self._stream.rows()
 
     def hear(self) -> None:
-        """Take the blocks that are there; does not wait. Raises Fault LINK_GAP, LINK_LOST, DEVICE_RESET."""
+        """Take the blocks that have arrived; does not wait. Raises Fault LINK_GAP, LINK_LOST, DEVICE_RESET."""
         for _ in range(STALE_READS):
             if not self._exchange.listen(0.0):
                 break
         self._take_blocks()
 
     def hear_last(self, until_s: float) -> None:
-        """Take what comes of a relay that was stopped, up to the first block that is missing; raises nothing."""
+        """Take the last blocks of a relay that was stopped, up to the first missing one. Raises nothing."""
         try:
             self._take_blocks()
             self._until_ended(until_s)
@@ -74,7 +74,7 @@ class RelayRun:
 
     @property
     def ended(self) -> DeviceState | None:
-        """What the last block says of a relay that has ended; None while it runs."""
+        """The state in the last block of a relay that has ended; None while it runs."""
         block = self._stream.last
         if block is None or not self._stream.ended:
             return None
@@ -85,7 +85,7 @@ class RelayRun:
 
     @property
     def missed_s(self) -> float:
-        """For how long no block has come, s, where that is longer than it may be; else 0."""
+        """Time since the last block, s, if it is longer than allowed; else 0."""
         silent_s = self._exchange.now_s() - self._stream.heard_s
         if silent_s > frames.BLOCK_ROWS * TICK_S + self._exchange.timeout_s:
             return silent_s

@@ -71,10 +71,11 @@ _RESET_BEFORE_S = 0.25  # opening a port takes less, and what began to run since
 def setup_for(
     limits: Limits, calibration: Calibration, drive_map: DriveMap, rail_counts: tuple[int, int], session: int
 ) -> Setup:
-    """What the device is told before arming. session  1 to 2**32 - 1.
+    """The limits as the device takes them, before arming.
 
-    Raises ValueError where the device could not hold such limits: as ``hard_limits_in_counts`` and
-    ``largest_drive_in_units``, watchdog outside 1 ms to 1 s.
+    session  number of this session, 1 to 2**32 - 1
+    Raises ValueError for limits that the device cannot hold: as ``hard_limits_in_counts`` and
+    ``largest_drive_in_units``, and for a watchdog time outside 1 ms to 1 s.
     """
     hard_lo, hard_hi = hard_limits_in_counts(limits, calibration, drive_map, rail_counts)
     rail_lo, rail_hi = rail_counts
@@ -105,7 +106,7 @@ class SerialDriver:
     timeout_s       longest wait for one reply
     open_timeout_s  longest wait for the device to introduce itself, its restart on opening included
     tachometer      scale of the velocity channel; None: not used
-    board           what the config says of it
+    board           the board as the config describes it
     session         number of this session, 1 to 2**32 - 1; None: a random one
     name            of the port, for ``backend``
     emulated        True where it is known that no real motor is behind the port
@@ -156,14 +157,12 @@ class SerialDriver:
 
     @property
     def link_statistics(self) -> Mapping[str, int]:
-        """Counts since construction.
+        """Counts since construction, by name.
 
-        exchanges      requests that were waited for
-        timeouts       of these, without a reply in time
-        asked_again    readings that were asked for more than once, since a reply was damaged or did not come
-        stale_replies  intact replies that were not the awaited one: late, repeated, of another request
-        bad_frames     damaged frames from the device
-        drives_lost    DRIVE frames that the device never accepted
+        exchanges: requests whose reply the driver waited for; timeouts: those without a reply in time;
+        asked_again: readings asked for more than once, because a reply was damaged or did not come;
+        stale_replies: intact replies that are not the awaited one (late, repeated, of another request);
+        bad_frames: damaged frames from the device; drives_lost: DRIVE frames that the device never accepted.
         """
         return {
             "exchanges": self._exchange.exchanges,
@@ -175,9 +174,9 @@ class SerialDriver:
         }
 
     def open(self) -> DeviceInfo:
-        """Wait for the device to introduce itself, clear what it has latched, and measure its clock for one to three s.
+        """Wait for the device to introduce itself, clear the faults it has latched, and measure its clock for 1 to 3 s.
 
-        A fault whose cause lasts stays latched, and one that has come since the opening began: ``arm`` raises it.
+        Two faults stay latched, and ``arm`` raises them: one whose cause lasts, and one that came during ``open``.
         Raises Fault LINK_HELLO, LINK_VERSION, LINK_TIMEOUT, DEVICE_RESET or LINK_LOST; CONFIG_MISMATCH where the config
         does not fit the device (converter range, rails, tachometer, bridge).
         """
@@ -208,10 +207,10 @@ class SerialDriver:
         )
 
     def arm(self, limits: Limits) -> None:
-        """Stop, send the limits where the device has not got them yet, read them back, arm.
+        """Stop, send the limits if the device does not have them yet, read them back, arm.
 
-        What the device has latched since it was opened refuses, and a device that has lost this session: it was reset.
-        Raises ValueError as ``setup_for``; Fault ARM_READBACK, LINK_TIMEOUT, or what the device refuses with.
+        It refuses if the device has latched a fault since it was opened, or has lost this session: it was reset.
+        Raises ValueError as ``setup_for``; Fault ARM_READBACK, LINK_TIMEOUT, or the refusal of the device.
         """
         setup = setup_for(limits, self.calibration, self.drive_map, self._expected.rail_counts, self._session)
         self._armed = False
@@ -235,11 +234,11 @@ class SerialDriver:
         self._armed = True
 
     def read(self) -> Sample:
-        """Ask for the state and wait for it; ask again where a reply was damaged or stays away, within one time-out.
+        """Ask for the state and wait for it; ask again if a reply is damaged or missing, within one time-out.
 
-        ``u_V`` is what acts at the pin by the device's own word, even if the last ``write`` was lost on the
-        way (which ``link_statistics`` counts). Before arming it reads, too.
-        Raises Fault LINK_TIMEOUT, LINK_LOST, DEVICE_RESET, or the fault that the device latched.
+        ``u_V`` is the drive that the device reports at its pin, even if the last ``write`` was lost on the way
+        (``link_statistics`` counts that). It also reads before arming.
+        Raises Fault LINK_TIMEOUT, LINK_LOST, DEVICE_RESET, the refusal of the device, or the fault that it latched.
         """
         packet = self._ask_state()
         if packet.kind == Kind.NACK:
@@ -359,13 +358,13 @@ class SerialDriver:
         return TICK_S / self._clock.ratio
 
     def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
-        """What the device is to be told for these gains; raises as ``relay_stream.relay_command``."""
+        """The command for these gains; raises as ``relay_stream.relay_command``."""
         return relay_command(h1_V, h2_V, z_bound_rad_s, self.calibration, self.drive_map, self.tick_s)
 
     def start_relay(self, command: RelayCommand) -> None:
-        """Let the device's relay drive from its next tick on, from 0 V. It needs ``keep`` from then on.
+        """Let the device's relay drive from its next tick on, from 0 V. Call ``keep`` regularly from then on.
 
-        Raises Fault ARM_READBACK, LINK_TIMEOUT, or what the device refuses with.
+        Raises Fault ARM_READBACK, LINK_TIMEOUT, or the refusal of the device; TypeError for another driver's command.
         """
         if not isinstance(command, FirmwareRelay):
             raise TypeError("a command of another driver")
@@ -375,14 +374,14 @@ class SerialDriver:
         self._relay = RelayRun.start(self._exchange, command.setup, stream)
 
     def keep(self) -> None:
-        """Tell the device that the host lives: without this its relay ends when the watchdog time is over."""
+        """Tell the device that the host lives. Without this its watchdog ends the relay."""
         self._exchange.send(Kind.KEEP)
 
     def read_rows(self) -> list[RelayRow]:
-        """The relay's ticks that have come since the last call; does not wait. After a ``safe_stop``: the last ones.
+        """The relay's ticks since the last call; does not wait. After a ``safe_stop``: its last ticks.
 
-        Once there are no more:
-        Raises Fault LINK_GAP, LINK_LOST, LINK_TIMEOUT where blocks stay away, DEVICE_RESET, or what the device latched.
+        If there are none, it raises Fault LINK_GAP, LINK_LOST, LINK_TIMEOUT where blocks stay away, DEVICE_RESET, or
+        the fault that the device latched.
         """
         relay = self._running_relay()
         if not self._armed:
@@ -404,9 +403,9 @@ class SerialDriver:
         return rows
 
     def stop_relay(self) -> list[RelayRow]:
-        """End the device's relay with 0 V; still armed. Returns its last ticks.
+        """End the device's relay with 0 V, still armed. Returns its last ticks.
 
-        What the device may have latched meanwhile, the next ``read`` raises. Raises Fault LINK_GAP, LINK_LOST,
+        If the device has latched a fault meanwhile, the next ``read`` raises it. Raises Fault LINK_GAP, LINK_LOST,
         LINK_TIMEOUT.
         """
         relay = self._running_relay()

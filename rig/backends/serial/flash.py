@@ -163,9 +163,9 @@ def check_port(port: str) -> None:
 
 
 def write(command: list[str], port: str, show: Callable[[str], None]) -> None:
-    """Run avrdude; ``show`` is given what it says, as it comes.
+    """Run avrdude and pass its output on to ``show`` as it comes.
 
-    Raises FlashError where it fails: cause, cure and its exit status (128 + n after signal n).
+    Raises FlashError, as ``failure`` has it, where avrdude fails: cause, cure and exit status (128 + n after signal n).
     """
     said: list[str] = []
     environment = os.environ | {"LC_ALL": "C"}
@@ -189,7 +189,7 @@ def write(command: list[str], port: str, show: Callable[[str], None]) -> None:
 
 
 def failure(status: int, said: str, port: str) -> FlashError:
-    """What it means that avrdude ended with this status, not 0, and these words."""
+    """The error for avrdude's exit status, which is not 0, and its output."""
     for line in said.splitlines():
         if "open" in line and (port in line or "device" in line):
             for reason, (what, cure) in _CANNOT_OPEN.items():
