@@ -49,7 +49,7 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
             if adapter is not None:  # only now: opening the port asks an FTDI to wait for 1 ms only
                 yield machine.usb_adapter(port_name, adapter)
             if not isinstance(bench.clock, MonotonicClock):
-                yield Finding("period", "note", "this bench lives in virtual time: every period is held")
+                yield Finding("period", "note", "this bench runs in virtual time: it holds every period")
                 return
             with real_time(real_time_of(experiment)):
                 number = _number(seconds, experiment.period_s)

@@ -56,9 +56,9 @@ def refused(tmp_path, *, command="check", **changes):
 def test_check_says_what_is_known_and_what_is_not(installed, tmp_path):
     result = CliRunner().invoke(main, ["check", str(written(tmp_path))])
     assert result.exit_code == 0, result.stderr
-    assert "backend: plug-in driver virtual-card: take it for a REAL MOTOR, every 10 ms" in result.stdout
+    assert "backend: plug-in driver virtual-card: assume a REAL MOTOR, every 10 ms" in result.stdout
     assert "link: the budget of a plug-in driver is not known; `rig doctor` measures it" in result.stdout
-    assert "failsafe: the plug-in driver's; where its device has none, a run is refused" in result.stdout
+    assert "failsafe: the plug-in driver's; if its device has none, a run is refused" in result.stdout
     assert "driver 'virtual-card' (plug_in_cards:VirtualCard): sample first" in result.stdout
     assert "failsafe before it is opened: 0 V after 1000 ms of silence" in result.stdout
 

@@ -336,8 +336,8 @@ class IoBlock:
     def request(self, pdu: bytes, t_s: float) -> bytes:
         """The answer to one request that arrives whole at ``t_s``. A time that is past counts as now.
 
-        ``pdu`` has at least its function code. The block answers any bytes. Where it has ``_Refused`` them, the answer is
-        a Modbus exception.
+        ``pdu`` has at least its function code. The block answers any bytes. If it has ``_Refused`` them, the
+        answer is a Modbus exception.
         """
         self.advance_to(t_s)
         self.requests += 1
