@@ -91,7 +91,12 @@ def test_the_examples_pass() -> None:
             "max_drive.address",
             "registers 10 and 11 lie in the place of limits.high",
         ),
-        ({"status": {"address": 150}}, {}, "status.address", "spans 135 registers, 16 to 150; one request takes 125"),
+        (
+            {"status": {"address": 150}},
+            {},
+            "status.address",
+            "would read 135 registers, 16 to 150; one request can read 125",
+        ),
         ({"position": {"address": 65535, "type": "float32"}}, {}, "position.address", "end beyond the last one, 65535"),
         ({"position": {"address": 16, "table": "input"}}, {}, "position.table", "FC23 reads holding registers only"),
     ],
@@ -306,7 +311,7 @@ def test_a_watchdog_that_is_not_there_is_not_counted_and_said_to_be_missing() ->
     found = preflight(none)
     assert found.problems == ()
     (line,) = (line for line in found.lines if line.startswith("stopping"))
-    assert "if it dies nothing bounds it: the device has no watchdog" in line
+    assert "if the host dies nothing bounds it: the device has no watchdog" in line
 
 
 def test_a_watchdog_that_is_set_on_the_device_counts_for_the_room_to_stop() -> None:

@@ -220,7 +220,7 @@ AT = "rig flash --port /dev/ttyACM0 --bridge"
 @pytest.mark.parametrize(
     ("changed", "line"),
     [
-        ({}, f"type: {AT} in1-in2 --baud 1000000; add --supply and --end-switches where"),
+        ({}, f"type: {AT} in1-in2 --baud 1000000; add --supply and --end-switches if"),
         (
             {"daq": UNO["daq"] | {"baud": 115200}, "tachometer": {"rad_s_per_count": 0.25}},
             f"type: {AT} in1-in2 --baud 115200 --tachometer; add",

@@ -37,7 +37,7 @@ _EXCEPTIONS = {
 
 
 class Request(NamedTuple):
-    """A request, and what it is about, in words for a fault."""
+    """A request, and its subject in words, for a fault."""
 
     pdu: ModbusPDU
     about: str
@@ -68,12 +68,12 @@ def reading_and_writing(read: RegisterSpan, written: RegisterSpan, words: list[i
 
 
 def identification() -> Request:
-    """FC43: who are you."""
+    """FC43: ask for vendor, product and revision."""
     return Request(ReadDeviceInformationRequest(read_code=1, object_id=0), "identification")
 
 
 def identity_of(pdu: bytes) -> tuple[str, str, str]:
-    """Vendor, product and revision from the reply to ``identification``, printable; empty where it does not tell."""
+    """Vendor, product and revision from the reply to ``identification``, printable; empty where they are missing."""
     told = ReadDeviceInformationResponse()
     try:
         told.decode(pdu[1:])
@@ -87,16 +87,17 @@ def identity_of(pdu: bytes) -> tuple[str, str, str]:
 
 
 def registers_of(pdu: bytes) -> list[int]:
-    """Registers of a reply that was checked."""
+    """Registers of a reply that ``check`` has accepted."""
     reply = ReadHoldingRegistersResponse()
     reply.decode(pdu[1:])
     return list(reply.registers)
 
 
 def check(frame: Frame, request: Request, unit: int, number: int) -> None:
-    """Whether a frame is the reply to a request, by everything that it says.
+    """Check that a frame is the reply to a request.
 
-    unit, number  that were asked, and of the request (TCP)
+    unit    unit id that was asked
+    number  number of the request (TCP)
     Raises Fault LINK_REPLY, LINK_UNIT, MODBUS_EXCEPTION.
     """
     asked, about = request

@@ -118,8 +118,7 @@ def _map(m: Modbus) -> Iterator[Problem]:
         farthest = max(read, key=lambda span: abs(span.address - read[0].address))
         yield _register(
             farthest.key,
-            f"a tick reads from {count} registers in a row, {first} to {first + count - 1}; one request "
-            f"can read {_MOST_READ}",
+            f"a tick would read {count} registers, {first} to {first + count - 1}; one request can read {_MOST_READ}",
             as_in_a_manual(read) or "move them together, or leave it out",
         )
     if m.requests == "read-write" and r.position.table == "input":

@@ -36,12 +36,12 @@ LONGEST_WATCHDOG_S = 1.0  # that the device accepts
 _SYNCHRONISE_S = 1.0
 _SLOW_SYNCHRONISE_S = 3.0  # where exchanges are few, or differ
 _FEW_EXCHANGES = 100
-_STEADY_S = 0.0005  # between the fastest exchange and the median: more is the frames of USB
+_STEADY_S = 0.0005  # from the fastest exchange to the median; USB frames make it longer
 _SHORTEST_PAUSE_S = 0.001  # between two of the exchanges that measure the clock
-_LONGEST_PAUSE_S = 0.020  # of an FTDI's timer of 16 ms every phase is met
-_GOLDEN = 0.618034  # its multiples fall everywhere between 0 and 1
-_READ_SHARES = (2 / 3, 1.0, 1.0)  # of the time-out: until when each of a tick's requests for the state is waited for
-_READ_AGAIN = 3  # readings in a row that had to be asked for again: the link is not fit for the period
+_LONGEST_PAUSE_S = 0.020  # meets every phase of an FTDI's 16 ms timer
+_GOLDEN = 0.618034  # its multiples, modulo 1, spread evenly over 0 to 1
+_READ_SHARES = (2 / 3, 1.0, 1.0)  # of the time-out: end of the wait for each of a tick's requests for the state
+_READ_AGAIN = 3  # repeated readings in a row: the link is not fit for the period
 _LOST_DRIVES = 3  # in a row: the drive that acts is no longer the host's
 
 # Share of the wire time of a HELLO exchange that passes before the device reads its clock.
@@ -65,7 +65,7 @@ _FAULT_OF_CODE: dict[int, str] = {
     Code.SESSION: "DEVICE_RESET",
 }
 _MOST_LATCHED = 16  # faults that a device can have latched
-_RESET_BEFORE_S = 0.25  # opening a port takes less, and what began to run since then was reset by it
+_RESET_BEFORE_S = 0.25  # opening a port takes less: a device that started since then was reset by it
 
 
 def setup_for(
@@ -264,7 +264,7 @@ class SerialDriver:
                 self._drives_lost += 1
                 self._lost_in_a_row += 1
                 if self._lost_in_a_row >= _LOST_DRIVES:
-                    # the reading that came with it is in no row: it is here
+                    # this reading goes into no row, so the fault names it
                     raise Fault(
                         "LINK_TIMEOUT", f"{self._lost_in_a_row} drives in a row were not accepted; {self._where(state)}"
                     )
@@ -287,10 +287,10 @@ class SerialDriver:
         )
 
     def _ask_state(self) -> Packet:
-        """READ, up to three times within one time-out: again at once where a damaged frame came, or when most is over.
+        """READ, up to three times within one time-out: again at once after a damaged frame, or when most time is over.
 
-        A late answer to an earlier one of them will do: a state tells itself when it was sampled. Raises Fault
-        LINK_TIMEOUT without any, and where the two readings before had to be asked for again, too.
+        A late answer to an earlier READ is good too, since a state carries the time of its sample. Raises Fault
+        LINK_TIMEOUT without an answer, and when three readings in a row had to be repeated.
         """
         start_s = self._exchange.now_s()
         seqs: list[int] = []
@@ -313,17 +313,17 @@ class SerialDriver:
         raise self._exchange.silence(Kind.READ)
 
     def write(self, u_V: float) -> None:
-        """Send the drive, one way. Raises ValueError beyond supply and bridge, Fault LINK_LOST.
+        """Send the drive; there is no reply. Raises ValueError beyond supply and bridge, Fault LINK_LOST.
 
-        Beyond what it was armed for, the device sets 0 V and the next ``read`` raises DEVICE_DRIVE_RANGE.
+        Beyond the drive that it is armed for, the device sets 0 V and the next ``read`` raises DEVICE_DRIVE_RANGE.
         """
         self._unconfirmed = self._exchange.send(Kind.DRIVE, frames.pack_drive(self.drive_map.to_units(u_V)))
 
     def safe_stop(self) -> bool:
         """Tell the device to stop, up to three times; True once it confirms 0 drive, disarmed.
 
-        On False (or without the host at all) the device's watchdog does it. The last ticks of a relay that ran are for
-        ``read_rows``.
+        If False (or if the host dies) the device's watchdog stops it. ``read_rows`` returns the last ticks of a relay
+        that ran.
         """
         self._armed = False
         self._unconfirmed = None
@@ -432,10 +432,10 @@ class SerialDriver:
         return introduction.hello
 
     def _acknowledge(self, hello: Hello) -> tuple[str, ...]:
-        """Clear what the device had latched before the command that opens it; codes of the faults, its reset left out.
+        """Clear the faults that the device latched before it was opened. Returns their codes, without the reset.
 
-        What came after that command stays, for ``arm`` to raise: a code that latches again, and where the device was
-        reset by the opening, as an Uno is, everything but the reset.
+        Later faults stay, and ``arm`` raises them: a code that latches again, and every fault but the reset where
+        opening resets the device, as it does an Uno.
         """
         known_s = self._exchange.now_s() - self._made_s + _RESET_BEFORE_S
         was_reset_now = 1e-6 * hello.now_us < known_s
@@ -459,9 +459,9 @@ class SerialDriver:
         raise self._exchange.silence(Kind.ACK)
 
     def _measured_supply_V(self, hello: Hello) -> tuple[float, bool]:
-        """The motor supply as the device measures it now, not in its first millisecond; and whether it may be more.
+        """The motor supply as the device measures it now, not in its first millisecond, V; whether it may be higher.
 
-        nan if it does not. A little off is for the run to say: it ends nothing.
+        nan if the device does not measure it. A small difference ends nothing: the run reports it.
         """
         if not hello.features & frames.FEATURE_SUPPLY:
             return math.nan, False
@@ -469,10 +469,10 @@ class SerialDriver:
         return measured_supply_V(now, self.drive_map.supply_V)
 
     def _time_exchanges(self) -> list[TimedExchange]:
-        """Ask for the device's time again and again, for a second, or up to three over a slow link or USB.
+        """Ask for the device's time repeatedly, for one second, or up to three over a slow link or USB.
 
-        HELLO carries the time at which it is answered; a sample's time may be a device tick old. The pauses differ, up
-        to the longest exchange: with equal ones each reply would meet a USB adapter's timer at the same phase.
+        The reply to HELLO carries the time of that reply; a sample's time may be a device tick old. The pauses vary, up
+        to the longest exchange: with equal pauses each reply would meet a USB adapter's timer at the same phase.
         """
         now_s = self._exchange.now_s
         exchanges: list[TimedExchange] = []
@@ -491,18 +491,18 @@ class SerialDriver:
             raise self._exchange.silence(Kind.HELLO)
         return exchanges
 
-    # ------------------------------------------------------------------ what a state says
+    # ------------------------------------------------------------------ what a state means
 
     def _where(self, state: DeviceState) -> str:
         return f"{self.calibration.to_rad(state.counts):.4f} rad, {state.counts} counts"
 
     def _check_pause(self, state: DeviceState) -> None:
-        """Raise what has happened to a disarmed device since it was opened."""
+        """Raise the fault that a disarmed device has latched since it was opened."""
         if state.status & frames.STATUS_FAULT or (self._setup is not None and state.session != self._session):
             raise self._device_fault(state)
 
     def _device_fault(self, state: DeviceState) -> Fault:
-        """What a STATE says that ends the run, with this case's numbers."""
+        """The fault in a STATE, with the numbers of this case."""
         if self._setup is not None and state.session != self._session:
             return Fault("DEVICE_RESET", f"the device has lost its session; at {self._where(state)}")
         if self._armed and not state.status & frames.STATUS_FAULT:
@@ -522,7 +522,7 @@ class SerialDriver:
 
 
 def _is_vague(exchanges: Sequence[TimedExchange]) -> bool:
-    """Whether those of one second are too few, or too unlike, for the device's rate."""
+    """Whether the exchanges of one second are too few, or differ too much, to fit the device's clock."""
     if len(exchanges) <= _FEW_EXCHANGES:
         return True
     took_s = [exchange.received_s - exchange.sent_s for exchange in exchanges]
@@ -530,5 +530,5 @@ def _is_vague(exchanges: Sequence[TimedExchange]) -> bool:
 
 
 def _fields(setup: Setup, other: Setup) -> str:
-    """The fields in which two set-ups differ, with the first one's values."""
+    """The fields in which two set-ups differ, with the values of the first."""
     return ", ".join(f"{name} {a}" for name, a, b in zip(Setup._fields, setup, other, strict=True) if a != b)

@@ -1,4 +1,4 @@
-"""What the process of the emulated I/O block is told: parsed already, so that it starts without loading the config."""
+"""The parameters of the emulated I/O block's process, already parsed, so that it starts without loading the config."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ class ModbusBoard(BoardProcess):
         baud          RTU: of the wire, whose time is kept
         tcp_port      TCP on this port, 0: on a free one; None: RTU
         polarity      +1: positive drive raises the position register; -1: lowers it
-        reply_fault  of the device
+        reply_fault   fault of the device's replies
         corruption    RTU: damage on the line
         Raises EmulationError where it does not start.
         """

@@ -1,7 +1,7 @@
 """The emulated Modbus I/O block in real time: a process behind a pseudo-terminal (RTU) or on loopback (TCP).
 
-Started by ``modbus_board``. It says ``port NAME`` once it is there. It sleeps between requests, for 20 ms
-at most: the block's milliseconds are caught up with then, which nobody outside can tell from doing them in time.
+``modbus_board`` starts it. It prints ``port NAME`` when it is ready. It sleeps between requests, for 20 ms at most, and
+then catches up with the block's milliseconds. From outside that looks the same as doing them in time.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class _Tcp:
         except OSError as error:
             why = "another program has it" if error.errno == errno.EADDRINUSE else error.strerror
             raise EmulationError(
-                f"port {number} of this machine: {why}; end what uses it, or give daq.port another"
+                f"port {number} of this machine: {why}; end that program, or give daq.port another number"
             ) from error
         self._server.setblocking(False)
         self.name = f"tcp://{LOOPBACK}:{self._server.getsockname()[1]}"

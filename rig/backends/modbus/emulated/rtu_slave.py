@@ -1,7 +1,7 @@
 """The emulated I/O block on a Modbus RTU line: framing by silence, check sums, wire times, and faults of all of them.
 
-Pure: time is told. Modbus over serial line, V1.02, section 2.5.1: a frame ends with 3.5 characters of silence; one that
-is damaged or another unit's is not answered; what is sent to unit 0 is executed and not answered.
+Pure: the caller gives the time. Modbus over serial line, V1.02, section 2.5.1: a frame ends with 3.5 characters of
+silence. A damaged frame, or one for another unit, gets no answer. A request to unit 0 is executed, without an answer.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class RtuSlave:
 
     block         time passes for it together with the line's
     line          times
-    reply_fault  of the block, None: it does as it should
+    reply_fault  fault of the block's replies; None: none
     disturbance   on the line, both ways; may be changed at any time
     frames, damaged, foreign   requests so far: executed ones; dropped for their check sum or length; of other units
     """

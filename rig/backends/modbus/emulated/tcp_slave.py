@@ -60,7 +60,7 @@ class TcpSlave:
     """The block and the replies that are not out yet.
 
     turnaround_s  from a request to its reply
-    reply_fault  of the block, None: it does as it should
+    reply_fault  fault of the block's replies; None: none
     """
 
     def __init__(self, block: IoBlock, turnaround_s: float, reply_fault: ReplyFault | None = None) -> None:

@@ -120,14 +120,14 @@ class VirtualIoBlock(BlockInVirtualTime, Plug):
     def _advance(self) -> None:
         self._slave.advance_to(self._now_s)
 
-    # ------------------------------------------------------------------ what may happen, and what is the case
+    # ------------------------------------------------------------------ fault injection, and counts
 
     def inject(self, reply_fault: ReplyFault | None) -> None:
-        """From now on the device answers so; None: as it should."""
+        """From now on the replies have this fault; None: no fault."""
         self._slave.reply_fault = reply_fault
 
     def disturb(self, disturbance: Disturbance | None) -> None:
-        """From now on the line does so; None: nothing."""
+        """From now on the line has this disturbance; None: none."""
         self._slave.disturbance = disturbance
 
     @property
