@@ -1,12 +1,12 @@
-"""Drivers of other packages: what an entry point must be, and such a driver as a backend.
+"""Drivers of other packages: what an entry point must be, and how such a driver becomes a backend.
 
 A package offers one in its pyproject.toml:
 
     [project.entry-points."rig.daq"]
     mycard = "mypackage.card:CardDriver"
 
-It is a class that is constructed with a ``DriverSettings`` and is then a ``Driver``; or a ``Backend``, where the device
-has more to say than a driver can: a section of its own, rules, a link budget, an emulated device.
+The entry point is a class: constructed with a ``DriverSettings`` it is a ``Driver``. Or it is a ``Backend``, if the
+device has more than a driver: a section of its own, rules, a link budget, an emulated device.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _ARGUMENTS = {"open": 0, "arm": 1, "read": 0, "write": 1, "safe_stop": 0, "close
 
 
 class PlugInError(Exception):
-    """A driver that cannot be used: who offers it, and what is wrong with it."""
+    """A driver that cannot be used: the package that offers it, and what is wrong."""
 
 
 def loaded(entry: EntryPoint) -> type[Driver] | Backend:
-    """What the entry names. Raises PlugInError if it cannot be imported, or is neither driver class nor backend.
+    """What the entry point names. Raises PlugInError if it cannot be imported, or is neither driver class nor backend.
 
-    A driver class has one argument for the constructor, and the methods of ``Driver`` with as many as there.
+    The constructor of a driver class takes one argument; its methods take as many as those of ``Driver``.
     """
     who = described(entry)
     try:
@@ -60,10 +60,10 @@ def loaded(entry: EntryPoint) -> type[Driver] | Backend:
 
 
 def constructed(entry: EntryPoint, driver_class: type[Driver], settings: DriverSettings) -> Driver:
-    """A driver of that class, not opened.
+    """A driver of that class, not opened yet.
 
-    Raises ValueError where it refuses its options; PlugInError where it fails otherwise, or lacks one of the attributes
-    of ``Driver``.
+    Raises ValueError where it refuses its options; PlugInError where it fails otherwise, or lacks an attribute of
+    ``Driver``.
     """
     who = described(entry)
     try:
@@ -124,11 +124,11 @@ def driver_settings_of(e: Experiment) -> DriverSettings:
 
 
 class PlugIn(Backend):
-    """A driver class of another package, or none where it cannot be used.
+    """A driver class of another package as a backend; or the reason why it cannot be used.
 
-    entry         who offers it
-    driver_class  what it names
-    refusal       why there is no such driver; None where there is one
+    entry         entry point that offers it
+    driver_class  the class; None where it cannot be used
+    refusal       why it cannot be used; None where it can
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class PlugIn(Backend):
         return constructed(self.entry, self.driver_class, settings)
 
     def rules(self, e: Experiment) -> Iterator[Problem]:
-        """As of ``Backend``: the driver is constructed, so that it refuses its options here, not before a motor."""
+        """As of ``Backend``. Constructs the driver, so that it refuses wrong options here, not in front of a motor."""
         yield from keys_of_built_in(e)
         driver = self._tried(e)
         if isinstance(driver, Problem):
@@ -166,13 +166,13 @@ class PlugIn(Backend):
 
     def words(self, e: Experiment) -> str:
         """As of ``Backend``."""
-        return f"plug-in driver {e.daq.driver}: take it for a REAL MOTOR"
+        return f"plug-in driver {e.daq.driver}: assume a REAL MOTOR"
 
     def plan(self, e: Experiment) -> Iterator[str]:
         """As of ``Backend``."""
         yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
         if e.relay.where == "device":
-            yield "relay in the device: as the plug-in driver runs it; a search runs in the host"
+            yield "relay in the device: as the plug-in driver runs it; the gain search runs in the host"
         driver = self._tried(e)
         if self.entry is not None and not isinstance(driver, Problem):
             failsafe = "none"
@@ -183,8 +183,8 @@ class PlugIn(Backend):
 
     def failsafe_words(self, e: Experiment) -> str:
         """As of ``Backend``."""
-        return "failsafe: the plug-in driver's; where its device has none, a run " + (
-            "drives all the same (daq.accept_no_watchdog: true): have the motor's supply in reach"
+        return "failsafe: the plug-in driver's; if its device has none, a run " + (
+            "drives all the same (daq.accept_no_watchdog: true): keep the motor's supply switch in reach"
             if e.daq.accept_no_watchdog
             else "is refused"
         )
@@ -199,5 +199,5 @@ class PlugIn(Backend):
 
 
 def refused(error: PlugInError) -> Problem:
-    """What to say of a driver that cannot be used."""
+    """The problem of a driver that cannot be used."""
     return wrong("daq.driver", str(error), "see docs/plug-in-driver.md, or ask its author")
