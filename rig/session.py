@@ -31,6 +31,7 @@ from rig.results import JsonObject, RunMeta, RunResult, ScriptCall, TrackingResu
 from rig.run_summary import Findings, least_result, run_meta, run_result
 
 FADE_S = 1.5  # of the tracking reference; errors count after it
+LAW_STAGE = "law"  # rows of a law of the user's own
 _LONG_GAP_S = 0.1  # between two readings of a device that latches no e-stop
 
 
@@ -42,6 +43,11 @@ class Outcome:
     result: RunResult
     fault: Fault | None = None
     failures: list[str] = field(default_factory=list)
+
+    @property
+    def traceback(self) -> str:
+        """Where a law of the user's own raised what ended the run; empty if none did."""
+        return "" if self.fault is None else traceback_of(self.fault)
 
     @property
     def failure(self) -> str:
@@ -155,6 +161,8 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
         session.loop.check_stop()
     except Fault as seen:
         fault = seen
+        if text := traceback_of(seen):
+            session.note("traceback", text=text[-2000:])
     except (IdentifyError, RecordingError) as error:
         fault = Fault("NOT_IDENTIFIED", f"{error.cause}; {error.cure}")
     except Exception as error:  # noqa: BLE001 - whatever it is, the run ends with its record and a result
@@ -167,6 +175,13 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
     session.found.notes += _seen_by(session.loop)
     session.note("end")
     return fault
+
+
+def traceback_of(fault: Fault) -> str:
+    """The traceback of the exception that a user's law raised, for the user; empty of any other fault."""
+    if fault.code != "LAW_FAILED" or fault.__cause__ is None:
+        return ""
+    return "".join(traceback.format_exception(fault.__cause__))
 
 
 def _seen_by(loop: Loop) -> list[str]:
@@ -275,4 +290,4 @@ def _stages(experiment: Experiment) -> list[str]:
     if experiment.relay.hysteretic is not None:
         relays += ["homing", *(f"hysteretic-{number}" for number in range(1, len(experiment.relay.hysteretic) + 1))]
     tracks = [] if experiment.tracking is None else [f"track:{method}" for method in experiment.tracking.methods]
-    return ["rest", "jog", "breakaway", "search", *relays, *tracks, STOPPING]
+    return ["rest", "jog", "breakaway", "search", *relays, *tracks, LAW_STAGE, STOPPING]

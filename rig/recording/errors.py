@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rig.errors import RigError
 from rig.signals import plain
 
 
-class RecordingError(Exception):
+class RecordingError(RigError):
     """A recording that cannot be made or cannot be read.
 
     path   the file or folder

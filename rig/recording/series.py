@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.errors import RigError
 from rig.recording.reader import Recording
 
 Array = NDArray[np.float64]
@@ -24,7 +25,7 @@ ALIKE = 0.8  # correlation of a drive with itself, later, that makes it periodic
 LARGEST, SMALLEST = 1e12, 1e-12
 
 
-class IdentifyError(Exception):
+class IdentifyError(RigError):
     """A recording that cannot be identified: one line of cause, one of cure."""
 
     def __init__(self, cause: str, cure: str) -> None:
