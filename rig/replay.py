@@ -24,7 +24,7 @@ from rig.control.law import OwnLaw, Timed
 from rig.experiment import BREAKAWAY_LAW, configured_law, stages
 from rig.faults import FAULTS, Fault
 from rig.loop.recorded import Comparison, RecordedClock, RecordedDriver, ReplayLoop
-from rig.loop.replayed_rows import OF_GUARD, Difference, Diverged, RecordEnds, Tape
+from rig.loop.replayed_rows import OF_GUARD, Difference, Diverged, RecordEnds, ReplayedRows
 from rig.loop.stop_request import StopRequest
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
@@ -111,12 +111,12 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
     order, units, clock_ratio = _device(recording)
 
     stop = StopRequest()
-    tape = Tape(recording, e.period_s, fault, is_whole, stop, on_progress)
+    replayed = ReplayedRows(recording, e.period_s, fault, is_whole, stop, on_progress)
     drive_map = e.drive.map if units is None else replace(e.drive.map, full_units=units)
-    driver = RecordedDriver(tape, order, e.sensor.curve, drive_map, clock_ratio)
-    clock, comparison = RecordedClock(tape), Comparison(tape, None if units is None else drive_map.quantised)
+    driver = RecordedDriver(replayed, order, e.sensor.curve, drive_map, clock_ratio)
+    clock, comparison = RecordedClock(replayed), Comparison(replayed, None if units is None else drive_map.quantised)
     loop = ReplayLoop(driver, clock, Guard(guard_settings_of(e)), comparison, e.period_s, stop)
-    loop.tape = tape
+    loop.replayed = replayed
     session = Session(
         e,
         folder,
@@ -126,12 +126,12 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
         recording.meta,
         Findings(real_time=RealTimeReport()),  # nothing to be granted, nothing to be written
     )
-    difference = _compare(script, session, tape)
+    difference = _compare(script, session, replayed)
     ending: Ending = "no end" if not is_whole else "its end" if fault is None else "a fault"
     return Replay(
         folder,
         rows=len(recording),
-        replayed=tape.next,
+        replayed=replayed.next,
         compared=comparison.compared,
         lost=comparison.lost,
         limited=comparison.limited,
@@ -143,7 +143,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
     )
 
 
-def _compare(script: Script, session: Session, tape: Tape) -> Difference | None:
+def _compare(script: Script, session: Session, replayed: ReplayedRows) -> Difference | None:
     """Run the script on the record; the first difference."""
     seen: Fault | None = None
     try:
@@ -155,23 +155,25 @@ def _compare(script: Script, session: Session, tape: Tape) -> Difference | None:
         difference = diverged.difference
         # raised while the loop took down the row of a fault: that is what the replay came to
         cause = diverged.__context__
-        return _with_fault(difference, cause) if isinstance(cause, Fault) and cause is not tape.fault else difference
+        return (
+            _with_fault(difference, cause) if isinstance(cause, Fault) and cause is not replayed.fault else difference
+        )
     except Fault as fault:
         seen = fault
     except Exception as error:  # noqa: BLE001 - as in a run: a law that fails on this record is a difference
         seen = Fault("INTERNAL", f"{type(error).__name__}: {error}")
-    if seen is not None and (not tape.is_over or tape.fault is None or tape.fault.code != seen.code):
-        row = max(tape.next - 1, 0)
-        recorded = f"{tape.u_V[row]:+.6f} V, and the run goes on"
-        if tape.is_over and tape.fault is not None:
-            recorded = f"the run ended: {tape.fault}"
-        elif tape.is_over:
+    if seen is not None and (not replayed.is_over or replayed.fault is None or replayed.fault.code != seen.code):
+        row = max(replayed.next - 1, 0)
+        recorded = f"{replayed[row].u_V:+.6f} V, and the run goes on"
+        if replayed.is_over and replayed.fault is not None:
+            recorded = f"the run ended: {replayed.fault}"
+        elif replayed.is_over:
             recorded = "the run went on to its end"
-        return _with_fault(tape.diverged(row, "law", recorded, "", tape.u_V[row]).difference, seen)
-    if not tape.is_over:
-        return tape.diverged(tape.next, "record", "one more row", "the run is over").difference
-    if seen is None and tape.fault is not None and tape.must_come_again:
-        return tape.missed_fault().difference
+        return _with_fault(replayed.diverged(row, "law", recorded, "", replayed[row].u_V).difference, seen)
+    if not replayed.is_over:
+        return replayed.diverged(replayed.next, "record", "one more row", "the run is over").difference
+    if seen is None and replayed.fault is not None and replayed.must_come_again:
+        return replayed.missed_fault().difference
     return None
 
 

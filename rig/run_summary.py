@@ -19,6 +19,7 @@ from rig.identify import Identification
 from rig.loop.statistics import LoopStatistics
 from rig.preflight import notes
 from rig.preflight.room_to_stop import device_watchdog_s
+from rig.recording.stage import Stage
 from rig.results import (
     BreakawayResult,
     DeviceSeen,
@@ -193,7 +194,7 @@ def _notes(found: Findings) -> tuple[str, ...]:
 
 def _hysteretic(own: Identification, experiment: Experiment) -> tuple[HystereticResult, ...] | None:
     """The runs, with the hysteresis that the config asked for; None where there are none."""
-    eps_rad = {f"hysteretic-{k}": run.eps_rad for k, run in enumerate(experiment.relay.hysteretic or (), 1)}
+    eps_rad = {str(Stage.hysteretic(k)): run.eps_rad for k, run in enumerate(experiment.relay.hysteretic or (), 1)}
     runs = tuple(run.model_copy(update={"eps_rad": eps_rad.get(run.stage)}) for run in own.hysteretic)
     return runs or None
 

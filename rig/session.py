@@ -22,16 +22,16 @@ from rig.loop.stop_request import StopRequest, stop_on_signals
 from rig.model.supply import SupplyReading
 from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
-from rig.recording.reader import read_run
+from rig.recording.reader import Recording, read_run
 from rig.recording.record import Record
 from rig.recording.recorder import Recorder
+from rig.recording.stage import Stage, StageKind
 from rig.report import write_report
 from rig.report.words import NOTHING_TO_IDENTIFY
 from rig.results import JsonObject, RunMeta, RunResult, ScriptCall, TrackingResult
 from rig.run_summary import Findings, least_result, run_meta, run_result
 
 FADE_S = 1.5  # of the tracking reference; errors count after it
-LAW_STAGE = "law"  # rows of a law of the user's own
 _LONG_GAP_S = 0.1  # between two readings of a device that latches no e-stop
 
 
@@ -79,6 +79,12 @@ class Session:
     loop: Loop
     meta: RunMeta
     found: Findings = field(default_factory=Findings)
+    recording: Recording | None = None  # the rows as they were last read
+
+    def read(self) -> Recording:
+        """The rows so far; those that were read before are not parsed again. Raises RecordingError."""
+        self.recording = read_run(self.folder, self.recording)
+        return self.recording
 
     def note(self, kind: str, **fields: str | float | int | bool) -> None:
         """An event of now."""
@@ -216,8 +222,8 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
     """Identify what a fault has left, complete result.json, write the report, say what failed."""
     if session.found.identification is None:
         try:
-            recording = read_run(session.folder)
-            if any(stage.startswith(("relay-", "hysteretic-")) for stage in recording.stages()):
+            recording = session.read()
+            if any(Stage.parse(stage).is_relay_test for stage in recording.stages()):
                 session.found.identification = identify([recording])
         except (IdentifyError, RecordingError) as error:
             session.found.notes.append(f"{NOTHING_TO_IDENTIFY}: {error.cause}")
@@ -225,7 +231,7 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
             outcome.failures.append(f"the record was not identified: {_defect(error)}")
         _write_result(session, outcome)
     try:
-        write_report(session.folder, session.found.identification)
+        write_report(session.folder, session.found.identification, session.recording)
     except RecordingError as error:
         outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
     except OSError as error:
@@ -265,8 +271,8 @@ def _measure_tracking(session: Session, outcome: Outcome) -> None:
     finished = [method for method, entry in tracking.items() if entry == TrackingResult()]
     for method in finished:
         try:
-            recording = read_run(session.folder)
-            rows = recording.stage_rows(f"track:{method}")
+            recording = session.read()
+            rows = recording.stage_rows(str(Stage.track(method)))
             rms_rad, max_rad = tracking_error(
                 recording.t_s[rows], recording.y_rad[rows], recording.yd_rad[rows], after_s=FADE_S
             )
@@ -286,8 +292,9 @@ def _supply(experiment: Experiment, bench: Bench) -> SupplyReading:
 
 def _stages(experiment: Experiment) -> list[str]:
     """Every stage that a run can record."""
-    relays = [f"relay-{number}" for number in range(1, 5)]
+    relays = [str(Stage.relay(number)) for number in range(1, 5)]
     if experiment.relay.hysteretic is not None:
-        relays += ["homing", *(f"hysteretic-{number}" for number in range(1, len(experiment.relay.hysteretic) + 1))]
-    tracks = [] if experiment.tracking is None else [f"track:{method}" for method in experiment.tracking.methods]
-    return ["rest", "jog", "breakaway", "search", *relays, *tracks, LAW_STAGE, STOPPING]
+        runs = range(1, len(experiment.relay.hysteretic) + 1)
+        relays += [str(StageKind.HOMING), *(str(Stage.hysteretic(number)) for number in runs)]
+    tracks = [] if experiment.tracking is None else [str(Stage.track(method)) for method in experiment.tracking.methods]
+    return ["rest", "jog", "breakaway", "search", *relays, *tracks, str(StageKind.LAW), STOPPING]

@@ -12,7 +12,7 @@ import numpy as np
 from rig.model.describing_function import predict
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
-from rig.recording.series import Record
+from rig.recording.series import TimeSeries
 
 LSB_RAD = 4.2 / 1024
 
@@ -98,10 +98,10 @@ def drawn(rng: np.random.Generator) -> tuple[float, float, float, float, float]:
     return tau, 0.8 / predict(tau, 1.0, fc, h1, h2).amplitude_rad, fc, h1, h2
 
 
-def record(samples: Samples, t_u_known: bool = True, first: int = 0) -> Record:
+def record(samples: Samples, t_u_known: bool = True, first: int = 0) -> TimeSeries:
     """The samples as estimators read them, from row ``first`` on."""
     times = samples.t_u_s if t_u_known else None
-    return Record(samples.t_s, samples.y_rad, times, samples.u_V, name="synthetic").part(first, samples.t_s.size)
+    return TimeSeries(samples.t_s, samples.y_rad, times, samples.u_V, name="synthetic").part(first, samples.t_s.size)
 
 
 def write_csv(path: Path, samples: Samples, t_u_known: bool = True, stage: str = "") -> Path:

@@ -27,8 +27,8 @@ PATH = re.compile(r"`((?:rig|tests|tools|firmware|config|docs)/[\w./-]*)`")
 HISTORY = ("docs/decisions/", "docs/mutant-table.md", "CHANGELOG.md")
 
 THEORY = ROOT / "docs" / "theory.md"
-# "docs/theory.md 4.2", "docs/theory.md 3.1, 4.3 and 6.2"; a number that ends a sentence may be followed by a dot
-CITED = re.compile(r"docs/theory\.md (\d+(?:\.\d+)?(?:(?:, | and )\d+(?:\.\d+)?)*)")
+# "docs/theory.md 4.2", "docs/theory.md 3.1, 4.3 and 6.2", "docs/theory.md, section 7.1"
+CITED = re.compile(r"docs/theory\.md(?:, sections?)? (\d+(?:\.\d+)?(?:(?:, | and )\d+(?:\.\d+)?)*)")
 CITED_ELSEWHERE = re.compile(r"\btheory,? (?:sections? )?\d", re.IGNORECASE)
 HEADING = re.compile(r"^##+ (\d+(?:\.\d+)?) .*$", re.MULTILINE)
 FORMULA = re.compile(r"^    \S", re.MULTILINE)

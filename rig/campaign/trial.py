@@ -19,10 +19,11 @@ from rig.config.campaign import Campaign
 from rig.identify import IdentifyError, identify, sampled_data
 from rig.identify.cramer_rao import PositionNoise, cramer_rao
 from rig.identify.estimate import PARAMETERS, Estimate
+from rig.identify.output_error import refit
 from rig.model.sampled_relay import RelayTest
-from rig.model.sensitivity import Drive, Theta
+from rig.model.sensitivity import Theta
 from rig.recording.reader import Recording, RecordingError, from_columns
-from rig.recording.series import LEAST_DELAY_S, Record
+from rig.recording.series import LEAST_DELAY_S, TimeSeries, steps_of
 from rig.results import RunMeta
 
 Array = NDArray[np.float64]
@@ -86,7 +87,7 @@ def run_trial(campaign: Campaign, number: int) -> Row:
     row |= {"samples": rows.stop - rows.start, "cycles": _cycles(test, rows)}
     try:
         recording = _recording(campaign, one, test, rows)
-        estimate = identify([recording], (sampled_data.METHOD,), ladder=False).estimates[sampled_data.METHOD]
+        estimate = identify([recording], (sampled_data.METHOD,), choose_law=False).estimates[sampled_data.METHOD]
     except (IdentifyError, RecordingError) as error:
         row |= _no_estimate(error.cause)
     else:
@@ -138,8 +139,8 @@ def _bound(campaign: Campaign, one: Draw, test: RelayTest, rows: slice) -> dict[
         0.0 if correlated is None else correlated.std_rad,
         0.0 if correlated is None else correlated.coefficient,
     )
-    drive = Drive.from_arrays(edges, test.u_V[rows])
-    bound = cramer_rao(theta, drive, test.t_s[first : rows.stop], noise, delay_known=known)
+    steps = steps_of(edges, test.u_V[rows])
+    bound = cramer_rao(theta, steps, test.t_s[first : rows.stop], noise, delay_known=known)
     found = dict(zip(PARAMETERS, bound[: len(PARAMETERS)].tolist(), strict=True))
     return found | ({"delay_s": math.nan} if known else {})
 
@@ -185,15 +186,15 @@ def _second(campaign: Campaign, one: Draw, estimate: Estimate) -> Row:
         return {"second_rms_rad": math.nan, "second_own_rms_rad": math.nan}
     test, rows = simulate(campaign, one, second=True)
     known = campaign.sampling.times_known
-    record = Record(test.t_s[rows], test.y_rad[rows], test.t_u_s[rows] if known else None, test.u_V[rows])
+    series = TimeSeries(test.t_s[rows], test.y_rad[rows], test.t_u_s[rows] if known else None, test.u_V[rows])
     true = Theta(one.tau_s, one.K_rad_s_V, one.fc_V, one.asym_V, 0.0 if known else one.delay_s)
     found = Theta(
         estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, 0.0 if known else estimate.delay_s
     )
-    return {"second_rms_rad": _residual_rad(record, found), "second_own_rms_rad": _residual_rad(record, true)}
+    return {"second_rms_rad": _residual_rad(series, found), "second_own_rms_rad": _residual_rad(series, true)}
 
 
-def _residual_rad(record: Record, theta: Theta) -> float:
-    """RMS residual of a record whose initial state alone is fitted."""
-    solution = sampled_data.refit([record], theta)
+def _residual_rad(series: TimeSeries, theta: Theta) -> float:
+    """RMS residual of a series whose initial state alone is fitted."""
+    solution = refit([series], theta)
     return math.sqrt(solution.cost / solution.residual.size)

@@ -33,9 +33,9 @@ from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
 from rig.preflight.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
 from rig.recording.folder import write_meta
-from rig.recording.reader import read_run
+from rig.recording.stage import Stage, StageKind
 from rig.results import JogResult, RealTimeReport, TrackingResult
-from rig.session import FADE_S, LAW_STAGE, Session
+from rig.session import FADE_S, Session
 
 REST_S = 0.7
 RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
@@ -62,7 +62,7 @@ def drive_law(session: Session, law: Timed, check: BreakawayLaw | None = None) -
     """A law of a user's own, from rest, after the breakaway check; ``check`` as ``check_breakaway``."""
     with _checked(session, check):
         session.note("law", name=law.name, duration_s=law.duration_s)
-        session.loop.run(law, LAW_STAGE)
+        session.loop.run(law, str(StageKind.LAW))
         session.loop.run(Rest(REST_S), "rest")
 
 
@@ -194,7 +194,7 @@ def test_relays(session: Session) -> None:
     for number, pair_V in enumerate(gains_V, start=1):
         cycle_s = expected_period_s if expected_period_s is not None else 2.0
         timeout_s = RELAY_TIMEOUT_PERIODS * e.relay.cycles * cycle_s
-        stage = f"relay-{number}"
+        stage = str(Stage.relay(number))
         session.note("gains", stage=stage, h1_V=pair_V[0], h2_V=pair_V[1], cycles=e.relay.cycles)
         watch = _watch_cycles(session, detector, stage)
         if e.relay.where == "device":
@@ -247,7 +247,7 @@ def test_hysteretic(session: Session) -> None:
         if abs(wanted.d_V) <= level_V:
             raise Fault("DRIVE_TOO_SMALL", f"d_V {wanted.d_V:+.3f} V of run {number}; it broke away at {level_V:.3f} V")
     for number, wanted in enumerate(e.relay.hysteretic, start=1):
-        stage = f"hysteretic-{number}"
+        stage = str(Stage.hysteretic(number))
         bring_home(session)
         session.note("hysteretic", stage=stage, d_V=wanted.d_V, eps_rad=wanted.eps_rad)
         relay = HystereticRelay(wanted.d_V, wanted.eps_rad)
@@ -308,7 +308,7 @@ def identify_recorded(session: Session) -> None:
     """Identify what has been recorded so far, by every method."""
     session.recorder.drain()
     session.note("stage", name="identify")
-    identification = session.found.identification = identify([read_run(session.folder)])
+    identification = session.found.identification = identify([session.read()])
     _compare_with_data_sheet(session, identification)
     session.loop.check_stop()
 
@@ -386,7 +386,7 @@ def track(session: Session, models: Mapping[Method, Motor]) -> None:
     with driving(session):
         for method, law in laws.items():
             session.loop.run(Rest(REST_S), "rest")
-            session.loop.run(law, f"track:{method}")
+            session.loop.run(law, str(Stage.track(method)))
             session.found.tracking[method] = TrackingResult()
         session.loop.run(Rest(REST_S), "rest")
 

@@ -18,7 +18,8 @@ from scipy.stats import chi2
 
 from rig.identify import sampled_data
 from rig.identify.estimate import Estimate
-from rig.recording.series import IdentifyError, Record
+from rig.recording.errors import IdentifyError
+from rig.recording.series import TimeSeries
 
 Array = NDArray[np.float64]
 
@@ -52,12 +53,12 @@ class Opinion:
         return cls(name, values, covariance)
 
 
-def opinions(recordings: Sequence[tuple[str, Sequence[Record]]]) -> list[Opinion]:
-    """Each recording, a name and its records, identified alone; those that cannot be are left out."""
+def opinions(recordings: Sequence[tuple[str, Sequence[TimeSeries]]]) -> list[Opinion]:
+    """Each recording, a name and its tests, identified alone; those that cannot be are left out."""
     found = []
-    for name, records in recordings:
+    for name, tests in recordings:
         try:
-            opinion = Opinion.of(name, sampled_data.fit(records)) if records else None
+            opinion = Opinion.of(name, sampled_data.fit(tests)) if tests else None
         except IdentifyError:
             continue
         if opinion is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from rig.identify.estimate import Estimate
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
-from rig.recording.series import Record
+from rig.recording.series import TimeSeries
 from rig.results import StaticFrictionResult
 
 Array = NDArray[np.float64]
@@ -60,19 +61,43 @@ class Breakaway:
         )
 
 
-def breakaway(record: Record, estimate: Estimate, noise_rad: float) -> Breakaway:
+class Ramps(NamedTuple):
+    """Static level from ramps both ways, V; its standard error, V; and whether each way alone shows one (95 %).
+
+    They take friction for fc as soon as the motor moves: with Stribeck friction it seems to break away later.
+    """
+
+    fs_V: float
+    error_V: float
+    shown: tuple[bool, bool]
+
+    @classmethod
+    def of(cls, breakaway: Breakaway | None, estimate: Estimate) -> Ramps | None:
+        """From a breakaway record, beside the friction in motion; None where it does not show both ways."""
+        if breakaway is None or breakaway.plus is None or breakaway.minus is None:
+            return None
+        plus, minus = breakaway.plus, breakaway.minus
+        moving = estimate.fc_V - estimate.asym_V, estimate.fc_V + estimate.asym_V
+        return cls(
+            0.5 * (plus.static_V + minus.static_V),
+            0.5 * math.hypot(plus.error_V, minus.error_V),
+            (plus.low_V > moving[0], minus.low_V > moving[1]),
+        )
+
+
+def breakaway(series: TimeSeries, estimate: Estimate, noise_rad: float) -> Breakaway:
     """Static friction from the record of a slow ramp each way, in strokes one after the other or to and fro.
 
     The drive at break-away is that for which the exact simulation reproduces the recorded positions (their likelihood's
     mean). It includes bias: towards rising positions it is static friction less bias, towards falling ones static
     friction plus bias.
     """
-    plus = _ramp(record, estimate, 1.0, noise_rad)
-    minus = _ramp(record, estimate, -1.0, noise_rad)
-    if plus is not None and minus is not None and _alternates(record):
+    plus = _ramp(series, estimate, 1.0, noise_rad)
+    minus = _ramp(series, estimate, -1.0, noise_rad)
+    if plus is not None and minus is not None and _alternates(series):
         # strokes the other way move the shaft, too: their level was taken for equal so far
-        plus = _ramp(record, estimate, 1.0, noise_rad, minus.static_V)
-        minus = minus if plus is None else _ramp(record, estimate, -1.0, noise_rad, plus.static_V)
+        plus = _ramp(series, estimate, 1.0, noise_rad, minus.static_V)
+        minus = minus if plus is None else _ramp(series, estimate, -1.0, noise_rad, plus.static_V)
     if plus is None or minus is None:
         which = (
             "either way" if plus is None and minus is None else "towards " + ("rising" if plus is None else "falling")
@@ -82,37 +107,37 @@ def breakaway(record: Record, estimate: Estimate, noise_rad: float) -> Breakaway
     return Breakaway(plus, minus, friction, reason)
 
 
-def _alternates(record: Record) -> bool:
+def _alternates(series: TimeSeries) -> bool:
     """Whether strokes one way lie between those of the other."""
-    signs = np.sign(record.u_V[record.u_V != 0.0])
+    signs = np.sign(series.u_V[series.u_V != 0.0])
     return int(np.count_nonzero(np.diff(signs))) > 1
 
 
 def _ramp(
-    record: Record, estimate: Estimate, sign: float, noise_rad: float, other_V: float | None = None
+    series: TimeSeries, estimate: Estimate, sign: float, noise_rad: float, other_V: float | None = None
 ) -> Ramp | None:
     """Scan the drives of one way for the level that explains the positions best.
 
     other_V  static level of the other way; without it, as the one that is tried
     """
-    driven = np.flatnonzero(sign * record.u_V > 0.0)
+    driven = np.flatnonzero(sign * series.u_V > 0.0)
     if driven.size < 5:
         return None
-    acts = record.edge_s + (
-        0.0 if record.t_u_s is not None or not math.isfinite(estimate.delay_s) else estimate.delay_s
+    acts = series.edge_s + (
+        0.0 if series.t_u_s is not None or not math.isfinite(estimate.delay_s) else estimate.delay_s
     )
     first, last = max(int(driven[0]) - 1, 0), int(driven[-1])
-    stop = int(np.searchsorted(record.t_s, record.t_s[last] + SETTLE_S))
-    other = np.flatnonzero(sign * record.u_V[last:stop] < 0.0)
+    stop = int(np.searchsorted(series.t_s, series.t_s[last] + SETTLE_S))
+    other = np.flatnonzero(sign * series.u_V[last:stop] < 0.0)
     stop = last + int(other[0]) if other.size else stop
-    start = int(np.searchsorted(record.t_s, acts[first]))
-    t_s, y_rad = record.t_s[start:stop], record.y_rad[start:stop]
-    edges, drive = acts[first:stop], record.u_V[first:stop]
+    start = int(np.searchsorted(series.t_s, acts[first]))
+    t_s, y_rad = series.t_s[start:stop], series.y_rad[start:stop]
+    edges, drive = acts[first:stop], series.u_V[first:stop]
     moving_plus, moving_minus = estimate.fc_V - estimate.asym_V, estimate.fc_V + estimate.asym_V
     if t_s.size < 10 or min(moving_plus, moving_minus) < 0.0:
         return None
     moving = moving_plus if sign > 0.0 else moving_minus
-    levels = np.unique(sign * record.u_V[driven])
+    levels = np.unique(sign * series.u_V[driven])
     levels = levels[levels > moving]
     if levels.size == 0:
         return None

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.model.sensitivity import Drive, Theta, position_and_jacobian
+from rig.model.sensitivity import Theta, position_and_jacobian
+from rig.recording.series import Steps
 
 Array = NDArray[np.float64]
 
@@ -64,15 +65,16 @@ class PositionNoise:
         return out
 
 
-def cramer_rao(theta: Theta, drive: Drive, t_s: Array, noise: PositionNoise, *, delay_known: bool = False) -> Array:
+def cramer_rao(theta: Theta, steps: Steps, t_s: Array, noise: PositionNoise, *, delay_known: bool = False) -> Array:
     """Bound on the standard deviation of each of ``Theta``, in its order and units.
 
     theta        the truth: v0 and y0 at t_s[0], the offset of the reading in y0
+    steps        the drive
     t_s          n times of the samples that are fitted, s
     delay_known  the times of the drive were recorded: the delay is not estimated, its entry is 0
     Returns (7,); inf where the experiment does not tell a parameter from the others.
     """
-    jacobian = noise.whitened(position_and_jacobian(theta, drive, t_s)[1])
+    jacobian = noise.whitened(position_and_jacobian(theta, *steps, t_s)[1])
     size = np.linalg.norm(jacobian, axis=0)
     bound = np.where(size > 0.0, 0.0, math.inf)
     free = size > 0.0

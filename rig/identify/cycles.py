@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.mean_cycle import Cycle, Half, Wave, average
-from rig.recording.series import IdentifyError, Record
+from rig.recording.errors import IdentifyError
+from rig.recording.series import TimeSeries
 
 Array = NDArray[np.float64]
 
@@ -37,18 +38,18 @@ class Gains:
     note: str
 
 
-def relay_gains(record: Record) -> Gains:
+def relay_gains(series: TimeSeries) -> Gains:
     """Gains h1, h2 from the levels of u = -h1 sgn(y) - h2 sgn(z).
 
     Levels need not be exact: they are clusters, so quantised and saturated drives pass. (Under saturation the levels
     found are those of the relay that the motor has effectively seen.) Raises IdentifyError if the drive is not a
     dual-channel relay's.
     """
-    u = record.u_V
+    u = series.u_V
     largest = float(np.abs(u).max())
     cure = "give a relay test, or use the method sampled-data, which takes any drive"
     if largest == 0.0:
-        raise IdentifyError(f"{record.name}: the drive is zero throughout", "record a relay test: `rig relay CONFIG`")
+        raise IdentifyError(f"{series.name}: the drive is zero throughout", "record a relay test: `rig relay CONFIG`")
     order = np.sort(u)
     # An averaged relay signal has steps between its levels (Remark 3.2); they are rare.
     near = np.searchsorted(order, order + 0.03 * largest, "right") - np.searchsorted(order, order - 0.03 * largest)
@@ -60,7 +61,7 @@ def relay_gains(record: Record) -> Gains:
     shown = ", ".join(f"{level:.3g}" for level in levels)
     if not 3 <= len(groups) <= 4 or covered < 0.9 or any(np.ptp(g) > 0.12 * largest for g in groups):
         raise IdentifyError(
-            f"{record.name}: the drive is not a dual-channel relay's (levels: {shown or 'none'} V)", cure
+            f"{series.name}: the drive is not a dual-channel relay's (levels: {shown or 'none'} V)", cure
         )
     top, bottom = levels[-1], levels[0]
     if (
@@ -68,7 +69,7 @@ def relay_gains(record: Record) -> Gains:
         or abs(top + bottom) > 0.25 * largest
         or any(abs(x) > 0.94 * largest for x in levels[1:-1])
     ):
-        raise IdentifyError(f"{record.name}: the drive's levels are not symmetric ({shown} V)", cure)
+        raise IdentifyError(f"{series.name}: the drive's levels are not symmetric ({shown} V)", cure)
     width = 0.06 * largest
     side = np.full(u.size, np.nan)
     side[u >= groups[-1].min() - 0.1 * width] = 1.0
@@ -80,7 +81,7 @@ def relay_gains(record: Record) -> Gains:
     middle = side == 0.0
     after_top, after_bottom = u[middle & (before > 0)], u[middle & (before < 0)]
     if after_top.size < 3 or after_bottom.size < 3:
-        raise IdentifyError(f"{record.name}: the drive never passes through +-(h2 - h1)", cure)
+        raise IdentifyError(f"{series.name}: the drive never passes through +-(h2 - h1)", cure)
     outer = 0.5 * (top - bottom)
     inner = 0.5 * float(np.median(after_top) - np.median(after_bottom))
     h1, h2 = 0.5 * (outer - inner), 0.5 * (outer + inner)
@@ -99,30 +100,30 @@ def _held(side: Array) -> Array:
     return np.where(last >= 0, side[outer[np.maximum(last, 0)]], np.nan)
 
 
-def find_cycle(record: Record) -> Cycle:
+def find_cycle(series: TimeSeries) -> Cycle:
     """The settled cycle of a relay test, averaged.
 
     Raises IdentifyError with the reason if the drive is no dual-channel relay's, or no three cycles are settled and
     acceptable (docs/theory.md 4.3: period at least 30 samples, amplitude at least 20 steps of the sensor, edges in the
     order RA, RB, RC).
     """
-    gains = relay_gains(record)
-    halves = _halves(record, gains)
+    gains = relay_gains(series)
+    halves = _halves(series, gains)
     waves = [Wave(a, b) for (a, sa), (b, _) in zip(halves.found[:-1], halves.found[1:], strict=True) if sa > 0]
     starts = [row for row, (_, s) in zip(halves.rows[:-2], halves.found[:-1], strict=True) if s > 0]
     stops = [row for row, (_, s) in zip(halves.rows[2:], halves.found[:-1], strict=True) if s > 0]
     if len(waves) < FEWEST_CYCLES:
         raise IdentifyError(
-            f"{record.name}: {len(waves)} full cycles are too few",
+            f"{series.name}: {len(waves)} full cycles are too few",
             "record at least ten settled cycles of the relay test: relay.cycles in the config",
         )
-    resolution = record.resolution_rad()
-    first, stop = _settled(record, waves, resolution)
+    resolution = series.resolution_rad()
+    first, stop = _settled(series, waves, resolution)
     used = tuple(waves[first:stop])
-    rows = (record.first_row + starts[first], record.first_row + stops[stop - 1] - 1)
+    rows = (series.first_row + starts[first], series.first_row + stops[stop - 1] - 1)
     notes = (gains.note, f"{len(used)} settled cycles of {len(waves)}, rows {rows[0]} to {rows[1]}")
-    cycle = average(used, gains.h1_V, gains.h2_V, record.period_s, resolution, rows, notes, record.t_u_s is not None)
-    _accept(record, cycle)
+    cycle = average(used, gains.h1_V, gains.h2_V, series.period_s, resolution, rows, notes, series.t_u_s is not None)
+    _accept(series, cycle)
     return cycle
 
 
@@ -141,14 +142,14 @@ def equivalent_edge(begin_s: Array, lasting_s: Array, done: Array) -> float:
     return float(begin_s[0] + lasting_s @ (1.0 - done))
 
 
-def _halves(record: Record, gains: Gains) -> _Halves:
+def _halves(series: TimeSeries, gains: Gains) -> _Halves:
     """Complete half periods between RC edges; chatter of either relay is merged into an equivalent edge.
 
     Before the middle of the time that the drive spends at its outer level, lower levels are chatter of RC; after it,
     outer ones are chatter of RB.
     """
-    acts = record.edge_s
-    side, u = gains.side, record.u_V
+    acts = series.edge_s
+    side, u = gains.side, series.u_V
     lasting = np.diff(acts, append=acts[-1])
     flips = _flips(gains.side, acts)
     odd = np.isnan(side)
@@ -174,12 +175,12 @@ def _halves(record: Record, gains: Gains) -> _Halves:
         last = acts[falling] if stop > falling.start else acts[-1:]
         rb.append(equivalent_edge(last, lasting[falling], 1.0 - np.clip(down, 0.0, 1.0)))
         signs.append(sign)
-    margin = 3.0 * record.period_s
+    margin = 3.0 * series.period_s
     found = []
     for k in range(len(flips) - 1):
         length = rc[k + 1] - rc[k]
-        lo, hi = np.searchsorted(record.t_s, [rc[k] - margin, rc[k] + length + margin])
-        half = Half(record.t_s[lo:hi] - rc[k], signs[k] * record.y_rad[lo:hi], rb[k] - rc[k], length)
+        lo, hi = np.searchsorted(series.t_s, [rc[k] - margin, rc[k] + length + margin])
+        half = Half(series.t_s[lo:hi] - rc[k], signs[k] * series.y_rad[lo:hi], rb[k] - rc[k], length)
         found.append((half, signs[k]))
     return _Halves(found, flips)
 
@@ -197,7 +198,7 @@ def _flips(side: Array, acts_s: Array) -> list[int]:
     return [int(row) for row in rows]
 
 
-def _settled(record: Record, waves: list[Wave], resolution_rad: float) -> tuple[int, int]:
+def _settled(series: TimeSeries, waves: list[Wave], resolution_rad: float) -> tuple[int, int]:
     """Longest run of cycles whose period and amplitude stay: (first, stop).
 
     A relay that decides once a tick makes cycles jitter by more than a tick, so three in a row have to agree closely,
@@ -207,7 +208,7 @@ def _settled(record: Record, waves: list[Wave], resolution_rad: float) -> tuple[
     amplitudes = np.array([wave.amplitude_rad for wave in waves])
     late = slice(len(waves) // 2, None)
     period, amplitude = float(np.median(periods[late])), float(np.median(amplitudes[late]))
-    tick, noise = 1.5 * record.period_s, 4.0 * resolution_rad
+    tick, noise = 1.5 * series.period_s, 4.0 * resolution_rad
     near = np.abs(periods - period) <= KEPT * period + tick
     near &= np.abs(amplitudes - amplitude) <= 1.5 * KEPT * amplitude + noise
     runs = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(int), [0]))))
@@ -219,10 +220,10 @@ def _settled(record: Record, waves: list[Wave], resolution_rad: float) -> tuple[
         if np.ptp(periods[k : k + 3]) <= SETTLED * period + tick
         and np.abs(periods[k : k + 3].mean() - period) <= ARRIVED * period + tick
     ]
-    first, stop = (_steady(periods, amplitudes, begins[0], stop, record.period_s), stop) if begins else (0, 0)
+    first, stop = (_steady(periods, amplitudes, begins[0], stop, series.period_s), stop) if begins else (0, 0)
     if stop - first < FEWEST_CYCLES:
         raise IdentifyError(
-            f"{record.name}: no {FEWEST_CYCLES} cycles in a row are settled (periods {periods.min():.3g} to "
+            f"{series.name}: no {FEWEST_CYCLES} cycles in a row are settled (periods {periods.min():.3g} to "
             f"{periods.max():.3g} s, amplitudes {amplitudes.min():.3g} to {amplitudes.max():.3g} rad)",
             "record longer (relay.cycles), or take the steady part alone: --rows FIRST:LAST",
         )
@@ -230,7 +231,7 @@ def _settled(record: Record, waves: list[Wave], resolution_rad: float) -> tuple[
     drift = float(np.polyfit(np.arange(centre.size), centre, 1)[0]) * centre.size
     if abs(drift) > 0.2 * amplitude:
         raise IdentifyError(
-            f"{record.name}: the cycle drifts by {drift:.3g} rad at an amplitude of {amplitude:.3g} rad",
+            f"{series.name}: the cycle drifts by {drift:.3g} rad at an amplitude of {amplitude:.3g} rad",
             "record longer until it is steady (relay.cycles); check the coupling of the sensor",
         )
     return first, stop
@@ -255,26 +256,26 @@ def _steady(periods: Array, amplitudes: Array, first: int, stop: int, tick_s: fl
     return begin if stop - begin >= FEWEST_CYCLES else first
 
 
-def _accept(record: Record, cycle: Cycle) -> None:
+def _accept(series: TimeSeries, cycle: Cycle) -> None:
     """docs/theory.md 4.3: what is the limit cycle and what is the loop's delay hunting by itself."""
     cure = "raise h2 or lower h1 (relay.gains): a slower and larger cycle; or sample faster (period_s)"
-    if cycle.period_s < SHORTEST_PERIODS * record.period_s:
+    if cycle.period_s < SHORTEST_PERIODS * series.period_s:
         raise IdentifyError(
-            f"{record.name}: the period {cycle.period_s:.3g} s is below {SHORTEST_PERIODS} samples: delay hunting", cure
+            f"{series.name}: the period {cycle.period_s:.3g} s is below {SHORTEST_PERIODS} samples: delay hunting", cure
         )
     if not cycle.amplitude_rad > 0.0:
         raise IdentifyError(
-            f"{record.name}: the position does not follow the drive: the averaged cycle has no amplitude",
+            f"{series.name}: the position does not follow the drive: the averaged cycle has no amplitude",
             "check that the motor turns and that the sensor is coupled to it, then record again",
         )
     if cycle.amplitude_rad < SMALLEST_LSB * cycle.resolution_rad:
         raise IdentifyError(
-            f"{record.name}: the amplitude {cycle.amplitude_rad:.3g} rad is below {SMALLEST_LSB} steps of the sensor",
+            f"{series.name}: the amplitude {cycle.amplitude_rad:.3g} rad is below {SMALLEST_LSB} steps of the sensor",
             cure,
         )
     # Where stage 3 does not drive it back, the motor may stop before a sampled relay's late RC edge.
-    earliest = -3.0 * record.period_s if cycle.h1_V <= cycle.h2_V else 0.0
+    earliest = -3.0 * series.period_s if cycle.h1_V <= cycle.h2_V else 0.0
     if not (earliest < cycle.t1_s < cycle.t1_s + cycle.t2_s < 0.5 * cycle.period_s):
         raise IdentifyError(
-            f"{record.name}: extremum, RB and RC do not follow in this order: not a simple oscillation", cure
+            f"{series.name}: extremum, RB and RC do not follow in this order: not a simple oscillation", cure
         )

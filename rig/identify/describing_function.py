@@ -7,20 +7,42 @@ assuming a sine, which no interval shows.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.estimate import Estimate, student_intervals
+from rig.identify.estimator import Estimator
 from rig.identify.mean_cycle import Cycle
-from rig.identify.sampled_data import Start
-from rig.recording.series import IdentifyError
+from rig.identify.measurements import Measurements
+from rig.identify.starts import Start
+from rig.identify.verdict import judge_reference, settled, unguarded
+from rig.recording.errors import IdentifyError
 
 Array = NDArray[np.float64]
 
 METHOD = "describing-function"
 NEAREST_H2 = 0.05  # relative difference of h2 below which two tests are one
+
+
+class DescribingFunction(Estimator):
+    """A reference: quick, and biased by its own assumption."""
+
+    name = METHOD
+
+    def applies(self, data: Measurements) -> IdentifyError | None:
+        """From two settled cycles on."""
+        return lacking(data.settled)
+
+    def fit(self, data: Measurements) -> Estimate:
+        """From the frequency and amplitude of each settled cycle."""
+        return fit(data.settled)
+
+    def judge(self, estimate: Estimate, data: Measurements, earlier: Mapping[str, Estimate]) -> Estimate:
+        """Doubtful always: no interval shows the error of assuming a sine."""
+        bias = "its interval shows the scatter of the cycles, not the error of assuming a sine"
+        return unguarded(settled(judge_reference(estimate, data.tests, bias), data), data)
 
 
 def solve(omegas_rad_s: Array, amplitudes_rad: Array, h1_V: Array, h2_V: Array) -> Start:
@@ -32,23 +54,32 @@ def solve(omegas_rad_s: Array, amplitudes_rad: Array, h1_V: Array, h2_V: Array) 
     return Start(tau, float(K), fc)
 
 
+def lacking(cycles: Sequence[Cycle]) -> IdentifyError | None:
+    """Why these cycles are not enough, and what to record; None where they are."""
+    if len(cycles) < 2:
+        return IdentifyError(
+            "the describing function needs two relay tests", "give two recordings with different gains h2"
+        )
+    h2 = np.array([cycle.h2_V for cycle in cycles])
+    if np.ptp(h2) < NEAREST_H2 * h2.max():
+        return IdentifyError(
+            f"the tests' gains h2 lie within {100 * NEAREST_H2:.0f} % of one another",
+            "record the second test with an h2 a fifth larger or smaller, by relay.gains or relay.second_ratio",
+        )
+    return None
+
+
 def fit(cycles: Sequence[Cycle]) -> Estimate:
     """Estimate tau, K and fc from two or more relay tests with different gains.
 
     Intervals come from the scatter between periods alone. rms_rad is left to the caller. Raises IdentifyError on fewer
     than two tests, or gains too near one another.
     """
-    if len(cycles) < 2:
-        raise IdentifyError(
-            "the describing function needs two relay tests", "give two recordings with different gains h2"
-        )
+    wrong = lacking(cycles)
+    if wrong is not None:
+        raise wrong
     h1 = np.array([cycle.h1_V for cycle in cycles])
     h2 = np.array([cycle.h2_V for cycle in cycles])
-    if np.ptp(h2) < NEAREST_H2 * h2.max():
-        raise IdentifyError(
-            f"the tests' gains h2 lie within {100 * NEAREST_H2:.0f} % of one another",
-            "record the second test with an h2 a fifth larger or smaller, by relay.gains or relay.second_ratio",
-        )
     omegas = np.array([cycle.omega_rad_s for cycle in cycles])
     amplitudes = np.array([cycle.amplitude_rad for cycle in cycles])
     theta = solve(omegas, amplitudes, h1, h2)
@@ -64,6 +95,7 @@ def fit(cycles: Sequence[Cycle]) -> Estimate:
         iterations=1,
         rows=(min(cycle.rows[0] for cycle in cycles), max(cycle.rows[1] for cycle in cycles)),
         iterates=np.array([theta]),
+        cycles=tuple(cycles),
     )
     if not (theta.K_rad_s_V > 0.0 and 0.0 <= theta.fc_V < h2.min() and theta.tau_s > 0.0):
         return estimate.judged(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from rig.identify.mean_cycle import Cycle
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.results import EstimateResult, ResidualResult
@@ -38,8 +39,9 @@ class Estimate:
     iterates        (n, 3): tau_s, K_rad_s_V, fc_V at each iteration, or after each sample of a recursion
     residual_rad, residual_t_s  series of the residual, and its times
     repeated        share of the residual's power that comes again in each cycle, 0 to 1
-    wander          (memory s, size): noise that wanders beside the white one, and its standard deviation over that of
-                    the white one; None if there is none
+    coloured        (memory s, size): coloured noise beside the white one, and its standard deviation over that of the
+                    white one; None if there is none
+    cycles          the limit cycles that it rests on; () for a method that needs none
     """
 
     method: str
@@ -62,7 +64,8 @@ class Estimate:
     residual_rad: Array = field(default_factory=lambda: np.empty(0))
     residual_t_s: Array = field(default_factory=lambda: np.empty(0))
     repeated: float = 0.0
-    wander: tuple[float, float] | None = None
+    coloured: tuple[float, float] | None = None
+    cycles: tuple[Cycle, ...] = field(default=(), repr=False)
 
     @property
     def correlation(self) -> Array:
@@ -91,7 +94,7 @@ class Estimate:
 
     def as_result(self) -> EstimateResult:
         """As one entry of ``estimates`` in result.json; a number that is not finite becomes None."""
-        memory_s, size = (None, None) if self.wander is None else self.wander
+        memory_s, size = (None, None) if self.coloured is None else self.coloured
         return EstimateResult(
             tau_s=self.tau_s,
             K_rad_s_V=self.K_rad_s_V,

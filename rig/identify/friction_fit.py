@@ -1,8 +1,8 @@
-"""Least squares of one friction law: Coulomb, asymmetric, with a static level, Stribeck (docs/theory.md 8.1 and 8.4).
+"""Least squares of one friction law (docs/theory.md 8.1 and 8.4).
 
-Stribeck friction hardly differs from another tau, K and fc, and its static level from its velocity: a fit from afar
-ends anywhere. So it starts at the fit without it, in the direction in which a little of it lowers the squares most
-(all other parameters adjusting, to first order), tried for a few velocities.
+A law whose parameters are fitted starts at the fit without it, in the direction in which a little of it lowers the
+squares most (all other parameters adjusting, to first order), for each of its trials. One whose parameters are scanned
+is tried at all of them. What the breakaway record tells is kept.
 """
 
 from __future__ import annotations
@@ -11,55 +11,49 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from rig.identify import sampled_data
+from rig.identify import laws
+from rig.identify.breakaway import Ramps
 from rig.identify.estimate import PARAMETERS, Estimate
-from rig.identify.sampled_data import Piece, Problem, covariance_of
-from rig.model.sensitivity import StribeckTheta, Theta, position, position_and_jacobian, stribeck_response
+from rig.identify.laws.asymmetric import Asymmetric
+from rig.identify.laws.law import CandidateLaw, Plain
+from rig.identify.output_error import SHARED, Problem, covariance_of, initial_state
+from rig.model.sensitivity import Theta
+from rig.recording.series import Window, spread_rad
 
 Array = NDArray[np.float64]
-Law = Literal["coulomb", "asymmetric", "static", "stribeck"]
 
-LAWS: tuple[Law, ...] = ("coulomb", "asymmetric", "static", "stribeck")
-NAMES = (*PARAMETERS, "excess_V", "stribeck_rad_s")  # of the full vector, in which tau, K and vs are logarithms
-LOGARITHMS = (0, 1, 6)
-FC, ASYM, DELAY, EXCESS, SPEED = range(2, 7)
-SHARED = len(NAMES)
-STEPS = (1e-5, 1e-5, 1e-5, 1e-6, 1e-6, 1e-5, 1e-4)  # of forward differences, in the vector's units
+LOGARITHMS = (0, 1)  # of the vector's first five: tau and K
+FC, ASYM, DELAY = 2, 3, 4
+STEPS = (1e-5, 1e-5, 1e-5, 1e-6, 1e-6)  # of forward differences of these, in the vector's units
 STATE_STEP = 1e-5  # the same, of an initial velocity, rad/s
-
-SPEEDS = (0.01, 0.03, 0.1, 0.3)  # trials of the Stribeck velocity, over the largest speed
-SPEED_RANGE = (0.003, 1.0)
-STARTS = 2  # of them that are iterated
-STATIC_TRIALS = 24  # of a static level,
-STATIC_RANGE = 2.0  # up to so many times the moving one,
-STATIC_STARTS = 4  # of them that are iterated
+STARTS = 2  # of a law's trials that are iterated,
+SCANNED = 4  # of those that are scanned
 MAX_ITERATIONS = 40
 VISIBLE = 1.0  # change of the sum of squares, over the noise's variance, that shows
-ROUNDING = 1e-7  # residual over the spread of positions that is rounding
+PLAIN = Asymmetric()  # what every law is compared with and started from
 
 
 @dataclass(frozen=True)
-class Fit:
+class LawSolution:
     """One law fitted.
 
-    x         full vector: log tau, log K, fc, asym, delay, fs - fc, log vs, then v0 and y0 of each test
-    residual  whitened, of the records alone, rad
-    fitted    names of the parameters that are fitted, of ``NAMES``
-    errors    standard errors of these, in their units; of fs_V too where that is fitted
-    seen      whether the tests depend on what the law adds
+    x           full vector: log tau, log K, fc, asym, delay, the law's own parameters, then v0 and y0 of each window
+    residual    whitened, of the tests alone, rad
+    fitted      names of the parameters that are fitted
+    covariance  of these, in their units
+    seen        whether the tests depend on what the law adds
     """
 
-    law: Law
+    law: CandidateLaw
     x: Array
     residual: Array
     fitted: tuple[str, ...]
-    errors: dict[str, float]
+    covariance: Array
     seen: bool = True
 
     @property
@@ -73,169 +67,168 @@ class Fit:
         return math.sqrt(self.squares / self.residual.size)
 
     def value(self, name: str) -> float:
-        """One of ``NAMES``, in its unit."""
-        at = NAMES.index(name)
-        return math.exp(self.x[at]) if at in LOGARITHMS else float(self.x[at])
+        """A parameter of this name, in its unit."""
+        at = _names(self.law).index(name)
+        return math.exp(self.x[at]) if at in _logarithms(self.law) else float(self.x[at])
+
+    def error(self, *names: str) -> float | None:
+        """Standard error of a parameter, or of the sum of several; None where one is not fitted."""
+        if not all(name in self.fitted for name in names):
+            return None
+        at = [self.fitted.index(name) for name in names]
+        if len(at) == 1:
+            return float(np.sqrt(self.covariance[at[0], at[0]]))
+        return math.sqrt(max(0.0, float(self.covariance[np.ix_(at, at)].sum())))
 
 
 @dataclass(frozen=True)
-class Tests:
+class LawProblem:
     """The tests that laws are fitted to.
 
-    problem   their pieces, bounds and noise; its fifth entry of ``free`` says whether the delay is fitted
-    fs_V      static level as a breakaway record shows it, V; None without one
+    problem   their windows, bounds and noise; its fifth entry of ``free`` says whether the delay is fitted
+    ramps     static levels as a breakaway record shows them; None without one
     """
 
     problem: Problem
-    fs_V: float | None = None
+    ramps: Ramps | None = None
 
     @property
-    def pieces(self) -> tuple[Piece, ...]:
+    def windows(self) -> tuple[Window, ...]:
         """What is predicted of each test."""
-        return self.problem.pieces
-
-    @cached_property
-    def largest_V(self) -> float:
-        """Largest drive, V."""
-        return max(float(np.abs(piece.drive.u_V).max()) for piece in self.pieces)
+        return self.problem.windows
 
     @cached_property
     def spread_rad(self) -> float:
         """Standard deviation of the positions about their means, rad."""
-        return float(np.std(np.concatenate([piece.y_rad - piece.y_rad.mean() for piece in self.pieces])))
+        return spread_rad(self.windows)
 
     def start(self, estimate: Estimate) -> Array:
         """The full vector of a sampled-data estimate: asymmetric Coulomb friction, initial states by eye."""
         delay = estimate.delay_s if self.problem.free[DELAY] else 0.0
         shared = [math.log(estimate.tau_s), math.log(estimate.K_rad_s_V), estimate.fc_V, estimate.asym_V, delay]
-        return self.with_states(np.array([*shared, 0.0, 0.0]))
+        return self._with_states(np.array(shared))
 
-    def with_states(self, x: Array) -> Array:
-        """The shared part of ``x`` with initial states by eye."""
-        states = [value for piece in self.pieces for value in sampled_data.initial_state(piece)]
-        return np.concatenate((x[:SHARED], states))
+    def fit(self, start: Array) -> dict[str, LawSolution]:
+        """All laws by name, from the vector ``start`` of an asymmetric Coulomb motor."""
+        plain = self._solve(PLAIN, start)
+        return {law.name: self._fit(law, plain) for law in laws.LAWS}
 
-    def fit(self, start: Array) -> dict[Law, Fit]:
-        """All laws, from the vector ``start`` of an asymmetric Coulomb motor."""
-        asymmetric = self._solve("asymmetric", start)
-        symmetric = asymmetric.x.copy()
-        symmetric[ASYM] = 0.0
-        coulomb = self._solve("coulomb", symmetric)
-        return {
-            "coulomb": coulomb,
-            "asymmetric": asymmetric,
-            "static": self._static(asymmetric),
-            "stribeck": self._stribeck(asymmetric),
-        }
-
-    def predict(self, fit: Fit) -> Fit:
+    def predict(self, fit: LawSolution) -> LawSolution:
         """What a law fitted elsewhere makes of these tests: only initial states, and an unknown delay, are fitted."""
-        return self._solve(fit.law, self.with_states(fit.x), given=True)
+        return self._solve(fit.law, self._with_states(fit.x[: _count(fit.law)]), given=True)
 
-    def _static(self, asymmetric: Fit) -> Fit:
-        """The static level that a breakaway record gives, or else that explains the motion best."""
-        x = asymmetric.x.copy()
-        if self.fs_V is not None:
-            x[EXCESS] = max(0.0, self.fs_V - x[FC])
-            return self._solve("static", x)
-        # between two drives that occur, nothing depends on the level
-        levels = np.unique(np.abs(np.concatenate([piece.drive.u_V for piece in self.pieces]) + x[ASYM]))
-        levels = levels[levels > x[FC]]
-        trials = 0.5 * (np.concatenate((x[FC : FC + 1], levels[:-1])) + levels) - x[FC]
-        trials = trials[trials < (STATIC_RANGE - 1.0) * x[FC]]
-        if trials.size > STATIC_TRIALS:
-            trials = np.quantile(trials, np.linspace(0.0, 1.0, STATIC_TRIALS))
-        found: list[tuple[float, float]] = []
-        for trial in trials.tolist():
-            x[EXCESS] = trial
-            residual = self.problem.whiten(self._residual(x, "static"))
+    def _with_states(self, parameters: Array) -> Array:
+        """The full vector of these parameters, with initial states by eye."""
+        return np.concatenate((parameters, *(initial_state(window) for window in self.windows)))
+
+    def _fit(self, law: CandidateLaw, plain: LawSolution) -> LawSolution:
+        if law.name == PLAIN.name:
+            return plain
+        if not law.parameters:
+            symmetric = plain.x.copy()
+            symmetric[ASYM] = 0.0
+            return self._solve(law, symmetric)
+        explained = self._explained(plain)
+        known = law.known(explained, self.ramps)
+        if known is not None:
+            return self._solve(law, _with_own(plain.x, known))
+        if all(parameter.fitted for parameter in law.parameters):
+            return self._from_residual(law, plain, explained)
+        return self._scan(law, plain, explained)
+
+    def _explained(self, plain: LawSolution) -> Plain:
+        positions = [PLAIN.position(_theta(plain.x, SHARED, k), (), window) for k, window in enumerate(self.windows)]
+        return Plain(self.windows, float(plain.x[FC]), float(plain.x[ASYM]), positions)
+
+    def _scan(self, law: CandidateLaw, plain: LawSolution, explained: Plain) -> LawSolution:
+        """The best of all trials; the fit without the law where none shows."""
+        found: list[tuple[float, list[float]]] = []
+        for trial in law.trials(explained):
+            residual = self.problem.whiten(self._residual(_with_own(plain.x, trial), law))
             squares = float(residual @ residual)
-            if abs(squares - asymmetric.squares) > VISIBLE * asymmetric.rms_rad**2:
+            if abs(squares - plain.squares) > VISIBLE * plain.rms_rad**2:
                 found.append((squares, trial))
-        plain = replace(asymmetric, law="static", seen=bool(found))
-        fits = []
-        for _, trial in sorted(found)[:STATIC_STARTS]:
-            x[EXCESS] = trial
-            fits.append(self._solve("static", x))
-        return min([plain, *fits], key=lambda fit: fit.squares)
+        fits = [self._solve(law, _with_own(plain.x, trial)) for _, trial in sorted(found)[:SCANNED]]
+        return min([replace(_without(law, plain), seen=bool(found)), *fits], key=lambda fit: fit.squares)
 
-    def _stribeck(self, asymmetric: Fit) -> Fit:
-        """The best of a few starts; the fit without Stribeck friction where a little of it makes all of them worse."""
-        x = asymmetric.x
-        plain, jacobian = self._residual_and_jacobian(x, "asymmetric", self._free("asymmetric"))
-        top_rad_s = max(float(np.abs(np.diff(y) / np.diff(piece.t_s)).max()) for piece, y in self._positions(x))
-        fitted = np.flatnonzero(self._mask("asymmetric"))
+    def _from_residual(self, law: CandidateLaw, plain: LawSolution, explained: Plain) -> LawSolution:
+        """The best of a few starts; the fit without the law where a little of it makes all of them worse."""
+        before, jacobian = self._residual_and_jacobian(plain.x, PLAIN, self._free(PLAIN))
+        fitted = np.flatnonzero(self._mask(PLAIN))
+        trials = law.trials(explained)
+        ranges = law.ranges(explained) if trials else []
+        step = law.parameters[0].step
         found: list[tuple[float, Array]] = []
-        for share in SPEEDS if top_rad_s > 0.0 else ():
-            trial = x.copy()
-            trial[SPEED] = math.log(share * top_rad_s)
-            trial[EXCESS] = STEPS[EXCESS]
-            by_excess = (self._residual(trial, "stribeck") - plain) / STEPS[EXCESS]
-            columns = self.problem.whiten(np.column_stack((jacobian[:, fitted], by_excess)))
+        for trial in trials:
+            by_strength = (self._residual(_with_own(plain.x, [step, *trial[1:]]), law) - before) / step
+            columns = self.problem.whiten(np.column_stack((jacobian[:, fitted], by_strength)))
             sizes = np.linalg.norm(columns, axis=0)
             sizes[sizes == 0.0] = 1.0
-            step = -np.linalg.lstsq(columns / sizes, asymmetric.residual, rcond=1e-12)[0] / sizes
-            left = asymmetric.residual + columns @ step
-            if step[-1] > 0.0:
-                trial[fitted] += step[:-1]
-                trial[EXCESS] = step[-1]
-                found.append((float(left @ left), trial))
+            move = -np.linalg.lstsq(columns / sizes, plain.residual, rcond=1e-12)[0] / sizes
+            left = plain.residual + columns @ move
+            if move[-1] > ranges[0][0]:
+                moved = plain.x.copy()
+                moved[fitted] += move[:-1]
+                found.append((float(left @ left), _with_own(moved, [move[-1], *trial[1:]])))
         found.sort(key=lambda entry: entry[0])
-        fits = [self._solve("stribeck", trial, top_rad_s=top_rad_s) for _, trial in found[:STARTS]]
-        return min([*fits, replace(asymmetric, law="stribeck")], key=lambda fit: fit.squares)
+        fits = [self._solve(law, x, ranges) for _, x in found[:STARTS]]
+        return min([*fits, _without(law, plain)], key=lambda fit: fit.squares)
 
-    def _positions(self, x: Array) -> list[tuple[Piece, Array]]:
-        return [(piece, position(_theta(x, k), piece.drive, piece.t_s)) for k, piece in enumerate(self.pieces)]
-
-    def _free(self, law: Law, given: bool = False) -> tuple[bool, ...]:
+    def _free(self, law: CandidateLaw, given: bool = False) -> tuple[bool, ...]:
         delay = self.problem.free[DELAY]
-        if given:
-            return (False, False, False, False, delay, False, False)
-        stribeck = law == "stribeck"
-        return (True, True, True, law != "coulomb", delay, stribeck, stribeck)
+        own = [parameter.fitted and not given for parameter in law.parameters]
+        return (*[not given] * 3, law.asymmetric and not given, delay, *own)
 
-    def _mask(self, law: Law, given: bool = False) -> NDArray[np.bool_]:
-        return np.array([*self._free(law, given), *([True] * (2 * len(self.pieces)))])
+    def _mask(self, law: CandidateLaw, given: bool = False) -> NDArray[np.bool_]:
+        return np.array([*self._free(law, given), *([True] * (2 * len(self.windows)))])
 
-    def _bounds(self, top_rad_s: float) -> tuple[Array, Array]:
+    def _bounds(self, law: CandidateLaw, ranges: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
         low, high = self.problem.bounds()
-        speeds = [math.log(share * top_rad_s) for share in SPEED_RANGE]
-        at = [DELAY + 1, DELAY + 1]
-        return np.insert(low, at, [0.0, speeds[0]]), np.insert(high, at, [self.largest_V, speeds[1]])
+        at = [SHARED] * len(ranges)
+        return np.insert(low, at, [a for a, _ in ranges]), np.insert(high, at, [b for _, b in ranges])
 
-    def _residual(self, x: Array, law: Law) -> Array:
+    def _residual(self, x: Array, law: CandidateLaw) -> Array:
         """Predicted less recorded positions, rad."""
-        return np.concatenate([_position(x, k, piece, law) - piece.y_rad for k, piece in enumerate(self.pieces)])
+        return np.concatenate([_position(x, law, k, window) - window.y_rad for k, window in enumerate(self.windows)])
 
-    def _residual_and_jacobian(self, x: Array, law: Law, free: Sequence[bool]) -> tuple[Array, Array]:
+    def _residual_and_jacobian(self, x: Array, law: CandidateLaw, free: Sequence[bool]) -> tuple[Array, Array]:
         """The residual and its derivatives by the full vector, as far as that is ``free``."""
         residuals, blocks = [], []
-        for k, piece in enumerate(self.pieces):
-            block = np.zeros((piece.t_s.size, x.size))
-            at = SHARED + 2 * k
-            if law == "stribeck":
-                y = _position(x, k, piece, law)
-                steps = [(i, STEPS[i]) for i in range(SHARED) if free[i]]
-                for i, step in [*steps, (at, STATE_STEP)]:
+        count = _count(law)
+        for k, window in enumerate(self.windows):
+            block = np.zeros((window.t_s.size, x.size))
+            at = count + 2 * k
+            theta = _theta(x, count, k)
+            exact = law.position_and_jacobian(theta, x[SHARED:count].tolist(), window)
+            if exact is None:
+                y = _position(x, law, k, window)
+                steps = [*STEPS, *(parameter.step for parameter in law.parameters)]
+                for i, step in [*((i, step) for i, step in enumerate(steps) if free[i]), (at, STATE_STEP)]:
                     moved = x.copy()
                     moved[i] += step
-                    block[:, i] = (_position(moved, k, piece, law) - y) / step
+                    block[:, i] = (_position(moved, law, k, window) - y) / step
                 block[:, at + 1] = 1.0
             else:
-                theta = _theta(x, k)
-                y, jacobian = position_and_jacobian(theta, piece.drive, piece.t_s, theta.fc_V + x[EXCESS])
-                block[:, : DELAY + 1] = jacobian[:, : DELAY + 1]
+                y, jacobian = exact
+                block[:, :SHARED] = jacobian[:, :SHARED]
                 block[:, 0] *= theta.tau_s
                 block[:, 1] *= theta.K_rad_s_V
-                block[:, at : at + 2] = jacobian[:, DELAY + 1 :]
-            residuals.append(y - piece.y_rad)
+                block[:, at : at + 2] = jacobian[:, SHARED:]
+            residuals.append(y - window.y_rad)
             blocks.append(block)
         return np.concatenate(residuals), np.concatenate(blocks)
 
-    def _solve(self, law: Law, x0: Array, given: bool = False, top_rad_s: float = 1.0) -> Fit:
-        """Local solution from ``x0``; with ``given`` the law's parameters stay. ``top_rad_s`` bounds vs."""
+    def _solve(
+        self,
+        law: CandidateLaw,
+        x0: Array,
+        ranges: Sequence[tuple[float, float]] | None = None,
+        given: bool = False,
+    ) -> LawSolution:
+        """Local solution from ``x0``, the law's own parameters within ``ranges``; with ``given`` parameters stay."""
         free, mask = self._free(law, given), self._mask(law, given)
-        low, high = (bound[mask] for bound in self._bounds(top_rad_s))
+        anywhere = [(-math.inf, math.inf)] * len(law.parameters)
+        low, high = (bound[mask] for bound in self._bounds(law, anywhere if ranges is None else ranges))
         margin = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
         full = x0.copy()
 
@@ -259,26 +252,47 @@ class Tests:
             max_nfev=MAX_ITERATIONS,
         )
         full[mask] = found.x
-        scale = np.array([math.exp(value) if i in LOGARITHMS else 1.0 for i, value in enumerate(full)])[mask]
+        logarithms = _logarithms(law)
+        scale = np.array([math.exp(value) if i in logarithms else 1.0 for i, value in enumerate(full)])[mask]
         covariance, _ = covariance_of(np.asarray(found.jac) / scale, found.fun)
-        names = tuple(name for name, fitted in zip(NAMES, free, strict=True) if fitted)
-        errors = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=False))
-        if "excess_V" in names:
-            both = [names.index("fc_V"), names.index("excess_V")]
-            errors["fs_V"] = math.sqrt(max(0.0, float(covariance[np.ix_(both, both)].sum())))
-        return Fit(law, full.copy(), found.fun, names, errors)
+        names = tuple(name for name, fitted in zip(_names(law), free, strict=True) if fitted)
+        own = slice(0, len(names))
+        return LawSolution(law, full.copy(), found.fun, names, covariance[own, own])
 
 
-def _theta(x: Array, k: int) -> Theta:
-    """Test ``k`` under the moving level alone."""
+def _names(law: CandidateLaw) -> tuple[str, ...]:
+    return (*PARAMETERS, *(parameter.name for parameter in law.parameters))
+
+
+def _logarithms(law: CandidateLaw) -> tuple[int, ...]:
+    """Where the vector has logarithms."""
+    own = (SHARED + k for k, parameter in enumerate(law.parameters) if parameter.logarithmic)
+    return (*LOGARITHMS, *own)
+
+
+def _count(law: CandidateLaw) -> int:
+    """Number of parameters in the vector, before the initial states."""
+    return SHARED + len(law.parameters)
+
+
+def _with_own(plain: Array, own: Sequence[float]) -> Array:
+    """The vector of asymmetric Coulomb friction with a law's own parameters put in."""
+    return np.concatenate((plain[:SHARED], own, plain[SHARED:]))
+
+
+def _without(law: CandidateLaw, plain: LawSolution) -> LawSolution:
+    """The fit without a law, as one of it: its own parameters are 0, and not fitted."""
+    return replace(plain, law=law, x=_with_own(plain.x, [0.0] * len(law.parameters)))
+
+
+def _theta(x: Array, count: int, k: int) -> Theta:
+    """Window ``k`` under the moving level alone, its states after ``count`` parameters."""
     fc, asym, delay = (float(value) for value in x[FC : DELAY + 1])
-    v0, y0 = (float(value) for value in x[SHARED + 2 * k : SHARED + 2 * k + 2])
+    v0, y0 = (float(value) for value in x[count + 2 * k : count + 2 * k + 2])
     return Theta(math.exp(x[0]), math.exp(x[1]), fc, asym, delay, v0, y0)
 
 
-def _position(x: Array, k: int, piece: Piece, law: Law) -> Array:
-    """Positions of test ``k``, rad."""
-    theta, excess = _theta(x, k), float(x[EXCESS])
-    if law == "stribeck" and excess > 0.0:
-        return stribeck_response(StribeckTheta(*theta, theta.fc_V + excess, math.exp(x[SPEED])), piece.drive, piece.t_s)
-    return position(theta, piece.drive, piece.t_s, theta.fc_V + excess)
+def _position(x: Array, law: CandidateLaw, k: int, window: Window) -> Array:
+    """Positions of window ``k``, rad."""
+    count = _count(law)
+    return law.position(_theta(x, count, k), x[SHARED:count].tolist(), window)

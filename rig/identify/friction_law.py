@@ -1,16 +1,12 @@
-"""Which friction law the data ask for: a ladder of four laws, each a case of the next (docs/theory.md 8.1 and 8.4).
+"""Which friction law the data ask for: nested models, chosen by Schwarz's criterion (BIC) and by prediction.
 
-    coulomb     fc sgn(v)
-    asymmetric  + a: the two directions differ, or there is a bias
-    static      + fs > fc, at rest alone: seen only where the motor stands still under a drive (breakaway, slow drives)
-    stribeck    + vs: fs falls to fc over the speed vs, fc + (fs - fc) exp(-|v| / vs)
-
-Viscous friction is no rung: with it tau and K are those of docs/theory.md 8.1, and no motion tells it from them.
+The candidates are those of `rig.identify.laws`, each a case of the richer ones (docs/theory.md 8.1 and 8.4). Viscous
+friction is none of them: with it tau and K are those of docs/theory.md 8.1, and no motion tells it from them.
 
 Each law is fitted to all tests but one by the same least squares with the same noise, that of the richest law's
 residual, and gets Schwarz's criterion. Then it predicts the test that was held out, of another amplitude, where its
 initial state alone (and a delay that is not recorded) is fitted. A law replaces a simpler one only if both gain
-clearly. From one amplitude Stribeck friction is never chosen: there it looks much like another tau, K and fc.
+clearly.
 """
 
 from __future__ import annotations
@@ -18,44 +14,36 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rig.identify.breakaway import Breakaway
+from rig.identify import laws
+from rig.identify.breakaway import Breakaway, Ramps
 from rig.identify.estimate import PARAMETERS, Estimate
-from rig.identify.friction_fit import LAWS, ROUNDING, Fit, Law, Tests
+from rig.identify.friction_fit import PLAIN, LawProblem, LawSolution
+from rig.identify.laws.law import CLEAR, CandidateLaw, Comparison, Doubt
 from rig.identify.noise import noise_of
-from rig.identify.sampled_data import Piece, Problem, repeated_share, repetitions
-from rig.recording.series import Record
+from rig.identify.output_error import Problem
+from rig.identify.repetition import repeated_share, repetitions
+from rig.recording.series import TimeSeries, joined_times_s
 from rig.results import FrictionLawResult, LawFit
 
-Array = NDArray[np.float64]
 Standing = Literal["chosen", "too simple", "not needed", "open"]
 
-TITLES: dict[Law, str] = {
-    "coulomb": "Coulomb friction",
-    "asymmetric": "asymmetric Coulomb friction",
-    "static": "Coulomb friction with a static level",
-    "stribeck": "Stribeck friction",
-}
-CLEAR = 10.0  # difference of criterion that decides ("very strong", Kass & Raftery, J. Am. Stat. Assoc. 90, 1995)
 BETTER = 1.1  # ratio of prediction errors of the held-out test that decides
 MUCH_BETTER = 1.2  # the same, that keeps a law open which the criterion does not ask for
 OTHER_AMPLITUDE = 0.05  # relative difference of position or drive that makes a test one of another amplitude
-
-SECOND_AMPLITUDE = "record a second relay test of another amplitude"
-RAMPS = "record breakaway ramps both ways"
-SLOW_RAMPS = "record breakaway ramps again, slower"
+ROUNDING = 1e-7  # residual over the spread of positions that is rounding
 SLOW = "record longer tests, and smaller and slower ones"
 
 
 @dataclass(frozen=True)
-class Rung:
-    """One law of the ladder, fitted.
+class RankedLaw:
+    """One law, fitted and compared.
 
-    parameters, errors  tau_s, K_rad_s_V, fc_V, asym_V, delay_s, fs_V, stribeck_rad_s as far as the law has them and the
+    candidate           the law
+    parameters, errors  tau_s, K_rad_s_V, fc_V, asym_V, delay_s, and the law's own, as far as the law has them and the
                         tests tell them; and their standard errors
     rms_rad             of the fit, whitened
     criterion           `schwarz`, less that of the chosen law: positive is worse
@@ -65,7 +53,7 @@ class Rung:
                         it from the chosen one
     """
 
-    law: Law
+    candidate: CandidateLaw
     parameters: Mapping[str, float]
     errors: Mapping[str, float]
     rms_rad: float
@@ -74,33 +62,50 @@ class Rung:
     seen: bool = True
     standing: Standing = "not needed"
 
+    @property
+    def law(self) -> str:
+        """Its name."""
+        return self.candidate.name
+
+    def as_result(self) -> LawFit:
+        """As an entry of ``rungs`` in result.json; a number that is not finite becomes None."""
+        return LawFit(
+            law=self.law,
+            standing=self.standing,
+            parameters=dict(self.parameters),
+            standard_errors=dict(self.errors),
+            rms_rad=self.rms_rad,
+            criterion=self.criterion,
+            held_out_rms_rad=self.held_out_rms_rad,
+        )
+
 
 @dataclass(frozen=True)
-class Ladder:
+class FrictionLawChoice:
     """The laws, which is chosen, and why.
 
-    rungs     in the order of `LAWS`
+    ranked    in the order of `LAWS`
     reason    in words
     record    what to record to tell the open ones from the chosen one; empty if none is open
     held_out  name of the test that was held out; None if there is none of another amplitude
     samples   how many independent samples the fitted ones are worth
     """
 
-    rungs: tuple[Rung, ...]
+    ranked: tuple[RankedLaw, ...]
     reason: str
     record: tuple[str, ...]
     held_out: str | None
     samples: float
 
     @property
-    def chosen(self) -> Rung:
+    def chosen(self) -> RankedLaw:
         """The law that the data ask for."""
-        return next(rung for rung in self.rungs if rung.standing == "chosen")
+        return next(one for one in self.ranked if one.standing == "chosen")
 
     @property
-    def open(self) -> tuple[Law, ...]:
+    def open(self) -> tuple[str, ...]:
         """Laws that the tests cannot tell from the chosen one."""
-        return tuple(rung.law for rung in self.rungs if rung.standing == "open")
+        return tuple(one.law for one in self.ranked if one.standing == "open")
 
     @property
     def viscous(self) -> str:
@@ -111,20 +116,23 @@ class Ladder:
             f"tau / K = {own['tau_s'] / own['K_rad_s_V']:.4g} V s^2/rad is the same with and without it"
         )
 
-    def better(self, law: Law, than: Law) -> float | None:
+    def of(self, law: str) -> RankedLaw:
+        """The law of this name. Raises KeyError if it was not among the candidates."""
+        return {one.law: one for one in self.ranked}[law]
+
+    def better(self, law: str, than: str) -> float | None:
         """How many times smaller the error is with which ``law`` predicts the held-out test; None without one."""
-        own, other = self.rungs[LAWS.index(law)], self.rungs[LAWS.index(than)]
-        return _better(own, other)
+        return _better(self.of(law), self.of(than))
 
     @property
     def beyond_coulomb(self) -> str | None:
         """Why an estimate with Coulomb friction and asymmetry is not enough, as a sentence; None if it is."""
-        law = self.chosen.law
-        better = self.better(law, "asymmetric") if law in ("static", "stribeck") else None
+        law = self.chosen.candidate
+        better = self.better(law.name, PLAIN.name) if law.parameters else None
         if better is None or better <= BETTER:
             return None
         return (
-            f"{TITLES[law]}: {self.held_out} is predicted {better:.1f} times better than without; "
+            f"{law.title}: {self.held_out} is predicted {better:.1f} times better than without; "
             "tau, K and fc are good for motion like the recorded one only"
         )
 
@@ -138,18 +146,7 @@ class Ladder:
             viscous=self.viscous,
             held_out=self.held_out,
             effective_samples=self.samples,
-            rungs=tuple(
-                LawFit(
-                    law=rung.law,
-                    standing=rung.standing,
-                    parameters=dict(rung.parameters),
-                    standard_errors=dict(rung.errors),
-                    rms_rad=rung.rms_rad,
-                    criterion=rung.criterion,
-                    held_out_rms_rad=rung.held_out_rms_rad,
-                )
-                for rung in self.rungs
-            ),
+            rungs=tuple(one.as_result() for one in self.ranked),
         )
 
     def notes(self) -> list[str]:
@@ -178,100 +175,74 @@ def effective_samples(rows: int, cycles: float, repeated: float) -> float:
 
 
 def friction_law(
-    records: Sequence[Record],
+    tests: Sequence[TimeSeries],
     estimate: Estimate,
     periods_s: Sequence[float | None] | None = None,
     breakaway: Breakaway | None = None,
-) -> Ladder:
-    """The ladder on all records.
+) -> FrictionLawChoice:
+    """The law that all tests ask for.
 
-    estimate   the sampled-data estimate of these records: where the fits start
-    periods_s  for each record the period of its limit cycle, s, or None; default: none have
+    estimate   the sampled-data estimate of these tests: where the fits start
+    periods_s  for each test the period of its limit cycle, s, or None; default: none have
     breakaway  static levels from slow ramps, where there are any
-    The test held out is the last record in which position or drive swings 5 % more or less than in the first.
-    Raises IdentifyError if a record is too short to be fitted.
+    The test held out is the last one in which position or drive swings 5 % more or less than in the first.
+    Raises IdentifyError if a test is too short to be fitted.
     """
-    periods = list(periods_s or [None] * len(records))
-    held = _second_amplitude(records)
-    fitted = [k for k in range(len(records)) if k != held]
-    unknown = any(record.t_u_s is None for record in records)
-    reach = (0.0, max(record.longest_delay_s for record in records)) if unknown else (0.0, 0.0)
-    pieces = [Piece.of(record, reach[1]) for record in records]
-    problem = Problem(tuple(pieces[k] for k in fitted), reach, (True, True, True, True, unknown))
-    ramps = _Ramps.of(breakaway, estimate)
-    tests = Tests(problem, None if ramps is None else ramps.fs_V)
-    fits = tests.fit(tests.start(estimate))
-    floor = ROUNDING * tests.spread_rad
-    times = np.concatenate([piece.t_s for piece in tests.pieces])
-    if fits["stribeck"].rms_rad > floor:
-        noise = noise_of(fits["stribeck"].residual, times, problem.lengths())
+    periods = list(periods_s or [None] * len(tests))
+    held = _second_amplitude(tests)
+    fitted = [k for k in range(len(tests)) if k != held]
+    unknown = any(test.t_u_s is None for test in tests)
+    reach = (0.0, max(test.longest_delay_s for test in tests)) if unknown else (0.0, 0.0)
+    windows = [test.predictable(reach[1]) for test in tests]
+    problem = Problem(tuple(windows[k] for k in fitted), reach, (True, True, True, True, unknown))
+    first = LawProblem(problem, Ramps.of(breakaway, estimate))
+    fits = first.fit(first.start(estimate))
+    floor = ROUNDING * first.spread_rad
+    times = joined_times_s(first.windows)
+    richest = max(laws.LAWS, key=lambda law: law.size).name
+    if fits[richest].rms_rad > floor:
+        noise = noise_of(fits[richest].residual, times, problem.lengths())
         if not noise.white:
-            tests = replace(tests, problem=replace(problem, noise=noise))
-            fits = tests.fit(fits["asymmetric"].x)
+            first = replace(first, problem=replace(problem, noise=noise))
+            fits = first.fit(fits[PLAIN.name].x)
     own = [periods[k] for k in fitted]
-    share = repeated_share(fits["stribeck"].residual, repetitions(tests.pieces, own))
-    lengths_s = [float(piece.t_s[-1] - piece.t_s[0]) for piece in tests.pieces]
-    cycles = max((length / period for length, period in zip(lengths_s, own, strict=True) if period), default=1.0)
+    share = repeated_share(fits[richest].residual, repetitions(first.windows, own))
+    pairs = zip(first.windows, own, strict=True)
+    cycles = max((window.duration_s / period for window, period in pairs if period), default=1.0)
     samples = effective_samples(times.size, cycles, share)
-    second = None if held is None else replace(tests, problem=replace(tests.problem, pieces=(pieces[held],)))
-    rungs = [_rung(fits[law], second, samples, floor, ramps) for law in LAWS]
-    return _ladder(rungs, None if held is None else records[held].name, samples, ramps)
+    second = None if held is None else replace(first, problem=replace(first.problem, windows=(windows[held],)))
+    ranked = [_ranked(fit, second, samples, floor, first.ramps) for fit in fits.values()]
+    return _choice(ranked, None if held is None else tests[held].name, samples, first.ramps)
 
 
-class _Ramps(NamedTuple):
-    """Static level from ramps both ways, V; its standard error, V; and whether each way alone shows one (95 %).
-
-    They take friction for fc as soon as the motor moves: with Stribeck friction it seems to break away later.
-    """
-
-    fs_V: float
-    error_V: float
-    shown: tuple[bool, bool]
-
-    @classmethod
-    def of(cls, breakaway: Breakaway | None, estimate: Estimate) -> _Ramps | None:
-        if breakaway is None or breakaway.plus is None or breakaway.minus is None:
-            return None
-        plus, minus = breakaway.plus, breakaway.minus
-        moving = estimate.fc_V - estimate.asym_V, estimate.fc_V + estimate.asym_V
-        return cls(
-            0.5 * (plus.static_V + minus.static_V),
-            0.5 * math.hypot(plus.error_V, minus.error_V),
-            (plus.low_V > moving[0], minus.low_V > moving[1]),
-        )
-
-
-def _second_amplitude(records: Sequence[Record]) -> int | None:
-    """The last record whose position or drive swings clearly more or less than the first's."""
+def _second_amplitude(tests: Sequence[TimeSeries]) -> int | None:
+    """The last test whose position or drive swings clearly more or less than the first's."""
     swings = []
-    for record in records:
-        line = np.polynomial.Polynomial.fit(record.t_s, record.y_rad, 1)
-        swings.append((float(np.std(record.y_rad - line(record.t_s))), float(np.std(record.u_V))))
+    for test in tests:
+        line = np.polynomial.Polynomial.fit(test.t_s, test.y_rad, 1)
+        swings.append((float(np.std(test.y_rad - line(test.t_s))), float(np.std(test.u_V))))
     first = swings[0]
-    for k in range(len(records) - 1, 0, -1):
+    for k in range(len(tests) - 1, 0, -1):
         if any(abs(own - other) > OTHER_AMPLITUDE * other for own, other in zip(swings[k], first, strict=True)):
             return k
     return None
 
 
-def _rung(fit: Fit, second: Tests | None, samples: float, floor_rad: float, ramps: _Ramps | None) -> Rung:
+def _ranked(
+    fit: LawSolution, second: LawProblem | None, samples: float, floor_rad: float, ramps: Ramps | None
+) -> RankedLaw:
+    """A fitted law with its criterion, not yet compared, and with its prediction of the test held out."""
     names = [name for name in PARAMETERS if name in fit.fitted]
-    parameters = {name: fit.value(name) for name in names}
-    errors = {name: fit.errors[name] for name in names}
-    fs_V = fit.value("fc_V") + fit.value("excess_V")
-    if "excess_V" in fit.fitted:
-        parameters |= {"fs_V": fs_V, "stribeck_rad_s": fit.value("stribeck_rad_s")}
-        errors |= {"fs_V": fit.errors["fs_V"], "stribeck_rad_s": fit.errors["stribeck_rad_s"]}
-    elif fit.law == "static" and (ramps is not None or fit.value("excess_V") > 0.0):
-        parameters["fs_V"] = fs_V
-        errors["fs_V"] = math.nan if ramps is None else ramps.error_V
+    own = fit.law.report(fit, ramps)
+    parameters = {name: fit.value(name) for name in names} | own.parameters
+    errors = {name: error for name in names if (error := fit.error(name)) is not None} | own.errors
     ramps_squared = 0.0  # what the breakaway record adds to twice the negative log likelihood
-    if ramps is not None and all(ramps.shown) and fit.law in ("coulomb", "asymmetric"):
-        ramps_squared = max(0.0, ramps.fs_V - fs_V) ** 2 / (ramps.error_V**2 + errors["fc_V"] ** 2)
+    if ramps is not None and all(ramps.shown) and not fit.law.has_static_level:
+        ramps_squared = max(0.0, ramps.fs_V - fit.value("fc_V")) ** 2 / (ramps.error_V**2 + errors["fc_V"] ** 2)
     rows = fit.residual.size
     squares = max(fit.squares, rows * floor_rad**2)  # below rounding there is nothing to explain
-    count = 3 + LAWS.index(fit.law) + ("delay_s" in fit.fitted)
-    return Rung(
+    count = fit.law.size + ("delay_s" in fit.fitted)
+    return RankedLaw(
         fit.law,
         parameters,
         errors,
@@ -282,74 +253,61 @@ def _rung(fit: Fit, second: Tests | None, samples: float, floor_rad: float, ramp
     )
 
 
-def _better(own: Rung, other: Rung) -> float | None:
+def _better(own: RankedLaw, other: RankedLaw) -> float | None:
     """How many times smaller the error is with which ``own`` predicts the held-out test; None without one."""
     if own.held_out_rms_rad is None or other.held_out_rms_rad is None:
         return None
     return other.held_out_rms_rad / own.held_out_rms_rad
 
 
-def _ladder(rungs: Sequence[Rung], held_out: str | None, samples: float, ramps: _Ramps | None) -> Ladder:
-    """Climb: the simplest law that neither the criterion nor the prediction rejects, and what stays open above it."""
-    chosen = rungs[0]
-    reason = f"{TITLES[chosen.law]} is enough"
-    doubts: dict[Law, _Doubt] = {}
-    for rung in rungs[1:]:
-        judged = _judge(rung, chosen, held_out, ramps)
+def _choice(
+    ranked: Sequence[RankedLaw], held_out: str | None, samples: float, ramps: Ramps | None
+) -> FrictionLawChoice:
+    """The simplest law that neither the criterion nor the prediction rejects, and what stays open beside it."""
+    chosen = ranked[0]
+    reason = f"{chosen.candidate.title} is enough"
+    simpler: list[str] = []
+    doubts: dict[str, tuple[CandidateLaw, Doubt]] = {}
+    for k, one in enumerate(ranked[1:], 1):
+        judged = _judge(one, chosen, held_out, ramps)
         if isinstance(judged, str):
-            chosen, reason, doubts = rung, judged, {}
+            chosen, reason, doubts = one, judged, {}
+            simpler = [other.law for other in ranked[:k]]
         elif judged is not None:
-            doubts[rung.law] = judged
-    reason = "; ".join([reason, *(f"{TITLES[law]} stays open: {doubt.reason}" for law, doubt in doubts.items())])
-    record = tuple(dict.fromkeys(doubt.record for doubt in doubts.values()))
+            doubts[one.law] = one.candidate, judged
+    reason = "; ".join([reason, *(f"{law.title} stays open: {doubt.reason}" for law, doubt in doubts.values())])
+    record = tuple(dict.fromkeys(doubt.record for _, doubt in doubts.values()))
 
-    def standing(law: Law) -> Standing:
+    def standing(law: str) -> Standing:
         if law == chosen.law:
             return "chosen"
         if law in doubts:
             return "open"
-        return "too simple" if LAWS.index(law) < LAWS.index(chosen.law) else "not needed"
+        return "too simple" if law in simpler else "not needed"
 
-    settled = (
-        replace(rung, standing=standing(rung.law), criterion=rung.criterion - chosen.criterion) for rung in rungs
-    )
-    return Ladder(tuple(settled), reason, record, held_out, samples)
+    settled = (replace(one, standing=standing(one.law), criterion=one.criterion - chosen.criterion) for one in ranked)
+    return FrictionLawChoice(tuple(settled), reason, record, held_out, samples)
 
 
-class _Doubt(NamedTuple):
-    """Why a law cannot be told from the chosen one, and what to record instead."""
-
-    reason: str
-    record: str
-
-
-def _judge(rung: Rung, chosen: Rung, held_out: str | None, ramps: _Ramps | None) -> str | _Doubt | None:
-    """Why ``rung`` replaces the simpler ``chosen``, as a sentence; or the doubt that it might; None if not needed."""
-    gain = chosen.criterion - rung.criterion
-    better = _better(rung, chosen)
-    title, simpler = TITLES[rung.law], TITLES[chosen.law]
+def _judge(one: RankedLaw, chosen: RankedLaw, held_out: str | None, ramps: Ramps | None) -> str | Doubt | None:
+    """Why a law replaces the simpler ``chosen``, as a sentence; or the doubt that it might; None if not needed."""
+    gain = chosen.criterion - one.criterion
+    better = _better(one, chosen)
+    title, simpler = one.candidate.title, chosen.candidate.title
     gained = f"the criterion gains {gain:.0f} over {simpler}"
-    if rung.law == "static":
-        if ramps is not None and any(ramps.shown):
-            if all(ramps.shown) and gain > CLEAR:
-                return f"{title}: both breakaway ramps show it, and {gained}"
-            return _Doubt("the breakaway ramps do not show it clearly both ways", SLOW_RAMPS)
-        if ramps is None and not rung.seen:
-            return _Doubt("the motor never stands still under a drive that could hold it", RAMPS)
+    against = Comparison(title, gained, gain, one.seen, ramps)
+    first = one.candidate.needs(against)
+    if first is not None:
+        return first
     if better is None:
-        if rung.law == "asymmetric":  # within each cycle the two directions are told apart
-            return f"{title}: {gained}" if gain > CLEAR else None
-        if rung.law == "stribeck":
-            wants = f"{gained}, but " if gain > CLEAR else ""
-            return _Doubt(f"{wants}at one amplitude it looks like another tau, K and fc", SECOND_AMPLITUDE)
-        return _Doubt(f"{gained}, without a second amplitude", SECOND_AMPLITUDE) if gain > CLEAR else None
+        return one.candidate.from_one_amplitude(against)
     predicted = f"{held_out} is predicted {better:.2g} times better"
     if gain > CLEAR and better > BETTER:
         return f"{title}: {gained}, and {predicted}"
     if gain > CLEAR:
-        return _Doubt(f"{gained}, but {held_out} is predicted no better ({better:.2g} times)", SLOW)
+        return Doubt(f"{gained}, but {held_out} is predicted no better ({better:.2g} times)", SLOW)
     if gain > 0.0:
-        return _Doubt(f"{gained}, too little to decide", SLOW)
+        return Doubt(f"{gained}, too little to decide", SLOW)
     if better > MUCH_BETTER:
-        return _Doubt(f"{predicted}, but the criterion gains nothing over {simpler}", SLOW)
+        return Doubt(f"{predicted}, but the criterion gains nothing over {simpler}", SLOW)
     return None

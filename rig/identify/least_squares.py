@@ -17,7 +17,7 @@ like multiples of one curve too. ``held_to`` compares it with an estimate that c
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -27,8 +27,12 @@ from scipy.interpolate import Akima1DInterpolator
 from scipy.linalg import null_space
 from scipy.special import stdtrit
 
+from rig.identify import sampled_data
 from rig.identify.estimate import Estimate
-from rig.recording.series import IdentifyError, Record
+from rig.identify.estimator import Estimator
+from rig.identify.measurements import Measurements
+from rig.recording.errors import IdentifyError
+from rig.recording.series import TimeSeries
 from rig.results import HystereticResult
 
 Array = NDArray[np.float64]
@@ -45,11 +49,31 @@ CORRELATED = 4.0  # neighbours in the residual, in standard deviations of white 
 DITHERED = 0.4  # noise over the sensor's step from which on a mean is not tied to its steps
 
 
+class LeastSquares(Estimator):
+    """Friction alone, from the runs of hysteretic relays. It reads the drive only until that first changes."""
+
+    name = METHOD
+    reads_relay_tests = False
+
+    def applies(self, data: Measurements) -> IdentifyError | None:
+        """From two runs on."""
+        return lacking(data.hysteretic)
+
+    def fit(self, data: Measurements) -> Estimate:
+        """From all runs."""
+        return fit(data.hysteretic)
+
+    def judge(self, estimate: Estimate, data: Measurements, earlier: Mapping[str, Estimate]) -> Estimate:
+        """Held to the sampled-data estimate, which sees what a transient cannot show."""
+        whole = earlier.get(sampled_data.METHOD)
+        return estimate if whole is None else held_to(estimate, whole, data.hysteretic)
+
+
 @dataclass(frozen=True)
 class Transient:
     """One run from its first drive to its first switching.
 
-    name            of the record
+    name            of the series
     d_V             its drive, V
     t_s, y_rad      time since the drive took effect, and position as recorded; from the last row before it
     start_rad       mean position at rest before; start_error_rad its standard error
@@ -75,26 +99,26 @@ class Transient:
     rows: tuple[int, int]
 
     @classmethod
-    def of(cls, record: Record) -> Transient:
-        """The transient in a record whose drive is 0 at first, if that is recorded, then d until it changes.
+    def of(cls, series: TimeSeries) -> Transient:
+        """The transient in a series whose drive is 0 at first, if that is recorded, then d until it changes.
 
-        Raises IdentifyError where the record has no drive, or too few rows to look at.
+        Raises IdentifyError where the series has no drive, or too few rows to look at.
         """
-        driven = np.flatnonzero(record.u_V != 0.0)
+        driven = np.flatnonzero(series.u_V != 0.0)
         if driven.size == 0:
             raise IdentifyError(
-                f"{record.name}: the drive is 0 V throughout",
+                f"{series.name}: the drive is 0 V throughout",
                 "record a hysteretic relay from rest: `rig relay CONFIG` with relay.hysteretic",
             )
         first = int(driven[0])
-        d_V = float(record.u_V[first])
-        changed = np.flatnonzero(record.u_V[first:] != d_V)
-        switched = changed.size > 0 and record.u_V[first + int(changed[0])] * d_V < 0.0
-        last = first + int(changed[0]) if changed.size else len(record) - 1
-        noise, step = record.noise_rad(), record.resolution_rad()
+        d_V = float(series.u_V[first])
+        changed = np.flatnonzero(series.u_V[first:] != d_V)
+        switched = changed.size > 0 and series.u_V[first + int(changed[0])] * d_V < 0.0
+        last = first + int(changed[0]) if changed.size else len(series) - 1
+        noise, step = series.noise_rad(), series.resolution_rad()
         # the row of the first drive was sampled before it
-        rest = slice(int(np.searchsorted(record.t_s, record.t_s[first] - START_S)), first + 1)
-        t, y = record.t_s[rest], record.y_rad[rest]
+        rest = slice(int(np.searchsorted(series.t_s, series.t_s[first] - START_S)), first + 1)
+        t, y = series.t_s[rest], series.y_rad[rest]
         error = noise / math.sqrt(y.size)
         if float(np.std(y)) < DITHERED * step:
             error = math.hypot(error, step / math.sqrt(12.0))
@@ -104,10 +128,10 @@ class Transient:
             power = float(x @ x)
             slope, slope_error = float(x @ y) / power, math.hypot(noise, step) / math.sqrt(power)
         return cls(
-            record.name,
+            series.name,
             d_V,
-            record.t_s[first : last + 1] - float(record.edge_s[first]),
-            record.y_rad[first : last + 1],
+            series.t_s[first : last + 1] - float(series.edge_s[first]),
+            series.y_rad[first : last + 1],
             float(y.mean()),
             error,
             slope,
@@ -115,8 +139,8 @@ class Transient:
             noise,
             step,
             bool(switched),
-            record.t_u_s is not None,
-            (record.first_row + first, record.first_row + last),
+            series.t_u_s is not None,
+            (series.first_row + first, series.first_row + last),
         )
 
     def as_result(self) -> HystereticResult:
@@ -262,20 +286,28 @@ def one_way(runs: Sequence[Transient]) -> OneWay:
     )
 
 
-def fit(records: Sequence[Record]) -> Estimate:
+def lacking(tests: Sequence[TimeSeries]) -> IdentifyError | None:
+    """Why these runs are not enough, and what to record; None where they are."""
+    if len(tests) >= 2:
+        return None
+    return IdentifyError(
+        f"{METHOD} needs two runs from rest with different drives, not {len(tests)}",
+        "give relay.hysteretic two or more entries, or name two CSV files",
+    )
+
+
+def fit(tests: Sequence[TimeSeries]) -> Estimate:
     """Friction from the runs of hysteretic relays, with its verdict.
 
-    records  two or more runs, each from rest at zero, with different drives of one sign; with two or more of the other
+    tests    two or more runs, each from rest at zero, with different drives of one sign; with two or more of the other
              sign too, the friction's asymmetry shows
     tau_s and K_rad_s_V are nan: the method does not give them. ``iterates`` is the recursion: nan, nan, friction.
     Raises IdentifyError where there are no two runs.
     """
-    if len(records) < 2:
-        raise IdentifyError(
-            f"{METHOD} needs two runs from rest with different drives, not {len(records)}",
-            "give relay.hysteretic two or more entries, or name two CSV files",
-        )
-    runs = [Transient.of(record) for record in records]
+    wrong = lacking(tests)
+    if wrong is not None:
+        raise wrong
+    runs = [Transient.of(series) for series in tests]
     rows = (min(run.rows[0] for run in runs), max(run.rows[1] for run in runs))
     nothing = Estimate(METHOD, math.nan, math.nan, math.nan, rows=rows)
     unusable = [*_unusable(runs), *_unequal(runs)]
@@ -442,11 +474,11 @@ def _neighbours(residual: Array) -> float:
     return math.sqrt(residual.size) * float(np.sum(residual[1:] * residual[:-1])) / power if power > 0.0 else 0.0
 
 
-def held_to(estimate: Estimate, whole: Estimate, records: Sequence[Record]) -> Estimate:
+def held_to(estimate: Estimate, whole: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     """The friction held to that of a whole motor, ``whole``: doubtful where they differ beyond both intervals."""
     if "fc_V" not in estimate.ci95 or "fc_V" not in whole.ci95 or whole.verdict == "refused":
         return estimate
-    ways = {math.copysign(1.0, Transient.of(record).d_V) for record in records}
+    ways = {math.copysign(1.0, Transient.of(series).d_V) for series in tests}
     friction, names = whole.fc_V, ["fc_V"]
     if len(ways) == 1:
         friction -= ways.pop() * whole.asym_V

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.recording.series import IdentifyError
+from rig.recording.errors import IdentifyError
 
 Array = NDArray[np.float64]
 

@@ -1,8 +1,9 @@
-"""Noise on a recorded position: white, and beside it a part that wanders; its whitening filter (docs/theory.md 7.5).
+"""Noise on a recorded position: white and coloured; and the filter that makes it white (docs/theory.md 7.5).
 
-The position integrates whatever disturbs the motor and whatever is wrong with the times of its drive, so residuals
-wander. Least squares that take them for white give errors far above the bound and intervals far too narrow. The wander
-is an Ornstein-Uhlenbeck process: with a long memory it is a random walk, with a short one low-passed noise.
+The position integrates whatever disturbs the motor and whatever is wrong with the times of its drive: what is left of
+it after a fit is coloured. Least squares that take it for white give errors far above the bound and intervals far too
+narrow. The coloured part is an Ornstein-Uhlenbeck process: with a long memory it is a random walk, with a short one
+low-passed noise.
 """
 
 from __future__ import annotations
@@ -15,28 +16,28 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-NEEDED = 8.0  # twice the gain of log likelihood from which on a wander is believed
+NEEDED = 8.0  # twice the gain of log likelihood from which on coloured noise is believed
 GRID = 7  # points each way in each round of the search for its memory and size
 ROUNDS = 4
 
 
 @dataclass(frozen=True)
 class Noise:
-    """White noise, and a wander of stationary variance ``ratio`` times the white one's that lasts ``memory_s``."""
+    """White noise, and coloured noise of variance ``ratio`` times the white one's that lasts ``memory_s``."""
 
     memory_s: float = 1.0
     ratio: float = 0.0
 
     @property
     def white(self) -> bool:
-        """Whether there is no wander."""
+        """Whether none of it is coloured."""
         return self.ratio == 0.0
 
     def whiten(self, columns: Array, t_s: Array, lengths: Sequence[int]) -> Array:
         """The rows of ``columns``, (n,) or (n, p), as innovations: white, in units of the white part's.
 
         t_s       times of the rows, s
-        lengths   rows of each of the consecutive pieces, each with a wander of its own
+        lengths   rows of each of the consecutive windows, each with coloured noise of its own
         """
         if self.white:
             return columns
@@ -52,10 +53,10 @@ WHITE = Noise()
 
 
 def noise_of(residual: Array, t_s: Array, lengths: Sequence[int]) -> Noise:
-    """The most likely noise of a residual, rad; white unless a wander is much likelier.
+    """The most likely noise of a residual, rad; white unless coloured noise is much likelier.
 
     t_s       times of the rows, s
-    lengths   rows of each of the consecutive pieces
+    lengths   rows of each of the consecutive windows
     """
     from rig.model.compiled import wander
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.estimate import Estimate, Verdict
-from rig.recording.series import Record
+from rig.recording.series import TimeSeries
 
 Array = NDArray[np.float64]
 
@@ -49,20 +49,20 @@ class Objection(NamedTuple):
     reason: str
 
 
-def judge_records(records: Sequence[Record]) -> list[Objection]:
+def judge_records(tests: Sequence[TimeSeries]) -> list[Objection]:
     """Objections to the records: units, columns that do not belong together, holes, a drive that shows too little."""
     said: list[Objection] = []
-    for record in records:
-        said += _columns(record) or [
-            objection for look in (_units, _holes, _spikes, _rails, _information) for objection in look(record)
+    for test in tests:
+        said += _columns(test) or [
+            objection for look in (_units, _holes, _spikes, _rails, _information) for objection in look(test)
         ]
     return said
 
 
-def judge_motor(estimate: Estimate, records: Sequence[Record]) -> list[Objection]:
+def judge_motor(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[Objection]:
     """Objections to a fitted motor: a time constant that points to another unit of time."""
     tau = estimate.tau_s
-    period = max(record.period_s for record in records)
+    period = max(test.period_s for test in tests)
     if tau > LONGEST_TAU_S:
         return [Objection("refused", f"tau = {tau:.3g} s is no small motor's: is t_s in milliseconds?")]
     if tau < SHORTEST_TAU_S:
@@ -74,10 +74,10 @@ def judge_motor(estimate: Estimate, records: Sequence[Record]) -> list[Objection
     return []
 
 
-def _columns(record: Record) -> list[Objection]:
+def _columns(test: TimeSeries) -> list[Objection]:
     """Signs that u and y are not drive and position of one motor."""
-    y, u = record.y_rad, record.u_V
-    name, span = record.name, float(np.ptp(y))
+    y, u = test.y_rad, test.u_V
+    name, span = test.name, float(np.ptp(y))
     y_levels, u_levels = np.unique(y).size, np.unique(u).size
     if 1 < y_levels <= FEW_LEVELS and u_levels > 4 * y_levels:
         return [
@@ -89,9 +89,9 @@ def _columns(record: Record) -> list[Objection]:
     if span == 0.0:
         return []  # the fit says so
     steps = np.abs(np.diff(y))
-    k = int(np.argmax(np.where(np.diff(record.t_s) < 2.0 * record.period_s, steps, 0.0)))
-    if steps[k] > JUMP * span and steps[k] > _motion(record):
-        row = record.first_row + k
+    k = int(np.argmax(np.where(np.diff(test.t_s) < 2.0 * test.period_s, steps, 0.0)))
+    if steps[k] > JUMP * span and steps[k] > _motion(test):
+        row = test.first_row + k
         return [
             Objection(
                 "refused",
@@ -99,7 +99,7 @@ def _columns(record: Record) -> list[Objection]:
                 f"leave the spike out (--rows {row + 1}: or --rows :{row}), or are u_V and y_rad swapped?",
             )
         ]
-    if _turns_against_drive(record):
+    if _turns_against_drive(test):
         return [
             Objection(
                 "refused",
@@ -109,18 +109,18 @@ def _columns(record: Record) -> list[Objection]:
     return []
 
 
-def _turns_against_drive(record: Record) -> bool:
+def _turns_against_drive(test: TimeSeries) -> bool:
     """Whether the drive takes work out of the motor, beyond what noise could make of it: sum of u dy < 0."""
-    u, y = record.u_V, record.y_rad
+    u, y = test.u_V, test.y_rad
     work = float(u[:-1] @ np.diff(y))
-    scatter = record.noise_rad() * float(np.sqrt(np.sum(np.diff(u) ** 2) + u[0] ** 2 + u[-1] ** 2))
+    scatter = test.noise_rad() * float(np.sqrt(np.sum(np.diff(u) ** 2) + u[0] ** 2 + u[-1] ** 2))
     return work < -5.0 * scatter
 
 
-def _units(record: Record) -> list[Objection]:
-    name, period = record.name, record.period_s
-    y, span, largest = record.y_rad, float(np.ptp(record.y_rad)), float(np.abs(record.u_V).max())
-    duration = float(record.t_s[-1] - record.t_s[0])
+def _units(test: TimeSeries) -> list[Objection]:
+    name, period = test.name, test.period_s
+    y, span, largest = test.y_rad, float(np.ptp(test.y_rad)), float(np.abs(test.u_V).max())
+    duration = float(test.t_s[-1] - test.t_s[0])
     said: list[Objection] = []
 
     def object_to(verdict: Verdict, reason: str) -> None:
@@ -134,7 +134,7 @@ def _units(record: Record) -> list[Objection]:
     elif duration < SHORTEST_RECORD_S:
         object_to("doubtful", f"the whole record lasts {duration:.3g} s: is t_s in seconds?")
 
-    step = record.resolution_rad()
+    step = test.resolution_rad()
     if span > 2.0 and bool(np.all(y == np.round(y))):
         object_to("refused", f"all positions are whole numbers over {span:g}: is y_rad in raw counts or degrees?")
     elif span > LARGEST_SPAN_RAD:
@@ -143,8 +143,8 @@ def _units(record: Record) -> list[Objection]:
         object_to("doubtful", f"positions span {span:.3g} rad, {span / 6.283:.1f} turns: is y_rad in degrees?")
     elif step > COARSEST_STEP_RAD:
         object_to("refused", f"positions move in steps of {step:.3g} rad: is y_rad in degrees or milliradians?")
-    elif step >= COARSE_STEP_RAD or record.noise_rad() > COARSE_STEP_RAD:
-        coarse = max(step, record.noise_rad())
+    elif step >= COARSE_STEP_RAD or test.noise_rad() > COARSE_STEP_RAD:
+        coarse = max(step, test.noise_rad())
         object_to("doubtful", f"positions are only good to {coarse:.2g} rad: is y_rad in degrees?")
     elif 0.0 < span < SMALLEST_SPAN_RAD:
         object_to("refused", f"positions span {1e3 * span:.2g} mrad in all: is y_rad in rad? If it is, move further")
@@ -160,48 +160,48 @@ def _units(record: Record) -> list[Objection]:
     return said
 
 
-def _holes(record: Record) -> list[Objection]:
+def _holes(test: TimeSeries) -> list[Objection]:
     """Holes in the samples."""
     said: list[Objection] = []
-    steps = np.diff(record.t_s)
+    steps = np.diff(test.t_s)
     k = int(np.argmax(steps))
-    allowed_s = GAP_PERIODS * record.period_s
-    if record.t_u_s is not None:
+    allowed_s = GAP_PERIODS * test.period_s
+    if test.t_u_s is not None:
         allowed_s = max(allowed_s, TIMED_GAP_S)
     if steps[k] > allowed_s:
         said.append(
             Objection(
                 "doubtful",
-                f"{record.name}: gap of {steps[k]:.3g} s after row {record.first_row + k}: what the drive did in it is "
+                f"{test.name}: gap of {steps[k]:.3g} s after row {test.first_row + k}: what the drive did in it is "
                 "unknown; identify the part before or after it",
             )
         )
     return said
 
 
-def _spikes(record: Record) -> list[Objection]:
+def _spikes(test: TimeSeries) -> list[Objection]:
     """Single positions that stand out from the median of their neighbours."""
-    y = record.y_rad
+    y = test.y_rad
     if y.size < 5:
         return []
     windows = np.lib.stride_tricks.sliding_window_view(y, 5)
     off = np.abs(y[2:-2] - np.median(windows, axis=1))
     k = int(np.argmax(off))
-    if off[k] > max(SPIKE * float(np.ptp(y)), SPIKE_NOISES * record.noise_rad()):
+    if off[k] > max(SPIKE * float(np.ptp(y)), SPIKE_NOISES * test.noise_rad()):
         return [
             Objection(
                 "doubtful",
-                f"{record.name}: the position in row {record.first_row + k + 2} stands out by {off[k]:.2g} rad from "
+                f"{test.name}: the position in row {test.first_row + k + 2} stands out by {off[k]:.2g} rad from "
                 "those around it: correct or delete this row",
             )
         ]
     return []
 
 
-def _rails(record: Record) -> list[Objection]:
+def _rails(test: TimeSeries) -> list[Objection]:
     """Positions that stay exactly at one end of the travel although there is noise: the sensor's rail."""
-    y, step = record.y_rad, record.resolution_rad()
-    if record.noise_rad() <= max(0.5 * step, 1e-6 * float(np.ptp(y))):
+    y, step = test.y_rad, test.resolution_rad()
+    if test.noise_rad() <= max(0.5 * step, 1e-6 * float(np.ptp(y))):
         return []  # without noise that moves the reading, a turning shaft stays at one step too
     said = []
     for end in (float(y.min()), float(y.max())):
@@ -209,38 +209,38 @@ def _rails(record: Record) -> list[Objection]:
         begins, lengths = edges[::2], edges[1::2] - edges[::2]
         k = int(np.argmax(lengths))
         if lengths[k] >= RAIL_ROWS:
-            first = record.first_row + int(begins[k])
+            first = test.first_row + int(begins[k])
             said.append(
                 Objection(
                     "doubtful",
-                    f"{record.name}: the position stays at exactly {end:.4g} rad from row {first} to row "
+                    f"{test.name}: the position stays at exactly {end:.4g} rad from row {first} to row "
                     f"{first + int(lengths[k]) - 1}: the end of the sensor's range or of the travel? Keep off it",
                 )
             )
     return said
 
 
-def _information(record: Record) -> list[Objection]:
+def _information(test: TimeSeries) -> list[Objection]:
     """Motion that cannot tell the parameters apart, whatever is fitted to it."""
-    y = record.y_rad
-    motion = _motion(record)
+    y = test.y_rad
+    motion = _motion(test)
     forth = float(np.max(y - np.minimum.accumulate(y)))
     back = float(np.max(np.maximum.accumulate(y) - y))
     if 0.0 < max(forth, back) < 2.0 * motion:
         return [
             Objection(
                 "refused",
-                f"{record.name}: the position moves by {1e3 * max(forth, back):.2g} mrad, no more than its noise: "
+                f"{test.name}: the position moves by {1e3 * max(forth, back):.2g} mrad, no more than its noise: "
                 "record with a larger drive, beyond friction",
             )
         ]
-    step = record.resolution_rad()
+    step = test.resolution_rad()
     coarse = []
     if float(np.ptp(y)) < FEWEST_STEPS * step:
         coarse = [
             Objection(
                 "doubtful",
-                f"{record.name}: the position moves over {float(np.ptp(y)) / step:.0f} sensor steps only: record "
+                f"{test.name}: the position moves over {float(np.ptp(y)) / step:.0f} sensor steps only: record "
                 f"at least {FEWEST_STEPS:.0f}, with larger cycles or a finer sensor",
             )
         ]
@@ -249,13 +249,13 @@ def _information(record: Record) -> list[Objection]:
             *coarse,
             Objection(
                 "refused",
-                f"{record.name}: the motor moves one way only, which cannot tell K, fc and asymmetry apart: record a "
+                f"{test.name}: the motor moves one way only, which cannot tell K, fc and asymmetry apart: record a "
                 "drive that moves it both ways",
             ),
         ]
     return coarse
 
 
-def _motion(record: Record) -> float:
+def _motion(test: TimeSeries) -> float:
     """Change of position that noise and the sensor's steps do not make, rad."""
-    return max(MOVED_NOISES * record.noise_rad(), MOVED_STEPS * record.resolution_rad())
+    return max(MOVED_NOISES * test.noise_rad(), MOVED_STEPS * test.resolution_rad())

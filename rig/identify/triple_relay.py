@@ -10,21 +10,26 @@ Gauss-Newton from several starts in either case.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.identify import describing_function
 from rig.identify.estimate import Estimate, student_intervals
+from rig.identify.estimator import Estimator
 from rig.identify.mean_cycle import Bins, Cycle, MeanHalf
-from rig.identify.sampled_data import Start, ridge_starts
-from rig.recording.series import IdentifyError
+from rig.identify.measurements import Measurements
+from rig.identify.starts import Start, ridge_starts
+from rig.identify.verdict import judge_reference, settled, unguarded
+from rig.recording.errors import IdentifyError
 
 Array = NDArray[np.float64]
 
 METHOD = "triple-relay"
+FINE_SAMPLING = 120.0  # samples a cycle below which averaging cycles that jitter costs over 4 %
 MAX_ITERATIONS = 60
 FARTHEST = 12.0  # of the logarithms of tau and K from the cycle's own
 LEAST_FRICTION = -0.1  # in units of h2: a motor without friction may seem to have a little less
@@ -33,6 +38,50 @@ EXACT, ROUGH = 1e-9, 1e-4  # last step in log tau, log K, and the others relativ
 FAR, NEAR = 1e-3, 1e-8  # first damping from a guess, and from a solution
 FEW_SAMPLES = 60  # of each half: enough to tell which start leads to the best solution
 LONGEST_DELAY = 2.0  # sampling periods, where t_u_s is not known
+
+
+class TripleRelay(Estimator):
+    """A reference: of several tests it takes the one whose cycles scatter least."""
+
+    name = METHOD
+
+    def applies(self, data: Measurements) -> IdentifyError | None:
+        """From one settled cycle on."""
+        if data.settled:
+            return None
+        nothing = IdentifyError("there is no relay test", "record one: `rig relay CONFIG`")
+        return data.complaints[-1] if data.complaints else nothing
+
+    def fit(self, data: Measurements) -> Estimate:
+        """From the averaged curve; the describing function gives the first start where there are two tests."""
+        cycles = data.settled
+        first = None
+        if describing_function.lacking(cycles) is None:
+            sine = describing_function.fit(cycles)
+            if sine.verdict != "refused":
+                first = Start(sine.tau_s, sine.K_rad_s_V, sine.fc_V)
+        estimates = [fit(cycle, first) for cycle in cycles]
+        return min(estimates, key=lambda e: e.covariance[0, 0] / e.tau_s**2 if e.covariance[0, 0] >= 0.0 else np.inf)
+
+    def judge(self, estimate: Estimate, data: Measurements, earlier: Mapping[str, Estimate]) -> Estimate:
+        """Doubtful where the relay decides too seldom in a cycle."""
+        bias = sampling_bias(estimate.cycles, max(test.period_s for test in data.tests))
+        return unguarded(settled(judge_reference(estimate, data.tests, bias), data), data)
+
+
+def sampling_bias(cycles: Sequence[Cycle], tick_s: float) -> str | None:
+    """What averaging cycles that jitter costs, as a sentence; None where samples are fine enough (docs/theory.md 6.3).
+
+    tick_s  between two decisions of the relay
+    """
+    shortest_s = min((cycle.period_s for cycle in cycles), default=math.inf)
+    if shortest_s >= FINE_SAMPLING * tick_s:
+        return None
+    return (
+        f"the relay decides every {1e3 * tick_s:.3g} ms, only {shortest_s / tick_s:.0f} times a cycle: its cycles "
+        "differ by that, and their average is off by more than the interval shows: below "
+        f"{FINE_SAMPLING:.0f} times trust the sampled-data estimate"
+    )
 
 
 class Features(NamedTuple):
@@ -266,6 +315,7 @@ def fit(cycle: Cycle, start: Start | None = None) -> Estimate:
         iterations=len(found.iterates) - 1,
         rows=cycle.rows,
         iterates=found.iterates,
+        cycles=(cycle,),
     )
     if not found.converged:
         estimate = estimate.judged(

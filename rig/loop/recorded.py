@@ -1,7 +1,7 @@
 """A recorded run as a bench: the loop gets the same samples again, and each drive is held to the one that acted.
 
 ``RecordedDriver`` and ``RecordedClock`` are the bench, ``Comparison`` is where the loop's rows go, ``ReplayLoop`` is
-the loop; all of them share one ``Tape``.
+the loop; all of them share one ``ReplayedRows``.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayR
 from rig.backends.serial.relay_stream import TICK_S, relay_command
 from rig.calibration import Calibration, DriveMap
 from rig.control.law import Law
-from rig.loop.replayed_rows import AFTER_DRIVING, OF_LAW_OR_GUARD, By, Tape
+from rig.loop.replayed_rows import AFTER_DRIVING, OF_LAW_OR_GUARD, By, ReplayedRows
 from rig.loop.runner import Loop
 from rig.recording.record import NoRecord, Row
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED, FLAG_SKIPPED, Limits, Order, Sample
@@ -27,17 +27,17 @@ class RecordedClock:
 
     absolute = True
 
-    def __init__(self, tape: Tape) -> None:
-        self._tape = tape
+    def __init__(self, replayed: ReplayedRows) -> None:
+        self._replayed = replayed
 
     def now_s(self) -> float:
         """Time of the replay, s."""
-        return self._tape.now_s
+        return self._replayed.now_s
 
     def sleep_until(self, t_s: float) -> float:
         """Let time pass to ``t_s``; none if that is past. The time then, s."""
-        self._tape.now_s = max(self._tape.now_s, t_s)
-        return self._tape.now_s
+        self._replayed.now_s = max(self._replayed.now_s, t_s)
+        return self._replayed.now_s
 
 
 class RecordedDriver:
@@ -53,10 +53,10 @@ class RecordedDriver:
     link_statistics: Mapping[str, int] = {}
 
     def __init__(
-        self, tape: Tape, order: Order, calibration: Calibration, drive_map: DriveMap, clock_ratio: float
+        self, replayed: ReplayedRows, order: Order, calibration: Calibration, drive_map: DriveMap, clock_ratio: float
     ) -> None:
         self.order = order
-        self._tape = tape
+        self._replayed = replayed
         self._calibration = calibration
         self._drive_map = drive_map
         self._clock_ratio = clock_ratio
@@ -69,27 +69,29 @@ class RecordedDriver:
         return DeviceInfo(build="", board="record", reset_cause="", emulated=True, clock_ratio=self._clock_ratio)
 
     def arm(self, limits: Limits) -> None:
-        """Go on at the next row; raises as ``Tape.end`` where there is none."""
-        if self._tape.is_over:
-            self._tape.end(arming=True)
+        """Go on at the next row; raises as ``ReplayedRows.end`` where there is none."""
+        if self._replayed.is_over:
+            self._replayed.end(arming=True)
         self._is_armed_anew = True
-        self._tape.set_clock()
+        self._replayed.set_clock()
 
     def read(self) -> Sample:
-        """The next row's sample, with what the row before it says of the last drive; raises as ``Tape.end``.
+        """The next row's sample, with what the row before it says of the last drive; raises as ``ReplayedRows.end``.
 
         After the last row there is one more: the exchange that completed it.
         """
-        tape, row = self._tape, self._tape.next
-        t_u_s, u_V = (_NAN, 0.0) if row == 0 or self._is_armed_anew else (tape.t_u_s[row - 1], tape.u_V[row - 1])
+        replayed, row = self._replayed, self._replayed.next
+        t_u_s, u_V = _NAN, 0.0
+        if row > 0 and not self._is_armed_anew:
+            t_u_s, u_V = replayed[row - 1].t_u_s, replayed[row - 1].u_V
         self._is_armed_anew = False
-        if row < len(tape):
-            return Sample(
-                tape.t_s[row], tape.y_rad[row], tape.y_counts[row], tape.v_rad_per_s[row], t_u_s, u_V, tape.seq[row]
-            )
-        if row == 0 or math.isnan(t_u_s) or tape.in_device[row - 1]:
-            tape.end()
-        return Sample(tape.t_s[-1] + tape.period_s, tape.y_rad[-1], tape.y_counts[-1], _NAN, t_u_s, u_V, tape.seq[-1])
+        if row < len(replayed):
+            now = replayed[row]
+            return Sample(now.t_s, now.y_rad, now.y_counts, now.v_rad_per_s, t_u_s, u_V, now.seq)
+        if row == 0 or math.isnan(t_u_s) or replayed[row - 1].in_device:
+            replayed.end()
+        last = replayed[-1]
+        return Sample(last.t_s + replayed.period_s, last.y_rad, last.y_counts, _NAN, t_u_s, u_V, last.seq)
 
     def write(self, u_V: float) -> None:
         """Take the drive, as the device would; ``Comparison`` judges it. Raises ValueError beyond the drive's range.
@@ -97,15 +99,15 @@ class RecordedDriver:
         Raises the fault that ended the run where that was in this tick and came from neither law nor guard.
         """
         self._drive_map.to_units(u_V)
-        tape, fault = self._tape, self._tape.fault
-        in_last_tick = tape.next == len(tape) - 1 and tape.ends_in_tick
+        replayed, fault = self._replayed, self._replayed.fault
+        in_last_tick = replayed.next == len(replayed) - 1 and replayed.ends_in_tick
         if fault is not None and in_last_tick and fault.code not in OF_LAW_OR_GUARD | AFTER_DRIVING | {"INTERRUPTED"}:
             raise fault
 
     def safe_stop(self) -> bool:
         """Whether the device confirmed it then."""
         self._stops += 1
-        stops = self._tape.stops
+        stops = self._replayed.stops
         return stops[self._stops - 1] if self._stops <= len(stops) else True
 
     def close(self) -> None:
@@ -123,46 +125,54 @@ class RecordedDriver:
         return relay_command(h1_V, h2_V, z_bound_rad_s, self._calibration, self._drive_map, self.tick_s)
 
     def start_relay(self, command: RelayCommand) -> None:
-        """Go on at the relay's first row. Raises as ``Tape.end``; Diverged where the next row is none of a device's."""
-        if self._tape.is_over:
-            self._tape.end()
-        row = self._tape.next
-        if not self._tape.in_device[row]:
-            raise self._tape.diverged(row, "record", "a tick of the loop", "the relay in the device starts")
-        self._device_stage = self._tape.stages[row]
-        self._tape.set_clock()
+        """Go on at the relay's first row.
+
+        Raises as ``ReplayedRows.end``; Diverged where the next row is none of a device's.
+        """
+        if self._replayed.is_over:
+            self._replayed.end()
+        row = self._replayed.next
+        if not self._replayed[row].in_device:
+            raise self._replayed.diverged(row, "record", "a tick of the loop", "the relay in the device starts")
+        self._device_stage = self._replayed[row].stage
+        self._replayed.set_clock()
 
     def keep(self) -> None:
-        """The relay goes on; raises as ``Tape.end``, and Diverged where it had ended."""
-        tape = self._tape
-        if tape.is_over:
-            tape.end()
-        if not self._is_of_relay(tape.next):
-            raise tape.diverged(tape.next, "law", "the relay in the device has ended", f"{self._device_stage} goes on")
+        """The relay goes on; raises as ``ReplayedRows.end``, and Diverged where it had ended."""
+        replayed = self._replayed
+        if replayed.is_over:
+            replayed.end()
+        if not self._is_of_relay(replayed.next):
+            raise replayed.diverged(
+                replayed.next, "law", "the relay in the device has ended", f"{self._device_stage} goes on"
+            )
 
     def read_rows(self) -> list[RelayRow]:
         """The rows that the loop took in this tick."""
-        tape, first = self._tape, self._tape.next
+        replayed, first = self._replayed, self._replayed.next
         end = first
-        while end < len(tape) and self._is_of_relay(end) and tape.ticks[end] * tape.period_s <= tape.now_s + 1e-9:
+        while (
+            end < len(replayed)
+            and self._is_of_relay(end)
+            and replayed[end].tick * replayed.period_s <= replayed.now_s + 1e-9
+        ):
             end += 1
         return self._rows(first, end)
 
     def stop_relay(self) -> list[RelayRow]:
         """The relay's last rows."""
-        first = end = self._tape.next
-        while end < len(self._tape) and self._is_of_relay(end):
+        first = end = self._replayed.next
+        while end < len(self._replayed) and self._is_of_relay(end):
             end += 1
         return self._rows(first, end)
 
     def _is_of_relay(self, row: int) -> bool:
-        return self._tape.in_device[row] and self._tape.stages[row] == self._device_stage
+        recorded = self._replayed[row]
+        return recorded.in_device and recorded.stage == self._device_stage
 
     def _rows(self, first: int, end: int) -> list[RelayRow]:
-        t = self._tape
-        return [
-            RelayRow(t.t_s[k], t.t_u_s[k], t.y_rad[k], t.y_counts[k], t.u_V[k], t.seq[k]) for k in range(first, end)
-        ]
+        rows = [self._replayed[k] for k in range(first, end)]
+        return [RelayRow(row.t_s, row.t_u_s, row.y_rad, row.y_counts, row.u_V, row.seq) for row in rows]
 
 
 class Comparison(NoRecord):
@@ -177,83 +187,87 @@ class Comparison(NoRecord):
     limited    rows in which the device drove less than it was told to
     """
 
-    def __init__(self, tape: Tape, quantise: Callable[[float], float] | None) -> None:
+    def __init__(self, replayed: ReplayedRows, quantise: Callable[[float], float] | None) -> None:
         self.compared = 0
         self.lost = 0
         self.limited = 0
-        self._tape = tape
+        self._replayed = replayed
         self._quantise = quantise
 
     def sample(self, *row: *Row) -> None:
         """Compare a row that the loop would write.
 
-        Raises Diverged at the first difference; where the record has no more rows, as ``Tape.end``.
+        Raises Diverged at the first difference; where the record has no more rows, as ``ReplayedRows.end``.
         """
         tick, _, stage, z_rad_s, yd_rad, u_V, _, _, flags = row
-        tape, at = self._tape, self._tape.next
-        if tape.is_over:
-            tape.end()
+        replayed, at = self._replayed, self._replayed.next
+        if replayed.is_over:
+            replayed.end()
         self._compare_course(at, tick, stage, flags)
         self._compare_drive(at, u_V, flags)
         for what, unit, then, now in (
-            ("integral", "rad s", tape.z_rad_s[at], z_rad_s),
-            ("reference", "rad", tape.yd_rad[at], yd_rad),
+            ("integral", "rad s", replayed[at].z_rad_s, z_rad_s),
+            ("reference", "rad", replayed[at].yd_rad, yd_rad),
         ):
             if not _same(then, now):
-                raise tape.diverged(at, "law", f"{what} {then!r} {unit}", f"{what} {now!r} {unit}")
-        tape.advance()
+                raise replayed.diverged(at, "law", f"{what} {then!r} {unit}", f"{what} {now!r} {unit}")
+        replayed.advance()
 
     def _compare_course(self, row: int, tick: int, stage: str, flags: int) -> None:
         """The row's place in the run: its tick, whether some were skipped before it, its stage, what the guard did."""
-        tape = self._tape
-        recorded = tape.flags[row]
-        after_relay = row > 0 and tape.in_device[row - 1] and not tape.in_device[row]
+        replayed, then = self._replayed, self._replayed[row]
+        recorded = then.flags
+        after_relay = row > 0 and replayed[row - 1].in_device and not then.in_device
         if flags & ~recorded & FLAG_SKIPPED and not after_relay:
-            raise tape.diverged(row, "record", "no ticks were skipped before this row", "rows are missing before it")
+            raise replayed.diverged(
+                row, "record", "no ticks were skipped before this row", "rows are missing before it"
+            )
         if recorded & ~flags & FLAG_SKIPPED and not after_relay:
-            raise tape.diverged(row, "record", "ticks were skipped before this row", "no rows are missing before it")
-        if tick != tape.ticks[row]:
-            raise tape.diverged(row, "record", f"tick {tape.ticks[row]}", f"tick {tick}")
-        if stage != tape.stages[row]:
-            raise tape.diverged(row, "law", f"stage {tape.stages[row]}", f"stage {stage}")
+            raise replayed.diverged(
+                row, "record", "ticks were skipped before this row", "no rows are missing before it"
+            )
+        if tick != then.tick:
+            raise replayed.diverged(row, "record", f"tick {then.tick}", f"tick {tick}")
+        if stage != then.stage:
+            raise replayed.diverged(row, "law", f"stage {then.stage}", f"stage {stage}")
         if (flags ^ recorded) & _GUARD_FLAGS:
-            raise tape.diverged(row, "guard", _guard_words(recorded), _guard_words(flags), tape.u_V[row])
+            raise replayed.diverged(row, "guard", _guard_words(recorded), _guard_words(flags), then.u_V)
 
     def _compare_drive(self, row: int, u_V: float, flags: int) -> None:
-        tape = self._tape
-        recorded_V, t_u_s = tape.u_V[row], tape.t_u_s[row]
-        if tape.in_device[row]:
+        replayed, then = self._replayed, self._replayed[row]
+        recorded_V, t_u_s = then.u_V, then.t_u_s
+        if then.in_device:
             self.compared += 1  # the loop itself holds the law to it
             return
-        if t_u_s < tape.t_s[row]:
+        if t_u_s < then.t_s:
             self.lost += 1  # the device still says the drive before it
             return
-        if tape.flags[row] & FLAG_SATURATED:
+        if then.flags & FLAG_SATURATED:
             self.limited += 1
             return
         acts_V = u_V if self._quantise is None else self._quantise(u_V)
         if math.isnan(t_u_s) and recorded_V == u_V:
             acts_V = u_V  # the device has not told of it: it stands there as it was commanded
         if acts_V != recorded_V and (self._quantise is not None or abs(acts_V - recorded_V) > 1e-6):
-            by: By = "guard" if (flags | tape.flags[row]) & _GUARD_FLAGS else "law"
-            raise tape.diverged(row, by, f"{recorded_V:+.6f} V", f"{acts_V:+.6f} V", recorded_V, acts_V)
+            by: By = "guard" if (flags | then.flags) & _GUARD_FLAGS else "law"
+            raise replayed.diverged(row, by, f"{recorded_V:+.6f} V", f"{acts_V:+.6f} V", recorded_V, acts_V)
         self.compared += 1
 
 
 class ReplayLoop(Loop):
-    """The loop, with an ear at its laws: what each asked for is kept on the tape."""
+    """The loop, with an ear at its laws: what each asked for is kept with the rows."""
 
-    tape: Tape
+    replayed: ReplayedRows
 
     def run(self, law: Law, stage: str, watch: Callable[[float], None] | None = None) -> None:
         """As ``Loop.run``."""
-        super().run(_Heard(law, self.tape), stage, watch)
+        super().run(_Heard(law, self.replayed), stage, watch)
 
     def run_in_device(
         self, law: Law, command: RelayCommand, stage: str, watch: Callable[[float], None] | None = None
     ) -> None:
         """As ``Loop.run_in_device``."""
-        super().run_in_device(_Heard(law, self.tape), command, stage, watch)
+        super().run_in_device(_Heard(law, self.replayed), command, stage, watch)
 
     def _record_last_rows(self) -> None:
         """None: a replay ends where the loop gives up."""
@@ -262,19 +276,19 @@ class ReplayLoop(Loop):
 class _Heard:
     """A law whose drives are kept."""
 
-    def __init__(self, law: Law, tape: Tape) -> None:
+    def __init__(self, law: Law, replayed: ReplayedRows) -> None:
         self._law = law
-        self._tape = tape
+        self._replayed = replayed
         self._show()
 
     def step(self, sample: Sample) -> float:
         """The law's drive, V."""
-        self._tape.asked_V = _NAN
+        self._replayed.asked_V = _NAN
         try:
             u_V = self._law.step(sample)
         finally:
             self._show()
-        self._tape.asked_V = u_V
+        self._replayed.asked_V = u_V
         return u_V
 
     def _show(self) -> None:

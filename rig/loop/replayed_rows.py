@@ -1,4 +1,4 @@
-"""The tape of a replay: the rows of a record, how far the replay has come, how the run ended, and where they part."""
+"""What a replay is held to: recorded rows, how far it has come, how the run ended, and where the two part."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Literal, NoReturn
 from rig.faults import Fault
 from rig.loop.device_relay import STOPPING
 from rig.loop.stop_request import StopRequest
+from rig.recording.columns import SampleRow
 from rig.recording.reader import Recording
 
 By = Literal["law", "guard", "record"]
@@ -74,8 +75,8 @@ class RecordEnds(Exception):
     """The record ends here, without an end of the run: it was killed, or its last rows are lost."""
 
 
-class Tape:
-    """The rows of a record, how far the replay has come, and how the run ended.
+class ReplayedRows:
+    """The rows of a recording, how far the replay has come, and how the run ended.
 
     recording   of a run folder
     period_s    of the loop
@@ -102,30 +103,20 @@ class Tape:
         self.next = 0
         self.asked_V = _NAN
         self.now_s = -period_s  # so that the loop's first tick, a period later, is at 0
-        stages: list[str] = recording.stage.tolist()
+        rows = recording.rows()
         # what came of a relay in the device after the loop had given up: nobody decided on it
-        end = stages.index(STOPPING) if STOPPING in stages else len(stages)
-        self.stages = stages[:end]
-        self.ticks: list[int] = recording.tick.tolist()[:end]
-        self.seq: list[int] = recording.seq.tolist()[:end]
-        self.t_s: list[float] = recording.t_s.tolist()[:end]
-        self.t_u_s: list[float] = recording.t_u_s.tolist()[:end]
-        self.y_rad: list[float] = recording.y_rad.tolist()[:end]
-        self.y_counts: list[int] = recording.y_counts.tolist()[:end]
-        self.v_rad_per_s: list[float] = recording.v_rad_per_s.tolist()[:end]
-        self.u_V: list[float] = recording.u_V.tolist()[:end]
-        self.z_rad_s: list[float] = recording.z_rad_s.tolist()[:end]
-        self.yd_rad: list[float] = recording.yd_rad.tolist()[:end]
-        self.flags: list[int] = recording.flags.tolist()[:end]
-        # a row of the relay in the device took no time of the loop's
-        self.in_device: list[bool] = [math.isnan(late_us) for late_us in recording.late_us.tolist()[:end]]
+        end = next((k for k, row in enumerate(rows) if row.stage == STOPPING), len(rows))
+        self._rows = rows[:end]
         self.stops: list[bool] = [bool(e.detail.get("confirmed", True)) for e in recording.events if e.kind == "stop"]
         self._is_whole = is_whole
         self._stop = stop
         self._on_progress = on_progress
 
     def __len__(self) -> int:
-        return len(self.t_s)
+        return len(self._rows)
+
+    def __getitem__(self, row: int) -> SampleRow:
+        return self._rows[row]
 
     @property
     def is_over(self) -> bool:
@@ -135,7 +126,7 @@ class Tape:
     @property
     def ends_in_tick(self) -> bool:
         """Whether the last row was cut off while its drive was decided: that of a fault on its sample."""
-        return bool(self.t_s) and not self.in_device[-1] and math.isnan(self.t_u_s[-1]) and self.u_V[-1] == 0.0
+        return bool(self._rows) and not self[-1].in_device and math.isnan(self[-1].t_u_s) and self[-1].u_V == 0.0
 
     @property
     def must_come_again(self) -> bool:
@@ -146,7 +137,7 @@ class Tape:
         fault = self.fault
         if fault is None or fault.code not in OF_LAW_OR_GUARD:
             return False
-        is_open = bool(self.t_s) and not self.in_device[-1] and math.isnan(self.t_u_s[-1])
+        is_open = bool(self._rows) and not self[-1].in_device and math.isnan(self[-1].t_u_s)
         return self.ends_in_tick or not is_open
 
     def set_clock(self) -> None:
@@ -155,7 +146,7 @@ class Tape:
         Even back, where the loop has slept until a tick to read what came of its last drive.
         """
         if not self.is_over:
-            self.now_s = (self.ticks[self.next] - 0.5) * self.period_s
+            self.now_s = (self[self.next].tick - 0.5) * self.period_s
 
     def advance(self) -> None:
         """On to the next row."""
@@ -183,9 +174,9 @@ class Tape:
         raise Diverged(
             Difference(
                 None,
-                self.ticks[last],
-                self.t_s[last],
-                self.stages[last],
+                self[last].tick,
+                self[last].t_s,
+                self[last].stage,
                 "record",
                 "the record ends here, the run did not" if fault is None else f"the rows end here, then {fault.code}",
                 "goes on",
@@ -212,9 +203,9 @@ class Tape:
         return Diverged(
             Difference(
                 row + 2,
-                self.ticks[row],
-                self.t_s[row],
-                self.stages[row],
+                self[row].tick,
+                self[row].t_s,
+                self[row].stage,
                 by,
                 recorded,
                 replayed,

@@ -9,7 +9,6 @@ Jacobian.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class Theta(NamedTuple):
-    """Parameters of a record's motion (docs/theory.md 7.2), in the order of the Jacobian's columns.
+    """Parameters of a series' motion (docs/theory.md 7.2), in the order of the Jacobian's columns.
 
     tau_s, K_rad_s_V, fc_V   the motor
     asym_V                   asymmetry a: the effective drive in motion is u + a - fc sgn(v)
@@ -39,7 +38,7 @@ class Theta(NamedTuple):
 
 
 class StribeckTheta(NamedTuple):
-    """Parameters of a record's motion under Tustin's law: those of ``Theta``, and two more.
+    """Parameters of a series' motion under Tustin's law: those of ``Theta``, and two more.
 
     tau_s, K_rad_s_V, fc_V   the motor; viscous friction is in tau and K
     asym_V                   asymmetry a: the effective drive is u + a
@@ -59,39 +58,21 @@ class StribeckTheta(NamedTuple):
     stribeck_rad_s: float
 
 
-@dataclass(frozen=True)
-class Drive:
-    """A drive that is constant between edges: ``u_V[j]`` acts from ``edge_s[j]`` on, s, V, arrays of m each."""
-
-    edge_s: Array
-    u_V: Array
-
-    @classmethod
-    def from_arrays(cls, edge_s: Array, u_V: Array) -> Drive:
-        """From arrays of edges (non-decreasing) and drives; edges that change nothing are dropped.
-
-        Raises ValueError if the edges decrease, or shapes differ, or there is none.
-        """
-        if edge_s.shape != u_V.shape or edge_s.ndim != 1 or edge_s.size == 0:
-            raise ValueError("edges and drives must be one-dimensional and of one length")
-        if np.any(np.diff(edge_s) < 0.0):
-            raise ValueError("the times at which the drive acts must not decrease")
-        keep = np.concatenate(([True], u_V[1:] != u_V[:-1]))
-        return cls(np.asarray(edge_s[keep], dtype=float), np.asarray(u_V[keep], dtype=float))
-
-
-def position(theta: Theta, drive: Drive, t_s: Array, static_V: float | None = None) -> Array:
-    """Positions at the times ``t_s`` (n, non-decreasing), rad, without the derivatives."""
+def position(theta: Theta, edge_s: Array, u_V: Array, t_s: Array, static_V: float | None = None) -> Array:
+    """Positions at the times ``t_s``, rad, without the derivatives; arguments as ``position_and_jacobian``."""
     from rig.model.compiled import motion
 
     y = np.empty(t_s.size)
-    motion.response(*_motion(theta, static_V), (drive.edge_s, drive.u_V, float(theta.delay_s)), t_s, y)
+    motion.response(*_motion(theta, static_V), (edge_s, u_V, float(theta.delay_s)), t_s, y)
     return y
 
 
-def position_and_jacobian(theta: Theta, drive: Drive, t_s: Array, static_V: float | None = None) -> tuple[Array, Array]:
+def position_and_jacobian(
+    theta: Theta, edge_s: Array, u_V: Array, t_s: Array, static_V: float | None = None
+) -> tuple[Array, Array]:
     """Positions at the times ``t_s`` and their derivatives by each of ``Theta``.
 
+    edge_s, u_V  m steps of the drive: u_V[j], V, acts from edge_s[j] on, s, non-decreasing, m >= 1
     t_s       n times, s, non-decreasing, n >= 1
     static_V  level that holds the motor at rest, V; default: as strong as in motion
     Returns y, (n,), rad, and dy/dtheta, (n, 7). The drive before its first edge is that of its first edge. Derivatives
@@ -100,13 +81,11 @@ def position_and_jacobian(theta: Theta, drive: Drive, t_s: Array, static_V: floa
     from rig.model.compiled import motion
 
     y, jacobian = np.empty(t_s.size), np.empty((t_s.size, 7))
-    motion.position_and_jacobian(
-        *_motion(theta, static_V), (drive.edge_s, drive.u_V, float(theta.delay_s)), t_s, y, jacobian
-    )
+    motion.position_and_jacobian(*_motion(theta, static_V), (edge_s, u_V, float(theta.delay_s)), t_s, y, jacobian)
     return y, jacobian
 
 
-def stribeck_response(theta: StribeckTheta, drive: Drive, t_s: Array) -> Array:
+def stribeck_response(theta: StribeckTheta, edge_s: Array, u_V: Array, t_s: Array) -> Array:
     """Positions at the times ``t_s`` (n, s, non-decreasing, n >= 1), rad; compiled.
 
     The drive before its first edge is that of its first edge. Raises ValueError on parameters out of range.
@@ -118,7 +97,7 @@ def stribeck_response(theta: StribeckTheta, drive: Drive, t_s: Array) -> Array:
         raise ValueError(f"need tau, K, the Stribeck velocity > 0 and 0 <= fc <= fs, all finite, not {theta}")
     y = np.empty(t_s.size)
     plant = Plant(tau, K, fc, fc, fs, fs, unit, asym)
-    motion.response(tuple(plant), (v0, y0, 0.0), (drive.edge_s, drive.u_V, delay), t_s, y)
+    motion.response(tuple(plant), (v0, y0, 0.0), (edge_s, u_V, delay), t_s, y)
     return y
 
 

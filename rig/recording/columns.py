@@ -17,6 +17,7 @@ nan (unknown, or no such sensor) is an empty field.
 
 from __future__ import annotations
 
+import math
 from typing import Final, Literal, NamedTuple
 
 Kind = Literal["integer", "time", "number", "micros", "name"]
@@ -101,6 +102,11 @@ class SampleRow(NamedTuple):
     late_us: float
     io_us: float
     flags: int
+
+    @property
+    def in_device(self) -> bool:
+        """Whether it is a tick of the relay in the device: it took no time of the loop's."""
+        return math.isnan(self.late_us)
 
 
 def format_row(row: SampleRow) -> str:

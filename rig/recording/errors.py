@@ -28,3 +28,12 @@ class RecordingError(RigError):
 
 class CannotWriteError(RecordingError):
     """A file that the disk does not take: no fault of what was asked for."""
+
+
+class IdentifyError(RigError):
+    """A recording that cannot be identified: one line of cause, one of cure."""
+
+    def __init__(self, cause: str, cure: str) -> None:
+        self.cause = cause
+        self.cure = cure
+        super().__init__(f"{cause}\n{cure}")

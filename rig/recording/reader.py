@@ -18,7 +18,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.recording.columns import COLUMNS, KINDS
+from rig.recording.columns import COLUMNS, KINDS, SampleRow
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, RESULT
 from rig.recording.path_kind import no_recording, no_run
@@ -131,6 +131,11 @@ class Recording:
             )
         return slice(first, end)
 
+    def rows(self) -> list[SampleRow]:
+        """All rows, one by one."""
+        columns = (getattr(self, name).tolist() for name in COLUMNS)
+        return [SampleRow(*row) for row in zip(*columns, strict=True)]
+
     def select(self, first: int, last: int) -> Recording:
         """Rows ``first`` to ``last``, both included, counted from 0 as in result.json's ``rows``.
 
@@ -197,14 +202,16 @@ def read(path: Path) -> Recording:
     return read_run(path) if _is_folder(path) else read_csv(path)
 
 
-def read_run(folder: Path) -> Recording:
+def read_run(folder: Path, known: Recording | None = None) -> Recording:
     """Read a run folder; what a killed run has not written yet is noted in ``notes``.
+
+    known  the same run as it was read earlier: its rows are not parsed again
 
     Raises RecordingError where this is no run, samples.csv is unusable, or another file of the folder is broken.
     """
     if not _is_folder(folder) or not (folder / SAMPLES).exists():
         raise no_run(folder)
-    recording = read_csv(folder / SAMPLES, own=True)
+    recording = read_csv(folder / SAMPLES, own=True, known=known)
     notes = list(recording.notes)
 
     meta = _read_part(folder / META, RunMeta)
@@ -228,13 +235,14 @@ def read_result(folder: Path) -> RunResult | None:
     return _read_part(folder / RESULT, RunResult)
 
 
-def read_csv(path: Path, *, own: bool = False) -> Recording:
+def read_csv(path: Path, *, own: bool = False, known: Recording | None = None) -> Recording:
     """Read a CSV file: a line of column names, then at least three rows; comma, semicolon, tab or blanks between.
 
     Needs t_s, u_V and y_rad; takes every other column of samples.csv that is there, in any order. Lines that begin
     with # and blank lines are skipped, so is Excel's ``sep=``. Decimal commas are read where no comma separates
     columns and no decimal point occurs. A last line without a line end is taken as torn: left out and noted.
-    own  of a run folder: it ends where its time stands still or goes back, as the device's did; that is noted
+    own    of a run folder: it ends where its time stands still or goes back, as the device's did; that is noted
+    known  the same file as it was read earlier, when it may have had fewer rows: these are not parsed again
     Raises RecordingError.
     """
     content, moved = whole_content(path)
@@ -254,11 +262,14 @@ def read_csv(path: Path, *, own: bool = False) -> Recording:
         lines = [line.replace(",", ".") for line in lines]
         notes.append("decimal commas were read as decimal points")
 
-    chunks = [
-        _parse_rows(path, header, delimiter, lines, row_numbers[k : k + _ROWS_AT_ONCE])
-        for k in range(0, len(row_numbers), _ROWS_AT_ONCE)
-    ]
-    columns = {name: np.concatenate([chunk[name] for chunk in chunks]) for name in chunks[0]}
+    names = [name for name in header if name in COLUMNS]
+    chunks: list[dict[str, NDArray[Any]]] = []
+    parsed = 0
+    if known is not None and known.columns_present == header and len(known) <= len(row_numbers):
+        chunks, parsed = [{name: getattr(known, name) for name in names}], len(known)
+    for k in range(parsed, len(row_numbers), _ROWS_AT_ONCE):
+        chunks.append(_parse_rows(path, header, delimiter, lines, row_numbers[k : k + _ROWS_AT_ONCE]))
+    columns = {name: np.concatenate([chunk[name] for chunk in chunks]) for name in names}
     if own:
         columns = _while_time_rises(columns, row_numbers, notes)
         row_numbers = row_numbers[: len(columns["t_s"])]

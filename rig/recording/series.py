@@ -1,42 +1,42 @@
-"""What estimators read: times, positions and drives of one stretch of recording, cut loose from run folders."""
+"""A time series: position and drive of one stretch of a recording, with the times at which the drive acts."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import RigError
-from rig.recording.reader import Recording
+from rig.recording.errors import IdentifyError
+from rig.recording.stage import Stage
 
 Array = NDArray[np.float64]
 
 FEWEST_ROWS = 20  # that anything can be read from
+SHORTEST_WINDOW = 60  # samples
 LATENCY_PERIODS, LATENCY_S = 10.0, 0.1  # between a sample and its row's drive, at most the longer of both
 
-LEAST_DELAY_S = (
-    0.01  # a serial link and a driver take as much, however fast the samples (of a record 100 times as long)
-)
+# a serial link and a driver take as much, however fast the samples (of a record 100 times as long)
+LEAST_DELAY_S = 0.01
 TIMES_ERROR_S = 1e-4  # by which times may be wrong where nobody says: a converter's step, a PWM period, an interrupt
 ALIKE = 0.8  # correlation of a drive with itself, later, that makes it periodic
 # No bench shows more or less in any unit, and squares and cubes of what lies between are numbers.
 LARGEST, SMALLEST = 1e12, 1e-12
 
 
-class IdentifyError(RigError):
-    """A recording that cannot be identified: one line of cause, one of cure."""
+class Steps(NamedTuple):
+    """A drive that is constant between edges: ``u_V[j]`` acts from ``edge_s[j]`` on, s, V, arrays of m each."""
 
-    def __init__(self, cause: str, cure: str) -> None:
-        self.cause = cause
-        self.cure = cure
-        super().__init__(f"{cause}\n{cure}")
+    edge_s: Array
+    u_V: Array
 
 
-@dataclass(frozen=True)
-class Record:
-    """Rows of a recording. Row k: y sampled at t_s; u acts from t_u_s until the next row's t_u_s.
+@dataclass(frozen=True, eq=False)
+class TimeSeries:
+    """Position and drive over time: rows of a recording. Row k: y sampled at t_s; u acts from t_u_s to the next t_u_s.
 
     t_s        n times, s, increasing
     y_rad      n positions, rad
@@ -46,6 +46,7 @@ class Record:
     first_row  index of row 0 in the file it comes from
     name       what to call it in a message
     times_error_s  by how much t_u_s may be wrong against t_s, s, at least 0: by so little beside it the drive may act
+    stage      of a run that the rows are; None where the file has no stages
     Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite or that no bench
     shows (beyond 1e12, or a whole column within 1e-12 of zero that is not zero), times that do not increase, or drives
     that act far before or after their samples.
@@ -58,6 +59,7 @@ class Record:
     first_row: int = 0
     name: str = "recording"
     times_error_s: float = TIMES_ERROR_S
+    stage: Stage | None = None
 
     def __post_init__(self) -> None:
         columns = {"t_s": self.t_s, "y_rad": self.y_rad, "u_V": self.u_V}
@@ -109,7 +111,7 @@ class Record:
     def __len__(self) -> int:
         return int(self.t_s.size)
 
-    @property
+    @cached_property
     def period_s(self) -> float:
         """Sampling period: the median step of t_s, s."""
         return float(np.median(np.diff(self.t_s)))
@@ -145,19 +147,35 @@ class Record:
         lag = int(first_run[np.argmax(alike[first_run])])
         return float(even[lag] - even[0])
 
-    def part(self, first: int, stop: int) -> Record:
+    @cached_property
+    def steps(self) -> Steps:
+        """The drive, without the edges that change nothing."""
+        return steps_of(self.edge_s, self.u_V)
+
+    def part(self, first: int, stop: int) -> TimeSeries:
         """Rows ``first`` to ``stop`` (exclusive)."""
         cut = slice(first, stop)
-        times = None if self.t_u_s is None else self.t_u_s[cut]
-        return Record(
-            self.t_s[cut],
-            self.y_rad[cut],
-            times,
-            self.u_V[cut],
-            self.first_row + first,
-            self.name,
-            self.times_error_s,
+        return replace(
+            self,
+            t_s=self.t_s[cut],
+            y_rad=self.y_rad[cut],
+            t_u_s=None if self.t_u_s is None else self.t_u_s[cut],
+            u_V=self.u_V[cut],
+            first_row=self.first_row + first,
         )
+
+    def predictable(self, longest_delay_s: float) -> Window:
+        """The samples whose drive is known: from the first that comes after the first drive took effect.
+
+        Raises IdentifyError where these are fewer than twenty.
+        """
+        first = int(np.searchsorted(self.t_s, self.edge_s[0] + longest_delay_s))
+        if self.t_s.size - first < FEWEST_ROWS:
+            raise IdentifyError(
+                f"{self.name}: {self.t_s.size} rows are too few to fit",
+                "record at least three cycles, better ten: relay.cycles",
+            )
+        return Window(self, first, self.t_s.size)
 
     def resolution_rad(self) -> float:
         """Step between neighbouring distinct positions, rad; 0 if they do not look quantised.
@@ -195,84 +213,71 @@ class Record:
         return float(max(scatter, self.resolution_rad() / np.sqrt(12.0)))
 
 
-@dataclass(frozen=True)
-class ClockRatio:
-    """Ratio of a recording's times to the host's, and its standard error."""
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Samples ``first`` to ``stop`` (exclusive) of a series, whose motion has an initial state of its own.
 
-    ratio: float
-    error: float
+    The drive is that of the whole series: what acts at the first sample was set before it.
+    """
+
+    series: TimeSeries
+    first: int
+    stop: int
+
+    @cached_property
+    def t_s(self) -> Array:
+        """Times of its samples, s."""
+        return self.series.t_s[self.first : self.stop]
+
+    @cached_property
+    def y_rad(self) -> Array:
+        """Positions at these times, rad."""
+        return self.series.y_rad[self.first : self.stop]
 
     @property
-    def significant(self) -> bool:
-        """Whether it differs from 1 beyond four standard errors and 20 ppm."""
-        return abs(self.ratio - 1.0) > max(4.0 * self.error, 20e-6)
+    def steps(self) -> Steps:
+        """The drive of the whole series."""
+        return self.series.steps
+
+    @property
+    def period_s(self) -> float:
+        """Sampling period of the series, s."""
+        return self.series.period_s
+
+    @property
+    def duration_s(self) -> float:
+        """Time from its first sample to its last, s."""
+        return float(self.t_s[-1] - self.t_s[0])
+
+    @property
+    def rows(self) -> tuple[int, int]:
+        """First and last row in the file."""
+        return self.series.first_row + self.first, self.series.first_row + self.stop - 1
+
+    def until(self, length_s: float) -> Window:
+        """The first part of it, of this length, s, and of 60 samples at least."""
+        count = max(SHORTEST_WINDOW, int(np.searchsorted(self.t_s, self.t_s[0] + length_s, side="right")))
+        return self if self.first + count >= self.stop else replace(self, stop=self.first + count)
 
 
-def clock_ratio(recording: Recording) -> ClockRatio | None:
-    """Regress t_s on the host's time of each tick (tick * period + lateness); None where that is not recorded."""
-    period_s = recording.meta.period_s
-    usable = np.isfinite(recording.late_us)
-    if period_s is None or not period_s > 0.0 or int(usable.sum()) < 100:
-        return None
-    host = recording.tick[usable] * period_s + 1e-6 * recording.late_us[usable]
-    x = host - host.mean()
-    power = float(x @ x)
-    if power == 0.0:
-        return None
-    t = recording.t_s[usable]
-    slope = float(x @ t) / power
-    residual = t - t.mean() - slope * x
-    return ClockRatio(slope, float(np.sqrt(residual @ residual / (x.size - 2) / power)))
+def joined_times_s(windows: Iterable[Window]) -> Array:
+    """Times of the samples of all windows, one window after the other, s."""
+    return np.concatenate([window.t_s for window in windows])
 
 
-def from_recording(recording: Recording, rows: slice, name: str) -> tuple[Record, list[str]]:
-    """Rows of a recording as a ``Record``, and notes on what was done to the times.
+def spread_rad(windows: Iterable[Window]) -> float:
+    """Standard deviation of the positions about the mean of each window, rad."""
+    return float(np.std(np.concatenate([window.y_rad - window.y_rad.mean() for window in windows])))
 
-    Times are divided by the clock ratio over the whole run where that is significant. Rows before the first known t_u_s
-    are dropped; a t_u_s missing between others is filled in with the median latency. Raises IdentifyError,
-    also for fewer than twenty rows.
+
+def steps_of(edge_s: Array, u_V: Array) -> Steps:
+    """Edges (non-decreasing, s) and drives (V) as steps: edges that change nothing are left out.
+
+    Raises ValueError if the edges decrease, or shapes differ, or there is none.
     """
-    first, stop, _ = rows.indices(len(recording))
-    if stop - first < FEWEST_ROWS:
-        raise IdentifyError(
-            f"{name}: {max(0, stop - first)} rows are too few to fit",
-            "record at least three cycles, better ten: relay.cycles",
-        )
-    notes: list[str] = []
-    scale = 1.0
-    clock = clock_ratio(recording)
-    if clock is not None and clock.significant:
-        if abs(clock.ratio - 1.0) > 0.03:
-            raise IdentifyError(
-                f"{name}: t_s runs {100.0 * (clock.ratio - 1.0):+.1f} % against the ticks and period_s of meta.json",
-                "correct the times; a clock is a few per cent off at most",
-            )
-        scale = clock.ratio
-        notes.append(f"{name}: times divided by the clock ratio over the run, {scale:.6f} +- {clock.error:.6f}")
-    first += recording.first_row
-    t_s = recording.t_s[rows] / scale
-    t_u_s = recording.t_u_s[rows] / scale
-    y_rad, u_V = recording.y_rad[rows], recording.u_V[rows]
-    known = np.isfinite(t_u_s)
-    if not known.any():
-        return Record(t_s, y_rad, None, u_V, first, name), notes
-    start = int(np.flatnonzero(known)[0])
-    missing = int((~known[start:]).sum())
-    if missing > 0.2 * t_s.size:
-        notes.append(f"{name}: t_u_s is missing in {missing} rows and was not used")
-        return Record(t_s, y_rad, None, u_V, first, name), notes
-    latency = float(np.median((t_u_s - t_s)[known]))
-    filled = np.where(known, t_u_s, t_s + latency)[start:]
-    if missing:
-        notes.append(
-            f"{name}: t_u_s missing in {missing} rows, filled in with the median latency of {1e3 * latency:.2f} ms"
-        )
-        filled = np.maximum.accumulate(filled)
-    error_s = _times_error_s(recording)
-    return Record(t_s[start:], y_rad[start:], filled, u_V[start:], first + start, name, error_s), notes
-
-
-def _times_error_s(recording: Recording) -> float:
-    """What meta.json says that the times may be wrong by; a CSV file and a run of an older version say nothing."""
-    said = recording.meta.times_error_s
-    return TIMES_ERROR_S if said is None or said < 0.0 else said
+    if edge_s.shape != u_V.shape or edge_s.ndim != 1 or edge_s.size == 0:
+        raise ValueError("edges and drives must be one-dimensional and of one length")
+    if np.any(np.diff(edge_s) < 0.0):
+        raise ValueError("the times at which the drive acts must not decrease")
+    keep = np.concatenate(([True], u_V[1:] != u_V[:-1]))
+    return Steps(np.asarray(edge_s[keep], dtype=float), np.asarray(u_V[keep], dtype=float))

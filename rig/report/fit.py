@@ -12,10 +12,11 @@ from scipy.optimize import least_squares
 from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, identify
+from rig.identify.preprocessing import from_recording
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
-from rig.recording.errors import RecordingError
-from rig.recording.series import IdentifyError, Record, from_recording
+from rig.recording.errors import IdentifyError, RecordingError
+from rig.recording.series import TimeSeries
 from rig.report.source import Array, Run, Span
 from rig.results import EstimateResult, known
 
@@ -26,11 +27,11 @@ PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
 class Cycles:
     """Whole settled cycles of one relay test.
 
-    record  the test as the estimators read it, clock corrected
+    series  the test as the estimators read it, clock corrected
     rows    (first, last) of each cycle, both included, counted in the file
     """
 
-    record: Record
+    series: TimeSeries
     rows: list[tuple[int, int]]
 
     def __len__(self) -> int:
@@ -38,7 +39,7 @@ class Cycles:
 
     def last(self) -> Cycles:
         """The last cycle alone."""
-        return Cycles(self.record, self.rows[-1:])
+        return Cycles(self.series, self.rows[-1:])
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,8 @@ def cycles_of(run: Run, span: Span) -> Cycles | None:
     crossings closer than half the median are chatter around the edge.
     """
     try:
-        record, _ = from_recording(run.rows, slice(span.first, span.last + 1), span.stage)
-        settled = find_cycle(record)
+        series, _ = from_recording(run.rows, slice(span.first, span.last + 1), span.stage)
+        settled = find_cycle(series)
     except IdentifyError:
         return None
     first, last = settled.rows
@@ -93,7 +94,7 @@ def cycles_of(run: Run, span: Span) -> Cycles | None:
         if not kept or start - kept[-1] > 0.5 * settled.period_s / settled.period_sampling_s:
             kept.append(start)
     rows = list(pairwise(kept))
-    return Cycles(record, rows) if len(rows) >= 2 else None
+    return Cycles(series, rows) if len(rows) >= 2 else None
 
 
 def motor_of(estimate: EstimateResult | None) -> Motor | None:
@@ -112,15 +113,15 @@ def predict_cycles(run: Run, estimate: EstimateResult | None, cycles: Cycles) ->
     motor = motor_of(estimate)
     if motor is None:
         return []
-    record = cycles.record
-    edges = record.edge_s
-    if record.t_u_s is None:  # then the drive acts an estimated delay later, if any method knows it
+    series = cycles.series
+    edges = series.edge_s
+    if series.t_u_s is None:  # then the drive acts an estimated delay later, if any method knows it
         delays = (known(e.delay_s) for e in (estimate, run.estimates.get("sampled-data")) if e is not None)
         edges = edges + next((d for d in delays if math.isfinite(d)), 0.0)
     found = []
     for first, last in cycles.rows:
-        part = slice(first - record.first_row, last + 1 - record.first_row)
-        found.append(_predict(motor, edges, record.u_V, record.t_s[part], record.y_rad[part]))
+        part = slice(first - series.first_row, last + 1 - series.first_row)
+        found.append(_predict(motor, edges, series.u_V, series.t_s[part], series.y_rad[part]))
     return found
 
 
@@ -164,7 +165,7 @@ def fits_of(run: Run, identification: Identification | None = None) -> tuple[dic
     if identification is not None:
         return identification.estimates, ""
     try:
-        return identify([run.recording], ladder=False).estimates, ""
+        return identify([run.recording], choose_law=False).estimates, ""
     except IdentifyError as error:
         return {}, f"The estimators refuse this recording: {error.cause}. What to do: {error.cure}."
     except RecordingError as error:

@@ -12,6 +12,7 @@ import rig
 from rig.identify import Identification, IdentifyError, identify
 from rig.recording.errors import RecordingError
 from rig.recording.folder import write_whole
+from rig.recording.reader import Recording
 from rig.report import checked, fitted, measured, tables, transient
 from rig.report.fit import fits_of
 from rig.report.source import Run, load
@@ -31,14 +32,16 @@ class Figure:
     absent: str = ""
 
 
-def write_report(run_folder: Path, identification: Identification | None = None) -> Path:
+def write_report(
+    run_folder: Path, identification: Identification | None = None, known: Recording | None = None
+) -> Path:
     """Write ``report.html`` into a run folder and return its path.
 
-    ``identification`` is what `rig.identify` made of this recording, where the caller has it already. Whatever is
-    missing from the folder is said on the page. Raises FileNotFoundError if ``run_folder`` is no folder,
-    CannotWriteError where the file cannot be written.
+    ``identification`` is what `rig.identify` made of this recording, ``known`` its rows as far as they were read,
+    where the caller has them already. Whatever is missing from the folder is said on the page.
+    Raises FileNotFoundError if ``run_folder`` is no folder, CannotWriteError where the file cannot be written.
     """
-    run = load(Path(run_folder))
+    run = load(Path(run_folder), known)
     if identification is None and not run.has_result:
         run, identification = _identify_unfinished(run)
     page = render_page(run, identification)

@@ -154,8 +154,8 @@ class Run:
         return [s for s in spans if s.stage and kind in ("", stage_kind(s.stage))]
 
 
-def load(folder: Path) -> Run:
-    """Read a run folder.
+def load(folder: Path, known: Recording | None = None) -> Run:
+    """Read a run folder; ``known``: its rows as far as they were read before.
 
     Raises FileNotFoundError if ``folder`` is no folder; every other want is put into ``Run.missing``.
     """
@@ -170,7 +170,7 @@ def load(folder: Path) -> Run:
     events = _events(folder / "events.jsonl", missing)
     config = _settings(folder / "config.yaml", missing)
     try:
-        recording = read_csv(folder / "samples.csv") if (folder / "samples.csv").is_file() else None
+        recording = read_csv(folder / "samples.csv", known=known) if (folder / "samples.csv").is_file() else None
         if recording is None:
             missing.append("samples.csv is missing: nothing that was measured can be shown.")
         else:

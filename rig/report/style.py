@@ -19,6 +19,8 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from rig.recording.stage import kind_of
+
 WIDTH_IN = 10.0
 INK = "#1f2328"
 MUTED = "#6a737d"
@@ -121,7 +123,7 @@ def plain(text: str) -> str:
 
 def stage_kind(stage: str) -> str:
     """``relay-1`` -> ``relay``, ``track:sampled-data`` -> ``track``."""
-    return stage.split(":")[0].split("-")[0]
+    return str(kind_of(stage))
 
 
 def stage_label(stage: str) -> str:

@@ -10,7 +10,8 @@ import numpy as np
 from rig.identify import least_squares
 from rig.identify.estimate import Estimate
 from rig.identify.least_squares import Transient
-from rig.recording.series import IdentifyError, from_recording
+from rig.identify.preprocessing import from_recording
+from rig.recording.errors import IdentifyError
 from rig.report.source import Run
 from rig.report.style import (
     INK,
@@ -38,8 +39,8 @@ def transients(run: Run) -> list[Transient]:
     found = []
     for span in run.spans("hysteretic"):
         try:
-            record, _ = from_recording(run.rows, slice(span.first, span.last + 1), span.stage)
-            found.append(Transient.of(record))
+            series, _ = from_recording(run.rows, slice(span.first, span.last + 1), span.stage)
+            found.append(Transient.of(series))
         except IdentifyError:
             continue
     return found

@@ -318,7 +318,7 @@ def test_a_model_that_fails_its_rehearsal_never_drives_the_bench(changed: dict[s
     """Measured at the drive: the record has no tick of it, and the model that passed never goes beyond the limits."""
     e = configs.load(ROOT / "config/simulated.yaml")
     e = e.model_copy(update={"tracking": e.tracking and e.tracking.model_copy(update={"duration_s": 2.0})})
-    found = identify([read_run(ROOT / "tests/golden/simulated")], ["sampled-data", "triple-relay"], ladder=False)
+    found = identify([read_run(ROOT / "tests/golden/simulated")], ["sampled-data", "triple-relay"], choose_law=False)
     found.estimates["triple-relay"] = replace(found.estimates["triple-relay"], **changed)
     outcome = script.run_tracking(e, found, tmp_path, tmp_path / "runs")
     assert outcome.fault is None

@@ -103,8 +103,8 @@ def test_a_json_file_is_one_strict_object(run_folder: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize("name", ["simulated", "simulated-hysteretic", "modbus-separate"])
 def test_a_csv_file_gives_exactly_the_estimates_of_the_folder(name: str, tmp_path: Path) -> None:
     export(GOLDEN / name, tmp_path / "a.csv")
-    ours = identify([read(tmp_path / "a.csv")], ladder=False)
-    theirs = identify([read(GOLDEN / name)], ladder=False)
+    ours = identify([read(tmp_path / "a.csv")], choose_law=False)
+    theirs = identify([read(GOLDEN / name)], choose_law=False)
     assert list(ours.estimates) == list(theirs.estimates)
     assert len(theirs.estimates) > 0
     for method, estimate in theirs.estimates.items():
@@ -121,8 +121,8 @@ def test_a_csv_file_of_one_stage_is_plain_and_gives_what_its_rows_give(tmp_path:
     found = read(tmp_path / "a.csv")
     for name in ("t_s", "u_V", "y_rad", "t_u_s"):
         assert np.array_equal(getattr(found, name), getattr(whole, name)[rows], equal_nan=True)
-    ours = identify([found], ("sampled-data",), ladder=False).estimates["sampled-data"]
-    same = identify([whole.select(rows.start, rows.stop - 1)], ("sampled-data",), ladder=False)
+    ours = identify([found], ("sampled-data",), choose_law=False).estimates["sampled-data"]
+    same = identify([whole.select(rows.start, rows.stop - 1)], ("sampled-data",), choose_law=False)
     theirs = same.estimates["sampled-data"]
     assert ours.as_result().as_json() | {"rows": None} == theirs.as_result().as_json() | {"rows": None}
 

@@ -10,24 +10,25 @@ from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 
 from rig.identify import sampled_data
 from rig.identify.cramer_rao import DELAY, PositionNoise, cramer_rao
-from rig.model.sensitivity import Drive, Theta, position_and_jacobian
-from rig.recording.series import Record
+from rig.identify.starts import Start
+from rig.model.sensitivity import Theta, position_and_jacobian
+from rig.recording.series import Steps, TimeSeries, steps_of
 
 TRUE = Theta(0.17, 6.5, 0.5, 0.02, 0.004, 0.0, 0.0)
 
 
-def relay_record() -> tuple[Record, Theta, Drive, np.ndarray]:
+def relay_record() -> tuple[TimeSeries, Theta, Steps, np.ndarray]:
     """A clean relay test, its true parameters, its drive, and the times of the samples that a fit uses."""
     samples = simulate(motor(asym_V=TRUE.asym_V), dcr(0.8, 1.0), 520, Bench(delay_s=TRUE.delay_s))
     one = record(samples, t_u_known=False, first=60)
-    piece = sampled_data.Piece.of(one, 0.02)
-    v0, y0, _ = samples.true[piece.rows[0]]
-    return one, TRUE._replace(v0_rad_per_s=v0, y0_rad=y0), piece.drive, piece.t_s
+    window = one.predictable(0.02)
+    v0, y0, _ = samples.true[window.rows[0]]
+    return one, TRUE._replace(v0_rad_per_s=v0, y0_rad=y0), window.steps, window.t_s
 
 
 def test_it_is_the_inverse_of_the_information():
     _, theta, drive, t_s = relay_record()
-    jacobian = position_and_jacobian(theta, drive, t_s)[1]
+    jacobian = position_and_jacobian(theta, *drive, t_s)[1]
     noise = PositionNoise(0.003, LSB_RAD)
     variance = 0.003**2 + LSB_RAD**2 / 12
     expected = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)) * variance)
@@ -38,10 +39,10 @@ def test_estimates_scatter_as_much_as_the_bound_says():
     one, theta, drive, t_s = relay_record()
     bound = cramer_rao(theta, drive, t_s, PositionNoise(0.003))
     rng = np.random.default_rng(4)
-    start = [sampled_data.Start(theta.tau_s, theta.K_rad_s_V, theta.fc_V)]
+    start = [Start(theta.tau_s, theta.K_rad_s_V, theta.fc_V)]
     ratios = []
     for _ in range(80):
-        noisy = Record(one.t_s, one.y_rad + 0.003 * rng.standard_normal(one.t_s.size), None, one.u_V)
+        noisy = TimeSeries(one.t_s, one.y_rad + 0.003 * rng.standard_normal(one.t_s.size), None, one.u_V)
         found = sampled_data.fit([noisy], start)
         estimate = np.array([found.tau_s, found.K_rad_s_V, found.fc_V, found.asym_V, found.delay_s])
         ratios.append((estimate - theta[:5]) / bound[:5])
@@ -78,7 +79,7 @@ def test_correlated_noise_of_no_memory_is_white_noise():
 def test_what_the_experiment_does_not_tell_has_no_bound():
     """Under one drive in one direction only K (u + a - fc) shows, and no delay."""
     t_s = np.arange(200) * 0.01
-    drive = Drive.from_arrays(np.array([-1.0]), np.array([1.5]))
+    drive = steps_of(np.array([-1.0]), np.array([1.5]))
     bound = cramer_rao(TRUE, drive, t_s, PositionNoise(0.003))
     assert [name for name, b in zip(Theta._fields, bound, strict=True) if math.isinf(b)] == [
         "K_rad_s_V", "fc_V", "asym_V", "delay_s",

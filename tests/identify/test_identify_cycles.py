@@ -13,15 +13,16 @@ from rig.identify.mean_cycle import Bins, Cycle, average
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
-from rig.recording.series import IdentifyError, Record
+from rig.recording.errors import IdentifyError
+from rig.recording.series import TimeSeries
 
 
-def relay_record(h1=0.8, h2=1.0, rows=1200, first=0, **bench) -> Record:
+def relay_record(h1=0.8, h2=1.0, rows=1200, first=0, **bench) -> TimeSeries:
     return record(simulate(motor(), dcr(h1, h2), rows, Bench(**bench)), first=first)
 
 
-def redriven(base: Record, u_V: np.ndarray) -> Record:
-    return Record(base.t_s, base.y_rad, base.t_u_s, u_V)
+def redriven(base: TimeSeries, u_V: np.ndarray) -> TimeSeries:
+    return TimeSeries(base.t_s, base.y_rad, base.t_u_s, u_V)
 
 
 @pytest.mark.parametrize(("h1", "h2"), [(0.8, 1.0), (0.5, 1.2), (1.0, 1.0), (0.3, 0.9), (1.2, 1.0)])
@@ -80,7 +81,7 @@ def test_finely_sampled_the_averaged_cycle_is_that_of_theorem_2_1():
     assert cycle.amplitude_rad == -cycle.y_extremum_rad
 
 
-def ideal_record(tau=0.17, K=6.5, fc=0.5, h1=0.8, h2=1.0, cycles=15, sampling_s=0.01) -> Record:
+def ideal_record(tau=0.17, K=6.5, fc=0.5, h1=0.8, h2=1.0, cycles=15, sampling_s=0.01) -> TimeSeries:
     """The exact limit cycle, seen at a rate that its period is no multiple of; edges between the samples."""
     exact = limit_cycle(tau, K, fc, h1, h2)
     t1, t2, _ = exact.durations_s
@@ -95,7 +96,7 @@ def ideal_record(tau=0.17, K=6.5, fc=0.5, h1=0.8, h2=1.0, cycles=15, sampling_s=
     levels = np.concatenate([(-1) ** k * np.array([h1 + h2, h2 - h1]) for k in range(2 * cycles)])
     following = np.minimum(np.searchsorted(edges, t + sampling_s) - 1, edges.size - 1)
     t_u = np.maximum(t, edges[following])
-    return Record(t, y, t_u, levels[following])
+    return TimeSeries(t, y, t_u, levels[following])
 
 
 def test_the_average_is_aligned_although_the_period_is_no_multiple_of_the_sampling():
@@ -120,7 +121,7 @@ def test_the_average_is_aligned_although_the_period_is_no_multiple_of_the_sampli
 
 def test_an_offset_of_position_does_not_reach_the_average():
     base = relay_record(rows=1500)
-    shifted = Record(base.t_s, base.y_rad + 0.3, base.t_u_s, base.u_V)
+    shifted = TimeSeries(base.t_s, base.y_rad + 0.3, base.t_u_s, base.u_V)
     one, other = find_cycle(base), find_cycle(shifted)
     assert other.curve_rad == pytest.approx(one.curve_rad, abs=1e-12)
     assert other.t1_s == pytest.approx(one.t1_s)
@@ -132,7 +133,7 @@ def edges_of(u_V: np.ndarray, before, after) -> np.ndarray:
     return rows[(rows > 30) & (rows < u_V.size - 30)]
 
 
-def chattering(base: Record, rows: np.ndarray, reach: int, rng: np.random.Generator) -> Record:
+def chattering(base: TimeSeries, rows: np.ndarray, reach: int, rng: np.random.Generator) -> TimeSeries:
     """The record with a chatter of the same area within ``reach`` rows of each of these edges.
 
     As many rows before the edge are switched early as rows after it are switched late.
@@ -193,7 +194,7 @@ def test_the_averaged_relay_signal_has_the_mean_of_its_cycles_edges():
     u, y = (np.mean([values[k : k + length] for k in begins], axis=0) for values in (base.u_V, base.y_rad))
     assert np.unique(np.round(u, 6)).size > 8  # a staircase
     t = 0.0002 * np.arange(5 * length)
-    found = find_cycle(Record(t, np.tile(y, 5), t + 0.0001, np.tile(u, 5)))
+    found = find_cycle(TimeSeries(t, np.tile(y, 5), t + 0.0001, np.tile(u, 5)))
     assert (found.h1_V, found.h2_V) == pytest.approx((0.8, 1.0), abs=0.01)
     assert shape(found) == pytest.approx(shape(cycle), rel=0.005)
 
@@ -246,4 +247,4 @@ def test_too_few_and_unsettled_cycles_are_refused():
     base = relay_record(rows=1500)
     stretched = np.cumsum(np.diff(base.t_s, prepend=0.0) * np.linspace(1.0, 4.0, len(base)))
     with pytest.raises(IdentifyError, match="settled"):
-        find_cycle(Record(stretched, base.y_rad, None, base.u_V))
+        find_cycle(TimeSeries(stretched, base.y_rad, None, base.u_V))

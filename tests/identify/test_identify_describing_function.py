@@ -13,14 +13,16 @@ from hypothesis import strategies as st
 from scipy.optimize import fsolve
 from synthetic import LSB_RAD, Bench, dcr, drawn, motor, record, simulate
 
-from rig.identify import describing_function, verdict
+from rig.identify import describing_function
 from rig.identify.cycles import find_cycle
+from rig.identify.describing_function import DescribingFunction
 from rig.identify.mean_cycle import Cycle
+from rig.identify.measurements import Measurements
 from rig.model.describing_function import Oscillation, predict
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import State
 from rig.model.sampled_relay import Disturbance, relay_test
-from rig.recording.series import IdentifyError
+from rig.recording.errors import IdentifyError
 
 
 def cycle_of(h1: float, h2: float, rows: int = 1600, **bench) -> Cycle:
@@ -121,7 +123,7 @@ def test_at_ten_milliseconds_it_is_off_by_several_per_cent_and_called_doubtful()
         found = describing_function.fit(cycles)
         off.append(np.abs(np.array([found.tau_s, found.K_rad_s_V, found.fc_V]) / truth - 1.0))
         if seed < 3:
-            judged = verdict.judge_reference(found, records, cycles)
+            judged = DescribingFunction().judge(found, Measurements(records, cycles=list(cycles)), {})
             assert judged.verdict in ("doubtful", "refused")
             assert any("sine" in reason or "unexplained" in reason for reason in judged.reasons)
     assert np.all(np.median(off, axis=0) < [0.15, 0.08, 0.10])

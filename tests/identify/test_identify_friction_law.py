@@ -1,4 +1,4 @@
-"""The ladder of friction laws: what it chooses, what it leaves open, and that it never climbs on fit alone."""
+"""The choice of a friction law: what is chosen, what is left open, and that nothing is chosen by fit alone."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from synthetic import LSB_RAD, Bench, dcr, record, simulate
 
-from rig.identify import identify, sampled_data
+from rig.identify import identify, laws, sampled_data
 from rig.identify.breakaway import Breakaway, Ramp
 from rig.identify.estimate import Estimate
-from rig.identify.friction_fit import LAWS
-from rig.identify.friction_law import Ladder, effective_samples, friction_law, schwarz
+from rig.identify.friction_law import FrictionLawChoice, effective_samples, friction_law, schwarz
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Motor
 from rig.recording.reader import Recording, from_columns
-from rig.recording.series import Record
+from rig.recording.series import TimeSeries
 
 TAU, K, FC = 0.17, 6.5, 0.5
 MOTORS = {
@@ -33,17 +32,18 @@ MOTORS = {
     "weak stribeck": Motor(TAU, K, tustin(FC, 1.1 * FC, 0.5)),
     "viscous": Motor(TAU, K, tustin(FC, FC, 0.5, 0.02)),
 }
+LAWS = [law.name for law in laws.LAWS]
 SMALL, LARGE = (0.8, 1.0), (0.8, 1.3)
 
 
 @cache
 def relay_test(
     motor: str, h1_V: float, h2_V: float, seed: int, noise_rad: float = 0.003, t_u_known: bool = True
-) -> Record:
+) -> TimeSeries:
     """About ten settled cycles at 10 ms, 3 mrad of noise and a 10-bit sensor."""
     bench = Bench(noise_rad=noise_rad, lsb_rad=LSB_RAD if noise_rad else 0.0, seed=seed)
     test = record(simulate(MOTORS[motor], dcr(h1_V, h2_V), 1000, bench), t_u_known, 200)
-    return Record(test.t_s, test.y_rad, test.t_u_s, test.u_V, test.first_row, f"test of {h2_V:g} V")
+    return TimeSeries(test.t_s, test.y_rad, test.t_u_s, test.u_V, test.first_row, f"test of {h2_V:g} V")
 
 
 @cache
@@ -51,14 +51,14 @@ def estimate_of(tests: tuple[tuple[str, float, float, int, float, bool], ...]) -
     return sampled_data.fit([relay_test(*test) for test in tests])
 
 
-def ladder(
+def choice(
     motor: str,
     seed: int,
     gains=(SMALL, LARGE),
     breakaway: Breakaway | None = None,
     noise_rad: float = 0.003,
     t_u_known: bool = True,
-) -> Ladder:
+) -> FrictionLawChoice:
     tests = tuple((motor, *pair, seed + 1000 * k, noise_rad, t_u_known) for k, pair in enumerate(gains))
     return friction_law([relay_test(*test) for test in tests], estimate_of(tests), None, breakaway)
 
@@ -71,8 +71,8 @@ def ramps(fs_V: float, half_V: float = 0.01, asym_V: float = 0.0) -> Breakaway:
     )
 
 
-def rung(found: Ladder, law: str):
-    return found.rungs[LAWS.index(law)]
+def of(found: FrictionLawChoice, law: str):
+    return found.ranked[LAWS.index(law)]
 
 
 # The criterion
@@ -112,7 +112,7 @@ def test_rows_that_repeat_each_cycle_are_worth_one_cycle():
     assert effective_samples(1000, 0.5, 1.0) == 1000.0  # less than a cycle repeats nothing
 
 
-# The right rung for each law
+# The right law for each motor
 
 
 @pytest.mark.parametrize("t_u_known", [True, False])
@@ -128,15 +128,15 @@ def test_rows_that_repeat_each_cycle_are_worth_one_cycle():
     ],
 )
 def test_the_law_of_the_motor_is_chosen(motor, law, seed, t_u_known):
-    found = ladder(motor, seed, t_u_known=t_u_known)
+    found = choice(motor, seed, t_u_known=t_u_known)
     assert found.chosen.law == law
     assert found.held_out == "test of 1.3 V"
-    standings = [entry.standing for entry in found.rungs]
+    standings = [entry.standing for entry in found.ranked]
     assert standings[: LAWS.index(law)] == ["too simple"] * LAWS.index(law)
 
 
 def test_stribeck_friction_is_found_with_its_parameters():
-    found = ladder("stribeck", 3).chosen
+    found = choice("stribeck", 3).chosen
     for name, true in (("tau_s", TAU), ("K_rad_s_V", K), ("fc_V", FC), ("fs_V", 1.3 * FC), ("stribeck_rad_s", 0.5)):
         assert abs(found.parameters[name] - true) < 4.0 * found.errors[name]
     for name, true in (("tau_s", TAU), ("K_rad_s_V", K), ("fc_V", FC)):
@@ -144,7 +144,7 @@ def test_stribeck_friction_is_found_with_its_parameters():
 
 
 def test_without_noise_stribeck_friction_is_found_exactly():
-    found = ladder("stribeck", 0, noise_rad=0.0).chosen
+    found = choice("stribeck", 0, noise_rad=0.0).chosen
     assert found.law == "stribeck"
     for name, true in (("tau_s", TAU), ("K_rad_s_V", K), ("fc_V", FC), ("fs_V", 1.3 * FC), ("stribeck_rad_s", 0.5)):
         assert found.parameters[name] == pytest.approx(true, rel=1e-4)
@@ -152,13 +152,13 @@ def test_without_noise_stribeck_friction_is_found_exactly():
 
 def test_without_noise_coulomb_friction_is_enough():
     """All residuals are rounding then: a richer law must not win by the last digits."""
-    found = ladder("coulomb", 0, noise_rad=0.0)
+    found = choice("coulomb", 0, noise_rad=0.0)
     assert found.chosen.law == "coulomb"
     assert found.open == ("static",)
 
 
 def test_viscous_friction_leaves_tau_over_K():
-    found = ladder("viscous", 1)
+    found = choice("viscous", 1)
     own = found.chosen.parameters
     assert own["tau_s"] / own["K_rad_s_V"] == pytest.approx(TAU / K, rel=0.01)
     assert own["tau_s"] == pytest.approx(TAU / (1.0 + 0.02 * K), rel=0.02)
@@ -167,7 +167,7 @@ def test_viscous_friction_leaves_tau_over_K():
 
 @pytest.mark.parametrize("seed", range(10, 22))
 def test_coulomb_friction_raises_no_alarm(seed):
-    found = ladder("coulomb", seed)
+    found = choice("coulomb", seed)
     assert found.chosen.law == "coulomb"
     assert "stribeck" not in found.open
 
@@ -175,7 +175,7 @@ def test_coulomb_friction_raises_no_alarm(seed):
 @pytest.mark.parametrize("seed", range(4))
 def test_weak_stribeck_friction_is_denied_only_where_the_chosen_law_predicts_as_well(seed):
     """A tenth above moving friction the first test hardly shows it; where its model fails on the second, it is open."""
-    found = ladder("weak stribeck", seed)
+    found = choice("weak stribeck", seed)
     if "stribeck" not in (found.chosen.law, *found.open):
         better = found.better("stribeck", found.chosen.law)
         assert better is not None
@@ -186,24 +186,24 @@ def test_weak_stribeck_friction_is_denied_only_where_the_chosen_law_predicts_as_
 
 
 def test_a_relay_test_does_not_show_static_friction_and_says_what_would():
-    found = ladder("static", 1)
+    found = choice("static", 1)
     assert found.chosen.law == "coulomb"
     assert "static" in found.open
-    assert "fs_V" not in rung(found, "static").parameters
+    assert "fs_V" not in of(found, "static").parameters
     assert any("breakaway" in cure for cure in found.record)
 
 
 def test_breakaway_ramps_show_it():
-    found = ladder("static", 1, breakaway=ramps(0.65))
+    found = choice("static", 1, breakaway=ramps(0.65))
     assert found.chosen.law == "static"
     assert found.chosen.parameters["fs_V"] == pytest.approx(0.65)
     assert not found.open
-    assert ladder("coulomb", 1, breakaway=ramps(0.51, 0.02)).chosen.law == "coulomb"
+    assert choice("coulomb", 1, breakaway=ramps(0.51, 0.02)).chosen.law == "coulomb"
 
 
 def test_ramps_that_disagree_leave_it_open():
     sure, unsure = Ramp(0.65, 0.64, 0.66), Ramp(0.53, 0.45, 0.60)
-    found = ladder("static", 1, breakaway=Breakaway(sure, unsure, None, "for a test"))
+    found = choice("static", 1, breakaway=Breakaway(sure, unsure, None, "for a test"))
     assert found.chosen.law == "coulomb"
     assert "static" in found.open
     assert "both ways" in found.reason
@@ -211,8 +211,8 @@ def test_ramps_that_disagree_leave_it_open():
 
 def test_ramps_do_not_make_stribeck_friction():
     for seed in range(3):
-        assert ladder("static", seed, breakaway=ramps(0.65)).chosen.law == "static"
-    assert ladder("stribeck", 0, breakaway=ramps(0.65)).chosen.law == "stribeck"
+        assert choice("static", seed, breakaway=ramps(0.65)).chosen.law == "static"
+    assert choice("stribeck", 0, breakaway=ramps(0.65)).chosen.law == "stribeck"
 
 
 def test_a_slow_drive_shows_static_friction_in_motion():
@@ -237,31 +237,31 @@ def test_a_slow_drive_shows_static_friction_in_motion():
 @pytest.mark.parametrize("motor", ["coulomb", "asymmetric", "stribeck", "viscous"])
 def test_from_one_amplitude_nothing_beyond_asymmetry_is_chosen(motor):
     for gains in ((SMALL,), (SMALL, SMALL)):  # the same amplitude again is no second one
-        found = ladder(motor, 2, gains)
+        found = choice(motor, 2, gains)
         assert found.held_out is None
         assert found.chosen.law in ("coulomb", "asymmetric")
         assert found.open[-2:] == ("static", "stribeck")
         assert "one amplitude" in found.reason
         assert any("another amplitude" in cure for cure in found.record)
-        assert all(entry.held_out_rms_rad is None for entry in found.rungs)
+        assert all(entry.held_out_rms_rad is None for entry in found.ranked)
 
 
 def test_one_test_tells_asymmetry_by_the_criterion():
-    assert ladder("asymmetric", 2, (SMALL,)).chosen.law == "asymmetric"
-    assert ladder("coulomb", 2, (SMALL,)).chosen.law == "coulomb"
+    assert choice("asymmetric", 2, (SMALL,)).chosen.law == "asymmetric"
+    assert choice("coulomb", 2, (SMALL,)).chosen.law == "coulomb"
 
 
 # In identification
 
 
-def columns(test: Record) -> Recording:
+def columns(test: TimeSeries) -> Recording:
     return from_columns(Path(test.name), test.t_s, test.u_V, test.y_rad, test.t_u_s)
 
 
 def test_where_stribeck_friction_is_chosen_the_sampled_data_estimate_is_doubtful():
     tests = [relay_test("stribeck", *SMALL, 0), relay_test("stribeck", *LARGE, 1000)]
     found = identify([columns(test) for test in tests], ["sampled-data"])
-    without = identify([columns(test) for test in tests], ["sampled-data"], ladder=False)
+    without = identify([columns(test) for test in tests], ["sampled-data"], choose_law=False)
     estimate, plain = found.estimates["sampled-data"], without.estimates["sampled-data"]
     assert found.friction_law is not None
     assert found.friction_law.chosen.law == "stribeck"
@@ -280,8 +280,8 @@ def test_coulomb_friction_leaves_the_verdict_alone():
     assert found.friction_law is not None
 
 
-def test_the_ladder_goes_into_a_result_as_plain_json():
-    found = ladder("stribeck", 0).as_result().as_json()
+def test_the_choice_goes_into_a_result_as_plain_json():
+    found = choice("stribeck", 0).as_result().as_json()
     again = json.loads(json.dumps(found, allow_nan=False))
     assert again["chosen"] == "stribeck"
     assert [entry["law"] for entry in again["rungs"]] == list(LAWS)

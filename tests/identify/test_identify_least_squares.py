@@ -18,7 +18,7 @@ from rig.identify.estimate import Estimate
 from rig.identify.least_squares import Transient, batch, fit, held_to, recursive, total
 from rig.model.motor import Motor, State
 from rig.recording.reader import read_csv
-from rig.recording.series import Record
+from rig.recording.series import TimeSeries
 from rig.signals import Sample
 
 PAPER = ((0.8, 0.5), (1.0, 0.3))  # d in V, eps in rad: the runs of the paper's comparison
@@ -45,14 +45,14 @@ def runs(
     starts_rad: tuple[float, ...] = (0.0,) * 8,
     known: bool = True,
     rest: int = 40,
-) -> list[Record]:
+) -> list[TimeSeries]:
     return [
         replace(record(run(shaft, d, eps, replace(bench, seed=100 * bench.seed + k), start, rest), known), name=f"r{k}")
         for k, ((d, eps), start) in enumerate(zip(relays, starts_rad, strict=False))
     ]
 
 
-def columns(records: list[Record], rows: int) -> tuple[np.ndarray, np.ndarray]:
+def columns(records: list[TimeSeries], rows: int) -> tuple[np.ndarray, np.ndarray]:
     """Positions of the first ``rows`` samples after the drive took effect, and the drives."""
     found = [Transient.of(r) for r in records]
     return np.stack([t.y_rad[1 : rows + 1] for t in found], axis=1), np.array([t.d_V for t in found])

@@ -9,8 +9,8 @@ import pytest
 from scipy.linalg import cholesky, solve_triangular
 
 from rig.identify.noise import WHITE, Noise, noise_of
-from rig.identify.sampled_data import Piece, repeated_share, repetitions, with_repetition
-from rig.model.sensitivity import Drive
+from rig.identify.repetition import repeated_share, repetitions, with_repetition
+from rig.recording.series import TimeSeries, Window
 
 PERIOD_S = 0.01
 
@@ -79,14 +79,14 @@ def test_intervals_of_a_mean_hold_whatever_the_noise():
     assert 0.9 < float(np.mean(np.abs(scores) < 1.96)) <= 0.99
 
 
-def piece_of(rows: int) -> Piece:
-    drive = Drive(np.array([0.0, 1.0]), np.array([1.0, -1.0]))
-    return Piece(np.arange(rows) * PERIOD_S, np.zeros(rows), drive, PERIOD_S, (0, rows - 1))
+def window_of(rows: int) -> Window:
+    t_s = np.arange(rows) * PERIOD_S
+    return Window(TimeSeries(t_s, np.zeros(rows), t_s, np.where(t_s < 1.0, 1.0, -1.0)), 0, rows)
 
 
 def test_what_repeats_in_each_cycle_is_seen_and_does_not_average_out():
     rng = np.random.default_rng(4)
-    pairs = repetitions([piece_of(1000)], [1.0])
+    pairs = repetitions([window_of(1000)], [1.0])
     assert [first.size for first, _ in pairs] == [900, 800, 700, 600, 500, 400, 300, 200, 100]
     assert all(np.all(later - first == 100 * (k + 1)) for k, (first, later) in enumerate(pairs))
     pattern = np.tile(rng.standard_normal(100), 10)
@@ -94,7 +94,7 @@ def test_what_repeats_in_each_cycle_is_seen_and_does_not_average_out():
     assert repeated_share(rng.standard_normal(1000), pairs) < 0.05
     mixed = repeated_share(pattern + rng.standard_normal(1000), pairs)
     assert mixed == pytest.approx(float(pattern @ pattern) / (float(pattern @ pattern) + 1000.0), abs=0.08)
-    assert repetitions([piece_of(1000)], [None]) == []
+    assert repetitions([window_of(1000)], [None]) == []
     # a column that repeats itself, with an error that does: ten cycles tell as much as one
     column = np.tile(rng.standard_normal(100), 10)[:, None]
     covariance = np.array([[1.0 / float(column[:, 0] @ column[:, 0])]])

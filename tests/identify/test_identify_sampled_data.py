@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 
 from rig.identify import sampled_data
+from rig.identify.starts import Start, ridge_starts
 from rig.model.sensitivity import Theta, position_and_jacobian
-from rig.recording.series import IdentifyError, Record
+from rig.recording.errors import IdentifyError
+from rig.recording.series import TimeSeries
 
 NAMES = ("tau_s", "K_rad_s_V", "fc_V")
 
@@ -45,9 +47,7 @@ def draw(rng: np.random.Generator) -> Draw:
             return Draw(tau, K, fc, h1, h2, period, *bench)
 
 
-def recorded(
-    d: Draw, noise_rad: float, seed: int, t_u_known: bool
-) -> tuple[Record, np.ndarray, list[sampled_data.Start]]:
+def recorded(d: Draw, noise_rad: float, seed: int, t_u_known: bool) -> tuple[TimeSeries, np.ndarray, list[Start]]:
     """Ten cycles of a relay test after six to settle, the true states, and starts from its own oscillation."""
     bench = Bench(
         delay_s=d.delay_s,
@@ -60,7 +60,7 @@ def recorded(
     samples = simulate(motor(d.tau_s, d.K_rad_s_V, d.fc_V, d.asym_V), dcr(d.h1_V, d.h2_V), rows, bench)
     crossings = np.flatnonzero((samples.z_rad_s[1:] < 0.0) & (samples.z_rad_s[:-1] >= 0.0))
     omega = 2.0 * math.pi / (0.01 * float(np.median(np.diff(crossings))))
-    starts = sampled_data.ridge_starts(omega, 0.5 * float(np.ptp(samples.y_rad[first:])), d.h1_V, d.h2_V)
+    starts = ridge_starts(omega, 0.5 * float(np.ptp(samples.y_rad[first:])), d.h1_V, d.h2_V)
     return record(samples, t_u_known, first), samples.true, starts
 
 
@@ -85,10 +85,10 @@ def test_noisy_data_give_errors_at_the_cramer_rao_bound_and_intervals_that_hold(
         d = draw(rng)
         one, true, starts = recorded(d, 0.003, seed, t_u_known=False)
         found = sampled_data.fit([one], starts, periods_s=[d.period_s])
-        piece = sampled_data.Piece.of(one, 0.02)
+        piece = one.predictable(0.02)
         v0, y0, _ = true[piece.rows[0]]
         theta = Theta(d.tau_s, d.K_rad_s_V, d.fc_V, d.asym_V, d.delay_s, v0, y0 + d.offset_rad)
-        jacobian = position_and_jacobian(theta, piece.drive, piece.t_s)[1]
+        jacobian = position_and_jacobian(theta, *piece.steps, piece.t_s)[1]
         bound = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)) * (0.003**2 + LSB_RAD**2 / 12))
         error = np.array([found.tau_s, found.K_rad_s_V, found.fc_V]) - d[:3]
         standard.append(error / bound[:3])
@@ -109,7 +109,7 @@ def test_noisy_data_give_errors_at_the_cramer_rao_bound_and_intervals_that_hold(
 def test_offset_and_start_of_the_clock_do_not_matter(seed):
     d = draw(np.random.default_rng(seed))
     one, _, starts = recorded(d, 0.0, 0, t_u_known=True)
-    moved = Record(one.t_s + 1234.5, one.y_rad + 0.7, one.t_u_s + 1234.5, one.u_V)
+    moved = TimeSeries(one.t_s + 1234.5, one.y_rad + 0.7, one.t_u_s + 1234.5, one.u_V)
     found = sampled_data.fit([moved], starts)
     assert (found.tau_s, found.K_rad_s_V, found.fc_V) == pytest.approx(d[:3], rel=1e-6)
 
@@ -143,7 +143,7 @@ def test_two_records_share_the_motor_and_nothing_else():
         parts.append(record(samples, first=100))
     found = sampled_data.fit(parts)
     assert (found.tau_s, found.K_rad_s_V, found.fc_V) == pytest.approx((0.17, 6.5, 0.5), rel=1e-8)
-    assert found.residual_rad.size == sum(len(sampled_data.Piece.of(part, 0.0).t_s) for part in parts)
+    assert found.residual_rad.size == sum(len(part.predictable(0.0).t_s) for part in parts)
 
 
 def test_jittered_latencies_are_no_error_when_the_device_reports_them():
@@ -164,7 +164,7 @@ def test_jitter_that_nobody_reports_widens_the_interval_and_spoils_little():
         errors.append(found.tau_s / 0.17 - 1.0)
         low, high = found.ci95["tau_s"]
         covered.append(low < 0.17 < high)
-    assert found.wander is not None
+    assert found.coloured is not None
     assert 0.001 < math.sqrt(np.mean(np.square(errors))) < 0.03
     assert sum(covered) >= 5
 
@@ -187,8 +187,8 @@ def test_parameters_that_cannot_be_told_apart_have_no_interval():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda r: Record(r.t_s, r.y_rad, None, np.zeros_like(r.u_V)), "the drive never changes"),
-        (lambda r: Record(r.t_s, np.zeros_like(r.y_rad), None, r.u_V), "the position never changes"),
+        (lambda r: TimeSeries(r.t_s, r.y_rad, None, np.zeros_like(r.u_V)), "the drive never changes"),
+        (lambda r: TimeSeries(r.t_s, np.zeros_like(r.y_rad), None, r.u_V), "the position never changes"),
         (lambda r: r.part(0, 12), "too few"),
     ],
 )

@@ -12,8 +12,8 @@ from foreign_bench import PAPER, QUICK, chirp, motor, plain_csv, relay, sampled,
 from rig.identify import identify
 from rig.identify.estimate import Estimate
 from rig.recording.columns import COLUMNS
+from rig.recording.errors import IdentifyError
 from rig.recording.reader import Recording, read
-from rig.recording.series import IdentifyError
 
 PLAIN = ("t_s", "u_V", "y_rad")
 ROWS = 1500

@@ -15,14 +15,15 @@ from rig.identify import describing_function, triple_relay
 from rig.identify.cycles import find_cycle
 from rig.identify.identification import identify
 from rig.identify.mean_cycle import Cycle, average
-from rig.identify.sampled_data import Start, ridge_starts
+from rig.identify.starts import Start, ridge_starts
 from rig.identify.triple_relay import Features, residuals, solve, solve_cycle
 from rig.model.describing_function import predict
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import State
 from rig.model.sampled_relay import Disturbance, relay_test
+from rig.recording.errors import IdentifyError
 from rig.recording.reader import read_csv
-from rig.recording.series import IdentifyError, Record
+from rig.recording.series import TimeSeries
 
 TRUTH = (0.17, 6.5, 0.5)
 FINE_S = 2e-4
@@ -51,7 +52,7 @@ def recorded(
     noise_rad=0.0,
     lsb_rad=0.0,
     seed=1,
-) -> Record:
+) -> TimeSeries:
     """A sampled relay on the motor of a check row from 0.3 rad, its drive acting ``ticks`` sampling periods late."""
     tau, K, fc, h1, h2 = check
     t = np.arange(0.0, cycles * limit_cycle(*check).period_s, period_s)
@@ -65,7 +66,7 @@ def recorded(
         disturbance=Disturbance(noise, lsb_rad=lsb_rad),
         start=State(y=0.3),
     )
-    return Record(test.t_s, test.y_rad, test.t_u_s if known else None, test.u_V, name="synthetic")
+    return TimeSeries(test.t_s, test.y_rad, test.t_u_s if known else None, test.u_V, name="synthetic")
 
 
 def ridge(cycle: Cycle) -> list[Start]:

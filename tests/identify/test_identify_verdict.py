@@ -10,17 +10,20 @@ import numpy as np
 import pytest
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 
-from rig.identify import sampled_data, verdict
+from rig.identify import sampled_data, sampled_data_verdict
 from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
+from rig.identify.measurements import Measurements
+from rig.identify.triple_relay import TripleRelay
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
-from rig.recording.series import TIMES_ERROR_S, IdentifyError, Record
+from rig.recording.errors import IdentifyError
+from rig.recording.series import TIMES_ERROR_S, TimeSeries
 
 NOISY = {"noise_rad": 0.003, "lsb_rad": LSB_RAD}
 
 
-def judged(*records: Record) -> Estimate:
+def judged(*records: TimeSeries) -> Estimate:
     cycles, periods_s = [], []
     for one in records:
         try:
@@ -28,24 +31,26 @@ def judged(*records: Record) -> Estimate:
             periods_s.append(cycles[-1].period_s)
         except IdentifyError:
             periods_s.append(None)
-    return verdict.judge_sampled_data(sampled_data.fit(records, periods_s=periods_s), records, cycles)
+    return sampled_data_verdict.judge(sampled_data.fit(records, periods_s=periods_s), records, cycles)
 
 
 def relay(
     rows: int = 1000, known: bool = True, plant: Motor | None = None, h1: float = 0.8, h2: float = 1.0, **bench
-) -> Record:
+) -> TimeSeries:
     samples = simulate(plant or motor(asym_V=0.02), dcr(h1, h2), rows, Bench(**(NOISY | bench)))
     return record(samples, known, 100)
 
 
-def slipped(one: Record, rows: int) -> Record:
+def slipped(one: TimeSeries, rows: int) -> TimeSeries:
     """The drive written ``rows`` rows too late (> 0) or too early."""
     n = len(one)
     if rows > 0:
-        return Record(
+        return TimeSeries(
             one.t_s[rows:], one.y_rad[rows:], None if one.t_u_s is None else one.t_u_s[rows:], one.u_V[: n - rows]
         )
-    return Record(one.t_s[:rows], one.y_rad[:rows], None if one.t_u_s is None else one.t_u_s[:rows], one.u_V[-rows:])
+    return TimeSeries(
+        one.t_s[:rows], one.y_rad[:rows], None if one.t_u_s is None else one.t_u_s[:rows], one.u_V[-rows:]
+    )
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -124,15 +129,17 @@ def test_a_drive_that_acts_at_once_is_no_objection(seed):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda r: Record(r.t_s, -r.y_rad, r.t_u_s, r.u_V), "unexplained|cannot tell|not converge"),
-        (lambda r: Record(r.t_s, np.clip(r.y_rad, -0.35, 0.5), r.t_u_s, r.u_V), "noise|unexplained"),
+        (lambda r: TimeSeries(r.t_s, -r.y_rad, r.t_u_s, r.u_V), "unexplained|cannot tell|not converge"),
+        (lambda r: TimeSeries(r.t_s, np.clip(r.y_rad, -0.35, 0.5), r.t_u_s, r.u_V), "noise|unexplained"),
         (
-            lambda r: Record(r.t_s, np.random.default_rng(1).permutation(r.y_rad), r.t_u_s, r.u_V),
+            lambda r: TimeSeries(r.t_s, np.random.default_rng(1).permutation(r.y_rad), r.t_u_s, r.u_V),
             "unexplained|only known",
         ),
     ],
 )
-def test_positions_that_do_not_belong_to_the_drive_are_not_believed(change: Callable[[Record], Record], words: str):
+def test_positions_that_do_not_belong_to_the_drive_are_not_believed(
+    change: Callable[[TimeSeries], TimeSeries], words: str
+):
     found = judged(change(relay()))
     assert found.verdict != "ok"
     assert re.search(words, " ".join(found.reasons)), found.reasons
@@ -177,7 +184,9 @@ def test_static_friction_above_moving_friction_is_no_objection_where_the_relay_e
 
 def reference(tau: float, K: float, fc: float, known: bool = True) -> Estimate:
     one = relay(known=known)
-    return verdict.judge_reference(Estimate("triple-relay", tau, K, fc), [one], [find_cycle(one)])
+    cycle = find_cycle(one)
+    estimate = Estimate("triple-relay", tau, K, fc, cycles=(cycle,))
+    return TripleRelay().judge(estimate, Measurements([one], cycles=[cycle]), {})
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -211,7 +220,7 @@ def test_an_asymmetry_beyond_the_friction_is_doubtful():
 
 def test_what_an_unknown_delay_costs_is_said():
     unknown, known = judged(relay(known=False)), judged(relay(known=True))
-    words = verdict.confounding(unknown)
+    words = sampled_data_verdict.confounding(unknown)
     assert words is not None
     shared = float(unknown.correlation[0, 4])
     assert f"{shared:+.2f}" in words
@@ -219,7 +228,7 @@ def test_what_an_unknown_delay_costs_is_said():
     # the promise, held to the record with known times
     gain = unknown.covariance[0, 0] ** 0.5 / known.covariance[0, 0] ** 0.5
     assert gain == pytest.approx(1.0 / (1.0 - shared**2) ** 0.5, rel=0.25)
-    assert verdict.confounding(known) is None
+    assert sampled_data_verdict.confounding(known) is None
 
 
 def test_rows_left_out_of_a_record_with_times_are_not_believed():
@@ -228,9 +237,9 @@ def test_rows_left_out_of_a_record_with_times_are_not_believed():
     u = 1.2 * (2.0 * np.abs((t / 1.5 + 0.25) % 1.0 - 0.5) * 2.0 - 1.0)
     y = Motor(0.17, 6.5, Friction(0.5, 0.5, 0.5, 0.5)).response(State(), t, np.r_[-1.0, t + 0.004], np.r_[0.0, u])[:, 1]
     y = y + 0.003 * np.random.default_rng(3).standard_normal(t.size)
-    whole = judged(Record(t, y, t + 0.004, u))
+    whole = judged(TimeSeries(t, y, t + 0.004, u))
     assert whole.tau_s == pytest.approx(0.17, rel=0.05)
     assert whole.verdict == "ok", whole.reasons
-    thinned = judged(Record(t[::3], y[::3], t[::3] + 0.004, u[::3]))
+    thinned = judged(TimeSeries(t[::3], y[::3], t[::3] + 0.004, u[::3]))
     assert abs(thinned.tau_s / 0.17 - 1.0) > 0.05
     assert thinned.verdict != "ok"

@@ -18,7 +18,7 @@ from rig.control.relay import DualChannelRelay
 from rig.identify import sampled_data
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
-from rig.recording.series import Record
+from rig.recording.series import TimeSeries
 from rig.signals import Order, Sample
 
 
@@ -86,7 +86,7 @@ def test_a_drive_that_acts_a_period_or_more_later_is_in_its_rows_and_identified_
         columns = [
             np.array([row[name] for row in rows[300:-2]], dtype=float) for name in ("t_s", "y_rad", "t_u_s", "u_V")
         ]
-        estimates.append(sampled_data.fit([Record(*columns, name="relay-1")]))
+        estimates.append(sampled_data.fit([TimeSeries(*columns, name="relay-1")]))
     for name, truth in (("tau_s", 0.17), ("K_rad_s_V", 6.5), ("fc_V", 0.48)):
         assert getattr(estimates[1], name) == pytest.approx(truth, rel=0.02)
         assert getattr(estimates[1], name) == pytest.approx(getattr(estimates[0], name), rel=0.02)

@@ -229,7 +229,7 @@ def test_times_of_an_endless_run_keep_the_last_and_the_largest() -> None:
     for k in range(1000):
         times.add(5000.0 if k == 10 else float(k))
     assert times.count == 1000
-    assert times.quantiles() == {"p50": 949.0, "p99": 998.0, "p999": 999.0, "max": 5000.0}
+    assert times.quantiles().as_json() == {"p50": 949.0, "p99": 998.0, "p999": 999.0, "max": 5000.0}
     assert len(times._last) == 100
 
 

@@ -13,7 +13,8 @@ from scipy.integrate import quad, solve_ivp
 from rig.model import stribeck
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Arc, Glide, Motor, State
-from rig.model.sensitivity import Drive, StribeckTheta, stribeck_response
+from rig.model.sensitivity import StribeckTheta, stribeck_response
+from rig.recording.series import steps_of
 
 taus = st.floats(0.05, 0.5)
 gains = st.floats(1.0, 20.0)
@@ -340,9 +341,9 @@ def test_the_law_is_that_of_the_theory():
 )  # fmt: skip
 def test_a_compiled_record_is_advance_repeated(tau, K, fc, drop, width, asym, delay, v0, plan, samples):
     edges = np.concatenate(([0.0], np.cumsum([span for _, span in plan])[:-1]))
-    drive = Drive.from_arrays(edges, np.array([level for level, _ in plan]))
+    drive = steps_of(edges, np.array([level for level, _ in plan]))
     t_s = np.sort(np.linspace(0.01, float(edges[-1]) + 0.4, samples))
-    y = stribeck_response(StribeckTheta(tau, K, fc, asym, delay, v0, 0.3, fc + drop, width), drive, t_s)
+    y = stribeck_response(StribeckTheta(tau, K, fc, asym, delay, v0, 0.3, fc + drop, width), *drive, t_s)
     motor = Motor(tau, K, tustin(fc, fc + drop, width), asym)
     shifted = drive.edge_s + delay
     shifted[0] = min(shifted[0], 0.0)
@@ -360,9 +361,9 @@ def test_a_compiled_record_is_advance_repeated(tau, K, fc, drop, width, asym, de
 
 
 def test_parameters_of_a_record_out_of_range_are_refused():
-    drive, t_s = Drive(np.array([0.0]), np.array([1.0])), np.linspace(0.0, 1.0, 5)
+    drive, t_s = (np.array([0.0]), np.array([1.0])), np.linspace(0.0, 1.0, 5)
     good = StribeckTheta(0.17, 6.5, 0.4, 0.0, 0.0, 0.0, 0.0, 0.6, 0.1)
-    assert np.all(np.diff(stribeck_response(good, drive, t_s)) > 0.0)
+    assert np.all(np.diff(stribeck_response(good, *drive, t_s)) > 0.0)
     for wrong in ({"tau_s": 0.0}, {"fs_V": 0.3}, {"stribeck_rad_s": 0.0}, {"K_rad_s_V": math.nan}):
         with pytest.raises(ValueError, match="Stribeck"):
-            stribeck_response(good._replace(**wrong), drive, t_s)
+            stribeck_response(good._replace(**wrong), *drive, t_s)

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from rig.recording import reader
 from rig.recording.columns import COLUMNS, HEADER, SampleRow, format_row
 from rig.recording.errors import RecordingError
 from rig.recording.reader import MAX_BYTES, Recording, read, read_csv, read_run
@@ -392,3 +393,32 @@ def test_reading_costs_little_more_than_the_numbers_themselves(tmp_path: Path) -
     fields = [field for field in text.replace("\n", ",").split(",") if field]
     bare_s = best_s(lambda: [float(field) for field in fields if field[0].isdigit()])
     assert best_s(lambda: read(path)) < 20 * bare_s
+
+
+@pytest.mark.parametrize(("before", "after"), [(6, 6), (6, 9), (3, 9000)])
+def test_rows_that_were_read_before_are_not_parsed_again(tmp_path: Path, monkeypatch, before: int, after: int) -> None:
+    """A run that goes on: what is read is what reading all of it anew gives, and each row is parsed once."""
+    lines = run_text(after).splitlines(keepends=True)
+    path = csv_file(tmp_path, "".join(lines[: before + 1]))
+    known = read_csv(path)
+    path.write_text("".join(lines))
+    whole = read_csv(path)
+    parsed = []
+    parse_rows = reader._parse_rows
+
+    def counted(*args):
+        parsed.extend(args[-1])
+        return parse_rows(*args)
+
+    monkeypatch.setattr(reader, "_parse_rows", counted)
+    again = read_csv(path, known=known)
+    assert len(parsed) == after - before
+    for name in COLUMNS:
+        assert np.array_equal(getattr(again, name), getattr(whole, name), equal_nan=name not in ("stage",))
+        assert not getattr(again, name).flags.writeable
+
+
+def test_a_reading_of_another_file_is_no_use(tmp_path: Path) -> None:
+    known = read_csv(csv_file(tmp_path, run_text(9)))
+    assert read_csv(csv_file(tmp_path, run_text(6)), known=known).t_s.size == 6
+    assert read_csv(csv_file(tmp_path, PLAIN), known=known).y_rad.tolist() == [0.1, 0.2, 0.3]

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate, write_csv
 
+from rig.identify.preprocessing import clock_ratio, from_recording
+from rig.recording.errors import IdentifyError
 from rig.recording.reader import read_csv
-from rig.recording.series import TIMES_ERROR_S, IdentifyError, Record, clock_ratio, from_recording
+from rig.recording.series import TIMES_ERROR_S, TimeSeries, steps_of
 from rig.results import RunMeta
 
 N = 50
@@ -30,7 +32,7 @@ T = np.arange(N) * 0.01
 def test_unusable_columns_are_named_with_row_and_cure(change, words):
     columns = {"t_s": T, "y_rad": np.zeros(N), "t_u_s": T, "u_V": np.zeros(N)} | change
     with pytest.raises(IdentifyError, match=words) as caught:
-        Record(**columns)
+        TimeSeries(**columns)
     assert caught.value.cure
     assert "\n" not in caught.value.cause
 
@@ -127,10 +129,20 @@ def test_a_drives_own_period_is_found_and_a_delay_of_a_link_is_looked_for():
     square = np.where(t % 1.3 < 0.65, 1.0, -1.0)
     chirp = np.sin(2 * np.pi * (0.3 + 0.1 * t) * t)
     still = np.ones_like(t)
-    assert Record(t, t, None, square).drive_period_s() == pytest.approx(1.3, abs=0.01)
-    assert Record(t, t, None, np.sin(2 * np.pi * t / 0.7)).drive_period_s() == pytest.approx(0.7, abs=0.01)
-    assert Record(t, t, None, chirp).drive_period_s() is None
-    assert Record(t, t, None, still).drive_period_s() is None
-    assert Record(t, t, None, square).longest_delay_s == pytest.approx(0.01)
-    assert Record(t * 0.1, t, None, square).longest_delay_s == pytest.approx(0.01)
-    assert Record(t * 4.0, t, None, square).longest_delay_s == pytest.approx(0.04)
+    assert TimeSeries(t, t, None, square).drive_period_s() == pytest.approx(1.3, abs=0.01)
+    assert TimeSeries(t, t, None, np.sin(2 * np.pi * t / 0.7)).drive_period_s() == pytest.approx(0.7, abs=0.01)
+    assert TimeSeries(t, t, None, chirp).drive_period_s() is None
+    assert TimeSeries(t, t, None, still).drive_period_s() is None
+    assert TimeSeries(t, t, None, square).longest_delay_s == pytest.approx(0.01)
+    assert TimeSeries(t * 0.1, t, None, square).longest_delay_s == pytest.approx(0.01)
+    assert TimeSeries(t * 4.0, t, None, square).longest_delay_s == pytest.approx(0.04)
+
+
+def test_edges_that_change_nothing_are_dropped_and_falling_times_refused():
+    steps = steps_of(np.array([0.0, 1.0, 2.0]), np.array([1.0, 1.0, -1.0]))
+    assert steps.edge_s.tolist() == [0.0, 2.0]
+    assert steps.u_V.tolist() == [1.0, -1.0]
+    with pytest.raises(ValueError, match="decrease"):
+        steps_of(np.array([1.0, 0.0]), np.array([1.0, 2.0]))
+    with pytest.raises(ValueError, match="one length"):
+        steps_of(np.array([1.0]), np.array([1.0, 2.0]))

@@ -9,12 +9,12 @@ from rig.campaign.grid import Draw, draw
 from rig.config import load_campaign
 from rig.identify import triple_relay
 from rig.identify.cycles import find_cycle
-from rig.recording.series import Record
+from rig.recording.series import TimeSeries
 
 CAMPAIGN = load_campaign(CONFIG)
 
 
-def records(number: int) -> tuple[Draw, Record, Record]:
+def records(number: int) -> tuple[Draw, TimeSeries, TimeSeries]:
     one = draw(CAMPAIGN, number)
     host = relay_record(CAMPAIGN, one, HOST_S, one.delay_s)
     return one, host, relay_record(CAMPAIGN, one, DEVICE_S, DEVICE_DELAY_S)

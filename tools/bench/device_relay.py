@@ -23,9 +23,11 @@ from rig.config import load_campaign
 from rig.config.campaign import Campaign
 from rig.identify import sampled_data, triple_relay
 from rig.identify.cycles import find_cycle
+from rig.identify.starts import ridge_starts
 from rig.model.motor import State
 from rig.model.sampled_relay import Disturbance, relay_test
-from rig.recording.series import IdentifyError, Record
+from rig.recording.errors import IdentifyError
+from rig.recording.series import TimeSeries
 from shared.table import markdown
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "campaign.yaml"
@@ -44,7 +46,7 @@ class Found(NamedTuple):
     interval: float
 
 
-def relay_record(campaign: Campaign, one: Draw, period_s: float, delay_s: float) -> Record:
+def relay_record(campaign: Campaign, one: Draw, period_s: float, delay_s: float) -> TimeSeries:
     """The settled part of a relay test: the same seconds of it whatever the period."""
     start_s = SETTLING_CYCLES * LONGEST_CYCLE * one.period_s
     t_s = np.arange(0.0, start_s + CYCLES * one.period_s, period_s)
@@ -59,17 +61,17 @@ def relay_record(campaign: Campaign, one: Draw, period_s: float, delay_s: float)
         start=State(y=one.start_rad),
     )
     kept = t_s >= start_s
-    return Record(test.t_s[kept], test.y_rad[kept], test.t_u_s[kept], test.u_V[kept])
+    return TimeSeries(test.t_s[kept], test.y_rad[kept], test.t_u_s[kept], test.u_V[kept])
 
 
-def identify(one: Draw, record: Record) -> Found:
+def identify(one: Draw, record: TimeSeries) -> Found:
     """Every method on one record, against the truth."""
 
     def error(tau_s: float, K_rad_s_V: float, fc_V: float) -> float:
         return max(abs(tau_s / one.tau_s - 1.0), abs(K_rad_s_V / one.K_rad_s_V - 1.0), abs(fc_V / one.fc_V - 1.0))
 
     cycle = find_cycle(record)
-    starts = sampled_data.ridge_starts(cycle.omega_rad_s, cycle.amplitude_rad, cycle.h1_V, cycle.h2_V)
+    starts = ridge_starts(cycle.omega_rad_s, cycle.amplitude_rad, cycle.h1_V, cycle.h2_V)
     try:
         five = error(*triple_relay.solve(triple_relay.features_of(cycle), cycle.h1_V, cycle.h2_V, starts).theta)
     except IdentifyError:  # the noise has put the edges out of order

@@ -21,20 +21,21 @@ from rig.config.campaign import Campaign
 from rig.identify import sampled_data
 from rig.identify.cycles import find_cycle
 from rig.identify.mean_cycle import Cycle
-from rig.recording.series import Record
+from rig.identify.starts import Start, ridge_starts
+from rig.recording.series import TimeSeries
 
 STARTS = 3  # that are iterated, as our own fit does
 
 
-def record_of(campaign: Campaign, number: int) -> tuple[Record, Cycle, list[sampled_data.Start]]:
+def record_of(campaign: Campaign, number: int) -> tuple[TimeSeries, Cycle, list[Start]]:
     """One experiment of the grid as a plain CSV would hold it, its cycle, and the starts from it."""
     test, rows = simulate(campaign, draw(campaign, number))
-    record = Record(test.t_s[rows], test.y_rad[rows], None, test.u_V[rows], name=f"experiment {number}")
+    record = TimeSeries(test.t_s[rows], test.y_rad[rows], None, test.u_V[rows], name=f"experiment {number}")
     cycle = find_cycle(record)
-    return record, cycle, sampled_data.ridge_starts(cycle.omega_rad_s, cycle.amplitude_rad, cycle.h1_V, cycle.h2_V)
+    return record, cycle, ridge_starts(cycle.omega_rad_s, cycle.amplitude_rad, cycle.h1_V, cycle.h2_V)
 
 
-def peer(record: Record, starts: list[sampled_data.Start]) -> Array:
+def peer(record: TimeSeries, starts: list[Start]) -> Array:
     """tau, K, fc of the best of the starts, by the solver."""
     longest = 2.0 * record.period_s
     first = int(np.searchsorted(record.t_s, record.t_s[0] + longest))
@@ -69,7 +70,7 @@ def main() -> int:
     campaign = Campaign(name="speed", experiments=arguments.motors)
     cases = [record_of(campaign, number) for number in range(arguments.motors)]
 
-    def own(record: Record, cycle: Cycle, starts: list[sampled_data.Start]) -> tuple[float, Array]:
+    def own(record: TimeSeries, cycle: Cycle, starts: list[Start]) -> tuple[float, Array]:
         begin = time.perf_counter()
         found = sampled_data.fit([record], starts, periods_s=[cycle.period_s])
         return time.perf_counter() - begin, np.array([found.tau_s, found.K_rad_s_V, found.fc_V])

@@ -14,13 +14,13 @@ from scipy.optimize import least_squares
 from bench.benchmark import median_s, options, tell
 from rig.identify.cycles import find_cycle
 from rig.identify.mean_cycle import Cycle
-from rig.identify.sampled_data import Start, ridge_starts
+from rig.identify.starts import Start, ridge_starts
 from rig.identify.triple_relay import Features, fit, solve, solve_cycle
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import effective_inputs, limit_cycle, stage_states
 from rig.model.motor import Motor, State
 from rig.model.sampled_relay import Disturbance, relay_test
-from rig.recording.series import Record
+from rig.recording.series import TimeSeries
 
 TAU_S, K_RAD_S_V, FC_V = 0.17, 6.5, 0.5
 H1_V, H2_V = 0.8, 1.0
@@ -59,12 +59,12 @@ def by_least_squares(measured: Features, starts: list[Start]) -> NDArray[np.floa
     return np.asarray(min(found, key=lambda solution: solution.cost).x)
 
 
-def record(period_s: float, cycles: int) -> Record:
+def record(period_s: float, cycles: int) -> TimeSeries:
     """A sampled relay's log: 3 mrad of noise, its drive acting 0.4 periods after each sample."""
     t = np.arange(0.0, cycles * limit_cycle(TAU_S, K_RAD_S_V, FC_V, H1_V, H2_V).period_s, period_s)
     noise = 0.003 * np.random.default_rng(1).standard_normal(t.size)
     test = relay_test(MOTOR, H1_V, H2_V, t, 0.4 * period_s, disturbance=Disturbance(noise), start=State(y=0.3))
-    return Record(test.t_s, test.y_rad, test.t_u_s, test.u_V)
+    return TimeSeries(test.t_s, test.y_rad, test.t_u_s, test.u_V)
 
 
 def ridge(cycle: Cycle) -> list[Start]:

@@ -42,6 +42,7 @@ from rig.identify import Identification, IdentifyError, identify
 from rig.preflight import check
 from rig.recording.errors import RecordingError
 from rig.recording.reader import read_run
+from rig.recording.stage import StageKind, kind_of
 from rig.testing.line import lines_opened_by
 
 FIRST_CYCLE = 4  # the fault comes in the one after it: the amplitude is that of the limit cycle by then
@@ -197,7 +198,7 @@ def undisturbed(backend: Backend, course: Course = "relay") -> Undisturbed:
             raise RuntimeError(
                 f"{backend.key}: {len(found.rows)} rows, and only {len(stand.readings)} seen on the wire"
             )
-        if course == "run" and not any(stage.startswith("track:") for stage in found.stages):
+        if course == "run" and not any(kind_of(name) is StageKind.TRACK for name in found.stages):
             raise RuntimeError(f"{backend.key}: nothing was tracked: {found.output}")
         return Undisturbed(_windows(stand, found, course), found.rows, found.identification)
 
@@ -214,7 +215,7 @@ def _windows(stand: Stand, run: Run, course: Course) -> dict[str, tuple[float, f
         offset_s = asked_s[int(row["seq"])] - float(row["t_s"])
         ends = [float(e["t_s"]) + offset_s for e in run.events if e["kind"] == "cycle"]
         return {START.key: (0.0, 0.0), CYCLE.key: (ends[FIRST_CYCLE - 1], ends[FIRST_CYCLE])}
-    tracking = next(k for k, name in enumerate(names) if name.startswith("track:"))
+    tracking = next(k for k, name in enumerate(names) if kind_of(name) is StageKind.TRACK)
     armed = _last("to arm", names[:tracking])
     arming, stopped = _last("to stop", names[:armed]), _last("stop", names[:armed])
     rest_s = max(t_s for name, t_s in moments[:stopped] if name == "rest")
@@ -367,7 +368,7 @@ def _trouble(found: Found, row: Row, backend: Backend, stage: Stage, run: Run) -
         yield f"{shown} ({'' if run.fault is None else run.fault['detail']})"
     if found.status not in (row.status or (int(found.code != ""),)):
         yield f"exit status {found.status} with {shown}: {run.output[-300:]}"
-    if row.early and any(name.startswith("relay") for name in run.stages):
+    if row.early and any(kind_of(name) is StageKind.RELAY for name in run.stages):
         yield "a relay ran"
     if row.same and _decided(run.rows) != _decided(undisturbed(backend, stage.course).rows):
         yield "the record is another"

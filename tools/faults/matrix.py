@@ -13,7 +13,7 @@ from faults.page import Line
 from faults.realtime import DEVICES, REAL_ROWS, RealFound
 from faults.rows import ROWS, Row
 from faults.stages import ARMING, BY_KEY, CYCLE, OTHER_STAGES, PAUSE, START, Stage
-from shared.cases import spread
+from shared.cases import in_order
 
 PHASES = 4  # of the limit cycle
 OTHERS_SHARE = 0.25
@@ -75,7 +75,7 @@ def in_virtual_time(
         for row, backend, stage in places
         for k in range(phases_of(backend, stage, phases))
     ]
-    found = list(spread(_virtual, cases, batch=4))
+    found = in_order(_virtual, cases, batch=4)
     return [
         Line(
             row.on(stage.traits(backend.traits)),
@@ -101,7 +101,7 @@ def in_real_time(phases: int) -> list[RealFound]:
         for k in range(phases)
     ]
     together = [case for case in cases if not REAL_ROWS[case[0]].alone]
-    return [*spread(_real, together, jobs=2)] + [_real(*case) for case in cases if case not in together]
+    return in_order(_real, together, jobs=2) + [_real(*case) for case in cases if case not in together]
 
 
 def _virtual(name: str, key: str, stage_key: str, k: int, phases: int) -> Found:

@@ -35,6 +35,7 @@ from rig.backends.serial.emulated.host_board import HostBoard
 from rig.backends.serial.frames import FrameReader, Kind
 from rig.config.schema import Experiment
 from rig.preflight import check
+from rig.recording.stage import StageKind, kind_of
 
 FIRST_CYCLE = 2
 TIMEOUT_S = 0.06  # as in config/demo.yaml
@@ -345,7 +346,7 @@ def _judged(
     counted = [r for r in rows if code in ("INTERRUPTED", "")]
     late_s += max((1e-6 * float(r["late_us"]) for r in counted), default=0.0)
     if code == "" and status >= 0:
-        acted_s = [float(r["t_u_s"]) for r in rows if r["t_u_s"] and r["stage"].startswith("relay")]
+        acted_s = [float(r["t_u_s"]) for r in rows if r["t_u_s"] and kind_of(r["stage"]) is StageKind.RELAY]
         off_s = max(b - a for a, b in itertools.pairwise(acted_s))
     else:
         began_s = happened_s

@@ -130,7 +130,7 @@ def main() -> int:
     options.add_argument("--seed", type=int, default=1)
     given = options.parse_args()
     started_s, failed = time.monotonic(), False
-    for day in spread(spend, [(backend.key, given.hours / len(PLAIN), given.seed) for backend in PLAIN], jobs=2):
+    for _, day in spread(spend, [(backend.key, given.hours / len(PLAIN), given.seed) for backend in PLAIN], jobs=2):
         wrong = sum(count for name, count in day.rows.items() if name != NOTHING.name)
         print(
             f"{day.backend}: {day.hours:.2f} h of its time, {day.runs} runs, {wrong} with one of "

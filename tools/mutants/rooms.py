@@ -19,7 +19,7 @@ ROOMS = (
         ("tests/loop", "tests/replay", "tests/hil/test_hil_device_relay.py"),
         {
             "recorded": _REPLAY,
-            "tape": _REPLAY,
+            "replayed_rows": _REPLAY,
             "device_relay": ("tests/hil/test_hil_device_relay.py",),
             "statistics": ("tests/loop/test_loop_runner.py",),
             "stop_request": ("tests/loop/test_loop_runner.py",),

@@ -113,7 +113,8 @@ def make_sections(quick: bool, say: Callable[[str], None]) -> tuple[Section, ...
     begin = time.perf_counter()
     made: dict[int, Section] = {}
     order = sorted(range(len(STEPS)), key=lambda k: -STEPS[k].share)
-    for k, (section, took_s) in zip(order, spread(timed, [(k, quick) for k in order]), strict=True):
+    for place, (section, took_s) in spread(timed, [(k, quick) for k in order]):
+        k = order[place]
         made[k] = section
         say(f"[{len(made)}/{len(STEPS)}] {time.perf_counter() - begin:5.1f} s  {STEPS[k].name} ({took_s:.1f} s)")
     return tuple(made[k] for k in range(len(STEPS)))

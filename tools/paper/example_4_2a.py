@@ -14,7 +14,7 @@ from rig.identify import least_squares
 from rig.identify.estimate import Estimate
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
-from rig.recording.series import Record
+from rig.recording.series import TimeSeries
 from rig.report.style import Picture
 from rig.signals import Sample
 from shared.page import listed
@@ -122,13 +122,13 @@ def _positions(runs: tuple[Run, Run], samples: int) -> Array:
     return np.stack([run.y_rad[1 : samples + 1] for run in runs], axis=1)
 
 
-def _record(run: Run, start_rad: float, seed: int) -> Record:
+def _record(run: Run, start_rad: float, seed: int) -> TimeSeries:
     """What a bench would record: a rest before, noise on the position."""
     rest = round(REST_S / SAMPLING_S)
     y = np.concatenate((np.full(rest, start_rad), run.y_rad))
     y += NOISE_RAD * np.random.default_rng(seed).standard_normal(y.size)
     t: Array = np.arange(y.size) * np.float64(SAMPLING_S)
-    return Record(t, y, t, np.concatenate((np.zeros(rest), run.u_V)), name=f"d = {run.d_V:g} V")
+    return TimeSeries(t, y, t, np.concatenate((np.zeros(rest), run.u_V)), name=f"d = {run.d_V:g} V")
 
 
 def section(result: Result) -> Section:

@@ -11,10 +11,10 @@ from paper.drawing import PARAMETERS, Array, finish, new_figure
 from paper.gauss_newton import MOST_STEPS, STOPS, Path, features_of, iterate
 from paper.page import Claim, Comparison, Heading, Paragraph, Remark, Section
 from rig.identify import triple_relay
-from rig.identify.sampled_data import Start
+from rig.identify.starts import Start
 from rig.identify.triple_relay import Features
 from rig.model.limit_cycle import limit_cycle
-from rig.recording.series import IdentifyError
+from rig.recording.errors import IdentifyError
 from rig.report.style import Picture
 from shared.table import Cell, Table, number, share, significant
 

@@ -24,6 +24,7 @@ REFERENCES = re.compile(
     (Examples?|Theorems?|Property|Properties|Remarks?|Rem\.|Fig\.|section|Tables?)\s*\(?[IV\d]+(\.\d+)?
       (\s*(to|and|,)\s*\d+(\.\d+)?)*
     | \(\d{1,2}\)([–-]\(\d{1,2}\))?           # equations
+    | docs/theory\.md\s\d+(\.\d+)*            # our own
     | ^4\.[123](\s\([a-d]\)(,\s\([a-d]\))?)?(,\sRem\.\s3\.1)?$   # places of the summary
     | ,\s3\.2\b | \b4\.1\sto\s4\.3
     | <su[bp]>[^<]*</su[bp]>                  # indices and exponents

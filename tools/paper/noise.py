@@ -15,13 +15,14 @@ from paper.page import Claim, Comparison, Paragraph, Remark, Section
 from rig.identify import triple_relay
 from rig.identify.cycles import find_cycle
 from rig.identify.mean_cycle import Cycle, average
-from rig.identify.sampled_data import ridge_starts
+from rig.identify.starts import ridge_starts
 from rig.identify.triple_relay import Features
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
 from rig.model.sampled_relay import Disturbance, RelayTest, relay_test
-from rig.recording.series import IdentifyError, Record
+from rig.recording.errors import IdentifyError
+from rig.recording.series import TimeSeries
 from rig.report.style import Picture
 from shared.page import listed
 from shared.table import Cell, Table, number, significant
@@ -135,8 +136,8 @@ def _relay_test(noise_rad: float, seed: int) -> RelayTest:
     return relay_test(_motor(), gains.h1_V, gains.h2_V, t_s, 0.0, disturbance=Disturbance(noise), start=start)
 
 
-def _record(test: RelayTest, y_rad: Array) -> Record:
-    return Record(test.t_s, y_rad, test.t_u_s, test.u_V, name="simulated")
+def _record(test: RelayTest, y_rad: Array) -> TimeSeries:
+    return TimeSeries(test.t_s, y_rad, test.t_u_s, test.u_V, name="simulated")
 
 
 def _errors(cycle: Cycle, periods: int, form: str) -> Array:

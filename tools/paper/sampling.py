@@ -14,11 +14,11 @@ from rig.backends.backend import truth_of
 from rig.config import Experiment, load
 from rig.identify import IdentifyError, describing_function, sampled_data, triple_relay
 from rig.identify.cycles import find_cycle
-from rig.identify.sampled_data import Start
+from rig.identify.starts import Start, ridge_starts
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
 from rig.model.sampled_relay import Disturbance, relay_test
-from rig.recording.series import Record
+from rig.recording.series import TimeSeries
 from rig.report.style import METHODS, Picture
 from shared.table import Cell, Table, number
 
@@ -72,12 +72,12 @@ def _worst(config: Experiment, motor: Motor, truth: Array, period_s: float, seed
             motor, gains.h1_V, gains.h2_V, t, DELAY * period_s, start=State(0.0, -0.8 * exact.amplitude_rad),
             disturbance=Disturbance(noise * rng.standard_normal(t.size), lsb_rad=lsb),
         )  # fmt: skip
-        records.append(Record(test.t_s, test.y_rad, test.t_u_s, test.u_V, name="simulated"))
+        records.append(TimeSeries(test.t_s, test.y_rad, test.t_u_s, test.u_V, name="simulated"))
         cycles.append(find_cycle(records[-1]))
     first = cycles[0]
     df = describing_function.fit(cycles)
     start = Start(df.tau_s, df.K_rad_s_V, df.fc_V)
-    ridge = sampled_data.ridge_starts(first.omega_rad_s, first.amplitude_rad, first.h1_V, first.h2_V)
+    ridge = ridge_starts(first.omega_rad_s, first.amplitude_rad, first.h1_V, first.h2_V)
     found = {
         PLAIN: plain_iteration(first, df).theta,
         DF: theta(df),
@@ -99,8 +99,9 @@ def section(result: Result) -> Section:
         Paragraph(
             "A relay that decides at samples switches up to a sampling period and the delay after the true crossing, "
             f"while t<sub>1</sub> itself is only {1e3 * result.t1_s:.0f} ms here. The equations (24)–(29) then "
-            "do not describe the data: their edges are no crossings (docs/theory.md 7.1). Here the bench's relay "
-            f"tests are repeated at {first:g} to {last:g} ms, {result.trials} trials each, same noise and resolution."
+            "do not describe the data: their edges are no crossings (docs/theory.md, section 7.1). Here "
+            f"the bench's relay tests are repeated at {first:g} to {last:g} ms, {result.trials} trials each, same "
+            "noise and resolution."
         ),
         _table(result),
         picture(result),

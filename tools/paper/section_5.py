@@ -28,6 +28,7 @@ from rig.model.friction import coulomb
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor
 from rig.recording.reader import read_run
+from rig.recording.stage import Stage
 from rig.report.style import Picture, colour
 from rig.results import TrackingResult, known
 from shared.table import Cell, Table, fixed, number, share, significant
@@ -168,7 +169,7 @@ def _as_estimate(found: Iteration) -> Estimate:
 
 def _track(folder: Path, method: str, outcomes: Mapping[str, TrackingResult]) -> Track:
     recording = read_run(folder)
-    rows = recording.stage_rows(f"track:{method}")
+    rows = recording.stage_rows(str(Stage.track(method)))
     t = recording.t_s[rows]
     outcome = outcomes[method]
     return Track(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rig.config.schema import Emulated, Tachometer
 from rig.model.bench import BenchParameters
 from rig.model.friction import Friction
 from rig.model.motor import Motor
+
+if TYPE_CHECKING:  # the process of an emulated device starts without the config
+    from rig.config.schema import Emulated, Tachometer
 
 
 def bench_parameters(emulated: Emulated, tachometer: Tachometer | None = None) -> BenchParameters:

@@ -6,11 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Literal, NamedTuple, Self
 
 from pymodbus.client.mixin import ModbusClientMixin
 
-from rig.backends.modbus.section import Modbus, PairRegisters
+if TYPE_CHECKING:  # the process of an emulated device starts without the config
+    from rig.backends.modbus.section import Modbus, PairRegisters
+
 
 Table = Literal["holding", "input"]
 OFF, ARMED = 0, 1  # of the status register; anything else is a fault

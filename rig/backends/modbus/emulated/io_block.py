@@ -14,15 +14,17 @@ import math
 import struct
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.io_block_registers import RANGES, BlockRegisters
 from rig.backends.modbus.registers import Table
-from rig.backends.modbus.section import Modbus
-from rig.config.schema import Emulated
 from rig.model.bench import Bench
+
+if TYPE_CHECKING:  # the process of an emulated device starts without the config
+    from rig.backends.modbus.section import Modbus
+    from rig.config.schema import Emulated
 
 TICK_S = 1e-3
 VENDOR, PRODUCT = "rig", "emulated I/O block"

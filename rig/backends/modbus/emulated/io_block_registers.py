@@ -9,10 +9,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 from rig.backends.modbus.registers import Register, RegisterMap, Table
-from rig.backends.modbus.section import Modbus
+
+if TYPE_CHECKING:  # the process of an emulated device starts without the config
+    from rig.backends.modbus.section import Modbus
 
 STATUS_OF_FAULT = {
     "DEVICE_WATCHDOG": 2,

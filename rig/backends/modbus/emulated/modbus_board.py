@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import sys
-from dataclasses import asdict
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.emulated.errors import EmulationError
+from rig.backends.modbus.emulated.device import Device
+from rig.backends.modbus.emulated.io_block_registers import BlockRegisters
 from rig.backends.modbus.emulated.line_faults import CorruptionRate
 from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.rtu_slave import Line
 from rig.backends.modbus.section import Modbus, read_in_a_tick, span_of
 from rig.config.schema import Emulated
 
@@ -61,15 +63,16 @@ class ModbusBoard(BoardProcess):
         self._must_not_run()
         if tcp_port is not None and link is not None:
             raise EmulationError("a TCP port cannot have a symbolic link\nleave --link out")
-        options = {
-            "modbus": modbus.model_dump(mode="json"),
-            "emulated": emulated.model_dump(mode="json"),
-            "seed": seed,
-            "baud": baud,
-            "tcp_port": tcp_port,
-            "polarity": polarity,
-            "misbehaviour": None if misbehaviour is None else asdict(misbehaviour),
-            "corruption": None if corruption is None else corruption._asdict(),
-        }
+        device = Device(
+            BlockRegisters.of(modbus),
+            modbus.unit,
+            bench_parameters(emulated),
+            seed,
+            polarity,
+            Line.of(modbus, baud),
+            tcp_port,
+            misbehaviour,
+            corruption,
+        )
         command = (sys.executable, "-m", "rig.backends.modbus.emulated.modbus_process")
-        return self._launch(command, {"options": json.dumps(options)}, link, trace)
+        return self._launch(command, {"device": device.packed()}, link, trace)

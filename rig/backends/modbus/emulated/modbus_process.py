@@ -10,7 +10,6 @@ import argparse
 import contextlib
 import errno
 import gc
-import json
 import math
 import os
 import select
@@ -19,20 +18,18 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol, TextIO
+from typing import Protocol, TextIO
 
 from rig import __version__
 from rig.backends.emulated.device_process import ORPHAN_S, fail, linked, open_pty, signals, take_priority
 from rig.backends.emulated.errors import EmulationError
+from rig.backends.modbus.emulated.device import Device, unpacked
 from rig.backends.modbus.emulated.io_block import IoBlock
 from rig.backends.modbus.emulated.line_faults import Corruption
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
-from rig.backends.modbus.emulated.rtu_slave import Line, RtuSlave
+from rig.backends.modbus.emulated.rtu_slave import RtuSlave
 from rig.backends.modbus.emulated.tcp_slave import Stream, TcpSlave
-from rig.backends.modbus.section import Modbus
-from rig.config.schema import Emulated
+from rig.model.bench import Bench
 
 LOOPBACK = "127.0.0.1"
 _TRACE_S = 0.01
@@ -196,7 +193,7 @@ class _Trace:
 def main() -> None:
     """Run until a signal, or until standard input ends where that was asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--options", required=True, help="JSON, as rig.backends.modbus.emulated.modbus_board writes it")
+    parser.add_argument("--device", required=True, help="as rig.backends.modbus.emulated.modbus_board packs it")
     parser.add_argument("--link", type=Path)
     parser.add_argument("--trace", type=Path)
     parser.add_argument("--exit-with-stdin", action="store_true")
@@ -207,7 +204,7 @@ def main() -> None:
             file = None if asked.trace is None else stack.enter_context(asked.trace.open("w", encoding="utf-8"))
             start_s = time.monotonic()
             trace = _Trace(file, start_s)
-            block, port = _device(json.loads(asked.options), trace)
+            block, port = _device(unpacked(asked.device), trace)
             if asked.link is not None:
                 stack.enter_context(linked(asked.link, port.name))
             sys.stdout.write(f"port {port.name}\n")
@@ -220,16 +217,14 @@ def main() -> None:
         fail(str(error))
 
 
-def _device(options: Mapping[str, Any], trace: _Trace) -> tuple[IoBlock, _Port]:
-    modbus = Modbus.model_validate_json(json.dumps(options["modbus"]))
-    emulated = Emulated.model_validate_json(json.dumps(options["emulated"]))
-    block = IoBlock.of(modbus, emulated, options["seed"], polarity=options["polarity"], revision=__version__)
+def _device(device: Device, trace: _Trace) -> tuple[IoBlock, _Port]:
+    bench = Bench(device.bench, device.seed)
+    block = IoBlock(device.registers, bench, device.unit, polarity=device.polarity, revision=__version__)
     block.on_output = lambda t_s, u_V: trace.row(block)
-    misbehaviour = None if options["misbehaviour"] is None else Misbehaviour(**options["misbehaviour"])
-    if options["tcp_port"] is not None:
-        return block, _Tcp(TcpSlave(block, modbus.turnaround_s, misbehaviour), options["tcp_port"])
-    corruption = None if options["corruption"] is None else Corruption(**options["corruption"])
-    return block, _Pty(RtuSlave(block, Line.of(modbus, options["baud"]), misbehaviour, corruption))
+    if device.tcp_port is not None:
+        return block, _Tcp(TcpSlave(block, device.line.turnaround_s, device.misbehaviour), device.tcp_port)
+    corruption = None if device.corruption is None else Corruption(*device.corruption)
+    return block, _Pty(RtuSlave(block, device.line, device.misbehaviour, corruption))
 
 
 def _run(block: IoBlock, port: _Port, trace: _Trace, start_s: float, ends: int, *, watches_stdin: bool) -> None:

@@ -10,13 +10,15 @@ import heapq
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 from pymodbus.framer import FramerRTU
 
 from rig.backends.modbus.emulated.io_block import IoBlock
 from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
-from rig.backends.modbus.section import Modbus
+
+if TYPE_CHECKING:  # the process of an emulated device starts without the config
+    from rig.backends.modbus.section import Modbus
 
 BROADCAST = 0
 _SHORTEST_FRAME, _LONGEST_FRAME = 4, 256

@@ -1,0 +1,48 @@
+"""What the process of the emulated I/O block is told: parsed already, so that it starts without loading the config."""
+
+from __future__ import annotations
+
+import base64
+import pickle
+from dataclasses import dataclass
+
+from rig.backends.modbus.emulated.io_block_registers import BlockRegisters
+from rig.backends.modbus.emulated.line_faults import CorruptionRate
+from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.rtu_slave import Line
+from rig.model.bench import BenchParameters
+
+
+@dataclass(frozen=True)
+class Device:
+    """The block and its line.
+
+    registers, unit   what is at which address, and its unit id
+    bench, seed       what is behind it, and of its noise
+    polarity          +1: positive drive raises the position register; -1: lowers it
+    line              times of an RTU line; of TCP its turnaround alone counts
+    tcp_port          TCP on this port, 0: on a free one; None: RTU
+    misbehaviour, corruption   of the block, of an RTU line
+    """
+
+    registers: BlockRegisters
+    unit: int
+    bench: BenchParameters
+    seed: int
+    polarity: int
+    line: Line
+    tcp_port: int | None = None
+    misbehaviour: Misbehaviour | None = None
+    corruption: CorruptionRate | None = None
+
+    def packed(self) -> str:
+        """As one argument of a command."""
+        return base64.b64encode(pickle.dumps(self)).decode("ascii")
+
+
+def unpacked(text: str) -> Device:
+    """What ``packed`` gave, from the process that started this one. Raises ValueError for anything else."""
+    device = pickle.loads(base64.b64decode(text))
+    if not isinstance(device, Device):
+        raise ValueError("no device")
+    return device

@@ -1,0 +1,157 @@
+"""What estimators work on: the tests in some recordings of one motor, their cycles, and what was against them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rig.identify.cycles import find_cycle
+from rig.identify.mean_cycle import Cycle
+from rig.identify.preprocessing import from_recording
+from rig.model.supply import SupplyReading
+from rig.recording.errors import IdentifyError
+from rig.recording.reader import Recording
+from rig.recording.series import TimeSeries
+from rig.recording.stage import Stage, StageKind, kind_of
+from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
+
+
+@dataclass
+class Measurements:
+    """The tests of one motor.
+
+    tests       relay tests, and plain files whole; the hysteretic runs where there are no others
+    hysteretic  runs of hysteretic relays
+    cycles      for each of ``tests`` its averaged limit cycle, or None
+    complaints  why a test has no cycle
+    unsettled   names of the relay tests in which no cycle has settled
+    guarded     what the guard changed of a relay's drive: a sentence for each such test
+    supplies    what a motor supply that is not the config's speaks against
+    sources     for each recording its name, and its series
+    notes       what was left out, what was put right, how gains and cycles were found
+    """
+
+    tests: list[TimeSeries] = field(default_factory=list)
+    hysteretic: list[TimeSeries] = field(default_factory=list)
+    cycles: list[Cycle | None] = field(default_factory=list)
+    complaints: list[IdentifyError] = field(default_factory=list)
+    unsettled: list[str] = field(default_factory=list)
+    guarded: list[str] = field(default_factory=list)
+    supplies: list[str] = field(default_factory=list)
+    sources: list[tuple[str, Sequence[TimeSeries]]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def settled(self) -> list[Cycle]:
+        """The limit cycles that there are."""
+        return [cycle for cycle in self.cycles if cycle is not None]
+
+    @property
+    def periods_s(self) -> list[float | None]:
+        """For each of ``tests`` the period of its cycle, s; None where it has none."""
+        return [None if cycle is None else cycle.period_s for cycle in self.cycles]
+
+
+def measurements(recordings: Sequence[Recording], *, with_cycles: bool, plain_is_hysteretic: bool) -> Measurements:
+    """Gather what the recordings hold.
+
+    with_cycles          whether to find the limit cycles
+    plain_is_hysteretic  whether a file without stages may be the run of a hysteretic relay, too
+    Raises IdentifyError where a recording has no test, or there is none that can be read.
+    """
+    data = Measurements()
+    for recording in recordings:
+        data.guarded += _guarded(recording)
+        data.supplies += [said for said in _supply(recording) if said not in data.supplies]
+        tests, runs = _series_of(recording, len(recordings) > 1, data.notes)
+        if plain_is_hysteretic and not recording.stages():
+            runs = tests
+        data.hysteretic += runs
+        data.sources.append((str(recording.source), tests or runs))
+        for test in tests:
+            data.tests.append(test)
+            data.cycles.append(_cycle(test, data) if with_cycles else None)
+    if not data.tests:
+        data.tests = data.hysteretic
+        data.cycles = [None] * len(data.tests)
+    if not data.tests:
+        raise IdentifyError("no hysteretic run got as far as its first drive", "record it again: `rig relay CONFIG`")
+    return data
+
+
+def _cycle(test: TimeSeries, data: Measurements) -> Cycle | None:
+    """The limit cycle of a test; where there is none, the data say why."""
+    try:
+        cycle = find_cycle(test)
+    except IdentifyError as error:
+        data.complaints.append(error)
+        data.notes.append(f"{error.cause}: no cycle is averaged from it")
+        if test.stage is not None:
+            data.unsettled.append(test.name)
+        return None
+    data.notes += [f"{test.name}: {note}" for note in cycle.notes]
+    return cycle
+
+
+def _guarded(recording: Recording) -> list[str]:
+    """What the guard changed of the relay's drive, as a sentence for each test."""
+    said = []
+    for stage in recording.stages():
+        if kind_of(stage) is StageKind.RELAY:
+            rows = recording.flags[recording.stage_rows(stage)]
+            changed = int(np.count_nonzero(rows & (FLAG_GUARD_BRAKED | FLAG_GUARD_CLIPPED)))
+            if changed:
+                said.append(
+                    f"{stage}: the guard changed the drive in {changed} rows, so this is not the relay's own cycle; "
+                    "record again with a smaller amplitude or wider limits"
+                )
+    return said
+
+
+def _supply(recording: Recording) -> list[str]:
+    """What a motor supply that is not the config's speaks against, from meta.json; nothing where that does not tell.
+
+    A plain file and a run of an older version do not.
+    """
+    device, drive = recording.meta.firmware, recording.meta.drive
+    if device is None or drive is None:
+        return []
+    measured_V, believed_V, drop_V = device.supply_V, drive.supply_V, drive.bridge_drop_V
+    if measured_V is None or believed_V is None or drop_V is None or not 0.0 <= drop_V < believed_V:
+        return []
+    objection = SupplyReading(measured_V, device.supply_at_least is True, believed_V, drop_V).objection
+    return [] if objection is None else [objection]
+
+
+def _series_of(recording: Recording, several: bool, notes: list[str]) -> tuple[list[TimeSeries], list[TimeSeries]]:
+    """The relay tests of a run, or all rows of a plain file; and the runs of hysteretic relays."""
+    name = recording.source.name or str(recording.source)
+    notes += [f"{name}: {note}" for note in recording.notes]
+    stages = recording.stages()
+    if not stages:
+        chosen = [(slice(0, len(recording)), name)]
+    else:
+        relays = [stage for stage in stages if Stage.parse(stage).is_relay_test]
+        if not relays:
+            raise IdentifyError(
+                f"{name} has no relay test (stages: {', '.join(stages)})",
+                "run `rig relay CONFIG` or `rig run CONFIG`, and identify that",
+            )
+        chosen = [(recording.stage_rows(stage), f"{name}:{stage}" if several else stage) for stage in relays]
+    tests: list[TimeSeries] = []
+    runs: list[TimeSeries] = []
+    for rows, label in chosen:
+        series, remarks = from_recording(recording, rows, label)
+        if series.stage is None or series.stage.kind is not StageKind.HYSTERETIC:
+            tests.append(series)
+        elif series.u_V.any():
+            runs.append(series)
+        else:
+            notes.append(f"{label}: left out, it ended before its first drive")
+        notes += [remark for remark in remarks if remark not in notes]
+        saturated = int(np.count_nonzero(recording.flags[rows] & FLAG_SATURATED))
+        if saturated:
+            notes.append(f"{label}: the drive was saturated in {saturated} rows; the drive as it acted is used")
+    return tests, runs

@@ -1,0 +1,97 @@
+"""What is put right before anything is fitted: the device's clock, and drives whose times are missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.recording.errors import IdentifyError
+from rig.recording.reader import Recording
+from rig.recording.series import FEWEST_ROWS, TIMES_ERROR_S, TimeSeries
+from rig.recording.stage import Stage
+
+
+@dataclass(frozen=True)
+class ClockRatio:
+    """Ratio of a recording's times to the host's, and its standard error."""
+
+    ratio: float
+    error: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether it differs from 1 beyond four standard errors and 20 ppm."""
+        return abs(self.ratio - 1.0) > max(4.0 * self.error, 20e-6)
+
+
+def clock_ratio(recording: Recording) -> ClockRatio | None:
+    """Regress t_s on the host's time of each tick (tick * period + lateness); None where that is not recorded."""
+    period_s = recording.meta.period_s
+    usable = np.isfinite(recording.late_us)
+    if period_s is None or not period_s > 0.0 or int(usable.sum()) < 100:
+        return None
+    host = recording.tick[usable] * period_s + 1e-6 * recording.late_us[usable]
+    x = host - host.mean()
+    power = float(x @ x)
+    if power == 0.0:
+        return None
+    t = recording.t_s[usable]
+    slope = float(x @ t) / power
+    residual = t - t.mean() - slope * x
+    return ClockRatio(slope, float(np.sqrt(residual @ residual / (x.size - 2) / power)))
+
+
+def from_recording(recording: Recording, rows: slice, name: str) -> tuple[TimeSeries, list[str]]:
+    """Rows of a recording as a ``TimeSeries``, and notes on what was done to the times.
+
+    Times are divided by the clock ratio over the whole run where that is significant. Rows before the first known t_u_s
+    are dropped; a t_u_s missing between others is filled in with the median latency. Raises IdentifyError,
+    also for fewer than twenty rows.
+    """
+    first, stop, _ = rows.indices(len(recording))
+    if stop - first < FEWEST_ROWS:
+        raise IdentifyError(
+            f"{name}: {max(0, stop - first)} rows are too few to fit",
+            "record at least three cycles, better ten: relay.cycles",
+        )
+    notes: list[str] = []
+    scale = 1.0
+    clock = clock_ratio(recording)
+    if clock is not None and clock.significant:
+        if abs(clock.ratio - 1.0) > 0.03:
+            raise IdentifyError(
+                f"{name}: t_s runs {100.0 * (clock.ratio - 1.0):+.1f} % against the ticks and period_s of meta.json",
+                "correct the times; a clock is a few per cent off at most",
+            )
+        scale = clock.ratio
+        notes.append(f"{name}: times divided by the clock ratio over the run, {scale:.6f} +- {clock.error:.6f}")
+    first += recording.first_row
+    named = str(recording.stage[rows][0])
+    stage = Stage.parse(named) if named else None
+    t_s = recording.t_s[rows] / scale
+    t_u_s = recording.t_u_s[rows] / scale
+    y_rad, u_V = recording.y_rad[rows], recording.u_V[rows]
+    known = np.isfinite(t_u_s)
+    if not known.any():
+        return TimeSeries(t_s, y_rad, None, u_V, first, name, stage=stage), notes
+    start = int(np.flatnonzero(known)[0])
+    missing = int((~known[start:]).sum())
+    if missing > 0.2 * t_s.size:
+        notes.append(f"{name}: t_u_s is missing in {missing} rows and was not used")
+        return TimeSeries(t_s, y_rad, None, u_V, first, name, stage=stage), notes
+    latency = float(np.median((t_u_s - t_s)[known]))
+    filled = np.where(known, t_u_s, t_s + latency)[start:]
+    if missing:
+        notes.append(
+            f"{name}: t_u_s missing in {missing} rows, filled in with the median latency of {1e3 * latency:.2f} ms"
+        )
+        filled = np.maximum.accumulate(filled)
+    error_s = _times_error_s(recording)
+    return TimeSeries(t_s[start:], y_rad[start:], filled, u_V[start:], first + start, name, error_s, stage), notes
+
+
+def _times_error_s(recording: Recording) -> float:
+    """What meta.json says that the times may be wrong by; a CSV file and a run of an older version say nothing."""
+    said = recording.meta.times_error_s
+    return TIMES_ERROR_S if said is None or said < 0.0 else said

@@ -1,0 +1,209 @@
+"""Whether to believe a sampled-data estimate: its intervals, bounds and residual, and what the motion itself says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from rig.identify.estimate import PARAMETERS, Estimate
+from rig.identify.mean_cycle import Cycle
+from rig.identify.output_error import Solution, refit
+from rig.identify.verdict import enough_cycles, intervals, spread_rad
+from rig.model.motor import State
+from rig.model.sensitivity import Theta
+from rig.recording.errors import IdentifyError
+from rig.recording.series import TimeSeries
+
+NOISY, TOO_NOISY = 3.0, 8.0  # residual over the sensor's noise
+REPEATED = 0.3  # share of the residual's power that comes again in each cycle
+NEGLIGIBLE = 0.003  # residual over the spread of positions, below which it is no objection
+SLIPPED = 0.3  # of a period, by which the drive seems to act beside its recorded times
+TRANSFER = 1.5  # residual of a second test predicted by the first's model, over that of its own
+STUCK = 0.3  # of the time
+
+
+def judge(estimate: Estimate, tests: Sequence[TimeSeries], cycles: Sequence[Cycle]) -> Estimate:
+    """The sampled-data estimate with its verdict: intervals, bounds, residual, row convention, sticking, transfer."""
+    estimate = intervals(estimate, tests)
+    estimate = _bounds(estimate, tests)
+    estimate = _residual(estimate, tests)
+    estimate = enough_cycles(estimate, cycles)
+    estimate = _asymmetry(estimate)
+    if estimate.verdict == "refused":
+        return estimate
+    estimate = _row_convention(estimate, tests)
+    estimate = _sticking(estimate, tests)
+    return _transfer(estimate, tests)
+
+
+def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
+    period = max(test.period_s for test in tests)
+    duration = max(float(test.t_s[-1] - test.t_s[0]) for test in tests)
+    if estimate.tau_s < 0.5 * period:
+        return estimate.judged(
+            "refused", f"tau = {estimate.tau_s:.3g} s is too fast for samples every {period:.3g} s: sample faster"
+        )
+    if estimate.tau_s > 2.0 * duration:
+        return estimate.judged(
+            "refused", f"tau = {estimate.tau_s:.3g} s is longer than the record of {duration:.3g} s: record longer"
+        )
+    longest = max(test.longest_delay_s for test in tests)
+    if all(test.t_u_s is not None for test in tests):
+        return estimate
+    if estimate.delay_s > 0.9995 * longest:
+        return estimate.judged(
+            "doubtful",
+            f"the delay is at its bound, {1e3 * longest:.3g} ms: record the times at which the drive acts, t_u_s, or "
+            "check that u of a row is the drive set after that row's y was read",
+        )
+    if estimate.ci95["delay_s"][1] < 0.0:
+        return estimate.judged(
+            "doubtful",
+            f"the drive seems to act {-1e3 * estimate.delay_s:.2g} ms before its row: u of a row must be the drive set "
+            "after that row's y was read; if it was set before, move u up by a row",
+        )
+    return estimate
+
+
+def _residual(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
+    noise = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+    share = estimate.rms_rad / spread_rad(tests)
+    if share > 0.5:
+        return estimate.judged(
+            "refused",
+            f"the model leaves {100 * share:.0f} % of the position unexplained: check that u and y belong together, "
+            "their signs and units",
+        )
+    if share > NEGLIGIBLE and estimate.repeated > REPEATED:
+        estimate = estimate.judged(
+            "doubtful",
+            f"{100 * estimate.repeated:.0f} % of the residual ({1e3 * estimate.rms_rad:.2g} mrad) comes again in each "
+            "cycle: the motor is not tau, K and Coulomb friction alone (Stribeck effect, backlash, stops?), or its "
+            "sensor is too coarse for this amplitude",
+        )
+    if share > NEGLIGIBLE and estimate.rms_rad > NOISY * noise:
+        ratio = estimate.rms_rad / noise if noise > 0.0 else math.inf
+        return estimate.judged(
+            "refused" if ratio > TOO_NOISY and share > 0.1 else "doubtful",
+            f"the residual, {1e3 * estimate.rms_rad:.2g} mrad, is {ratio:.1f} times the sensor's noise: "
+            "the motor is not tau, K and Coulomb friction alone (stops, backlash, loads?), or the times are wrong",
+        )
+    return estimate
+
+
+def _asymmetry(estimate: Estimate) -> Estimate:
+    """The asymmetry is clearly beyond the friction: one direction would be driven by it, which no friction does."""
+    beyond = abs(estimate.asym_V) - estimate.fc_V
+    error = math.sqrt(max(0.0, float(estimate.covariance[2, 2] + estimate.covariance[3, 3])))
+    if beyond > 3.0 * error and beyond > 0.01 * abs(estimate.asym_V):
+        return estimate.judged(
+            "doubtful",
+            f"the asymmetry, {estimate.asym_V:+.3g} V, is larger than the friction, {estimate.fc_V:.3g} V: the shaft "
+            "turns by itself at 0 V; look for a load that pulls one way, or an offset of the drive",
+        )
+    return estimate
+
+
+def confounding(estimate: Estimate) -> str | None:
+    """How much of tau's error is due to an unknown delay, in words; None where the delay was known."""
+    shared = float(estimate.correlation[0, 4])
+    if not math.isfinite(shared):
+        return None
+    gain = 1.0 / math.sqrt(max(1e-12, 1.0 - shared * shared))
+    if gain < 1.1:
+        return None
+    return (
+        f"the unknown delay and tau are correlated by {shared:+.2f}: with the times at which the drive acts "
+        f"(t_u_s) tau would be known {gain:.1f} times better"
+    )
+
+
+def _row_convention(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
+    """With known t_u_s the drive must act then: a free delay has to come out as nothing.
+
+    Nothing is also what the link's own times may be wrong by: a record without noise shows microseconds.
+    """
+    if any(test.t_u_s is None for test in tests):
+        return estimate
+    period = max(test.period_s for test in tests)
+    reach = 2.5 * period
+    theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, 0.0)
+    tried = (theta._replace(delay_s=rows * period) for rows in (-1.0, 0.0, 1.0))
+    moved = min((refit(tests, start, PARAMETERS, (-reach, reach)) for start in tried), key=_cost)
+    slip = float(moved.x[4])
+    gain = estimate.rms_rad**2 * moved.residual.size / moved.cost if moved.cost > 0.0 else math.inf
+    if abs(slip) > SLIPPED * period and gain > 1.02:
+        way = "later" if slip > 0.0 else "earlier"
+        return estimate.judged(
+            "refused" if abs(slip) > 2.0 * SLIPPED * period else "doubtful",
+            f"the drive seems to act {1e3 * abs(slip):.1f} ms {way} than t_u_s says: check that u stands in its own "
+            "row (y_k, then u_k, which acts from t_u_s of row k)",
+        )
+    if abs(slip) <= max(test.times_error_s for test in tests):
+        return estimate
+    free = (math.exp(moved.x[0]), math.exp(moved.x[1]), float(moved.x[2]))
+    shifted = [name for name, value in zip(PARAMETERS, free, strict=False) if not _holds(estimate, name, value)]
+    if shifted and gain > 1.0 + max(0.02, 15.0 / moved.residual.size):
+        return estimate.judged(
+            "doubtful",
+            f"with the drive {1e3 * abs(slip):.2g} ms {'later' if slip > 0.0 else 'earlier'} the fit is better and "
+            f"{' and '.join(shifted)} out of the interval: t_u_s is not when the drive acted, or rows between these "
+            "were left out; record every tick",
+        )
+    return estimate
+
+
+def _holds(estimate: Estimate, name: str, value: float) -> bool:
+    """Whether the estimate's interval of this parameter holds the value."""
+    low, high = estimate.ci95[name]
+    return low <= value <= high
+
+
+def _cost(solution: Solution) -> float:
+    return solution.cost
+
+
+def _sticking(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
+    motor = estimate.motor()
+    share = 0.0
+    for test in tests:
+        late = int(np.searchsorted(test.t_s, test.edge_s[0]))
+        states = motor.response(State(y=float(test.y_rad[late])), test.t_s[late:], test.edge_s, test.u_V)
+        share = max(share, float(np.mean(states[:, 0] == 0.0)))
+    if share > STUCK:
+        return estimate.judged(
+            "doubtful", f"the motor stands still {100 * share:.0f} % of the time: record with more drive"
+        )
+    return estimate
+
+
+def _transfer(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
+    """Of several tests, the first one's model has to predict the others nearly as well as their own."""
+    if len(tests) < 2:
+        return estimate
+    theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, estimate.delay_s)
+    unknown = any(test.t_u_s is None for test in tests)
+    free = PARAMETERS if unknown else PARAMETERS[:4]
+    bounds = (0.0, max(test.longest_delay_s for test in tests)) if unknown else None
+    theta = theta if unknown else theta._replace(delay_s=0.0)
+    try:
+        first = refit(tests[:1], theta, free, bounds)
+        model = Theta(math.exp(first.x[0]), math.exp(first.x[1]), *(float(x) for x in first.x[2:5]))
+        ratios = []
+        for test in tests[1:]:
+            own = refit([test], theta, free, bounds)
+            given = refit([test], model)
+            rms = math.sqrt(given.cost / given.residual.size)
+            if rms > NEGLIGIBLE * spread_rad([test]):
+                ratios.append(math.sqrt(given.cost / own.cost) if own.cost > 0.0 else math.inf)
+    except IdentifyError:
+        return estimate  # too short to be fitted alone
+    if ratios and max(ratios) > TRANSFER:
+        return estimate.judged(
+            "doubtful",
+            f"the first test's model predicts another with {max(ratios):.1f} times the residual of its own fit: "
+            "friction or gain depend on speed, amplitude or temperature; record the tests nearer to the use",
+        )
+    return estimate

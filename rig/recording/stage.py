@@ -1,0 +1,89 @@
+"""The stages of a run: what is being done in each row, as the column ``stage`` names it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+
+_NUMBERED = re.compile(r"(relay|hysteretic)-(.*)")
+_TRACKING = "track:"
+
+
+class StageKind(StrEnum):
+    """What is done in a stage. ``OTHER``: a stage of a file that rig did not write."""
+
+    REST = "rest"
+    JOG = "jog"
+    BREAKAWAY = "breakaway"
+    SEARCH = "search"
+    RELAY = "relay"
+    HOMING = "homing"
+    HYSTERETIC = "hysteretic"
+    TRACK = "track"
+    LAW = "law"
+    STOPPING = "stopping"
+    OTHER = "other"
+
+
+# kinds of which a run has one stage at most, named like its kind
+_PLAIN = {
+    str(kind): kind
+    for kind in StageKind
+    if kind not in (StageKind.RELAY, StageKind.HYSTERETIC, StageKind.TRACK, StageKind.OTHER)
+}
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage.
+
+    name    as the column has it: ``relay-2``, ``track:sampled-data``
+    kind    what is done
+    number  of a relay test or a hysteretic run, from 1; None for other kinds, and where the name has no number
+    method  of a tracking run: the estimator whose model tracks; empty for other kinds
+    """
+
+    name: str
+    kind: StageKind
+    number: int | None = None
+    method: str = ""
+
+    @classmethod
+    def parse(cls, name: str) -> Stage:
+        """The stage of this name. Any name is one: those that rig does not write are of the kind ``OTHER``."""
+        numbered = _NUMBERED.fullmatch(name)
+        if numbered is not None:
+            kind, number = numbered.groups()
+            return cls(name, StageKind(kind), int(number) if number.isdecimal() else None)
+        if name.startswith(_TRACKING):
+            return cls(name, StageKind.TRACK, method=name.removeprefix(_TRACKING))
+        return cls(name, _PLAIN.get(name, StageKind.OTHER))
+
+    @classmethod
+    def relay(cls, number: int) -> Stage:
+        """A relay test, numbered from 1."""
+        return cls(f"{StageKind.RELAY}-{number}", StageKind.RELAY, number)
+
+    @classmethod
+    def hysteretic(cls, number: int) -> Stage:
+        """A run of a hysteretic relay, numbered from 1."""
+        return cls(f"{StageKind.HYSTERETIC}-{number}", StageKind.HYSTERETIC, number)
+
+    @classmethod
+    def track(cls, method: str) -> Stage:
+        """A tracking run on the model of this estimator."""
+        return cls(f"{_TRACKING}{method}", StageKind.TRACK, method=method)
+
+    @property
+    def is_relay_test(self) -> bool:
+        """Whether it is a test that identification reads: of the dual-channel relay, or of a hysteretic one."""
+        return self.kind in (StageKind.RELAY, StageKind.HYSTERETIC)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def kind_of(name: str) -> StageKind:
+    """What is done in the stage of this name."""
+    return Stage.parse(name).kind

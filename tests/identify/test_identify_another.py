@@ -1,0 +1,108 @@
+"""Another estimator and another friction law: each is one class and one entry of a list, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import Bench, dcr, record, simulate
+
+from rig.identify import identification, identify, laws
+from rig.identify.estimate import Estimate
+from rig.identify.estimator import Estimator
+from rig.identify.laws.law import Array, CandidateLaw, Parameter, Plain, Range
+from rig.identify.measurements import Measurements
+from rig.model.friction import coulomb
+from rig.model.motor import Motor
+from rig.model.sensitivity import Theta, position
+from rig.recording.errors import IdentifyError
+from rig.recording.reader import Recording, from_columns, read_run
+from rig.recording.series import Window
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+
+
+class LargestSpeed(Estimator):
+    """K from the largest speed alone: no estimator to be proud of."""
+
+    name = "largest-speed"
+
+    def applies(self, data: Measurements) -> IdentifyError | None:
+        return None if data.settled else IdentifyError("there is no cycle", "record one")
+
+    def fit(self, data: Measurements) -> Estimate:
+        test = data.tests[0]
+        speed = float(np.abs(np.gradient(test.y_rad, test.t_s)).max())
+        return Estimate(self.name, 0.2, speed / float(np.abs(test.u_V).max()), 0.0)
+
+    def judge(self, estimate: Estimate, data: Measurements, earlier: Mapping[str, Estimate]) -> Estimate:
+        return estimate.judged("doubtful", f"beside {len(earlier)} better ones")
+
+    def notes(self, estimate: Estimate, data: Measurements) -> list[str]:
+        return ["largest-speed: quick"]
+
+
+class BentSensor(CandidateLaw):
+    """A sensor that reads y + b y^2."""
+
+    name = "bent sensor"
+    title = "a bent sensor"
+    parameters = (Parameter("bend_per_rad", 1e-6),)
+
+    def position(self, theta: Theta, own: Sequence[float], window: Window) -> Array:
+        y_rad = position(theta, *window.steps, window.t_s)
+        return y_rad + own[0] * y_rad**2
+
+    def ranges(self, plain: Plain) -> list[Range]:
+        return [(-1.0, 1.0)]
+
+
+@pytest.fixture
+def with_largest_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(identification, "ESTIMATORS", [*identification.ESTIMATORS, LargestSpeed()])
+
+
+@pytest.mark.usefixtures("with_largest_speed")
+def test_an_estimator_in_the_list_is_found_and_in_the_result():
+    found = identify([read_run(GOLDEN / "simulated")], choose_law=False)
+    assert list(found.estimates)[-1] == "largest-speed"
+    mine = found.as_result().as_json()["estimates"]["largest-speed"]
+    assert mine["verdict"] == "doubtful"
+    assert mine["reasons"] == ["beside 3 better ones"]
+    assert "largest-speed: quick" in found.notes
+    assert found.best is not None
+    assert found.best.method == "sampled-data"
+
+
+@pytest.mark.usefixtures("with_largest_speed")
+def test_it_can_be_asked_for_and_says_where_it_does_not_apply():
+    alone = identify([read_run(GOLDEN / "simulated")], ["largest-speed"], choose_law=False)
+    assert list(alone.estimates) == ["largest-speed"]
+    with pytest.raises(IdentifyError, match="there is no cycle"):
+        identify([read_run(GOLDEN / "simulated-hysteretic")], ["largest-speed"])
+    others = identify([read_run(GOLDEN / "simulated-hysteretic")], choose_law=False)
+    assert "largest-speed" not in others.estimates
+    assert "largest-speed: there is no cycle" in others.notes
+
+
+def bent(bend_per_rad: float, h2_V: float, seed: int) -> Recording:
+    """A relay test read through a bent sensor."""
+    samples = simulate(Motor(0.17, 6.5, coulomb(0.5)), dcr(0.8, h2_V), 1000, Bench(noise_rad=0.003, seed=seed))
+    test = record(samples, True, 200)
+    y_rad = test.y_rad + bend_per_rad * test.y_rad**2
+    return from_columns(Path(f"{h2_V:g} V"), test.t_s, test.u_V, y_rad, test.t_u_s)
+
+
+@pytest.mark.parametrize("bend_per_rad", [0.15, -0.15])
+def test_a_law_in_the_list_is_tried_chosen_and_in_the_result(monkeypatch: pytest.MonkeyPatch, bend_per_rad: float):
+    monkeypatch.setattr(laws, "LAWS", [*laws.LAWS, BentSensor()])
+    tests = [bent(bend_per_rad, h2_V, seed) for h2_V, seed in ((1.0, 1), (1.3, 2))]
+    found = identify(tests, ["sampled-data"]).friction_law
+    assert found is not None
+    assert found.chosen.law == "bent sensor"
+    value, error = found.chosen.parameters["bend_per_rad"], found.chosen.errors["bend_per_rad"]
+    assert abs(value - bend_per_rad) < 4.0 * error
+    assert found.as_result().as_json()["rungs"][-1]["law"] == "bent sensor"
+    assert found.notes()[0].startswith("friction law: a bent sensor")
