@@ -9,11 +9,10 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 from types import ModuleType
-from typing import TYPE_CHECKING
 
 from rig.errors import RigError
-from rig.package import VERSION
 
+TYPE_CHECKING = False  # as of typing, which takes longer to load than all of this
 if TYPE_CHECKING:
     from rig.api import (
         Fault,
@@ -32,8 +31,8 @@ if TYPE_CHECKING:
         run,
         simulate,
     )
+    from rig.package import VERSION as __version__
 
-__version__ = VERSION
 __all__ = [
     "Fault",
     "Found",
@@ -73,7 +72,10 @@ sys.modules[__name__].__class__ = _Package
 def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module 'rig' has no attribute {name!r}")
-    value: object = getattr(import_module("rig.api"), name)
+    if name == "__version__":
+        from rig.package import VERSION as value
+    else:
+        value = getattr(import_module("rig.api"), name)
     globals()[name] = value
     return value
 
