@@ -58,7 +58,7 @@ class ListSink(NullSink):
 
 
 @dataclass
-class SimulatedBench:
+class BenchModel:
     """Driver, guard and loop on one bench in virtual time."""
 
     driver: SimulatedDriver
@@ -71,7 +71,7 @@ class SimulatedBench:
 
 def simulated_bench(
     parameters: BenchParameters = DEMO, seed: int = 1, guard: GuardSettings = GUARD, **changes: Any
-) -> SimulatedBench:
+) -> BenchModel:
     """A bench with ``changes`` made to its parameters."""
     clock = VirtualClock()
     driver = SimulatedDriver(
@@ -85,7 +85,7 @@ def simulated_bench(
     )
     watching, record, stop = Guard(guard), ListSink(), StopRequest()
     loop = Loop(driver, clock, watching, record, PERIOD_S, stop)
-    return SimulatedBench(driver, clock, watching, loop, record, stop)
+    return BenchModel(driver, clock, watching, loop, record, stop)
 
 
 def breakaway_check() -> BreakawayCheck:

@@ -57,7 +57,7 @@ class BenchParameters:
     fault_after_s: float = 0.0
 
 
-class SimulatedBench:
+class BenchModel:
     """The bench in motion: set the drive, let time pass, read the sensors."""
 
     def __init__(self, parameters: BenchParameters, seed: int) -> None:

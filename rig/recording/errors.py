@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rig.errors import RigError
 from rig.signals import plain
 
 
-class RecordingError(Exception):
+class RecordingError(RigError):
     """A recording cannot be written or cannot be read.
 
     path   the file or folder
@@ -29,7 +30,7 @@ class CannotWriteError(RecordingError):
     """The disk does not take a file. The request itself was right."""
 
 
-class IdentifyError(Exception):
+class IdentifyError(RigError):
     """A recording cannot be identified: one line of cause, one of cure."""
 
     def __init__(self, cause: str, cure: str) -> None:

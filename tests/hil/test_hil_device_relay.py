@@ -23,7 +23,7 @@ from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.frames import STATUS_RELAY, Block, Code, FrameReader, Kind, Nack, Packet, RelaySetup, encode
 from rig.calibration import DriveMap
 from rig.config import load
-from rig.config.schema import Experiment, Gains, Relay
+from rig.config.schema import Experiment, RelayGains, RelaySection
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
 from rig.control.law import Constant
@@ -488,7 +488,7 @@ def board_of(experiment: Experiment) -> VirtualBoard:
 @pytest.mark.parametrize("where", ["host", "device"])
 def test_the_experiment_runs_either_way_by_one_key(where: str, tmp_path: Path) -> None:
     experiment = load(Path(__file__).parents[2] / "config" / "device-relay.yaml")
-    relay = Relay(where=where, gains=(Gains(h1_V=0.4, h2_V=0.85),), cycles=5)  # type: ignore[arg-type]
+    relay = RelaySection(where=where, gains=(RelayGains(h1_V=0.4, h2_V=0.85),), cycles=5)  # type: ignore[arg-type]
     with on_device(board_of):
         outcome = rig.experiment.run_relay(experiment.model_copy(update={"relay": relay}), tmp_path)
     assert outcome.failure == ""
