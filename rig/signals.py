@@ -1,4 +1,4 @@
-"""What crosses between the rooms: one sample of the bench, and the limits it is armed with.
+"""The data that all rooms share: a sample of the bench, and the limits that it is armed with.
 
 Any room may import this module; it imports none.
 """
@@ -40,7 +40,7 @@ class Sample(NamedTuple):
 
 
 def plain(text: str) -> str:
-    """``text`` as a terminal may show it: what does not print (escape sequences, line breaks) becomes an escape."""
+    """``text``, safe for a terminal: characters that do not print (escape codes, line breaks) become escapes."""
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 

@@ -1,7 +1,7 @@
 """The schema of an experiment: every key, its unit (in its name), its range and its default.
 
-Strict: an unknown key is an error, numbers are finite, objects are frozen. What one key says by itself is
-checked here; what keys say together (room to stop, link budget, ...) in ``rig.preflight.rules``.
+Strict: an unknown key is an error, numbers are finite, objects are frozen. The schema checks each key by itself;
+``rig.preflight.rules`` checks keys together (room to stop, link budget, ...).
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ class Undisturbed:
 def patched(
     injector: FaultInjector, backend: Backend, known: Identification | None = None
 ) -> Iterator[list[Identification]]:
-    """rig connects to the injector instead of a new device; draws no figures; no time depends on this machine.
+    """Rig connects to the injector instead of a new device; draws no figures; no time depends on this machine.
 
     known  result of the identification in the pause: it depends only on what came before the fault
     Yields the list of identifications made.
