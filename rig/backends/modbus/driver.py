@@ -98,7 +98,7 @@ class ModbusDriver:
 
     @property
     def order(self) -> Order:
-        """ "write_first" with FC23: one exchange writes, then reads. Else "sample_first"."""
+        """With FC23 "write_first": one exchange writes, then reads. Else "sample_first"."""
         return "write_first" if self._line.requests == "read-write" else "sample_first"
 
     @property
