@@ -187,41 +187,45 @@ class Suite:
         """``t_u_s`` lies between ``write`` and the next reading; before that ``read`` if ``order`` is sample_first."""
         tolerance_s = _TIME_TOLERANCE * self.experiment.period_s
         order = self.driver.order
-        for tick, telling in self._with_outcomes(self._to_and_fro(8)):
-            t_u_s = telling.sample.t_u_s
+        for tick, following in self._with_outcomes(self._to_and_fro(8)):
+            t_u_s = following.sample.t_u_s
             require(
-                tick.write_s - tolerance_s <= t_u_s <= telling.to_s + tolerance_s,
-                f"t_u_s is {t_u_s!r} s, but write() was called at {tick.write_s!r} s, reported by {telling.to_s!r} s",
+                tick.write_s - tolerance_s <= t_u_s <= following.to_s + tolerance_s,
+                f"t_u_s is {t_u_s!r} s, but write() was called at {tick.write_s!r} s, reported by {following.to_s!r} s",
             )
-            in_write = t_u_s < telling.from_s - tolerance_s
-            in_read = not in_write and t_u_s <= telling.sample.t_s + tolerance_s
+            in_write = t_u_s < following.from_s - tolerance_s
+            in_read = not in_write and t_u_s <= following.sample.t_s + tolerance_s
             require(
                 in_write if order == "sample_first" else in_read,
                 f"order is {order}, but the drive of write() at {tick.write_s!r} s acts from {t_u_s!r} s; the next "
-                f"read() was called at {telling.from_s!r} s and sampled at {telling.sample.t_s!r} s",
+                f"read() was called at {following.from_s!r} s and sampled at {following.sample.t_s!r} s",
             )
 
     def test_the_drive_that_acts_is_reported(self) -> None:
         """``u_V`` of the reading after a ``write`` is that drive, sign included, and 0 V is 0 V."""
         u = self.drive_V
-        for tick, telling in self._with_outcomes([u, -u, 0.5 * u, 0.0, -0.5 * u, u, 0.0]):
-            told_V = telling.sample.u_V
-            near = told_V == 0.0 if tick.u_V == 0.0 else abs(told_V - tick.u_V) <= 0.05 * u + 0.5 * self._step_V(tick)
-            require(near, f"write({tick.u_V:+.4f}) was called, and the next reading reports {told_V:+.4f} V")
+        for tick, following in self._with_outcomes([u, -u, 0.5 * u, 0.0, -0.5 * u, u, 0.0]):
+            reported_V = following.sample.u_V
+            near = (
+                reported_V == 0.0
+                if tick.u_V == 0.0
+                else abs(reported_V - tick.u_V) <= 0.05 * u + 0.5 * self._step_V(tick)
+            )
+            require(near, f"write({tick.u_V:+.4f}) was called, and the next reading reports {reported_V:+.4f} V")
 
     def test_the_drive_is_reported_as_quantised(self) -> None:
         """``u_V`` is the quantised drive: two drives a nanovolt apart give one, a whole number of ``drive_units``."""
         u = self.drive_V
         asked = [value for share in (0.91, 0.83, 0.77) for value in (share * u, share * u + _SAME_DRIVE_V)]
-        told = [telling.sample.u_V for _, telling in self._with_outcomes(asked)]
-        same = sum(a == b for a, b in zip(told[::2], told[1::2], strict=True))
-        require(same >= 2, f"u_V repeats the written drive instead of the quantised one: {told}")
+        reported = [following.sample.u_V for _, following in self._with_outcomes(asked)]
+        same = sum(a == b for a, b in zip(reported[::2], reported[1::2], strict=True))
+        require(same >= 2, f"u_V repeats the written drive instead of the quantised one: {reported}")
         if self._info.drive_units is not None:
             steps = replace(self.experiment.drive.map, full_units=self._info.drive_units)
-            for told_V in told:
+            for reported_V in reported:
                 require(
-                    abs(steps.quantised(told_V) - told_V) <= 1e-6 * steps.full_V,
-                    f"u_V {told_V!r} V is no whole number of the {self._info.drive_units} drive_units of open()",
+                    abs(steps.quantised(reported_V) - reported_V) <= 1e-6 * steps.full_V,
+                    f"u_V {reported_V!r} V is no whole number of the {self._info.drive_units} drive_units of open()",
                 )
 
     def test_it_refuses_drives_beyond_its_range(self) -> None:
@@ -244,8 +248,8 @@ class Suite:
         """Beyond ``max_u_V`` the device refuses, at once or in the next reading. Opened again, it can be armed."""
         u = self.drive_V
         with self._armed(max_u_V=0.5 * u):
-            told_V = self._try_to_drive(u)
-        require(abs(told_V) <= 0.5 * u + 0.05 * u, f"armed for {0.5 * u:.3f} V, it drives {told_V:+.3f} V")
+            reported_V = self._try_to_drive(u)
+        require(abs(reported_V) <= 0.5 * u + 0.05 * u, f"armed for {0.5 * u:.3f} V, it drives {reported_V:+.3f} V")
         self._open()  # opening clears what the device has latched
         self._run([u, 0.0])
 
@@ -257,16 +261,16 @@ class Suite:
             require(confirmed is True, f"safe_stop() of a working device must return True, not {confirmed!r}")
             for _ in range(3):
                 self._wait(self.experiment.period_s)
-                told_V = self.driver.read().u_V
-                require(told_V == 0.0, f"drives {told_V:+.4f} V after safe_stop()")
+                reported_V = self.driver.read().u_V
+                require(reported_V == 0.0, f"drives {reported_V:+.4f} V after safe_stop()")
 
     def test_safe_stop_disarms(self) -> None:
         """After ``safe_stop`` nothing drives until ``arm``; then it does again."""
         with self._armed():
             self._ticks([self.drive_V])
         self._expect_no_drive("after safe_stop()")
-        told_V = [telling.sample.u_V for _, telling in self._with_outcomes([self.drive_V])]
-        require(told_V[0] > 0.0, "does not drive when it is armed again")
+        reported_V = [following.sample.u_V for _, following in self._with_outcomes([self.drive_V])]
+        require(reported_V[0] > 0.0, "does not drive when it is armed again")
 
     def test_it_holds_the_period(self) -> None:
         """``read`` and ``write`` together leave a fifth of the period, in the median."""
@@ -428,20 +432,20 @@ class Suite:
 
     def _try_to_drive(self, u_V: float) -> float:
         """Drive after a ``write`` that should be refused, V; 0 where it raised Fault or ValueError."""
-        told_V = 0.0
+        reported_V = 0.0
         try:
             self._exchange(u_V)
             for _ in range(2):
                 self._wait(self.experiment.period_s)
-                told_V = self.driver.read().u_V
+                reported_V = self.driver.read().u_V
         except (Fault, ValueError):
             return 0.0
-        return told_V
+        return reported_V
 
     def _expect_no_drive(self, when: str) -> None:
-        told_V = self._try_to_drive(self.drive_V)
+        reported_V = self._try_to_drive(self.drive_V)
         self.driver.safe_stop()
-        require(told_V == 0.0, f"write({self.drive_V:g}) {when} drives {told_V:+.4f} V")
+        require(reported_V == 0.0, f"write({self.drive_V:g}) {when} drives {reported_V:+.4f} V")
 
 
 class _Constructed(Suite):
@@ -468,14 +472,15 @@ class _Silenced(Suite):
             self._ticks([self.drive_V, self.drive_V])
             self._wait(_SILENCE * failsafe.time_s + self.experiment.period_s)
             try:
-                told_V = self.driver.read().u_V
+                reported_V = self.driver.read().u_V
             except Fault:
-                told_V = 0.0
+                reported_V = 0.0
             require(
-                told_V == 0.0, f"silent for {_SILENCE:g} times its {failsafe.time_s:g} s, it drives {told_V:+.4f} V"
+                reported_V == 0.0,
+                f"silent for {_SILENCE:g} times its {failsafe.time_s:g} s, it drives {reported_V:+.4f} V",
             )
-            told_V = self._try_to_drive(self.drive_V)
-            require(told_V == 0.0, f"after its failsafe it drives {told_V:+.4f} V again without being armed")
+            reported_V = self._try_to_drive(self.drive_V)
+            require(reported_V == 0.0, f"after its failsafe it drives {reported_V:+.4f} V again without being armed")
         self._open()
         self._run([self.drive_V, 0.0])
 
