@@ -46,7 +46,7 @@ def plain(text: str) -> str:
 
 @dataclass(frozen=True)
 class Limits:
-    """What a device is armed with, and what the guard enforces (architecture: Safety).
+    """What a device is armed with, and what the guard enforces (docs/safety.md).
 
     soft_rad, hard_rad   (low, high), rad; hard outside soft
     max_u_V              largest drive, V

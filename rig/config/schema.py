@@ -60,7 +60,7 @@ class Daq(_Section):
 
 
 class LoopSection(_Section):
-    """How the loop keeps its time; what the machine refuses, a run says."""
+    """How the loop keeps its time. A run reports what the machine refuses."""
 
     spin_us: Annotated[float, Field(ge=0, le=1000)] = Field(
         200.0, description="last part of each wait that reads the clock instead of sleeping; 0: none"
@@ -417,7 +417,7 @@ class Experiment(_Section):
     drive: Drive = Field(description="the H-bridge: V to duty")
     tachometer: Tachometer | None = Field(None, description="velocity channel; leave out where there is none")
     motor: MotorSection | None = Field(
-        None, description="what its data sheet says; a run needs it, only records of older versions have none"
+        None, description="what its data sheet says; a run needs it, only recordings of older versions lack it"
     )
     limits: TravelLimits = Field(description="where the shaft may be, and how fast")
     breakaway: BreakawaySection = Field(BreakawaySection(), description="the check before any relay")

@@ -378,7 +378,7 @@ def _trouble(found: Found, row: Row, backend: Backend, stage: Stage, run: Run) -
     if row.early and any(kind_of(name) is StageKind.RELAY for name in run.stages):
         yield "a relay ran"
     if row.same and _decided(run.rows) != _decided(undisturbed(backend, stage.course).rows):
-        yield "the record is another"
+        yield "the recording differs"
     if found.lost > row.may_lose:
         yield f"{found.lost} samples lost"
     if "Traceback" in run.output or any(e["kind"] == "traceback" for e in run.events):
@@ -390,9 +390,9 @@ def _trouble(found: Found, row: Row, backend: Backend, stage: Stage, run: Run) -
 
 
 def _unidentified(run: Run) -> Iterator[str]:
-    """What keeps a record from being identified that holds a whole relay test."""
+    """Why a recording with a whole relay test cannot be identified."""
     if run.folder is None:
-        yield "no record"
+        yield "no recording"
         return
     try:
         estimate = identify([read_run(run.folder)]).estimates["sampled-data"]
@@ -400,16 +400,16 @@ def _unidentified(run: Run) -> Iterator[str]:
         yield f"the recording cannot be identified: {error.cause}"
     else:
         if estimate.verdict == "refused":
-            yield f"the record is refused: {'; '.join(estimate.reasons)}"
+            yield f"the recording is refused: {'; '.join(estimate.reasons)}"
 
 
 def _decided(rows: list[dict[str, str]]) -> list[tuple[str, ...]]:
-    """Of a record, what does not depend on how fast this machine is."""
+    """The part of a recording that does not depend on the speed of this machine."""
     return [tuple(row[name] for name in ("tick", "seq", "t_s", "t_u_s", "y_counts", "u_V", "stage")) for row in rows]
 
 
 def recorded_keys(rows: list[dict[str, str]]) -> set[tuple[int, int]]:
-    """Key of each sample in a record, and its row in a block of the relay in the device, else ASKED."""
+    """Key of each recorded sample, and its row in a block of the relay in the device, else ASKED."""
     in_block: Counter[int] = Counter()
     keys = set()
     for row in rows:
@@ -420,11 +420,11 @@ def recorded_keys(rows: list[dict[str, str]]) -> set[tuple[int, int]]:
 
 
 def missing(injector: FaultInjector, run: Run) -> list[int]:
-    """Keys of samples that the device has told of, in time, and that the record has not.
+    """Keys of samples that the device has sent in time, and that the recording lacks.
 
-    The one that ended the run is in the record, too, where the fault's event has its counts, or its reply. The last
-    exchange before a stop without a fault is none: it only asks what came of the last drive; so does that before a
-    relay in the device.
+    The sample that ended the run counts as recorded if the fault's event has its counts, or its reply. The last exchange
+    before a stop without a fault does not count: it only asks for the effect of the last drive. Nor does the exchange
+    before a relay in the device.
     """
     recorded = recorded_keys(run.rows)
     detail = "" if run.fault is None else str(run.fault["detail"])
