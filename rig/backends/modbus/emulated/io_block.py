@@ -94,8 +94,7 @@ class IoBlock:
     Raises EmulationError where the position's type cannot hold what the sensor reads.
 
     Without a control register a drive arms it, once it has its settings; after a fault a drive of 0 arms it again. A
-    refused drive shows in the status register, or without one as exception 4. Registers between those of the map read
-    0.
+    refused drive shows in the status register, or without one as exception 4. Gaps in the register map read 0.
     """
 
     def __init__(
