@@ -422,9 +422,9 @@ def recorded_keys(rows: list[dict[str, str]]) -> set[tuple[int, int]]:
 def missing(injector: FaultInjector, run: Run) -> list[int]:
     """Keys of samples that the device has sent in time, and that the recording lacks.
 
-    The sample that ended the run counts as recorded if the fault's event has its counts, or its reply. Not counted: the
-    last exchange before a stop without a fault, or before a relay in the device. It only asks for the effect of the last
-    drive.
+    The sample that ended the run counts as recorded if the fault's event has its counts, or its reply. Not counted:
+    the last exchange before a stop without a fault, or before a relay in the device. It only asks for the effect of the
+    last drive.
     """
     recorded = recorded_keys(run.rows)
     detail = "" if run.fault is None else str(run.fault["detail"])
