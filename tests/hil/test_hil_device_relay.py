@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from raised import fault_of
-from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListRecord
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListSink
 from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, VirtualHost, armed_host
 
 import rig.experiment
@@ -366,7 +366,7 @@ class DeviceBench:
         self.board = VirtualBoard(replace(DEMO, **bench), clock_error_ppm=4000)
         self.driver = SerialDriver(self.board, CALIBRATION, DriveMap(12.0), RAILS)
         self.driver.open()
-        self.guard, self.record, self.stop = Guard(guard), ListRecord(), StopRequest()
+        self.guard, self.record, self.stop = Guard(guard), ListSink(), StopRequest()
         self.guard.sign_proven = True
         self.loop = Loop(self.driver, self.board, self.guard, self.record, PERIOD_S, self.stop)
         self.command = c = self.driver.relay_command(*gains_V, 0.7)

@@ -9,8 +9,8 @@ from typing import Any
 
 from faults.injector import FaultInjector
 from rig.recording import layout
-from rig.recording.record import JsonScalar
 from rig.recording.recorder import Recorder
+from rig.recording.sink import JsonScalar
 
 _WAIT_S = 60.0
 _MOMENT_S = 0.0005
