@@ -130,7 +130,7 @@ class DriveMap:
     def to_units(self, u_V: float) -> int:
         """Drive units nearest to ``u_V``; raises ValueError beyond +-full_V, or if not finite.
 
-        What is really driven is ``to_volts`` of the result: at most half a unit away.
+        The bridge then drives ``to_volts`` of the result: at most half a unit away.
         """
         size = abs(u_V)
         if not size <= self.full_V:
@@ -156,14 +156,14 @@ class DriveMap:
         return self.full_V * effective * (self.sign if units > 0 else -self.sign)
 
     def quantised(self, u_V: float) -> float:
-        """The voltage that the device really applies when asked for ``u_V``; ValueError as ``to_units``."""
+        """The voltage that the device applies for a command of ``u_V``, V. Raises ValueError as ``to_units``."""
         return self.to_volts(self.to_units(u_V))
 
 
 def hard_limits_in_counts(
     limits: Limits, calibration: Calibration, drive_map: DriveMap, rail_counts: tuple[int, int]
 ) -> tuple[int, int]:
-    """The hard limits as (lowest, highest) reading inside, counts: inside them exactly if its position is.
+    """The hard limits as (lowest, highest) reading inside them, counts.
 
     Raises ValueError for limits that no device can hold with this sensor and this drive: 0 rad outside the hard limits,
     a hard limit that the sensor reads at its rail or beyond, drive beyond supply and bridge.
@@ -184,7 +184,7 @@ def hard_limits_in_counts(
 
 
 def largest_drive_in_units(limits: Limits, drive_map: DriveMap) -> int:
-    """The largest drive in units, of either direction's the larger, > 0.
+    """The largest drive in units, > 0; the larger one of both directions.
 
     Raises ValueError below one unit, and beyond supply and bridge.
     """

@@ -188,7 +188,7 @@ FAULTS: dict[str, FaultEntry] = {
         "lower relay.gains or relay.target.amplitude_rad, or raise limits.max_speed_rad_s if `rig check` has room to "
         "stop; where the drive was 0 V, check the bridge and the sensor",
     ),
-    # loop and record
+    # loop and recording
     "RECORDER_DEAD": FaultEntry(
         "the recorder stopped taking rows",
         "check free space and permissions of the run folder, or choose a folder on another disk with `rig run --out`",

@@ -1,4 +1,4 @@
-"""What crosses between the rooms: one sample of the bench, and the limits it is armed with.
+"""The data that all rooms share: a sample of the bench, and the limits that it is armed with.
 
 Any room may import this module; it imports none.
 """
@@ -40,13 +40,13 @@ class Sample(NamedTuple):
 
 
 def plain(text: str) -> str:
-    """``text`` as a terminal may show it: what does not print (escape sequences, line breaks) becomes an escape."""
+    """``text``, safe for a terminal: characters that do not print (escape codes, line breaks) become escapes."""
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a device is armed with, and what the guard enforces (architecture: Safety).
+    """What a device is armed with, and what the guard enforces (docs/safety.md).
 
     soft_rad, hard_rad   (low, high), rad; hard outside soft
     max_u_V              largest drive, V

@@ -55,13 +55,13 @@ class CampaignRelay(_Section):
     least_samples: Annotated[float, Field(ge=4)] = Field(
         30.0, description="a draw is kept if its period by describing function has at least so many samples"
     )
-    settling_cycles: Annotated[int, Field(ge=0, le=1000)] = Field(6, description="cycles before the record begins")
+    settling_cycles: Annotated[int, Field(ge=0, le=1000)] = Field(6, description="cycles before the recording begins")
     cycles: Annotated[int, Field(ge=1, le=1000)] = Field(10, description="cycles recorded")
     second: SecondTest | None = Field(None, description="predict a second test that the fit has not seen")
 
 
 class CampaignSampling(_Section):
-    """When samples are taken, when the drive acts, and what the record says about it."""
+    """When samples are taken, when the drive acts, and which of these times are recorded."""
 
     period_s: Annotated[float, Field(ge=0.0001, le=0.1)] = Field(0.01, description="sampling period")
     jitter_s: NonNegative = Field(0.0, description="each sample's time, uniform half width; recorded in t_s")
@@ -88,14 +88,14 @@ class CampaignSampling(_Section):
 
 
 class CorrelatedNoise(_Section):
-    """First-order autoregressive noise on the position, besides the white one."""
+    """Coloured noise on the position (first-order autoregressive), added to the white noise."""
 
     coefficient: Annotated[float, Field(ge=0, lt=1)] = Field(description="correlation from one sample to the next")
     std_rad: NonNegative = Field(description="its standard deviation")
 
 
 class DriveNoise(_Section):
-    """First-order autoregressive disturbance of the drive at the motor, in no record."""
+    """First-order autoregressive disturbance of the drive at the motor; it is not recorded."""
 
     coefficient: Annotated[float, Field(ge=0, lt=1)] = Field(description="correlation from one sample to the next")
     std_V: NonNegative = Field(description="its standard deviation")
@@ -126,7 +126,7 @@ class Campaign(_Section):
 
 
 def campaign_lines(campaign: Campaign) -> tuple[str, ...]:
-    """What a campaign would do, in words, a line each."""
+    """What a campaign will do, in words, a line each."""
     motor, relay, sampling = campaign.motor, campaign.relay, campaign.sampling
     times = "all times recorded" if sampling.times_known else "without t_u_s"
     return (

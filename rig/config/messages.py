@@ -1,4 +1,4 @@
-"""What pydantic finds, said for people: the key, what it must be, what it is, what to do."""
+"""Pydantic's errors, rewritten for people: the key, what it must be, what it is, what to do."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _COMPARISONS = {
 
 
 def explain(errors: Iterable[ErrorDetails], document: Document, schema: type[BaseModel] = Experiment) -> list[Problem]:
-    """Problems with their places, in the order of the file. An unknown key that is meant for a missing one: once."""
+    """Problems with their places, in the order of the file. A mistyped key is one problem, not also a missing key."""
     found = [document.located(problem, at_key=at_key) for problem, at_key in _found(errors, schema)]
     unique = {(problem.path, problem.message): problem for problem in found}
     return sorted(unique.values(), key=lambda problem: (problem.line, problem.column))
@@ -40,7 +40,7 @@ def unplaced(errors: Iterable[ErrorDetails], schema: type[BaseModel], above: Pat
 
 
 def _found(errors: Iterable[ErrorDetails], schema: type[BaseModel]) -> Iterator[tuple[Problem, bool]]:
-    """Problems, and whether it is the key that is wrong, not its value."""
+    """Each problem, and whether the key is wrong instead of its value."""
     mistyped: set[Path] = set()
     missing: list[Problem] = []
     for error in errors:
@@ -66,7 +66,7 @@ def _missing(path: Path, schema: type[BaseModel]) -> Problem:
 
 
 def _meant(path: Path, value: object, schema: type[BaseModel]) -> tuple[Path, str]:
-    """The key that an unknown one was probably meant for, () if there is none, and the hint that says so."""
+    """The key that an unknown one probably means, () if there is none; and the hint."""
     *above, last = path
     key = str(last)
     section = _section(path[:-1], schema)
@@ -84,7 +84,7 @@ def _meant(path: Path, value: object, schema: type[BaseModel]) -> tuple[Path, st
 
 
 def _invalid(path: Path, error: ErrorDetails, schema: type[BaseModel]) -> Problem | None:
-    """A value that is not what it must be; None where another error of the same list says it better."""
+    """The problem of a wrong value; None where another error in the list describes it better."""
     kind, value, context = error["type"], error["input"], error.get("ctx", {})
     key = next((part for part in reversed(path) if isinstance(part, str)), "")
     unit = unit_of(key)
@@ -132,7 +132,7 @@ def _invalid(path: Path, error: ErrorDetails, schema: type[BaseModel]) -> Proble
 
 
 def _number_hint(value: object, unit: str) -> str:
-    """What to write instead of something that is no number."""
+    """What to write instead of a value that is no number."""
     if isinstance(value, float):
         return "without a decimal point"
     if not isinstance(value, str):
@@ -181,7 +181,7 @@ def _section(path: Path, schema: type[BaseModel]) -> type[BaseModel] | None:
 
 
 def _model_in(annotation: Any) -> type[BaseModel] | None:
-    """The section that a type holds, be it optional or in a list."""
+    """The section in a type, also if it is optional or in a list."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     return next((model for inner in get_args(annotation) if (model := _model_in(inner))), None)

@@ -1,4 +1,4 @@
-"""What is wrong in a configuration: one problem a line, with its place, its key and a way out."""
+"""Problems in a config: one per line, with place, key and hint."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The schema of an experiment: every key, its unit (in its name), its range and its default.
 
-Strict: an unknown key is an error, numbers are finite, objects are frozen. What one key says by itself is
-checked here; what keys say together (room to stop, link budget, ...) in ``rig.preflight.rules``.
+Strict: an unknown key is an error, numbers are finite, objects are frozen. The schema checks each key by itself;
+``rig.preflight.rules`` checks keys together (room to stop, link budget, ...).
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Daq(_Section):
 
 
 class LoopSection(_Section):
-    """How the loop keeps its time; what the machine refuses, a run says."""
+    """How the loop keeps its time. A run reports what the machine refuses."""
 
     spin_us: Annotated[float, Field(ge=0, le=1000)] = Field(
         200.0, description="last part of each wait that reads the clock instead of sleeping; 0: none"
@@ -427,7 +427,7 @@ class Experiment(_Section):
     drive: Drive = Field(description="the H-bridge: V to duty")
     tachometer: Tachometer | None = Field(None, description="velocity channel; leave out where there is none")
     motor: MotorSection | None = Field(
-        None, description="what its data sheet says; a run needs it, only records of older versions have none"
+        None, description="what its data sheet says; a run needs it, only recordings of older versions lack it"
     )
     limits: TravelLimits = Field(description="where the shaft may be, and how fast")
     breakaway: BreakawaySection = Field(BreakawaySection(), description="the check before any relay")

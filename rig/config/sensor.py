@@ -1,4 +1,4 @@
-"""What the sensor of a config can tell: its range between the rails, and the size of a count."""
+"""The sensor of a config: its range between the rails, and the size of a count."""
 
 from __future__ import annotations
 

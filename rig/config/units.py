@@ -1,4 +1,4 @@
-"""Units, as keys carry them in their last part, and the mix-ups that people make."""
+"""Units at the end of keys, and the units that people write by mistake."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def stem_of(key: str) -> str:
 
 
 def converted(value: object, written: str, wanted: str) -> str:
-    """A value under the key ``written`` in the unit of the key ``wanted``: "10 ms is 0.01"; "" if that is unknown."""
+    """A value of the key ``written``, converted to the unit of the key ``wanted``: "10 ms is 0.01"; "" if unknown."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return ""
     for ending, (ours, factor) in _FOREIGN.items():

@@ -1,8 +1,8 @@
 """YAML with the scalars of YAML 1.2's core schema, and the place of everything in the file.
 
-PyYAML reads YAML 1.1, where ``1e-3`` is text, ``on`` is true, ``010`` is 8 and of two equal keys the last one
-wins without a word. Here ``1e-3`` and ``010`` are numbers, ``on`` is text, and equal keys are refused. So are
-anchors, aliases, merge keys and tags: an experiment is read by people, and says each number where it is used.
+PyYAML reads YAML 1.1: ``1e-3`` is text, ``on`` is true, ``010`` is 8, and the last of two equal keys wins. Here
+``1e-3`` and ``010`` are numbers, ``on`` is text, and equal keys are an error. Anchors, aliases, merge keys and tags are
+errors too: people read an experiment, so each number stands where it is used.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _HINTS = [  # part of PyYAML's message -> what people have usually done; whether
 
 
 class _Loader(yaml.SafeLoader):
-    """Composes nodes; refuses what an experiment has no use for."""
+    """Composes nodes; refuses YAML features that an experiment does not need."""
 
     yaml_implicit_resolvers = {None: _CORE_SCHEMA}  # noqa: RUF012 (PyYAML's own attribute)
 
@@ -149,7 +149,7 @@ def _compose(text: str, file: str) -> yaml.Node | None:
 
 
 def _syntax(error: yaml.MarkedYAMLError, file: str) -> Problem:
-    """PyYAML's complaint, in this project's words."""
+    """PyYAML's error, rewritten for people."""
     text = error.problem or error.context or "cannot be read"
     message, hint, mark = f"not valid YAML: {printable(text)}", "", error.problem_mark
     if type(error) is yaml.MarkedYAMLError:  # one of ours

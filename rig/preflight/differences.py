@@ -31,37 +31,37 @@ def differences(e: Experiment) -> Iterator[str]:
 
 
 def _bridge(e: Experiment) -> Iterator[str]:
-    told, believed = e.emulated, e.drive
-    if told is None or told.supply_V is None or told.bridge_drop_V is None:
+    emulated, drive = e.emulated, e.drive
+    if emulated is None or emulated.supply_V is None or emulated.bridge_drop_V is None:
         return
-    full_V, believed_V = told.supply_V - told.bridge_drop_V, believed.supply_V - believed.bridge_drop_V
-    if not isclose(full_V, believed_V, rel_tol=_SLACK):
-        yield f"the emulated bridge gives {full_V:g} V, by the config it gives {believed_V:g} V: {_SCALED}"
-    if told.dead_band_duty != believed.dead_band_duty:
+    full_V, config_V = emulated.supply_V - emulated.bridge_drop_V, drive.supply_V - drive.bridge_drop_V
+    if not isclose(full_V, config_V, rel_tol=_SLACK):
+        yield f"the emulated bridge gives {full_V:g} V, by the config it gives {config_V:g} V: {_SCALED}"
+    if emulated.dead_band_duty != drive.dead_band_duty:
         yield (
-            f"the emulated bridge passes nothing below {_shares(told.dead_band_duty)}, drive.dead_band_duty says "
-            f"{_shares(believed.dead_band_duty)}: the true drive differs from the recorded one, and {_SCALED}"
+            f"the emulated bridge passes nothing below {_shares(emulated.dead_band_duty)}, drive.dead_band_duty says "
+            f"{_shares(drive.dead_band_duty)}: the true drive differs from the recorded one, and {_SCALED}"
         )
-    if told.reversed != believed.reversed:
+    if emulated.reversed != drive.reversed:
         yield "the emulated bridge turns the shaft the opposite way to drive.reversed"
 
 
 def _sensor(e: Experiment) -> Iterator[str]:
     if e.emulated is None:
         return
-    told, (rad_per_count, centre_counts) = e.emulated.potentiometer, e.sensor.straight
-    if told.rad_per_count is None or told.centre_counts is None:
+    true, (rad_per_count, centre_counts) = e.emulated.potentiometer, e.sensor.straight
+    if true.rad_per_count is None or true.centre_counts is None:
         return
-    if not isclose(told.rad_per_count, rad_per_count, rel_tol=_SLACK):
+    if not isclose(true.rad_per_count, rad_per_count, rel_tol=_SLACK):
         yield (
-            f"one count of the emulated potentiometer is {told.rad_per_count:.6g} rad, sensor.calibration says "
-            f"{rad_per_count:.6g} rad: every position and K will come out {rad_per_count / told.rad_per_count:.4g} "
+            f"one count of the emulated potentiometer is {true.rad_per_count:.6g} rad, sensor.calibration says "
+            f"{rad_per_count:.6g} rad: every position and K will come out {rad_per_count / true.rad_per_count:.4g} "
             "times the true one"
         )
-    if not isclose(told.centre_counts, centre_counts, rel_tol=_SLACK):
+    if not isclose(true.centre_counts, centre_counts, rel_tol=_SLACK):
         yield (
-            f"the emulated potentiometer reads {told.centre_counts:g} counts at position 0, sensor.calibration says "
-            f"{centre_counts:g}: every position is off by {abs(told.centre_counts - centre_counts):.3g} counts"
+            f"the emulated potentiometer reads {true.centre_counts:g} counts at position 0, sensor.calibration says "
+            f"{centre_counts:g}: every position is off by {abs(true.centre_counts - centre_counts):.3g} counts"
         )
     bent_counts = max(abs(centre_counts + point.rad / rad_per_count - point.counts) for point in e.sensor.calibration)
     if bent_counts > _BENT_COUNTS:
@@ -70,9 +70,9 @@ def _sensor(e: Experiment) -> Iterator[str]:
             "potentiometer is straight: K will come out too large where the table is too steep, too small where it is "
             "too flat"
         )
-    if told.counts_max != e.sensor.counts_max:
+    if true.counts_max != e.sensor.counts_max:
         yield (
-            f"the emulated potentiometer reads 0 to {told.counts_max} counts, sensor.counts_max is "
+            f"the emulated potentiometer reads 0 to {true.counts_max} counts, sensor.counts_max is "
             f"{e.sensor.counts_max}: describe it in emulated.potentiometer"
         )
 

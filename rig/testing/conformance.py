@@ -1,11 +1,11 @@
-"""Does a driver keep what ``rig.backends.driver.Driver`` promises? A test suite for drivers, on the bench of a config.
+"""A test suite for drivers: does a driver keep the promises of ``rig.backends.driver.Driver``?
 
-One line in a test file of your own, and pytest does the rest:
+Put one line in a test file of your own; pytest does the rest:
 
     TestCard = rig.testing.conformance.suite("card.yaml")
 
-What moves: drives of at most ``drive_V`` either way, for a tick or two at a time, with the shaft inside its soft limits
-at the start of each; and with ``silence`` one drive of ``drive_V`` for one and a half times the watchdog's time.
+The shaft moves: the tests drive at most ``drive_V`` either way, for a tick or two at a time, and start inside the soft
+limits. With ``silence`` they also drive ``drive_V`` once, for one and a half times the watchdog's time.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from rig.faults import Fault
 from rig.preflight import check
 from rig.signals import Limits, Sample
 
-TEST_SHARE = 0.1  # of drive.max_V: what is driven unless told otherwise
+TEST_SHARE = 0.1  # of drive.max_V: the default of drive_V
 _TICKS = 40
-_TIME_TOLERANCE = 0.1  # of the period: what a fitted device clock may be off
+_TIME_TOLERANCE = 0.1  # of the period: largest error of a fitted device clock
 _SAME_DRIVE_V = 1e-9  # less than a step of any converter
 _SILENCE = 1.5  # times the watchdog's time
 
@@ -47,10 +47,10 @@ def suite(
 ) -> type[Suite]:
     """A class of tests for the driver of a config; give it a name that begins with ``Test``.
 
-    config_path  beside the file that calls this, unless absolute
-    drive_V       largest drive of the tests, V; default a tenth of drive.max_V
-    silence      also test the device's failsafe: leave a drive on and say nothing. The shaft may turn for that time
-    cut          breaks the link of an open driver (pulls a plug, ends a process): also test what it does then
+    config_path  absolute, or relative to the calling file
+    drive_V      largest drive of the tests, V; default a tenth of drive.max_V
+    silence      also test the device's failsafe: leave a drive on and send nothing. The shaft may turn for that time
+    cut          breaks the link of an open driver (pulls a plug, ends a process), to test what the driver does then
     Raises ConfigError where the config cannot be loaded.
     """
     path = Path(sys._getframe(1).f_globals.get("__file__", "")).parent / config_path
@@ -72,7 +72,7 @@ def suite(
 
 
 class Tick(NamedTuple):
-    """One tick: the reading, the clock before and after it, and what was written then."""
+    """One tick: the clock before the reading, the reading, the clock after it, and the drive written then."""
 
     from_s: float
     sample: Sample
@@ -86,7 +86,7 @@ class Tick(NamedTuple):
 
 
 class Suite:
-    """The tests. One open device serves all of them; a test that closes it has the next one open it anew."""
+    """The tests. All share one open device; after a test that closes it, the next test opens it again."""
 
     config_path: ClassVar[Path]
     experiment: ClassVar[config.Experiment]
@@ -100,7 +100,7 @@ class Suite:
     # ------------------------------------------------------------------ what pytest calls
 
     def setup_method(self) -> None:
-        """Have an open device, stopped."""
+        """Open the device if it is not open, and stop it."""
         if type(self)._device is None:
             self._open()
         self.driver.safe_stop()
@@ -108,7 +108,7 @@ class Suite:
     def teardown_method(self) -> None:
         """Stop the device, whatever happened."""
         if type(self)._device is not None:
-            with suppress(Exception):  # what a broken driver does here, a test of its own says
+            with suppress(Exception):  # another test reports a broken driver
                 self.driver.safe_stop()
 
     @classmethod
@@ -119,7 +119,7 @@ class Suite:
     # ------------------------------------------------------------------ the tests
 
     def test_it_says_what_it_is(self) -> None:
-        """``open`` returns a DeviceInfo, and the driver has words for what is behind it."""
+        """``open`` returns a DeviceInfo, and ``backend`` says in words what is behind the driver."""
         info = self._info
         require(isinstance(info, DeviceInfo), f"open() must return a DeviceInfo, not {info!r}")
         for name in ("build", "board", "reset_cause"):
@@ -130,7 +130,7 @@ class Suite:
         require(isinstance(backend, str) and backend != "", f"backend must say what is there, not {backend!r}")
 
     def test_a_reading_is_complete_before_anything_was_armed(self) -> None:
-        """``read`` needs no arming; no drive, no time of a drive; the position is that of the raw reading."""
+        """``read`` works unarmed: no drive, no time of a drive, and a position that fits the raw reading."""
         if self._driven:
             self._open()
         sample = self.driver.read()
@@ -169,7 +169,7 @@ class Suite:
             raise AssertionError(f"arm() took {words}: {limits}")
 
     def test_times_are_in_its_clock_and_rise(self) -> None:
-        """``t_s`` rises, and lies within the call that sampled, in the clock that the driver has or time.monotonic."""
+        """``t_s`` rises and lies within its ``read``, in the driver's own clock or time.monotonic."""
         period_s = self.experiment.period_s
         ticks = self._run(self._to_and_fro(_TICKS))
         for before, tick in pairwise(ticks):
@@ -184,44 +184,48 @@ class Suite:
             )
 
     def test_the_drive_takes_effect_after_its_write_and_in_its_order(self) -> None:
-        """``t_u_s`` lies between the ``write`` and the reading that tells: before that if ``order`` is sample_first."""
+        """``t_u_s`` lies between ``write`` and the next reading; before that ``read`` if ``order`` is sample_first."""
         tolerance_s = _TIME_TOLERANCE * self.experiment.period_s
         order = self.driver.order
-        for tick, telling in self._with_outcomes(self._to_and_fro(8)):
-            t_u_s = telling.sample.t_u_s
+        for tick, following in self._with_outcomes(self._to_and_fro(8)):
+            t_u_s = following.sample.t_u_s
             require(
-                tick.write_s - tolerance_s <= t_u_s <= telling.to_s + tolerance_s,
-                f"t_u_s is {t_u_s!r} s, but write() was called at {tick.write_s!r} s and told of by {telling.to_s!r} s",
+                tick.write_s - tolerance_s <= t_u_s <= following.to_s + tolerance_s,
+                f"t_u_s is {t_u_s!r} s, but write() was called at {tick.write_s!r} s, reported by {following.to_s!r} s",
             )
-            in_write = t_u_s < telling.from_s - tolerance_s
-            in_read = not in_write and t_u_s <= telling.sample.t_s + tolerance_s
+            in_write = t_u_s < following.from_s - tolerance_s
+            in_read = not in_write and t_u_s <= following.sample.t_s + tolerance_s
             require(
                 in_write if order == "sample_first" else in_read,
                 f"order is {order}, but the drive of write() at {tick.write_s!r} s acts from {t_u_s!r} s; the next "
-                f"read() was called at {telling.from_s!r} s and sampled at {telling.sample.t_s!r} s",
+                f"read() was called at {following.from_s!r} s and sampled at {following.sample.t_s!r} s",
             )
 
     def test_the_drive_that_acts_is_reported(self) -> None:
         """``u_V`` of the reading after a ``write`` is that drive, sign included, and 0 V is 0 V."""
         u = self.drive_V
-        for tick, telling in self._with_outcomes([u, -u, 0.5 * u, 0.0, -0.5 * u, u, 0.0]):
-            told_V = telling.sample.u_V
-            near = told_V == 0.0 if tick.u_V == 0.0 else abs(told_V - tick.u_V) <= 0.05 * u + 0.5 * self._step_V(tick)
-            require(near, f"{tick.u_V:+.4f} V was written, and the next reading tells of {told_V:+.4f} V")
+        for tick, following in self._with_outcomes([u, -u, 0.5 * u, 0.0, -0.5 * u, u, 0.0]):
+            reported_V = following.sample.u_V
+            near = (
+                reported_V == 0.0
+                if tick.u_V == 0.0
+                else abs(reported_V - tick.u_V) <= 0.05 * u + 0.5 * self._step_V(tick)
+            )
+            require(near, f"write({tick.u_V:+.4f}) was called, and the next reading reports {reported_V:+.4f} V")
 
     def test_the_drive_is_reported_as_quantised(self) -> None:
-        """``u_V`` is what the converter made of it: two drives a nanovolt apart are one, of whole ``drive_units``."""
+        """``u_V`` is the quantised drive: two drives a nanovolt apart give one, a whole number of ``drive_units``."""
         u = self.drive_V
         asked = [value for share in (0.91, 0.83, 0.77) for value in (share * u, share * u + _SAME_DRIVE_V)]
-        told = [telling.sample.u_V for _, telling in self._with_outcomes(asked)]
-        same = sum(a == b for a, b in zip(told[::2], told[1::2], strict=True))
-        require(same >= 2, f"u_V echoes what was asked instead of what the device makes of it: {told}")
+        reported = [following.sample.u_V for _, following in self._with_outcomes(asked)]
+        same = sum(a == b for a, b in zip(reported[::2], reported[1::2], strict=True))
+        require(same >= 2, f"u_V repeats the written drive instead of the quantised one: {reported}")
         if self._info.drive_units is not None:
             steps = replace(self.experiment.drive.map, full_units=self._info.drive_units)
-            for told_V in told:
+            for reported_V in reported:
                 require(
-                    abs(steps.quantised(told_V) - told_V) <= 1e-6 * steps.full_V,
-                    f"u_V {told_V!r} V is no whole number of the {self._info.drive_units} units that open() told of",
+                    abs(steps.quantised(reported_V) - reported_V) <= 1e-6 * steps.full_V,
+                    f"u_V {reported_V!r} V is no whole number of the {self._info.drive_units} drive_units of open()",
                 )
 
     def test_it_refuses_drives_beyond_its_range(self) -> None:
@@ -241,32 +245,32 @@ class Suite:
             require(tick.sample.u_V == 0.0, f"a refused write left {tick.sample.u_V} V")
 
     def test_it_drives_no_more_than_it_was_armed_for(self) -> None:
-        """Beyond ``max_u_V`` the device refuses, at once or in the next reading; once opened anew it can be armed."""
+        """Beyond ``max_u_V`` the device refuses, at once or in the next reading. Opened again, it can be armed."""
         u = self.drive_V
         with self._armed(max_u_V=0.5 * u):
-            told_V = self._try_to_drive(u)
-        require(abs(told_V) <= 0.5 * u + 0.05 * u, f"armed for {0.5 * u:.3f} V, it drives {told_V:+.3f} V")
-        self._open()  # what the device has latched is for the next command to clear
+            reported_V = self._try_to_drive(u)
+        require(abs(reported_V) <= 0.5 * u + 0.05 * u, f"armed for {0.5 * u:.3f} V, it drives {reported_V:+.3f} V")
+        self._open()  # opening clears what the device has latched
         self._run([u, 0.0])
 
     def test_safe_stop_sets_zero(self) -> None:
-        """``safe_stop`` ends a drive, says so, and it stays ended."""
+        """``safe_stop`` ends a drive and returns True, and the drive stays at 0."""
         with self._armed():
             self._ticks([self.drive_V, self.drive_V])
             confirmed = self.driver.safe_stop()
             require(confirmed is True, f"safe_stop() of a working device must return True, not {confirmed!r}")
             for _ in range(3):
                 self._wait(self.experiment.period_s)
-                told_V = self.driver.read().u_V
-                require(told_V == 0.0, f"drives {told_V:+.4f} V after safe_stop()")
+                reported_V = self.driver.read().u_V
+                require(reported_V == 0.0, f"drives {reported_V:+.4f} V after safe_stop()")
 
     def test_safe_stop_disarms(self) -> None:
         """After ``safe_stop`` nothing drives until ``arm``; then it does again."""
         with self._armed():
             self._ticks([self.drive_V])
         self._expect_no_drive("after safe_stop()")
-        told_V = [telling.sample.u_V for _, telling in self._with_outcomes([self.drive_V])]
-        require(told_V[0] > 0.0, "does not drive when it is armed again")
+        reported_V = [following.sample.u_V for _, following in self._with_outcomes([self.drive_V])]
+        require(reported_V[0] > 0.0, "does not drive when it is armed again")
 
     def test_it_holds_the_period(self) -> None:
         """``read`` and ``write`` together leave a fifth of the period, in the median."""
@@ -314,7 +318,7 @@ class Suite:
             require(count >= before.get(name, 0), f"link_statistics {name!r} fell from {before.get(name)} to {count}")
 
     def test_safe_stop_and_close_before_open(self) -> None:
-        """``safe_stop`` never raises, nor does ``close``: what went wrong before ``open`` ends in them, too."""
+        """``safe_stop`` and ``close`` never raise, not even before ``open``."""
         self._close()
         with unopened(self.experiment) as bench:
             stopped = bench.driver.safe_stop()
@@ -328,7 +332,7 @@ class Suite:
             driver.close()
 
     def test_safe_stop_after_close_does_not_raise(self) -> None:
-        """A link that is gone: ``safe_stop`` returns, and does not raise."""
+        """On a closed link ``safe_stop`` returns, and does not raise."""
         with self._given_up() as driver:
             driver.close()
             stopped = driver.safe_stop()
@@ -343,12 +347,12 @@ class Suite:
 
     @property
     def clock(self) -> Clock:
-        """The clock that it lives in."""
+        """The driver's clock."""
         return self._bench.clock
 
     @classmethod
     def _open(cls) -> None:
-        """Open the device, anew where it is open."""
+        """Open the device; if it is open, close it first."""
         cls._close()
         check(cls.config_path)
         with ExitStack() as device:
@@ -370,7 +374,7 @@ class Suite:
     @classmethod
     @contextmanager
     def _given_up(cls) -> Iterator[Driver]:
-        """The open driver, for a block that closes it; the next test opens another, however the block ends."""
+        """The open driver, for a block that closes it. The next test opens another, however the block ends."""
         device, cls._device = cls._device, None
         with device or ExitStack():
             yield cls._bench.driver
@@ -395,7 +399,7 @@ class Suite:
             self.clock.sleep_until(due_s)
 
     def _exchange(self, u_V: float) -> Tick:
-        """One tick, as the loop has it."""
+        """One tick, as the loop does it."""
         type(self)._driven = True
         from_s = self.clock.now_s()
         sample = self.driver.read()
@@ -416,39 +420,39 @@ class Suite:
             return self._ticks(drives)
 
     def _with_outcomes(self, drives: Sequence[float]) -> list[tuple[Tick, Tick]]:
-        """Each drive's tick, with the tick whose reading tells what came of it."""
+        """Each drive's tick, with the tick whose reading reports its effect."""
         return list(pairwise(self._run([*drives, 0.0])))
 
     def _to_and_fro(self, number: int) -> list[float]:
         return [self.drive_V * (-1.0) ** k for k in range(number)]
 
     def _step_V(self, tick: Tick) -> float:
-        """A step of the coarsest drive to expect, 8 bits and a sign, V."""
+        """Step of the coarsest expected drive, 8 bits and a sign, V."""
         return self.experiment.drive.map.full_V / 255.0 if tick.u_V else 0.0
 
     def _try_to_drive(self, u_V: float) -> float:
-        """Drive that comes of a ``write`` that should be refused, V; 0 where a Fault or ValueError came instead."""
-        told_V = 0.0
+        """Drive after a ``write`` that should be refused, V; 0 where it raised Fault or ValueError."""
+        reported_V = 0.0
         try:
             self._exchange(u_V)
             for _ in range(2):
                 self._wait(self.experiment.period_s)
-                told_V = self.driver.read().u_V
+                reported_V = self.driver.read().u_V
         except (Fault, ValueError):
             return 0.0
-        return told_V
+        return reported_V
 
     def _expect_no_drive(self, when: str) -> None:
-        told_V = self._try_to_drive(self.drive_V)
+        reported_V = self._try_to_drive(self.drive_V)
         self.driver.safe_stop()
-        require(told_V == 0.0, f"write({self.drive_V:g}) {when} drives {told_V:+.4f} V")
+        require(reported_V == 0.0, f"write({self.drive_V:g}) {when} drives {reported_V:+.4f} V")
 
 
 class _Constructed(Suite):
-    """Of drivers from other packages."""
+    """Test of drivers from other packages."""
 
     def test_constructing_touches_no_device(self) -> None:
-        """Another driver is constructed, as by `rig check`, while this one drives: nothing changes."""
+        """Constructing another driver, as `rig check` does, changes nothing while this one drives."""
         with self._armed():
             self._ticks([self.drive_V])
             registry.construct(self.experiment.daq.driver, driver_settings_of(self.experiment))
@@ -457,10 +461,10 @@ class _Constructed(Suite):
 
 
 class _Silenced(Suite):
-    """Of a device with a failsafe, with leave to let it drive for that long."""
+    """Test of a device with a failsafe; it drives until that acts."""
 
     def test_silence_sets_zero_and_latches(self) -> None:
-        """Longer silent than ``failsafe`` says: the drive is 0 and stays so whatever is written, until opened anew."""
+        """After a silence longer than ``failsafe`` the drive is 0, and stays so until the device is opened again."""
         with self._armed():
             failsafe = self.driver.failsafe
             if failsafe is None:
@@ -468,20 +472,21 @@ class _Silenced(Suite):
             self._ticks([self.drive_V, self.drive_V])
             self._wait(_SILENCE * failsafe.time_s + self.experiment.period_s)
             try:
-                told_V = self.driver.read().u_V
+                reported_V = self.driver.read().u_V
             except Fault:
-                told_V = 0.0
+                reported_V = 0.0
             require(
-                told_V == 0.0, f"silent for {_SILENCE:g} times its {failsafe.time_s:g} s, it drives {told_V:+.4f} V"
+                reported_V == 0.0,
+                f"silent for {_SILENCE:g} times its {failsafe.time_s:g} s, it drives {reported_V:+.4f} V",
             )
-            told_V = self._try_to_drive(self.drive_V)
-            require(told_V == 0.0, f"after its failsafe it drives {told_V:+.4f} V again without being armed")
+            reported_V = self._try_to_drive(self.drive_V)
+            require(reported_V == 0.0, f"after its failsafe it drives {reported_V:+.4f} V again without being armed")
         self._open()
         self._run([self.drive_V, 0.0])
 
 
 class _Cut(Suite):
-    """Of a driver whose link may be broken."""
+    """Test of a driver whose link ``cut`` breaks."""
 
     def test_a_dead_link_is_a_fault_and_safe_stop_does_not_raise(self) -> None:
         """The link breaks: ``read`` raises Fault within a few ticks, ``safe_stop`` returns False, ``close`` works."""
@@ -501,6 +506,6 @@ class _Cut(Suite):
 
 
 def require(holds: bool, words: str) -> None:
-    """Raise AssertionError with ``words`` unless something holds; by itself, since ``assert`` may be switched off."""
+    """Raise AssertionError with ``words`` unless ``holds``. Not ``assert``: that can be switched off."""
     if not holds:
         raise AssertionError(words)

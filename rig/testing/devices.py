@@ -1,6 +1,7 @@
-"""Emulated devices in virtual time, each a ``Transport`` and a ``Clock`` in one, and what may go wrong with them.
+"""Emulated devices in virtual time, each a ``Transport`` and a ``Clock`` in one, and their faults.
 
-The firmware compiled for this machine, the Uno's on its emulated chip, a Modbus I/O block on RTU or TCP.
+The devices: the firmware compiled for this machine, the Uno's firmware on its emulated chip, and a Modbus I/O block on
+RTU or TCP.
 """
 
 from rig.backends.emulated.bench import bench_parameters

@@ -259,7 +259,7 @@ def test_what_takes_longer_than_ever_is_said(tmp_path: Path) -> None:
 def test_a_record_that_is_another_is_found() -> None:
     row = next(row for row in ROWS if row.name == "replies late")
     found = measure(replace(row, same=True), BOARD, 0.5)
-    assert "the record is another" in found.trouble
+    assert "the recording differs" in found.trouble
 
 
 def test_what_is_needed_of_the_wire_is_read_off_it() -> None:

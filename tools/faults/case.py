@@ -54,17 +54,17 @@ START_RAD = 0.5  # farthest from the centre that a run starts at where there is 
 
 @dataclass(frozen=True)
 class Found:
-    """What came of a case.
+    """The result of a case.
 
-    off_s      from the fault until the drive was at 0 for good, or was the host's again where the run goes on
-    bound_s    that it must be within
-    beyond_rad farthest of the shaft beyond a hard limit
-    code       of the fault that the run shows; empty: none
+    off_s      from the fault until the drive is at 0 for good, or is the host's again if the run goes on
+    bound_s    longest allowed ``off_s``
+    beyond_rad farthest position of the shaft beyond a hard limit
+    code       fault code of the run; empty: none
     status     exit status
-    stage      that it went wrong in
-    lost       samples that the device has told of and the record has not
-    restart    what the next run does, in words; empty where it was not tried
-    trouble    what should not be; empty where all is well
+    stage      stage of the fault
+    lost       samples that the device has sent and the recording lacks
+    restart    what the next run does, in words; empty if not tried
+    trouble    what should not have happened; empty if all is well
     """
 
     row: str
@@ -91,7 +91,7 @@ class Found:
 
 @dataclass
 class Run:
-    """A finished run: how it ended, and its record; the folder is None where there was none."""
+    """A finished run: how it ended, and its recording; the folder is None where there was none."""
 
     status: int
     output: str
@@ -107,17 +107,17 @@ class Run:
 
     @property
     def stages(self) -> list[str]:
-        """That it came to."""
+        """The stages that it reached."""
         return [str(event["name"]) for event in self.events if event["kind"] == "stage"]
 
 
 @dataclass(frozen=True)
 class Undisturbed:
-    """The run in which nothing goes wrong.
+    """The run without a fault.
 
     windows  device time at which each stage begins, and ends, s; the cycle is the one after FIRST_CYCLE
-    rows     of its record
-    identification   of it, where the run has a pause for that
+    rows     rows of its samples.csv
+    identification   its result, where the run has a pause for that
     """
 
     windows: Mapping[str, tuple[float, float]]
@@ -129,9 +129,10 @@ class Undisturbed:
 def patched(
     injector: FaultInjector, backend: Backend, known: Identification | None = None
 ) -> Iterator[list[Identification]]:
-    """Rig connects to the injector instead of a new device; no figures are drawn; no time depends on this machine.
+    """Rig connects to the injector instead of a new device; draws no figures; no time depends on this machine.
 
-    known  what the pause would identify: it is what came before the fault. Gives what was identified
+    known  result of the identification in the pause: it depends only on what came before the fault
+    Yields the list of identifications made.
     """
     identified: list[Identification] = []
 
@@ -377,7 +378,7 @@ def _trouble(found: Found, row: Row, backend: Backend, stage: Stage, run: Run) -
     if row.early and any(kind_of(name) is StageKind.RELAY for name in run.stages):
         yield "a relay ran"
     if row.same and _decided(run.rows) != _decided(undisturbed(backend, stage.course).rows):
-        yield "the record is another"
+        yield "the recording differs"
     if found.lost > row.may_lose:
         yield f"{found.lost} samples lost"
     if "Traceback" in run.output or any(e["kind"] == "traceback" for e in run.events):
@@ -389,26 +390,26 @@ def _trouble(found: Found, row: Row, backend: Backend, stage: Stage, run: Run) -
 
 
 def _unidentified(run: Run) -> Iterator[str]:
-    """What keeps a record from being identified that holds a whole relay test."""
+    """Why a recording with a whole relay test cannot be identified."""
     if run.folder is None:
-        yield "no record"
+        yield "no recording"
         return
     try:
         estimate = identify([read_run(run.folder)]).estimates["sampled-data"]
     except (IdentifyError, RecordingError) as error:
-        yield f"the record cannot be identified: {error.cause}"
+        yield f"the recording cannot be identified: {error.cause}"
     else:
         if estimate.verdict == "refused":
-            yield f"the record is refused: {'; '.join(estimate.reasons)}"
+            yield f"the recording is refused: {'; '.join(estimate.reasons)}"
 
 
 def _decided(rows: list[dict[str, str]]) -> list[tuple[str, ...]]:
-    """Of a record, what does not depend on how fast this machine is."""
+    """The part of a recording that does not depend on the speed of this machine."""
     return [tuple(row[name] for name in ("tick", "seq", "t_s", "t_u_s", "y_counts", "u_V", "stage")) for row in rows]
 
 
 def recorded_keys(rows: list[dict[str, str]]) -> set[tuple[int, int]]:
-    """Key of each sample in a record, and its row in a block of the relay in the device, else ASKED."""
+    """Key of each recorded sample, and its row in a block of the relay in the device, else ASKED."""
     in_block: Counter[int] = Counter()
     keys = set()
     for row in rows:
@@ -419,11 +420,11 @@ def recorded_keys(rows: list[dict[str, str]]) -> set[tuple[int, int]]:
 
 
 def missing(injector: FaultInjector, run: Run) -> list[int]:
-    """Keys of samples that the device has told of, in time, and that the record has not.
+    """Keys of samples that the device has sent in time, and that the recording lacks.
 
-    The one that ended the run is in the record, too, where the fault's event has its counts, or its reply. The last
-    exchange before a stop without a fault is none: it only asks what came of the last drive; so does that before a
-    relay in the device.
+    The sample that ended the run counts as recorded if the fault's event has its counts, or its reply. Not counted:
+    the last exchange before a stop without a fault, or before a relay in the device. It only asks for the effect of the
+    last drive.
     """
     recorded = recorded_keys(run.rows)
     detail = "" if run.fault is None else str(run.fault["detail"])

@@ -1,4 +1,4 @@
-"""What may happen to the host: to its process, its disk, its clock, its files."""
+"""Faults of the host: of its process, its disk, its clock, its files."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ _CLOSE_V = 0.02  # drives that differ by less are the same, but for rounding
 
 
 class Truth(Protocol):
-    """What is really the case."""
+    """The true state of the device and the bench."""
 
     @property
     def t_s(self) -> float: ...  # noqa: D102
@@ -37,13 +37,13 @@ class Truth(Protocol):
 
 
 class FaultInjector:
-    """Port and clock for the host, as the device itself is. The fault comes at ``fault_s`` of the device's time.
+    """Port and clock for the host, in place of the device. The fault comes at ``fault_s`` of the device's time.
 
-    device    in virtual time: port, clock, ``truth``
-    language  of its wire
-    hard_rad  limits that the shaft should stay within
-    timeout_s of a reply: what comes later is none
-    folder    with the config and the runs
+    device     in virtual time: port, clock, ``truth``
+    language   its wire format
+    hard_rad   limits that the shaft should stay within
+    timeout_s  of a reply: a later one does not count
+    folder     with the config and the runs
     """
 
     absolute = True
@@ -67,18 +67,18 @@ class FaultInjector:
         self.after_death: Callable[[], None] | None = None  # what a killed host leaves to do
         self.spare_s = 0.0  # of the time-out, beside the exchange
         self.to_undo: list[Callable[[], None]] = []
-        self.written: Callable[[], None] = lambda: None  # waits until the recorder has written what it was told
+        self.written: Callable[[], None] = lambda: None  # waits until the recorder has written everything
         self.push: Callable[[], None] | None = None  # on the shaft, from the fault on
         self.fault_s = math.inf
         self.is_watched = False
         self.readings: list[Reading] = []
-        self.closing: set[int] = set()  # keys of readings after which the host said stop
+        self.closing: set[int] = set()  # keys of readings after which the host sent a stop
         self.closed: set[int] = set()  # of these, those after which the run went on
         self.moments: list[tuple[str, float]] = []  # stages and stops of the run, and requests "to stop", "to arm"
-        self.handing_over: set[int] = set()  # and after which it let the device's relay drive
+        self.handing_over: set[int] = set()  # keys of readings after which it let the device's relay drive
         self.beyond_rad = 0.0
-        self.astray_s = 0.0  # longest time in which the drive was not what the host had said
-        self.stale_s = 0.0  # longest time between two words of the host that reached the device, of a drive but 0
+        self.astray_s = 0.0  # longest time in which the drive was not the one that the host commanded
+        self.stale_s = 0.0  # longest time between two commands that reached the device, with a drive other than 0
         self.first_drive_s = math.nan  # of a run, at the pin
         self.driven_s = math.nan  # first instant from the fault on at which there was a drive at the pin
         self.read_at: list[tuple[int, float]] = []  # key and time of each question
@@ -93,17 +93,17 @@ class FaultInjector:
         self._said_V = 0.0  # nan: the device chooses
         self._said_s = math.nan
         self._is_disarmed = True
-        self._since_s = math.nan  # that the drive is not what the host said
+        self._since_s = math.nan  # since then the drive is not the one that the host commanded
         self._is_interrupted = False
 
-    # ------------------------------------------------------------------ what is done
+    # ------------------------------------------------------------------ faults
 
     def schedule(self, fault_s: float, act: Callable[[FaultInjector], None]) -> None:
         """Let ``act`` happen at ``fault_s``."""
         self.fault_s, self._act = fault_s, act
 
     def forget(self) -> None:
-        """A new run begins: what was seen so far is another's."""
+        """Forget what was seen so far: a new run begins."""
         self.readings, self.closing, self.closed, self.handing_over, self.read_at = [], set(), set(), set(), []
         self.first_drive_s = math.nan
         self._held.clear()
@@ -113,25 +113,25 @@ class FaultInjector:
         self._later = self.now_s() + in_s, act
 
     def happens_now(self) -> None:
-        """What counts as the fault begins only now."""
+        """The fault begins only now."""
         self.fault_s = self.now_s()
 
     def comes_to(self, moment: str) -> None:
-        """The run begins a stage, or says that it has stopped the drive ("stop")."""
+        """The run begins a stage, or reports that it has stopped the drive ("stop")."""
         self.moments.append((moment, self.now_s()))
         if moment != "stop":
             self.closed |= self.closing
             self.closing = set()
 
     def cure(self) -> None:
-        """Wire, port, shaft and host are whole again."""
+        """Undo the faults of wire, port, shaft and host."""
         self.down = self.up = self.stall_s = self.push = None
         self.is_gone = False
         while self.to_undo:
             self.to_undo.pop()()
 
     def bring_home(self) -> None:
-        """Wiring and contacts are mended, and the shaft is turned to the centre."""
+        """Mend wiring and contacts, and put the shaft at the centre."""
         self.push = None
         self.device.rewire()
         for which in CONTACTS if hasattr(self.device, "contact") else ():
@@ -145,13 +145,13 @@ class FaultInjector:
         self._is_interrupted = True
 
     def freeze_host(self, for_s: float) -> None:
-        """The host does nothing for a while, as after SIGSTOP."""
+        """Let the host do nothing for a while, as after SIGSTOP."""
         self._pass(self.now_s() + for_s)
 
     def kill_host(self) -> None:
         """SIGKILL to this process; the device lives on in a copy of it."""
         if self.after_death is None:
-            raise RuntimeError("nobody is there to look after the device")
+            raise RuntimeError("after_death is not set: the device would have no host to watch it")
         if fork() == 0:
             self.after_death()
             os._exit(1)
@@ -178,7 +178,7 @@ class FaultInjector:
             self._look()
 
     def _step(self, now_s: float, until_s: float) -> float:
-        """The next instant to look at."""
+        """The next instant to check."""
         if now_s < self.fault_s and self._act is not None:
             return min(until_s, self.fault_s)
         return min(until_s, now_s + GRAIN_S) if self.is_watched else until_s
@@ -297,7 +297,7 @@ class FaultInjector:
         return b"".join(pieces)
 
     def _note(self, piece: bytes, now_s: float) -> None:
-        """Remember what reached the host intact: the sample that it asked for, in time, and what comes unasked."""
+        """Note the samples that reached the host intact: the one that it asked for, in time, and unasked ones."""
         for reading in self._language.readings(piece):
             if reading.row != ASKED:
                 self.readings.append(reading)

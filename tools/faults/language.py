@@ -1,4 +1,4 @@
-"""What goes over the wire, as far as the test stand has to understand it."""
+"""The wire formats, as far as fault injection has to understand them."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ ASKED = -1
 
 
 class Reading(NamedTuple):
-    """A sample that the device has told of.
+    """A sample that the device has sent.
 
-    key     that the record has in its column ``seq``
-    counts  of the sensor
-    reply   in which it came
-    row     of a block of the relay in the device, from 0; ASKED for the reply to a question
+    key     its number in the column ``seq`` of samples.csv
+    counts  reading of the sensor
+    reply   bytes that brought it
+    row     row within a block of the relay in the device, from 0; ASKED for the reply to a request
     """
 
     key: int
@@ -28,7 +28,7 @@ class Reading(NamedTuple):
 
 
 class Language(Protocol):
-    """Of one link. A request is what the host writes in one piece."""
+    """The wire format of one link. A request is what the host writes in one piece."""
 
     def replies(self, data: bytes) -> list[bytes]:
         """Whole replies, as they are completed by ``data``."""
@@ -103,7 +103,7 @@ class SerialLanguage:
         return packet is not None and packet.kind == Kind.RELAY
 
     def readings(self, reply: bytes) -> list[Reading]:
-        """STATE; BLOCK where it is the next one, until one is missing: what comes after that belongs to no record."""
+        """STATE; BLOCK if it is the next one. After a missing block, no further block is recorded."""
         packet = _packet(reply)
         if packet is not None and packet.kind == Kind.STATE:
             return [Reading(packet.seq, DeviceState.unpack(packet.body).counts, reply)]
@@ -134,7 +134,7 @@ class ModbusLanguage:
         self._looks = bytes((3, 0, 16, 0, self._reply_bytes // 2))
         self._was_armed = False
         self._confirms = False  # the next look is at whether it has stopped
-        self._is_poll = False  # the last request was a reading in a pause, which the record's numbers count, too
+        self._is_poll = False  # the last request was a reading in a pause, which the column seq counts too
         self._reads = bytes((3, 0, 16, 0, 4)) if separate else bytes((23,))
         self._pdu = _tcp_pdu if tcp else _rtu_pdu
         self._tcp = tcp

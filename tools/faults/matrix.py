@@ -22,11 +22,11 @@ _BY_NAME = {row.name: row for row in ROWS}
 
 
 def stages_of(row: Row, backend: Backend) -> tuple[Stage, ...]:
-    """Where a row is tried on a device.
+    """The stages in which a row is tried on a device.
 
-    In the relay cycle on each. In the other stages each on the board, and on other devices what is other there: the
-    chip's own inputs and resets, what a block without limits does not see; and on the I/O block all that may happen
-    while it is disarmed, or armed again, where it is asked otherwise than in a tick.
+    Every device: the relay cycle. The board: all stages. Other devices: also the stages in which they differ from the
+    board. These are the chip's own inputs and resets, what a block without limits does not see, and on the I/O block
+    all that may happen while it is disarmed or armed again, since its requests differ then from those of a tick.
     """
     if row.early:
         stages: tuple[Stage, ...] = (START,)
@@ -48,14 +48,14 @@ def _is_contact(row: Row) -> bool:
 
 
 def phases_of(backend: Backend, stage: Stage, phases: int = PHASES) -> int:
-    """How many of a stage are tried where the limit cycle has ``phases`` on the devices of ``PLAIN``."""
+    """Number of phases tried in a stage, where the limit cycle has ``phases`` on the devices of ``PLAIN``."""
     if stage not in (START, CYCLE):
         return stage.phases
     return phases if backend in PLAIN else max(round(OTHERS_SHARE * phases), 1)
 
 
 def phase_at(k: int, phases: int) -> float:
-    """The k-th of so many."""
+    """The k-th of so many phases, 0 to 1."""
     return (k + 0.5) / phases
 
 
@@ -89,9 +89,9 @@ def in_virtual_time(
 
 
 def in_real_time(phases: int) -> list[RealFound]:
-    """What may happen to the host's process and its link, at so many phases of the limit cycle.
+    """Faults of the host's process and its link, at so many phases of the limit cycle.
 
-    Two at a time, they mostly sleep; those that load the machine alone.
+    Two cases run at a time, since they mostly sleep. Cases that load the machine run alone.
     """
     cases = [
         (number, which, k, phases)
@@ -118,6 +118,6 @@ def _real(number: int, which: int, k: int, phases: int) -> RealFound:
 
 @lru_cache
 def _warm(key: str) -> None:
-    """What is loaded by now stays: collecting it before each arming takes 0.15 s for nothing."""
+    """Freeze what is loaded by now: to collect it before each arming would take 0.15 s for nothing."""
     undisturbed(_BY_KEY[key])
     gc.freeze()

@@ -1,4 +1,4 @@
-"""The recorder of a run in virtual time: its writer is a process in real time, which that time waits for."""
+"""The recorder of a run in virtual time. Its writer is a process in real time, and virtual time waits for it."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _MOMENT_S = 0.0005
 
 
 class PatientRecorder(Recorder):
-    """As ``Recorder``, but no call depends on how fast this machine is: what was published is written, or has failed.
+    """As ``Recorder``, but no call depends on this machine's speed: each waits until all is written, or has failed.
 
-    The injector is told of stages and stops as they come.
+    It reports stages and stops to the injector.
     """
 
     close_timeout_s = _WAIT_S
@@ -31,12 +31,12 @@ class PatientRecorder(Recorder):
         injector.written = self.await_writer
 
     def check(self) -> None:
-        """As that of ``Recorder``, of a writer that has come to everything."""
+        """As that of ``Recorder``, after the writer has written everything."""
         self.await_writer()
         super().check()
 
     def drain(self, timeout_s: float = _WAIT_S) -> None:
-        """As that of ``Recorder``, without haste."""
+        """As that of ``Recorder``, with a longer time-out."""
         super().drain(timeout_s)
 
     def event(self, t_s: float, kind: str, **fields: JsonScalar) -> None:
@@ -46,7 +46,7 @@ class PatientRecorder(Recorder):
             self._injector.comes_to(kind if kind == "stop" else str(fields["name"]))
 
     def await_writer(self) -> None:
-        """Until the writer has written each finished row and each event, or has ended, or has failed."""
+        """Wait until the writer has written each finished row and each event, or has ended, or has failed."""
         counters, deadline_s = self._counters, time.monotonic() + _WAIT_S
         while (
             counters[layout.STATE] == layout.READY

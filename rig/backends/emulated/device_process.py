@@ -32,12 +32,12 @@ def open_pty() -> tuple[int, str]:
 
 def signals() -> int:
     """File number from which a byte can be read after each signal."""
-    ends, told = os.pipe()
-    os.set_blocking(told, False)
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
         signal.signal(number, lambda number, frame: None)
-    signal.set_wakeup_fd(told)
-    return ends
+    signal.set_wakeup_fd(writer)
+    return reader
 
 
 @contextlib.contextmanager

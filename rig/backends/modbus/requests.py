@@ -74,12 +74,12 @@ def identification() -> Request:
 
 def identity_of(pdu: bytes) -> tuple[str, str, str]:
     """Vendor, product and revision from the reply to ``identification``, printable; empty where they are missing."""
-    told = ReadDeviceInformationResponse()
+    response = ReadDeviceInformationResponse()
     try:
-        told.decode(pdu[1:])
+        response.decode(pdu[1:])
     except (ValueError, IndexError, OverflowError):
         return "", "", ""
-    texts = (told.information.get(k, b"") for k in range(3))
+    texts = (response.information.get(k, b"") for k in range(3))
     vendor, product, revision = (
         plain(text.decode("ascii", "replace")) if isinstance(text, bytes) else "" for text in texts
     )

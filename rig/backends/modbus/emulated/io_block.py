@@ -1,11 +1,12 @@
 """An emulated Modbus I/O block: an analogue output and an input with the bench behind them, and its own safety rules.
 
-Pure: time is told, bytes are protocol data units (function code and data, without address and check sum). It follows
-the Modbus application protocol, V1.1b3; what a register means is in ``io_block_registers``.
+Pure: the caller gives the time; bytes are protocol data units (function code and data, without address and check sum).
+The block follows the Modbus application protocol, V1.1b3; ``io_block_registers`` says what each register means.
 
-Its safety rules are those of firmware/core/rig_core.c: nothing drives before it is armed with all its settings; silence
-of the host, the travel limits, the rails of the sensor, a drive beyond the largest set 0 V and latch until it is armed
-anew; armed outside the limits it takes inward drive only. They are checked each millisecond and at each reading.
+Its safety rules are those of firmware/core/rig_core.c. Nothing drives before the block is armed with all its settings.
+Four things set 0 V and latch until it is armed again: silence of the host, a position beyond the travel limits, a
+sensor at its rail, a drive beyond the largest. Armed outside the limits, it takes inward drive only. It checks the
+rules each millisecond and at each reading.
 """
 
 from __future__ import annotations
@@ -51,13 +52,14 @@ class ExecutedDrive(NamedTuple):
 
 
 class IoBlockTruth(NamedTuple):
-    """What is really the case, besides what the registers say.
+    """The true state of the block and of the bench.
 
     t_s            time, s
-    output_V       drive at the output; motor_V: what the wiring makes of it
+    output_V       drive at the output
+    motor_V        voltage that the wiring passes on to the motor
     y_rad, v_rad_per_s   of the measured shaft
-    armed
-    fault          code of the latched fault, or DEVICE_NOT_ARMED after a drive that was refused for it; None
+    armed          whether a drive is allowed
+    fault          code of the latched fault; DEVICE_NOT_ARMED after a drive refused for that; None: no fault
     recovering     +1 armed above the limits, -1 below, 0 neither
     """
 
@@ -82,18 +84,17 @@ class _Refused(Exception):
 class IoBlock:
     """The block, powered on and disarmed at time 0.
 
-    registers  what is at which address
-    bench      what is behind it: its output is the bench's pin, of the drive register's own resolution
+    registers  the register map
+    bench      the bench behind it: the block's output is the bench's pin, with the drive register's resolution
     unit       its unit id, 1 to 247
-    polarity   +1: positive drive raises the position register (as whoever set it up found), -1: lowers it
-    revision   that it tells as its version
-    on_drive   told of each drive that is written, taken or not
-    on_output  told time and value of each change at the output, V
+    polarity   +1: positive drive raises the position register; -1: lowers it
+    revision   version that it reports
+    on_drive   called with each drive that is written, taken or not
+    on_output  called with time, s, and value, V, of each change at the output
     Raises EmulationError where the position's type cannot hold what the sensor reads.
 
-    Without a control register a drive arms it, once it has its settings, and after a fault a drive of 0 does so anew.
-    A drive that is refused shows in the status register; without one it is exception 4. Registers between those of the
-    map read 0.
+    Without a control register a drive arms it, once it has its settings; after a fault a drive of 0 arms it again. A
+    refused drive shows in the status register, or without one as exception 4. Gaps in the register map read 0.
     """
 
     def __init__(
@@ -112,7 +113,7 @@ class IoBlock:
         self.unit = unit
         self.t_s = 0.0
         self.drive = 0.0  # at the output, in units of its register
-        self.e_stop_open = False  # cuts the output, and disarms; it latches nothing, so that it must be looked at
+        self.e_stop_open = False  # cuts the output and disarms, but does not latch: the host must read the status
         self.requests = 0
         self._polarity = polarity
         self._revision = revision
@@ -129,7 +130,7 @@ class IoBlock:
         self._begin()
 
     def _begin(self) -> None:
-        """As it is when its power comes: disarmed, no fault, every register 0 and no setting."""
+        """The state at power-on: disarmed, no fault, every register 0 and no setting."""
         self.armed = False
         self.fault: str | None = None
         self.latched = False
@@ -174,7 +175,7 @@ class IoBlock:
             return self._values["watchdog"] * self.registers.unit_s
         return self.registers.watchdog_s
 
-    # ------------------------------------------------------------------ what is really the case
+    # ------------------------------------------------------------------ the true state
 
     @property
     def output_V(self) -> float:
@@ -182,7 +183,7 @@ class IoBlock:
         return self.drive / self.registers.full * self.bench.parameters.supply_V
 
     def truth(self) -> IoBlockTruth:
-        """What is really the case now."""
+        """The true state now."""
         v, y, _ = self.bench.state
         fault = self.fault
         return IoBlockTruth(self.t_s, self.output_V, self.bench.motor_V, y, v, self.armed, fault, self.recovering)

@@ -1,7 +1,7 @@
 """The emulated I/O block behind Modbus TCP: framing by the header, and no check sum.
 
-Pure: time is told. Modbus Messaging on TCP/IP, V1.0b: transaction (2 bytes), protocol 0 (2), length (2), unit (1), then
-function code and data. A device that is on the network itself is addressed by its unit id, by 255, or by 0.
+Pure: the caller gives the time. Modbus Messaging on TCP/IP, V1.0b: transaction (2 bytes), protocol 0 (2), length (2),
+unit (1), then function code and data. The address of a device on the network itself is its unit id, 255 or 0.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class TcpSlave:
     """The block and the replies that are not out yet.
 
     turnaround_s  from a request to its reply
-    reply_fault  fault of the block's replies; None: none
+    reply_fault   fault of the block's replies; None: none
     """
 
     def __init__(self, block: IoBlock, turnaround_s: float, reply_fault: ReplyFault | None = None) -> None:

@@ -1,6 +1,6 @@
-"""What a USB adapter does with the bytes of a serial line: it collects, and hands on with the frames of USB.
+"""A USB adapter between a serial line and USB: it collects bytes and passes them on with the frames of USB.
 
-Pure: every method is told the time. ``behind_usb.py`` runs it in virtual time, ``usb_process.py`` in real time.
+Pure: the caller gives the time. ``behind_usb.py`` runs it in virtual time, ``usb_process.py`` in real time.
 """
 
 from __future__ import annotations

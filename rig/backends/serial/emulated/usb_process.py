@@ -1,6 +1,6 @@
 """A USB adapter in real time: a process between the port of an emulated device and a pseudo-terminal of its own.
 
-Started by ``usb_board``. It says ``port NAME`` once it is there, and ends where the device does.
+``usb_board`` starts it. It prints ``port NAME`` when it is ready, and ends with the device.
 """
 
 from __future__ import annotations

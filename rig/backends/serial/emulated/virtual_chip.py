@@ -51,22 +51,23 @@ class _View(ctypes.Structure):
 
 
 class ChipTruth(NamedTuple):
-    """What is really the case on the chip's pins and on the bench, besides what it says on the wire.
+    """The true state of the chip's pins and of the bench.
 
     t_s            virtual time, s
-    pin_V          mean voltage that the bridge makes of the pins; motor_V: what the wiring makes of it
+    pin_V          mean voltage that the bridge makes of the pins
+    motor_V        voltage that the wiring passes on to the motor
     y_rad, v_rad_per_s   of the measured shaft
-    pin_changed_s  time at which the drive at the pins changed last; negative: never
+    pin_changed_s  time at which the drive at the pins last changed; negative: never
     awake_share    share of the time in which the program did not sleep
-    masked_us      longest time with interrupts masked; this and the next three only where it was made to
-                   ``measure``, else 0
-    interrupt_share  most of a tick spent in interrupts; timed_share: all but the serial port's
-    tick_us        longest control tick, without the interrupts that come between
+    masked_us      longest time with interrupts masked; this and the next three are 0 without ``measure``
+    interrupt_share  largest share of a tick spent in interrupts
+    timed_share    the same without the serial port's interrupts
+    tick_us        longest control tick, without interrupts
     led            is lit: armed, or blinking
-    resets         by whatever, since power on
+    resets         of any cause, since power on
     overruns       bytes that the chip's receiver had no room for
-    crashed        the program ended or ran into what is no program
-    stack_bytes    deepest that the stack has been
+    crashed        the program ended, or left its code
+    stack_bytes    greatest depth of the stack
     """
 
     t_s: float
