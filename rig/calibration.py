@@ -47,7 +47,7 @@ class Calibration:
         self._inverse_segments = [_line(*pair) for pair in pairwise(inverse)]
 
     def to_rad(self, counts: float) -> float:
-        """Position at a reading, rad."""
+        """Position at a reading of ``counts``, rad."""
         c0, r0, slope = self._segments[bisect_right(self._inner, counts)]
         return r0 + (counts - c0) * slope
 
@@ -82,7 +82,7 @@ class TachometerScale:
     gear_ratio: float = 1.0
 
     def to_rad_per_s(self, counts: float) -> float:
-        """Velocity of the measured shaft, rad/s."""
+        """Velocity of the measured shaft at a reading of ``counts``, rad/s."""
         return (counts - self.zero_counts) * self.rad_s_per_count / self.gear_ratio
 
 

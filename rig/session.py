@@ -23,8 +23,8 @@ from rig.model.supply import SupplyReading
 from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
 from rig.recording.reader import Recording, read_run
-from rig.recording.record import Record
 from rig.recording.recorder import Recorder
+from rig.recording.sink import RowSink
 from rig.recording.stage import Stage, StageKind
 from rig.report import write_report
 from rig.report.words import NOTHING_TO_IDENTIFY
@@ -43,6 +43,11 @@ class Outcome:
     result: RunResult
     fault: Fault | None = None
     failures: list[str] = field(default_factory=list)
+
+    @property
+    def traceback(self) -> str:
+        """Where a law of the user's own raised what ended the run; empty if none did."""
+        return "" if self.fault is None else traceback_of(self.fault)
 
     @property
     def failure(self) -> str:
@@ -70,7 +75,7 @@ class Session:
     experiment: Experiment
     folder: Path
     bench: Bench
-    recorder: Record
+    recorder: RowSink
     loop: Loop
     meta: RunMeta
     found: Findings = field(default_factory=Findings)
@@ -162,6 +167,8 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
         session.loop.check_stop()
     except Fault as seen:
         fault = seen
+        if text := traceback_of(seen):
+            session.note("traceback", text=text[-2000:])
     except (IdentifyError, RecordingError) as error:
         fault = Fault("NOT_IDENTIFIED", f"{error.cause}; {error.cure}")
     except Exception as error:  # noqa: BLE001 - whatever it is, the run ends with its record and a result
@@ -174,6 +181,13 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
     session.found.notes += _seen_by(session.loop)
     session.note("end")
     return fault
+
+
+def traceback_of(fault: Fault) -> str:
+    """The traceback of the exception that a user's law raised, for the user; empty of any other fault."""
+    if fault.code != "LAW_FAILED" or fault.__cause__ is None:
+        return ""
+    return "".join(traceback.format_exception(fault.__cause__))
 
 
 def _seen_by(loop: Loop) -> list[str]:
@@ -283,4 +297,4 @@ def _stages(experiment: Experiment) -> list[str]:
         runs = range(1, len(experiment.relay.hysteretic) + 1)
         relays += [str(StageKind.HOMING), *(str(Stage.hysteretic(number)) for number in runs)]
     tracks = [] if experiment.tracking is None else [str(Stage.track(method)) for method in experiment.tracking.methods]
-    return ["rest", "jog", "breakaway", "search", *relays, *tracks, STOPPING]
+    return ["rest", "jog", "breakaway", "search", *relays, *tracks, str(StageKind.LAW), STOPPING]

@@ -15,7 +15,7 @@ from rig.loop.stop_request import StopRequest
 from rig.model.bench import BenchParameters
 from rig.model.friction import Friction
 from rig.model.motor import Motor
-from rig.recording.record import NoRecord, Row
+from rig.recording.sink import NullSink, Row
 from rig.signals import Limits
 
 PERIOD_S = 0.01
@@ -36,7 +36,7 @@ GUARD = GuardSettings(
 )
 
 
-class ListRecord(NoRecord):
+class ListSink(NullSink):
     """Keeps rows and events in memory, completed as the recorder would."""
 
     def __init__(self) -> None:
@@ -59,20 +59,20 @@ class ListRecord(NoRecord):
 
 
 @dataclass
-class SimulatedBench:
+class BenchModel:
     """Driver, guard and loop on one bench in virtual time."""
 
     driver: SimulatedDriver
     clock: VirtualClock
     guard: Guard
     loop: Loop
-    record: ListRecord
+    record: ListSink
     stop: StopRequest
 
 
 def simulated_bench(
     parameters: BenchParameters = DEMO, seed: int = 1, guard: GuardSettings = GUARD, **changes: Any
-) -> SimulatedBench:
+) -> BenchModel:
     """A bench with ``changes`` made to its parameters."""
     clock = VirtualClock()
     driver = SimulatedDriver(
@@ -84,9 +84,9 @@ def simulated_bench(
         SimulatedLatency(0.0012, 0.0003),
         seed,
     )
-    watching, record, stop = Guard(guard), ListRecord(), StopRequest()
+    watching, record, stop = Guard(guard), ListSink(), StopRequest()
     loop = Loop(driver, clock, watching, record, PERIOD_S, stop)
-    return SimulatedBench(driver, clock, watching, loop, record, stop)
+    return BenchModel(driver, clock, watching, loop, record, stop)
 
 
 def breakaway_check() -> BreakawayCheck:

@@ -23,7 +23,7 @@ import numpy as np
 
 from rig import config
 from rig.campaign.grid import draw
-from rig.config.schema import Motor as DataSheet
+from rig.config.schema import MotorSection as DataSheet
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
 from rig.experiment.stages import breakaway_check

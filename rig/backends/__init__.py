@@ -1,1 +1,1 @@
-"""Devices: one folder each, with all that is true of it. ``rig.backends.registry`` finds them by ``daq.driver``."""
+"""Devices, one folder each. ``rig.backends.registry`` finds them by ``daq.driver``."""

@@ -1,8 +1,8 @@
-"""The one interface of a kind of device: what a config says of it, what keeps it from running, and how it opens.
+"""The interface of a kind of device: its rules, its link budget, what rig says about it, and how it opens.
 
-The built-in ones and those of other packages are alike; ``rig.backends.registry`` finds them. A driver
-(``rig.backends.driver``) is one device that is open, or about to be; a backend knows the device from its config alone.
-``e`` is the experiment throughout.
+Built-in devices and those of other packages use the same interface; ``rig.backends.registry`` finds them. A driver
+(``rig.backends.driver``) is one open device. A backend knows a device from its config alone. ``e`` is the experiment
+throughout.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ OwnSection = TypeVar("OwnSection", bound=Section)
 
 
 class Watchdog(NamedTuple):
-    """What sets 0 V when the host is silent, as far as the config tells.
+    """The watchdog that sets 0 V when the host is silent, as far as the config says.
 
-    time_s    silence after which it does, s; None: nothing does
+    time_s    silence after which it acts, s; None: there is no watchdog
     unit_s    arming sets the time, in whole units of this, s; None: it was set on the device itself
-    certain   False: only the device can say whether it has one
+    certain   False: only the device can say whether it has a watchdog
     """
 
     time_s: float | None
@@ -43,12 +43,12 @@ class Watchdog(NamedTuple):
 
 
 class Line(NamedTuple):
-    """What a driver speaks over.
+    """The open link of a driver.
 
-    transport   open
-    clock       that its times are in
+    transport   carries the bytes; open
+    clock       clock of its times
     name        of the port, for people
-    emulated    True where it is known that no real motor is behind it
+    emulated    True if no real motor can be behind it
     """
 
     transport: Transport
@@ -66,13 +66,13 @@ class Unopened(NamedTuple):
 
 
 class Backend(ABC):
-    """One kind of device. Constructing it, and asking it anything but ``unopened`` and ``emulated``, touches no device.
+    """One kind of device. Only ``unopened`` and ``emulated`` touch a device.
 
-    name           as ``daq.driver`` has it
-    section        what ``daq.options`` must be; None: the config's own keys are all there is, or a driver checks them
-    has_chip       whether `rig emulate --chip` means something to it
+    name           value of ``daq.driver``
+    section        schema of ``daq.options``; None: there are no options, or the driver checks them
+    has_chip       whether `rig emulate --chip` works with it
 
-    What has a default fits a device of which nothing more is known.
+    The defaults fit a device of which nothing more is known.
     """
 
     name: ClassVar[str] = ""
@@ -82,48 +82,48 @@ class Backend(ABC):
     # ------------------------------------------------------------------ what may be run
 
     def rules(self, e: Experiment) -> Iterator[Problem]:
-        """Why this experiment must not be run on this device, with the keys; nothing where it may.
+        """The problems that keep this experiment from running on this device; none if it may run.
 
-        ``section`` holds already, where there is one.
+        If there is a ``section``, ``daq.options`` already fits it.
         """
         yield from ()
 
     def watchdog(self, e: Experiment) -> Watchdog:
-        """What sets 0 V when the host is silent."""
+        """The watchdog that sets 0 V when the host is silent."""
         return Watchdog(e.daq.watchdog_s, certain=False)
 
     def writes_first(self, e: Experiment) -> bool:
-        """Whether what a tick decides goes out with the next one: the slower of the two, where it is not known."""
+        """Whether the drive of a tick goes out with the next tick. True if unknown: that is the slower case."""
         return True
 
     def budget(self, e: Experiment) -> LinkBudget:
-        """What one tick needs of the link; without terms where that is not known."""
+        """Time that one tick needs on the link; no terms where it is unknown."""
         return LinkBudget()
 
     def reading_budget(self, e: Experiment) -> LinkBudget:
-        """What one reading needs of a device that is not armed; without terms where that is not known."""
+        """Time that one reading of an unarmed device needs; no terms where it is unknown."""
         return LinkBudget()
 
     def reply_delay_s(self, e: Experiment) -> float:
-        """By how much what sits between host and line makes each reply later, at most, s."""
+        """Delay of each reply between line and host (a USB adapter), at most, s."""
         return 0.0
 
     def times_error_s(self, e: Experiment) -> float:
-        """By how much the recorded time of a drive may be wrong against that of a sample, s."""
+        """Error of the recorded time of a drive against that of a sample, at most, s."""
         return 1e-4
 
-    # ------------------------------------------------------------------ what is said of it
+    # ------------------------------------------------------------------ what rig says about it
 
     @abstractmethod
     def words(self, e: Experiment) -> str:
-        """What is there, and whether a real motor may turn, for people."""
+        """The device, and whether a real motor may turn, for people."""
 
     def is_emulated(self, e: Experiment) -> bool:
-        """Whether the bench is the one of section ``emulated``, so that nothing moves."""
+        """Whether the bench is that of section ``emulated``, so that nothing moves."""
         return False
 
     def plan(self, e: Experiment) -> Iterator[str]:
-        """What `rig check` says of link and device, a line each."""
+        """Lines of `rig check` about link and device."""
         yield from ()
 
     def failsafe_words(self, e: Experiment) -> str:
@@ -134,26 +134,26 @@ class Backend(ABC):
         )
 
     def notes(self, e: Experiment) -> Iterator[str]:
-        """What a person has to know who reads the results."""
+        """What you must know to read the results, a sentence each."""
         yield from ()
 
     def not_emulated_words(self, e: Experiment) -> str:
-        """What section ``emulated`` is for where this device is not the one that it describes, for people."""
+        """For people: what section ``emulated`` does where this device is not emulated."""
         return "section `emulated` counts as the truth only if the driver says that its device is emulated"
 
     def seconds_words(self, e: Experiment) -> str:
-        """What is said after seconds of a run that are none of ours; "" where they are."""
+        """Words after a time in virtual seconds; "" for real ones."""
         return ""
 
     def adapter_behind(self, e: Experiment) -> Adapter | None:
-        """What the delays of a real USB port are reckoned with; None where the device has no such port."""
+        """The adapter that the delays of a real USB port are computed with; None where there is no such port."""
         return None
 
     # ------------------------------------------------------------------ the device
 
     @abstractmethod
     def unopened(self, e: Experiment) -> AbstractContextManager[Unopened]:
-        """The driver, not opened as a device yet; what an emulated one needs lives for the block.
+        """The driver, not opened yet. An emulated device lives for the block.
 
         Raises Fault LINK_OPEN where there is no port, EmulationError where a device cannot be emulated.
         """
@@ -161,15 +161,16 @@ class Backend(ABC):
     def emulated(
         self, e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
     ) -> AbstractContextManager[BoardProcess] | None:
-        """The device of section ``emulated``, running in real time for the block; None: there is none of this kind.
+        """The device of section ``emulated``, running in real time for the block; None: this kind has none.
 
-        link   symbolic link to its port;  trace  CSV file of the truth
-        chip   the Uno's firmware on its emulated chip, wherever the config's port is
+        link   symbolic link to its port
+        trace  CSV file of the truth
+        chip   the Uno's firmware on its emulated chip, whatever the config's port is
         """
         return None
 
     def emulated_hint(self, e: Experiment, port: str) -> str:
-        """What to try on the emulated device that runs on ``port``, for people; "" for nothing."""
+        """A command to try on the emulated device at ``port``, for people; "" for none."""
         return ""
 
     # ------------------------------------------------------------------ for those who write one
@@ -180,19 +181,19 @@ class Backend(ABC):
 
 
 class LineBackend(Backend):
-    """A kind of device that a driver speaks to over a line: how the line is opened, and who speaks on it."""
+    """A kind of device behind a line: how the line opens, and which driver speaks on it."""
 
     @abstractmethod
     def line(self, e: Experiment) -> AbstractContextManager[Line]:
-        """The line of the config, open for whoever closes its transport; an emulated device lives for the block."""
+        """The open line of the config. The caller closes its transport; an emulated device lives for the block."""
 
     @abstractmethod
     def driver(self, e: Experiment, line: Line) -> Driver:
-        """Who speaks on that line, not opened as a device yet."""
+        """The driver on that line, not opened yet."""
 
     @contextmanager
     def unopened(self, e: Experiment) -> Iterator[Unopened]:
-        """As of ``Backend``, on the line of the config; or on that of a test (``rig.testing.line``)."""
+        """As of ``Backend``, on the line of the config, or on a test's own line (``rig.testing.line``)."""
         with own_line.opened(self, e) as line:
             yield Unopened(self.driver(e, line), line.clock, truth_of(e))
 
@@ -201,7 +202,7 @@ OpenLine = Callable[[LineBackend, Experiment], AbstractContextManager[Line]]
 
 
 class _OwnLine:
-    """The one place where a test puts a device of its own, instead of what the config names."""
+    """The one place where a test replaces the device that the config names."""
 
     def __init__(self) -> None:
         self.instead: OpenLine | None = None
@@ -215,12 +216,12 @@ own_line = _OwnLine()
 
 
 def host_clock(e: Experiment) -> MonotonicClock:
-    """The clock of this machine, as the config has it wait."""
+    """The clock of this machine, with the config's way of waiting."""
     return MonotonicClock(1e-6 * e.loop.spin_us)
 
 
 def truth_of(e: Experiment) -> BenchParameters | None:
-    """The bench described under ``emulated``, or None."""
+    """The bench of section ``emulated``; None without that section."""
     if e.emulated is None:
         return None
     from rig.backends.emulated.bench import bench_parameters

@@ -19,11 +19,11 @@ class _Timespec(ctypes.Structure):
 class MonotonicClock:
     """The machine's monotonic clock, with an absolute sleep where the system has one.
 
-    An absolute sleep does not drift and does not lengthen when the loop is preempted between reading the clock and
-    going to sleep. Without one (not Linux) a relative sleep to the same instant is used, and ``absolute`` says so.
+    An absolute sleep does not drift. It is not longer if the loop is preempted between reading the clock and going to
+    sleep. Without one (not on Linux) the clock uses a relative sleep to the same instant, and ``absolute`` is False.
 
-    spin_s  the last part of each sleep is spent reading the clock: a wake-up that comes late by less than this is not
-            late, and the tick begins with warm caches. 0: none.
+    spin_s  last part of each sleep, spent reading the clock. A wake-up late by less than this does no harm, and the
+            tick begins with warm caches. 0: none.
     """
 
     def __init__(self, spin_s: float = 0.0) -> None:
@@ -37,10 +37,10 @@ class MonotonicClock:
         return time.monotonic()
 
     def sleep_until(self, t_s: float) -> float:
-        """Sleep until the absolute time, s; the time at which that was over.
+        """Sleep until the absolute time, s. Returns the time when the sleep ended, s.
 
-        Returns early only for a signal that comes while the process sleeps, so that its handler runs at once. One that
-        comes while it spins is handled there: the spin is Python, and never longer than ``spin_s``.
+        Returns early only for a signal during the sleep, so that its handler runs at once. A signal during the spin is
+        handled there: the spin is Python, and never longer than ``spin_s``.
         """
         now = time.monotonic
         interrupted = self._sleep(t_s - self.spin_s)
@@ -66,7 +66,7 @@ class MonotonicClock:
 
 
 class VirtualClock:
-    """Time that passes only while somebody sleeps."""
+    """Time that passes only while something sleeps."""
 
     absolute = True
 
@@ -78,6 +78,6 @@ class VirtualClock:
         return self._now_s
 
     def sleep_until(self, t_s: float) -> float:
-        """Let time pass to ``t_s``, none if that is past; the time then, s."""
+        """Let time pass to ``t_s``, or none if that is past. Returns the time then, s."""
         self._now_s = max(self._now_s, t_s)
         return self._now_s

@@ -16,7 +16,7 @@ from rig.signals import Limits, Order, Sample, plain
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """What a device says of itself when it is opened.
+    """What a device reports about itself when it is opened.
 
     build        firmware build
     board        board's name
@@ -25,9 +25,9 @@ class DeviceInfo:
     clock_ratio  device seconds for one second of the host; fixed for the run
     round_trip_s fastest exchange seen while opening, s; nan where it means nothing
     supply_V     motor supply as the device measures it, V; nan where it does not
-    supply_at_least  that reading is at its end: the supply is so much or more
-    drive_units  of the drive at full duty: the u_V of a sample is a whole number of them; None: it has no such steps
-    acknowledged codes of the faults that the device had latched before it was opened, and that opening it has cleared
+    supply_at_least  that reading is at the end of its range: the supply may be higher
+    drive_units  steps of the drive at full duty: u_V of a sample is a whole number of them; None: no such steps
+    acknowledged codes of the faults that the device had latched before, and that opening it has cleared
     """
 
     build: str
@@ -42,16 +42,16 @@ class DeviceInfo:
     acknowledged: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        # what a device says of itself is shown on terminals
+        # these texts come from the device and go to terminals
         for name in ("build", "board", "reset_cause"):
             object.__setattr__(self, name, plain(getattr(self, name)))
 
 
 @dataclass(frozen=True)
 class DriverSettings:
-    """What a driver from another package is constructed with, all of it from the config.
+    """What a driver from another package is constructed with; all of it comes from the config.
 
-    options      daq.options as it stands there: numbers, text, true/false, lists and mappings of these
+    options      daq.options unchanged: numbers, text, true/false, lists and mappings of these
     calibration  position sensor, raw reading to rad
     drive_map    V at the motor to drive units; the driver puts its own ``full_units`` in with ``dataclasses.replace``
     rail_counts  (low, high): readings at or beyond are a broken sensor
@@ -75,10 +75,10 @@ class RelayRow(NamedTuple):
     """One tick of the relay in the device.
 
     t_s       when the position was sampled, s in host time
-    t_u_s     from when on the drive that was decided on it acts, s
+    t_u_s     time from which the drive decided on it acts, s
     y_rad, y_counts   the position
     u_V       that drive, V
-    block     number of the block that it came in, modulo 2**16
+    block     number of the block that brought it, modulo 2**16
     """
 
     t_s: float
@@ -91,10 +91,10 @@ class RelayRow(NamedTuple):
 
 @dataclass(frozen=True)
 class RelayCommand:
-    """What a device is told to run u = -h1 sgn(y) - h2 sgn(z), in counts and V.
+    """The relay u = -h1 sgn(y) - h2 sgn(z) for a device, in counts and V.
 
     drives_V             drive of each state: y >= 0 and z >= 0, y >= 0 > z, y < 0 <= z, both < 0
-    count_tick_rad_s     integral of one count for one tick of the device
+    count_tick_rad_s     integral of one count over one tick of the device
     centre_counts        reading at y = 0
     z_bound_count_ticks  bound on the integral
     direction            +1 where counts rise with the position, else -1
@@ -108,7 +108,7 @@ class RelayCommand:
 
 
 class DeviceWatchdog(NamedTuple):
-    """The device sets 0 V by itself, and latches, after ``time_s`` seconds without the host."""
+    """After ``time_s`` seconds without the host the device sets 0 V by itself and latches a fault."""
 
     time_s: float
 
@@ -122,7 +122,7 @@ class Clock(Protocol):
         ...
 
     def sleep_until(self, t_s: float) -> float:
-        """Return at ``t_s`` or as soon after as possible, at once if it has passed; the time then, s."""
+        """Return at ``t_s``, or as soon after it as possible; the time then, s."""
         ...
 
 
@@ -152,16 +152,17 @@ class Transport(Protocol):
 class Driver(Protocol):
     """A bench behind a link. Times of samples are in the host's clock, s.
 
-    That is ``time.monotonic``; a driver that lives in virtual time has an attribute ``clock``, a ``Clock``. A driver
-    whose device latches an e-stop by itself, armed or not, has an attribute ``latches_stops`` that is true; any other
-    is read throughout the pauses of a run, from another thread while nothing else uses it.
-    Constructing a driver touches no device. ``rig.testing.conformance`` holds a driver to what stands here.
+    The host's clock is ``time.monotonic``. A driver in virtual time has an attribute ``clock``, a ``Clock``. If the
+    device latches an e-stop by itself, armed or not, the driver has an attribute ``latches_stops`` that is true. Any
+    other driver is read throughout the pauses of a run, from another thread, while nothing else uses it.
+    Constructing a driver touches no device. ``rig.testing.conformance`` tests a driver against this interface.
     """
 
     @property
     def order(self) -> Order:
-        """When a drive goes out that a tick has decided on what it read: at once, in ``write`` ("sample_first"), or in
-        the next tick's ``read``, just before that samples ("write_first").
+        """When the drive of a tick goes out.
+
+        "sample_first": at once, in ``write``. "write_first": in the next tick's ``read``, just before its sample.
         """
         ...
 
@@ -181,11 +182,11 @@ class Driver(Protocol):
         ...
 
     def open(self) -> DeviceInfo:
-        """Meet the device. Raises Fault LINK_* when it is absent or another than expected."""
+        """Open the device. Raises Fault LINK_* when it is absent, or not the expected one."""
         ...
 
     def arm(self, limits: Limits) -> None:
-        """Give the device its limits and allow drive; clears no fault that the device has latched since ``open``.
+        """Give the device its limits and allow drive. Clears no fault that the device has latched since ``open``.
 
         Raises Fault when the device refuses, ValueError when it cannot hold such limits.
         """
@@ -196,10 +197,10 @@ class Driver(Protocol):
         ...
 
     def write(self, u_V: float) -> None:
-        """Set the drive; the next ``read`` says what came of it: when it took effect, and how much, as quantised.
+        """Set the drive. The next ``read`` reports when it took effect, and how much drive acts after quantisation.
 
-        Raises ValueError beyond the drive's range, or where ``u_V`` is no number. Nothing is driven beyond what the
-        device was armed for, nor unless it is armed: it refuses, at once or in the next ``read``.
+        Raises ValueError beyond the drive's range, or where ``u_V`` is not a number. A device that is not armed, or is
+        armed for less, does not drive: it refuses at once, or in the next ``read``.
         """
         ...
 
@@ -222,7 +223,7 @@ class RelayDriver(Driver, Protocol):
         ...
 
     def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
-        """What the device is to be told for these gains. Raises Fault or ValueError where it could not run them."""
+        """The command for these gains. Raises Fault or ValueError where the device cannot run them."""
         ...
 
     def start_relay(self, command: RelayCommand) -> None:
@@ -230,13 +231,13 @@ class RelayDriver(Driver, Protocol):
         ...
 
     def keep(self) -> None:
-        """Tell the device that the host lives; the relay ends when the watchdog time has passed without."""
+        """Tell the device that the host lives. Without this the relay ends after the watchdog time."""
         ...
 
     def read_rows(self) -> list[RelayRow]:
-        """The ticks that have come since the last call; does not wait. Raises Fault on any fault of link or device.
+        """The ticks since the last call; does not wait. Raises Fault on any fault of link or device.
 
-        Once after a ``safe_stop``: the last ticks before it that have come; without a fault.
+        Call it once after ``safe_stop``: it returns the last ticks before the stop, and raises nothing.
         """
         ...
 

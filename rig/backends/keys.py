@@ -1,4 +1,4 @@
-"""Keys of ``daq`` that only some devices take."""
+"""Keys of ``daq`` that only some devices have."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from rig.config.schema import Experiment
 
 
 def foreign_keys(e: Experiment, *taken: str, instead: str = "remove it") -> Iterator[Problem]:
-    """A problem for each key that is given and that this device does not take.
+    """A problem for each key that is given and that this device does not have.
 
-    taken    of port, adapter, modbus and options
-    instead  of daq.adapter: what to do
+    ``taken`` are the keys that it has, of port, adapter, modbus and options.
+
+    instead  the hint for daq.adapter
     """
     daq = e.daq
     given = {"port": daq.port, "adapter": daq.adapter, "modbus": daq.modbus, "options": daq.options}
@@ -22,17 +23,17 @@ def foreign_keys(e: Experiment, *taken: str, instead: str = "remove it") -> Iter
         if key == "port":
             yield wrong("daq.port", f"`driver: {daq.driver}` has no port", "remove it, or set daq.driver to serial")
         elif key == "options":
-            yield wrong("daq.options", f"is of plug-in drivers, `driver: {daq.driver}` has none", "remove it")
+            yield wrong("daq.options", f"is a key of plug-in drivers, not of `driver: {daq.driver}`", "remove it")
         elif key == "adapter":
-            yield wrong("daq.adapter", f"is of `driver: serial`, not of `{daq.driver}`", instead)
+            yield wrong("daq.adapter", f"is a key of `driver: serial`, not of `{daq.driver}`", instead)
         else:
-            yield wrong("daq.modbus", f"is of `driver: modbus`, not of `driver: {daq.driver}`", "remove it")
+            yield wrong("daq.modbus", f"is a key of `driver: modbus`, not of `driver: {daq.driver}`", "remove it")
 
 
 def keys_of_built_in(e: Experiment) -> Iterator[Problem]:
-    """A problem for each key that is given and that no device of another package takes."""
+    """A problem for each key that is given and that no plug-in device has."""
     if e.daq.adapter is not None:
-        yield wrong("daq.adapter", f"is of `driver: serial`, not of `{e.daq.driver}`", "remove it")
+        yield wrong("daq.adapter", f"is a key of `driver: serial`, not of `{e.daq.driver}`", "remove it")
     for key in ("port", "modbus"):
         if getattr(e.daq, key) is not None:
-            yield wrong(f"daq.{key}", f"is of built-in drivers, not of `{e.daq.driver}`", "see daq.options")
+            yield wrong(f"daq.{key}", f"is a key of built-in drivers, not of `{e.daq.driver}`", "see daq.options")

@@ -1,4 +1,4 @@
-"""What one tick needs of a link, as a sum that people can follow; and which part of the period it may take."""
+"""The time that one tick needs on a link, as a sum for people, and the part of the period that it may take."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from rig.config.problems import Problem, wrong
 
-LINK_SHARE = 0.8  # of the period that the exchange may take; measured, the whole tick
+LINK_SHARE = 0.8  # of the period: for the exchange by the sum, or for the whole tick as measured
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000, 921600, 1_000_000, 2_000_000)
 
 _SLACK = 1e-9  # relative: 0.1 s is ten periods of 0.01 s, whatever the binary fractions say
@@ -16,10 +16,10 @@ _LONGEST_PERIOD_S = 0.1  # that the config takes
 
 
 class LinkBudget(NamedTuple):
-    """The sum of one tick.
+    """The time of one tick as a sum.
 
-    terms    words and seconds; none where the link is not known, or there is none
-    wire     how the first term comes about, in words
+    terms    words and seconds; none where the link is unknown, or there is none
+    wire     how the first term is computed, in words
     """
 
     terms: tuple[tuple[str, float], ...] = ()
@@ -40,18 +40,18 @@ class LinkBudget(NamedTuple):
         return f"{self.wire} = {wire_s * 1e3:.2f} ms, {rest} = {self.total_s * 1e3:.2f} ms"
 
     def fits(self, period_s: float) -> bool:
-        """Whether it leaves the host its part of the period."""
+        """Whether the sum leaves the host its part of the period."""
         return self.total_s <= LINK_SHARE * period_s * (1 + _SLACK)
 
     def beside(self, period_s: float) -> str:
-        """The sum and what it may come to, for people."""
+        """The sum beside its largest allowed value, for people."""
         return (
-            f"{self.written}; {LINK_SHARE:.0%} of the period is {LINK_SHARE * period_s * 1e3:.2f} ms, "
-            "the rest the host's: to wake, decide and record"
+            f"{self.written}; {LINK_SHARE:.0%} of the period is {LINK_SHARE * period_s * 1e3:.2f} ms "
+            "(the host needs the rest to wake, decide and record)"
         )
 
     def too_slow(self, key: str, period_s: float, ways_out: Iterable[str]) -> Problem:
-        """What to say of a link that does not fit, at ``key``; a longer period is one way out more."""
+        """The problem of a link that does not fit, at ``key``. A longer period is added to ``ways_out``."""
         longer_s = _rounded_up(self.total_s / LINK_SHARE)
         longer = [f"period_s of {longer_s:g} and more"] if longer_s <= _LONGEST_PERIOD_S else []
         return wrong(key, f"too slow for the period: {self.beside(period_s)}", ", or ".join([*ways_out, *longer]))
@@ -63,7 +63,7 @@ def wire_term(frames: Mapping[str, int], bits: int, baud: int) -> tuple[str, flo
 
 
 def wire_words(frames: Mapping[str, int], bits: int, baud: int) -> str:
-    """How that term comes about."""
+    """How that term is computed."""
     return f"{added(frames)} = {sum(frames.values())} bytes x {bits} bits / {baud} baud"
 
 
@@ -78,6 +78,6 @@ def _milliseconds(s: float) -> str:
 
 
 def _rounded_up(value: float) -> float:
-    """Two digits: a hint that is followed must pass."""
+    """Two digits, rounded up: a value from a hint must pass."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.ceil(value / unit * (1 - _SLACK)) * unit:.2g}")

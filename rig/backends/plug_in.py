@@ -1,47 +1,42 @@
-"""Drivers of other packages: what an entry point must be, and such a driver as a backend.
+"""Drivers of other packages: what an entry point must be, and how such a driver becomes a backend.
 
 A package offers one in its pyproject.toml:
 
     [project.entry-points."rig.daq"]
     mycard = "mypackage.card:CardDriver"
 
-It is a class that is constructed with a ``DriverSettings`` and is then a ``Driver``; or a ``Backend``, where the device
-has more to say than a driver can: a section of its own, rules, a link budget, an emulated device.
+The entry point is a class: constructed with a ``DriverSettings`` it is a ``Driver``. Or it is a ``Backend``, if the
+device has more than a driver: a section of its own, rules, a link budget, an emulated device.
 """
 
 from __future__ import annotations
 
-import inspect
-import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import EntryPoint
-from pathlib import Path
 from types import MappingProxyType
 
+from rig import plug_ins
 from rig.backends.backend import Backend, Unopened, host_clock, truth_of
 from rig.backends.driver import DeviceWatchdog, Driver, DriverSettings, RelayDriver
 from rig.backends.keys import keys_of_built_in
 from rig.config.problems import ConfigError, Problem, wrong
 from rig.config.schema import Experiment
+from rig.plug_ins import PlugInError
 
 _ARGUMENTS = {"open": 0, "arm": 1, "read": 0, "write": 1, "safe_stop": 0, "close": 0}
 
 
-class PlugInError(Exception):
-    """A driver that cannot be used: who offers it, and what is wrong with it."""
-
-
 def loaded(entry: EntryPoint) -> type[Driver] | Backend:
-    """What the entry names. Raises PlugInError if it cannot be imported, or is neither driver class nor backend.
+    """What the entry point names. Raises PlugInError if it cannot be imported, or is neither driver class nor backend.
 
-    A driver class has one argument for the constructor, and the methods of ``Driver`` with as many as there.
+    The constructor of a driver class takes one argument; its methods take as many as those of ``Driver``.
     """
     who = described(entry)
     try:
         found: object = entry.load()
     except Exception as error:  # whatever it is, the other package did it
-        raise PlugInError(f"{who} cannot be imported: {_in_words(error)}") from error
+        raise PlugInError(f"{who} cannot be imported: {plug_ins.in_words(error)}") from error
     if isinstance(found, Backend):
         if found.name != entry.name:
             raise PlugInError(f"{who}: its name must be {entry.name!r}, not {found.name!r}")
@@ -51,19 +46,19 @@ def loaded(entry: EntryPoint) -> type[Driver] | Backend:
     missing = [method for method in _ARGUMENTS if not callable(getattr(found, method, None))]
     if missing:
         raise PlugInError(f"{who} lacks {', '.join(missing)}")
-    if not _takes(found, 1):
+    if not plug_ins.takes(found, 1):
         raise PlugInError(f"{who} must be constructed as {found.__name__}(settings), with one DriverSettings")
     for method, arguments in _ARGUMENTS.items():
-        if not _takes(getattr(found, method), 1 + arguments):
+        if not plug_ins.takes(getattr(found, method), 1 + arguments):
             raise PlugInError(f"{who}: {method} must take {arguments or 'no'} argument{'s' * (not arguments)}")
     return found
 
 
 def constructed(entry: EntryPoint, driver_class: type[Driver], settings: DriverSettings) -> Driver:
-    """A driver of that class, not opened.
+    """A driver of that class, not opened yet.
 
-    Raises ValueError where it refuses its options; PlugInError where it fails otherwise, or lacks one of the attributes
-    of ``Driver``.
+    Raises ValueError where it refuses its options; PlugInError where it fails otherwise, or lacks an attribute of
+    ``Driver``.
     """
     who = described(entry)
     try:
@@ -71,7 +66,7 @@ def constructed(entry: EntryPoint, driver_class: type[Driver], settings: DriverS
     except ValueError:
         raise
     except Exception as error:  # whatever it is, the other package did it
-        raise PlugInError(f"{who} cannot be constructed: {_in_words(error)}") from error
+        raise PlugInError(f"{who} cannot be constructed: {plug_ins.in_words(error)}") from error
     missing = [name for name in ("order", "failsafe", "backend", "link_statistics") if not hasattr(driver, name)]
     if missing:
         raise PlugInError(f"{who} lacks {', '.join(missing)}")
@@ -89,24 +84,7 @@ def constructed(entry: EntryPoint, driver_class: type[Driver], settings: DriverS
 
 def described(entry: EntryPoint) -> str:
     """A driver in words: its name, where it is, and the package that offers it."""
-    package = f" of {entry.dist.name} {entry.dist.version}" if entry.dist is not None else ""
-    return f"driver {entry.name!r} ({entry.value}{package})"
-
-
-def _takes(function: object, arguments: int) -> bool:
-    """Whether something can be called with so many positional arguments."""
-    try:
-        inspect.signature(function).bind(*[None] * arguments)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return False
-    return True
-
-
-def _in_words(error: Exception) -> str:
-    """An exception of another package: what, and in which of its lines."""
-    frames = traceback.extract_tb(error.__traceback__)
-    place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
-    return f"{type(error).__name__}: {error}{place}"
+    return plug_ins.described(entry, "driver")
 
 
 def driver_settings_of(e: Experiment) -> DriverSettings:
@@ -124,11 +102,11 @@ def driver_settings_of(e: Experiment) -> DriverSettings:
 
 
 class PlugIn(Backend):
-    """A driver class of another package, or none where it cannot be used.
+    """A driver class of another package as a backend; or the reason why it cannot be used.
 
-    entry         who offers it
-    driver_class  what it names
-    refusal       why there is no such driver; None where there is one
+    entry         entry point that offers it
+    driver_class  the class; None where it cannot be used
+    refusal       why it cannot be used; None where it can
     """
 
     def __init__(
@@ -145,7 +123,7 @@ class PlugIn(Backend):
         return constructed(self.entry, self.driver_class, settings)
 
     def rules(self, e: Experiment) -> Iterator[Problem]:
-        """As of ``Backend``: the driver is constructed, so that it refuses its options here, not before a motor."""
+        """As of ``Backend``. Constructs the driver, so that it refuses wrong options here, not in front of a motor."""
         yield from keys_of_built_in(e)
         driver = self._tried(e)
         if isinstance(driver, Problem):
@@ -166,13 +144,13 @@ class PlugIn(Backend):
 
     def words(self, e: Experiment) -> str:
         """As of ``Backend``."""
-        return f"plug-in driver {e.daq.driver}: take it for a REAL MOTOR"
+        return f"plug-in driver {e.daq.driver}: assume a REAL MOTOR"
 
     def plan(self, e: Experiment) -> Iterator[str]:
         """As of ``Backend``."""
         yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
         if e.relay.where == "device":
-            yield "relay in the device: as the plug-in driver runs it; a search runs in the host"
+            yield "relay in the device: as the plug-in driver runs it; the gain search runs in the host"
         driver = self._tried(e)
         if self.entry is not None and not isinstance(driver, Problem):
             failsafe = "none"
@@ -183,8 +161,8 @@ class PlugIn(Backend):
 
     def failsafe_words(self, e: Experiment) -> str:
         """As of ``Backend``."""
-        return "failsafe: the plug-in driver's; where its device has none, a run " + (
-            "drives all the same (daq.accept_no_watchdog: true): have the motor's supply in reach"
+        return "failsafe: the plug-in driver's; if its device has none, a run " + (
+            "drives all the same (daq.accept_no_watchdog: true): keep the motor's supply switch in reach"
             if e.daq.accept_no_watchdog
             else "is refused"
         )
@@ -199,5 +177,5 @@ class PlugIn(Backend):
 
 
 def refused(error: PlugInError) -> Problem:
-    """What to say of a driver that cannot be used."""
+    """The problem of a driver that cannot be used."""
     return wrong("daq.driver", str(error), "see docs/plug-in-driver.md, or ask its author")

@@ -5,22 +5,21 @@ A config comes in here once, and goes out as an open bench.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.backends.backend import Backend, Unopened
 from rig.backends.driver import Clock, DeviceInfo, Driver, DriverSettings
-from rig.backends.plug_in import PlugIn, PlugInError, driver_settings_of, loaded, refused
+from rig.backends.plug_in import PlugIn, driver_settings_of, loaded, refused
 from rig.config.problems import Problem, printable, wrong
 from rig.config.schema import Experiment
 from rig.faults import Fault
+from rig.plug_ins import PlugInError, offered
 
 if TYPE_CHECKING:  # these load slowly
     from rig.backends.emulated.board_process import BoardProcess
@@ -39,7 +38,7 @@ class Bench:
     """An open bench.
 
     driver, clock  what the loop runs on
-    info           what the device said of itself
+    info           what the device reported when it was opened
     truth          the motor behind an emulated bench; None behind a real one
     """
 
@@ -51,27 +50,13 @@ class Bench:
 
 def registered() -> dict[str, EntryPoint]:
     """What installed packages offer, by name. Raises PlugInError if two offer the same name."""
-    found: dict[str, EntryPoint] = {}
-    for entry in _installed(entry_points, tuple(sys.path)):
-        if entry.name in found and found[entry.name].value != entry.value:
-            raise PlugInError(
-                f"two drivers are called {entry.name!r}: {found[entry.name].value} and {entry.value}; "
-                "uninstall one of the packages"
-            )
-        found[entry.name] = entry
-    return found
-
-
-@lru_cache(maxsize=4)
-def _installed(finder: Callable[..., Iterable[EntryPoint]], places: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """What is offered. Looking through all packages takes milliseconds: once for each finder and list of places."""
-    return tuple(finder(group=GROUP))
+    return offered(GROUP, "driver", entry_points)
 
 
 def load(name: str) -> type[Driver] | Backend:
     """The driver class, or the backend, of that name from another package.
 
-    Raises LookupError if there is none, naming those there are; PlugInError as ``plug_in.loaded``.
+    Raises LookupError, with the known names, if there is none; PlugInError as ``plug_in.loaded``.
     """
     known = registered()
     if name not in known:
@@ -81,7 +66,11 @@ def load(name: str) -> type[Driver] | Backend:
 
 
 def construct(name: str, settings: DriverSettings) -> Driver:
-    """A driver of another package, not opened. Raises as ``load``, and as ``plug_in.constructed``."""
+    """The driver of another package, not opened yet.
+
+    Raises LookupError where there is none, or where a backend has that name; PlugInError as ``load``, and with
+    ValueError as ``plug_in.constructed``.
+    """
     found = load(name)
     if isinstance(found, Backend):
         raise LookupError(f"{name!r} is a backend: its driver comes from its own ``unopened``")
@@ -89,12 +78,12 @@ def construct(name: str, settings: DriverSettings) -> Driver:
 
 
 def backend_of(e: Experiment) -> Backend:
-    """The device that the config names; one that nothing is known of, and whose rules refuse, where there is none."""
+    """The device that the config names. If there is none: a backend whose rules refuse every config."""
     return backend_named(e.daq.driver)
 
 
 def backend_named(name: str) -> Backend:
-    """As ``backend_of``, by its name."""
+    """The device of that name; as ``backend_of``."""
     if name in BUILT_IN:
         found = loaded(BUILT_IN[name])
         assert isinstance(found, Backend)
@@ -110,7 +99,7 @@ def backend_named(name: str) -> Backend:
 
 
 def unknown_driver(name: str) -> Problem:
-    """What to say of a driver that is neither built in nor installed."""
+    """The problem of a driver that is neither built in nor installed."""
     installed = sorted(registered())
     close = get_close_matches(name, [*BUILT_IN, *installed], n=1)
     return wrong(
@@ -122,20 +111,20 @@ def unknown_driver(name: str) -> Problem:
 
 
 def unopened(e: Experiment) -> AbstractContextManager[Unopened]:
-    """The driver of the config, not opened as a device yet; what an emulated one needs lives for the block.
+    """The driver of the config, not opened yet. An emulated device lives for the block.
 
-    Who opens the driver closes it. Raises as ``connect``, Fault LINK_OPEN included.
+    If you open the driver, close it. Raises as ``connect``, Fault LINK_OPEN included.
     """
     return backend_of(e).unopened(e)
 
 
 @contextmanager
 def connect(e: Experiment) -> Iterator[Bench]:
-    """Open the bench for the block; on leaving it is stopped and closed.
+    """Open the bench for the block, and stop and close it after the block.
 
-    Raises Fault LINK_* where there is no such device, NO_WATCHDOG where it has none and the config forbids that;
-    ConfigError where a driver of another package is not installed, or refuses its options.
-    Nothing is ever simulated in place of a missing device.
+    Raises Fault LINK_* where there is no such device, NO_WATCHDOG where the device has no watchdog and the config does
+    not accept that; ConfigError where a driver of another package is not installed, or refuses its options.
+    rig never simulates a device that is missing.
     """
     with unopened(e) as (driver, clock, truth):
         try:
@@ -154,11 +143,12 @@ def connect(e: Experiment) -> Iterator[Bench]:
 def emulated_board(
     e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
 ) -> AbstractContextManager[BoardProcess]:
-    """The emulated device of the config, running in real time for the block; its ``port`` is as daq.port takes it.
+    """The emulated device of the config, running in real time for the block; its ``port`` is a value for daq.port.
 
-    link   symbolic link to its port;  trace  CSV file of the truth
-    chip   the Uno's firmware on its emulated chip, wherever the config's port is
-    Raises EmulationError where it cannot be built or started.
+    link   symbolic link to its port
+    trace  CSV file of the truth
+    chip   the Uno's firmware on its emulated chip, whatever the config's port is
+    Raises EmulationError where it cannot be built or started, LookupError where no backend emulates a device.
     """
     for backend in (backend_of(e), backend_named(_EMULATES)):
         found = backend.emulated(e, link, trace, chip=chip)

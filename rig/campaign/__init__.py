@@ -1,1 +1,1 @@
-"""Thousands of random experiments, simulated and identified: how good the estimator is, and how honest."""
+"""Thousands of random experiments, simulated and identified, to measure the estimator and to test its intervals."""

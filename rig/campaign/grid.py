@@ -1,8 +1,8 @@
-"""The random experiments of a campaign (docs/theory.md 7.10): experiment k is the same whoever simulates it.
+"""The random experiments of a campaign (docs/theory.md 7.10). Experiment k is always the same.
 
-Each experiment, and in it the motor, the noise, the timing and the second test, has a random stream of its own, derived
-from seed and number alone. So neither order nor company matters, and two campaigns of one seed that differ in noise or
-quantisation have the same motors.
+The motor, the noise, the timing and the second test of each experiment have random streams of their own. A stream
+depends only on the seed and the number of the experiment. So the order of experiments does not matter, and two
+campaigns of one seed have the same motors, even if they differ in noise or quantisation.
 """
 
 from __future__ import annotations
@@ -15,21 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.campaign import Campaign
+from rig.errors import RigError
 from rig.model.describing_function import predict
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
-from rig.model.sampled_relay import Disturbance, RelayTest, relay_test
+from rig.model.sampled_relay import Disturbance, SimulatedRelayTest, relay_test
 
 Array = NDArray[np.float64]
 Stream = Literal["motor", "noise", "timing", "second noise", "second timing"]
 
 STREAMS: tuple[Stream, ...] = ("motor", "noise", "timing", "second noise", "second timing")
 MOST_DRAWS = 10_000
-LONGEST_CYCLE = 1.6  # of the describing function's period: delay and sampling make the cycle longer
+LONGEST_CYCLE = 1.6  # times the describing function's period: delay and sampling make the cycle longer
 
 
-class CampaignError(Exception):
-    """A campaign that cannot be run: one line of cause, one of cure."""
+class CampaignError(RigError):
+    """A campaign cannot be run: one line of cause, one of cure."""
 
     def __init__(self, cause: str, cure: str) -> None:
         self.cause = cause
@@ -38,7 +39,7 @@ class CampaignError(Exception):
 
 
 class BrokenOffError(CampaignError):
-    """A campaign that ended for what is not in its config: all experiments fail, or a worker process was killed."""
+    """A campaign ended early, and not by its config: all experiments fail, or a worker process was killed."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Draw:
     static_ratio: float
 
     def motor(self) -> Motor:
-        """The motor; its asymmetry is a bias, as motion cannot tell (docs/theory.md 7.3)."""
+        """The motor. Its asymmetry is a bias: motion cannot show the difference (docs/theory.md 7.3)."""
         return Motor(self.tau_s, self.K_rad_s_V, coulomb(self.fc_V, self.fc_V * self.static_ratio), self.asym_V)
 
     def second_gains(self, ratio: float) -> tuple[float, float]:
@@ -69,13 +70,13 @@ class Draw:
 
 
 def stream(campaign: Campaign, number: int, name: Stream) -> np.random.Generator:
-    """The random stream of one part of one experiment: counter-based, from seed and number alone."""
+    """The random stream of one part of one experiment. It is counter-based, and depends on seed and number alone."""
     seeds = np.random.SeedSequence(campaign.seed, spawn_key=(number, STREAMS.index(name)))
     return np.random.Generator(np.random.Philox(seeds))
 
 
 def draw(campaign: Campaign, number: int) -> Draw:
-    """Experiment ``number`` of the campaign. Raises CampaignError where the ranges give no cycle slow enough."""
+    """Experiment ``number`` of the campaign. Raises CampaignError if the ranges give no cycle that is slow enough."""
     rng = stream(campaign, number, "motor")
     motor, relay, sampling, sensor = campaign.motor, campaign.relay, campaign.sampling, campaign.sensor
     for _ in range(MOST_DRAWS):
@@ -108,10 +109,10 @@ def draw(campaign: Campaign, number: int) -> Draw:
     )
 
 
-def simulate(campaign: Campaign, one: Draw, *, second: bool = False) -> tuple[RelayTest, slice]:
-    """The relay test of an experiment from its start, and the rows that are recorded.
+def simulate(campaign: Campaign, one: Draw, *, second: bool = False) -> tuple[SimulatedRelayTest, slice]:
+    """The relay test of an experiment from its start, and the recorded rows of it.
 
-    second  the test at the second amplitude instead
+    second  whether to simulate the test at the second amplitude instead
     """
     relay, sampling, sensor = campaign.relay, campaign.sampling, campaign.sensor
     noise = stream(campaign, one.number, "second noise" if second else "noise")
@@ -143,10 +144,10 @@ def simulate(campaign: Campaign, one: Draw, *, second: bool = False) -> tuple[Re
     return test, recorded_rows(test, relay.settling_cycles, relay.cycles)
 
 
-def recorded_rows(test: RelayTest, settling_cycles: int, cycles: int) -> slice:
-    """Rows of ``cycles`` cycles after ``settling_cycles``, from one fall of the integral through zero to another.
+def recorded_rows(test: SimulatedRelayTest, settling_cycles: int, cycles: int) -> slice:
+    """Rows of ``cycles`` cycles after ``settling_cycles``. A cycle begins where the integral falls through zero.
 
-    Where the test has fewer, all rows to its end; where not even the settling ones, all.
+    If the test has fewer cycles, the rows go to its end. If it has not even the settling ones, they are all its rows.
     """
     z = test.z_rad_s
     falls = np.flatnonzero((z[1:] < 0.0) & (z[:-1] >= 0.0))
@@ -157,7 +158,10 @@ def recorded_rows(test: RelayTest, settling_cycles: int, cycles: int) -> slice:
 
 
 def autoregressive(white: Array, coefficient: float) -> Array:
-    """Stationary x_k = c x_(k-1) + sqrt(1 - c^2) w_k of unit variance from unit white noise w, the first as it is."""
+    """Stationary x_k = c x_(k-1) + sqrt(1 - c^2) w_k of unit variance, from unit white noise w; x_0 = w_0.
+
+    coefficient  c, correlation from one sample to the next, 0 to 1
+    """
     share = math.sqrt(1.0 - coefficient**2)
     values = white.tolist()
     for k in range(1, len(values)):

@@ -1,4 +1,4 @@
-"""The picture of a campaign: error and coverage over the grid, standardised errors, error against bound."""
+"""The figure of a campaign: error and coverage over the grid, standardised errors, error against bound."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ Array = NDArray[np.float64]
 SYMBOLS = {"tau_s": r"$\tau$", "K_rad_s_V": "$K$", "fc_V": "$f_c$"}
 COLOURS = {"ok": "#0072B2", "doubtful": "#E69F00", "refused": "#D55E00"}
 GOOD, HIGH, LOW = "#f4f5f7", "#D55E00", "#0072B2"
-TOLD = 8  # experiments that a cell needs to show anything
-PER_CELL = 40  # experiments a cell has on average, so that its number means something
+FEWEST_IN_CELL = 8  # experiments; a cell with fewer stays white
+PER_CELL = 40  # experiments in a cell on average, so that its number means something
 MOST_CELLS = 6
 
 
 def draw(campaign: Campaign, table: Table) -> bytes:
-    """The picture as PNG: a column for each of tau, K and fc, from the experiments that have an estimate."""
+    """The figure as PNG: a column for each of tau, K and fc, from the experiments that have an estimate."""
     estimated = np.isfinite(table["tau_s"])
     ok = estimated & (table["verdict"] == "ok")
-    shown = {name: column[ok] for name, column in table.items()}
+    called_ok = {name: column[ok] for name, column in table.items()}
     every = {name: column[estimated] for name, column in table.items()}
     with style():
         figure = Figure(figsize=(WIDTH_IN, 12.4), layout="constrained")
@@ -42,9 +42,9 @@ def draw(campaign: Campaign, table: Table) -> bytes:
         rows = figure.subplots(4, len(MAIN))
         edges = grid_edges(campaign, int(ok.sum()))
         for column, name in enumerate(MAIN):
-            _error_map(rows[0, column], shown, name, edges)
-            _coverage_map(rows[1, column], shown, name, edges)
-            _standardised(rows[2, column], shown, name)
+            _error_map(rows[0, column], called_ok, name, edges)
+            _coverage_map(rows[1, column], called_ok, name, edges)
+            _standardised(rows[2, column], called_ok, name)
             _against_bound(rows[3, column], every, name)
         figure.suptitle(
             f"campaign {campaign.name}: {table['number'].size} experiments, {int(ok.sum())} called ok",
@@ -56,16 +56,18 @@ def draw(campaign: Campaign, table: Table) -> bytes:
 
 
 def grid_edges(campaign: Campaign, experiments: int) -> tuple[Array, Array]:
-    """Edges of the cells: log tau, s, and fc, V; as many as the experiments fill."""
+    """Edges of the cells: log tau, s, and fc, V; as many cells as the experiments fill."""
     count = int(np.clip(math.isqrt(max(1, experiments // PER_CELL)), 2, MOST_CELLS))
     low, high = _widened(*(math.log(end) for end in campaign.motor.tau_s))
     return np.exp(np.linspace(low, high, count + 1)), np.linspace(*_widened(*campaign.motor.fc_V), count + 1)
 
 
 def cells(table: Table, edges: tuple[Array, Array], value: Any) -> tuple[Array, NDArray[np.int_]]:
-    """``value(rows)`` of each cell, nan where it has few experiments, and how many it has; (fc, tau), from low to high.
+    """``value`` of each cell, nan in a cell with few experiments; and the number of experiments in each cell.
 
-    value  from a boolean mask of the table's rows to a number
+    edges  of the cells, as from ``grid_edges``
+    value  takes a boolean mask of the table's rows and returns a number
+    Both arrays are (fc, tau), from low to high.
     """
     tau, fc = edges
     column = np.clip(np.searchsorted(tau, table["true_tau_s"], side="right") - 1, 0, tau.size - 2)
@@ -75,7 +77,7 @@ def cells(table: Table, edges: tuple[Array, Array], value: Any) -> tuple[Array, 
     for i, j in np.ndindex(values.shape):
         inside = (row == i) & (column == j)
         counts[i, j] = int(inside.sum())
-        if counts[i, j] >= TOLD:
+        if counts[i, j] >= FEWEST_IN_CELL:
             values[i, j] = value(inside)
     return values, counts
 
@@ -86,7 +88,7 @@ def _error_map(axes: Axes, table: Table, name: str, edges: tuple[Array, Array]) 
     if np.isfinite(ratio).any():
         values, _ = cells(table, edges, lambda inside: rms(ratio[inside]))
         _map(axes, edges, values, _Shades(1.0, 0.5, "{:.2f}"))
-    else:  # without noise there is no bound
+    else:  # there is no bound without noise
         share = 100.0 * relative_error(table, name)
         kind = "RMS error, %"
         values, _ = cells(table, edges, lambda inside: rms(share[inside]))
@@ -99,8 +101,8 @@ def _error_map(axes: Axes, table: Table, name: str, edges: tuple[Array, Array]) 
 def _coverage_map(axes: Axes, table: Table, name: str, edges: tuple[Array, Array]) -> None:
     held = covered(table, name)
     values, counts = cells(table, edges, lambda inside: 100.0 * float(held[inside].mean()))
-    told = counts[counts >= TOLD]
-    scatter = 100.0 * math.sqrt(0.95 * 0.05 / float(np.median(told))) if told.size else math.nan
+    enough = counts[counts >= FEWEST_IN_CELL]
+    scatter = 100.0 * math.sqrt(0.95 * 0.05 / float(np.median(enough))) if enough.size else math.nan
     _map(axes, edges, values, _Shades(95.0, 10.0, "{:.0f}", upside_down=True))
     chance = f" (chance: 95 ± {scatter:.1f})" if math.isfinite(scatter) else ""
     axes.set_title(f"{SYMBOLS[name]}: coverage, %{chance}")
@@ -108,10 +110,10 @@ def _coverage_map(axes: Axes, table: Table, name: str, edges: tuple[Array, Array
 
 @dataclass(frozen=True)
 class _Shades:
-    """How the cells of a map are coloured: by how far they are from ``centre``, to ``reach`` away from it.
+    """The colours of a map: by the distance of a cell's value from ``centre``, up to ``reach``.
 
-    text         format of the values that are written in them
-    upside_down  low values are the bad ones
+    text         format of the values in the cells
+    upside_down  whether low values are the bad ones
     """
 
     centre: float
@@ -121,7 +123,7 @@ class _Shades:
 
 
 def _map(axes: Axes, edges: tuple[Array, Array], values: Array, shades: _Shades) -> None:
-    """Cells with their values written in them."""
+    """Draw the cells, with their values in them."""
     tau, fc = edges
     colours, centre, reach = _diverging(shades.upside_down), shades.centre, shades.reach
     axes.pcolormesh(
@@ -205,7 +207,7 @@ def _against_bound(axes: Axes, table: Table, name: str) -> None:
 
 
 def _diverging(upside_down: bool) -> Colormap:
-    """From too good to too bad: blue, white, red; upside down where small is bad."""
+    """Colours from too good to too bad: blue, white, red; the other way round if small is bad."""
     colours = [LOW, GOOD, HIGH]
     return LinearSegmentedColormap.from_list("off", colours[::-1] if upside_down else colours)
 

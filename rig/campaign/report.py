@@ -1,4 +1,4 @@
-"""The report of a campaign: the picture as PNG, and one self-contained page with it and the table."""
+"""The report of a campaign: the figure as PNG, and one self-contained page with figure and table."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 
 import jinja2
 
-import rig
 from rig.campaign import picture
 from rig.campaign.results import Table
 from rig.campaign.summary import MAIN, ParameterSums, Summary, Sums
 from rig.config import Campaign, dump
+from rig.package import VERSION
 from rig.recording.folder import write_whole
 
 PICTURE = "campaign.png"
@@ -49,16 +49,16 @@ def write_report(folder: Path, campaign: Campaign, table: Table, found: Summary)
             (f"all {found['estimated']['number']} that have an estimate", table_rows(found["estimated"])),
         ],
         sentences=sentences(found),
-        told=picture.TOLD,
+        fewest_in_cell=picture.FEWEST_IN_CELL,
         picture=base64.b64encode(image).decode("ascii"),
         config=dump(campaign),
-        version=rig.__version__,
+        version=VERSION,
     )
     write_whole(folder / REPORT, page.encode("utf-8"))
 
 
 def table_rows(sums: Sums) -> list[tuple[str, ...]]:
-    """A row of text for each parameter under ``HEADINGS``; errors in per cent of the truth, or in the unit."""
+    """A row of text for each parameter, under ``HEADINGS``. Errors are in per cent of the truth, or in the unit."""
     rows = []
     for name, values in sums["parameters"].items():
         symbol, unit = NAMES[name]
@@ -77,36 +77,36 @@ def table_rows(sums: Sums) -> list[tuple[str, ...]]:
 
 
 def sentences(found: Summary) -> list[str]:
-    """What else there is to say: verdicts, reasons, outliers, the second test, speed."""
+    """Sentences beside the table: verdicts, reasons, outliers, the second test, speed."""
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in found["verdicts"].items())
     off = found["ok_but_off"]
-    said = [
+    lines = [
         f"{found['number']} experiments: {verdicts}",
         f"called ok with an error above 5 % in tau, K or f_c: {len(off)}{_named(off)}",
     ]
     failed = found["failed"]
     if failed:
-        said.append(
-            f"failed, by a defect of the program: {len(failed)}{_named(failed)}; the first again: {found['repeat']}"
+        lines.append(
+            f"failed, by a defect of the program: {len(failed)}{_named(failed)}; repeat the first: {found['repeat']}"
         )
     if found["far"]:
         far = found["far"]
-        said.append(f"an error above 5 times its bound, whatever the verdict: {len(far)}{_named(far)}")
+        lines.append(f"an error above 5 times its bound, whatever the verdict: {len(far)}{_named(far)}")
     if "second" in found:
         second = found["second"]
-        said.append(
-            "second test, never fitted: predicted with "
-            f"{second['median']:.3f} times the true motor's residual (median; 95 %: {second['p95']:.3f}, "
+        lines.append(
+            "second test, predicted but never fitted: residual "
+            f"{second['median']:.3f} times the true motor's (median; 95 %: {second['p95']:.3f}, "
             f"largest {second['max']:.2f})"
         )
     session = found["session"]
     if session["experiments"]:
         each_ms = 1e3 * found["seconds"]["median"]
-        said.append(
+        lines.append(
             f"{session['experiments']} done now in {session['seconds']:.1f} s: {session['experiments_per_s']:.1f} "
             f"a second ({session['backend']}, {session['workers']}; median {each_ms:.0f} ms each in its worker)"
         )
-    return said
+    return lines
 
 
 def _sizes(values: ParameterSums, name: str) -> tuple[float, float, float]:

@@ -1,7 +1,7 @@
-"""The result file of a campaign: rows that are there stay there, whatever ends the program.
+"""The result file of a campaign: rows in the file stay there, whatever ends the program.
 
-A campaign folder holds config.yaml (resolved), meta.json (hashes that say what the rows belong to) and results.csv,
-to which whole chunks are appended. A last line that was torn is cut off; its experiment is done again.
+A campaign folder holds config.yaml (resolved), meta.json (hashes of the config and the program behind the rows) and
+results.csv. Rows are appended in whole chunks. A torn last line is cut off, and its experiment is done again.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-import rig
 from rig.campaign.grid import CampaignError
 from rig.campaign.trial import COLUMNS, Row
 from rig.config import Campaign, dump
+from rig.package import FOLDER, VERSION
 from rig.recording.folder import CONFIG, META, write_config, write_meta
 
 RESULTS: Final = "results.csv"
@@ -35,26 +35,26 @@ Table = Mapping[str, NDArray[Any]]
 
 
 def config_hash(campaign: Campaign) -> str:
-    """Of all keys that a row depends on."""
+    """Hash of all config keys that a row depends on."""
     return _sha256(json.dumps(_keys(campaign), sort_keys=True).encode())
 
 
 def program_hash() -> str:
-    """Of the sources that a row depends on: models, identification, and the campaign's own grid and trial."""
-    room = Path(rig.__file__).parent
+    """Hash of the sources that a row depends on: models, identification, and the campaign's own grid and trial."""
+    room = FOLDER
     files = [*sorted((room / "model").rglob("*.py")), *sorted((room / "identify").rglob("*.py"))]
     files += [room / "campaign" / "grid.py", room / "campaign" / "trial.py"]
     return _sha256(b"\0".join(file.read_bytes() for file in files))
 
 
 def folder_for(parent: Path, campaign: Campaign) -> Path:
-    """Where this campaign, by this version of the program, has its rows: the same again and again."""
+    """The folder of this campaign under this version of the program. It is always the same one."""
     identity = _sha256((config_hash(campaign) + program_hash()).encode())
     return parent / f"campaign-{campaign.name}-{identity[:8]}"
 
 
 class ResultFile:
-    """The rows of one campaign folder, and their growing file. Made by ``opened``."""
+    """The rows of one campaign folder, and the file that they go to. ``opened`` makes it."""
 
     def __init__(self, folder: Path, descriptor: int, done: set[int]) -> None:
         self.folder = folder
@@ -62,7 +62,7 @@ class ResultFile:
         self._descriptor = descriptor
 
     def append(self, rows: Iterable[Row]) -> None:
-        """Write rows at once. Raises OSError, e.g. where there is no room."""
+        """Write rows at once. Raises OSError, e.g. if there is no room."""
         chunk = list(rows)
         data = "".join(map(_line, chunk)).encode()
         while data:
@@ -73,18 +73,18 @@ class ResultFile:
 
 @contextmanager
 def opened(folder: Path, campaign: Campaign) -> Iterator[ResultFile]:
-    """The folder's result file, new or as it was left, for this process alone.
+    """The folder's result file, new or continued, for this process alone.
 
-    Raises CampaignError where the folder holds another campaign, or another process writes it, or it is broken.
+    Raises CampaignError if the folder holds another campaign, if another process writes it, or if it is broken.
     """
     try:
-        import fcntl  # not everywhere
+        import fcntl  # Windows does not have it
     except ImportError as error:
         raise CampaignError(
-            "no campaign on this system: its folder could not be locked against a second one", "run it on Linux"
+            "this system cannot run a campaign: it cannot lock the folder against a second one", "run it on Linux"
         ) from error
     if folder.is_dir() and not (folder / META).exists() and any(folder.iterdir()):
-        raise CampaignError(f"{folder}: is no campaign's folder, and not empty", "choose another folder with --out")
+        raise CampaignError(f"{folder}: is not empty, and not a campaign's folder", "choose another folder with --out")
     try:
         if (folder / META).exists():
             _same_campaign(folder, campaign)
@@ -98,7 +98,7 @@ def opened(folder: Path, campaign: Campaign) -> Iterator[ResultFile]:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise CampaignError(f"{folder}: another process runs this campaign", "wait for its end") from error
+            raise CampaignError(f"{folder}: another process runs this campaign", "wait until it ends") from error
         if (folder / META).exists():
             pass
         elif os.fstat(descriptor).st_size:
@@ -116,9 +116,10 @@ def opened(folder: Path, campaign: Campaign) -> Iterator[ResultFile]:
 
 
 def read(folder: Path, experiments: int | None = None) -> Table:
-    """The rows of a campaign folder by number, as columns; the first ``experiments`` of them, default all.
+    """The rows of a campaign folder as columns, in the order of their numbers.
 
-    Raises CampaignError where there are none, or the file is broken.
+    experiments  how many, from number 0; default: all
+    Raises CampaignError if there are none, or if the file is broken.
     """
     path = folder / RESULTS
     try:
@@ -140,11 +141,11 @@ def _line(row: Row) -> str:
 def _field(value: Any) -> str:
     if isinstance(value, float):
         return "" if math.isnan(value) else repr(value)
-    return " ".join(str(value).split())  # one line a row, whatever is said in it
+    return " ".join(str(value).split())  # a row is one line, whatever the text
 
 
 def _whole_lines(path: Path) -> bytes:
-    """The content up to its last line end: what comes after was torn."""
+    """The content up to its last line end. The rest is torn."""
     content = path.read_bytes()
     return content[: content.rfind(b"\n") + 1]
 
@@ -185,7 +186,7 @@ def _begin(folder: Path, campaign: Campaign) -> None:
         folder,
         {
             "name": campaign.name,
-            "rig": rig.__version__,
+            "rig": VERSION,
             "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
             "config_sha256": config_hash(campaign),
             "program_sha256": program_hash(),
@@ -210,8 +211,8 @@ def _same_campaign(folder: Path, campaign: Campaign) -> None:
         )
     if program != program_hash():
         raise CampaignError(
-            f"{folder}: its rows are of another version of the models or estimators",
-            "start a new one elsewhere: rows of two versions do not mix",
+            f"{folder}: its rows come from another version of the models or estimators",
+            "start a new campaign in another folder: rows of two versions do not mix",
         )
 
 
@@ -220,7 +221,7 @@ def _keys(campaign: Campaign) -> dict[str, Any]:
 
 
 def _difference(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
-    """The first key that differs, in words."""
+    """The first key that differs, as a sentence."""
     old, new = dict(_flat(there)), dict(_flat(here))
     key = next((k for k in (*new, *old) if old.get(k) != new.get(k)), "its meta.json")
     return f"{key} is {json.dumps(old.get(key))} there and {json.dumps(new.get(key))} here"

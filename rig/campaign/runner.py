@@ -1,4 +1,4 @@
-"""Trials over all cores, or over a cluster: chunks of experiments, their rows as they get ready."""
+"""Trials on all cores or on a cluster: chunks of experiments go out, and their rows come back when they are ready."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from rig.config import Campaign
 
 Backend = Literal["joblib", "dask"]
 
-CHUNK = 8  # experiments that a worker takes at once: a fraction of a second of work
-JOIN_S = 15.0  # longest wait for a cluster
+CHUNK = 8  # experiments that a worker takes at a time: a fraction of a second of work
+JOIN_S = 15.0  # longest wait for a cluster, s
 
 
 def run_chunk(campaign: Campaign, numbers: Sequence[int]) -> list[Row]:
@@ -36,7 +36,7 @@ def run_chunk(campaign: Campaign, numbers: Sequence[int]) -> list[Row]:
 
 @cache
 def _end_with_parent() -> None:
-    """End this worker when its parent has been killed: joblib's would wait for work for five minutes."""
+    """End this worker when its parent was killed. joblib's worker would wait five minutes for work."""
     parent = os.getppid()
 
     def watch() -> None:
@@ -49,8 +49,8 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Hold a Ctrl-C until the end of the block. Processes that start in it never get one: it is for their parent."""
-    resource_tracker.ensure_running()  # while it starts it lets signals through
+    """Hold a Ctrl-C until the end of the block. Processes that start in it never get one: only their parent does."""
+    resource_tracker.ensure_running()  # first: it lets signals through while it starts
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -60,12 +60,13 @@ def _interrupts_held() -> Iterator[None]:
 
 @contextmanager
 def workers(backend: Backend, jobs: int, scheduler: str | None = None) -> Iterator[None]:
-    """What ``stream_trials`` in the block runs on.
+    """The workers for ``stream_trials`` in the block.
 
-    joblib  ``jobs`` processes of this machine
-    dask    the cluster of the scheduler at this address; without one, a cluster of ``jobs`` local processes
-    One thread a worker: the matrices are thin, and the workers fill the cores already.
-    Raises CampaignError where dask is not installed, or no cluster answers.
+    backend    "joblib": processes of this machine; "dask": a cluster
+    jobs       number of processes; not used with a scheduler
+    scheduler  address of the cluster's scheduler; without one, dask starts ``jobs`` local processes
+    Each worker has one thread: the matrices are thin, and the workers fill the cores already.
+    Raises CampaignError if dask is not installed, or if no cluster answers.
     """
     if backend == "joblib":
         with joblib.parallel_config(backend="loky", n_jobs=jobs, inner_max_num_threads=1):
@@ -77,7 +78,7 @@ def workers(backend: Backend, jobs: int, scheduler: str | None = None) -> Iterat
         raise CampaignError("dask is not installed", "pip install 'rig[cluster]', or --backend joblib") from error
     cluster: Any
     if scheduler is None:
-        # its workers get OMP_NUM_THREADS=1 and the like from dask itself
+        # dask itself gives its workers OMP_NUM_THREADS=1 and the like
         with _interrupts_held():
             cluster = LocalCluster(  # type: ignore[no-untyped-call]
                 n_workers=jobs,
@@ -101,9 +102,9 @@ def workers(backend: Backend, jobs: int, scheduler: str | None = None) -> Iterat
 
 
 def stream_trials(campaign: Campaign, numbers: Sequence[int]) -> Generator[list[Row]]:
-    """Rows of the experiments, a chunk at a time, in whatever order the chunks get ready; on the ``workers``.
+    """Rows of the experiments, chunk by chunk, in the order in which the ``workers`` finish them.
 
-    Raises BrokenOffError where a process of this machine was killed.
+    Raises BrokenOffError if a process of this machine was killed.
     """
     chunks = [list(numbers[k : k + CHUNK]) for k in range(0, len(numbers), CHUNK)]
     with _interrupts_held():
@@ -114,6 +115,6 @@ def stream_trials(campaign: Campaign, numbers: Sequence[int]) -> Generator[list[
         yield from rows
     except BrokenProcessPool as error:
         raise BrokenOffError(
-            "a worker process was killed: the machine ran out of memory, or somebody did it",
-            "the rows so far are there; the same command goes on, and needs less memory with fewer --jobs",
+            "a worker process was killed: the machine ran out of memory, or somebody killed it",
+            "the rows so far are kept: run the command again to go on; fewer --jobs need less memory",
         ) from error

@@ -1,4 +1,4 @@
-"""One session of a campaign: what is missing in the folder is done, then summed up and drawn."""
+"""One session of a campaign: it does the missing experiments, then sums up and draws all of them."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from rig.config import Campaign
 from rig.recording.folder import CONFIG, json_text, write_whole
 
 SUMMARY = "summary.json"
-SYSTEMATIC = 16  # experiments: where so many fail and none has not, all will
+SYSTEMATIC = 16  # experiments: if the first 16 all fail, the rest will fail too
 
 
 @dataclass(frozen=True)
-class Session:
-    """How a session ended.
+class CampaignSession:
+    """The outcome of a session.
 
-    folder       the campaign's
-    done, added  experiments of the campaign that have a row now, and those of them that this session did
-    seconds      of this session, without summary and drawing
-    interrupted  ended by Ctrl-C: the folder can be resumed
+    folder       of the campaign
+    done, added  experiments of the campaign that have a row now, and how many of them this session did
+    seconds      time of this session, s, without summary and drawing
+    interrupted  whether Ctrl-C ended it: the folder can be resumed
     summary      of the rows, and this session's speed; None if interrupted
     """
 
@@ -47,13 +47,13 @@ def run(
     backend: runner.Backend = "joblib",
     scheduler: str | None = None,
     on_progress: Callable[[int, int], None] | None = None,
-) -> Session:
-    """Do the experiments that ``folder`` has no row of yet; write its summary.json, campaign.png and report.html.
+) -> CampaignSession:
+    """Do the experiments that have no row in ``folder`` yet. Write its summary.json, campaign.png and report.html.
 
-    on_progress  told after each chunk: experiments done, of how many
-    Raises CampaignError as ``results.opened`` and ``runner.workers``; BrokenOffError where the first ``SYSTEMATIC``
-    experiments of the folder, or all of fewer, fail: none of them is kept; OSError or RecordingError where the folder
-    cannot be written.
+    on_progress  called after each chunk with the experiments done, and of how many
+    Raises CampaignError as ``results.opened`` and ``runner.workers`` do; OSError or RecordingError if the folder cannot
+    be written; BrokenOffError if the first ``SYSTEMATIC`` experiments of the folder fail, or all of fewer. It keeps no
+    row of these.
     """
     tell = on_progress or (lambda done, of: None)
     began = time.perf_counter()
@@ -61,7 +61,8 @@ def run(
         more = 1 + max(file.done, default=-1)
         if more > campaign.experiments:
             raise CampaignError(
-                f"{folder}: has experiments up to number {more - 1} already", f"ask for {more} at least, or elsewhere"
+                f"{folder}: has experiments up to number {more - 1} already",
+                f"ask for at least {more}, or choose another folder",
             )
         missing = [number for number in range(campaign.experiments) if number not in file.done]
         before = campaign.experiments - len(missing)
@@ -78,7 +79,7 @@ def run(
         done = int(table["number"].size)
         added = done - before
         if interrupted:
-            return Session(folder, done, added, seconds, True, None)
+            return CampaignSession(folder, done, added, seconds, True, None)
         sums = summary.summarise(table)
         found: summary.Summary = {
             "campaign": campaign.name,
@@ -92,20 +93,20 @@ def run(
             **sums,
             "repeat": repeated_by(folder, sums["failed"][0]) if sums["failed"] else None,
         }
-        from rig.campaign.report import write_report  # matplotlib takes its time to load
+        from rig.campaign.report import write_report  # here: matplotlib loads slowly
 
         write_whole(folder / SUMMARY, json_text(found).encode("utf-8"))
         write_report(folder, campaign, table, found)
-    return Session(folder, done, added, seconds, False, found)
+    return CampaignSession(folder, done, added, seconds, False, found)
 
 
 def _fill(file: results.ResultFile, campaign: Campaign, missing: list[int], tell: Callable[[int, int], None]) -> None:
     """Append the rows of the missing experiments as they come."""
     with warnings.catch_warnings(), closing(runner.stream_trials(campaign, missing)) as chunks:
-        # joblib says so after a Ctrl-C, where it is what was asked for
+        # joblib warns after a Ctrl-C, though the user asked for the end
         warnings.filterwarnings("ignore", ".*have been cancelled", UserWarning)
         left = len(missing)
-        held: list[Row] = []  # that failed, before there was one that did not
+        held: list[Row] = []  # failed rows, until one experiment succeeds
         sound = bool(file.done)
         for rows in chunks:
             held += rows
@@ -117,12 +118,12 @@ def _fill(file: results.ResultFile, campaign: Campaign, missing: list[int], tell
                 tell(campaign.experiments - left, campaign.experiments)
             elif len(held) >= min(SYSTEMATIC, len(missing)):
                 raise BrokenOffError(
-                    f"{file.folder}: the first {len(held)} experiments all failed, the first of them by "
+                    f"{file.folder}: the first {len(held)} experiments all failed; the first error: "
                     f"{held[0]['reasons']}",
-                    f"see where: {repeated_by(file.folder, held[0]['number'])}",
+                    f"repeat it to see where: {repeated_by(file.folder, held[0]['number'])}",
                 )
 
 
 def repeated_by(folder: Path, number: int) -> str:
-    """The command that does one experiment of a campaign folder again: it shows the row, or where it fails."""
+    """The command that repeats one experiment of a campaign folder. It shows the row, or where it fails."""
     return shlex.join(["rig", "campaign", str(folder / CONFIG), "--experiment", str(number)])

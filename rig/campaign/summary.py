@@ -1,9 +1,9 @@
-"""What a campaign shows: errors against the bound and the truth, coverage of the intervals, verdicts.
+"""The summary of a campaign: errors against the bound and the truth, coverage of the intervals, verdicts.
 
-Errors are estimate minus truth. *RMS/bound* is the RMS error over the RMS of the Cramer-Rao bounds; *RMS ratio* is the
-RMS of each error over its own bound, in which every experiment weighs the same. Both are 1 for an estimator at the
-limit. Coverage is the share of nominal 95 % intervals that hold the truth, with its binomial standard error; what was
-known (the delay, where the times of the drive are recorded) has no interval to hold it.
+Errors are estimate minus truth. *RMS/bound* is the RMS error over the RMS of the Cramer-Rao bounds. *RMS ratio* is the
+RMS of each error over its own bound: every experiment has the same weight. Both are 1 for an estimator at the limit.
+Coverage is the share of nominal 95 % intervals that hold the truth, with its binomial standard error. A parameter that
+was known, such as a recorded delay, has no interval and no coverage.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from rig.identify.estimate import PARAMETERS
 
 Array = NDArray[np.float64]
 
-MAIN = PARAMETERS[:3]  # whose errors are told relative to the truth; the others may be zero
-OFF = 0.05  # relative error that must not be called ok
-FAR = 5.0  # times the bound, beyond which an error is no matter of chance
+MAIN = PARAMETERS[:3]  # their errors are relative to the truth; the true value of the others may be zero
+OFF = 0.05  # relative error that no verdict ok may have
+FAR = 5.0  # times the bound: a larger error is not chance
 MOST_NAMED = 20
 VERDICTS = ("ok", "doubtful", "refused", FAILED)
 
@@ -63,14 +63,14 @@ class ParameterSums(TypedDict):
 
 
 class Sums(TypedDict):
-    """Over so many experiments, the sums of each parameter."""
+    """The number of experiments, and the sums of each parameter over them."""
 
     number: int
     parameters: dict[str, ParameterSums]
 
 
-class Sitting(TypedDict):
-    """What one session of the campaign did: ``experiments`` in ``seconds``."""
+class SessionSpeed(TypedDict):
+    """The speed of one session of the campaign: ``experiments`` in ``seconds``."""
 
     backend: str
     workers: str
@@ -80,15 +80,17 @@ class Sitting(TypedDict):
 
 
 class TableSummary(TypedDict):
-    """The sums of a campaign's rows; nan where nothing is to be summed.
+    """The sums of a campaign's rows; nan for a sum of nothing.
 
     number        experiments
-    verdicts      verdict -> count; ``reasons``: [reason with its numbers left out, count], most frequent first
-    ok, estimated sums over the experiments called ok, and over all that have an estimate
+    verdicts      verdict -> count
+    reasons       [reason with # for its numbers, count], most frequent first
+    ok            sums over the experiments called ok
+    estimated     sums over all experiments that have an estimate
     ok_but_off    numbers of experiments called ok with an error above 5 % in tau, K or fc
     failed        numbers of experiments that an exception ended
     far           numbers of experiments with an error above 5 times its bound, whatever their verdict
-    second        residual of the second test as predicted, over that of the true motor; absent without one
+    second        residual of the predicted second test over the residual of the true motor; absent without that test
     """
 
     number: int
@@ -104,10 +106,10 @@ class TableSummary(TypedDict):
 
 
 class Summary(TableSummary):
-    """summary.json: the sums, of which campaign, by which session, and the command that repeats what failed."""
+    """summary.json: the sums, the campaign, the last session, and the command that repeats a failed experiment."""
 
     campaign: str
-    session: Sitting
+    session: SessionSpeed
     repeat: str | None
 
 
@@ -134,35 +136,38 @@ def summarise(table: Table) -> TableSummary:
 
 
 def sums(table: Table, chosen: NDArray[np.bool_]) -> Sums:
-    """``number`` of chosen experiments, and for each parameter its sums over them."""
+    """The number of ``chosen`` experiments, and for each parameter its sums over them."""
     part = {name: column[chosen] for name, column in table.items()}
     return {"number": int(chosen.sum()), "parameters": {name: _parameter(part, name) for name in PARAMETERS}}
 
 
 def error(table: Table, name: str) -> Array:
-    """Estimate minus truth, in the parameter's unit; nan where there is no estimate."""
+    """Estimate minus truth, in the parameter's unit; nan without an estimate."""
     return np.asarray(table[name] - table[f"true_{name}"])
 
 
 def relative_error(table: Table, name: str) -> Array:
-    """Size of the error over the truth."""
+    """Absolute value of the error over the truth."""
     with np.errstate(divide="ignore"):
         return np.asarray(np.abs(error(table, name) / table[f"true_{name}"]))
 
 
 def over_bound(table: Table, name: str) -> Array:
-    """Error over its Cramer-Rao bound; nan where there is none."""
+    """Error over its Cramer-Rao bound; nan without a bound."""
     return np.asarray(error(table, name) / table[f"bound_{name}"])
 
 
 def covered(table: Table, name: str) -> NDArray[np.bool_]:
-    """Whether the nominal 95 % interval holds the truth; a missing interval does not."""
+    """Whether the nominal 95 % interval holds the truth. A missing interval does not."""
     truth = table[f"true_{name}"]
     return np.asarray((table[f"low_{name}"] <= truth) & (truth <= table[f"high_{name}"]))
 
 
 def coverage(held: NDArray[np.bool_]) -> tuple[float, float]:
-    """Share of intervals that hold the truth, and its binomial standard error; nan for none."""
+    """Share of true values in ``held``, and its binomial standard error; nan for an empty one.
+
+    held  whether each interval holds the truth
+    """
     if held.size == 0:
         return math.nan, math.nan
     share = float(held.mean())
@@ -170,7 +175,7 @@ def coverage(held: NDArray[np.bool_]) -> tuple[float, float]:
 
 
 def rms(values: Array) -> float:
-    """Root mean square of the finite values; nan where there are none."""
+    """Root mean square of the finite ``values``; nan if there are none."""
     finite = values[np.isfinite(values)]
     return math.sqrt(float(np.mean(finite**2))) if finite.size else math.nan
 
@@ -181,19 +186,19 @@ def numbers(table: Table, chosen: NDArray[np.bool_]) -> list[int]:
 
 
 def reasons(table: Table) -> list[list[str | int]]:
-    """Why experiments were not called ok: each reason with its numbers left out, and how often it was given."""
-    said = Counter(
+    """Why experiments were not called ok: each reason, with # for its numbers, and how often it occurs."""
+    found = Counter(
         re.sub(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?", "#", reason)
         for row in table["reasons"]
         for reason in row.split(" | ")
         if reason
     )
-    return [[reason, count] for reason, count in said.most_common(MOST_NAMED)]
+    return [[reason, count] for reason, count in found.most_common(MOST_NAMED)]
 
 
 def _parameter(part: Table, name: str) -> ParameterSums:
     errors, bounds = error(part, name), part[f"bound_{name}"]
-    share, scatter = coverage(covered(part, name)[part[f"se_{name}"] != 0.0])  # 0: not estimated, but known
+    share, scatter = coverage(covered(part, name)[part[f"se_{name}"] != 0.0])  # 0: known, not estimated
     found: ParameterSums = {
         "rms_error": rms(errors),
         "rms_bound": rms(bounds),

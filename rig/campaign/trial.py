@@ -1,6 +1,6 @@
-"""One experiment of a campaign: simulated, identified as `rig identify` does, compared with the truth and its bound.
+"""One experiment of a campaign: simulate it, identify it as `rig identify` does, compare with the truth and the bound.
 
-A defect of the program that one experiment runs into is that experiment's row, and no other's.
+If an experiment raises an exception, its row says so, and the other experiments go on.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rig.identify import IdentifyError, identify, sampled_data
 from rig.identify.cramer_rao import PositionNoise, cramer_rao
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.output_error import refit
-from rig.model.sampled_relay import RelayTest
+from rig.model.sampled_relay import SimulatedRelayTest
 from rig.model.sensitivity import Theta
 from rig.recording.reader import Recording, RecordingError, from_columns
 from rig.recording.series import LEAST_DELAY_S, TimeSeries, steps_of
@@ -28,10 +28,10 @@ from rig.results import RunMeta
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
-FAILED = "failed"  # verdict of an experiment that an exception ended
+FAILED = "failed"  # verdict of an experiment that raised an exception
 
 TRUTHS = ("h1_V", "h2_V", "period_s", "offset_rad", "start_rad", "clock_ratio")
-# Column -> int, float or str: the order of the result file. Estimates are nan where there is none.
+# Column -> int, float or str, in the order of the result file. Without an estimate its columns are nan.
 COLUMNS: dict[str, type] = {
     "number": int,
     **{f"true_{name}": float for name in (*PARAMETERS, *TRUTHS)},
@@ -39,14 +39,14 @@ COLUMNS: dict[str, type] = {
     **{f"se_{name}": float for name in PARAMETERS},  # standard error by the estimator
     **{f"low_{name}": float for name in PARAMETERS},  # nominal 95 % interval
     **{f"high_{name}": float for name in PARAMETERS},
-    **{f"bound_{name}": float for name in PARAMETERS},  # Cramer-Rao; nan where noise is none or the delay is known
+    **{f"bound_{name}": float for name in PARAMETERS},  # Cramer-Rao; nan without noise or for a known delay
     "samples": int,
-    "cycles": float,  # true ones, recorded
+    "cycles": float,  # true number of recorded cycles
     "repeated": float,
     "iterations": int,
     "rms_rad": float,
-    "second_rms_rad": float,  # of the second test, predicted; nan without one
-    "second_own_rms_rad": float,  # the same with the true motor
+    "second_rms_rad": float,  # residual of the second test, predicted by the estimate; nan without that test
+    "second_own_rms_rad": float,  # residual of the second test, predicted by the true motor
     "verdict": str,
     "reasons": str,
     "seconds": float,
@@ -54,29 +54,29 @@ COLUMNS: dict[str, type] = {
 
 
 def row_of(campaign: Campaign, number: int) -> Row:
-    """Experiment ``number``: its row, of ``COLUMNS``, also where an exception ends it: then its verdict is ``failed``.
+    """The row of experiment ``number``, with ``COLUMNS``. If an exception ends the experiment, its verdict is "failed".
 
-    Raises CampaignError where the ranges give no experiment: that is no defect, and no other number helps.
+    Raises CampaignError if the ranges give no experiment. Then no other number gives one.
     """
     began = time.perf_counter()
     try:
         return run_trial(campaign, number)
     except CampaignError:
         raise
-    except Exception as error:  # noqa: BLE001 - whatever it is, thousands of others are not to be lost for it
+    except Exception as error:  # noqa: BLE001 - no error of one experiment may end the thousands of others
         blank: Row = {name: {int: 0, float: math.nan, str: ""}[kind] for name, kind in COLUMNS.items()}
         seconds = time.perf_counter() - began
         return blank | {"number": number, "verdict": FAILED, "reasons": _in_words(error), "seconds": seconds}
 
 
 def _in_words(error: Exception) -> str:
-    """The exception and its place, e.g. ``ZeroDivisionError: division by zero (motor.py:120)``."""
+    """The exception and where it was raised, e.g. ``ZeroDivisionError: division by zero (motor.py:120)``."""
     place = traceback.extract_tb(error.__traceback__)[-1]
     return " ".join(f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})".split())
 
 
 def run_trial(campaign: Campaign, number: int) -> Row:
-    """Experiment ``number``: its row, of ``COLUMNS``. Raises CampaignError where the ranges give none."""
+    """The row of experiment ``number``, with ``COLUMNS``. Raises CampaignError if the ranges give no experiment."""
     began = time.perf_counter()
     one = draw(campaign, number)
     test, rows = simulate(campaign, one)
@@ -97,8 +97,8 @@ def run_trial(campaign: Campaign, number: int) -> Row:
     return {name: row[name] for name in COLUMNS}
 
 
-def _recording(campaign: Campaign, one: Draw, test: RelayTest, rows: slice) -> Recording:
-    """The recorded rows: a plain CSV's columns, and what tells the clock ratio where the clock has its own rate."""
+def _recording(campaign: Campaign, one: Draw, test: SimulatedRelayTest, rows: slice) -> Recording:
+    """The recorded rows as columns of a plain CSV. A clock with its own rate adds late_us and period_s."""
     sampling = campaign.sampling
     own_clock = sampling.clock_ratio != (1.0, 1.0)
     count = rows.stop - rows.start
@@ -114,8 +114,8 @@ def _recording(campaign: Campaign, one: Draw, test: RelayTest, rows: slice) -> R
     )
 
 
-def _bound(campaign: Campaign, one: Draw, test: RelayTest, rows: slice) -> dict[str, float]:
-    """Cramer-Rao bound over the samples that the estimator can use: those whose drive is known."""
+def _bound(campaign: Campaign, one: Draw, test: SimulatedRelayTest, rows: slice) -> dict[str, float]:
+    """Cramer-Rao bound from the samples that the estimator can use: those with a known drive."""
     sampling, sensor = campaign.sampling, campaign.sensor
     if sensor.noise_rad == 0.0 and sensor.lsb_rad == 0.0:
         return dict.fromkeys(PARAMETERS, math.nan)
@@ -145,8 +145,8 @@ def _bound(campaign: Campaign, one: Draw, test: RelayTest, rows: slice) -> dict[
     return found | ({"delay_s": math.nan} if known else {})
 
 
-def _cycles(test: RelayTest, rows: slice) -> float:
-    """Falls of the integral through zero within the rows, less one."""
+def _cycles(test: SimulatedRelayTest, rows: slice) -> float:
+    """Number of falls of the integral through zero within the rows, less one."""
     z = test.z_rad_s[rows]
     return max(0.0, float(np.count_nonzero((z[1:] < 0.0) & (z[:-1] >= 0.0))) - 1.0)
 
@@ -181,7 +181,7 @@ def _no_estimate(reason: str) -> Row:
 
 
 def _second(campaign: Campaign, one: Draw, estimate: Estimate) -> Row:
-    """Residual of the second test when the estimate predicts it, and when the true motor does."""
+    """Residuals of the second test, predicted by the estimate and by the true motor."""
     if campaign.relay.second is None:
         return {"second_rms_rad": math.nan, "second_own_rms_rad": math.nan}
     test, rows = simulate(campaign, one, second=True)
@@ -195,6 +195,6 @@ def _second(campaign: Campaign, one: Draw, estimate: Estimate) -> Row:
 
 
 def _residual_rad(series: TimeSeries, theta: Theta) -> float:
-    """RMS residual of a series whose initial state alone is fitted."""
+    """RMS residual of a series, rad, with only its initial state fitted."""
     solution = refit([series], theta)
     return math.sqrt(solution.cost / solution.residual.size)

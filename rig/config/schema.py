@@ -59,7 +59,7 @@ class Daq(_Section):
     )
 
 
-class Loop(_Section):
+class LoopSection(_Section):
     """How the loop keeps its time; what the machine refuses, a run says."""
 
     spin_us: Annotated[float, Field(ge=0, le=1000)] = Field(
@@ -188,7 +188,7 @@ class TravelLimits(_Section):
     coast_tau_s: Positive = Field(description="longest velocity time constant to expect, for the stopping distance")
 
 
-class Motor(_Section):
+class MotorSection(_Section):
     """What the motor's data sheet says; the rest is identified."""
 
     no_load_speed_rad_s: Positive = Field(
@@ -197,7 +197,7 @@ class Motor(_Section):
     )
 
 
-class Breakaway(_Section):
+class BreakawaySection(_Section):
     """The check before any relay: strokes to and fro, slowly stronger, until both have moved the shaft."""
 
     ramp_V_s: Positive = Field(0.4, description="how fast the drive of each way rises, V/s")
@@ -208,7 +208,7 @@ class Breakaway(_Section):
     )
 
 
-class Gains(_Section):
+class RelayGains(_Section):
     """Gains of the dual-channel relay."""
 
     h1_V: Positive = Field(description="gain on the sign of the position")
@@ -239,7 +239,7 @@ class RelayTarget(_Section):
     )
 
 
-class GainSearch(_Section):
+class GainSearchSection(_Section):
     """How the gains are found (docs/theory.md 4.2)."""
 
     h1_start_V: Positive = Field(0.3, description="first h1")
@@ -250,11 +250,11 @@ class GainSearch(_Section):
     timeout_s: Positive = Field(90.0, description="longest search")
 
 
-class Relay(_Section):
+class RelaySection(_Section):
     """The relay experiment: gains given, or searched for a target; or, or besides, runs of a hysteretic relay."""
 
     target: RelayTarget | None = Field(None, description="search gains that give this limit cycle; or give `gains`")
-    gains: Annotated[tuple[Gains, ...], Field(min_length=1, max_length=4)] | None = Field(
+    gains: Annotated[tuple[RelayGains, ...], Field(min_length=1, max_length=4)] | None = Field(
         None, description="one relay test for each pair; without it the gains are searched"
     )
     where: Literal["host", "device"] = Field(
@@ -265,7 +265,9 @@ class Relay(_Section):
         0.75, description="searched gains: the second test's amplitude over the first's, period kept"
     )
     cycles: Annotated[int, Field(ge=3, le=200)] = Field(12, description="settled cycles recorded in each test")
-    search: GainSearch = Field(GainSearch(), description="how the gains are searched, where there is a target")
+    search: GainSearchSection = Field(
+        GainSearchSection(), description="how the gains are searched, where there is a target"
+    )
     hysteretic: Annotated[tuple[Hysteretic, ...], Field(min_length=2, max_length=8)] | None = Field(
         None, description="runs of a hysteretic relay for the least-squares method: two or more different d_V each way"
     )
@@ -300,7 +302,7 @@ class Sine(_Section):
     omega_rad_s: Positive = Field(description="angular frequency")
 
 
-class Tracking(_Section):
+class TrackingSection(_Section):
     """The check by feedback linearisation, (33)-(35)."""
 
     duration_s: Annotated[float, Field(ge=2)] = Field(6.0, description="length of the check of each method")
@@ -316,6 +318,16 @@ class Tracking(_Section):
         ("sampled-data", "triple-relay", "describing-function"),
         description="estimators whose models are compared, each on the same trajectory",
     )
+
+
+class OwnLaw(_Section):
+    """A law of a user's own, which a package offers as entry point of the group `rig.laws`."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=40)] = Field(
+        description="by which the package offers it"
+    )
+    duration_s: Annotated[float, Field(gt=0, le=3600)] = Field(10.0, description="it ends then at the latest")
+    options: dict[str, Any] = Field({}, description="whatever the law asks for, by name; see its own documentation")
 
 
 class EmulatedMotor(_Section):
@@ -409,18 +421,21 @@ class Experiment(_Section):
     )
     seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = Field(1, description="of emulated noise")
     period_s: Annotated[float, Field(ge=0.0005, le=0.1)] = Field(0.01, description="the loop's period")
-    loop: Loop = Field(Loop(), description="how the loop keeps its time")
+    loop: LoopSection = Field(LoopSection(), description="how the loop keeps its time")
     daq: Daq = Field(description="the link to the bench")
     sensor: Sensor = Field(description="the potentiometer: counts to rad")
     drive: Drive = Field(description="the H-bridge: V to duty")
     tachometer: Tachometer | None = Field(None, description="velocity channel; leave out where there is none")
-    motor: Motor | None = Field(
+    motor: MotorSection | None = Field(
         None, description="what its data sheet says; a run needs it, only records of older versions have none"
     )
     limits: TravelLimits = Field(description="where the shaft may be, and how fast")
-    breakaway: Breakaway = Field(Breakaway(), description="the check before any relay")
-    relay: Relay = Field(description="the relay experiment")
-    tracking: Tracking | None = Field(None, description="leave out to skip the tracking check")
+    breakaway: BreakawaySection = Field(BreakawaySection(), description="the check before any relay")
+    relay: RelaySection = Field(description="the relay experiment")
+    tracking: TrackingSection | None = Field(None, description="leave out to skip the tracking check")
+    law: OwnLaw | None = Field(
+        None, description="a law of your own: `rig run` runs the breakaway check and this law, and nothing else"
+    )
     emulated: Emulated | None = Field(None, description="the bench behind `driver: simulated` or `port: emulated`")
 
     @property

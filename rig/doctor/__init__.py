@@ -1,1 +1,1 @@
-"""Can this machine and this link hold the period: what is set how, what was measured, and what to type to mend it."""
+"""Can this machine and this link hold the period: settings, measurements, and what to type to improve them."""

@@ -12,11 +12,11 @@ State = Literal["good", "note", "poor", "bad"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at.
+    """One thing that `rig doctor` looked at.
 
-    topic  what it is, in a word or two
-    state  good; note: neither good nor bad; poor: the loop runs, but later or less surely; bad: it will not hold
-    words  what was seen, numbers included
+    topic  its name, in a word or two
+    state  good; note: neither good nor bad; poor: the loop runs, but later or less reliably; bad: it will not hold
+    words  what rig saw, with numbers
     cure   what to type or to change; empty where nothing is wrong
     """
 
@@ -26,7 +26,7 @@ class Finding:
     cure: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "words", plain(self.words))  # a port's name, or what a device said, may be in it
+        object.__setattr__(self, "words", plain(self.words))  # it may quote a port's name or a device
         object.__setattr__(self, "cure", plain(self.cure))
 
     def as_dict(self) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""How the machine is set up: what the kernel's files say, each judged by one function.
+"""How the machine is set up: one function for each setting, from the kernel's files.
 
 Every function takes ``root``, the folder that stands for ``/``.
 """
@@ -34,7 +34,7 @@ _UDEV_RULE = (
 
 
 def examine(run_folder: Path, root: Path = ROOT) -> Iterator[Finding]:
-    """Everything about this machine that a run does not have to be started for."""
+    """Everything about this machine that can be checked without a run."""
     yield kernel(root)
     yield clock_source(root)
     yield governor(root)
@@ -48,7 +48,7 @@ def examine(run_folder: Path, root: Path = ROOT) -> Iterator[Finding]:
 
 
 def _text(path: Path) -> str | None:
-    """What a kernel's file says, stripped; None where there is no such file or it may not be read."""
+    """Text of a kernel's file, stripped; None where there is no such file or it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
@@ -56,7 +56,7 @@ def _text(path: Path) -> str | None:
 
 
 def kernel(root: Path = ROOT) -> Finding:
-    """Whether the kernel can be interrupted where it works for others."""
+    """Whether the kernel can be interrupted while it works for other programs."""
     release, build = platform.release(), platform.version()
     if _text(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in build:
         return Finding("kernel", "good", f"{release}, fully preemptible (PREEMPT_RT)")
@@ -65,21 +65,21 @@ def kernel(root: Path = ROOT) -> Finding:
     return Finding(
         "kernel",
         "note",
-        f"{release}, not preemptible: a wake-up can wait for milliseconds while the kernel works for others",
-        "where the measured wake-ups below are too late: a preemptible kernel, in Debian `sudo apt install "
+        f"{release}, not preemptible: a wake-up can wait for milliseconds while the kernel works for other programs",
+        "if the wake-ups measured below are too late, install a preemptible kernel: in Debian `sudo apt install "
         "linux-image-rt-amd64`",
     )
 
 
 def clock_source(root: Path = ROOT) -> Finding:
-    """What the kernel reads the time from: some cost a microsecond and more at each reading."""
+    """The kernel's source of time; with some, each reading costs a microsecond or more."""
     source = _text(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
     if source is None:
         return Finding("clock", "note", "the kernel does not say what it reads the time from")
     if source in _FAST_CLOCKS:
         return Finding("clock", "good", f"read from {source}")
     return Finding(
-        "clock", "poor", f"read from {source}, which is slow", "boot with `tsc=reliable`, where the machine has one"
+        "clock", "poor", f"read from {source}, which is slow", "boot with `tsc=reliable`, if the machine has a TSC"
     )
 
 
@@ -95,29 +95,31 @@ def governor(root: Path = ROOT) -> Finding:
     return Finding(
         "governor",
         "poor",
-        f"{words}: a core that has slowed down while the loop slept wakes it late",
+        f"{words}: a core that slows down while the loop sleeps wakes it late",
         "`echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor`, until the next boot",
     )
 
 
 def cores(root: Path = ROOT) -> Finding:
-    """How many cores, and whether they are this machine's own."""
+    """How many cores there are, and whether the machine is virtual."""
     count = os.cpu_count() or 1
     flags = _text(root / "proc/cpuinfo") or ""
     if any("hypervisor" in line.split() for line in flags.splitlines() if line.startswith("flags")):
         return Finding(
             "cores",
             "note",
-            f"{count}, of a virtual machine: whatever shares its host can stop it for milliseconds at any time",
-            "for a real motor, a machine of its own",
+            f"{count}, of a virtual machine: others on its host can stop it for milliseconds at any time",
+            "for a real motor use a machine that is not virtual",
         )
     if count == 1:
-        return Finding("cores", "poor", "1: the recorder runs on the loop's core", "a machine with two cores or more")
+        return Finding(
+            "cores", "poor", "1: the recorder runs on the loop's core", "use a machine with two cores or more"
+        )
     return Finding("cores", "good", f"{count}")
 
 
 def scheduling() -> Iterator[Finding]:
-    """What of the real-time set-up this user may have: it is asked for, as a run does, and given back."""
+    """Which real-time settings this user may use: rig asks for them as a run does, and gives them back."""
     with real_time() as done:
         pass
     for line in done.granted:
@@ -128,7 +130,7 @@ def scheduling() -> Iterator[Finding]:
 
 
 def kernel_workers(root: Path = ROOT) -> Finding:
-    """Whether a run that was killed has left the kernel's worker threads at the priority that `raise_workers` gives."""
+    """Whether a killed run has left the kernel's worker threads at the priority of `raise_workers`."""
     stats = (_text(root / f"proc/{worker}/stat") or "" for worker in workers(root / "proc"))
     # proc(5): after the name in brackets, which may have blanks in it, fields 3 and on; 41 is the policy
     policies = (text.rpartition(")")[2].split()[38:39] for text in stats)
@@ -137,12 +139,12 @@ def kernel_workers(root: Path = ROOT) -> Finding:
         return Finding("workers", "good", "the kernel's workers have their ordinary priority")
     keeper = Path(kernel_workers_module.__file__).name
     if any(keeper in (_text(line) or "") for line in (root / "proc").glob("[0-9]*/cmdline")):
-        return Finding("workers", "note", f"{raised} of the kernel's workers go first, for a run that is going on")
+        return Finding("workers", "note", f"{raised} of the kernel's workers go first, for a run in progress")
     return Finding(
         "workers",
         "poor",
-        f"{raised} of the kernel's workers have real-time priority, and no run that raised them: it was killed",
-        "`for p in $(pgrep '^kworker/u'); do sudo chrt --other --pid 0 $p; done`; a restart, too, gives it back",
+        f"{raised} of the kernel's workers have real-time priority, and no run that raised them is left: it was killed",
+        "`for p in $(pgrep '^kworker/u'); do sudo chrt --other --pid 0 $p; done`, or restart the machine",
     )
 
 
@@ -154,7 +156,7 @@ def serial_ports() -> Iterator[Finding]:
             "serial port",
             "note",
             "none is there",
-            "plug the board in, with a cable that has data wires, if it should be",
+            "if the board should be there, plug it in with a cable that has data wires",
         )
     for device in ports:
         yield serial_port(Path(device))
@@ -164,12 +166,12 @@ def serial_ports() -> Iterator[Finding]:
 def usb_adapter(device: str, reckoned: Adapter | None, root: Path = ROOT) -> Finding:
     """What sits between USB and the line behind a port, by its USB ids and an FTDI's timer.
 
-    reckoned  what the config's sums are made with; None: there is no config
+    reckoned  the adapter that the config's sums assume; None: there is no config
     """
     port = usb_port(device, root)
     found, words = port.adapter, port.words
     if found is None:
-        against = "" if reckoned is None else f"; the sums are made with daq.adapter: {reckoned}"
+        against = "" if reckoned is None else f"; the config's sums are made with daq.adapter: {reckoned}"
         return Finding(_ADAPTER, "note", f"{words}{against}")
     if reckoned is None:
         return Finding(_ADAPTER, "good", f"{words}; daq.adapter: {found}")
@@ -179,7 +181,7 @@ def usb_adapter(device: str, reckoned: Adapter | None, root: Path = ROOT) -> Fin
     return Finding(
         _ADAPTER,
         "bad" if slower else "poor",
-        f"{words}; but the sums are made with {reckoned}, which is {'quicker' if slower else 'no quicker'}",
+        f"{words}; but the config's sums are made with {reckoned}, which is {'quicker' if slower else 'no quicker'}",
         f"daq.adapter: {found}, then `rig check`",
     )
 
@@ -187,7 +189,7 @@ def usb_adapter(device: str, reckoned: Adapter | None, root: Path = ROOT) -> Fin
 def serial_port(device: Path) -> Finding:
     """Whether this user may open one port."""
     if not device.exists():
-        return Finding("serial port", "bad", f"{device} is not there", "`ls /dev/serial/by-id/` shows which there are")
+        return Finding("serial port", "bad", f"{device} is not there", "`ls /dev/serial/by-id/` lists the ports")
     if os.access(device, os.R_OK | os.W_OK):
         return Finding("serial port", "good", f"{device} may be opened")
     try:
@@ -199,13 +201,13 @@ def serial_port(device: Path) -> Finding:
     return Finding(
         "serial port",
         "bad",
-        f"{device} belongs to group {group}, and you do not",
-        f"`sudo adduser $USER {group}`, then log in anew",
+        f"{device} belongs to group {group}, and you are not in it",
+        f"`sudo adduser $USER {group}`, then log in again",
     )
 
 
 def latency_timers(root: Path = ROOT) -> Iterator[Finding]:
-    """How long a USB chip collects bytes before it sends them on: 16 ms by default in an FTDI."""
+    """How long each USB chip collects bytes before it sends them on; an FTDI does for 16 ms by default."""
     for file in sorted((root / "sys/bus/usb-serial/devices").glob("*/latency_timer")):
         text = _text(file)
         if text is None or not text.isdigit():
@@ -217,13 +219,13 @@ def latency_timers(root: Path = ROOT) -> Iterator[Finding]:
             yield Finding(
                 "USB latency",
                 "bad",
-                f"{port} waits {waits_ms} ms for more bytes before it hands a short reply on",
+                f"{port} waits {waits_ms} ms for more bytes before it passes a short reply on",
                 f"`echo {LATENCY_MS} | sudo tee {file}`; {_UDEV_RULE}",
             )
 
 
 def modem_manager(root: Path = ROOT) -> Finding:
-    """Whether a program runs that talks to every new serial port, to find out if it is a modem."""
+    """Whether ModemManager runs: it writes to every new serial port, to find out if that is a modem."""
     for comm in (root / "proc").glob("[0-9]*/comm"):
         if _text(comm) == "ModemManager":
             return Finding(
@@ -236,12 +238,12 @@ def modem_manager(root: Path = ROOT) -> Finding:
 
 
 def disk(run_folder: Path) -> Finding:
-    """Whether runs can be written where they will be."""
+    """Whether the folder for runs can be written, and has room."""
     folder = run_folder.absolute()
     while not folder.exists():
         folder = folder.parent
     if not os.access(folder, os.W_OK):
-        return Finding("disk", "bad", f"{folder} may not be written", "choose another folder with --out")
+        return Finding("disk", "bad", f"you may not write to {folder}", "choose another folder with --out")
     free = shutil.disk_usage(folder).free
     if free < _LEAST_FREE_BYTES:
         state: State = "bad" if free < _NO_RUN_BYTES else "poor"

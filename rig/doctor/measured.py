@@ -1,4 +1,4 @@
-"""What a loop of this period meets on this machine and this link: wake-ups, exchanges, and the margin that they leave.
+"""Timing of a loop on this machine and this link: wake-ups, exchanges, and the margin that they leave.
 
 Nothing is armed and nothing moves.
 """
@@ -15,15 +15,15 @@ from rig.backends.driver import Clock
 from rig.backends.link_budget import LINK_SHARE
 from rig.doctor.finding import Finding
 
-_SLOWER, _MACHINES_S = 1.2, 0.5e-3  # than the sum by this factor and this time: so much is the machines' own
-_LATE_SHARE = 0.1  # of the period: wake-ups later than that show in the record
+_SLOWER, _MACHINES_S = 1.2, 0.5e-3  # a round trip may exceed its sum by this factor plus this time
+_LATE_SHARE = 0.1  # of the period: wake-ups later than that show in the recording
 
 
 @dataclass(frozen=True)
 class Ticks:
-    """What ticks on an absolute grid took, in s, one entry a tick: waking late, and the exchange after it.
+    """Ticks on an absolute grid, one entry per tick: how late each woke, and how long its exchange took, s.
 
-    skipped  ticks of the grid that had passed before the tick before them was over
+    skipped  ticks of the grid that passed before the previous tick was over
     """
 
     period_s: float
@@ -67,23 +67,23 @@ def wake_ups(ticks: Ticks) -> Finding:
             "wake-up",
             "bad" if ticks.skipped else "poor",
             words + skipped,
-            "allow real-time scheduling, close what loads the machine, or take a longer period_s",
+            "allow real-time scheduling, close programs that load the machine, or use a longer period_s",
         )
     return Finding("wake-up", "good", words)
 
 
 def round_trip(ticks: Ticks, total_s: float, written: str) -> Finding:
-    """The measured readings beside the sum of the link budget of one: its total, s, and in words."""
+    """The measured readings beside the link budget of one: its total ``total_s``, and ``written`` in words."""
     words = f"{_quantiles(ticks.exchange_s)}, {len(ticks.exchange_s)} exchanges"
     if not written:
-        return Finding("round trip", "note", f"{words}; this driver's link has no sum to set beside it")
-    words += f"; the sum of one by the config: {written}"
+        return Finding("round trip", "note", f"{words}; this driver's link has no budget to compare with")
+    words += f"; by the config one takes: {written}"
     if float(np.median(ticks.exchange_s)) > _SLOWER * total_s + _MACHINES_S:
         return Finding(
             "round trip",
             "poor",
             words,
-            "the link is slower than its sum: look at the USB chip's latency timer, hubs, and the device's turnaround",
+            "slower than the config says: check the USB chip's latency timer, hubs, and the device's turnaround",
         )
     return Finding("round trip", "good", words)
 
@@ -91,16 +91,16 @@ def round_trip(ticks: Ticks, total_s: float, written: str) -> Finding:
 def verdict(ticks: Ticks, unmeasured_s: float = 0.0) -> Finding:
     """Whether machine and link together hold the period.
 
-    unmeasured_s  what a tick of a run takes besides, by the link budget: nothing is driven here
+    unmeasured_s  what a tick that drives takes more, by the link budget: nothing is driven here
     """
     worst_s, period_ms = ticks.longest_s + unmeasured_s, ticks.period_s * 1e3
     margin = 1.0 - worst_s / ticks.period_s
     words = f"the longest of {len(ticks.late_s)} ticks took {ticks.longest_s * 1e3:.2f} ms of {period_ms:g} ms"
     if unmeasured_s > 0.0:
-        words += f", and a tick that drives takes {unmeasured_s * 1e3:.2f} ms more by its sum"
+        words += f", and by the config a tick that drives takes {unmeasured_s * 1e3:.2f} ms more"
     if worst_s <= LINK_SHARE * ticks.period_s and not ticks.skipped:
         return Finding("period", "good", f"held: {words}, margin {margin:.0%}")
-    cure = f"period_s: {_rounded_up(worst_s / LINK_SHARE):g} or longer would leave room, or mend what is named above"
+    cure = f"period_s: {_rounded_up(worst_s / LINK_SHARE):g} or longer leaves room; or follow the hints above"
     if worst_s <= ticks.period_s and not ticks.skipped:
         return Finding("period", "poor", f"held, but tight: {words}, margin {margin:.0%}", cure)
     return Finding("period", "bad", f"NOT held: {words}, {ticks.skipped} skipped", cure)

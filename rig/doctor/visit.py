@@ -1,4 +1,4 @@
-"""A visit: the machine, and with a config the link and the device behind it."""
+"""What `rig doctor` looks at: the machine, and with a config the link and the device behind it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PERIOD_S, _SPIN_S = 0.01, 200e-6  # without a config
 
 
 def without_config(run_folder: Path, seconds: float = SECONDS) -> Iterator[Finding]:
-    """The machine by itself."""
+    """Findings about the machine; the loop's ticks are timed for ``seconds``, s."""
     yield from machine.examine(run_folder)
     with real_time():
         ticks = measured.run_ticks(MonotonicClock(_SPIN_S), _PERIOD_S, _number(seconds, _PERIOD_S))
@@ -27,9 +27,10 @@ def without_config(run_folder: Path, seconds: float = SECONDS) -> Iterator[Findi
 
 
 def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECONDS) -> Iterator[Finding]:
-    """The machine, and the link and the device of ``experiment``: opened and read at its period, never armed.
+    """Findings about the machine, and about the link and the device of ``experiment``.
 
-    A device that cannot be met is a finding.
+    The device is opened and read at the experiment's period for ``seconds``, s. It is never armed. A device that does
+    not answer is a finding.
     """
     yield from machine.examine(run_folder)
     port_name = experiment.daq.port or ""
@@ -48,7 +49,7 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
             if adapter is not None:  # only now: opening the port asks an FTDI to wait for 1 ms only
                 yield machine.usb_adapter(port_name, adapter)
             if not isinstance(bench.clock, MonotonicClock):
-                yield Finding("period", "note", "this bench lives in virtual time: every period is held")
+                yield Finding("period", "note", "this bench runs in virtual time: it holds every period")
                 return
             with real_time(real_time_of(experiment)):
                 number = _number(seconds, experiment.period_s)

@@ -29,7 +29,7 @@ NAMES = (("tau", "s"), ("K", "(rad/s)/V"), ("f_c", "V"))
 
 
 @dataclass(frozen=True)
-class Opinion:
+class RecordingEstimate:
     """What one recording says alone.
 
     name        as it was given on the command line
@@ -42,7 +42,7 @@ class Opinion:
     covariance: Array
 
     @classmethod
-    def of(cls, name: str, estimate: Estimate) -> Opinion | None:
+    def of(cls, name: str, estimate: Estimate) -> RecordingEstimate | None:
         """An estimate as an opinion; None where it knows nothing."""
         scale = np.array([1.0 / estimate.tau_s, 1.0 / estimate.K_rad_s_V, 1.0])
         covariance = estimate.covariance[:3, :3] * np.outer(scale, scale)
@@ -53,12 +53,12 @@ class Opinion:
         return cls(name, values, covariance)
 
 
-def opinions(recordings: Sequence[tuple[str, Sequence[TimeSeries]]]) -> list[Opinion]:
+def estimates_of_each(recordings: Sequence[tuple[str, Sequence[TimeSeries]]]) -> list[RecordingEstimate]:
     """Each recording, a name and its tests, identified alone; those that cannot be are left out."""
     found = []
     for name, tests in recordings:
         try:
-            opinion = Opinion.of(name, sampled_data.fit(tests)) if tests else None
+            opinion = RecordingEstimate.of(name, sampled_data.fit(tests)) if tests else None
         except IdentifyError:
             continue
         if opinion is not None:
@@ -66,7 +66,7 @@ def opinions(recordings: Sequence[tuple[str, Sequence[TimeSeries]]]) -> list[Opi
     return found
 
 
-def disagreement(found: Sequence[Opinion]) -> str | None:
+def disagreement(found: Sequence[RecordingEstimate]) -> str | None:
     """Which recording does not belong with the others, in words, and what to do; None where all agree."""
     if len(found) < 2 or _agree(found):
         return None
@@ -92,20 +92,20 @@ def disagreement(found: Sequence[Opinion]) -> str | None:
     )
 
 
-def _mean(found: Sequence[Opinion]) -> tuple[Array, Array]:
+def _mean(found: Sequence[RecordingEstimate]) -> tuple[Array, Array]:
     """Weighted mean and its covariance."""
     weights = [np.linalg.inv(opinion.covariance) for opinion in found]
     covariance = np.linalg.inv(np.sum(weights, axis=0))
     return covariance @ np.sum([w @ o.values for w, o in zip(weights, found, strict=True)], axis=0), covariance
 
 
-def _agree(found: Sequence[Opinion]) -> bool:
+def _agree(found: Sequence[RecordingEstimate]) -> bool:
     mean, _ = _mean(found)
     square = sum(float((o.values - mean) @ np.linalg.solve(o.covariance, o.values - mean)) for o in found)
     return bool(chi2.sf(square, 3 * (len(found) - 1)) > CHANCE)
 
 
-def _differences(odd: Opinion, mean: Array, covariance: Array) -> str:
+def _differences(odd: RecordingEstimate, mean: Array, covariance: Array) -> str:
     """The parameters by which it differs by three standard errors and more, at least the one that differs most."""
     errors = np.sqrt(np.diag(odd.covariance + covariance))
     distances = np.abs(odd.values - mean) / errors
@@ -119,5 +119,5 @@ def _differences(odd: Opinion, mean: Array, covariance: Array) -> str:
     return ", ".join(told)
 
 
-def _command(found: Sequence[Opinion]) -> str:
+def _command(found: Sequence[RecordingEstimate]) -> str:
     return "`rig identify " + " ".join(quote(opinion.name) for opinion in found) + "`"

@@ -37,7 +37,7 @@ class Ramp:
 
 
 @dataclass(frozen=True)
-class Breakaway:
+class StaticFriction:
     """What the ramps show.
 
     plus, minus   towards rising and falling positions; None where the ramp does not tell
@@ -72,7 +72,7 @@ class Ramps(NamedTuple):
     shown: tuple[bool, bool]
 
     @classmethod
-    def of(cls, breakaway: Breakaway | None, estimate: Estimate) -> Ramps | None:
+    def of(cls, breakaway: StaticFriction | None, estimate: Estimate) -> Ramps | None:
         """From a breakaway record, beside the friction in motion; None where it does not show both ways."""
         if breakaway is None or breakaway.plus is None or breakaway.minus is None:
             return None
@@ -85,7 +85,7 @@ class Ramps(NamedTuple):
         )
 
 
-def breakaway(series: TimeSeries, estimate: Estimate, noise_rad: float) -> Breakaway:
+def breakaway(series: TimeSeries, estimate: Estimate, noise_rad: float) -> StaticFriction:
     """Static friction from the record of a slow ramp each way, in strokes one after the other or to and fro.
 
     The drive at break-away is that for which the exact simulation reproduces the recorded positions (their likelihood's
@@ -102,9 +102,9 @@ def breakaway(series: TimeSeries, estimate: Estimate, noise_rad: float) -> Break
         which = (
             "either way" if plus is None and minus is None else "towards " + ("rising" if plus is None else "falling")
         )
-        return Breakaway(plus, minus, None, f"no motion was seen in the breakaway record {which}: ramp higher")
+        return StaticFriction(plus, minus, None, f"no motion was seen in the breakaway record {which}: ramp higher")
     friction, reason = split(plus, minus, estimate)
-    return Breakaway(plus, minus, friction, reason)
+    return StaticFriction(plus, minus, friction, reason)
 
 
 def _alternates(series: TimeSeries) -> bool:

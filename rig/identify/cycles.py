@@ -25,8 +25,8 @@ SMALLEST_LSB = 20  # and is at least this many steps of the sensor in amplitude;
 
 
 @dataclass(frozen=True)
-class Gains:
-    """Gains of the dual-channel relay as found from the levels of the recorded drive, V.
+class MeasuredGains:
+    """Gains of the dual-channel relay, found from the levels of the recorded drive, V.
 
     side   per row: +1 at +(h1 + h2), -1 at -(h1 + h2), 0 at +-(h2 - h1), nan elsewhere
     note   how they were found, in words
@@ -38,7 +38,7 @@ class Gains:
     note: str
 
 
-def relay_gains(series: TimeSeries) -> Gains:
+def relay_gains(series: TimeSeries) -> MeasuredGains:
     """Gains h1, h2 from the levels of u = -h1 sgn(y) - h2 sgn(z).
 
     Levels need not be exact: they are clusters, so quantised and saturated drives pass. (Under saturation the levels
@@ -88,7 +88,7 @@ def relay_gains(series: TimeSeries) -> Gains:
     note = f"h1 = {h1:.4g} V, h2 = {h2:.4g} V from the drive's levels {shown} V"
     if abs(top + bottom) > 0.02 * largest:
         note += " (unequal both ways: mean taken)"
-    return Gains(h1, h2, side, note)
+    return MeasuredGains(h1, h2, side, note)
 
 
 def _held(side: Array) -> Array:
@@ -142,7 +142,7 @@ def equivalent_edge(begin_s: Array, lasting_s: Array, done: Array) -> float:
     return float(begin_s[0] + lasting_s @ (1.0 - done))
 
 
-def _halves(series: TimeSeries, gains: Gains) -> _Halves:
+def _halves(series: TimeSeries, gains: MeasuredGains) -> _Halves:
     """Complete half periods between RC edges; chatter of either relay is merged into an equivalent edge.
 
     Before the middle of the time that the drive spends at its outer level, lower levels are chatter of RC; after it,

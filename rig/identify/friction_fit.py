@@ -21,7 +21,7 @@ from rig.identify.breakaway import Ramps
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.laws.asymmetric import Asymmetric
 from rig.identify.laws.law import CandidateLaw, Plain
-from rig.identify.output_error import SHARED, Problem, covariance_of, initial_state
+from rig.identify.output_error import SHARED, OutputErrorProblem, covariance_of, initial_state
 from rig.model.sensitivity import Theta
 from rig.recording.series import Window, spread_rad
 
@@ -89,7 +89,7 @@ class LawProblem:
     ramps     static levels as a breakaway record shows them; None without one
     """
 
-    problem: Problem
+    problem: OutputErrorProblem
     ramps: Ramps | None = None
 
     @property

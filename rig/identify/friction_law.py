@@ -19,12 +19,12 @@ from typing import Literal
 import numpy as np
 
 from rig.identify import laws
-from rig.identify.breakaway import Breakaway, Ramps
+from rig.identify.breakaway import Ramps, StaticFriction
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.friction_fit import PLAIN, LawProblem, LawSolution
-from rig.identify.laws.law import CLEAR, CandidateLaw, Comparison, Doubt
+from rig.identify.laws.law import CLEAR, CandidateLaw, Doubt, LawComparison
 from rig.identify.noise import noise_of
-from rig.identify.output_error import Problem
+from rig.identify.output_error import OutputErrorProblem
 from rig.identify.repetition import repeated_share, repetitions
 from rig.recording.series import TimeSeries, joined_times_s
 from rig.results import FrictionLawResult, LawFit
@@ -178,7 +178,7 @@ def friction_law(
     tests: Sequence[TimeSeries],
     estimate: Estimate,
     periods_s: Sequence[float | None] | None = None,
-    breakaway: Breakaway | None = None,
+    breakaway: StaticFriction | None = None,
 ) -> FrictionLawChoice:
     """The law that all tests ask for.
 
@@ -194,7 +194,7 @@ def friction_law(
     unknown = any(test.t_u_s is None for test in tests)
     reach = (0.0, max(test.longest_delay_s for test in tests)) if unknown else (0.0, 0.0)
     windows = [test.predictable(reach[1]) for test in tests]
-    problem = Problem(tuple(windows[k] for k in fitted), reach, (True, True, True, True, unknown))
+    problem = OutputErrorProblem(tuple(windows[k] for k in fitted), reach, (True, True, True, True, unknown))
     first = LawProblem(problem, Ramps.of(breakaway, estimate))
     fits = first.fit(first.start(estimate))
     floor = ROUNDING * first.spread_rad
@@ -295,7 +295,7 @@ def _judge(one: RankedLaw, chosen: RankedLaw, held_out: str | None, ramps: Ramps
     better = _better(one, chosen)
     title, simpler = one.candidate.title, chosen.candidate.title
     gained = f"the criterion gains {gain:.0f} over {simpler}"
-    against = Comparison(title, gained, gain, one.seen, ramps)
+    against = LawComparison(title, gained, gain, one.seen, ramps)
     first = one.candidate.needs(against)
     if first is not None:
         return first

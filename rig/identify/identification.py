@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from rig.identify.agreement import disagreement, opinions
-from rig.identify.breakaway import Breakaway, breakaway
+from rig.identify.agreement import disagreement, estimates_of_each
+from rig.identify.breakaway import StaticFriction, breakaway
 from rig.identify.describing_function import DescribingFunction
 from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
@@ -109,7 +109,7 @@ def identify(
         # the estimator that asks for least: what it misses is what the record lacks
         leading = complaints.pop(LEADING, None)
         raise leading or [*data.complaints, *complaints.values()][0]
-    odd = disagreement(opinions(data.sources)) if len(recordings) > 1 and reads_tests else None
+    odd = disagreement(estimates_of_each(data.sources)) if len(recordings) > 1 and reads_tests else None
     for objection in [*([] if odd is None else [odd]), *data.supplies]:
         found.estimates = {method: e.judged("doubtful", objection) for method, e in found.estimates.items()}
     shown = _add_breakaway(recordings, found)
@@ -162,7 +162,7 @@ def _relay(stage: str, cycle: Cycle) -> RelayTestResult:
     )
 
 
-def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> Breakaway | None:
+def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> StaticFriction | None:
     """Static friction, from the first recording that has a breakaway stage, on the sampled-data model."""
     estimate = found.estimates.get(LEADING)
     if estimate is None or estimate.verdict == "refused":
@@ -186,7 +186,7 @@ def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> Br
     return None
 
 
-def _add_friction_law(data: Measurements, shown: Breakaway | None, found: Identification) -> None:
+def _add_friction_law(data: Measurements, shown: StaticFriction | None, found: Identification) -> None:
     """The choice of a law; the sampled-data estimate is doubtful where one beyond its own predicts better."""
     estimate = found.estimates.get(LEADING)
     if estimate is None or estimate.verdict == "refused":

@@ -11,7 +11,7 @@ interval is that of a fit which knows both: total least squares of (y_1, ..., y_
 displacements from the measured starts. Where the two disagree the estimate is doubtful, with the numbers.
 
 What the method cannot see: runs of a motor that changes between them, or of friction that depends on speed, look nearly
-like multiples of one curve too. ``held_to`` compares it with an estimate that can.
+like multiples of one curve too. ``compared_with`` compares it with an estimate that can.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class LeastSquares(Estimator):
     def judge(self, estimate: Estimate, data: Measurements, earlier: Mapping[str, Estimate]) -> Estimate:
         """Held to the sampled-data estimate, which sees what a transient cannot show."""
         whole = earlier.get(sampled_data.METHOD)
-        return estimate if whole is None else held_to(estimate, whole, data.hysteretic)
+        return estimate if whole is None else compared_with(estimate, whole, data.hysteretic)
 
 
 @dataclass(frozen=True)
@@ -474,7 +474,7 @@ def _neighbours(residual: Array) -> float:
     return math.sqrt(residual.size) * float(np.sum(residual[1:] * residual[:-1])) / power if power > 0.0 else 0.0
 
 
-def held_to(estimate: Estimate, whole: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
+def compared_with(estimate: Estimate, whole: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     """The friction held to that of a whole motor, ``whole``: doubtful where they differ beyond both intervals."""
     if "fc_V" not in estimate.ci95 or "fc_V" not in whole.ci95 or whole.verdict == "refused":
         return estimate

@@ -41,11 +41,11 @@ class Noise:
         """
         if self.white:
             return columns
-        from rig.model.compiled import wander
+        from rig.model.compiled import coloured_noise
 
         table = np.ascontiguousarray(columns.reshape(columns.shape[0], -1))
         out = np.empty_like(table)
-        wander.innovations(t_s, _starts(lengths), self.memory_s, self.ratio, table, out)
+        coloured_noise.innovations(t_s, _starts(lengths), self.memory_s, self.ratio, table, out)
         return out.reshape(columns.shape)
 
 
@@ -58,7 +58,7 @@ def noise_of(residual: Array, t_s: Array, lengths: Sequence[int]) -> Noise:
     t_s       times of the rows, s
     lengths   rows of each of the consecutive windows
     """
-    from rig.model.compiled import wander
+    from rig.model.compiled import coloured_noise
 
     starts = _starts(lengths)
     power = float(residual @ residual)
@@ -78,7 +78,7 @@ def noise_of(residual: Array, t_s: Array, lengths: Sequence[int]) -> Noise:
         )
         for memory in memories.tolist():
             for ratio in ratios.tolist():
-                deviance = wander.deviance(t_s, starts, float(np.exp(memory)), float(np.exp(ratio)), scaled)
+                deviance = coloured_noise.deviance(t_s, starts, float(np.exp(memory)), float(np.exp(ratio)), scaled)
                 if deviance < best:
                     best, centre = deviance, np.array([memory, ratio])
         reach = reach / (0.5 * GRID)

@@ -24,7 +24,7 @@ SINGULAR = 1e10  # condition of the scaled Jacobian beyond which parameters cann
 
 
 @dataclass(frozen=True)
-class Problem:
+class OutputErrorProblem:
     """Least squares over windows with tau, K, fc, asym and delay in common, and a v0 and y0 for each window.
 
     Internally tau and K are logarithms. ``free`` says which of the shared five are fitted; the others keep the value of
@@ -155,7 +155,7 @@ def refit(
     reach = delay_bounds_s or (theta.delay_s, theta.delay_s)
     windows = tuple(test.predictable(max(0.0, reach[1])) for test in tests)
     tau, K, fc, asym, delay = (name in free for name in PARAMETERS)
-    problem = Problem(windows, reach, (tau, K, fc, asym, delay))
+    problem = OutputErrorProblem(windows, reach, (tau, K, fc, asym, delay))
     shared = [math.log(theta.tau_s), math.log(theta.K_rad_s_V), theta.fc_V, theta.asym_V, theta.delay_s]
     return problem.solve(np.array(shared + [value for window in windows for value in initial_state(window)]))
 

@@ -19,7 +19,7 @@ from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.measurements import Measurements
 from rig.identify.noise import noise_of
-from rig.identify.output_error import SHARED, Problem, Solution, covariance_of, initial_state
+from rig.identify.output_error import SHARED, OutputErrorProblem, Solution, covariance_of, initial_state
 from rig.identify.repetition import repeated_share, repetitions, with_repetition
 from rig.identify.sampled_data_verdict import confounding, judge
 from rig.identify.starts import Start, grid_starts, ridge_starts
@@ -90,7 +90,7 @@ def fit(
                 f"{test.name}: {still}",
                 "record a relay test (`rig relay CONFIG`), or any drive that moves the motor both ways",
             )
-    problem = Problem(windows, bounds, (True, True, True, True, free))
+    problem = OutputErrorProblem(windows, bounds, (True, True, True, True, free))
     guesses = list(starts) if starts else grid_starts(windows)
     candidates = sorted((_score(windows, guess, 0.5 * bounds[1]) for guess in guesses), key=lambda c: c[0])
     durations = [window.duration_s for window in windows]
@@ -110,7 +110,7 @@ def fit(
     return _estimate(problem, best, tests, periods)
 
 
-def _extended(problem: Problem, candidates: Sequence[Array], first_s: float, last_s: float) -> Solution:
+def _extended(problem: OutputErrorProblem, candidates: Sequence[Array], first_s: float, last_s: float) -> Solution:
     """Solution on the whole record by way of ever longer parts of it.
 
     A small error of asymmetry or friction runs away over a long test, which makes false minima. Over a few cycles it
@@ -175,7 +175,7 @@ def _without_line(t_s: Array, y: Array) -> Array:
 
 
 def _estimate(
-    problem: Problem, best: Solution, tests: Sequence[TimeSeries], periods_s: Sequence[float | None]
+    problem: OutputErrorProblem, best: Solution, tests: Sequence[TimeSeries], periods_s: Sequence[float | None]
 ) -> Estimate:
     mask = problem.mask()
     scale = np.ones(mask.size)

@@ -11,7 +11,7 @@ from rig.control.guard import Guard
 from rig.control.law import Law
 from rig.faults import Fault
 from rig.loop.statistics import LoopStatistics
-from rig.recording.record import Record
+from rig.recording.sink import RowSink
 from rig.signals import FLAG_SKIPPED, Sample
 
 STOPPING = "stopping"  # stage of what the relay in the device did until it was stopped, after the loop had given up
@@ -26,7 +26,7 @@ class DeviceRelay:
     """
 
     def __init__(
-        self, guard: Guard, record: Record, statistics: LoopStatistics, since_start_s: Callable[[float], float]
+        self, guard: Guard, record: RowSink, statistics: LoopStatistics, since_start_s: Callable[[float], float]
     ) -> None:
         self._guard = guard
         self._record = record

@@ -14,7 +14,7 @@ from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.bench import BenchParameters
 from rig.model.motor import Motor
-from rig.recording.record import NoRecord
+from rig.recording.sink import NullSink
 from rig.signals import Order
 
 
@@ -64,7 +64,7 @@ def pre_run(tracking: Tracking, bench: PreRunBench, guard: GuardSettings, seed: 
     )
     watching = Guard(guard)
     watching.sign_proven = True
-    loop = Loop(driver, clock, watching, NoRecord(), bench.period_s, StopRequest())
+    loop = Loop(driver, clock, watching, NullSink(), bench.period_s, StopRequest())
     low, high = guard.limits.soft_rad
     reached = [bench.start_rad, bench.start_rad]
 

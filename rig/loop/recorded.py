@@ -15,7 +15,7 @@ from rig.calibration import Calibration, DriveMap
 from rig.control.law import Law
 from rig.loop.replayed_rows import AFTER_DRIVING, OF_LAW_OR_GUARD, By, ReplayedRows
 from rig.loop.runner import Loop
-from rig.recording.record import NoRecord, Row
+from rig.recording.sink import NullSink, Row
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED, FLAG_SKIPPED, Limits, Order, Sample
 
 _GUARD_FLAGS = FLAG_GUARD_CLIPPED | FLAG_GUARD_BRAKED
@@ -175,7 +175,7 @@ class RecordedDriver:
         return [RelayRow(row.t_s, row.t_u_s, row.y_rad, row.y_counts, row.u_V, row.seq) for row in rows]
 
 
-class Comparison(NoRecord):
+class Comparison(NullSink):
     """Where the rows of a replayed loop go: each is compared with the record's; Diverged at the first difference.
 
     When a drive took effect is the record's own word, and what laws and guard come to shows in the drive.

@@ -16,7 +16,7 @@ from rig.loop.device_relay import DeviceRelay
 from rig.loop.pause_watch import PauseWatch
 from rig.loop.statistics import LoopStatistics
 from rig.loop.stop_request import StopRequest
-from rig.recording.record import Record
+from rig.recording.sink import RowSink
 from rig.signals import FLAG_SATURATED, FLAG_SKIPPED, Limits, Sample
 
 _CHECK_EVERY_TICKS = 25
@@ -36,7 +36,7 @@ class Loop:
     """
 
     def __init__(
-        self, driver: Driver, clock: Clock, guard: Guard, record: Record, period_s: float, stop: StopRequest
+        self, driver: Driver, clock: Clock, guard: Guard, record: RowSink, period_s: float, stop: StopRequest
     ) -> None:
         self.guard = guard
         guard.pace(period_s)

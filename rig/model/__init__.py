@@ -1,1 +1,1 @@
-"""What is true of motors, with no I/O."""
+"""Models of the motor and of the bench around it. Nothing here reads or writes a file or a device."""

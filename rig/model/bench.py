@@ -1,6 +1,6 @@
-"""The bench around the motor: potentiometer, drive stage, mechanical stops, and the faults it can be wired with.
+"""The bench around the motor: potentiometer, drive stage, mechanical stops, wiring faults.
 
-The same bench stands in C behind the emulated board (firmware/boards/host/bench.c); a test holds the two together.
+The emulated board has the same bench in C (firmware/boards/host/bench.c). A test compares the two.
 """
 
 from __future__ import annotations
@@ -15,23 +15,24 @@ from rig.model.motor import Motor, State
 DriveWiring = Literal["ok", "reversed", "dead", "stuck_on"]
 SensorWiring = Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy"]
 
-NOISY_COUNTS = 25.0  # standard deviation of a noisy sensor, besides its own noise
+NOISY_COUNTS = 25.0  # standard deviation that a "noisy" sensor adds to its own noise
 
 
 @dataclass(frozen=True)
 class BenchParameters:
-    """What is really there.
+    """The true parameters of a simulated bench.
 
     motor            plant, friction and bias
-    start_rad        where the shaft stands at first
-    stop_rad         mechanical stops (low, high), where the shaft is stopped dead
+    start_rad        position of the shaft at the start
+    stop_rad         mechanical stops (low, high); the velocity is zero at a stop
     rad_per_count, centre_counts, counts_max, noise_rad, offset_rad   potentiometer and ADC
     supply_V, drive_counts   motor supply, and the counts of full duty
     bridge_drop_V    lost in the bridge while it drives
-    dead_band_plus, dead_band_minus   duty up to which the bridge passes nothing, of positive and of negative counts
+    dead_band_plus, dead_band_minus   duty up to which the bridge gives 0 V, for positive and for negative counts
     reversed         positive counts turn the shaft to falling positions
     tachometer_rad_s_per_count, tachometer_zero_counts, gear_ratio   velocity channel; None where there is none
-    drive, sensor    wiring; fault_after_s: time from the first arming until their faults begin
+    drive, sensor    their wiring: "ok" or a fault
+    fault_after_s    time from the first arming until the wiring faults begin
     """
 
     motor: Motor
@@ -56,13 +57,13 @@ class BenchParameters:
     fault_after_s: float = 0.0
 
 
-class Bench:
+class BenchModel:
     """The bench in motion: set the drive, let time pass, read the sensors."""
 
     def __init__(self, parameters: BenchParameters, seed: int) -> None:
         self.parameters = parameters
         self.state = State(y=parameters.start_rad)
-        self.pin_counts = 0.0  # drive at the pin, counts of full duty; a fraction behind a converter that has them
+        self.pin_counts = 0.0  # drive at the pin, counts of full duty; not whole behind a finer converter
         self.armed_for_s = -1.0  # time since the first arming; negative before it
         self._noise = random.Random(seed)
         self._stuck_counts: int | None = None
@@ -78,7 +79,7 @@ class Bench:
 
     @property
     def bridge_V(self) -> float:
-        """What the bridge gives for the drive at the pin, V; positive towards rising positions."""
+        """Output of the bridge for the drive at the pin, V; positive towards rising positions."""
         p = self.parameters
         dead = p.dead_band_plus if self.pin_counts > 0.0 else p.dead_band_minus
         passed = (abs(self.pin_counts) / p.drive_counts - dead) / (1.0 - dead)
@@ -89,7 +90,7 @@ class Bench:
 
     @property
     def motor_V(self) -> float:
-        """Voltage at the motor for the drive at the pin, wiring faults included."""
+        """Voltage at the motor for the drive at the pin, with the wiring faults."""
         volts = self.bridge_V
         wiring = self.parameters.drive if self.faulty else "ok"
         if wiring == "reversed":
@@ -133,13 +134,13 @@ class Bench:
         if wiring == "reversed":
             offset_counts = -offset_counts
         counts = min(max(math.floor(p.centre_counts + offset_counts + 0.5), 0), p.counts_max)
-        if wiring == "jumped":  # across its dead zone: a quarter of the range farther, round and round
+        if wiring == "jumped":  # across its dead zone: a quarter of the range farther, modulo the range
             counts = (counts + (p.counts_max + 1) // 4) % (p.counts_max + 1)
         self._stuck_counts = counts if wiring == "stuck" else None
         return counts
 
     def read_tachometer_rad_s(self) -> float:
-        """Velocity of the measured shaft as its channel shows it, quantised, rad/s; nan where there is none."""
+        """Velocity of the measured shaft, quantised, rad/s; nan without a velocity channel."""
         p = self.parameters
         if p.tachometer_rad_s_per_count is None:
             return math.nan

@@ -1,4 +1,4 @@
-"""On-line cycle detection: which oscillations are limit cycles of the relays, and when they have settled."""
+"""Cycle detection while a test runs: which periods are limit cycles of the relay, and when they have settled."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ class DetectedCycle(NamedTuple):
 
     start_s, period_s     time of its start and its length, s
     amplitude_rad         half of the peak-to-peak position
-    accepted              it is the cycle of docs/theory.md 3.1, and not delay hunting
-    reason                why not, in words; empty if accepted
+    accepted              true for a limit cycle (docs/theory.md 3.1), false for delay hunting
+    reason                why it is not accepted; empty if it is
     """
 
     start_s: float
@@ -31,12 +31,12 @@ class CycleDetector:
     spread              largest relative difference among three periods in a row (twice that among their amplitudes)
                         for them to be settled
 
-    ``settled`` becomes true there, and false again at a period that is not accepted or differs from the one before
-    by more than six times the spread.
+    ``settled`` becomes true after three such periods. It becomes false at a period that is not accepted, or that
+    differs from the one before by more than six times the spread.
 
-    A period starts where z crosses zero upwards: there y is large, so that noise on y cannot make z chatter.
-    Within it must follow, in this order: RA (largest y), RB (y falls through zero), RC (z falls through zero),
-    and the same three mirrored.
+    A period starts where z crosses zero upwards. There y is large, so noise on y cannot make z chatter.
+    Three events must follow in this order: RA (largest y), RB (y falls through zero), RC (z falls through zero).
+    Then the same three follow with the opposite sign.
     """
 
     def __init__(self, min_period_s: float, min_amplitude_rad: float, spread: float = 0.05) -> None:
@@ -57,13 +57,13 @@ class CycleDetector:
         self._z_down_s = math.nan
 
     def forget(self) -> None:
-        """Drop the cycles found so far: the gains have changed."""
+        """Drop the cycles found so far. Call it when the gains change."""
         self.cycles.clear()
         self.settled = False
         self._start_s = math.nan
 
     def step(self, t_s: float, y_rad: float, z_rad_s: float) -> DetectedCycle | None:
-        """Take one sample; returns the period that it completes, if it does."""
+        """Take one sample. Returns the period that this sample completes, or None."""
         last, self._last = self._last, (t_s, y_rad, z_rad_s)
         if last is None:
             return None
@@ -72,7 +72,7 @@ class CycleDetector:
             self._max = (y_rad, t_s)
         if y_rad < self._min[0]:
             self._min = (y_rad, t_s)
-        # the last crossing downwards before RC, and the last upwards after it: chatter moves them, no more
+        # the last crossing downwards before RC, and the last upwards after it: chatter only shifts these
         if y0 > 0.0 >= y_rad and math.isnan(self._z_down_s):
             self._y_down_s = t_s
         if y0 < 0.0 <= y_rad and not math.isnan(self._z_down_s):
@@ -93,7 +93,7 @@ class CycleDetector:
     def _judge(self, end_s: float) -> DetectedCycle:
         period = end_s - self._start_s
         amplitude = 0.5 * (self._max[0] - self._min[0])
-        # RA follows RC by t1, which may be shorter than a sampling period: noise may show it a few samples early
+        # RA follows RC by t1. That can be shorter than a sampling period, so noise can show RA a few samples early
         early_s = 0.1 * self.min_period_s
         top_s = self._max[1] if self._max[1] < end_s - early_s else self._start_s
         bottom_s = max(self._min[1], self._z_down_s) if self._min[1] > self._z_down_s - early_s else self._min[1]
@@ -127,7 +127,7 @@ class CycleDetector:
             ) * min(amplitudes)
 
     def mean(self, last: int = 3) -> tuple[float, float]:
-        """Mean (period s, amplitude rad) of the last periods; raises ValueError when there is none."""
+        """Mean (period s, amplitude rad) of the ``last`` periods. Raises ValueError before the first period."""
         cycles = self.cycles[-last:]
         if not cycles:
             raise ValueError("no period has been completed")

@@ -1,7 +1,8 @@
-"""The describing function of the triple relay: what a sine would do (docs/theory.md 4.1, Properties 3.1 and 3.2).
+"""The describing function of the triple relay (docs/theory.md 4.1, Properties 3.1 and 3.2).
 
-With y = A sin(w t) the friction and the dual-channel relay together have N(A) = 4/(pi A) (h1 + j (fc - h2)), and
-1 + G(jw) N(A) = 0 gives w and A. It carries the error of assuming a sine.
+It takes the motion for a sine, y = A sin(w t). Friction and the dual-channel relay together then have
+N(A) = 4/(pi A) (h1 + j (fc - h2)), and 1 + G(jw) N(A) = 0 gives w and A. The true motion is not a sine, so w and A
+are approximate.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def predict(tau_s: float, K_rad_s_V: float, fc_V: float, h1_V: float, h2_V: floa
 
 
 def linear_part(cycle: Oscillation, fc_V: float, h1_V: float, h2_V: float) -> LinearPart:
-    """The inverse: tau and K of the motor that oscillates so, at a given friction. Raises ValueError unless h2 > fc."""
+    """The inverse of ``predict``: tau and K from the oscillation and the friction. Raises ValueError unless h2 > fc."""
     beyond = h2_V - fc_V
     if not (beyond > 0.0 and cycle.omega_rad_s > 0.0 and cycle.amplitude_rad > 0.0):
         raise ValueError("need h2 > fc and an oscillation")
@@ -72,6 +73,6 @@ def linear_part(cycle: Oscillation, fc_V: float, h1_V: float, h2_V: float) -> Li
 
 
 def gains_for(cycle: Oscillation, tau_s: float, K_rad_s_V: float, fc_V: float) -> RelayGains:
-    """Gains under which a motor oscillates so: h2 = fc + pi A w / (4 K), h1 = w tau (h2 - fc)."""
+    """Gains that give a motor this oscillation: h2 = fc + pi A w / (4 K), h1 = w tau (h2 - fc)."""
     beyond = math.pi * cycle.amplitude_rad * cycle.omega_rad_s / (4.0 * K_rad_s_V)
     return RelayGains(cycle.omega_rad_s * tau_s * beyond, fc_V + beyond)

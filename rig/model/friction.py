@@ -1,6 +1,6 @@
-"""Friction laws: none, Coulomb, with a static level, by direction, Tustin's with Stribeck effect and viscous friction.
+"""Friction laws: none; Coulomb; Coulomb with a static level; Tustin's, with Stribeck effect and viscous friction.
 
-f(v) = (fc + (fs - fc) exp(-|v|/vs)) sgn(v) + fv v, with a level fc and fs for each way (docs/theory.md 1.2, 7.3, 8.1).
+f(v) = (fc + (fs - fc) exp(-|v|/vs)) sgn(v) + fv v. Each direction has its own fc and fs (docs/theory.md 1.2, 7.3, 8.1).
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Friction:
-    """Friction referred to the drive input, by direction (docs/theory.md 1.2, 7.3 and 8.1).
+    """Friction as a voltage at the drive, for each direction (docs/theory.md 1.2, 7.3 and 8.1).
 
     plus_V, minus_V                level while moving towards +y and -y, V, >= 0
     static_plus_V, static_minus_V  level to break away, V, >= the moving level
-    stribeck_rad_s                 velocity over which the static level gives way to the moving one, rad/s, >= 0;
-                                   0: the static level is there at rest only
+    stribeck_rad_s                 velocity over which friction falls from the static to the moving level, rad/s, >= 0;
+                                   0: the static level acts at rest only
     viscous_V_s_rad                viscous friction, V/(rad/s), >= 0
 
     With all four levels equal it is Coulomb friction; with all zero there is none.
@@ -51,7 +51,7 @@ class Friction:
         return self.stribeck_rad_s > 0.0 and (self.static_plus_V > self.plus_V or self.static_minus_V > self.minus_V)
 
     def level(self, v_rad_s: float) -> float:
-        """f(v), V, with the sign of ``v_rad_s``; 0 at rest, where friction is whatever holds the motor."""
+        """f(v), V, with the sign of ``v_rad_s``; 0 at rest, where friction balances the drive."""
         if v_rad_s == 0.0:
             return 0.0
         moving, static = (self.plus_V, self.static_plus_V) if v_rad_s > 0.0 else (self.minus_V, self.static_minus_V)
@@ -64,11 +64,11 @@ NONE = Friction()
 
 
 def coulomb(fc_V: float, fs_V: float | None = None) -> Friction:
-    """Coulomb friction of level ``fc_V``, breaking away at ``fs_V`` (default: the same)."""
+    """Coulomb friction of level ``fc_V``. The motor breaks away at ``fs_V`` (default: ``fc_V``)."""
     fs = fc_V if fs_V is None else fs_V
     return Friction(fc_V, fc_V, fs, fs)
 
 
 def tustin(fc_V: float, fs_V: float, stribeck_rad_s: float, viscous_V_s_rad: float = 0.0) -> Friction:
-    """Tustin's law, the same both ways: ``fs_V`` at rest falls to ``fc_V`` with speed, and viscous friction."""
+    """Tustin's law, equal in both directions: ``fs_V`` at rest falls to ``fc_V`` with speed, plus viscous friction."""
     return Friction(fc_V, fc_V, fs_V, fs_V, stribeck_rad_s, viscous_V_s_rad)

@@ -1,7 +1,7 @@
-"""The limit cycle under a dual-channel relay, exactly: where it is (Theorem 2.1), whether it is stable (Theorem 2.2).
+"""The exact limit cycle under a dual-channel relay (Theorem 2.1), and its stability (Theorem 2.2).
 
-u = -h1 sgn(y) - h2 sgn(z) on tau dv/dt + v = K (u - fc sgn(v)), dy/dt = v, dz/dt = y. Time 0 is where the drive steps
-up to h1 + h2 (docs/theory.md 3.1, 3.2 and 3.3).
+The relay u = -h1 sgn(y) - h2 sgn(z) drives tau dv/dt + v = K (u - fc sgn(v)), dy/dt = v, dz/dt = y. At time 0 the
+drive steps up to h1 + h2 (docs/theory.md 3.1, 3.2 and 3.3).
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ Array = NDArray[np.float64]
 # The plane that ends each stage: RA (velocity), RB (position), RC (integral).
 PLANES = np.eye(3)
 
-# Of h1 / (h2 - fc), which sets the period in tau. Beyond, double precision does not tell the stages apart.
+# Range of h1 / (h2 - fc), which sets the period in tau. Outside it double precision cannot separate the stages.
 COMPUTED = (1e-4, 1.1e3)
 
 
 class NoLimitCycle(Exception):
-    """There is no simple oscillation; the message says why."""
+    """The motor and the relay have no simple oscillation. The message says why."""
 
 
 @dataclass(frozen=True)
@@ -156,15 +156,15 @@ def limit_cycle(
 def _durations(inputs: tuple[float, float, float], omega: float) -> tuple[float, float, float]:
     """t1, t2, t3 in units of tau, for which z(0) = 0, v(t1) = 0 and y(t1 + t2) = 0.
 
-    Two unknowns remain (see ``_unfolded``), solved from several fractions of the describing function's half period
-    (omega in 1/tau).
+    Two unknowns remain (see ``_unfolded``). The search starts from several fractions of the describing function's half
+    period (omega in 1/tau).
     """
     half = math.pi / omega
     for inner in (0.45, 0.3, 0.2, 0.6):
         for early in (-1.0, -3.0, 0.5, -6.0):
             for stretch in (1.0, 0.5, 2.0):
                 longer = stretch * inner * half
-                # in a long cycle the speed at RC has all but reached what stage 3 tends to
+                # in a long cycle the speed at RC has almost reached the final speed of stage 3
                 late = -longer if inputs[2] > 0.0 and longer > 5.0 else early
                 guess = np.array([math.log(math.expm1(longer)) if longer < 30.0 else longer, late])
                 found = root(_reduced, guess, args=(inputs,), method="hybr", tol=1e-13)
@@ -176,8 +176,8 @@ def _durations(inputs: tuple[float, float, float], omega: float) -> tuple[float,
 def _unfolded(unknown: Array, inputs: tuple[float, float, float]) -> tuple[float, float, float]:
     """Durations in units of tau from two unbounded numbers, with v(t1) = 0 and v(T/2) = -v(0) built in.
 
-    The speed at RC, -v(0), lies between what stage 3 tends to (or 0) and the speed v2 at RB, which lies between that
-    and what stage 2 tends to; the unknowns say where, as logistic fractions.
+    The speed v2 at RB lies between the final speed of stage 3 (or 0) and that of stage 2. The speed at RC, -v(0), lies
+    between the final speed of stage 3 (or 0) and v2. The two unknowns are these places as logistic fractions.
     """
     lowest = max(inputs[2], 0.0)
     p, s = (float(value) for value in np.clip(unknown, [-300.0, -1e5], [1e5, 300.0]))
@@ -190,7 +190,7 @@ def _unfolded(unknown: Array, inputs: tuple[float, float, float]) -> tuple[float
 
 
 def _reduced(unknown: Array, inputs: tuple[float, float, float]) -> list[float]:
-    """Conditions y(t1 + t2) = 0 and z(0) = 0 for tau = K = 1, relative to what moves within a half period."""
+    """Conditions y(t1 + t2) = 0 and z(0) = 0 for tau = K = 1, relative to the motion within a half period."""
     durations = _unfolded(unknown, inputs)
     states = stage_states(1.0, 1.0, durations, inputs)
     size = float(np.abs(states[:, 1]).max())
@@ -198,10 +198,10 @@ def _reduced(unknown: Array, inputs: tuple[float, float, float]) -> list[float]:
 
 
 def _check_no_additional_switching(cycle: LimitCycle) -> None:
-    """Check v < 0 on (0, t1) and > 0 after; y < 0 before t1 + t2 and > 0 after; z < 0 throughout (Theorem 2.1)."""
+    """Check v < 0 until t1 and > 0 after; y < 0 until t1 + t2 and > 0 after; z < 0 in the whole half (Theorem 2.1)."""
     t1, t2, t3 = cycle.durations_s
     states = cycle.states
-    # Velocity is monotone within a stage, so the ends decide about v; then v about y, and y about z.
+    # Velocity is monotone within a stage, so its ends are enough to check v. Then v decides y, and y decides z.
     if not (min(t1, t2, t3) > 0.0 and states[0, 0] < 0.0 < min(states[2, 0], states[3, 0])):
         raise NoLimitCycle("the velocity reverses more than once in a half period: additional switching of RA")
     if not states[0, 1] < 0.0 < states[3, 1]:

@@ -1,8 +1,8 @@
 """The exact event-driven motor: tau dv/dt + v = K (u + b - f(v)), dy/dt = v, dz/dt = y (docs/theory.md 1.2).
 
-Between the instants at which the drive changes or the velocity crosses zero the motion is a formula: an exponential,
-or under Stribeck friction a chain of Taylor polynomials of bounded error (``rig.model.stribeck``). Viscous friction
-needs no formula of its own: it lowers tau and K alike (docs/theory.md 8.1).
+An event is a change of the drive, or a velocity that crosses zero. Between two events the motion is a formula: an
+exponential, or under Stribeck friction a chain of Taylor polynomials of bounded error (``rig.model.stribeck``). Viscous
+friction needs no formula of its own: it lowers tau and K by the same factor (docs/theory.md 8.1).
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 class Glide(NamedTuple):
     """Motion whose velocity tends exponentially to ``target`` (docs/theory.md 1.3); at rest both are 0.
 
-    start, duration_s   its first state, and how long it lasts (may be inf)
-    target, tau_s       rad/s, s
+    start, duration_s   its first state, and how long it lasts, s (may be inf)
+    target, tau_s       final velocity, rad/s; time constant, s
     """
 
     start: State
@@ -44,10 +44,10 @@ class Glide(NamedTuple):
 class Arc(NamedTuple):
     """Motion under Stribeck friction, as a polynomial in time (``rig.model.stribeck``).
 
-    start, duration_s   its first state, and how long it lasts
-    coefficients        of the speed in v_unit over time in tau_s
+    start, duration_s   its first state, and how long it lasts, s
+    coefficients        of the speed, in units of v_unit, as a power series of time, in units of tau_s
     v_unit, tau_s       Stribeck velocity with the sign of the motion, rad/s; effective time constant, s
-    rests               it ends with the velocity at zero
+    rests               whether it ends with the velocity at zero
     """
 
     start: State
@@ -88,12 +88,12 @@ class Motor:
 
     @cached_property
     def tau_eff_s(self) -> float:
-        """Time constant that the motion shows: tau / (1 + K fv), s."""
+        """Effective time constant, tau / (1 + K fv), s. A motion shows this one."""
         return self.tau_s / (1.0 + self.K_rad_s_V * self.friction.viscous_V_s_rad)
 
     @cached_property
     def K_eff_rad_s_V(self) -> float:
-        """Gain that the motion shows: K / (1 + K fv), (rad/s)/V; tau / K is as without viscous friction."""
+        """Effective gain, K / (1 + K fv), (rad/s)/V. A motion shows this one; tau / K does not depend on fv."""
         return self.K_rad_s_V / (1.0 + self.K_rad_s_V * self.friction.viscous_V_s_rad)
 
     @cached_property
@@ -103,7 +103,7 @@ class Motor:
 
     @property
     def asym_V(self) -> float:
-        """Asymmetry a = b - (f+ - f-)/2 of the effective drive, V: what motion can show of bias."""
+        """Asymmetry a = b - (f+ - f-)/2 of the effective drive, V. A motion shows this sum, not bias b alone."""
         return self.bias_V - 0.5 * (self.friction.plus_V - self.friction.minus_V)
 
     @cached_property
@@ -129,8 +129,8 @@ class Motor:
     def pieces(self, state: State, u_V: float, dt_s: float) -> Iterator[Piece]:
         """The motion over ``dt_s`` seconds of constant drive ``u_V``, piece by piece.
 
-        Within a piece the velocity does not change its sign; where two meet with the velocity crossing zero it is
-        exactly 0. A motor that friction holds is a Glide from 0 to 0.
+        Within a piece the velocity keeps its sign. At a reversal, where two pieces meet, it is exactly 0.
+        A motor that friction holds is a Glide from 0 to 0.
         """
         plant, drive_V = self.plant, u_V + self.bias_V
         c, w = self._room()
@@ -147,12 +147,12 @@ class Motor:
             yield piece
 
     def _room(self) -> tuple[list[float], list[float]]:
-        """Room for the coefficients of a polynomial, where the friction needs one."""
+        """Buffers for the coefficients of a polynomial; empty where the friction needs none."""
         n = 0 if self.has_closed_form else stribeck.ORDER + 1
         return [0.0] * n, [0.0] * n
 
     def terminal_velocity(self, v: float, u_V: float) -> float:
-        """Velocity in which the motion from ``v`` under constant ``u_V`` ends, rad/s; 0 if friction holds it there."""
+        """Final velocity of the motion from ``v`` under constant ``u_V``, rad/s; 0 if friction stops it."""
         plant, drive = self.plant, u_V + self.bias_V
         direction = step.direction(plant, v, drive)
         if direction == 0.0:
@@ -173,7 +173,7 @@ class Motor:
         return self.terminal_velocity(0.0, u_V)
 
     def stopping_distance(self, v: float) -> float:
-        """Distance still travelled at 0 V from velocity ``v``, rad, with the sign of ``v``."""
+        """Distance to standstill at 0 V from velocity ``v``, rad/s; in rad, with the sign of ``v``."""
         end = self.advance(State(v=v), 0.0, 40.0 * self.tau_s)
         return end.y
 

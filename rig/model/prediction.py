@@ -1,4 +1,4 @@
-"""The cycle that theory expects of a motor under given gains: exactly, and by describing function."""
+"""The predicted limit cycle of a motor under given gains: exact, and by the describing function."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from rig.model import describing_function
 from rig.model.limit_cycle import NoLimitCycle, limit_cycle
 
-LARGEST = 1e6  # of any parameter: beyond it are no motors
+LARGEST = 1e6  # of any parameter: no motor has a larger one
 
 
 def predict_cycle(tau_s: float, K_rad_s_V: float, fc_V: float, fs_V: float, h1_V: float, h2_V: float) -> dict[str, Any]:
-    """Limit cycle and stability by Theorems 2.1 and 2.2, and the describing function's view.
+    """Limit cycle and stability by Theorems 2.1 and 2.2, and the cycle by the describing function.
 
-    Returns ``oscillates`` (bool); where there is no simple oscillation ``reason``, else ``durations_s`` (t1, t2, t3),
+    Returns ``oscillates`` (bool). Without a simple oscillation it adds ``reason``; else ``durations_s`` (t1, t2, t3),
     ``period_s``, ``amplitude_rad``, ``y_switch_rad`` (y at 0, t1), ``eigenvalues`` (pairs re, im of J),
     ``largest_eigenvalue_J3``, ``stable``; and ``describing_function`` with ``period_s``, ``amplitude_rad``, or None.
     Raises ValueError on parameters out of range.

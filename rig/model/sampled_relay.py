@@ -1,4 +1,4 @@
-"""A relay test as a bench records it: the exact motor under a dual-channel relay that decides at its samples."""
+"""A simulated relay test: the exact motor under a dual-channel relay that decides at each sample."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class RelayTest:
-    """What was recorded and what was true, n rows each.
+class SimulatedRelayTest:
+    """The recorded columns and the true states, n rows each.
 
-    t_s, t_u_s       times of the samples, and from which each row's drive acted, s
+    t_s, t_u_s       times of the samples, and times from which each row's drive acted, s
     y_rad, u_V       position as read, and drive
     z_rad_s          integral of the position as read
     true_v_rad_s, true_y_rad    the motor's own state at the samples
@@ -33,7 +33,7 @@ class RelayTest:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What a bench adds to a relay test; nothing by default.
+    """Noise and disturbances of a relay test; none by default.
 
     reading_rad   n values added to the position before it is read: noise and offset, rad
     drive_V       n values added to the drive at the motor during the tick, not recorded, V
@@ -57,15 +57,15 @@ def relay_test(
     *,
     disturbance: Disturbance = UNDISTURBED,
     start: State | None = None,
-) -> RelayTest:
+) -> SimulatedRelayTest:
     """Simulate ``u = -h1 sgn(y) - h2 sgn(z)``, decided at each sample and acting a latency later.
 
     t_s          n times of the samples, s, increasing
-    latency_s    from each sample until its drive acts, s, >= 0; effects must stay in order
+    latency_s    from each sample until its drive acts, s, >= 0; no drive may overtake the one before it
     disturbance  noise, offset, disturbing drive and the step of the reading
     start        state at the first sample; default: at rest at 0
-    The law is that of ``rig.control.relay.DualChannelRelay``. Raises ValueError outside these ranges, and for a motor
-    with Stribeck effect.
+    The law is ``rig.control.relay.DualChannelRelay``. Raises ValueError outside these ranges, and for a motor with
+    Stribeck effect.
     """
     from rig.model.compiled import sampled_relay as compiled
 
@@ -88,7 +88,7 @@ def relay_test(
         out,
     )
     y, u, z, v, true_y = (np.ascontiguousarray(column) for column in out.T)
-    return RelayTest(t, t_u, y, u, z, v, true_y)
+    return SimulatedRelayTest(t, t_u, y, u, z, v, true_y)
 
 
 def _or_zeros(values: Array | None, t_s: Array) -> Array:

@@ -1,9 +1,8 @@
 """The exact motion under a recorded drive, and its derivatives by the motor's parameters.
 
-Between events the motion has a closed form, and so have its derivatives (docs/theory.md 1.3, 1.4). An event moves
-when a parameter does: by the same instant dt at which it moves, the velocity jumps by (acceleration before -
-acceleration after) * dt to first order, and the position does not. So one pass over the events gives position and
-Jacobian.
+Between events the motion has a closed form, and so have its derivatives (docs/theory.md 1.3, 1.4). When a parameter
+changes, an event moves by a time dt. To first order this changes the velocity by (acceleration before - acceleration
+after) * dt, and leaves the position as it is. So one pass over the events gives position and Jacobian.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ class Theta(NamedTuple):
 
 
 class StribeckTheta(NamedTuple):
-    """Parameters of a series' motion under Tustin's law: those of ``Theta``, and two more.
+    """Parameters of a series' motion under Tustin's law: all of ``Theta``, and two more.
 
     tau_s, K_rad_s_V, fc_V   the motor; viscous friction is in tau and K
     asym_V                   asymmetry a: the effective drive is u + a
@@ -59,7 +58,7 @@ class StribeckTheta(NamedTuple):
 
 
 def position(theta: Theta, edge_s: Array, u_V: Array, t_s: Array, static_V: float | None = None) -> Array:
-    """Positions at the times ``t_s``, rad, without the derivatives; arguments as ``position_and_jacobian``."""
+    """Positions at the times ``t_s``, rad. ``edge_s``, ``u_V``, ``static_V``: as in ``position_and_jacobian``."""
     from rig.model.compiled import motion
 
     y = np.empty(t_s.size)
@@ -74,9 +73,9 @@ def position_and_jacobian(
 
     edge_s, u_V  m steps of the drive: u_V[j], V, acts from edge_s[j] on, s, non-decreasing, m >= 1
     t_s       n times, s, non-decreasing, n >= 1
-    static_V  level that holds the motor at rest, V; default: as strong as in motion
-    Returns y, (n,), rad, and dy/dtheta, (n, 7). The drive before its first edge is that of its first edge. Derivatives
-    are exact but where a parameter decides *whether* the motor sticks.
+    static_V  level that holds the motor at rest, V; default: the level in motion
+    Returns y, (n,), rad, and dy/dtheta, (n, 7). Before the first edge the drive is u_V[0]. Derivatives are exact,
+    except where a parameter decides *whether* the motor sticks.
     """
     from rig.model.compiled import motion
 
@@ -88,7 +87,7 @@ def position_and_jacobian(
 def stribeck_response(theta: StribeckTheta, edge_s: Array, u_V: Array, t_s: Array) -> Array:
     """Positions at the times ``t_s`` (n, s, non-decreasing, n >= 1), rad; compiled.
 
-    The drive before its first edge is that of its first edge. Raises ValueError on parameters out of range.
+    Before the first edge the drive is u_V[0]. Raises ValueError on parameters out of range.
     """
     from rig.model.compiled import motion
 
@@ -102,7 +101,7 @@ def stribeck_response(theta: StribeckTheta, edge_s: Array, u_V: Array, t_s: Arra
 
 
 def _motion(theta: Theta, static_V: float | None) -> tuple[Numbers, Numbers]:
-    """The numbers of the plant, and of its state at the first sample."""
+    """Plant and state at the first sample, as plain numbers."""
     tau, K, fc, asym, _, v0, y0 = map(float, theta)
     fs = fc if static_V is None else max(float(static_V), fc)
     return tuple(Plant(tau, K, fc, fc, fs, fs, 0.0, asym)), (v0, y0, 0.0)

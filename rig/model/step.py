@@ -6,9 +6,9 @@ Between two events the motion is a formula, which this module calls a segment: a
 friction a Taylor polynomial of bounded error (``rig.model.stribeck``). An event is a reversal, a motor that comes to
 rest, or a speed below which the Stribeck effect begins.
 
-Each part of the model is one function here. The functions are plain Python. ``Motor`` calls them as they are; numba
-compiles the same functions into the loops of ``rig.model.compiled``. The emulated boards have them in C
-(firmware/boards/host/bench.c), and tests/emulate holds C to them.
+Each part of the model is one function here, in plain Python. ``Motor`` calls these functions directly. numba compiles
+the same functions into the loops of ``rig.model.compiled``. The emulated boards have them in C
+(firmware/boards/host/bench.c); tests/emulate compares the C with the Python.
 
 Velocities are in rad/s, positions in rad, drives and friction in V, times in s.
 """
@@ -42,7 +42,7 @@ class State(NamedTuple):
 
 
 class Plant(NamedTuple):
-    """A motor as plain numbers, the way its motion shows it: viscous friction is in tau and K already.
+    """A motor as plain numbers. Its tau and K are the effective ones: they include viscous friction.
 
     tau_s, K_rad_s_V               time constant, s, and gain, (rad/s)/V, > 0
     plus_V, minus_V                friction while moving towards +y and -y, V, >= 0
@@ -62,12 +62,12 @@ class Plant(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """Motion one way, or rest, up to its first event or to the end of what was asked for.
+    """Motion in one direction, or rest, up to its first event or to the end of the time asked for.
 
     is_series      whether it is a Taylor polynomial; else the velocity tends exponentially to ``target_rad_s``
     sign           direction of the motion: +1, -1; 0 where friction holds the motor
     duration_s     how long it lasts, s; may be inf
-    target_rad_s   velocity that it would tend to without a further event, rad/s; of a polynomial nan
+    target_rad_s   velocity that it would tend to without a further event, rad/s; nan for a polynomial
     end_rad_s      velocity at the event that ends it, rad/s, exact; nan where time ends it
     """
 
@@ -79,7 +79,7 @@ class Segment(NamedTuple):
 
 
 def direction(plant: Plant, v: float, drive_V: float) -> float:
-    """Direction of motion: that of ``v``, or into which the drive breaks away from rest; 0 if friction holds."""
+    """Direction of motion: the sign of ``v``, rad/s; from rest the sign of the drive; 0 if friction holds the motor."""
     if v != 0.0:
         return 1.0 if v > 0.0 else -1.0
     if drive_V > plant.static_plus_V:
@@ -95,14 +95,14 @@ def friction_levels(plant: Plant, sign: float) -> tuple[float, float]:
 
 
 def target_velocity(plant: Plant, sign: float, drive_V: float) -> float:
-    """Velocity that a motion in the direction ``sign`` tends to under Coulomb friction, rad/s; 0 for a sign of 0."""
+    """Final velocity of a motion in the direction ``sign`` under Coulomb friction, rad/s; 0 for a sign of 0."""
     if sign > 0.0:
         return plant.K_rad_s_V * (drive_V - plant.plus_V)
     return plant.K_rad_s_V * (drive_V + plant.minus_V) if sign < 0.0 else 0.0
 
 
 def reversal_time(v: float, target: float, tau_s: float) -> float:
-    """Time until a velocity ``v`` that tends to ``target`` reaches zero, s; inf if it never does."""
+    """Time until a velocity ``v`` that tends to ``target``, both rad/s, reaches zero, s; inf if it never does."""
     if v == 0.0:
         return 0.0
     if v < 0.0 < target or target < 0.0 < v:  # not by the sign of their product, which can round to 0
@@ -116,7 +116,7 @@ def glide(state: State, target: float, tau_s: float, h_s: float) -> State:
 
 
 def glide_by(state: State, target: float, tau_s: float, h_s: float, decay: float) -> State:
-    """The same, towards ``target``, for who has ``decay`` = 1 - exp(-h / tau) already."""
+    """``glide`` towards ``target``, rad/s, for a caller that already has ``decay`` = 1 - exp(-h / tau)."""
     v, y, z = state
     excess = v - target
     return State(
@@ -147,8 +147,8 @@ def next_segment(plant: Plant, v: float, drive_V: float, longest_s: float, c: Ro
 
     v         velocity, rad/s
     drive_V   drive with the bias, V
-    c, w      room for ``stribeck.ORDER + 1`` numbers each: ``c`` is filled with the coefficients of a polynomial;
-              without Stribeck effect neither is touched
+    c, w      buffers of ``stribeck.ORDER + 1`` numbers each. ``c`` gets the coefficients of a polynomial; without
+              Stribeck effect both stay as they are
     """
     unit = plant.stribeck_rad_s
     if unit == 0.0:
@@ -162,7 +162,7 @@ def next_segment(plant: Plant, v: float, drive_V: float, longest_s: float, c: Ro
     b = gain * (static_V - moving_V) / unit
     x, target, far = abs(v) / unit, gain * (sign * drive_V - moving_V) / unit, far_speed(b)
     if is_exponential(x, target, b):
-        # down to where the Stribeck effect begins, or to rest where this direction has none
+        # down to the speed at which the Stribeck effect begins, or to rest if this direction has no Stribeck effect
         leaves_s = tau * math.log1p((x - far) / (far - target)) if target < far < x else math.inf
         if leaves_s <= longest_s:
             return Segment(False, sign, leaves_s, sign * unit * target, sign * unit * far)
@@ -185,7 +185,7 @@ def state_after(plant: Plant, segment: Segment, c: Series, start: State) -> Stat
 
 
 def glide_after(plant: Plant, segment: Segment, start: State) -> State:
-    """The same where it is an exponential."""
+    """``state_after`` for a segment that is an exponential."""
     v, y, z = glide(start, segment.target_rad_s, plant.tau_s, segment.duration_s)
     return State(v if math.isnan(segment.end_rad_s) else segment.end_rad_s, y, z)
 
@@ -210,7 +210,7 @@ def series_position(start: State, unit: float, tau_s: float, c: Series, h_s: flo
 
 
 def advance(plant: Plant, state: State, u_V: float, dt_s: float, c: Room, w: Room) -> State:
-    """State after ``dt_s`` (>= 0) seconds of constant drive ``u_V``, through every event; ``c``, ``w`` are room."""
+    """State after ``dt_s`` (>= 0) seconds of constant drive ``u_V``, through every event; ``c``, ``w`` are buffers."""
     if plant.stribeck_rad_s == 0.0:
         return advance_exponentially(plant, state, u_V, dt_s)
     drive_V = u_V + plant.bias_V
@@ -223,7 +223,7 @@ def advance(plant: Plant, state: State, u_V: float, dt_s: float, c: Room, w: Roo
 
 
 def advance_exponentially(plant: Plant, state: State, u_V: float, dt_s: float) -> State:
-    """``advance`` without Stribeck effect."""
+    """``advance`` for a motor without Stribeck effect."""
     drive_V, tau_s = u_V + plant.bias_V, plant.tau_s
     left_s = dt_s
     while left_s > 0.0:

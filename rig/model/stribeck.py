@@ -1,19 +1,19 @@
-"""Motion under Stribeck friction by Taylor series, its truncation bounded at every step.
+"""Motion under Stribeck friction by Taylor series, with a bound on the truncation at every step.
 
-While the motor moves one way, with speed x in units of the Stribeck velocity vs and time in units of tau,
+The motor moves in one direction, with speed x in units of the Stribeck velocity vs and time in units of tau:
 
     x' = e - x - b expm1(-x),    e = K (D - fs) / vs,    b = K (fs - fc) / vs,    x >= 0
 
-(D: drive along the motion, V; viscous friction is in tau and K already; docs/theory.md 8.1, 8.2). The right side is
-analytic, so x is a power series in time, and its integrals, position and integral of position, are too.
+D is the drive along the motion, V. tau and K include viscous friction (docs/theory.md 8.1, 8.2). The right side is
+analytic, so x is a power series in time. So are position and integral of position, its integrals.
 
 The step. With B = b exp(-x0), on the disc |x - x0| <= R the right side is at most M = |x0'| + R + B (exp(R) - 1) and
 its slope at most L = 1 + B exp(R). So the solution is analytic, and stays in the disc, at least for |t| < rho =
 max(R / M, ln(1 + R L / |x0'|) / L) (Picard; Gronwall). By Cauchy's estimate the k-th term at t is at most
-R (t / rho)^k. Steps end at rho / RATIO: what is left off after ORDER is at most R RATIO^-ORDER / (RATIO - 1), 2e-14 R,
-and in practice below rounding, because rho is about half of the true radius.
+R (t / rho)^k. Steps end at rho / RATIO, so the terms beyond ORDER add up to at most R RATIO^-ORDER / (RATIO - 1),
+2e-14 R. In practice they are below rounding, because rho is about half of the true radius.
 
-Where b exp(-x) is below rounding the motion has the closed form of docs/theory.md 1.3, and that is used.
+Where b exp(-x) is below rounding, the closed form of docs/theory.md 1.3 takes over.
 
 ``rig.model.step`` makes segments of these functions; numba compiles them into the loops of ``rig.model.compiled``.
 ``c`` is a list or an array of ORDER + 1 coefficients.
@@ -34,7 +34,7 @@ Room = MutableSequence[float] | Array
 ORDER = 22
 RATIO = 4.0
 NEGLIGIBLE = 32.0  # exp(-32) = 1.3e-14, against a speed of at least 32: 4e-16 of it
-# Of b: below, friction falls by nothing; above, it does so within 1e-12 tau, and the static level is one of rest only.
+# Range of b. Below it friction does not fall. Above it friction falls within 1e-12 tau: it is static at rest only.
 SMALLEST, LARGEST = 1e-200, 1e12
 JUST_ABOVE = 1.0 + 1e-9  # a glide down to the far speed ends on it, give or take rounding
 
@@ -42,12 +42,12 @@ TRUNCATION = RATIO**-ORDER / (RATIO - 1.0)  # bound of a step's truncation, over
 
 
 def far_speed(b: float) -> float:
-    """Speed, in vs, from which on the Stribeck effect, ``b``, is below rounding; 0 where there is none."""
+    """Speed, in vs, above which the Stribeck effect, ``b``, is below rounding; 0 without Stribeck effect."""
     return NEGLIGIBLE + math.log1p(b) if SMALLEST <= b <= LARGEST else 0.0
 
 
 def is_exponential(x: float, target: float, b: float) -> bool:
-    """Whether the motion from speed ``x``, which would tend to ``target`` = e + b, is exponential for a while."""
+    """Whether the motion from speed ``x`` towards ``target`` = e + b is exponential at first."""
     if not SMALLEST <= b <= LARGEST:
         return True
     far = far_speed(b)
@@ -55,10 +55,10 @@ def is_exponential(x: float, target: float, b: float) -> bool:
 
 
 def expand(x: float, e: float, b: float, c: Room, w: Room) -> float:
-    """Fill ``c`` with the coefficients of x(t) about speed ``x``; returns the step, in tau, that they are good for.
+    """Fill ``c`` with the coefficients of x(t) about speed ``x``. Returns the step, in tau, for which they hold.
 
     x, e, b   as above, in units of the Stribeck velocity
-    ``w`` is room for as many numbers: the coefficients of exp(-x).
+    w         buffer of the size of ``c``, for the coefficients of exp(-x)
     """
     slope = e - x - b * math.expm1(-x)
     c[0] = x
@@ -107,7 +107,7 @@ def integral_at(c: Series, h: float) -> float:
 
 
 def rest_within(c: Series, h: float) -> float:
-    """When within (0, h] a falling speed is zero, to rounding; it is > 0 at 0 and <= 0 at h. Newton, kept bracketed."""
+    """Time within (0, h], in tau, at which a falling speed is zero. It is > 0 at 0 and <= 0 at h. Bracketed Newton."""
     before, after = 0.0, h
     t = h
     for _ in range(100):
@@ -128,9 +128,9 @@ def rest_within(c: Series, h: float) -> float:
 
 
 def terminal_speed(x: float, e: float, b: float) -> float:
-    """Speed that the motion from ``x`` tends to, in vs; 0 if it comes to rest. ``e``, and ``b`` > 0, as above.
+    """Final speed of the motion from ``x``, in vs; 0 if it comes to rest. ``e``, and ``b`` > 0, as above.
 
-    The right side is concave in x: it has no zero, or an unstable one and, above it, a stable one.
+    The right side is concave in x. It has no zero, or two: the lower one is unstable, the upper one stable.
     """
     slope = e - x - b * math.expm1(-x)
     if slope == 0.0:

@@ -1,19 +1,19 @@
-"""The motor supply as a device measures it, against the one that the config tells: what a difference does to K."""
+"""The motor supply: the device's measurement against the config, and what a difference does to K."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-TOLERANCE = 0.04  # of the reading: its divider's resistors and the 5 V that it counts on; one digit is 0.7 % of 12 V
+TOLERANCE = 0.04  # of the reading: resistors of its divider, and its 5 V reference; one digit is 0.7 % of 12 V
 
 
 @dataclass(frozen=True)
 class SupplyReading:
-    """What the device measured, and what the drive was scaled with.
+    """The measured motor supply, and the one from the config that scales the drive.
 
-    measured_V    motor supply as the device measures it; nan where it does not
-    at_least      the reading is at its end: the supply is ``measured_V`` or more
+    measured_V    motor supply as the device measures it; nan if it does not measure it
+    at_least      the reading is at the end of its range: the supply is ``measured_V`` or more
     believed_V    drive.supply_V
     bridge_drop_V drive.bridge_drop_V
     """
@@ -25,17 +25,17 @@ class SupplyReading:
 
     @property
     def share(self) -> float:
-        """By how much, at least, the supply is off, relative to ``believed_V``; 0 where nothing is known."""
+        """Smallest possible error of the supply, relative to ``believed_V``; 0 without a measurement."""
         if math.isnan(self.measured_V) or (self.at_least and self.measured_V <= self.believed_V):
             return 0.0
         return self.measured_V / self.believed_V - 1.0
 
     @property
     def objection(self) -> str | None:
-        """What speaks against estimates of this run, and what to do; None within ``TOLERANCE``.
+        """Why not to trust estimates of this run, and what to do; None within ``TOLERANCE``.
 
-        A drive of u reaches the motor as u times the true full voltage by the believed one: K comes out as much too
-        large, friction too small.
+        The motor gets u times the ratio of the true supply to the believed one. So K comes out too large by this ratio,
+        and friction too small.
         """
         if abs(self.share) <= TOLERANCE:
             return None

@@ -1,4 +1,4 @@
-"""Where the emulated bench is told to be another than the one that the rest of the config believes in."""
+"""Where the emulated bench differs from the bench that the rest of the config describes."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from rig.backends.registry import backend_of
 from rig.config.problems import bracketed
 from rig.config.schema import DeadBand, Experiment
 
-_SLACK = 1e-6  # relative: below it two numbers are one, written with other digits
-_BENT_COUNTS = 1.0  # of a table of calibration against a straight line
+_SLACK = 1e-6  # relative: numbers closer than this are equal but for their digits
+_BENT_COUNTS = 1.0  # largest distance of a calibration table from a straight line that is left unsaid
 _SCALED = "K and f_c will come out scaled"
 
 
 def differences(e: Experiment) -> Iterator[str]:
-    """A sentence for each way in which what is emulated is not what the config describes; none behind a real motor."""
+    """A sentence for each difference between the emulated bench and the config; none for a real motor."""
     if e.emulated is None or not backend_of(e).is_emulated(e):
         return
     yield from _bridge(e)
     yield from _sensor(e)
     if e.tachometer is not None and e.emulated.tachometer is False:
-        yield "the emulated bench has no velocity channel (emulated.tachometer), the config has a section tachometer"
+        yield "the emulated bench has no velocity channel (emulated.tachometer); the config has a section tachometer"
     stops, hard = e.emulated.motor.stop_rad, e.limits.hard_rad
     if not (stops[0] <= hard[0] and hard[1] <= stops[1]):
         yield (
             f"the emulated shaft meets its mechanical stops at {bracketed(stops)} rad, inside limits.hard_rad "
-            f"{bracketed(hard)}: what it does there is no free motion"
+            f"{bracketed(hard)}: its motion there is not free"
         )
 
 
@@ -36,14 +36,14 @@ def _bridge(e: Experiment) -> Iterator[str]:
         return
     full_V, believed_V = told.supply_V - told.bridge_drop_V, believed.supply_V - believed.bridge_drop_V
     if not isclose(full_V, believed_V, rel_tol=_SLACK):
-        yield f"the emulated bridge gives {full_V:g} V, the config believes {believed_V:g} V: {_SCALED}"
+        yield f"the emulated bridge gives {full_V:g} V, by the config it gives {believed_V:g} V: {_SCALED}"
     if told.dead_band_duty != believed.dead_band_duty:
         yield (
             f"the emulated bridge passes nothing below {_shares(told.dead_band_duty)}, drive.dead_band_duty says "
-            f"{_shares(believed.dead_band_duty)}: the drive is not what the record says, and {_SCALED}"
+            f"{_shares(believed.dead_band_duty)}: the true drive differs from the recorded one, and {_SCALED}"
         )
     if told.reversed != believed.reversed:
-        yield "the emulated bridge turns the shaft the other way than drive.reversed says"
+        yield "the emulated bridge turns the shaft the opposite way to drive.reversed"
 
 
 def _sensor(e: Experiment) -> Iterator[str]:
@@ -66,8 +66,9 @@ def _sensor(e: Experiment) -> Iterator[str]:
     bent_counts = max(abs(centre_counts + point.rad / rad_per_count - point.counts) for point in e.sensor.calibration)
     if bent_counts > _BENT_COUNTS:
         yield (
-            f"sensor.calibration is a table that bends by up to {bent_counts:.3g} counts, the emulated potentiometer "
-            "is straight: K will come out by as much too large or too small as the table is steep or flat"
+            f"sensor.calibration is a table that bends by up to {bent_counts:.3g} counts, but the emulated "
+            "potentiometer is straight: K will come out too large where the table is too steep, too small where it is "
+            "too flat"
         )
     if told.counts_max != e.sensor.counts_max:
         yield (

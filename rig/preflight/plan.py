@@ -1,4 +1,4 @@
-"""What an experiment would do, in lines for people: backend, stages, limits, link, failsafe."""
+"""What an experiment will do, in lines for people: backend, stages, limits, link, failsafe."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rig.preflight.room_to_stop import (
 
 
 def plan(e: Experiment) -> Iterator[str]:
-    """One line after another, of an experiment whose sections and keys are in range."""
+    """The lines, for an experiment whose keys are in range."""
     backend = backend_of(e)
     yield f"backend: {backend.words(e)}, every {e.period_s * 1e3:g} ms"
     yield from _stage_lines(e)
@@ -39,26 +39,26 @@ def plan(e: Experiment) -> Iterator[str]:
 
 
 def notes(e: Experiment) -> Iterator[str]:
-    """What a person has to know who reads the results: `rig check` says it before a run, and the run with them."""
+    """What you must know to read the results. `rig check` says it before a run, the run with its results."""
     backend = backend_of(e)
     yield from differences(e)
     yield from backend.notes(e)
     low, high = e.limits.soft_rad
     if e.emulated is not None and not low <= e.emulated.motor.start_rad <= high:
-        yield "the emulated shaft starts outside the soft limits: a run refuses until `rig jog` has it inside"
+        yield "the emulated shaft starts outside the soft limits: bring it inside with `rig jog`, else a run refuses"
     if e.emulated is not None and not backend.is_emulated(e):
         yield backend.not_emulated_words(e)
 
 
 def _check_ends_by(watchdog_s: float, e: Experiment) -> str:
-    """What ends a stroke of the breakaway check when the host has died, in words."""
+    """The worst case of a breakaway stroke that the sum counts, in words."""
     time = f"{1e3 * watchdog_s:.3g} ms"
     watchdog = backend_of(e).watchdog(e)
     if watchdog.time_s is None or (not watchdog.certain and e.daq.accept_no_watchdog):
-        return f"a tick that comes {time} late, not a host that dies: without a watchdog nothing bounds that"
+        return f"a tick that comes {time} late, but not a host that dies: without a watchdog nothing bounds that"
     if watchdog.unit_s is None:
-        return f"a host that dies in a stroke: the device's own watchdog ends it after {time}"
-    return f"a host that dies in a stroke: for this check the device's watchdog is armed with {time}"
+        return f"a host that dies in a stroke: the device's own watchdog ends the stroke after {time}"
+    return f"a host that dies in a stroke: this check arms the device's watchdog with {time}"
 
 
 def _stage_lines(e: Experiment) -> Iterator[str]:
@@ -76,9 +76,15 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
         )
         yield (
             f"stage breakaway, with a stuck or uncoupled sensor: the shaft turns at most {strokes.unseen_rad:.2f} rad, "
-            f"if friction differs by at most {FRICTION_DIFFERS:.0%} from its mean between the ways and "
-            f"motor.no_load_speed_rad_s is true; that counts {_check_ends_by(strokes.watchdog_s, e)}"
+            f"if motor.no_load_speed_rad_s is true and friction each way is within {FRICTION_DIFFERS:.0%} of the mean "
+            f"of both ways; that counts {_check_ends_by(strokes.watchdog_s, e)}"
         )
+    if e.law is not None:
+        yield (
+            f"stage law: {e.law.name}, a law of your own, for at most {e.law.duration_s:g} s, within the limits; "
+            "no relay test, nothing is identified"
+        )
+        return
     if r.target is not None:
         amplitudes = r.target.amplitude_rad, r.target.amplitude_rad * r.second_ratio
         tests_s = 2.0 * r.cycles * r.target.period_s
@@ -101,14 +107,14 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
         overshoot = sum(rad for _, rad in overshoot_terms(e))
         horizon_s = sum(rad for _, rad in stopping_terms(e)) / e.limits.max_speed_rad_s
         yield (
-            f"stage hysteretic: from rest at zero, where the shaft is brought before each, (d, eps) = {pairs} V, rad; "
+            f"stage hysteretic: each run starts from rest at zero, (d, eps) = {pairs} V, rad; "
             f"at most to {widest_rad + overshoot:.3g} rad; the guard would brake above "
-            f"{(room_rad(e) - widest_rad) / horizon_s:.3g} rad/s; every d must exceed the breakaway level, which is "
-            "measured first"
+            f"{(room_rad(e) - widest_rad) / horizon_s:.3g} rad/s; every d must exceed the breakaway level, which the "
+            "breakaway stage measures"
         )
-    yield "stage identify: by every method, no motion"
+    yield "stage identify: every method, no motion"
     if e.tracking is None:
-        yield "stage verify: left out, there is no section `tracking`"
+        yield "stage verify: left out, since the config has no section `tracking`"
     else:
         verify_s = len(e.tracking.methods) * e.tracking.duration_s
         total_s += verify_s

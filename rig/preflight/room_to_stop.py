@@ -1,4 +1,4 @@
-"""What the shaft travels until it stands, and the room for it: arithmetic on the config (docs/theory.md 10.1, 10.2).
+"""How far the shaft travels until it stops, and the room for it: arithmetic on the config (docs/theory.md 10.1, 10.2).
 
 ``e`` is the experiment throughout; positions count from 0 rad, the centre of travel.
 """
@@ -18,7 +18,7 @@ _BLOCK_AGE_PERIODS = 2  # of the loop: the rows of a device's block are older th
 
 
 def reaction_periods(experiment: Experiment) -> int:
-    """Periods of the loop until it can have reacted to what the shaft does."""
+    """Periods of the loop until it has reacted to a motion of the shaft, at most."""
     return (
         _REACTION_PERIODS
         + (_BLOCK_AGE_PERIODS if experiment.relay.where == "device" else 0)
@@ -27,26 +27,26 @@ def reaction_periods(experiment: Experiment) -> int:
 
 
 def reaction_s(experiment: Experiment) -> float:
-    """Time until the loop can have reacted to what the shaft does, s."""
+    """Time until the loop has reacted to a motion of the shaft, s, at most."""
     periods_s = reaction_periods(experiment) * experiment.period_s
     return periods_s + _further_lag_s(experiment) + backend_of(experiment).reply_delay_s(experiment)
 
 
 def _further_lag_s(e: Experiment) -> float:
-    """Of the guard's velocity, beyond two periods, where the period is short."""
+    """Lag of the guard's velocity beyond two periods, s; not 0 where the period is short."""
     return max(_VELOCITY_LAG_S - 2.0 * e.period_s, 0.0)
 
 
 def device_watchdog_s(experiment: Experiment) -> float | None:
     """Silence of the host after which the device drives 0 V, s; None where it has no watchdog.
 
-    Where only the device can tell whether it has one: what that is armed with.
+    If only the device can say whether it has one: the time that it would be armed with.
     """
     return backend_of(experiment).watchdog(experiment).time_s
 
 
 def known_reaction_s(experiment: Experiment) -> float:
-    """``reaction_s``, one reply that never comes, and the device's watchdog where it has one, s."""
+    """``reaction_s`` plus one lost reply plus the device's watchdog, where it has one, s."""
     return reaction_s(experiment) + experiment.daq.timeout_s + (device_watchdog_s(experiment) or 0.0)
 
 
@@ -67,15 +67,15 @@ def reach_rad(e: Experiment) -> float:
 
 
 def stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
-    """What the shaft travels from the largest speed if the host dies, term by term: words, rad.
+    """How far the shaft travels from the largest speed if the host dies, term by term: words, rad.
 
-    A device without a watchdog holds its last drive then, and nothing bounds the way: the sum is that of a host that
-    lives, and ``stopping_sum`` says so.
+    A device without a watchdog then holds its last drive, and nothing bounds the travel. In that case the sum holds
+    while the host lives, and ``stopping_sum`` says so.
 
-    Coasting is at 0 V, terminals shorted, without the help of friction: speed times time constant. Each term is at the
-    largest speed: the guard ends anything faster while the host lives. What the drive adds to it between the host's
-    death and the device's watchdog depends on K and tau, which the experiment has yet to find: no sum over a config can
-    count it, and the device's own hard limit is what ends such a drive.
+    Coasting is at 0 V with the terminals shorted, and friction does not help: speed times time constant. Every term
+    takes the largest speed, because the guard ends anything faster while the host lives. One part is not in the sum:
+    what the drive adds between the host's death and the device's watchdog. It depends on K and tau, which are not known
+    yet. The device's own hard limit ends such a drive.
     """
     v = e.limits.max_speed_rad_s
     lag_s, adapter_s = _further_lag_s(e), backend_of(e).reply_delay_s(e)
@@ -96,23 +96,23 @@ def stopping_sum(e: Experiment) -> str:
     written = " + ".join(f"{rad:.3f} {words}" for words, rad in terms)
     total = f"at {e.limits.max_speed_rad_s:g} rad/s: {written} = {sum(rad for _, rad in terms):.3f} rad"
     if device_watchdog_s(e) is None:
-        return f"{total} while the host lives; if it dies nothing bounds it: the device has no watchdog"
+        return f"{total} while the host lives; if the host dies nothing bounds it: the device has no watchdog"
     if not backend_of(e).watchdog(e).certain and e.daq.accept_no_watchdog:
         return f"{total} if the plug-in driver's device has a watchdog; without one nothing bounds it if the host dies"
     return total
 
 
-UNSEEN_RAD = 0.5  # the most that a shaft may turn in the breakaway check while the sensor does not show it
-FRICTION_DIFFERS = 0.1  # by so much, at most, of its mean that of one way from the mean of both
+UNSEEN_RAD = 0.5  # farthest that a shaft may turn in the breakaway check while the sensor does not show it
+FRICTION_DIFFERS = 0.1  # friction of one way differs from the mean of both ways by this share of it, at most
 _LONGEST_STROKE_S = 0.08
-_CYCLE_S = 0.16  # a stroke of the longest and the pause after it: what averages the noise, and keeps the pairs few
+_CYCLE_S = 0.16  # the longest stroke and the pause after it: averages the noise, and keeps the pairs few
 _LEAST_PAUSE_PERIODS = 4
 _MOST_PAIRS = 1_000
-_CHECK_WATCHDOG_S = 0.04  # of the device in the breakaway check, where that is not less than two periods
-_SHORTER_S = 0.005  # by which it is tried shorter where no stroke is short enough
+_CHECK_WATCHDOG_S = 0.04  # of the device in the breakaway check, unless that is less than two periods
+_SHORTER_S = 0.005  # step to the next shorter watchdog time to try, where no stroke is short enough
 _LEAST_WATCHDOG_PERIODS = 2
 _CLEARLY = 2.0  # times breakaway.motion_rad
-_FRICTION_STEPS = 24  # at which the bound is looked for
+_FRICTION_STEPS = 24  # frictions at which the bound is computed
 _FINEST = 12  # halvings
 _ROUNDING = 1e-9
 
@@ -123,9 +123,9 @@ class BreakawayStrokes(NamedTuple):
     strokes_s   lengths, whole periods: that of each pair, the weakest first
     pause_s     after each, whole periods
     step_V      by how much the level rises from pair to pair
-    watchdog_s  what the device's watchdog is armed with for the check; where the device has none, or one of its own
-                that cannot be told, the longest delay of a tick that the bound reckons with
-    unseen_rad  what the shaft turns at most, at any time in the check, if the sensor shows nothing of it
+    watchdog_s  watchdog time of the device in the check; where the device has none, or one that arming does not set,
+                the longest delay of a tick that the bound allows
+    unseen_rad  farthest that the shaft turns in the check if the sensor shows nothing
     """
 
     strokes_s: tuple[float, ...]
@@ -136,7 +136,7 @@ class BreakawayStrokes(NamedTuple):
 
     @property
     def pairs(self) -> int:
-        """Until breakaway.max_V."""
+        """Number of pairs until breakaway.max_V."""
         return len(self.strokes_s)
 
 
@@ -146,16 +146,17 @@ def breakaway_strokes(e: Experiment, max_V: float | None = None) -> BreakawayStr
     max_V  instead of the config's
     Raises ValueError where the config does not tell the motor's speed.
 
-    A stroke of level u and length s moves a shaft of gain K from rest by K (u - f) s at most, whatever its time
-    constant, and the stroke back takes that back. What a pair leaves is what friction f (1 +- d) makes of the
-    difference, 2 d f K s. The largest travel is that of the pairs so far and of one stroke that lasts longer by the
-    device's watchdog time: its last tick comes late, or never, since the host has died. Friction is the worst one of
-    0 to max_V, and K (supply - f) the no-load speed.
+    A stroke of level u and length s moves a shaft of gain K from rest by at most K (u - f) s, whatever its time
+    constant. The stroke back reverses that. A pair leaves only what friction f (1 +- d) differs by: 2 d f K s. The
+    largest travel is the sum over the pairs so far, plus one stroke that lasts longer by the device's watchdog time:
+    its last tick comes late, or never because the host has died. The bound takes the worst friction from 0 to max_V,
+    and K (supply - f) as the no-load speed.
 
-    The strokes are as long as may be at low levels, up to a length, and shorter at higher ones: no travel farther than
-    a given one without friction. Of the lengths up to which, that is taken which moves a motor of half max_V's
-    friction and the time constant limits.coast_tau_s farthest. A longer watchdog time leaves more to a busy host, a
-    shorter one to the strokes: the longest is taken with which that motor is clearly seen to move, else the shortest.
+    The strokes at low levels all have one length, the longest. At higher levels they are shorter: without friction none
+    travels farther than a given distance. Of the possible longest strokes, the function takes the one that moves a
+    reference motor farthest: friction half of max_V, time constant limits.coast_tau_s. A longer watchdog time tolerates
+    a busier host; a shorter one allows longer strokes. The function takes the longest watchdog time with which the
+    reference motor clearly moves, else the shortest.
     """
     if e.motor is None:
         raise ValueError("the config does not say motor.no_load_speed_rad_s")
@@ -176,7 +177,7 @@ def breakaway_strokes(e: Experiment, max_V: float | None = None) -> BreakawayStr
 
 
 def _lengths(longest: int) -> Iterator[int]:
-    """Lengths to be tried, periods: each, or a fifth apart where they are many."""
+    """Lengths to try, periods: each one, or steps of a fifth where they are many."""
     periods = longest
     while periods >= 1:
         yield periods
@@ -184,7 +185,7 @@ def _lengths(longest: int) -> Iterator[int]:
 
 
 def _moved_rad(e: Experiment, strokes: BreakawayStrokes, max_V: float) -> float:
-    """What all strokes of one way together move a slow motor of much friction by, about, rad.
+    """Rough travel of the slow reference motor by all strokes of one way, rad.
 
     From rest it speeds up evenly by K (u - f) / tau, and slows down by K f / tau after the stroke.
     """
@@ -199,7 +200,7 @@ def _moved_rad(e: Experiment, strokes: BreakawayStrokes, max_V: float) -> float:
 
 
 def _check_watchdogs_s(e: Experiment) -> tuple[float, ...]:
-    """Watchdog times to be tried for the breakaway check, s, the longest first.
+    """Watchdog times to try for the breakaway check, s, the longest first.
 
     A device whose watchdog cannot be set has one time. The host asks each period: less than two would end each check.
     """
@@ -222,7 +223,7 @@ def _check_watchdogs_s(e: Experiment) -> tuple[float, ...]:
 
 
 def _levels(pairs: int, step_V: float, max_V: float) -> list[float]:
-    """Of the pairs, relative to max_V."""
+    """Levels of the pairs, relative to max_V."""
     return [min((k + 1) * step_V / max_V, 1.0) for k in range(pairs)]
 
 
@@ -231,7 +232,7 @@ def _strokes_up_to(periods: int, e: Experiment, max_V: float, watchdog_s: float)
     cycle = max(2 * periods, periods + _LEAST_PAUSE_PERIODS, ceil(_CYCLE_S / e.period_s - _ROUNDING))
     step_V = e.breakaway.ramp_V_s * cycle * e.period_s
     if max_V > _MOST_PAIRS * step_V or min(max_V, step_V) <= 0.0:
-        return None  # it would take too long, or there is nothing left of a voltage that is hardly any
+        return None  # it would take too long, or the voltage is too small to divide
     pairs = max(ceil(max_V / step_V - _ROUNDING), 1)
     levels = _levels(pairs, step_V, max_V)
 
@@ -263,10 +264,10 @@ def _strokes_up_to(periods: int, e: Experiment, max_V: float, watchdog_s: float)
 def _unseen_rad(e: Experiment, max_V: float, levels: list[float], strokes_s: tuple[float, ...], late_s: float) -> float:
     """The largest unseen travel of these strokes, one of which is longer by ``late_s``, for any friction, rad.
 
-    Where that is more than ``UNSEEN_RAD``, what is found first of it.
+    Returns the first value above ``UNSEEN_RAD`` where there is one.
 
     levels  of the pairs, relative to max_V
-    Lengthened strokes are taken back as well, and beyond ``late_s`` in all the check ends: what they leave is added.
+    Lengthened strokes are reversed too, and the check ends when they add up to ``late_s``: what they leave is added.
     """
     assert e.motor is not None
     worst_rad = 0.0
@@ -287,12 +288,12 @@ def _unseen_rad(e: Experiment, max_V: float, levels: list[float], strokes_s: tup
 
 
 def peak_speed_rad_s(amplitude_rad: float, period_s: float) -> float:
-    """Largest speed of a limit cycle, rad/s: of two parabolas, a little more than the true arcs reach."""
+    """Largest speed of a limit cycle, rad/s: that of two parabolas, a little above the true one."""
     return 8.0 * amplitude_rad / period_s
 
 
 def predicted_stop_rad(e: Experiment, amplitude_rad: float, period_s: float) -> float:
-    """Largest stop that the guard predicts within a cycle, rad.
+    """Farthest stopping position that the guard predicts within a cycle, rad.
 
     A cycle of constant accelerations, y = A (1 - s^2) with v = 8 A s/T at s = 0..1 from its top, is faster than the
     motor's; its largest y + v r is A (1 + (4 r/T)^2) within the arc, else 8 A r/T at the centre.
@@ -303,9 +304,9 @@ def predicted_stop_rad(e: Experiment, amplitude_rad: float, period_s: float) -> 
 
 
 def overshoot_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
-    """How far the shaft goes on, at most, once it is beyond the hysteresis: words, rad.
+    """How far the shaft overshoots the hysteresis, at most, term by term: words, rad.
 
-    From a speed v that drive d has given it, -d stops it within v tau (1 - ln 2), the more friction the sooner.
+    From a speed v reached under drive d, -d stops the shaft within v tau (1 - ln 2); friction stops it sooner.
     """
     v = e.limits.max_speed_rad_s
     periods = 3 if backend_of(e).writes_first(e) else 2

@@ -1,22 +1,24 @@
-"""Whether an experiment may be run: pure arithmetic on the config, no device is touched.
+"""Whether an experiment may run: arithmetic on the config; no device is touched.
 
-Here are the rules of what several keys say together; what one key says by itself is the schema's, what a device asks
-for its own. A rule says nothing where another has already refused what it builds on, so that one mistake gives one
-line.
+Here are the rules about several keys together. The schema has the rules about one key, and each device its own. A rule
+says nothing if another rule has already refused a key that it needs, so that one mistake gives one line.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 from pydantic import ValidationError
 
 from rig.backends.registry import backend_of
 from rig.config.messages import unplaced
-from rig.config.problems import Path, Problem, bracketed, wrong
-from rig.config.schema import Experiment, Gains, RelayTarget
+from rig.config.problems import Path, Problem, bracketed, printable, wrong
+from rig.config.schema import Experiment, RelayGains, RelayTarget
 from rig.config.sensor import count_rad, range_rad
+from rig.control.laws import OptionError, construct, registered
+from rig.plug_ins import PlugInError
 from rig.preflight.plan import plan
 from rig.preflight.room_to_stop import (
     UNSEEN_RAD,
@@ -40,13 +42,13 @@ _SHORTEST_CYCLE_PERIODS = 30  # docs/theory.md 4.3: a shorter cycle is delay hun
 _SMALLEST_CYCLE_COUNTS = 20  # docs/theory.md 4.3
 _FEWEST_PAIRS = 8  # of strokes in the breakaway check
 _LARGEST_MOTION_RAD = 0.1
-_MOTION_COUNTS = 3  # below this the sensor's last digit would pass for motion
+_MOTION_COUNTS = 3  # below this, noise of the last digit would look like motion
 _SLACK = 1e-9  # relative: 0.1 s is ten periods of 0.01 s, whatever the binary fractions say
 
 
 @dataclass(frozen=True)
 class Preflight:
-    """``lines``: what the experiment would do, for people; ``problems``: why it must not, empty if it may."""
+    """``lines``: what the experiment will do, for people; ``problems``: why it must not run, empty if it may."""
 
     lines: tuple[str, ...]
     problems: tuple[Problem, ...]
@@ -55,7 +57,7 @@ class Preflight:
 def preflight(experiment: Experiment) -> Preflight:
     """Check an experiment offline. The problems have paths but no places: ``rig.preflight.check`` adds these."""
     if unread := tuple(_own_section(experiment)):
-        return Preflight((), unread)  # what the device says builds on it
+        return Preflight((), unread)  # the device's rules need this section
     problems = tuple(problem for rule in _RULES for problem in rule(experiment))
     return Preflight(tuple(plain(line) for line in plan(experiment)), problems)
 
@@ -64,7 +66,7 @@ def preflight(experiment: Experiment) -> Preflight:
 
 
 def _own_section(e: Experiment) -> Iterator[Problem]:
-    """What is wrong in the section of the device's own, where it has one."""
+    """Problems of the device's own section, if it has one."""
     backend = backend_of(e)
     if backend.section is not None:
         try:
@@ -74,7 +76,7 @@ def _own_section(e: Experiment) -> Iterator[Problem]:
 
 
 def _device(e: Experiment) -> Iterator[Problem]:
-    """What the device itself says: its keys, its link."""
+    """The device's own rules: its keys, its link."""
     yield from backend_of(e).rules(e)
 
 
@@ -170,8 +172,8 @@ def _breakaway(e: Experiment) -> Iterator[Problem]:
     if e.breakaway.rest_s < 10.0 * e.period_s * (1 - _SLACK):
         yield wrong(
             "breakaway.rest_s",
-            f"{e.breakaway.rest_s:g} s is {e.breakaway.rest_s / e.period_s:.3g} periods of the loop: too few for "
-            "the noise",
+            f"{e.breakaway.rest_s:g} s is {e.breakaway.rest_s / e.period_s:.3g} periods of the loop: too few to "
+            "measure the noise",
             f"at least {10.0 * e.period_s:g} seconds",
         )
     least_rad = _MOTION_COUNTS * count_rad(e)
@@ -179,25 +181,25 @@ def _breakaway(e: Experiment) -> Iterator[Problem]:
         yield wrong(
             "breakaway.motion_rad",
             f"{e.breakaway.motion_rad:g} rad is less than {_MOTION_COUNTS} counts of the sensor ({least_rad:.3g} rad)",
-            "noise would pass for motion: at least that",
+            "at least that, else noise looks like motion",
         )
     elif e.breakaway.motion_rad > _LARGEST_MOTION_RAD:
         yield wrong(
             "breakaway.motion_rad",
             f"{e.breakaway.motion_rad:g} rad is more than {_LARGEST_MOTION_RAD:g} rad: the strokes of the breakaway "
-            "check are too short for it, and the guard would take a turning shaft for one that stands",
+            "check are too short for it, and the guard would think that a turning shaft stands still",
             f"{_floor(max(2.0 * least_rad, 0.02)):g} to {_LARGEST_MOTION_RAD:g} rad",
         )
     yield from _unseen_travel(e)
 
 
 def _unseen_travel(e: Experiment) -> Iterator[Problem]:
-    """What the shaft turns in the breakaway check where the sensor does not show it."""
+    """How far the shaft may turn in the breakaway check while the sensor does not show it."""
     b = e.breakaway
     if e.motor is None:
         yield wrong(
             "motor",
-            "motor.no_load_speed_rad_s is missing: without it nothing bounds what the shaft turns in the breakaway "
+            "motor.no_load_speed_rad_s is missing: without it nothing bounds how far the shaft turns in the breakaway "
             "check if the sensor is stuck or uncoupled",
             "add the section: the data sheet's no-load speed at drive.supply_V, behind the gear, in rad/s",
         )
@@ -211,8 +213,8 @@ def _unseen_travel(e: Experiment) -> Iterator[Problem]:
         yield wrong(
             "breakaway.max_V",
             f"{b.max_V:g} V is up to {top_rad_s:.3g} rad/s: with a stuck or uncoupled sensor the shaft could turn more "
-            f"than {UNSEEN_RAD:g} rad unseen, even by strokes of one period ({1e3 * e.period_s:g} ms), one of which "
-            "lasts until the device's watchdog ends it",
+            f"than {UNSEEN_RAD:g} rad unseen, even with the shortest strokes, one period ({1e3 * e.period_s:g} ms), if "
+            "one of them lasts until the device's watchdog ends it",
             (f"at most {_floor(largest_V):g} volts, or " if largest_V > 0.0 else "")
             + "a shorter period_s, or a faster breakaway.ramp_V_s"
             + ("" if _own_watchdog_s(e) is None else ", or a shorter time-out of the device's output"),
@@ -228,13 +230,13 @@ def _unseen_travel(e: Experiment) -> Iterator[Problem]:
 
 
 def _own_watchdog_s(e: Experiment) -> float | None:
-    """The device's own watchdog, which arming does not set, s; None where it has none, or where arming sets it."""
+    """Time of a watchdog that arming does not set, s; None where there is none, or where arming sets it."""
     watchdog = backend_of(e).watchdog(e)
     return watchdog.time_s if watchdog.unit_s is None else None
 
 
 def _largest(fits: Callable[[float], bool], below: float) -> float:
-    """Largest value that fits, of those below one that does not."""
+    """Largest value that fits, below one that does not fit."""
     low, high = 0.0, below
     for _ in range(40):
         middle = 0.5 * (low + high)
@@ -250,8 +252,8 @@ def _gains(e: Experiment) -> Iterator[Problem]:
     if e.relay.gains is None and e.relay.target is None:
         return
     if e.relay.gains is None:
-        start = Gains(h1_V=s.h1_start_V, h2_V=s.h2_start_V)
-        pairs: list[tuple[Path, Gains, str]] = [(("relay", "search"), start, "_start_V")]
+        start = RelayGains(h1_V=s.h1_start_V, h2_V=s.h2_start_V)
+        pairs: list[tuple[Path, RelayGains, str]] = [(("relay", "search"), start, "_start_V")]
     else:
         pairs = [(("relay", "gains", k), g, "_V") for k, g in enumerate(e.relay.gains)]
     for path, gains, ending in pairs:
@@ -264,7 +266,7 @@ def _gains(e: Experiment) -> Iterator[Problem]:
                 path,
                 f"h1 + h2 = {gains.h1_V:g} + {gains.h2_V:g} = {gains.h1_V + gains.h2_V:g} V "
                 f"is more than drive.max_V {e.drive.max_V:g} V",
-                "the relay must never saturate: lower the gains or raise drive.max_V",
+                "lower the gains or raise drive.max_V: the relay must never saturate",
             )
 
 
@@ -342,7 +344,7 @@ def _hysteretic(e: Experiment) -> Iterator[Problem]:
             yield Problem(
                 (*path, "eps_rad"),
                 f"{run.eps_rad:g} rad is less than {_SMALLEST_CYCLE_COUNTS} counts of the sensor ({least_rad:.3g} rad)",
-                "widen it: the transient up to it is all that the method sees",
+                "widen it: the method sees only the transient up to it",
             )
         elif limits_are_ordered(e) and run.eps_rad + overshoot > reach_rad(e):
             written = " + ".join(f"{rad:.3f} {words}" for words, rad in overshoot_terms(e))
@@ -384,6 +386,26 @@ def _tracking(e: Experiment) -> Iterator[Problem]:
         )
 
 
+def _law(e: Experiment) -> Iterator[Problem]:
+    """The law is constructed, so that it refuses its options here, not before a motor."""
+    if e.law is None:
+        return
+    try:
+        construct(e.law.name, e.law.options)
+    except LookupError:
+        names = sorted(registered())
+        near = get_close_matches(e.law.name, names, n=1)
+        yield wrong(
+            "law.name",
+            f"no law {printable(e.law.name)!r}; installed: {', '.join(names) or 'none'}",
+            f"did you mean '{near[0]}'?" if near else "install the package that offers it (docs/api.md)",
+        )
+    except OptionError as error:
+        yield Problem(("law", "options", *([error.key] if error.key else [])), str(error))
+    except PlugInError as error:
+        yield wrong("law.name", str(error), "see docs/api.md, or ask its author")
+
+
 def _emulated(e: Experiment) -> Iterator[Problem]:
     if e.emulated is None:
         return
@@ -393,7 +415,7 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
             yield wrong(
                 f"emulated.motor.fs_{side}_V",
                 f"static friction {static_V:g} V is less than the moving friction fc_{side}_V {moving_V:g} V",
-                "raise it, or leave it out: as the moving friction",
+                "raise it, or leave it out: then it is the moving friction",
             )
     falls = any(
         static_V is not None and static_V > moving_V
@@ -414,7 +436,7 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
             )
             break
     if e.emulated.tachometer and e.tachometer is None:
-        yield wrong("emulated.tachometer", "needs the section `tachometer`, which says how it is scaled")
+        yield wrong("emulated.tachometer", "needs the section `tachometer` with its scale")
 
 
 _RULES: tuple[Rule, ...] = (
@@ -429,6 +451,7 @@ _RULES: tuple[Rule, ...] = (
     _target,
     _hysteretic,
     _tracking,
+    _law,
     _emulated,
 )
 
@@ -441,5 +464,5 @@ def _at_most(volts: float) -> str:
 
 
 def _floor(value: float) -> float:
-    """Three digits, rounded down: a hint that is followed must pass."""
+    """Three digits, rounded down: a value from a hint must pass."""
     return float(f"{value * 0.995:.3g}")

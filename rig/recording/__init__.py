@@ -1,14 +1,18 @@
-"""The run folder: written row by row by a process of its own, read back as arrays.
+"""The run folder: a process of its own writes it row by row; the reader gives it back as arrays.
 
-recorder   the loop's side: memory writes only
+sink       what takes rows and events
+recorder   the sink of a run: it writes to memory only
 writer     the process that puts the rows on disk
-layout     the memory the two share
+layout     the memory that recorder and writer share
 columns    the columns of samples.csv and their text
 folder     the run folder and its small files
-path_kind  what a path is that is no recording, and what to type instead
-reader     run folders and plain CSV files as arrays
+follow     live progress of a run
+reader     run folders and plain CSV files as a ``Recording``
+series     ``TimeSeries``: the numbers of one stretch of a recording
+stage      the stages of a run
+path_kind  when a path is not a recording: what it is, and what to type
 
-Nothing is imported here but the error, so that the writer process starts fast.
+This file imports the error alone, so that the writer process starts fast.
 """
 
 from rig.recording.errors import RecordingError

@@ -28,9 +28,9 @@ KINDS: Final[dict[str, Kind]] = {
     "t_s": "time",  # when y was sampled, since the run's start
     "t_u_s": "time",  # when u took effect; empty where it is not known
     "y_rad": "number",  # position
-    "y_counts": "integer",  # the raw reading behind y
+    "y_counts": "integer",  # raw reading of y
     "v_rad_per_s": "number",  # velocity from a tachometer; empty without one
-    "u_V": "number",  # drive that acts from t_u_s until the next row's
+    "u_V": "number",  # drive that acts from t_u_s until t_u_s of the next row
     "z_rad_s": "number",  # the law's integral of position
     "yd_rad": "number",  # reference position; empty without one
     "stage": "name",
@@ -105,7 +105,7 @@ class SampleRow(NamedTuple):
 
     @property
     def in_device(self) -> bool:
-        """Whether it is a tick of the relay in the device: it took no time of the loop's."""
+        """Whether it is a tick of the relay in the device, which takes no time of the loop."""
         return math.isnan(self.late_us)
 
 

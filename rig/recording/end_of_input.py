@@ -1,4 +1,4 @@
-"""The end of standard input, for a process that lives as long as the one that started it holds the other end."""
+"""The end of standard input. A helper process ends there: its parent has closed the pipe, or is gone."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ class EndOfInput(Protocol):
     """What can be waited for."""
 
     def wait(self, timeout: float) -> bool:
-        """Wait for it, at most so long, s; whether it has come."""
+        """Wait for the end, at most ``timeout`` seconds. Returns whether it has come."""
 
 
 def end_of_input() -> EndOfInput:
-    """The end of this process's standard input, read by a thread: not every system can poll a pipe."""
+    """The end of this process's standard input. A thread reads it, because not every system can poll a pipe."""
     over = threading.Event()
 
     def read() -> None:

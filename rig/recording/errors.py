@@ -1,17 +1,18 @@
-"""The error of this room: what is wrong with which file, where in it, and what to do."""
+"""The errors of recordings: which file, where in it, what is wrong, and what to do."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from rig.errors import RigError
 from rig.signals import plain
 
 
-class RecordingError(Exception):
-    """A recording that cannot be made or cannot be read.
+class RecordingError(RigError):
+    """A recording cannot be written or cannot be read.
 
     path   the file or folder
-    line   line in that file, counted from 1; None where no line is to blame
+    line   line in that file, counted from 1; None if the error has no line
     cause  what is wrong
     cure   one thing to do about it
     """
@@ -26,11 +27,11 @@ class RecordingError(Exception):
 
 
 class CannotWriteError(RecordingError):
-    """A file that the disk does not take: no fault of what was asked for."""
+    """The disk does not take a file. The request itself was right."""
 
 
-class IdentifyError(Exception):
-    """A recording that cannot be identified: one line of cause, one of cure."""
+class IdentifyError(RigError):
+    """A recording cannot be identified: one line of cause, one of cure."""
 
     def __init__(self, cause: str, cure: str) -> None:
         self.cause = cause

@@ -1,6 +1,6 @@
-"""The run folder: its name, and the small files that are written whole.
+"""The run folder: its name, and its small files, each written in one piece.
 
-samples.csv and events.jsonl belong to ``recorder``.
+``recorder`` writes samples.csv and events.jsonl.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from rig.results.part import Part
 CONFIG: Final = "config.yaml"
 META: Final = "meta.json"
 RESULT: Final = "result.json"
-# the last two are no flags of Windows
+# Windows does not have the last two flags
 _NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
 
 def create_run(parent: Path, name: str, now_utc: datetime) -> Path:
     """Create and return a new folder ``parent/<utc>-<name>``, e.g. ``runs/20250131T093000Z-demo``.
 
-    A folder that exists is never reused: the next one of the same second ends in ``-2``, ``-3``, ...
-    ``now_utc``: a time without zone is taken as UTC. Raises RecordingError where it cannot be created.
+    A folder that exists is never used again: the next one of this second ends in ``-2``, ``-3``, ...
+    ``now_utc``: without a time zone it counts as UTC. Raises RecordingError if the folder cannot be created.
     """
     utc = now_utc.replace(tzinfo=UTC) if now_utc.tzinfo is None else now_utc.astimezone(UTC)
     stem = f"{utc:%Y%m%dT%H%M%SZ}-{name}"
@@ -50,29 +50,29 @@ def create_run(parent: Path, name: str, now_utc: datetime) -> Path:
 
 
 def write_config(folder: Path, text: str) -> None:
-    """Write config.yaml, the resolved configuration. Raises RecordingError where that fails."""
+    """Write config.yaml, the resolved configuration. Raises RecordingError if that fails."""
     write_whole(folder / CONFIG, text.encode("utf-8"))
 
 
 def write_meta(folder: Path, meta: Part | Mapping[str, Any]) -> None:
-    """Write meta.json, strict JSON: nan and infinities become null; numpy values are converted.
+    """Write meta.json as strict JSON: nan and infinities become null; numpy values become plain ones.
 
-    Raises RecordingError where the file cannot be written, TypeError for what JSON cannot hold.
+    Raises RecordingError if the file cannot be written, TypeError for a value that JSON does not have.
     """
     write_whole(folder / META, json_text(meta).encode("utf-8"))
 
 
 def write_result(folder: Path, result: Part | Mapping[str, Any]) -> None:
-    """Write result.json; otherwise as ``write_meta``."""
+    """Write result.json, in the way of ``write_meta``."""
     write_whole(folder / RESULT, json_text(result).encode("utf-8"))
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write the whole file or leave the old one: whoever reads it never sees half, whatever ends this process.
+    """Write the whole file, or leave the old one. A reader never sees half a file, whatever ends this process.
 
-    It is written beside the old one under a name that nobody can foretell, into a file that was not there before: what
-    others have put into the folder, a link that leads elsewhere included, is never written through.
-    Raises CannotWriteError where the disk does not take it; nothing is left behind then.
+    The new file gets a random name beside the old one, and replaces it at the end. It must not exist before, so a link
+    in the folder cannot lead the bytes elsewhere.
+    Raises CannotWriteError if the disk does not take the file. Then nothing is left behind.
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     try:
@@ -92,7 +92,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def json_text(value: Part | Mapping[str, Any]) -> str:
-    """JSON that any reader takes: numbers that are not finite become null. Raises TypeError for what it cannot hold."""
+    """Strict JSON: numbers that are not finite become null. Raises TypeError for a value that JSON does not have."""
     plain = value.as_json() if isinstance(value, Part) else value
     return json.dumps(_strict(plain), indent=2, allow_nan=False) + "\n"
 

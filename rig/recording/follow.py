@@ -1,8 +1,8 @@
-"""Follow a run folder as it grows, in a process of its own: live progress that cannot hold up the loop.
+"""Live progress of a run. It reads the growing run folder in a process of its own, so it cannot delay the loop.
 
-``python -m rig.recording.follow FOLDER`` shows the stage, the last readings and the cycles until the run ends or the
-process that started it is gone (end of file on standard input). Where standard error is no terminal it is one plain
-line a stage, when that begins.
+``python -m rig.recording.follow FOLDER`` shows the stage, the last readings and the cycles. It ends with the run, or
+with the process that started it (end of standard input). If standard error is not a terminal, it prints one plain line
+at the begin of each stage.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from rig.recording.columns import COLUMNS
 from rig.recording.end_of_input import EndOfInput, end_of_input
 
-if TYPE_CHECKING:  # it loads slowly, and plain lines do without
+if TYPE_CHECKING:  # rich loads slowly, and plain lines do not need it
     from rich.table import Table
 
 REFRESH_S = 0.2
@@ -29,9 +29,9 @@ BAR_WIDTH = 41
 
 @contextmanager
 def following(folder: Path) -> Iterator[None]:
-    """Show the progress of ``folder`` on standard error for the block; nothing where that is not the process's own."""
+    """Show the progress of ``folder`` while the block runs, on this process's own standard error; nowhere else."""
     try:
-        is_shared = sys.stderr.fileno() == 2  # what another process writes to
+        is_shared = sys.stderr.fileno() == 2  # a child process writes to descriptor 2
     except (OSError, ValueError):
         is_shared = False
     if not is_shared:
@@ -53,14 +53,14 @@ def following(folder: Path) -> Iterator[None]:
 
 
 class Tail:
-    """New whole lines of a file that another process appends to."""
+    """Reads the new whole lines of a file while another process appends to it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._offset = 0
 
     def lines(self) -> list[str]:
-        """Lines that have been completed since the last call; none while there is no file."""
+        """Lines completed since the last call; none while there is no file."""
         try:
             with self.path.open("rb") as file:
                 file.seek(self._offset)
@@ -73,12 +73,12 @@ class Tail:
 
 
 class Progress:
-    """What is known of the run, and how to show it."""
+    """The state of the run so far, and how to show it."""
 
     def __init__(self) -> None:
         self.stage = "starting"
         self.detail = ""
-        self.done: list[tuple[str, str, str]] = []  # done or ended, stage, what came of it
+        self.done: list[tuple[str, str, str]] = []  # "done" or "ended", stage, its outcome
         self.fault = False
         self.ended = False
         self.t_s = 0.0
@@ -87,7 +87,7 @@ class Progress:
         self.reach_rad = 0.2
 
     def take_event(self, event: dict[str, Any]) -> None:
-        """Learn from one line of events.jsonl."""
+        """Take one line of events.jsonl."""
         kind = event.get("kind")
         if kind == "stage":
             if self.stage not in ("starting", "rest"):
@@ -112,16 +112,16 @@ class Progress:
             self.ended = True
 
     def take_row(self, line: str) -> None:
-        """Learn from one line of samples.csv."""
+        """Take one line of samples.csv."""
         row = dict(zip(COLUMNS, line.split(","), strict=False))
         try:
             self.t_s, self.y_rad, self.u_V = float(row["t_s"]), float(row["y_rad"]), float(row["u_V"])
         except (KeyError, ValueError):
-            return  # the header, or a line that is still being written
+            return  # the header, or a line that is not complete yet
         self.reach_rad = max(self.reach_rad, abs(self.y_rad))
 
     def picture(self) -> Table:
-        """Stages that are done, the running one, and the shaft as a mark on a line."""
+        """The finished stages, the present one, and the shaft as a mark on a line."""
         from rich.table import Table
         from rich.text import Text
 
@@ -138,7 +138,7 @@ class Progress:
 
 
 def stage_line(event: dict[str, Any]) -> str | None:
-    """One plain line for an event that begins a stage, or is a fault; None for others and rests between stages."""
+    """One plain line for the begin of a stage or for a fault; None for other events and for rests between stages."""
     if event.get("kind") == "stage" and event["name"] != "rest":
         words = event["name"]
     elif event.get("kind") == "fault":
@@ -148,29 +148,29 @@ def stage_line(event: dict[str, Any]) -> str | None:
     return f"{event['t_s'] or 0.0:7.1f} s  {words}"
 
 
-def tell_stages(events: Tail, waiting: EndOfInput) -> None:
-    """Write each stage's line until the input ends; a pipe that nobody reads any more ends it, too."""
+def print_stages(events: Tail, waiting: EndOfInput) -> None:
+    """Print each stage's line until the input ends, or until nobody reads standard error any more."""
     over = False
     while not over:
         over = waiting.wait(REFRESH_S)
         for line in events.lines():
-            told = stage_line(json.loads(line))
-            if told is not None:
+            text = stage_line(json.loads(line))
+            if text is not None:
                 try:
-                    sys.stderr.write(told + "\n")
+                    sys.stderr.write(text + "\n")
                     sys.stderr.flush()
                 except OSError:
                     return
 
 
 def main(arguments: list[str]) -> int:
-    """Show the run folder named first until it ends."""
+    """Show the progress of the run folder ``arguments[0]`` until the run ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     folder = Path(arguments[0])
     events, samples = Tail(folder / "events.jsonl"), Tail(folder / "samples.csv")
     waiting = end_of_input()
     if not sys.stderr.isatty():
-        tell_stages(events, waiting)
+        print_stages(events, waiting)
         return 0
     from rich.console import Console
     from rich.live import Live

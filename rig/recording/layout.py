@@ -1,8 +1,8 @@
 """The memory that the loop and the writer process share: counters, a ring of rows, a ring of event bytes.
 
-One producer (the loop) and one consumer (the writer), so no locks: each counter has one side that writes it, as a
-single aligned 8-byte store, after the data that it announces. The file behind the memory has no name, so nothing is
-left over however the two processes end.
+There is one producer (the loop) and one consumer (the writer), so there are no locks. Only one side writes each
+counter: one aligned 8-byte store, after the data that it announces. The file behind the memory has no name, so nothing
+is left over, however the two processes end.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-# Counters (8 bytes each): the loop's, and on a cache line of its own the writer's.
+# Counters (8 bytes each): first those that the loop writes; then, on a cache line of their own, the writer's.
 ROWS_OPENED: Final = 0  # rows published; row k is in slot k % capacity
 ROW_COMPLETED: Final = 1  # 1 + the number of the row completed last
 EVENT_BYTES: Final = 2  # bytes of whole event lines published
-ROWS_LOST: Final = 3  # rows that found the ring full
+ROWS_LOST: Final = 3  # rows dropped because the ring was full
 EVENTS_LOST: Final = 4
-CLOSED: Final = 5  # 1 once the loop has closed the record in order
+CLOSED: Final = 5  # 1 once the loop has closed the recorder in order
 ROWS_TAKEN: Final = 8  # rows that are in samples.csv
 EVENT_BYTES_TAKEN: Final = 9  # bytes that are in events.jsonl
 STATE: Final = 10  # one of the following
@@ -28,11 +28,11 @@ STATE: Final = 10  # one of the following
 STARTING: Final = 0
 READY: Final = 1
 CANNOT_OPEN: Final = 2  # the files could not be created: the reason is in the memory
-CANNOT_WRITE: Final = 3  # writing failed later: likewise
-MOVED: Final = 4  # writing failed later, and goes on in another place: likewise
+CANNOT_WRITE: Final = 3  # writing failed later: the reason is in the memory
+MOVED: Final = 4  # writing failed later, and goes on in another place: the reason is in the memory
 
 # tick seq t_s y counts v u z yd stage late io flags | t_u u flags number
-# The part after the bar is written by ``complete``; its last field is 1 + the row's number once that is done.
+# ``complete`` writes the part after the bar. Its last field is 1 + the row's number, written last.
 ROW: Final = struct.Struct("=qqddqddddqddq ddqq")
 COMPLETION: Final = struct.Struct("=ddqq")
 COMPLETION_AT: Final = ROW.size - COMPLETION.size
@@ -46,7 +46,7 @@ _ROWS_AT: Final = 4096
 class SharedMemory:
     """The shared memory, mapped into this process.
 
-    file_descriptor  of the file behind it; stays the caller's
+    file_descriptor  of the file behind it; the caller closes it
     capacity_rows, capacity_event_bytes  sizes of the two rings
     Raises OSError where it cannot be mapped.
     """
@@ -55,8 +55,8 @@ class SharedMemory:
         self.capacity_rows = capacity_rows
         self.capacity_event_bytes = capacity_event_bytes
         rows_end = _ROWS_AT + capacity_rows * ROW.size
-        # Populated at once: a page fault at the first touch of each page would be paid by the loop.
-        # Shared is what a mapping is where nothing else is asked for.
+        # Populate now: else the loop would wait for a page fault at its first write to each page.
+        # Without flags the mapping is shared, too.
         size = size_of(capacity_rows, capacity_event_bytes)
         if hasattr(mmap, "MAP_POPULATE"):
             self._map = mmap.mmap(file_descriptor, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
@@ -69,13 +69,13 @@ class SharedMemory:
         self._reason = self._view[_REASON_AT : _REASON_AT + _REASON_SIZE]
 
     def fail(self, state: int, reason: str) -> None:
-        """Say, as the writer, that and why it gives up."""
+        """As the writer: set the state, and the reason for it."""
         text = reason.encode(errors="replace")[: _REASON_SIZE - 1]
         self._reason[: len(text) + 1] = text + b"\0"
         self.counters[STATE] = state
 
     def reason(self) -> str:
-        """The writer's last words; empty where it left none."""
+        """The reason that the writer left; empty if it left none."""
         return bytes(self._reason).split(b"\0", 1)[0].decode(errors="replace")
 
     def close(self) -> None:
@@ -91,9 +91,9 @@ def size_of(capacity_rows: int, capacity_event_bytes: int) -> int:
 
 
 def create_file(size: int) -> int:
-    """Descriptor of a nameless file of ``size`` bytes, all allocated; in memory where the system offers that.
+    """Descriptor of a file without a name, of ``size`` bytes, all allocated; in memory if the system offers that.
 
-    Raises OSError, e.g. where there is no room.
+    Raises OSError, e.g. if there is no room.
     """
     in_memory = Path("/dev/shm")  # write-back to a disk could hold up the loop's memory writes
     with tempfile.TemporaryFile(dir=in_memory if in_memory.is_dir() else None) as file:
@@ -102,9 +102,9 @@ def create_file(size: int) -> int:
 
 
 def create_named_file(size: int) -> tuple[int, Path]:
-    """Descriptor and path of such a file that has a name: for systems that hand no descriptor to another process.
+    """``create_file`` with a name: for systems that cannot pass a descriptor to another process.
 
-    Whoever made it deletes it. Raises OSError as ``create_file``.
+    Returns descriptor and path. The caller deletes the file. Raises OSError as ``create_file`` does.
     """
     descriptor, name = tempfile.mkstemp(prefix="rig-", suffix=".memory")
     try:
@@ -117,10 +117,10 @@ def create_named_file(size: int) -> tuple[int, Path]:
 
 
 def allocate(descriptor: int, size: int) -> None:
-    """Give an empty file ``size`` bytes that nobody else gets. Raises OSError where there are not so many."""
+    """Allocate ``size`` bytes for an empty file. Raises OSError if the disk does not have them."""
     if hasattr(os, "posix_fallocate"):
         os.posix_fallocate(descriptor, 0, size)
         return
-    zeros = bytes(1 << 20)  # a length alone would be a hole
+    zeros = bytes(1 << 20)  # setting the length alone would leave a hole
     while size > 0:
         size -= os.write(descriptor, zeros[:size])

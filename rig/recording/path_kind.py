@@ -1,4 +1,4 @@
-"""What a path is that was given for a run or a recording and is none: said in words, with what to type instead."""
+"""A path that should be a run or a recording, and is not: what it is, and what to type instead."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _HEAD_BYTES: Final = 65536
 
 
 def is_run(path: Path) -> bool:
-    """Whether a path is a run folder, were it torn: it has samples, or says at least what was going to be run."""
+    """Whether a path is a run folder, complete or not: it has samples, or at least the meta.json of a run."""
     return (path / SAMPLES).exists() or ((path / META).exists() and not (path / CAMPAIGN_ROWS).exists())
 
 
 def require_run(path: Path) -> None:
-    """Raise RecordingError where ``path`` is no run folder: what it is, and what to type."""
+    """Raise RecordingError, as `no_run` words it, if ``path`` is not a run folder."""
     with _looking_at(path):
         if is_run(path):
             return
@@ -35,12 +35,12 @@ def require_run(path: Path) -> None:
 
 
 def is_file_of_a_run(path: Path) -> bool:
-    """Whether a path names one of the files that a run folder is made of, and lies in one."""
+    """Whether a path is a file of a run, in its run folder."""
     return path.name in _OF_A_RUN and is_run(path.parent)
 
 
 def require_distinct(paths: Iterable[Path]) -> None:
-    """Raise RecordingError where two paths are the same recording: the same rows twice tell no more than once."""
+    """Raise RecordingError if two paths are one recording: its rows would count twice."""
     seen = set()
     for path in paths:
         with _looking_at(path):
@@ -51,7 +51,7 @@ def require_distinct(paths: Iterable[Path]) -> None:
 
 
 def no_run(path: Path) -> RecordingError:
-    """What ``path``, which is no run folder with samples, is instead, and what to type."""
+    """The error for a ``path`` that is not a run folder with samples: what it is instead, and what to type."""
     with _looking_at(path):
         if path.is_dir():
             return _folder(path)
@@ -68,7 +68,7 @@ def no_run(path: Path) -> RecordingError:
 
 
 def no_recording(path: Path) -> RecordingError | None:
-    """What ``path`` is where it is plainly neither run folder nor CSV file; None where it may be one of them."""
+    """The error for a ``path`` that is neither run folder nor CSV file; None if it may be one of them."""
     with _looking_at(path):
         if path.is_dir():
             return None if (path / SAMPLES).exists() else _folder(path)
@@ -81,7 +81,7 @@ def no_recording(path: Path) -> RecordingError | None:
         if path.is_file() and path.suffix.lower() in _OTHER_EXPORTS:
             return RecordingError(
                 path,
-                "is neither run folder nor CSV file",
+                "is neither a run folder nor a CSV file",
                 "give the run folder, or what `rig export RUN --to FILE.csv` wrote",
             )
     return None
@@ -89,7 +89,7 @@ def no_recording(path: Path) -> RecordingError | None:
 
 @contextmanager
 def _looking_at(path: Path) -> Iterator[None]:
-    """Raise RecordingError where a path cannot even be looked at."""
+    """Raise RecordingError if a path cannot be read at all."""
     try:
         yield
     except OSError as error:
@@ -101,8 +101,8 @@ def _folder(path: Path) -> RecordingError:
         command = f"rig campaign {quote(str(path / CONFIG))}"
         return RecordingError(
             path,
-            "is a campaign's folder: its experiments are simulated, none has a run of its own",
-            f"its report anew: `{command} --resume {quote(str(path))}`; experiment 0 again: `{command} --experiment 0`",
+            "is the folder of a campaign: its experiments are simulated and have no run folders",
+            f"its report: `{command} --resume {quote(str(path))}`; experiment 0 again: `{command} --experiment 0`",
         )
     if is_run(path):
         return RecordingError(
@@ -113,7 +113,7 @@ def _folder(path: Path) -> RecordingError:
         newest = max(runs, key=lambda run: ((run / SAMPLES).stat().st_mtime, run.name))
         count = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
         return RecordingError(
-            path, f"holds {count}, and is none itself", f"name one of them; the newest is {quote(str(newest))}"
+            path, f"holds {count} but is not a run itself", f"name one of them; the newest is {quote(str(newest))}"
         )
     return RecordingError(path, "is a folder without a run", _PRINTED)
 

@@ -1,6 +1,6 @@
 """Recordings as arrays: a run folder, or any CSV file with at least the columns t_s, u_V and y_rad.
 
-Whatever is in the file, the outcome is a ``Recording`` or a ``RecordingError`` with file, line and one cure.
+For any content of the file the result is a ``Recording``, or a ``RecordingError`` with file, line and one cure.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ REQUIRED: Final = ("t_s", "u_V", "y_rad")
 MIN_ROWS: Final = 3
 MAX_BYTES: Final = 256 * 2**20
 MAX_STAGE_LENGTH: Final = 64
-_MAX_INTEGER: Final = 2.0**53  # beyond, a float no longer tells integers apart
+_MAX_INTEGER: Final = 2.0**53  # a float cannot hold every integer beyond
 _ROWS_AT_ONCE: Final = 4096
 _DELIMITERS: Final = (",", ";", "\t")
-_BLANKS: Final = " "  # the delimiter where none of those is in the header, however many blanks there are
-# First bytes of files that are often given in place of a CSV file: what they are, and the way to a CSV file.
+_BLANKS: Final = " "  # the delimiter if none of those is in the header; any number of blanks
+# First bytes of files that people often give in place of a CSV file: what the file is, and how to get a CSV file.
 _NO_CSV: Final = {
     b"\x1f\x8b": ("is compressed (gzip)", "unpack it first: gunzip"),
     b"PK\x03\x04": ("is an Excel workbook or a zip file", "export the sheet as CSV in UTF-8, or unpack it"),
@@ -60,7 +60,7 @@ _NO_CSV: Final = {
     b"\x89HDF": ("is an HDF5 file", "export t_s, u_V and y_rad as CSV"),
 }
 
-# Names that others give to these columns; only used to say "did you mean".
+# Other common names of these columns, for "did you mean".
 _OTHER_NAMES: Final = {
     "t_s": ("t", "time", "time_s", "times", "seconds", "sec", "timestamp", "t_ms", "time_ms"),
     "u_V": ("u", "voltage", "volt", "volts", "input", "drive", "command", "v_in", "control"),
@@ -72,18 +72,18 @@ _OTHER_NAMES: Final = {
 class Recording:
     """Rows of one recording; every array has one entry a row and is read-only.
 
-    t_s          when y was sampled, s; strictly rising
-    t_u_s        when u took effect, s; nan where it is not known
-    y_rad, u_V   position; drive that acts from t_u_s until the next row's
-    v_rad_per_s, z_rad_s, yd_rad, late_us, io_us   as in ``columns``; nan where absent
+    t_s          time of the sample y, s; strictly rising
+    t_u_s        time at which u took effect, s; nan if unknown
+    y_rad, u_V   position; drive that acts from t_u_s until t_u_s of the next row
+    v_rad_per_s, z_rad_s, yd_rad, late_us, io_us   as in ``columns``; nan if absent
     tick         as recorded, else 0, 1, 2, ...
     seq, y_counts   as recorded, else -1
     flags        as recorded, else 0
     stage        name of each row's stage, else ""
-    columns_present   the columns that the file has, in its order, those unknown to us included
+    columns_present   all columns of the file, in its order, also those that rig does not know
     meta, config_text, events   of a run folder; RunMeta(), None and () for a plain CSV file
-    notes        in words, what was tolerated: a torn last line, a missing meta.json
-    first_row    number that the first row has in the file; not 0 where rows were selected
+    notes        defects that the reader put up with, as sentences: a torn last line, a missing meta.json
+    first_row    number of the first row in the file; not 0 in a selection of rows
     """
 
     t_s: Floats
@@ -112,12 +112,12 @@ class Recording:
         return len(self.t_s)
 
     def stages(self) -> list[str]:
-        """Names of the stages in the order in which they occur first; [] without a column ``stage``."""
+        """Names of the stages, in the order of their first rows; [] without a column ``stage``."""
         names, first = np.unique(self.stage, return_index=True)
         return [str(names[k]) for k in np.argsort(first) if names[k]]
 
     def stage_rows(self, name: str) -> slice:
-        """The rows of one stage. Raises RecordingError where it is not there, or in more than one piece."""
+        """The rows of one stage. Raises RecordingError if there is no such stage, or its rows are not in one piece."""
         rows = np.flatnonzero(self.stage == name)
         if len(rows) == 0:
             there = ", ".join(self.stages()) or "none"
@@ -137,9 +137,9 @@ class Recording:
         return [SampleRow(*row) for row in zip(*columns, strict=True)]
 
     def select(self, first: int, last: int) -> Recording:
-        """Rows ``first`` to ``last``, both included, counted from 0 as in result.json's ``rows``.
+        """Rows ``first`` to ``last``, both included, counted from 0 as in the ``rows`` of result.json.
 
-        Events, meta and configuration stay whole. Raises IndexError for rows that are not there.
+        Events, meta and configuration stay whole. Raises IndexError for rows outside the recording.
         """
         if not 0 <= first <= last < len(self):
             raise IndexError(f"rows {first} to {last} of a recording of {len(self)}")
@@ -147,7 +147,7 @@ class Recording:
         return replace(self, first_row=self.first_row + first, **chosen)
 
     def only_rows(self, first: int | None, last: int | None) -> Recording:
-        """As ``select``, None for the first or the last row there is. Raises RecordingError for rows that are not."""
+        """As ``select``; None is the first or the last row. Raises RecordingError for rows outside the recording."""
         start, end = 0 if first is None else first, len(self) - 1 if last is None else last
         if not 0 <= start <= end < len(self):
             raise RecordingError(
@@ -167,11 +167,11 @@ def from_columns(
     late_us: Floats | None = None,
     meta: RunMeta | None = None,
 ) -> Recording:
-    """A recording that is in no file: what ``read_csv`` would make of these columns, each of n >= 3 finite values.
+    """A recording from arrays, as ``read_csv`` makes it from a file with these columns. Each has n >= 3 finite values.
 
-    source         what to call it in messages
-    late_us, meta  as a run has them: with meta.period_s the clock ratio can be told
-    Raises RecordingError where times do not rise.
+    source         its name in messages
+    late_us, meta  as in a run; late_us and meta.period_s together give the clock ratio
+    Raises RecordingError if times do not rise.
     """
     columns: dict[str, NDArray[Any]] = {"t_s": t_s, "u_V": u_V, "y_rad": y_rad}
     columns |= {} if t_u_s is None else {"t_u_s": t_u_s}
@@ -203,11 +203,12 @@ def read(path: Path) -> Recording:
 
 
 def read_run(folder: Path, known: Recording | None = None) -> Recording:
-    """Read a run folder; what a killed run has not written yet is noted in ``notes``.
+    """Read a run folder. ``notes`` say what a killed run did not write.
 
-    known  the same run as it was read earlier: its rows are not parsed again
+    known  this run as read earlier: its rows are not parsed again
 
-    Raises RecordingError where this is no run, samples.csv is unusable, or another file of the folder is broken.
+    Raises RecordingError if this is not a run (see `no_run`), if samples.csv is unusable, or if another file of the
+    folder is broken.
     """
     if not _is_folder(folder) or not (folder / SAMPLES).exists():
         raise no_run(folder)
@@ -231,18 +232,19 @@ def read_run(folder: Path, known: Recording | None = None) -> Recording:
 
 
 def read_result(folder: Path) -> RunResult | None:
-    """What a run folder's result.json holds; None where there is none. Raises RecordingError where it is broken."""
+    """The content of a run folder's result.json; None without that file. Raises RecordingError if it is broken."""
     return _read_part(folder / RESULT, RunResult)
 
 
 def read_csv(path: Path, *, own: bool = False, known: Recording | None = None) -> Recording:
     """Read a CSV file: a line of column names, then at least three rows; comma, semicolon, tab or blanks between.
 
-    Needs t_s, u_V and y_rad; takes every other column of samples.csv that is there, in any order. Lines that begin
-    with # and blank lines are skipped, so is Excel's ``sep=``. Decimal commas are read where no comma separates
-    columns and no decimal point occurs. A last line without a line end is taken as torn: left out and noted.
-    own    of a run folder: it ends where its time stands still or goes back, as the device's did; that is noted
-    known  the same file as it was read earlier, when it may have had fewer rows: these are not parsed again
+    The file needs t_s, u_V and y_rad. It may have any other column of samples.csv, in any order. The reader skips blank
+    lines, lines that begin with #, and Excel's ``sep=``. It reads decimal commas if no comma separates columns and no
+    decimal point occurs. A last line without a line end is torn: the reader leaves it out and notes that.
+    own    whether the file is of a run folder: then it ends where its time stands still or goes back, with a note,
+           because the device's clock did so
+    known  this file as read earlier, perhaps with fewer rows: these are not parsed again
     Raises RecordingError.
     """
     content, moved = whole_content(path)
@@ -300,13 +302,13 @@ def _is_folder(path: Path) -> bool:
 
 
 def _bytes(path: Path) -> bytes:
-    """The content of a regular file of bearable size."""
+    """The content of a regular file of at most MAX_BYTES."""
     try:
         if path.exists() and not path.is_file():
             raise RecordingError(path, "is not a file", "give a run folder or a CSV file")
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:  # ValueError: a path that no file can have
+    except (OSError, ValueError) as error:  # ValueError: an impossible path
         raise _unreadable(path, error) from error
     if len(content) > MAX_BYTES:
         raise RecordingError(path, f"is larger than {MAX_BYTES // 2**20} MiB", "cut it to the rows of the experiment")
@@ -319,9 +321,9 @@ def _unreadable(path: Path, error: Exception) -> RecordingError:
 
 
 def whole_content(path: Path) -> tuple[bytes, list[str]]:
-    """The content of a file of a run, with what its recorder had to write beside it, and a note on each such part.
+    """The content of a file of a run, joined with the parts beside it (see ``writer``), and a note on each part.
 
-    The rules are those of ``writer``. Raises RecordingError where it cannot be read.
+    Raises RecordingError if it cannot be read.
     """
     content, notes = _bytes(path), []
     beside = [(part, part.name.rpartition(".from-")[2]) for part in path.parent.glob(f"{escape(path.name)}.from-*")]
@@ -330,7 +332,7 @@ def whole_content(path: Path) -> tuple[bytes, list[str]]:
         notes.append(f"the disk failed: from byte {number} on it is {part.name}")
         if missing > 0:
             content = content[: content.rfind(b"\n") + 1]
-            notes.append(f"it is torn before that, {missing} bytes are lost")
+            notes.append(f"it is torn before that: {missing} bytes are lost")
         content = content[:number] + _bytes(part)
     return content, notes
 
@@ -342,12 +344,12 @@ def _check_magic(path: Path, content: bytes) -> None:
 
 
 def _with_line_feeds(content: bytes) -> bytes:
-    """The same with a line feed at each line's end where the file has carriage returns alone."""
+    """The content with line feeds, if its lines end in carriage returns alone."""
     return content if b"\n" in content else content.replace(b"\r", b"\n")
 
 
 def _without_torn_line(path: Path, content: bytes) -> tuple[bytes, list[str]]:
-    """The lines that have an end, and a note about the one that has none."""
+    """The complete lines, and a note about a last line without an end."""
     if not content:
         raise RecordingError(path, "is empty", "nothing was recorded: record again")
     written = content.rstrip(b"\0")  # a power cut can leave zeros behind the last block
@@ -380,7 +382,7 @@ def _delimiter(header: str) -> str:
 
 
 def _has_decimal_commas(lines: Sequence[str], numbers: Sequence[int]) -> bool:
-    """Whether numbers are written with a decimal comma: commas, and no point, in rows that no comma separates."""
+    """Whether numbers have decimal commas: no comma separates the columns, and rows have commas but no points."""
     commas = False
     for number in numbers:
         if "." in lines[number - 1]:
@@ -390,7 +392,7 @@ def _has_decimal_commas(lines: Sequence[str], numbers: Sequence[int]) -> bool:
 
 
 def _split(path: Path, line_number: int, line: str, delimiter: str) -> list[str]:
-    """The fields of one line, quotes and outer blanks removed."""
+    """The fields of one line, without quotes and outer blanks."""
     if delimiter == _BLANKS:
         line = " ".join(line.split())
     if '"' not in line:
@@ -435,7 +437,7 @@ def _did_you_mean(name: str, there: Sequence[str]) -> str | None:
 def _parse_rows(
     path: Path, header: tuple[str, ...], delimiter: str, lines: Sequence[str], numbers: Sequence[int]
 ) -> dict[str, NDArray[Any]]:
-    """Arrays of the known columns from the lines with these numbers: by columns, and on any trouble line by line."""
+    """Arrays of the known columns, from the lines with these numbers: by columns, and on any error line by line."""
     rows = [lines[number - 1] for number in numbers]
     plain = delimiter != _BLANKS and not any('"' in row for row in rows)
     fields = [
@@ -452,7 +454,7 @@ def _parse_rows(
 
 
 def _parse_column(name: str, texts: Sequence[str]) -> NDArray[Any]:
-    """One column as an array. Raises ValueError where a field breaks ``_complaint``'s rules."""
+    """One column as an array. Raises ValueError if a field breaks a rule of ``_complaint``."""
     if KINDS[name] == "name":
         if max(map(len, texts)) > MAX_STAGE_LENGTH:
             raise ValueError(name)
@@ -488,7 +490,7 @@ def _broken_row(
 
 
 def _complaint(name: str, text: str) -> str:
-    """What is wrong with one field; empty where nothing is."""
+    """What is wrong with one field; empty if it is right."""
     if KINDS[name] == "name":
         return f"a name of {len(text)} characters" if len(text) > MAX_STAGE_LENGTH else ""
     if not text:
@@ -526,14 +528,14 @@ def _shown(text: str) -> str:
 def _while_time_rises(
     columns: dict[str, NDArray[Any]], numbers: Sequence[int], notes: list[str]
 ) -> dict[str, NDArray[Any]]:
-    """The rows before the first whose time does not rise; all where that would leave too few."""
+    """The rows before the first one whose time does not rise; all rows if that would leave too few."""
     t_s = columns["t_s"]
     bad = np.flatnonzero(t_s[1:] <= t_s[:-1])
     if len(bad) == 0 or bad[0] + 1 < MIN_ROWS:
         return columns
     kept = int(bad[0]) + 1
     notes.append(
-        f"line {numbers[kept]}: t_s = {t_s[kept]:.9g} after {t_s[kept - 1]:.9g}, the device's clock stood still or "
+        f"line {numbers[kept]}: t_s = {t_s[kept]:.9g} after {t_s[kept - 1]:.9g}: the device's clock stood still or "
         f"went back; from there on {len(t_s) - kept} rows are left out"
     )
     return {name: values[:kept] for name, values in columns.items()}
@@ -547,7 +549,7 @@ def _check_time(path: Path, t_s: Floats, numbers: Sequence[int]) -> None:
         raise RecordingError(
             path,
             f"{what} (t_s = {t_s[k]:.9g} after {t_s[k - 1]:.9g})",
-            "keep one run in a file, its rows in order and one for each sample",
+            "keep one run in a file, with its rows in order and one row for each sample",
             numbers[k],
         )
 
@@ -580,7 +582,7 @@ def _read_events(path: Path, notes: list[str]) -> list[RunEvent]:
 
 
 def _read_part(path: Path, kind: type[_P]) -> _P | None:
-    """What a JSON file holds; None where there is none."""
+    """The content of a JSON file; None without the file."""
     return _typed(path, kind, _text(path, _bytes(path)), None) if path.exists() else None
 
 
@@ -604,7 +606,7 @@ def _parse_object(path: Path, text: str, line: int | None) -> dict[str, Any]:
 
 
 def printable(value: Any) -> Any:
-    """A JSON value whose texts may be shown on a terminal; a traceback keeps its lines."""
+    """A JSON value with its texts made safe for a terminal. A traceback keeps its lines."""
     if isinstance(value, str):
         return "\n".join(plain(line) for line in value.split("\n"))
     if isinstance(value, dict):

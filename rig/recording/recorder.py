@@ -1,8 +1,8 @@
-"""The loop's side of the record: rows and events go into shared memory, another process puts them on disk.
+"""The loop's side of recording: rows and events go into shared memory, and another process puts them on disk.
 
-``sample``, ``complete`` and ``event`` only write memory. They never wait: where the writer does not keep up the row is
-dropped and counted, and ``check`` raises long before that: when the writer has ended, when it has written nothing for
-some seconds although rows wait, and when the memory is nearly full.
+``sample``, ``complete`` and ``event`` only write memory, and never wait. If the memory is full they drop the row and
+count it. ``check`` raises long before that: when the writer has ended, when it has written nothing for some seconds
+although rows wait, or when the memory is nearly full.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-import rig
 from rig.faults import Fault
+from rig.package import FOLDER
 from rig.recording import layout
 from rig.recording.errors import RecordingError
 from rig.recording.layout import COMPLETION, COMPLETION_AT, ROW, SharedMemory
-from rig.recording.record import JsonScalar, Row
+from rig.recording.sink import JsonScalar, Row
 from rig.recording.writer import SAMPLES
 
 __all__ = ["Recorder", "RecordingError"]
@@ -37,7 +37,7 @@ EVENT_BYTES: Final = 512  # room for one event in the ring, on average
 _STAGE_NAME: Final = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
 _NAN: Final = math.nan
 
-# Writers that were left running by ``close``: kept so that nobody warns about a child that is still there on purpose.
+# Writers that ``close`` left running on purpose. Without this list Python would warn about a child process.
 _left_running: list[subprocess.Popen[bytes]] = []
 
 
@@ -47,14 +47,14 @@ class Recorder:
     folder           the run folder; must exist and hold no samples yet
     stages           names of every stage that will be recorded: 1 to 64 of letters, digits and ``_.:-``
     capacity_rows    rows that the memory holds while the writer is busy; at 100 Hz the default is eleven minutes
-    capacity_events  likewise events, of 512 bytes on average
+    capacity_events  events that it holds, of 512 bytes on average
 
     Returns once the writer process has opened the files and written the header. Raises RecordingError where the
     folder cannot be written, Fault RECORDER_DEAD where the disk is full, ValueError for bad stages or capacities.
     """
 
     close_timeout_s = 10.0  # longest wait for the writer in ``close``
-    stall_timeout_s = 10.0  # rows may wait so long without any being written: a disk may take seconds, a loss is near
+    stall_timeout_s = 10.0  # longest time without a written row although rows wait: a busy disk can take seconds
 
     def __init__(
         self, folder: Path, stages: Sequence[str], capacity_rows: int = 65536, capacity_events: int = 2048
@@ -75,13 +75,13 @@ class Recorder:
         self._capacity_event_bytes = capacity_events * EVENT_BYTES
         self._opened = 0
         self._open_offset = -1  # of the row that ``complete`` is to finish
-        self._dropped = False  # that row found no room
-        self._taken = 0  # rows that were written when ``check`` looked last
-        self._stalled_since_s: float | None = None  # when it first saw rows wait and none written since
+        self._dropped = False  # the memory had no room for that row
+        self._taken = 0  # rows on disk at the last ``check``
+        self._stalled_since_s: float | None = None  # when ``check`` first saw rows wait with none written since
         self._closed = False
 
         size = layout.size_of(capacity_rows, self._capacity_event_bytes)
-        self._memory_name: Path | None = None  # of the file behind the memory, where it must have one
+        self._memory_name: Path | None = None  # path of the file behind the memory, if the system needs one
         try:
             if _PASSES_DESCRIPTORS:
                 self._descriptor = layout.create_file(size)
@@ -96,7 +96,7 @@ class Recorder:
         self._shared = SharedMemory(self._descriptor, capacity_rows, self._capacity_event_bytes)
         self._counters, self._rows = self._shared.counters, self._shared.rows
         self._process = self._start_writer(subprocess.PIPE)
-        # A recorder that is dropped without ``close`` must not leave its writer waiting for more.
+        # Without ``close`` the writer would wait for more rows for ever.
         weakref.finalize(self, _close_pipe, self._process)
         try:
             self._await_ready()
@@ -112,10 +112,10 @@ class Recorder:
     # -- the loop's calls: memory writes only ---------------------------------------------------------------------
 
     def sample(self, *row: *Row) -> None:
-        """Open the next row: what was sampled, and the drive that is *commanded*, V.
+        """Open the next row: the sample, and the *commanded* drive, V.
 
-        The previous row, if ``complete`` was not called for it, stays as it is: its effect time unknown.
-        Raises ValueError for a stage that the recorder was not given.
+        If ``complete`` was not called for the row before, that row stays as it is, without a time of effect.
+        Raises ValueError for a stage that is not one of ``stages``.
         """
         tick, sample, stage, z_rad_s, yd_rad, u_V, late_us, io_us, flags = row
         try:
@@ -154,9 +154,9 @@ class Recorder:
         self._counters[layout.ROWS_OPENED] = self._opened  # last: from here on the row is there
 
     def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:
-        """Finish the row opened last: when its drive took effect, and the drive that the device reports, V.
+        """Finish the open row: the time at which its drive took effect, and the drive that the device reports.
 
-        ``flags`` are added to the row's. Raises RuntimeError where no row is open.
+        ``flags`` are added to the flags of the row. Raises RuntimeError if no row is open.
         """
         if self._open_offset < 0:
             if self._dropped:
@@ -192,15 +192,15 @@ class Recorder:
         self._counters[layout.EVENT_BYTES] = written + len(line)
 
     def check(self) -> None:
-        """Raise Fault RECORDER_DEAD where the writer has ended, failed, lost anything, or does not keep up; cheap."""
+        """Raise Fault RECORDER_DEAD if the writer has ended, failed, lost rows, or does not keep up. It is quick."""
         reason = self._ended() or self._lost() or self._far_behind() or self._stalled()
         if reason:
             raise Fault("RECORDER_DEAD", reason)
 
     def drain(self, timeout_s: float = 5.0) -> None:
-        """Wait until every completed row is in the file: for reading it while the run goes on, drive at rest.
+        """Wait until every completed row is in the file. Call it between stages, while the drive is at rest.
 
-        Raises Fault RECORDER_DEAD as ``check``, and where the writer takes longer than ``timeout_s``.
+        Raises Fault RECORDER_DEAD as ``check`` does, and if the writer takes longer than ``timeout_s``.
         """
         deadline_s = time.monotonic() + timeout_s
         while self._counters[layout.ROWS_TAKEN] < self._finished_rows():
@@ -212,12 +212,12 @@ class Recorder:
     # -- the end --------------------------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Write everything, the open row included, and end the writer; at most ``close_timeout_s`` (twice, if killed).
+        """Write everything, the open row too, and end the writer.
 
-        If the writer was killed a second one writes what it left, except where the disk had failed it before: then that
-        is lost, and said; if it was stopped it is told to go on. Raises Fault
-        RECORDER_DEAD where rows or events are lost, not yet on disk, or in another place than they should be. A second
-        call does nothing.
+        It takes at most ``close_timeout_s``, or twice that if the writer was killed. A stopped writer is continued. If
+        the writer was killed, a second one writes the rest; but if the disk had failed before, the rest is lost.
+        Raises Fault RECORDER_DEAD if rows or events are lost, not yet on disk, or in another place. A second call does
+        nothing.
         """
         if self._closed:
             return
@@ -227,7 +227,7 @@ class Recorder:
             if hasattr(signal, "SIGCONT"):
                 self._process.send_signal(signal.SIGCONT)
             self._await_end()
-            # killed: the rows are still in memory, and the files say how far it got, unless they go on elsewhere
+            # killed: the rows are still in memory, and the file shows how far it got, unless it goes on elsewhere
             if self._process.returncode < 0 and not self._moved():
                 self._process = self._start_writer(subprocess.DEVNULL)
                 self._await_end()
@@ -259,7 +259,7 @@ class Recorder:
             with contextlib.suppress(OSError):  # a writer that was left running still has it open
                 self._memory_name.unlink()
 
-    # -- the state of the writer, in words; empty where all is well -----------------------------------------------
+    # -- the state of the writer, as text; empty if all is well ---------------------------------------------------
 
     def _ended(self) -> str:
         status = self._process.poll()
@@ -272,7 +272,7 @@ class Recorder:
 
     def _lost(self) -> str:
         rows, events = self._counters[layout.ROWS_LOST], self._counters[layout.EVENTS_LOST]
-        return f"{rows} rows and {events} events were dropped, the memory was full" if rows or events else ""
+        return f"the memory was full: {rows} rows and {events} events were dropped" if rows or events else ""
 
     def _moved(self) -> str:
         return self._shared.reason() if self._counters[layout.STATE] == layout.MOVED else ""
@@ -313,7 +313,7 @@ class Recorder:
 
     def _start_writer(self, stdin: int) -> subprocess.Popen[bytes]:
         # The same modules as here, whatever the working directory; -S because the path is complete already.
-        root = str(Path(rig.__file__).absolute().parents[1])
+        root = str(FOLDER.absolute().parent)
         path = [entry for entry in sys.path if entry]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*path, root])}
         memory = self._descriptor if self._memory_name is None else self._memory_name

@@ -15,20 +15,20 @@ from rig.recording.stage import Stage
 
 Array = NDArray[np.float64]
 
-FEWEST_ROWS = 20  # that anything can be read from
+FEWEST_ROWS = 20  # of a series that can be fitted
 SHORTEST_WINDOW = 60  # samples
-LATENCY_PERIODS, LATENCY_S = 10.0, 0.1  # between a sample and its row's drive, at most the longer of both
+LATENCY_PERIODS, LATENCY_S = 10.0, 0.1  # longest time from a sample to its row's drive: the longer of both
 
-# a serial link and a driver take as much, however fast the samples (of a record 100 times as long)
+# A serial link and a driver take this long at any sampling rate. Used if the recording is at least 100 times as long.
 LEAST_DELAY_S = 0.01
-TIMES_ERROR_S = 1e-4  # by which times may be wrong where nobody says: a converter's step, a PWM period, an interrupt
-ALIKE = 0.8  # correlation of a drive with itself, later, that makes it periodic
-# No bench shows more or less in any unit, and squares and cubes of what lies between are numbers.
+TIMES_ERROR_S = 1e-4  # default error of t_u_s against t_s: a converter's step, a PWM period, an interrupt
+ALIKE = 0.8  # correlation of a drive with itself, a period later, from which on it counts as periodic
+# No bench shows more or less in any unit. Squares and cubes within this range stay finite.
 LARGEST, SMALLEST = 1e12, 1e-12
 
 
 class Steps(NamedTuple):
-    """A drive that is constant between edges: ``u_V[j]`` acts from ``edge_s[j]`` on, s, V, arrays of m each."""
+    """A drive that is constant between edges: ``u_V[j]``, V, acts from ``edge_s[j]``, s. Both have m entries."""
 
     edge_s: Array
     u_V: Array
@@ -40,16 +40,16 @@ class TimeSeries:
 
     t_s        n times, s, increasing
     y_rad      n positions, rad
-    t_u_s      n times at which each row's drive took effect, s; None if unknown (then u acts from t_s plus a constant
-               delay, at most `longest_delay_s`)
+    t_u_s      n times at which each row's drive took effect, s; None if unknown: then u acts a constant delay after
+               t_s, at most `longest_delay_s`
     u_V        n drives, V, after saturation and quantisation
-    first_row  index of row 0 in the file it comes from
-    name       what to call it in a message
-    times_error_s  by how much t_u_s may be wrong against t_s, s, at least 0: by so little beside it the drive may act
-    stage      of a run that the rows are; None where the file has no stages
-    Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite or that no bench
-    shows (beyond 1e12, or a whole column within 1e-12 of zero that is not zero), times that do not increase, or drives
-    that act far before or after their samples.
+    first_row  number of the first row in its file
+    name       its name in messages
+    times_error_s  largest error of t_u_s against t_s, s, at least 0
+    stage      the stage of these rows; None if the file has no stages
+    Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite, values beyond
+    1e12, a column whose values are all below 1e-12 and not all zero, times that do not increase, and drives that act
+    far before or after their samples.
     """
 
     t_s: Array
@@ -76,7 +76,7 @@ class TimeSeries:
                 raise IdentifyError(
                     f"{self.name}: {key} is not a number in row {self.first_row + int(bad[0])}"
                     + (f" and {bad.size - 1} more" if bad.size > 1 else ""),
-                    "leave these rows out, by --rows FIRST:LAST, or record again: `rig relay CONFIG`",
+                    "leave these rows out with --rows FIRST:LAST, or record again: `rig relay CONFIG`",
                 )
             largest = float(np.abs(column).max(initial=0.0))
             if largest > LARGEST or 0.0 < largest < SMALLEST:
@@ -118,16 +118,16 @@ class TimeSeries:
 
     @property
     def longest_delay_s(self) -> float:
-        """Longest constant delay looked for where t_u_s is unknown, s: two periods, or 10 ms if that is more."""
+        """Longest constant delay to look for if t_u_s is unknown, s: two periods, or 10 ms if that is more."""
         return max(2.0 * self.period_s, min(LEAST_DELAY_S, 0.01 * float(self.t_s[-1] - self.t_s[0])))
 
     @property
     def edge_s(self) -> Array:
-        """Times from which each row's drive acts, as far as they are known: t_u_s, else t_s."""
+        """Times from which each row's drive acts, s: t_u_s if known, else t_s."""
         return self.t_s if self.t_u_s is None else self.t_u_s
 
     def drive_period_s(self) -> float | None:
-        """Period with which the drive repeats itself, s: the first lag at which it is like itself again; else None."""
+        """Period of a periodic drive, s: the first lag at which it is like itself again. None without a period."""
         count = min(8192, 4 * self.t_s.size)
         even = np.linspace(self.t_s[0], self.t_s[-1], count)
         u = self.u_V[np.searchsorted(self.t_s, even, side="right") - 1]
@@ -149,7 +149,7 @@ class TimeSeries:
 
     @cached_property
     def steps(self) -> Steps:
-        """The drive, without the edges that change nothing."""
+        """The drive, without edges that change nothing."""
         return steps_of(self.edge_s, self.u_V)
 
     def part(self, first: int, stop: int) -> TimeSeries:
@@ -165,9 +165,9 @@ class TimeSeries:
         )
 
     def predictable(self, longest_delay_s: float) -> Window:
-        """The samples whose drive is known: from the first that comes after the first drive took effect.
+        """The samples whose drive is known: those after the first drive took effect, at most ``longest_delay_s`` late.
 
-        Raises IdentifyError where these are fewer than twenty.
+        Raises IdentifyError if there are fewer than twenty.
         """
         first = int(np.searchsorted(self.t_s, self.edge_s[0] + longest_delay_s))
         if self.t_s.size - first < FEWEST_ROWS:
@@ -180,8 +180,8 @@ class TimeSeries:
     def resolution_rad(self) -> float:
         """Step between neighbouring distinct positions, rad; 0 if they do not look quantised.
 
-        Positions are taken for quantised if most differences between sorted distinct values are near multiples of
-        the smallest common one.
+        Positions count as quantised if most differences between sorted distinct values are near multiples of a
+        smallest one.
         """
         steps = np.diff(np.unique(np.round(self.y_rad, 12)))
         steps = steps[steps > 1e-9]
@@ -192,10 +192,10 @@ class TimeSeries:
         return lsb if float(np.mean(np.abs(ratio - np.round(ratio)) < 0.1)) > 0.9 else 0.0
 
     def noise_rad(self) -> float:
-        """Standard deviation of white noise on the position, rad, at least that of its quantisation.
+        """Standard deviation of white noise on the position, rad; at least that of the quantisation.
 
-        From fourth divided differences, in which motion all but vanishes however the samples are spaced; their median,
-        so that jumps of acceleration do not count.
+        It comes from fourth divided differences: motion almost vanishes in them, at any spacing of the samples. The
+        median leaves out jumps of acceleration.
         """
         return self._noise_rad
 
@@ -215,9 +215,9 @@ class TimeSeries:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Samples ``first`` to ``stop`` (exclusive) of a series, whose motion has an initial state of its own.
+    """Samples ``first`` to ``stop`` (exclusive) of a series. Their motion has an initial state of its own.
 
-    The drive is that of the whole series: what acts at the first sample was set before it.
+    The drive is the drive of the whole series, because the drive at the first sample was set before it.
     """
 
     series: TimeSeries
@@ -255,7 +255,7 @@ class Window:
         return self.series.first_row + self.first, self.series.first_row + self.stop - 1
 
     def until(self, length_s: float) -> Window:
-        """The first part of it, of this length, s, and of 60 samples at least."""
+        """Its first ``length_s`` seconds, but at least 60 samples."""
         count = max(SHORTEST_WINDOW, int(np.searchsorted(self.t_s, self.t_s[0] + length_s, side="right")))
         return self if self.first + count >= self.stop else replace(self, stop=self.first + count)
 
@@ -271,9 +271,9 @@ def spread_rad(windows: Iterable[Window]) -> float:
 
 
 def steps_of(edge_s: Array, u_V: Array) -> Steps:
-    """Edges (non-decreasing, s) and drives (V) as steps: edges that change nothing are left out.
+    """Edges (non-decreasing, s) and drives (V) as steps, without edges that change nothing.
 
-    Raises ValueError if the edges decrease, or shapes differ, or there is none.
+    Raises ValueError if the edges decrease, if shapes differ, or if there are no edges.
     """
     if edge_s.shape != u_V.shape or edge_s.ndim != 1 or edge_s.size == 0:
         raise ValueError("edges and drives must be one-dimensional and of one length")

@@ -1,4 +1,4 @@
-"""The stages of a run: what is being done in each row, as the column ``stage`` names it."""
+"""The stages of a run: the column ``stage`` names the stage of each row."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _TRACKING = "track:"
 
 
 class StageKind(StrEnum):
-    """What is done in a stage. ``OTHER``: a stage of a file that rig did not write."""
+    """The kind of a stage. ``OTHER``: a stage of a file that rig did not write."""
 
     REST = "rest"
     JOG = "jog"
@@ -21,11 +21,12 @@ class StageKind(StrEnum):
     HOMING = "homing"
     HYSTERETIC = "hysteretic"
     TRACK = "track"
+    LAW = "law"
     STOPPING = "stopping"
     OTHER = "other"
 
 
-# kinds of which a run has one stage at most, named like its kind
+# kinds that occur once in a run at most; the stage has the name of its kind
 _PLAIN = {
     str(kind): kind
     for kind in StageKind
@@ -37,10 +38,10 @@ _PLAIN = {
 class Stage:
     """One stage.
 
-    name    as the column has it: ``relay-2``, ``track:sampled-data``
-    kind    what is done
-    number  of a relay test or a hysteretic run, from 1; None for other kinds, and where the name has no number
-    method  of a tracking run: the estimator whose model tracks; empty for other kinds
+    name    as in the column: ``relay-2``, ``track:sampled-data``
+    kind    its kind
+    number  of a relay test or a hysteretic run, from 1; None for other kinds, and if the name has no number
+    method  the estimator whose model a tracking run uses; empty for other kinds
     """
 
     name: str
@@ -50,7 +51,7 @@ class Stage:
 
     @classmethod
     def parse(cls, name: str) -> Stage:
-        """The stage of this name. Any name is one: those that rig does not write are of the kind ``OTHER``."""
+        """The stage of this name. A name that rig does not write gives the kind ``OTHER``."""
         numbered = _NUMBERED.fullmatch(name)
         if numbered is not None:
             kind, number = numbered.groups()
@@ -76,7 +77,7 @@ class Stage:
 
     @property
     def is_relay_test(self) -> bool:
-        """Whether it is a test that identification reads: of the dual-channel relay, or of a hysteretic one."""
+        """Whether identification reads it: a test of the dual-channel relay, or of a hysteretic one."""
         return self.kind in (StageKind.RELAY, StageKind.HYSTERETIC)
 
     def __str__(self) -> str:
@@ -84,5 +85,5 @@ class Stage:
 
 
 def kind_of(name: str) -> StageKind:
-    """What is done in the stage of this name."""
+    """The kind of the stage of this name."""
     return Stage.parse(name).kind

@@ -1,19 +1,17 @@
-"""The writer process: takes rows and events out of shared memory and appends them to the run folder.
+"""The writer process: it takes rows and events out of shared memory and appends them to the run folder.
 
 Started by ``recorder.Recorder`` as ``python -m rig.recording.writer MEMORY PARENT CAPACITY_ROWS CAPACITY_EVENT_BYTES
-FOLDER STAGE...``; MEMORY is a descriptor, or the path of a file. Its standard input is a pipe that nobody writes to:
-its end says that the loop's process has closed the record or is gone; then whatever is in the memory is written, the
-row still open included, and the process ends.
+FOLDER STAGE...``; MEMORY is a descriptor, or the path of a file. Nobody writes to its standard input. The end of that
+pipe says that the loop has closed the recorder, or that its process is gone. Then the writer writes everything that is
+in the memory, the open row too, and ends.
 
-A disk that takes no more, or fails, costs no row that is in the memory: the file goes on in another one, which begins
-with all that was written since the file was last known to be on the disk. ``samples.csv.from-12345`` holds what is to
-be in samples.csv from byte 12345 on; it is beside it, or in a new folder where temporary files go. The reader takes
-along what is beside it.
+If a disk fails, no row in the memory is lost: the file goes on in a second file. This one begins with all rows that may
+not be on the failed disk. ``samples.csv.from-12345`` replaces samples.csv from byte 12345 on. It is beside samples.csv,
+or in a new folder for temporary files. The reader joins the parts that are beside samples.csv.
 
-It resumes where the files end, so a second writer can finish the work of one that was killed. It keeps some room on the
-disk: when the disk is full it says so, and still writes there what is in the memory and what comes until the loop has
-ended.
-Light on purpose (no numpy, no json): it has to be ready before a motor may move.
+The writer resumes where the files end, so a second writer can finish the work of one that was killed. It reserves some
+room on the disk. When the disk is full it tells the loop to end, and uses this room for the rows until then.
+It must be ready before a motor may move, so it starts fast: no numpy, no json.
 """
 
 from __future__ import annotations
@@ -41,19 +39,19 @@ EVENTS: Final = "events.jsonl"
 POLL_S: Final = 0.005
 SYNC_EVERY_S: Final = 1.0
 ROWS_AT_ONCE: Final = 1024
-KEPT_BYTES: Final = 1 << 20  # of rows and events that come until the loop has ended, and of result.json
+KEPT_BYTES: Final = 1 << 20  # room for the rows and events until the loop has ended, and for result.json
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT)
 _NAN: Final = float("nan")
 _APPEND: Final = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)  # Windows: no carriage returns
 
 
 class AppendOnlyFile:
-    """A file that only grows; what ``write`` returned from survives the death of this process.
+    """A file that only grows. Data is safe from the death of this process once ``write`` has returned.
 
-    makes_room  asked when writing fails: True where it may be tried again
-    elsewhere   folders to go on in where it may not: they are tried in turn; default: none
-    moved       told where it goes on, and why
-    Raises OSError with the file's name, from every method.
+    makes_room  called when writing fails; returns True if writing may be tried again
+    elsewhere   folders in which the file may go on else, in the order to try them; default: none
+    moved       called with the new place of the file, and the error
+    Every method raises OSError with the file's name.
     """
 
     def __init__(
@@ -67,16 +65,16 @@ class AppendOnlyFile:
         self._name = path.name
         self._makes_room, self._elsewhere, self._moved = makes_room, elsewhere, moved
         self._descriptor = os.open(path, _APPEND, 0o666)
-        self._safe_bytes = 0  # known to be on the disk
-        self._since = bytearray()  # written after them
+        self._safe_bytes = 0  # bytes that are on the disk for sure
+        self._since = bytearray()  # bytes written after them
 
     def whole_lines(self) -> tuple[int, int]:
-        """Number and bytes of the lines that are there; a torn last line is cut off."""
+        """Number and bytes of the lines in the file. It cuts off a torn last line."""
         status = os.fstat(self._descriptor)
         if not stat.S_ISREG(status.st_mode):
             return 0, 0
         lines = end = position = 0
-        os.lseek(self._descriptor, 0, os.SEEK_SET)  # writing is at the end all the same
+        os.lseek(self._descriptor, 0, os.SEEK_SET)  # writes still go to the end (O_APPEND)
         while block := os.read(self._descriptor, 1 << 20):
             lines += block.count(b"\n")
             if b"\n" in block:
@@ -88,7 +86,7 @@ class AppendOnlyFile:
         return lines, end
 
     def write(self, data: bytes | memoryview) -> None:
-        """Append ``data``, whole lines. Raises OSError, with the file's name, where no place takes it."""
+        """Append ``data``, whole lines. Raises OSError, with the file's name, if no place takes it."""
         self._since += data
         rest = memoryview(data)
         while rest:
@@ -101,20 +99,20 @@ class AppendOnlyFile:
                     return
 
     def sync(self) -> None:
-        """Put what was written on the disk, if anything was since the last time. Raises OSError as ``write``."""
+        """Force new data onto the disk. Raises OSError as ``write`` does."""
         if not self._since:
             return
         try:
             os.fsync(self._descriptor)
         except OSError as error:
-            if error.errno != errno.EINVAL:  # of a pipe, which nothing can be synchronised of
-                # what is in the kernel's memory alone may never reach the disk, and nobody is told twice
+            if error.errno != errno.EINVAL:  # a pipe cannot be synchronised
+                # data in the kernel's memory may never reach the disk, and fsync reports that only once
                 self._go_on_elsewhere(self._named(error))
         self._safe_bytes += len(self._since)
         self._since.clear()
 
     def _go_on_elsewhere(self, error: OSError) -> None:
-        """Write what the disk may not have into a new file, and go on there. Raises ``error`` where none takes it."""
+        """Write the data that may not be on the disk to a new file, and go on there. Raises ``error`` if none works."""
         for folder in self._elsewhere():
             path = folder / f"{self._name}.from-{self._safe_bytes}"
             try:
@@ -141,14 +139,16 @@ class AppendOnlyFile:
 
 
 class KeptRoom:
-    """Room on the disk that nobody else gets, for as long as this process lives or until it is given up.
+    """Reserved room on the disk, until it is given up or this process ends.
 
-    Raises OSError where there is not so much.
+    folder  of the reserving file
+    size    bytes
+    Raises OSError if the disk does not have so much.
     """
 
     def __init__(self, folder: Path, size: int) -> None:
         try:
-            # without a name: whatever ends this process, nothing is left behind
+            # a file without a name: nothing is left behind, whatever ends this process
             self._file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - it is kept open
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(folder)) from error
@@ -159,14 +159,14 @@ class KeptRoom:
             raise OSError(error.errno, error.strerror, str(folder)) from error
 
     def give_up(self) -> None:
-        """Let others have it."""
+        """Free the room."""
         self._file.close()
 
 
 class Writer:
-    """Moves what the loop has published into the two files.
+    """Moves the loop's rows and events from the memory into the two files.
 
-    Raises OSError where the files cannot be opened (constructor) or written (the rest).
+    Raises OSError if the files cannot be opened (constructor) or written (the other methods).
     """
 
     def __init__(self, shared: SharedMemory, folder: Path, stages: Sequence[str]) -> None:
@@ -176,13 +176,13 @@ class Writer:
         files = (AppendOnlyFile(folder / n, self._makes_room, self._elsewhere, self._moved) for n in (SAMPLES, EVENTS))
         self._samples, self._events = files
         self._room: KeptRoom | None = None
-        self._serves = False  # before, a failing disk is a refusal
+        self._serves = False  # until it is True, a failing disk refuses the run
         self._other_folder: Path | None = None
         self._moves: list[tuple[Path, str]] = []
         self._last_t_s = _NAN
 
     def resume(self) -> None:
-        """Start where the files end: at the beginning, or where a killed writer left off."""
+        """Start where the files end: at the beginning, or where a killed writer stopped."""
         lines, _ = self._samples.whole_lines()
         if lines == 0:
             self._samples.write(HEADER.encode("ascii"))
@@ -192,11 +192,11 @@ class Writer:
         counters[layout.EVENT_BYTES_TAKEN] = min(event_bytes, counters[layout.EVENT_BYTES])
 
     def keep_room(self) -> None:
-        """Keep room on the disk, for the day that it is full."""
+        """Reserve room for the case that the disk gets full."""
         self._room = KeptRoom(self._folder, KEPT_BYTES)
 
     def _makes_room(self, error: OSError) -> bool:
-        """Give up the room that was kept, once, and tell the loop to end."""
+        """Give up the reserved room, once, and tell the loop to end."""
         room, self._room = self._room, None
         if room is None or error.errno not in _FULL:
             return False
@@ -205,7 +205,7 @@ class Writer:
         return True
 
     def _elsewhere(self) -> Iterator[Path]:
-        """Folders that files may go on in."""
+        """Folders in which the files may go on."""
         if not self._serves:
             return
         yield self._folder
@@ -215,19 +215,23 @@ class Writer:
             yield self._other_folder
 
     def _moved(self, path: Path, error: OSError) -> None:
-        """Tell the loop to end, and where the rest is."""
+        """Tell the loop to end, and where the rest of the rows is."""
         self._moves.append((path, _in_words(error)))
         places = "; ".join(f"{why}, so it goes on in {place}" for place, why in self._moves)
         self._shared.fail(layout.MOVED, places)
 
     def serve(self, is_over: EndOfInput, parent: int) -> None:
-        """Write until the loop's side is over, then to the last row."""
+        """Write until the loop's side ends, then write the last rows.
+
+        is_over  the end of standard input
+        parent   process id of the loop's process: without it the loop is gone
+        """
         self._serves = True
         counters = self._shared.counters
         next_sync_s = time.monotonic() + SYNC_EVERY_S
         while True:
-            # Counters first, data after the wait: on processors that reorder memory accesses the data that a
-            # counter announces is certainly there a few milliseconds later.
+            # Counters first, data after the wait: some processors reorder memory accesses, but a few milliseconds
+            # later the data that a counter announces is there for sure.
             completed, opened = counters[layout.ROW_COMPLETED], counters[layout.ROWS_OPENED]
             event_bytes = counters[layout.EVENT_BYTES]
             over = is_over.wait(POLL_S) or os.getppid() != parent
@@ -250,7 +254,7 @@ class Writer:
             batch_end = min(end, taken + ROWS_AT_ONCE)
             self._samples.write("".join(map(self._line, range(taken, batch_end))).encode("ascii"))
             taken = batch_end
-            shared.counters[layout.ROWS_TAKEN] = taken  # from here on the loop may reuse the slots
+            shared.counters[layout.ROWS_TAKEN] = taken  # now the loop may use the slots again
 
     def _line(self, number: int) -> str:
         offset = number % self._shared.capacity_rows * ROW.size
@@ -287,7 +291,7 @@ class Writer:
             text = f'{{"t_s": {t_s}, "kind": "record_lost", "rows": {lost_rows}, "events": {lost_events}}}\n'
             self._events.write(text.encode("ascii"))
         for path, why in self._moves:
-            import json  # only now: see above
+            import json  # here, not above: the process must start fast
 
             text = (
                 f'{{"t_s": {t_s}, "kind": "record_moved", "to": {json.dumps(str(path))}, "why": {json.dumps(why)}}}\n'
@@ -302,12 +306,12 @@ class Writer:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the writer; exit status 0 done, 1 the reason is in the shared memory."""
-    # It ends when the loop does, not when a terminal or a service manager tells the whole group to.
+    """Run the writer. Exit status 0: done; 1: failed, the reason is in the shared memory."""
+    # It ends with the loop. A signal from a terminal or a service manager to the whole group must not end it.
     for name in ("SIGINT", "SIGHUP", "SIGTERM"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    # A loop that runs with real-time priority must not hand that down to its disk writer.
+    # The writer must not inherit the real-time priority of the loop.
     if hasattr(os, "sched_setscheduler"):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
@@ -324,7 +328,7 @@ def main(arguments: Sequence[str]) -> int:
         return 1
     try:
         writer.resume()
-        if shared.counters[layout.ROWS_OPENED] == 0:  # else it only finishes what another has begun
+        if shared.counters[layout.ROWS_OPENED] == 0:  # else it only finishes the work of another writer
             writer.keep_room()
         shared.counters[layout.STATE] = layout.READY
         writer.serve(is_over, parent)

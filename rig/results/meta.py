@@ -33,10 +33,11 @@ class SupplyBelieved(Part):
 class ScriptCall(Part):
     """The script that ran, with its arguments, so that it can be replayed."""
 
-    name: Text = Field(description="run, relay, breakaway, track or jog")
+    name: Text = Field(description="run, relay, breakaway, track, jog or law")
     breakaway: Sometimes[Text] = Field(None, description="the law of the breakaway check; an older version names none")
     u_V: Sometimes[Number] = Field(None, description="of a jog: the drive, V")
-    duration_s: Sometimes[Number] = Field(None, description="of a jog: how long, s")
+    duration_s: Sometimes[Number] = Field(None, description="of a jog or a law: how long, s")
+    law: Sometimes[Text] = Field(None, description="the user's law that ran: its name in the config, or its class")
 
 
 class RealTimeReport(Part):

@@ -151,7 +151,7 @@ class Suite:
         self._expect_no_drive("before arm()")
 
     def test_it_refuses_limits_that_it_cannot_hold(self) -> None:
-        """``arm`` raises for limits beyond sensor or drive, and nothing is armed by it."""
+        """``arm`` raises for limits beyond sensor or drive, and arms nothing. AssertionError where it does not."""
         good, e = self.experiment.device_limits, self.experiment
         calibration, counts_max = e.sensor.curve, e.sensor.counts_max
         ends = sorted((calibration.to_rad(-0.1 * counts_max), calibration.to_rad(1.1 * counts_max)))
@@ -225,7 +225,7 @@ class Suite:
                 )
 
     def test_it_refuses_drives_beyond_its_range(self) -> None:
-        """``write`` raises ValueError beyond supply and bridge and for what is no number; the drive stays as it was."""
+        """``write`` raises ValueError beyond supply and bridge, and for nan; else AssertionError. The drive stays."""
         full_V = self.experiment.drive.map.full_V
         beyond = 1.01 * full_V + 0.1
         with self._armed():

@@ -5,7 +5,7 @@ The firmware compiled for this machine, the Uno's on its emulated chip, a Modbus
 
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.modbus.emulated.line_faults import Corruption
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.rtu_slave import Disturbance
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.backends.modbus.emulated.virtual_tcp_block import VirtualTcpBlock
@@ -19,7 +19,7 @@ __all__ = [
     "BehindUsb",
     "Corruption",
     "Disturbance",
-    "Misbehaviour",
+    "ReplyFault",
     "VirtualBoard",
     "VirtualChip",
     "VirtualIoBlock",

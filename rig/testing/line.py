@@ -1,4 +1,4 @@
-"""The one place to put a test's own device: instead of what the config names, or around it."""
+"""Put a test's own device in place of the one that the config names, or around it."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from rig.config.schema import Experiment
 
 @contextmanager
 def lines_opened_by(instead: OpenLine) -> Iterator[None]:
-    """In the block, each driver of a built-in kind speaks on what ``instead`` gives: for a backend and an experiment.
+    """In the block, each built-in driver speaks on the line that ``instead`` opens for a backend and an experiment.
 
-    It may open the line that the config names (``backend.line(experiment)``), and give that in a wrapping.
+    ``instead`` may open the config's own line (``backend.line(experiment)``) and wrap it.
     """
     before, own_line.instead = own_line.instead, instead
     try:
@@ -30,11 +30,13 @@ def on_device(
     name: str = "test",
     emulated: bool = True,
 ) -> AbstractContextManager[None]:
-    """In the block, each driver of a built-in kind speaks to this device.
+    """In the block, each built-in driver speaks to this device.
 
-    transport  of the device, or what makes it for an experiment; where it is a clock, too, its time is the driver's
-    clock      another one
+    transport  of the device, or a function that makes it for an experiment
+    clock      of the driver; None: the transport is a clock too
+    name       of the port, for people
     emulated   whether the driver knows that no real motor is behind it
+    Raises TypeError, when the driver opens, where neither is a clock.
     """
 
     def opened(backend: LineBackend, e: Experiment) -> AbstractContextManager[Line]:

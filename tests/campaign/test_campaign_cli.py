@@ -151,7 +151,7 @@ def test_a_failed_experiment_is_said_ends_in_status_1_and_can_be_repeated(tmp_pa
     assert result.exit_code == 1, result.output
     assert "3 experiments: 2 ok, 0 doubtful, 0 refused, 1 failed" in result.stdout
     said = next(line for line in result.stdout.splitlines() if "failed, by a defect" in line)
-    words = said.split("the first again: rig ")[1].split()
+    words = said.split("repeat the first: rig ")[1].split()
     assert words[-2:] == ["--experiment", "1"]
     again = rig(*words)
     assert isinstance(again.exception, ZeroDivisionError)

@@ -45,7 +45,7 @@ def test_cells_hold_the_rows_of_their_tau_and_fc():
 
 def test_cells_with_few_experiments_say_nothing():
     values, counts = picture.cells(scattered(20), picture.grid_edges(GRID, 20), lambda inside: 1.0)
-    assert np.array_equal(np.isfinite(values), counts >= picture.TOLD)
+    assert np.array_equal(np.isfinite(values), counts >= picture.FEWEST_IN_CELL)
 
 
 def test_a_motor_that_does_not_vary_still_has_a_cell():

@@ -126,7 +126,7 @@ def test_a_broken_file_is_said_with_its_line(tmp_path, change, words):
 
 def test_foreign_folders_are_left_alone(tmp_path):
     (tmp_path / "results.csv").write_text("somebody's\n", encoding="utf-8")
-    with pytest.raises(CampaignError, match="no campaign's folder"), results.opened(tmp_path, small()):
+    with pytest.raises(CampaignError, match="not a campaign's folder"), results.opened(tmp_path, small()):
         pass
     assert (tmp_path / "results.csv").read_text(encoding="utf-8") == "somebody's\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["results.csv"]

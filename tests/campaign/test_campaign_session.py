@@ -170,7 +170,7 @@ def test_a_killed_worker_is_said_and_keeps_the_rows_so_far(tmp_path, monkeypatch
     monkeypatch.setattr(runner.joblib, "Parallel", lambda **_: chunks)
     with pytest.raises(BrokenOffError, match="a worker process was killed") as caught:
         session.run(small(COUNT), tmp_path, jobs=2)
-    assert "the same command goes on" in caught.value.cure
+    assert "run the command again" in caught.value.cure
     assert_rows(tmp_path, runner.CHUNK)
 
 

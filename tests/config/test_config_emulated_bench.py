@@ -77,10 +77,10 @@ def test_the_configs_of_the_project_mean_what_they_did(name: str) -> None:
 
 
 SAYS: dict[str, tuple[dict[str, Any], str]] = {
-    "supply": ({"supply_V": 8.0}, "the emulated bridge gives 8 V, the config believes 12 V: K and f_c"),
-    "drop": ({"bridge_drop_V": 2.0}, "the emulated bridge gives 10 V, the config believes 12 V: K and f_c"),
+    "supply": ({"supply_V": 8.0}, "the emulated bridge gives 8 V, by the config it gives 12 V: K and f_c"),
+    "drop": ({"bridge_drop_V": 2.0}, "the emulated bridge gives 10 V, by the config it gives 12 V: K and f_c"),
     "dead band": ({"dead_band_duty": {"plus": 0.04}}, "passes nothing below 0.04 and 0 of full duty, drive.dead_band"),
-    "turned": ({"reversed": True}, "turns the shaft the other way than drive.reversed says"),
+    "turned": ({"reversed": True}, "turns the shaft the opposite way to drive.reversed"),
     "count": (
         {"potentiometer": {"rad_per_count": 0.003636}},
         "one count of the emulated potentiometer is 0.003636 rad, sensor.calibration says 0.00410156 rad: "

@@ -91,8 +91,13 @@ def test_the_examples_pass() -> None:
             "max_drive.address",
             "registers 10 and 11 lie in the place of limits.high",
         ),
-        ({"status": {"address": 150}}, {}, "status.address", "spans 135 registers, 16 to 150; one request takes 125"),
-        ({"position": {"address": 65535, "type": "float32"}}, {}, "position.address", "go beyond the last, 65535"),
+        (
+            {"status": {"address": 150}},
+            {},
+            "status.address",
+            "would read 135 registers, 16 to 150; one request can read 125",
+        ),
+        ({"position": {"address": 65535, "type": "float32"}}, {}, "position.address", "end beyond the last one, 65535"),
         ({"position": {"address": 16, "table": "input"}}, {}, "position.table", "FC23 reads holding registers only"),
     ],
 )
@@ -125,12 +130,12 @@ def test_what_a_device_cannot_tell_of_a_pause_is_a_note() -> None:
 
     assert notes_of({}) == []
     (note,) = notes_of({"status": None})
-    assert "pressed and released in a pause is not seen at all" in note
+    assert "rig does not see an e-stop that you press and release in a pause" in note
     (note,) = notes_of({"status": {"address": 19, "faults": {"DEVICE_WATCHDOG": 2}}})
     assert "names no DEVICE_ESTOP" in note and "while it is open" in note
     settings: dict[str, Any] = dict.fromkeys(("watchdog", "limits", "rails", "max_drive"))
     (note,) = notes_of(settings, device_watchdog_s=0.1)
-    assert note.endswith("a power cycle in a pause would go unnoticed")
+    assert note.endswith("rig would not notice a power cycle in a pause")
     for name in ("limits", "rails", "max_drive"):
         assert notes_of({key: value for key, value in settings.items() if key != name}, device_watchdog_s=0.1) == []
 
@@ -159,7 +164,7 @@ def test_the_input_table_is_another_place() -> None:
         ({"port": "192.168.0.5"}, "daq.port", "an address, not a serial port"),
         ({"port": "192.168.0.5:1502"}, "daq.port", "an address, not a serial port"),
         ({"modbus": None}, "daq.modbus", "needs this section"),
-        ({"driver": "serial"}, "daq.modbus", "is of `driver: modbus`"),
+        ({"driver": "serial"}, "daq.modbus", "is a key of `driver: modbus`"),
     ],
 )
 def test_what_else_is_refused(daq: dict[str, Any], key: str, words: str) -> None:
@@ -306,7 +311,7 @@ def test_a_watchdog_that_is_not_there_is_not_counted_and_said_to_be_missing() ->
     found = preflight(none)
     assert found.problems == ()
     (line,) = (line for line in found.lines if line.startswith("stopping"))
-    assert "if it dies nothing bounds it: the device has no watchdog" in line
+    assert "if the host dies nothing bounds it: the device has no watchdog" in line
 
 
 def test_a_watchdog_that_is_set_on_the_device_counts_for_the_room_to_stop() -> None:
@@ -328,7 +333,7 @@ def test_a_device_that_holds_its_last_drive_is_refused_offline() -> None:
 def test_a_relay_in_the_device_is_not_for_modbus() -> None:
     data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
     data["relay"]["where"] = "device"
-    assert "knows of no relay in the device" in problems(Experiment.model_validate(data))["relay.where"]
+    assert "has no relay in the device" in problems(Experiment.model_validate(data))["relay.where"]
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from directional_friction import directional
-from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, SimulatedBench, break_away, simulated_bench
+from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, BenchModel, break_away, simulated_bench
 
 from rig.control.breakaway import BreakawayFound
 from rig.control.homing import Homing
@@ -27,7 +27,7 @@ MOTORS = {
 }
 
 
-def home(bench: SimulatedBench, tolerance_rad: float, timeout_s: float = 40.0) -> Homing:
+def home(bench: BenchModel, tolerance_rad: float, timeout_s: float = 40.0) -> Homing:
     with bench.loop.armed(LIMITS):
         check = break_away(bench.loop)
         homing = Homing(

@@ -11,7 +11,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated_bench import CALIBRATION, GUARD, LIMITS, PERIOD_S, SimulatedBench, break_away, simulated_bench
+from simulated_bench import CALIBRATION, GUARD, LIMITS, PERIOD_S, BenchModel, break_away, simulated_bench
 
 from rig.campaign.grid import draw
 from rig.config.campaign import Campaign
@@ -176,7 +176,7 @@ def relay_test(cycles: int, gains_V: tuple[float, float]) -> RelayTest:
     return RelayTest(DualChannelRelay(0.0, 0.0, 2.0), detector, gains_V, cycles, 15.0)
 
 
-def positions_of(bench: SimulatedBench) -> tuple[Callable[[float], None], list[float]]:
+def positions_of(bench: BenchModel) -> tuple[Callable[[float], None], list[float]]:
     reached: list[float] = []
     return lambda _: reached.append(bench.driver.bench.state.y), reached
 

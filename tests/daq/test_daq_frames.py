@@ -11,6 +11,7 @@ from rig.backends.serial import frames
 from rig.backends.serial.frames import (
     Block,
     Code,
+    DeviceState,
     FrameReader,
     Hello,
     Kind,
@@ -18,7 +19,6 @@ from rig.backends.serial.frames import (
     Packet,
     RelaySetup,
     Setup,
-    State,
     crc16,
     encode,
 )
@@ -35,16 +35,16 @@ rows = st.builds(
 )
 
 bodies = st.one_of(
-    st.builds(State, u32, i32, u16, u32, i16, u16, u8, u8, u32),
+    st.builds(DeviceState, u32, i32, u16, u32, i16, u16, u8, u8, u32),
     st.builds(Setup, u32, i32, i32, i32, i32, i32, u16, u16, st.sampled_from((-1, 1)), u8),
     st.builds(Hello, u8, u8, u8, u8, u32, u16, u32, u8, st.binary(min_size=16, max_size=16)),
     st.builds(Nack, u8, u8),
     st.builds(RelaySetup, st.tuples(i16, i16, i16, i16), i32, u32, st.sampled_from((-1, 1)), u8),
     st.builds(Block, u32, u16, u16, u8, u8, u32, rows),
 )
-Body = State | Setup | Hello | Nack | RelaySetup | Block
+Body = DeviceState | Setup | Hello | Nack | RelaySetup | Block
 KIND_OF: dict[type[Body], Kind] = {
-    State: Kind.STATE,
+    DeviceState: Kind.STATE,
     Setup: Kind.SETUP_REPLY,
     Hello: Kind.HELLO_REPLY,
     Nack: Kind.NACK,
@@ -64,10 +64,10 @@ MESSAGES = [
     Packet(Kind.HELLO_REPLY, 7, Hello(2, 1, 2, 0, 1023, 799, 0x00FF00FF, 0, b"2f3a9c1".ljust(16, b"\0")).pack()),
     Packet(Kind.SETUP_REPLY, 8, Setup(2**32 - 1, -(2**31), 2**31 - 1, 0, 1023, -512, 799, 1000, 1).pack()),
     Packet(Kind.ARM_REPLY, 9, bytes([Code.SENSOR_RAIL])),
-    Packet(Kind.STATE, 10, State(123456789, 517, frames.NO_TACHOMETER, 123450000, -133, 9, 1, 0, 7).pack()),
-    Packet(Kind.STATE, 11, State(0, 0, 0, 0, 0, 0, 0, 0, 0).pack()),
-    Packet(Kind.STATE, 12, State(2**32 - 1, -1, 0xFFFF, 2**32 - 1, -1, 0xFFFF, 0xFF, 0xFF, 2**32 - 1).pack()),
-    Packet(Kind.STOP_REPLY, 13, State(1, 512, 0xFFFF, 1, 0, 9, 2, Code.TRAVEL, 0).pack()),
+    Packet(Kind.STATE, 10, DeviceState(123456789, 517, frames.NO_TACHOMETER, 123450000, -133, 9, 1, 0, 7).pack()),
+    Packet(Kind.STATE, 11, DeviceState(0, 0, 0, 0, 0, 0, 0, 0, 0).pack()),
+    Packet(Kind.STATE, 12, DeviceState(2**32 - 1, -1, 0xFFFF, 2**32 - 1, -1, 0xFFFF, 0xFF, 0xFF, 2**32 - 1).pack()),
+    Packet(Kind.STOP_REPLY, 13, DeviceState(1, 512, 0xFFFF, 1, 0, 9, 2, Code.TRAVEL, 0).pack()),
     Packet(Kind.NACK, 14, Nack(Code.NO_SETUP, Kind.ARM).pack()),
     Packet(Kind.RELAY, 15, RelaySetup((-213, 53, -53, 213), 512 * 16, 5_000_000, 1, 10).pack()),
     Packet(Kind.KEEP, 16, b""),

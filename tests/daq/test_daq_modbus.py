@@ -17,7 +17,7 @@ from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 from rig.backends.modbus.client import ModbusClient, ModbusLine
 from rig.backends.modbus.driver import ModbusDriver
 from rig.backends.modbus.emulated.line_faults import Corruption
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.rtu_slave import Direction, check_sum
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.backends.modbus.opening import emulated_io_block, modbus_driver
@@ -306,11 +306,11 @@ def test_arming_sets_the_drive_to_0_before_it_arms() -> None:
 def test_a_stop_of_a_dead_device_is_not_confirmed_and_is_bounded(rig: Rig) -> None:
     rig.tick(0.6)
     rig.tick(0.6)
-    rig.block.misbehave(Misbehaviour("silent"))
+    rig.block.inject(ReplyFault("silent"))
     from_s = rig.block.now_s()
     assert not rig.driver.safe_stop()
     assert rig.block.now_s() - from_s < 0.15
-    rig.block.misbehave(None)
+    rig.block.inject(None)
     rig.block.sleep_until(rig.block.now_s() + rig.experiment.daq.watchdog_s)
     assert rig.block.truth().output_V == 0.0  # the device's own watchdog
 
@@ -432,7 +432,7 @@ def test_a_device_that_goes_on_misbehaving_ends_at_0_V(style: str, kind: Any) ->
     rig = Rig(experiment_with(style))
     for _ in range(10):
         rig.tick(0.6)
-    rig.block.misbehave(Misbehaviour(kind))
+    rig.block.inject(ReplyFault(kind))
     fault = rig.fault_while_driving(2)
     expected = {
         "late": "LINK_TIMEOUT", "wrong": "LINK_REPLY", "exception": "MODBUS_EXCEPTION", "unit": "LINK_UNIT",

@@ -13,7 +13,7 @@ from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
 from rig.backends.modbus.frames import Damaged, RtuFraming, TcpFraming
 from rig.backends.modbus.opening import emulated_io_block, modbus_driver
-from rig.backends.modbus.registers import Register, RegisterMap, Span
+from rig.backends.modbus.registers import Register, RegisterMap, RegisterSpan
 from rig.config import load
 from rig.config.schema import Experiment
 
@@ -56,7 +56,7 @@ def test_what_a_type_cannot_hold_is_refused_by_the_registers_name(kind: str, val
 
 
 def test_a_span_reads_what_lies_beside_each_other_with_gaps() -> None:
-    span = Span((Register("a", 20, "float32"), Register("b", 16), Register("c", 24, "int16")))
+    span = RegisterSpan((Register("a", 20, "float32"), Register("b", 16), Register("c", 24, "int16")))
     assert (span.address, span.words) == (16, 9)
     words = [0] * 9
     words[4:6] = Register("a", 0, "float32").pack(1.5)

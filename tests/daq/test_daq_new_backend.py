@@ -127,7 +127,7 @@ TACHOMETER = {"tachometer": {"rad_s_per_count": 0.1}}
             {},
             "conversion_s: 0.006",
             "daq.options.conversion_s: too slow for the period: 2 conversions = 12.00 ms; 80% of the period is "
-            "8.00 ms, the rest the host's: to wake, decide and record; period_s of 0.015 and more",
+            "8.00 ms (the host needs the rest to wake, decide and record); period_s of 0.015 and more",
         ),
     ],
 )

@@ -91,7 +91,7 @@ def rig(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 def test_rig_check_takes_the_example_as_it_stands_without_a_card(tmp_path: Path) -> None:
     done = rig(tmp_path, "check", str(EXAMPLE / "card.yaml"))
     assert done.returncode == 0, done.stderr
-    assert "backend: plug-in driver nidaqmx: take it for a REAL MOTOR" in done.stdout
+    assert "backend: plug-in driver nidaqmx: assume a REAL MOTOR" in done.stdout
     assert "driver 'nidaqmx' (rig_nidaqmx:CardDriver of rig-nidaqmx 0.1.0): sample first" in done.stdout
     assert "failsafe before it is opened: none" in done.stdout
     assert "drives all the same (daq.accept_no_watchdog: true)" in done.stdout

@@ -56,9 +56,9 @@ def refused(tmp_path: Path, *, command: str = "check", **changes: object) -> tup
 def test_check_says_what_is_known_and_what_is_not(installed: None, tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["check", str(written(tmp_path))])
     assert result.exit_code == 0, result.stderr
-    assert "backend: plug-in driver virtual-card: take it for a REAL MOTOR, every 10 ms" in result.stdout
+    assert "backend: plug-in driver virtual-card: assume a REAL MOTOR, every 10 ms" in result.stdout
     assert "link: the budget of a plug-in driver is not known; `rig doctor` measures it" in result.stdout
-    assert "failsafe: the plug-in driver's; where its device has none, a run is refused" in result.stdout
+    assert "failsafe: the plug-in driver's; if its device has none, a run is refused" in result.stdout
     assert "driver 'virtual-card' (plug_in_cards:VirtualCard): sample first" in result.stdout
     assert "failsafe before it is opened: 0 V after 1000 ms of silence" in result.stdout
 
@@ -107,7 +107,7 @@ def test_a_defect_of_the_plug_in_names_package_and_line(installed: None, tmp_pat
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"port": "/dev/ttyACM0"}, "daq.port: is of built-in drivers, not of `virtual-card`; see daq.options"),
+        ({"port": "/dev/ttyACM0"}, "daq.port: is a key of built-in drivers, not of `virtual-card`; see daq.options"),
         ({"relay__where": "device"}, "relay.where: driver 'virtual-card' has no relay in its device; set it to host"),
     ],
 )
@@ -122,7 +122,7 @@ def test_options_are_of_plug_ins_only(tmp_path: Path) -> None:
         tmp_path, driver="serial", port="/dev/ttyACM0", adapter="none", options={"seed": 1}, drive__bridge="pwm-dir"
     )
     assert line == "seed: 1"
-    assert words == "daq.options: is of plug-in drivers, `driver: serial` has none; remove it"
+    assert words == "daq.options: is a key of plug-in drivers, not of `driver: serial`; remove it"
 
 
 def test_options_arrive_as_written_and_survive_the_resolved_config(installed: None, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from rig.backends.registry import unopened
 from rig.backends.serial import frames
 from rig.backends.serial.driver import SerialDriver, setup_for
 from rig.backends.serial.fit import Board
-from rig.backends.serial.frames import Code, Hello, Kind, Nack, Setup, State, encode
+from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Nack, Setup, encode
 from rig.calibration import Calibration, DriveMap, TachometerScale
 from rig.cli import main
 from rig.config import Experiment, load
@@ -147,7 +147,7 @@ class ScriptedPort:
         self.expect_answer(Kind.READ, b"", Kind.STATE, self.state(**state))
 
     def state(self, **fields: int) -> bytes:
-        base = State(self.device_us(), 512, frames.NO_TACHOMETER, 0, 0, 0, frames.STATUS_ARMED, 0, SESSION)
+        base = DeviceState(self.device_us(), 512, frames.NO_TACHOMETER, 0, 0, 0, frames.STATUS_ARMED, 0, SESSION)
         return base._replace(**fields).pack()
 
 
@@ -251,7 +251,7 @@ AT = "rig flash --port /dev/ttyACM0 --bridge"
 @pytest.mark.parametrize(
     ("changed", "line"),
     [
-        ({}, f"type: {AT} in1-in2 --baud 1000000; add --supply and --end-switches where"),
+        ({}, f"type: {AT} in1-in2 --baud 1000000; add --supply and --end-switches if"),
         (
             {"daq": UNO["daq"] | {"baud": 115200}, "tachometer": {"rad_s_per_count": 0.25}},
             f"type: {AT} in1-in2 --baud 115200 --tachometer; add",

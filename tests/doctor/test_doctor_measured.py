@@ -53,7 +53,7 @@ def test_what_a_run_does_besides_reading_counts_for_the_period() -> None:
     assert measured.verdict(ticks).state == "good"
     found = measured.verdict(ticks, 0.004)
     assert found.state == "poor"
-    assert "a tick that drives takes 4.00 ms more by its sum, margin 10%" in found.words
+    assert "by the config a tick that drives takes 4.00 ms more, margin 10%" in found.words
     assert measured.verdict(ticks, 0.006).state == "bad"
 
 

@@ -38,7 +38,7 @@ from pymodbus.client.mixin import ModbusClientMixin
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.io_block import ExecutedDrive, IoBlock
-from rig.model.bench import Bench
+from rig.model.bench import BenchModel
 
 WATCHDOG_FAULT, TRAVEL, SENSOR, DRIVE_RANGE, NOT_ARMED = 2, 3, 4, 5, 6
 
@@ -54,7 +54,7 @@ def test_the_motor_moves_as_the_bench_does_under_the_drives_that_were_written() 
     plain = emulated(fc_plus_V=0.5, fc_minus_V=0.45, fs_plus_V=0.6, fs_minus_V=0.5, bias_V=0.02)
     outputs: list[tuple[float, float]] = []
     block = armed_block(bench=plain, on_output=lambda t_s, u_V: outputs.append((t_s, u_V)))
-    bench = Bench(bench_parameters(plain), 1)
+    bench = BenchModel(bench_parameters(plain), 1)
     draw, t_s, then_s, u_V = random.Random(5), 0.0, 0.0, 0.0
     for _ in range(300):
         t_s += draw.uniform(0.0005, 0.02)

@@ -33,8 +33,8 @@ from pymodbus.pdu import DecodePDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
 from rig.backends.modbus.emulated.line_faults import Corruption
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
-from rig.backends.modbus.emulated.rtu_slave import Line, check_sum, frame
+from rig.backends.modbus.emulated.reply_faults import ReplyFault
+from rig.backends.modbus.emulated.rtu_slave import LineTimes, check_sum, frame
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.backends.modbus.section import Modbus
 from rig.faults import Fault
@@ -156,7 +156,7 @@ def test_a_reply_is_there_after_wire_silence_turnaround_and_wire(
     executed_s = 0.123 + 17 * bits / baud + silence_s
     assert it.executed[0].t_s == pytest.approx(executed_s, abs=1e-12)
     assert it.now_s() == pytest.approx(executed_s + plain.turnaround_s + 13 * bits / baud, abs=1e-12)
-    assert it.line == Line(baud, bits, it.line.silence_s, plain.turnaround_s)
+    assert it.line == LineTimes(baud, bits, it.line.silence_s, plain.turnaround_s)
     assert it.line.silence_s == pytest.approx(silence_s)
 
 
@@ -204,7 +204,7 @@ def test_the_same_seed_gives_the_same_device() -> None:
 
 def test_a_device_that_answers_late() -> None:
     it, master = armed()
-    it.misbehave(Misbehaviour("late", by_s=0.03, times=1))
+    it.inject(ReplyFault("late", by_s=0.03, times=1))
     begin_s = it.now_s()
     assert words(master.ask(TICK))[2] == 500
     assert it.now_s() - 0.002 - begin_s == pytest.approx(30 * 10 / 115200 + 0.00175 + 0.0005 + 0.03)
@@ -215,14 +215,14 @@ def test_a_device_that_answers_late() -> None:
 
 def test_a_device_that_answers_with_an_exception_does_not_execute() -> None:
     it, master = armed()
-    it.misbehave(Misbehaviour("exception", code=6))
+    it.inject(ReplyFault("exception", code=6))
     assert master.ask(TICK) == b"\x97\x06"
     assert it.executed == [] and it.truth().output_V == 0.0
 
 
 def test_a_device_that_answers_as_another_unit_executes() -> None:
     it, _ = armed()
-    it.misbehave(Misbehaviour("unit", unit=7))
+    it.inject(ReplyFault("unit", unit=7))
     it.write(frame(1, TICK))
     assert it.read(0.1)[:2] == b"\x07\x17" and len(it.executed) == 1
 
@@ -231,7 +231,7 @@ def test_a_device_that_answers_as_another_unit_executes() -> None:
 def test_a_device_that_answers_wrong_sends_a_sound_frame_that_does_not_fit(request_pdu: bytes) -> None:
     it, master = armed()
     right = master.ask(request_pdu)
-    it.misbehave(Misbehaviour("wrong"))
+    it.inject(ReplyFault("wrong"))
     wrong = master.ask(request_pdu)
     assert wrong[:1] == right[:1] and wrong != right
     assert len(wrong) == (len(right) - 2 if request_pdu[0] in (3, 23) else len(right))
@@ -240,7 +240,7 @@ def test_a_device_that_answers_wrong_sends_a_sound_frame_that_does_not_fit(reque
 def test_a_device_that_falls_silent_runs_into_its_own_watchdog() -> None:
     it, master = armed()
     begin_s = it.truth().t_s
-    it.misbehave(Misbehaviour("silent", after_s=0.2))
+    it.inject(ReplyFault("silent", after_s=0.2))
     answered = 0
     while master.ask(TICK, timeout_s=0.009):
         answered += 1
@@ -251,7 +251,7 @@ def test_a_device_that_falls_silent_runs_into_its_own_watchdog() -> None:
 
 
 def test_misbehaviour_waits_for_the_first_arming() -> None:
-    it = device(misbehaviour=Misbehaviour("silent"))
+    it = device(reply_fault=ReplyFault("silent"))
     master = Master(it)
     assert master.ask(write(WATCHDOG, *SETTINGS)) != b""
     assert master.ask(write_one(CONTROL, 1)) != b""

@@ -38,8 +38,8 @@ from pymodbus.pdu.mei_message import ReadDeviceInformationResponse
 
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.line_faults import CorruptionRate
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
 from rig.backends.modbus.emulated.modbus_board import ModbusBoard, mbpoll_line
+from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.tcp_slave import Adu, Stream
 from rig.cli import main
 
@@ -276,8 +276,8 @@ def test_tcp_hangs_up_on_what_is_not_modbus_and_serves_on(garbage: bytes) -> Non
 @pytest.mark.parametrize("kind", ["late", "wrong", "exception", "unit", "silent"])
 def test_it_misbehaves_when_asked_to(kind: Any, tmp_path: Path) -> None:
     trace = tmp_path / "trace.csv"
-    misbehaviour = Misbehaviour(kind, by_s=0.4)
-    with ModbusBoard() as board, Socket(start(board, tcp=True, trace=trace, misbehaviour=misbehaviour)) as host:
+    reply_fault = ReplyFault(kind, by_s=0.4)
+    with ModbusBoard() as board, Socket(start(board, tcp=True, trace=trace, reply_fault=reply_fault)) as host:
         host.ask(write(WATCHDOG, *SETTINGS))
         host.ask(write_one(CONTROL, 1))
         if kind in ("late", "silent"):

@@ -18,7 +18,7 @@ from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.frames import Code, Kind, Setup, encode, pack_ack, pack_arm, pack_drive
 from rig.calibration import DriveMap
-from rig.model.bench import Bench, BenchParameters, DriveWiring, SensorWiring
+from rig.model.bench import BenchModel, BenchParameters, DriveWiring, SensorWiring
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Motor, State
 from rig.model.step import next_segment
@@ -63,7 +63,7 @@ def test_motion_with_stops_equals_small_steps_of_the_python_bench(
     """The Python bench meets a stop at the end of a step, up to one step late; the C one at the exact instant."""
     parameters = BenchParameters(motor, stop_rad=(-2.1, 2.3), supply_V=12.0, drive_counts=32767)
     board = VirtualBoard(parameters)
-    bench = Bench(parameters, 1)
+    bench = BenchModel(parameters, 1)
     bench.state = State(v0, y0)
     v, y = v0, y0
     total_s = sum(dt_s for _, dt_s in sequence)
@@ -150,7 +150,7 @@ def test_quantisation_is_the_python_benchs(
         centre_counts=centre,
         counts_max=counts_max,
     )
-    assert VirtualBoard(parameters).position_counts() == Bench(parameters, 1).read_counts()
+    assert VirtualBoard(parameters).position_counts() == BenchModel(parameters, 1).read_counts()
 
 
 def test_noise_of_the_potentiometer() -> None:
@@ -200,7 +200,7 @@ def test_wiring_is_the_python_benchs(drive: DriveWiring, sensor: SensorWiring, f
         fault_after_s=fault_after_s,
         rad_per_count=-4.2 / 1024,
     )
-    board, bench = VirtualBoard(parameters), Bench(parameters, 1)
+    board, bench = VirtualBoard(parameters), BenchModel(parameters, 1)
     board.write(encode(Kind.SETUP, 1, Setup(1, 2, 1021, 0, 1023, 512, 799, 1000, 1).pack()))
     board.write(encode(Kind.ACK, 1, pack_ack(Code.RESET)))
     board.sleep_until(0.01)
@@ -247,7 +247,7 @@ def test_the_bridge_is_the_python_benchs(turned: bool) -> None:
         dead_band_minus=0.05,
         reversed=turned,
     )
-    board, bench = VirtualBoard(parameters), Bench(parameters, 1)
+    board, bench = VirtualBoard(parameters), BenchModel(parameters, 1)
     believed = DriveMap(10.0, 1.4, 0.03, 0.05, reversed=turned)
     board.write(encode(Kind.SETUP, 1, Setup(1, 2, 1021, 0, 1023, 512, 799, 1000, 1).pack()))
     board.write(encode(Kind.ACK, 1, pack_ack(Code.RESET)))
@@ -267,7 +267,9 @@ def test_the_bridge_is_the_python_benchs(turned: bool) -> None:
 def test_a_noisy_sensor_spreads_by_25_counts_in_both_benches() -> None:
     board = _board_at(0.2)
     board.rewire(sensor="noisy")
-    bench = Bench(BenchParameters(Motor(0.17, 6.5, Friction(0.5, 0.5, 0.5, 0.5)), start_rad=0.2, sensor="noisy"), 1)
+    bench = BenchModel(
+        BenchParameters(Motor(0.17, 6.5, Friction(0.5, 0.5, 0.5, 0.5)), start_rad=0.2, sensor="noisy"), 1
+    )
     bench.arm()
     for reading in (board.position_counts, bench.read_counts):
         counts = [reading() for _ in range(4000)]

@@ -229,13 +229,13 @@ def test_an_ftdi_at_16_ms_is_refused_at_10_ms_with_what_to_type(tmp_path: Path) 
 def test_without_the_key_the_slowest_by_the_ports_name_is_reckoned_with(tmp_path: Path) -> None:
     code, text = checked(tmp_path, port="/dev/ttyUSB0")
     assert code == 2
-    assert "ftdi adapter" in text and "daq.adapter: which one `rig doctor` finds there" in text
+    assert "ftdi adapter" in text and "set daq.adapter to what `rig doctor` finds there" in text
     code, text = checked(tmp_path, port="/dev/ttyACM0")
     assert code == 2
     assert "16u2 adapter" in text and "daq.baud 1000000 fits" in text
     code, text = checked(tmp_path, port="/dev/ttyACM0", baud=1_000_000)
     assert code == 0
-    assert "note: daq.adapter is not given; by the port's name it is reckoned with the ATmega16U2" in text
+    assert "note: daq.adapter is not given; from the port's name rig assumes the ATmega16U2" in text
     assert "USB adapter" in text.split("stopping")[1].split("link:")[0]
     code, text = checked(tmp_path, port="emulated")
     assert code == 0 and "adapter" not in text

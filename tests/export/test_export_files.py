@@ -155,7 +155,7 @@ def test_what_identify_cannot_read_back_is_said(run_folder: Path, tmp_path: Path
     result = rig("identify", to)
     assert result.exit_code == 2
     cause, cure = result.stderr.splitlines()
-    assert cause == f"rig: {to}: is neither run folder nor CSV file"
+    assert cause == f"rig: {to}: is neither a run folder nor a CSV file"
     assert "--to FILE.csv" in cure
 
 

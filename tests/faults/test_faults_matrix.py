@@ -19,7 +19,7 @@ import pytest
 from faults import damage, logged_rig, realtime, worst
 from faults.backends import BACKENDS, BARE, BOARD, CHIP, CHIP_RELAY, OTHERS, PLAIN, SEPARATE, TCP, Backend
 from faults.bounds import Times, bound
-from faults.case import Found, measure, new_stand, restart, times, undisturbed
+from faults.case import Found, measure, new_injector, restart, times, undisturbed
 from faults.language import ModbusLanguage, Reading, SerialLanguage, is_drive
 from faults.matrix import phase_at, phases_of, stages_of
 from faults.page import Line, at_worst, cells, render_rows, render_summary, summary
@@ -28,7 +28,7 @@ from faults.rows import FREEZE_S, ROWS, Row
 from faults.stages import ARMING, BY_KEY, CYCLE, OTHER_STAGES, PAUSE, REST, START, Stage
 from rig.backends.modbus.emulated.rtu_slave import frame
 from rig.backends.modbus.emulated.tcp_slave import Adu
-from rig.backends.serial.frames import Block, Kind, RelaySetup, State, encode, pack_drive
+from rig.backends.serial.frames import Block, DeviceState, Kind, RelaySetup, encode, pack_drive
 from rig.control.guard import Guard
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -166,11 +166,11 @@ def test_the_next_run_is_refused_while_the_cause_is_there_and_moves_after(name: 
 @pytest.mark.parametrize("backend", [CHIP, BOARD], ids=lambda backend: backend.key)
 def test_the_next_run_says_why_the_device_was_reset(name: str, cause: str, backend: Backend, tmp_path: Path) -> None:
     row = next(row for row in ROWS if row.name == name)
-    stand, experiment = new_stand(backend, backend.config(), tmp_path, 1)
-    stand.watch(0.1)
-    row.act(stand)
-    stand.watch(0.3)
-    assert restart(stand, backend, experiment) == ""
+    injector, experiment = new_injector(backend, backend.config(), tmp_path, 1)
+    injector.watch(0.1)
+    row.act(injector)
+    injector.watch(0.3)
+    assert restart(injector, backend, experiment) == ""
     meta = json.loads(next((tmp_path / "runs").glob("*/meta.json")).read_text(encoding="utf-8"))
     assert meta["firmware"]["reset_cause"] == cause
 
@@ -213,12 +213,12 @@ def test_a_bound_that_is_too_tight_and_a_code_that_is_another_are_found() -> Non
 
 
 def test_a_sample_that_the_record_has_not_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    from rig.recording import record
+    from rig.recording import sink
     from rig.recording.recorder import Recorder
 
     original = Recorder.sample
 
-    def forgetful(self: Recorder, *row: *record.Row) -> None:
+    def forgetful(self: Recorder, *row: *sink.Row) -> None:
         original(self, *row)
         if row[0] % 50 == 7:
             self._opened -= 1  # the next row takes its place
@@ -268,7 +268,7 @@ def test_what_is_needed_of_the_wire_is_read_off_it() -> None:
     drive = encode(Kind.DRIVE, 7, pack_drive(-50))
     assert serial.drive_V(drive) == -1.5 and serial.drive_V(encode(Kind.STOP, 8)) == 0.0
     assert serial.asked(encode(Kind.READ, 9)) == 9 and serial.asked(drive) is None
-    state = encode(Kind.STATE, 9, State(1, 512, 0, 2, 3, 4, 1, 0, 5).pack())
+    state = encode(Kind.STATE, 9, DeviceState(1, 512, 0, 2, 3, 4, 1, 0, 5).pack())
     assert serial.replies(state[:5]) == [] and serial.replies(state[5:] + b"\1") == [state]
     assert serial.readings(state) == [Reading(9, 512, state)]
     assert serial.readings(bytes((state[0], state[1] ^ 1)) + state[2:]) == []
@@ -343,7 +343,7 @@ def test_what_a_host_was_told_in_real_time_is_counted() -> None:
     log = frame(1, bytes((3, 2, 1, 23))) + frame(1, reply) + frame(1, reply)[:-1] + b"\0" + frame(1, reply)
     assert rtu(log) == [1, 2]  # the one between is damaged
     assert tcp(Adu(1, 1, bytes((3, 2, 1, 23))).pack() + 2 * Adu(2, 1, reply).pack()) == [1, 2]
-    assert DEVICES[0].told(encode(Kind.STATE, 9, State(1, 512, 0, 2, 3, 4, 1, 0, 5).pack())) == [9]
+    assert DEVICES[0].told(encode(Kind.STATE, 9, DeviceState(1, 512, 0, 2, 3, 4, 1, 0, 5).pack())) == [9]
 
 
 def test_a_dead_terminal_and_a_dead_connection_are_dead(tmp_path: Path) -> None:
@@ -354,10 +354,10 @@ def test_a_dead_terminal_and_a_dead_connection_are_dead(tmp_path: Path) -> None:
     with pytest.raises(OSError):
         os.write(terminal, b"a")
     os.close(terminal)
-    hand = logged_rig.Hand(0, tmp_path / "hand")
-    assert not hand.is_cut(0, lambda: 0)
-    realtime.say("cut")(realtime.Case(None, None, tmp_path / "hand"))  # type: ignore[arg-type]  # acts on neither
-    assert hand.is_cut(0, lambda: 0)
+    link_fault = logged_rig.LinkFault(0, tmp_path / "link-fault")
+    assert not link_fault.is_cut(0, lambda: 0)
+    realtime.say("cut")(realtime.Case(None, None, tmp_path / "link-fault"))  # type: ignore[arg-type]  # acts on neither
+    assert link_fault.is_cut(0, lambda: 0)
 
 
 # ---------------------------------------------------------------------- clocks
@@ -441,10 +441,10 @@ def test_the_page_is_what_the_command_writes(tmp_path: Path) -> None:
     assert at_worst([one]).splitlines()[0] in SUMMARY.read_text(encoding="utf-8")
 
 
-def test_a_stand_is_the_device_where_nothing_is_done_to_it(tmp_path: Path) -> None:
-    stand, experiment = new_stand(BOARD, BOARD.config(), tmp_path, 1)
+def test_an_injector_is_the_device_where_nothing_is_done_to_it(tmp_path: Path) -> None:
+    injector, experiment = new_injector(BOARD, BOARD.config(), tmp_path, 1)
     bare = BOARD.device(experiment)
-    for port in (stand, bare):
+    for port in (injector, bare):
         port.write(encode(Kind.HELLO, 3))
-    assert stand.read(0.1) == b"".join(iter(lambda: bare.read(0.01), b""))
-    assert stand.read(0.01) == b"" and stand.now_s() > 0.01
+    assert injector.read(0.1) == b"".join(iter(lambda: bare.read(0.01), b""))
+    assert injector.read(0.01) == b"" and injector.now_s() > 0.01

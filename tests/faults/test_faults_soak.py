@@ -21,7 +21,7 @@ def test_runs_on_one_powered_device_with_faults_at_random(key: str) -> None:
 
 def test_what_is_unexplained_is_trouble(monkeypatch: pytest.MonkeyPatch) -> None:
     """A fault that the row does not know: here a run in which nothing should happen is told to stop."""
-    unexplained = replace(soak.NOTHING, act=lambda stand: stand.device.rewire(drive="dead"))
+    unexplained = replace(soak.NOTHING, act=lambda injector: injector.device.rewire(drive="dead"))
     monkeypatch.setattr(soak, "FAULTY", 0.0)
     monkeypatch.setattr(soak, "NOTHING", unexplained)
     day = soak.spend("board", 0.001, 1)

@@ -226,7 +226,7 @@ def test_avrdudes_words_and_status_pass_with_one_line_of_cause_and_one_of_cure(a
         (CHIP_6, "the chip at PORT is no ATmega328P: its signature is 0x1e9801"),
         (BUSY_7, "PORT is held by another program"),
         (BUSY_6, "PORT is held by another program"),
-        (DENIED_6, "PORT may not be opened by you"),
+        (DENIED_6, "PORT cannot be opened by this user"),
         (GONE_7, "PORT is not there"),
         (MISMATCH_7, "the board does not read back what was written"),
         (MISMATCH_6, "the board does not read back what was written"),

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, RAILS, ListRecord, break_away
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, RAILS, ListSink, break_away
 
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import UnoOptions
@@ -89,7 +89,7 @@ def cycle(board: VirtualBoard | VirtualChip, period_s: float) -> tuple[float, fl
     """Mean period and amplitude of twenty cycles of the host's relay."""
     driver = SerialDriver(board, CALIBRATION, DriveMap(12.0), RAILS, emulated=True)
     driver.open()
-    record = ListRecord()
+    record = ListSink()
     loop = Loop(driver, board, Guard(GUARD), record, period_s, StopRequest())
     detector = CycleDetector(0.2, 20 * CALIBRATION.lsb_rad)
     relay = DualChannelRelay(0.0, 0.0, 0.7)

@@ -17,12 +17,12 @@ from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.frames import (
     Block,
     Code,
+    DeviceState,
     FrameReader,
     Hello,
     Kind,
     Packet,
     RelaySetup,
-    State,
     encode,
     pack_ack,
     pack_arm,
@@ -138,8 +138,8 @@ def assert_alike(one: Packet, other: Packet) -> None:
     """All of two packets but times and counts to the bit; those as near as two chips' instants can be."""
     assert one[:2] == other[:2]
     layouts: dict[int, Callable[[bytes], NamedTuple]] = {
-        Kind.HELLO_REPLY: Hello.unpack, Kind.STATE: State.unpack, Kind.STOP_REPLY: State.unpack,
-        Kind.ACK_REPLY: State.unpack,
+        Kind.HELLO_REPLY: Hello.unpack, Kind.STATE: DeviceState.unpack, Kind.STOP_REPLY: DeviceState.unpack,
+        Kind.ACK_REPLY: DeviceState.unpack,
     }  # fmt: skip
     unpack = layouts.get(one.kind)
     if unpack is None:

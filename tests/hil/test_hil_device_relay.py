@@ -12,7 +12,7 @@ from typing import Any, Literal, Unpack
 import numpy as np
 import pytest
 from raised import fault_of
-from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListRecord
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListSink
 from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, BoardOptions, VirtualHost, armed_host
 
 import rig.experiment
@@ -36,7 +36,7 @@ from rig.backends.serial.frames import (
 from rig.backends.serial.relay_stream import FirmwareRelay
 from rig.calibration import DriveMap
 from rig.config import load
-from rig.config.schema import Experiment, Gains, Relay
+from rig.config.schema import Experiment, RelayGains, RelaySection
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard, GuardSettings
 from rig.control.law import Constant
@@ -388,7 +388,7 @@ class DeviceBench:
         self.board = VirtualBoard(replace(DEMO, **bench), clock_error_ppm=4000)
         self.driver = SerialDriver(self.board, CALIBRATION, DriveMap(12.0), RAILS)
         self.driver.open()
-        self.guard, self.record, self.stop = Guard(guard), ListRecord(), StopRequest()
+        self.guard, self.record, self.stop = Guard(guard), ListSink(), StopRequest()
         self.guard.sign_proven = True
         self.loop = Loop(self.driver, self.board, self.guard, self.record, PERIOD_S, self.stop)
         self.command = c = self.driver.relay_command(*gains_V, 0.7)
@@ -511,7 +511,7 @@ def board_of(experiment: Experiment) -> VirtualBoard:
 @pytest.mark.parametrize("where", ["host", "device"])
 def test_the_experiment_runs_either_way_by_one_key(where: Literal["host", "device"], tmp_path: Path) -> None:
     experiment = load(Path(__file__).parents[2] / "config" / "device-relay.yaml")
-    relay = Relay(where=where, gains=(Gains(h1_V=0.4, h2_V=0.85),), cycles=5)
+    relay = RelaySection(where=where, gains=(RelayGains(h1_V=0.4, h2_V=0.85),), cycles=5)
     with on_device(board_of):
         outcome = rig.experiment.run_relay(experiment.model_copy(update={"relay": relay}), tmp_path)
     assert outcome.failure == ""

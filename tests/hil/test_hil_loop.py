@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListRecord, break_away
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListSink, break_away
 
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
@@ -32,7 +32,7 @@ class ChipBench:
     board: VirtualBoard
     guard: Guard
     loop: Loop
-    record: ListRecord
+    record: ListSink
     stop: StopRequest
 
 
@@ -40,7 +40,7 @@ def chip_bench(seed: int = 1, **changes: Any) -> ChipBench:
     board = VirtualBoard(replace(DEMO, **changes), seed, clock_error_ppm=4000)
     driver = SerialDriver(board, CALIBRATION, DriveMap(12.0), RAILS)
     driver.open()
-    guard, record, stop = Guard(GUARD), ListRecord(), StopRequest()
+    guard, record, stop = Guard(GUARD), ListSink(), StopRequest()
     return ChipBench(board, guard, Loop(driver, board, guard, record, PERIOD_S, stop), record, stop)
 
 

@@ -15,9 +15,9 @@ from rig.backends.serial.frames import (
     STATUS_FAULT,
     STATUS_RECOVERING,
     Code,
+    DeviceState,
     Kind,
     Nack,
-    State,
     encode,
     pack_ack,
     pack_arm,
@@ -40,7 +40,7 @@ def latched_at_zero(host: VirtualHost, code: Code) -> None:
     assert (state.fault, state.status, state.drive) == (code, STATUS_FAULT, 0)
     host.wait(2.0)
     assert host.pin_V() == 0.0 and host.state().fault == code
-    assert State.unpack(host.ask(Kind.STOP).body).status == STATUS_FAULT
+    assert DeviceState.unpack(host.ask(Kind.STOP).body).status == STATUS_FAULT
     assert host.arm() == code
     host.drive(50)
     assert host.pin_V() == 0.0
@@ -402,7 +402,7 @@ def test_stop_means_0_V_and_disarmed() -> None:
     host = armed_host()
     host.drive(-150)
     packet = host.ask(Kind.STOP)
-    state = State.unpack(packet.body)
+    state = DeviceState.unpack(packet.body)
     assert (packet.kind, state.drive, state.status, state.fault) == (Kind.STOP_REPLY, 0, 0, Code.NONE)
     assert host.pin_V() == 0.0
     host.drive(-150)

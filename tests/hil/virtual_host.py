@@ -10,12 +10,12 @@ from rig.backends.serial.frames import (
     STATUS_FAULT,
     VERSION,
     Code,
+    DeviceState,
     FrameReader,
     Hello,
     Kind,
     Packet,
     Setup,
-    State,
     encode,
     pack_ack,
     pack_arm,
@@ -116,11 +116,11 @@ class Host(Generic[Device]):
         assert packet.kind == Kind.ARM_REPLY
         return Code(packet.body[0])
 
-    def acknowledge(self, code: Code) -> State:
+    def acknowledge(self, code: Code) -> DeviceState:
         """What is latched after it; the device must not refuse it."""
         packet = self.ask(Kind.ACK, pack_ack(code))
         assert packet.kind == Kind.ACK_REPLY
-        return State.unpack(packet.body)
+        return DeviceState.unpack(packet.body)
 
     def arm_anew(self) -> Code:
         """As a command that a person has given begins: what is latched is acknowledged first."""
@@ -129,10 +129,10 @@ class Host(Generic[Device]):
             state = self.acknowledge(Code(state.fault))
         return self.arm()
 
-    def state(self) -> State:
+    def state(self) -> DeviceState:
         packet = self.ask(Kind.READ)
         assert packet.kind == Kind.STATE
-        return State.unpack(packet.body)
+        return DeviceState.unpack(packet.body)
 
     def drive(self, units: int) -> None:
         """Send a drive, and wait until the device has it."""

@@ -10,7 +10,7 @@ import pytest
 from command_line import rig
 from synthetic import Bench, Samples, dcr, motor, record, simulate, write_csv
 
-from rig.identify.agreement import Opinion, disagreement, opinions
+from rig.identify.agreement import RecordingEstimate, disagreement, estimates_of_each
 
 MOTORS = {
     "a": (motor(), 0.8, 1.0), "b": (motor(), 0.7, 0.95), "c": (motor(), 0.6, 0.9),
@@ -25,8 +25,8 @@ def samples(name: str) -> Samples:
 
 
 @cache
-def opinion(name: str) -> Opinion:
-    [found] = opinions([(f"{name}.csv", [record(samples(name))])])
+def opinion(name: str) -> RecordingEstimate:
+    [found] = estimates_of_each([(f"{name}.csv", [record(samples(name))])])
     return found
 
 
@@ -62,7 +62,7 @@ def test_where_several_differ_none_is_named() -> None:
 def test_one_that_cannot_be_identified_alone_has_no_opinion() -> None:
     still = Samples(*(getattr(samples("a"), name).copy() for name in ("t_s", "t_u_s", "y_rad", "u_V", "z_rad_s")))
     still.y_rad[:] = 0.0
-    assert opinions([("still.csv", [record(still)]), ("none.csv", [])]) == []
+    assert estimates_of_each([("still.csv", [record(still)]), ("none.csv", [])]) == []
 
 
 def test_one_motor_is_seldom_called_two() -> None:
@@ -71,7 +71,9 @@ def test_one_motor_is_seldom_called_two() -> None:
     base = opinion("a")
     spread = np.linalg.cholesky(base.covariance)
     named = sum(
-        disagreement([Opinion(name, base.values + spread @ rng.standard_normal(3), base.covariance) for name in "abc"])
+        disagreement(
+            [RecordingEstimate(name, base.values + spread @ rng.standard_normal(3), base.covariance) for name in "abc"]
+        )
         is not None
         for _ in range(2000)
     )

@@ -12,7 +12,7 @@ from synthetic import Bench, dcr, record, simulate
 from rig.identify import identification, identify, laws
 from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
-from rig.identify.laws.law import Array, CandidateLaw, Parameter, Plain, Range
+from rig.identify.laws.law import Array, CandidateLaw, LawParameter, Plain, Range
 from rig.identify.measurements import Measurements
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
@@ -49,7 +49,7 @@ class BentSensor(CandidateLaw):
 
     name = "bent sensor"
     title = "a bent sensor"
-    parameters = (Parameter("bend_per_rad", 1e-6),)
+    parameters = (LawParameter("bend_per_rad", 1e-6),)
 
     def position(self, theta: Theta, own: Sequence[float], window: Window) -> Array:
         y_rad = position(theta, *window.steps, window.t_s)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from synthetic import LSB_RAD, Bench, dcr, record, simulate
 
 from rig.identify import identify, laws, sampled_data
-from rig.identify.breakaway import Breakaway, Ramp
+from rig.identify.breakaway import Ramp, StaticFriction
 from rig.identify.estimate import Estimate
 from rig.identify.friction_law import FrictionLawChoice, effective_samples, friction_law, schwarz
 from rig.model.friction import Friction, coulomb, tustin
@@ -55,7 +55,7 @@ def choice(
     motor: str,
     seed: int,
     gains=(SMALL, LARGE),
-    breakaway: Breakaway | None = None,
+    breakaway: StaticFriction | None = None,
     noise_rad: float = 0.003,
     t_u_known: bool = True,
 ) -> FrictionLawChoice:
@@ -63,10 +63,10 @@ def choice(
     return friction_law([relay_test(*test) for test in tests], estimate_of(tests), None, breakaway)
 
 
-def ramps(fs_V: float, half_V: float = 0.01, asym_V: float = 0.0) -> Breakaway:
+def ramps(fs_V: float, half_V: float = 0.01, asym_V: float = 0.0) -> StaticFriction:
     """Drives at break-away both ways, each with an interval of this half width."""
     plus, minus = fs_V - asym_V, fs_V + asym_V
-    return Breakaway(
+    return StaticFriction(
         Ramp(plus, plus - half_V, plus + half_V), Ramp(minus, minus - half_V, minus + half_V), None, "for a test"
     )
 
@@ -203,7 +203,7 @@ def test_breakaway_ramps_show_it():
 
 def test_ramps_that_disagree_leave_it_open():
     sure, unsure = Ramp(0.65, 0.64, 0.66), Ramp(0.53, 0.45, 0.60)
-    found = choice("static", 1, breakaway=Breakaway(sure, unsure, None, "for a test"))
+    found = choice("static", 1, breakaway=StaticFriction(sure, unsure, None, "for a test"))
     assert found.chosen.law == "coulomb"
     assert "static" in found.open
     assert "both ways" in found.reason

@@ -15,7 +15,7 @@ from synthetic import LSB_RAD, Bench, Samples, motor, record, simulate, write_cs
 from rig.control.relay import HystereticRelay
 from rig.identify import IdentifyError, identify
 from rig.identify.estimate import Estimate
-from rig.identify.least_squares import Transient, batch, fit, held_to, recursive, total
+from rig.identify.least_squares import Transient, batch, compared_with, fit, recursive, total
 from rig.model.motor import Motor, State
 from rig.recording.reader import read_csv
 from rig.recording.series import TimeSeries
@@ -265,12 +265,12 @@ def test_it_is_held_to_the_estimate_of_the_whole_motor() -> None:
     mixed = [good[0], runs(motor(tau_s=0.12), REAL)[1]]
     whole = Estimate("sampled-data", 0.17, 6.5, 0.5, 0.0, ci95={"fc_V": (0.495, 0.505), "asym_V": (-0.002, 0.002)})
     for records, agrees in ((good, True), (good[:2], True), (good[2:], True), (mixed, False)):
-        reasons = held_to(fit(records), whole, records).reasons
+        reasons = compared_with(fit(records), whole, records).reasons
         assert agrees == (not any("sampled-data estimate says" in reason for reason in reasons)), reasons
     lopsided = replace(whole, asym_V=-0.03)  # then 0.53 V one way, 0.47 V the other, 0.5 V both
-    assert held_to(fit(good), lopsided, good).verdict == fit(good).verdict
+    assert compared_with(fit(good), lopsided, good).verdict == fit(good).verdict
     for records, wanted in ((good[:2], "0.5300 V"), (good[2:], "0.4700 V")):
-        assert any(wanted in reason for reason in held_to(fit(records), lopsided, records).reasons)
+        assert any(wanted in reason for reason in compared_with(fit(records), lopsided, records).reasons)
 
 
 def test_identify_takes_two_csv_files_as_runs_where_it_is_asked_to(tmp_path: Path) -> None:

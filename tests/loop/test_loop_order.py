@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListRecord
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListSink
 
 from rig.backends.clock import VirtualClock
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
@@ -49,7 +49,7 @@ def relay_test(order: Order, latency_s: float) -> tuple[list[dict[str, Any]], Lo
     )
     guard = Guard(GUARD)
     guard.sign_proven = True
-    record = ListRecord()
+    record = ListSink()
     loop = Loop(driver, clock, guard, record, PERIOD_S, StopRequest())
     with loop.armed(LIMITS):
         loop.run(Ended(DualChannelRelay(0.45, 0.8, 1.0), 1200), "relay-1")
@@ -63,7 +63,7 @@ def test_a_drive_that_goes_out_with_the_next_exchange_may_act_late_in_that() -> 
     driver = SimulatedDriver(clock, DEMO, CALIBRATION, DriveMap(12.0), RAILS, latency, 1, "write_first")
     read = driver.read
     driver.read = lambda: (sample := read())._replace(t_u_s=sample.t_u_s + 0.003)  # type: ignore[method-assign]
-    loop = Loop(driver, clock, Guard(GUARD), ListRecord(), PERIOD_S, StopRequest())
+    loop = Loop(driver, clock, Guard(GUARD), ListSink(), PERIOD_S, StopRequest())
     with loop.armed(LIMITS):
         loop.run(Ended(DualChannelRelay(0.0, 0.0, 1.0), 20), "relay-1")
     assert loop.latency_s == pytest.approx(PERIOD_S + 0.003, abs=1e-9)

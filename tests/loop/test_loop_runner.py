@@ -8,7 +8,7 @@ import signal
 from array import array
 
 import pytest
-from simulated_bench import LIMITS, PERIOD_S, SimulatedBench, simulated_bench
+from simulated_bench import LIMITS, PERIOD_S, BenchModel, simulated_bench
 
 from rig.backends.clock import MonotonicClock, VirtualClock
 from rig.control.law import Constant, Rest
@@ -24,7 +24,7 @@ class Stalling:
     z_rad_s = yd_rad = math.nan
     finished = False
 
-    def __init__(self, bench: SimulatedBench, stalls_s: dict[int, float], ticks: int) -> None:
+    def __init__(self, bench: BenchModel, stalls_s: dict[int, float], ticks: int) -> None:
         self.bench, self.stalls_s, self.ticks, self.n = bench, stalls_s, ticks, 0
 
     def step(self, sample) -> float:  # type: ignore[no-untyped-def]

@@ -30,8 +30,8 @@ from rig.loop.real_time import real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.recording.reader import read_run
-from rig.recording.record import NoRecord
 from rig.recording.recorder import Recorder
+from rig.recording.sink import NullSink
 
 ROOT = Path(__file__).resolve().parents[2]
 STAGES = ("rest", "jog")
@@ -74,7 +74,7 @@ def command_of(pid: int) -> str:
 # -- no tick waits for anybody: in virtual time, where the loop itself never sleeps ------------------------------------
 
 
-def waits_in(ticks: int, record: NoRecord | Recorder) -> int:
+def waits_in(ticks: int, record: NullSink | Recorder) -> int:
     """Times that this thread gave its core away by itself while so many ticks ran."""
     bench = simulated_bench()
     bench.loop._record = record
@@ -97,7 +97,7 @@ def test_no_tick_waits_for_the_recorder(writer: str, tmp_path: Path) -> None:
 
 
 def test_a_wait_in_a_tick_would_be_seen() -> None:
-    class Waiting(NoRecord):
+    class Waiting(NullSink):
         def sample(self, *row: object) -> None:
             time.sleep(1e-6)
 
@@ -171,7 +171,7 @@ def test_a_run_ends_well_though_its_output_is_full_and_its_progress_hangs(tmp_pa
 # -- in real time: late ticks beside a disturbance, against those without it in the same run ---------------------------
 
 
-class Lateness(NoRecord):
+class Lateness(NullSink):
     """Counts ticks that woke more than a quarter of a period late, beside a real record."""
 
     def __init__(self, recorder: Recorder) -> None:

@@ -1,4 +1,4 @@
-"""A disk that fails under the record: what is in the memory goes on elsewhere, and is read as if nothing had been."""
+"""A disk that fails during a run: the rows in memory go on elsewhere, and read back whole."""
 
 from __future__ import annotations
 
@@ -210,7 +210,7 @@ def test_a_gap_before_the_other_file_is_said(bench: Bench) -> None:
     assert run.tick.tolist() == [0, 1, 2, 4]
     assert run.notes[:2] == (
         f"the disk failed: from byte {end} on it is samples.csv.from-{end}",
-        f"it is torn before that, {end - cut - 9} bytes are lost",
+        f"it is torn before that: {end - cut - 9} bytes are lost",
     )
 
 

@@ -39,8 +39,8 @@ def place(tmp_path: Path) -> Path:
 
 
 WORDS = {
-    "my runs": ("holds 3 runs, and is none itself", "the newest is '{}/my runs/a'"),
-    "campaign": ("is a campaign's folder", "rig campaign {}/campaign/config.yaml --resume {}/campaign"),
+    "my runs": ("holds 3 runs but is not a run itself", "the newest is '{}/my runs/a'"),
+    "campaign": ("is the folder of a campaign", "rig campaign {}/campaign/config.yaml --resume {}/campaign"),
     "empty": ("is a folder without a run", "`rig run`"),
     "demo.yaml": ("is a config, not a recording", "`rig run {}/demo.yaml` runs it"),
     "grid.yaml": ("is the config of a campaign", "`rig campaign {}/grid.yaml` runs it"),

@@ -37,8 +37,8 @@ from rig.loop.real_time import RealTime, real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
-from rig.recording.record import NoRecord
 from rig.recording.recorder import Recorder
+from rig.recording.sink import NullSink
 from rig.results.result import LoopResult
 from rig.signals import Sample
 from shared.table import markdown
@@ -141,7 +141,7 @@ class Turns:
         guard.sign_proven = True
         stop, period_s = StopRequest(), experiment.period_s
         self.ours = Loop(bench.driver, bench.clock, guard, recorder, period_s, stop)
-        self.bare = Loop(bench.driver, bench.clock, NoGuard(settings), NoRecord(), period_s, stop)
+        self.bare = Loop(bench.driver, bench.clock, NoGuard(settings), NullSink(), period_s, stop)
         self._relay, self._detector = DualChannelRelay(*GAINS_V, 0.7), CycleDetector(0.3, 0.08)
         self.done = RealTime()
         self.faults: list[str] = []

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import yaml
 
 from faults.bounds import Times
+from faults.injector import FaultInjector
 from faults.language import Language, ModbusLanguage, SerialLanguage
 from faults.stages import Course
-from faults.stand import Stand
 from rig.backends.backend import Line, truth_of
 from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
 from rig.backends.modbus.emulated.virtual_tcp_block import VirtualTcpBlock
@@ -78,7 +78,7 @@ class Backend:
     hardware_s   from a hang until the chip resets itself, at most; nan where nothing can hang
     device       powers it on
     language     of its wire
-    line         what a driver speaks over, with the stand as its device
+    line         what a driver speaks over, with the injector as its device
     remark       what else is to be said of it
     """
 
@@ -90,7 +90,7 @@ class Backend:
     hardware_s: float
     device: Callable[[Experiment], Any]
     language: Callable[[Experiment], Language]
-    line: Callable[[Stand], Line]
+    line: Callable[[FaultInjector], Line]
     remark: str = ""
 
     def config(self, course: Course = "relay") -> dict[str, Any]:
@@ -242,8 +242,8 @@ def _board(experiment: Experiment) -> VirtualBoard:
     )
 
 
-class BlockOnStand:
-    """A virtual I/O block, as the stand looks at a device; what else it can is the block's own."""
+class InjectableBlock:
+    """A virtual I/O block, as the injector looks at a device; what else it can is the block's own."""
 
     def __init__(self, block: VirtualIoBlock | VirtualTcpBlock) -> None:
         self._block = block
@@ -279,7 +279,7 @@ class BlockOnStand:
 
 
 class BlockTruth(NamedTuple):
-    """As ``Truth`` of the stand; the pin is the output."""
+    """As ``Truth`` of the injector; the pin is the output."""
 
     t_s: float
     pin_V: float
@@ -320,20 +320,20 @@ def _bare() -> dict[str, Any]:
     return daq | {"modbus": daq["modbus"] | {"registers": kept}}
 
 
-def _tcp_block(experiment: Experiment) -> BlockOnStand:
+def _tcp_block(experiment: Experiment) -> InjectableBlock:
     if experiment.emulated is None or experiment.daq.modbus is None:
         raise ValueError("the matrix needs an emulated block")
-    return BlockOnStand(VirtualTcpBlock(experiment.daq.modbus, experiment.emulated, experiment.seed))
+    return InjectableBlock(VirtualTcpBlock(experiment.daq.modbus, experiment.emulated, experiment.seed))
 
 
-def _on_stand(port: str) -> Callable[[Stand], Line]:
-    """The stand as the emulated device of that port."""
-    return lambda stand: Line(stand, stand, port, emulated=True)
+def _through_injector(port: str) -> Callable[[FaultInjector], Line]:
+    """The injector as the emulated device of that port."""
+    return lambda injector: Line(injector, injector, port, emulated=True)
 
 
-def _over_tcp(stand: Stand) -> Line:
-    """Each run connects anew, and lives in the stand's time."""
-    return Line(stand.connected(), stand, "modbus:tcp://192.168.0.5")
+def _over_tcp(injector: FaultInjector) -> Line:
+    """Each run connects anew, and lives in the injector's time."""
+    return Line(injector.connected(), injector, "modbus:tcp://192.168.0.5")
 
 
 def _block_language(experiment: Experiment) -> ModbusLanguage:
@@ -357,7 +357,7 @@ CHIP = Backend(
     0.150,
     _chip,
     lambda e: SerialLanguage(e.drive.supply_V / _CHIP_UNITS),
-    _on_stand("emulated-chip"),
+    _through_injector("emulated-chip"),
 )
 BOARD = Backend(
     "board",
@@ -368,7 +368,7 @@ BOARD = Backend(
     0.121,
     _board,
     lambda e: SerialLanguage(e.drive.supply_V / _BOARD_UNITS),
-    _on_stand("emulated-chip"),
+    _through_injector("emulated-chip"),
 )
 MODBUS = Backend(
     "modbus",
@@ -377,9 +377,9 @@ MODBUS = Backend(
     {"daq": _modbus_daq("modbus-rtu.yaml", "emulated-virtual")},
     _modbus_stop_s,
     math.nan,
-    lambda e: BlockOnStand(emulated_io_block(e)),
+    lambda e: InjectableBlock(emulated_io_block(e)),
     _block_language,
-    _on_stand("emulated-virtual"),
+    _through_injector("emulated-virtual"),
 )
 _IN_DEVICE = (
     "`relay.where: device`, 115200 baud, largest speed 4.6 rad/s ([device-relay.md](device-relay.md)). The rows come\n"

@@ -29,11 +29,11 @@ import rig.session
 from faults.backends import Backend
 from faults.bounds import Times
 from faults.fork import fork
+from faults.injector import FaultInjector
 from faults.language import ASKED
 from faults.patient import PatientRecorder
 from faults.rows import Row
 from faults.stages import ARMING, CYCLE, PAUSE, REST, SEARCH, START, TRACKING, Course, Stage
-from faults.stand import Stand
 from rig import experiment as script
 from rig.cli import main
 from rig.config.schema import Experiment
@@ -126,8 +126,10 @@ class Undisturbed:
 
 
 @contextmanager
-def patched(stand: Stand, backend: Backend, known: Identification | None = None) -> Iterator[list[Identification]]:
-    """Rig connects to the stand instead of a new device; no figures are drawn; no time depends on this machine.
+def patched(
+    injector: FaultInjector, backend: Backend, known: Identification | None = None
+) -> Iterator[list[Identification]]:
+    """Rig connects to the injector instead of a new device; no figures are drawn; no time depends on this machine.
 
     known  what the pause would identify: it is what came before the fault. Gives what was identified
     """
@@ -135,14 +137,14 @@ def patched(stand: Stand, backend: Backend, known: Identification | None = None)
 
     def identify_in_time(recordings: Any) -> Identification:
         if "serial" in backend.traits:  # a device that is watched in the pause has its time by that
-            stand.watch(PAUSE_S)
+            injector.watch(PAUSE_S)
         identified.append(identify(recordings) if known is None else known)
         return identified[-1]
 
     with ExitStack() as patches:
-        patches.enter_context(lines_opened_by(lambda device, e: nullcontext(backend.line(stand))))
+        patches.enter_context(lines_opened_by(lambda device, e: nullcontext(backend.line(injector))))
         patches.enter_context(patch.object(rig.session, "write_report", lambda *_: None))
-        patches.enter_context(patch.object(rig.session, "Recorder", partial(PatientRecorder, stand)))
+        patches.enter_context(patch.object(rig.session, "Recorder", partial(PatientRecorder, injector)))
         patches.enter_context(patch.object(rig.experiment.stages, "identify", identify_in_time))
         yield identified
 
@@ -155,21 +157,23 @@ def merged(config: dict[str, Any], emulated: Mapping[str, Mapping[str, Any]]) ->
     return new
 
 
-def new_stand(backend: Backend, config: dict[str, Any], folder: Path, seed: int) -> tuple[Stand, Experiment]:
+def new_injector(backend: Backend, config: dict[str, Any], folder: Path, seed: int) -> tuple[FaultInjector, Experiment]:
     """The device, powered on; its config is written to ``folder``."""
     path = folder / "fault.yaml"
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
     experiment = check(path)[0]
     limits, timeout_s = experiment.limits, experiment.daq.timeout_s
     device, language = backend.device(experiment), backend.language(experiment)
-    return Stand(device, language, limits.hard_rad, timeout_s, folder, seed), experiment
+    return FaultInjector(device, language, limits.hard_rad, timeout_s, folder, seed), experiment
 
 
-def run(stand: Stand, backend: Backend, course: Course = "relay", known: Identification | None = None) -> Run:
+def run(
+    injector: FaultInjector, backend: Backend, course: Course = "relay", known: Identification | None = None
+) -> Run:
     """`rig relay`, or `rig run`, to its end; ``known`` as of ``patched``."""
-    folder = stand.folder
+    folder = injector.folder
     command = "run" if course == "run" else "relay"
-    with patched(stand, backend, known) as identified:
+    with patched(injector, backend, known) as identified:
         result = CliRunner().invoke(main, [command, str(folder / "fault.yaml"), "--out", str(folder / "runs")])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
@@ -190,27 +194,27 @@ def finished(folder: Path, status: int, output: str) -> Run:
 def undisturbed(backend: Backend, course: Course = "relay") -> Undisturbed:
     """The run in which nothing goes wrong. Raises RuntimeError where something does."""
     with tempfile.TemporaryDirectory() as name:
-        stand, _ = new_stand(backend, backend.config(course), Path(name), 1)
-        found = run(stand, backend, course)
-        if found.status or missing(stand, found):
+        injector, _ = new_injector(backend, backend.config(course), Path(name), 1)
+        found = run(injector, backend, course)
+        if found.status or missing(injector, found):
             raise RuntimeError(f"{backend.key}: the run fails where nothing goes wrong: {found.output}")
-        if len(stand.readings) < len(found.rows):
+        if len(injector.readings) < len(found.rows):
             raise RuntimeError(
-                f"{backend.key}: {len(found.rows)} rows, and only {len(stand.readings)} seen on the wire"
+                f"{backend.key}: {len(found.rows)} rows, and only {len(injector.readings)} seen on the wire"
             )
         if course == "run" and not any(kind_of(name) is StageKind.TRACK for name in found.stages):
             raise RuntimeError(f"{backend.key}: nothing was tracked: {found.output}")
-        return Undisturbed(_windows(stand, found, course), found.rows, found.identification)
+        return Undisturbed(_windows(injector, found, course), found.rows, found.identification)
 
 
-def _windows(stand: Stand, run: Run, course: Course) -> dict[str, tuple[float, float]]:
-    """When which stage began and ended, in the stand's time, s."""
-    moments, names = stand.moments, [name for name, _ in stand.moments]
+def _windows(injector: FaultInjector, run: Run, course: Course) -> dict[str, tuple[float, float]]:
+    """When which stage began and ended, in the injector's time, s."""
+    moments, names = injector.moments, [name for name, _ in injector.moments]
     if course == "search":
         at = names.index("search")
         return {SEARCH.key: (moments[at][1], moments[at + 1][1])}
     if course == "relay":
-        asked_s = dict(stand.read_at)
+        asked_s = dict(injector.read_at)
         row = run.rows[0]
         offset_s = asked_s[int(row["seq"])] - float(row["t_s"])
         ends = [float(e["t_s"]) + offset_s for e in run.events if e["kind"] == "cycle"]
@@ -219,7 +223,7 @@ def _windows(stand: Stand, run: Run, course: Course) -> dict[str, tuple[float, f
     armed = _last("to arm", names[:tracking])
     arming, stopped = _last("to stop", names[:armed]), _last("stop", names[:armed])
     rest_s = max(t_s for name, t_s in moments[:stopped] if name == "rest")
-    first_s = next(t_s for _, t_s in stand.read_at if t_s > moments[armed][1])
+    first_s = next(t_s for _, t_s in injector.read_at if t_s > moments[armed][1])
     return {
         REST.key: (rest_s, moments[stopped][1]),
         PAUSE.key: (moments[stopped][1], moments[arming][1]),
@@ -238,7 +242,7 @@ def times(backend: Backend, course: Course = "relay") -> Times:
     """What bounds are made of on a device, in an experiment."""
     begin_s, end_s = undisturbed(backend).windows[CYCLE.key]
     with tempfile.TemporaryDirectory() as name:
-        return backend.times(new_stand(backend, backend.config(course), Path(name), 1)[1], end_s - begin_s)
+        return backend.times(new_injector(backend, backend.config(course), Path(name), 1)[1], end_s - begin_s)
 
 
 def measure(row: Row, backend: Backend, phase: float, stage: Stage | None = None, restarts: bool = False) -> Found:
@@ -296,23 +300,23 @@ def _measure(
     config = merged(backend.config(stage.course), row.emulated)
     if row.early:
         config["emulated"]["motor"]["start_rad"] = START_RAD * (2.0 * phase - 1.0)
-    stand, experiment = new_stand(backend, config, folder, rng.randrange(2**32))
-    stand.spare_s = backend.spare_s(experiment)
+    injector, experiment = new_injector(backend, config, folder, rng.randrange(2**32))
+    injector.spare_s = backend.spare_s(experiment)
     if row.early:
-        row.act(stand)
-        stand.schedule(0.0, lambda _: None)
+        row.act(injector)
+        injector.schedule(0.0, lambda _: None)
     else:
         begin_s, end_s = plain.windows[stage.key]
         # within the loop's tick, too, it comes at any time
         jitter_s = rng.uniform(0.0, experiment.period_s) if stage is not ARMING else 0.0
-        stand.schedule(begin_s + phase * (end_s - begin_s) + jitter_s, row.act)
+        injector.schedule(begin_s + phase * (end_s - begin_s) + jitter_s, row.act)
     if row.prepare is not None:
         row.prepare(folder)
 
     def conclude(run: Run) -> Found:
-        stand.watch(SETTLE_S)
-        found = judged(row, backend, stage, phase, stand, times(backend, stage.course), run)
-        return _restarted(found, row, backend, stand, experiment) if restarts else found
+        injector.watch(SETTLE_S)
+        found = judged(row, backend, stage, phase, injector, times(backend, stage.course), run)
+        return _restarted(found, row, backend, injector, experiment) if restarts else found
 
     if done is not None:
 
@@ -320,8 +324,8 @@ def _measure(
             _await_last_words(folder)
             done(conclude(finished(folder, -signal.SIGKILL, "")))
 
-        stand.after_death = after_death
-    return conclude(run(stand, backend, stage.course, plain.identification))
+        injector.after_death = after_death
+    return conclude(run(injector, backend, stage.course, plain.identification))
 
 
 def _await_last_words(folder: Path) -> None:
@@ -334,15 +338,17 @@ def _await_last_words(folder: Path) -> None:
         time.sleep(0.005)
 
 
-def judged(row: Row, backend: Backend, stage: Stage, phase: float, stand: Stand, times: Times, run: Run) -> Found:
+def judged(
+    row: Row, backend: Backend, stage: Stage, phase: float, injector: FaultInjector, times: Times, run: Run
+) -> Found:
     """What was measured, and what of it should not be."""
-    truth = stand.device.truth()
+    truth = injector.device.truth()
     code = "" if run.fault is None else str(run.fault["code"])
     runs_on = code == "" and run.status in (0, 1)
     if runs_on:
-        off_s = max(stand.stale_s, stand.astray_s)
+        off_s = max(injector.stale_s, injector.astray_s)
     else:
-        began_s = max(stand.driven_s, stand.fault_s) if stage.at_zero else stand.fault_s
+        began_s = max(injector.driven_s, injector.fault_s) if stage.at_zero else injector.fault_s
         off_s = math.inf if truth.pin_V != 0.0 else max(truth.pin_changed_s - began_s, 0.0)
         off_s = 0.0 if math.isnan(began_s) else off_s  # it never drove
     found = Found(
@@ -352,10 +358,10 @@ def judged(row: Row, backend: Backend, stage: Stage, phase: float, stand: Stand,
         phase,
         off_s,
         row.bound.seconds(times),
-        stand.beyond_rad,
+        injector.beyond_rad,
         code,
         run.status,
-        len(missing(stand, run)),
+        len(missing(injector, run)),
     )
     return replace(found, trouble=tuple(_trouble(found, row, backend, stage, run)))
 
@@ -412,7 +418,7 @@ def recorded_keys(rows: list[dict[str, str]]) -> set[tuple[int, int]]:
     return keys
 
 
-def missing(stand: Stand, run: Run) -> list[int]:
+def missing(injector: FaultInjector, run: Run) -> list[int]:
     """Keys of samples that the device has told of, in time, and that the record has not.
 
     The one that ended the run is in the record, too, where the fault's event has its counts, or its reply. The last
@@ -422,57 +428,57 @@ def missing(stand: Stand, run: Run) -> list[int]:
     recorded = recorded_keys(run.rows)
     detail = "" if run.fault is None else str(run.fault["detail"])
     lost = []
-    for reading in stand.readings:
+    for reading in injector.readings:
         in_detail = f"{reading.counts} counts" in detail or reading.reply.hex(" ") in detail
         only_asks = reading.row == ASKED and (
-            reading.key in stand.handing_over
-            or reading.key in stand.closed
-            or (reading.key in stand.closing and run.fault is None)
+            reading.key in injector.handing_over
+            or reading.key in injector.closed
+            or (reading.key in injector.closing and run.fault is None)
         )
         if (
             (reading.key, reading.row) not in recorded
             and not only_asks
-            and not (in_detail and reading is stand.readings[-1])
+            and not (in_detail and reading is injector.readings[-1])
         ):
             lost.append(reading.key)
     return lost
 
 
-def _restarted(found: Found, row: Row, backend: Backend, stand: Stand, experiment: Experiment) -> Found:
+def _restarted(found: Found, row: Row, backend: Backend, injector: FaultInjector, experiment: Experiment) -> Found:
     words, trouble = [], list(found.trouble)
     if row.lasting:
-        code = restart(stand, backend, experiment)
+        code = restart(injector, backend, experiment)
         words.append(f"refused: {code}" if code else "moves")
         if code not in row.refused:
             trouble.append(f"the next run, not mended: {code or 'moves'}")
-        stand = _mended(stand, row, backend)
-    stand.cure()
-    code = restart(stand, backend, experiment)
+        injector = _mended(injector, row, backend)
+    injector.cure()
+    code = restart(injector, backend, experiment)
     words.append(("mended: " if row.lasting else "") + (f"refused: {code}" if code else "moves"))
     if code:
         trouble.append(f"the next run, mended: {code}")
     return replace(found, restart="; ".join(words), trouble=tuple(trouble))
 
 
-def _mended(stand: Stand, row: Row, backend: Backend) -> Stand:
+def _mended(injector: FaultInjector, row: Row, backend: Backend) -> FaultInjector:
     if row.emulated:
-        return new_stand(backend, backend.config(), stand.folder, 1)[0]  # another motor
-    stand.bring_home()
-    (stand.folder / "runs").chmod(0o755)
-    (stand.folder / "runs" / "filler").unlink(missing_ok=True)
-    return stand
+        return new_injector(backend, backend.config(), injector.folder, 1)[0]  # another motor
+    injector.bring_home()
+    (injector.folder / "runs").chmod(0o755)
+    (injector.folder / "runs" / "filler").unlink(missing_ok=True)
+    return injector
 
 
-def restart(stand: Stand, backend: Backend, experiment: Experiment) -> str:
+def restart(injector: FaultInjector, backend: Backend, experiment: Experiment) -> str:
     """The next run, as far as the breakaway check: the code that ends it, or nothing where the shaft moves."""
-    stand.forget()
-    with patched(stand, backend):
+    injector.forget()
+    with patched(injector, backend):
         try:
-            outcome = script.run_breakaway(experiment, stand.folder / "runs")
+            outcome = script.run_breakaway(experiment, injector.folder / "runs")
         except Fault as fault:
             return fault.code
         except RecordingError as error:
             return error.cause
-    if outcome.fault is None and math.isnan(stand.first_drive_s):
+    if outcome.fault is None and math.isnan(injector.first_drive_s):
         return "it says that it moves, and has not driven"
     return "" if outcome.fault is None else outcome.fault.code

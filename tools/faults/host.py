@@ -8,7 +8,7 @@ import signal
 import time
 from pathlib import Path
 
-from faults.stand import Stand
+from faults.injector import FaultInjector
 
 _CLONE_NEWNS, _CLONE_NEWUSER = 0x20000, 0x10000000
 _MS_REC, _MS_PRIVATE = 0x4000, 0x40000
@@ -26,7 +26,7 @@ def writer_pid() -> int:
     raise RuntimeError("no recorder runs")
 
 
-def kill_recorder(stand: Stand) -> None:
+def kill_recorder(injector: FaultInjector) -> None:
     """SIGKILL to the writer; returns when it is dead."""
     pid = writer_pid()
     os.kill(pid, signal.SIGKILL)
@@ -37,7 +37,7 @@ def kill_recorder(stand: Stand) -> None:
         time.sleep(0.001)
 
 
-def step_clock(stand: Stand) -> None:
+def step_clock(injector: FaultInjector) -> None:
     """The wall clock of this process jumps an hour back."""
     right = time.time
 
@@ -48,7 +48,7 @@ def step_clock(stand: Stand) -> None:
         time.time = right
 
     time.time = wrong
-    stand.to_undo.append(undo)
+    injector.to_undo.append(undo)
 
 
 def own_mounts() -> None:

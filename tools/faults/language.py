@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 from rig.backends.modbus.emulated.rtu_slave import check_sum
 from rig.backends.serial import frames
-from rig.backends.serial.frames import Block, FrameReader, Kind, State
+from rig.backends.serial.frames import Block, DeviceState, FrameReader, Kind
 
 ASKED = -1
 
@@ -106,7 +106,7 @@ class SerialLanguage:
         """STATE; BLOCK where it is the next one, until one is missing: what comes after that belongs to no record."""
         packet = _packet(reply)
         if packet is not None and packet.kind == Kind.STATE:
-            return [Reading(packet.seq, State.unpack(packet.body).counts, reply)]
+            return [Reading(packet.seq, DeviceState.unpack(packet.body).counts, reply)]
         if packet is None or packet.kind != Kind.BLOCK or packet.seq < self._next_block:
             return []
         if packet.seq > self._next_block:

@@ -1,7 +1,7 @@
-"""`rig` with a hand in its wires: python -m faults.logged_rig LOG HAND ARGUMENT...
+"""`rig` with faults injected into its link: python -m faults.logged_rig LOG FAULT ARGUMENT...
 
-LOG gets every byte that the link hands to the host. While HAND holds a word that happens to the link: `cut`, nothing
-passes either way; `gone`, the operating system says that there is no such port, or no such connection, any more.
+LOG gets every byte that the link hands to the host. The file FAULT says what happens to the link. `cut`: nothing passes
+either way. `gone`: the operating system says that there is no such port, or no such connection, any more.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ def reset_connection() -> int:
     return ours.detach()
 
 
-class Hand:
-    """Looks at the file at each use of the link."""
+class LinkFault:
+    """The fault of a link, read from a file at each use of the link."""
 
     def __init__(self, log: int, word: Path) -> None:
         self._log, self._word = log, word
@@ -67,30 +67,30 @@ class Hand:
         os.write(self._log, data)
 
 
-class Handled:
-    """A port or a connection of this machine in whose wire the hand is."""
+class FaultyLink:
+    """A port or a connection of this machine whose link a ``LinkFault`` can break."""
 
-    def __init__(self, link: Transport, hand: Hand) -> None:
+    def __init__(self, link: Transport, fault: LinkFault) -> None:
         if isinstance(link, SerialPort):
             self._descriptor, self._dead = link.descriptor, hung_up_terminal
         elif isinstance(link, TcpTransport):
             self._descriptor, self._dead = link.descriptor, reset_connection
         else:
             raise TypeError(f"no wire of this machine: {link!r}")
-        self._link, self._hand = link, hand
+        self._link, self._fault = link, fault
 
     def write(self, data: bytes) -> None:
         """As of a ``Transport``."""
-        if not self._hand.is_cut(self._descriptor, self._dead):
+        if not self._fault.is_cut(self._descriptor, self._dead):
             self._link.write(data)
 
     def read(self, timeout_s: float) -> bytes:
         """As of a ``Transport``."""
-        if self._hand.is_cut(self._descriptor, self._dead):
+        if self._fault.is_cut(self._descriptor, self._dead):
             time.sleep(timeout_s)
             return b""
         data = self._link.read(timeout_s)
-        self._hand.note(data)
+        self._fault.note(data)
         return data
 
     def now_s(self) -> float:
@@ -104,12 +104,12 @@ class Handled:
 
 def run(log: str, word: str, arguments: list[str]) -> None:
     """Run the command."""
-    hand = Hand(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644), Path(word))
+    fault = LinkFault(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644), Path(word))
 
     @contextmanager
     def opened(backend: LineBackend, experiment: Experiment) -> Iterator[Line]:
         with backend.line(experiment) as line:
-            yield line._replace(transport=Handled(line.transport, hand))
+            yield line._replace(transport=FaultyLink(line.transport, fault))
 
     with lines_opened_by(opened), patch.object(rig.session, "write_report", lambda *_: None):
         main(arguments)

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from faults.stand import Stand
+from faults.injector import FaultInjector
 from rig.recording import layout
-from rig.recording.record import JsonScalar
 from rig.recording.recorder import Recorder
+from rig.recording.sink import JsonScalar
 
 _WAIT_S = 60.0
 _MOMENT_S = 0.0005
@@ -19,16 +19,16 @@ _MOMENT_S = 0.0005
 class PatientRecorder(Recorder):
     """As ``Recorder``, but no call depends on how fast this machine is: what was published is written, or has failed.
 
-    The stand is told of stages and stops as they come.
+    The injector is told of stages and stops as they come.
     """
 
     close_timeout_s = _WAIT_S
     stall_timeout_s = _WAIT_S
 
-    def __init__(self, stand: Stand, folder: Path, stages: Sequence[str], **capacities: Any) -> None:
+    def __init__(self, injector: FaultInjector, folder: Path, stages: Sequence[str], **capacities: Any) -> None:
         super().__init__(folder, stages, **capacities)
-        self._stand = stand
-        stand.written = self.await_writer
+        self._injector = injector
+        injector.written = self.await_writer
 
     def check(self) -> None:
         """As that of ``Recorder``, of a writer that has come to everything."""
@@ -43,7 +43,7 @@ class PatientRecorder(Recorder):
         """As that of ``Recorder``."""
         super().event(t_s, kind, **fields)
         if kind in ("stage", "stop"):
-            self._stand.comes_to(kind if kind == "stop" else str(fields["name"]))
+            self._injector.comes_to(kind if kind == "stop" else str(fields["name"]))
 
     def await_writer(self) -> None:
         """Until the writer has written each finished row and each event, or has ended, or has failed."""

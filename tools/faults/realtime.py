@@ -76,7 +76,7 @@ class Case:
 
     host: subprocess.Popen[str]
     device: BoardProcess
-    hand: Path
+    link_fault: Path
 
 
 @dataclass(frozen=True)
@@ -126,12 +126,12 @@ def _freeze(case: Case) -> None:
 
 
 def say(word: str) -> Callable[[Case], None]:
-    """To the hand in the wires, in one piece."""
+    """Write what happens to the link, in one piece."""
 
     def act(case: Case) -> None:
-        fresh = case.hand.with_suffix(".new")
+        fresh = case.link_fault.with_suffix(".new")
         fresh.write_text(word, encoding="ascii")
-        fresh.rename(case.hand)
+        fresh.rename(case.link_fault)
 
     return act
 
@@ -259,11 +259,11 @@ def _measure(row: RealRow, device: RealDevice, phase: float, restarts: bool) -> 
                 period_s = _await_cycle(folder, host)
                 time.sleep(phase * period_s)
                 happened_s = time.monotonic()
-                row.act(Case(host, board, folder / "hand"))
+                row.act(Case(host, board, folder / "link-fault"))
                 output = host.communicate(timeout=_WAIT_S)[0]
             time.sleep(experiment.daq.watchdog_s + 0.2)
             trace = _trace(folder)
-            (folder / "hand").unlink(missing_ok=True)
+            (folder / "link-fault").unlink(missing_ok=True)
             restart = _restart(folder) if restarts else ""
         return _judged(row, device, phase, folder, experiment, (host.returncode, output), happened_s, trace, restart)
 
@@ -271,7 +271,7 @@ def _measure(row: RealRow, device: RealDevice, phase: float, restarts: bool) -> 
 @contextlib.contextmanager
 def _rig(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     command, *options = arguments
-    logged = [sys.executable, "-m", "faults.logged_rig", str(folder / f"{command}.log"), str(folder / "hand")]
+    logged = [sys.executable, "-m", "faults.logged_rig", str(folder / f"{command}.log"), str(folder / "link-fault")]
     host = subprocess.Popen(
         [*logged, command, str(folder / "fault.yaml"), *options, "--out", str(folder / f"{command}-runs")],
         stdout=subprocess.PIPE,

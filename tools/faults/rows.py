@@ -13,12 +13,12 @@ from typing import Any
 
 from faults import damage, host
 from faults.bounds import Bound, bound
+from faults.injector import FaultInjector
 from faults.language import is_block, is_drive, is_keep
 from faults.stages import STAGES, START
-from faults.stand import Stand
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 
-Act = Callable[[Stand], None]
+Act = Callable[[FaultInjector], None]
 Changes = dict[str, dict[str, Any]]  # of a row's fields, by a trait of the device
 
 RUNS_ON = ""  # no fault
@@ -203,34 +203,34 @@ NO_INPUTS = "the block has no such input: wire it into the motor's supply"
 # ---------------------------------------------------------------------- acts
 
 
-def _nothing(stand: Stand) -> None:
+def _nothing(injector: FaultInjector) -> None:
     pass
 
 
 def _down(what: Callable[[], damage.Damage]) -> Act:
-    def act(stand: Stand) -> None:
-        stand.down = what()
+    def act(injector: FaultInjector) -> None:
+        injector.down = what()
 
     return act
 
 
 def _up(what: Callable[[], damage.Damage]) -> Act:
-    def act(stand: Stand) -> None:
-        stand.up = what()
+    def act(injector: FaultInjector) -> None:
+        injector.up = what()
 
     return act
 
 
 def _late(share: float, number: int) -> Act:
-    def act(stand: Stand) -> None:
-        stand.down = damage.first(number, damage.late(share * stand.spare_s))
+    def act(injector: FaultInjector) -> None:
+        injector.down = damage.first(number, damage.late(share * injector.spare_s))
 
     return act
 
 
 def _both(what: damage.Damage) -> Act:
-    def act(stand: Stand) -> None:
-        stand.up = stand.down = what
+    def act(injector: FaultInjector) -> None:
+        injector.up = injector.down = what
 
     return act
 
@@ -238,41 +238,41 @@ def _both(what: damage.Damage) -> Act:
 def _network(*, to_host: float = 0.0, to_device: float = 0.0) -> Act:
     """Nothing arrives for so long, s; then everything does."""
 
-    def act(stand: Stand) -> None:
-        stand.device.block_way("host", to_host)
-        stand.device.block_way("device", to_device)
-        stand.to_undo.append(stand.device.free_ways)
+    def act(injector: FaultInjector) -> None:
+        injector.device.block_way("host", to_host)
+        injector.device.block_way("device", to_device)
+        injector.to_undo.append(injector.device.free_ways)
 
     return act
 
 
-def _port_gone(stand: Stand) -> None:
-    stand.is_gone = True
+def _port_gone(injector: FaultInjector) -> None:
+    injector.is_gone = True
 
 
 def _rewire(**wiring: str) -> Act:
-    return lambda stand: stand.device.rewire(**wiring)
+    return lambda injector: injector.device.rewire(**wiring)
 
 
-def _hang(stand: Stand) -> None:
-    if isinstance(stand.device, VirtualChip):
-        stand.device.hang(stand.rng.choice(("main loop", "everything", "clock", "converter")))
+def _hang(injector: FaultInjector) -> None:
+    if isinstance(injector.device, VirtualChip):
+        injector.device.hang(injector.rng.choice(("main loop", "everything", "clock", "converter")))
     else:
-        stand.device.hang()
+        injector.device.hang()
 
 
-def _brown_out(stand: Stand) -> None:
-    if isinstance(stand.device, VirtualChip):
-        stand.device.reset(4, 0.05)
+def _brown_out(injector: FaultInjector) -> None:
+    if isinstance(injector.device, VirtualChip):
+        injector.device.reset(4, 0.05)
     else:
-        stand.device.reset(4)
+        injector.device.reset(4)
 
 
-def _thrown(stand: Stand) -> None:
+def _thrown(injector: FaultInjector) -> None:
     """A hand, or a load, throws the shaft over the limit at more than the largest speed."""
-    side = stand.rng.choice((-1, 1))
-    low, high = stand.hard_rad
-    stand.device.place((high if side > 0 else low) - side * 0.005, side * THROWN_RAD_S)
+    side = injector.rng.choice((-1, 1))
+    low, high = injector.hard_rad
+    injector.device.place((high if side > 0 else low) - side * 0.005, side * THROWN_RAD_S)
 
 
 THROWN_RAD_S = 5.0
@@ -282,41 +282,41 @@ PUSH_RAD_S = 1.0
 OFF_RAD = 0.03  # that the sensor may be off
 
 
-def _pushed(stand: Stand) -> None:
+def _pushed(injector: FaultInjector) -> None:
     """A hand, or a load, pushes the shaft over the nearer limit, slower than a drive would.
 
     It comes where no drive is the other way: that would stop a shaft that is sped up, which is SENSOR_STUCK long before
     the limit. The fault begins where the sensor must see it.
     """
-    low, high = stand.hard_rad
+    low, high = injector.hard_rad
     began: list[tuple[float, float]] = []
-    stand.fault_s = math.inf
+    injector.fault_s = math.inf
 
-    def hand() -> None:
-        truth = stand.device.truth()
+    def push() -> None:
+        truth = injector.device.truth()
         if not began:
             if truth.pin_V * truth.y_rad < 0.0:
                 return
-            began.append((truth.y_rad, stand.now_s()))
+            began.append((truth.y_rad, injector.now_s()))
         ((from_rad, from_s),) = began
         side = 1.0 if from_rad >= 0.0 else -1.0
         over_rad = abs((high if side > 0.0 else low) - from_rad) + OFF_RAD
-        went_rad = PUSH_RAD_S * (stand.now_s() - from_s)
-        if stand.fault_s == math.inf and went_rad >= over_rad:
-            stand.happens_now()
-        stand.device.place(from_rad + side * min(went_rad, over_rad + OFF_RAD), 0.0)
+        went_rad = PUSH_RAD_S * (injector.now_s() - from_s)
+        if injector.fault_s == math.inf and went_rad >= over_rad:
+            injector.happens_now()
+        injector.device.place(from_rad + side * min(went_rad, over_rad + OFF_RAD), 0.0)
 
-    stand.hand = hand
+    injector.push = push
 
 
 def _contact(*which: str, for_s: float = math.inf) -> Act:
     """Contacts open, for a while."""
 
-    def act(stand: Stand) -> None:
+    def act(injector: FaultInjector) -> None:
         for one in which:
-            stand.device.contact(one, is_open=True)
+            injector.device.contact(one, is_open=True)
         if for_s < math.inf:
-            stand.later(for_s, lambda: [stand.device.contact(one, is_open=False) for one in which])
+            injector.later(for_s, lambda: [injector.device.contact(one, is_open=False) for one in which])
 
     return act
 
@@ -324,9 +324,9 @@ def _contact(*which: str, for_s: float = math.inf) -> Act:
 def _moment(act: Act, undo: Act) -> Act:
     """Something happens, and is undone ``MOMENT_S`` later."""
 
-    def both(stand: Stand) -> None:
-        act(stand)
-        stand.later(MOMENT_S, lambda: undo(stand))
+    def both(injector: FaultInjector) -> None:
+        act(injector)
+        injector.later(MOMENT_S, lambda: undo(injector))
 
     return both
 
@@ -334,32 +334,32 @@ def _moment(act: Act, undo: Act) -> Act:
 MOMENT_S = 0.1  # what is shorter may pass unseen on a device that has to be looked at (``rig.session``)
 
 
-def _end_switch(stand: Stand) -> None:
-    stand.device.contact("end_high" if stand.device.truth().pin_V > 0.0 else "end_low", is_open=True)
+def _end_switch(injector: FaultInjector) -> None:
+    injector.device.contact("end_high" if injector.device.truth().pin_V > 0.0 else "end_low", is_open=True)
 
 
-def _overload(stand: Stand) -> None:
+def _overload(injector: FaultInjector) -> None:
     left = [FOR_TICKS]
 
     def stall_s(rng: random.Random) -> float:
         left[0] -= 1
         return rng.uniform(0.0, STALL_S) if left[0] >= 0 and rng.random() < 0.5 else 0.0
 
-    stand.stall_s = stall_s
+    injector.stall_s = stall_s
 
 
-def _fill_disk(stand: Stand) -> None:
+def _fill_disk(injector: FaultInjector) -> None:
     """Nothing more fits, in the last page of the record either: it is put off until that page has no room for a row."""
-    stand.written()
-    samples = next((stand.folder / "runs").glob("*/samples.csv"))
+    injector.written()
+    samples = next((injector.folder / "runs").glob("*/samples.csv"))
     if -samples.stat().st_size % os.sysconf("SC_PAGE_SIZE") >= _SHORTEST_ROW:
-        stand.schedule(stand.now_s() + _TICK_S, _fill_disk)
+        injector.schedule(injector.now_s() + _TICK_S, _fill_disk)
     else:
-        host.fill_disk(stand.folder / "runs")
+        host.fill_disk(injector.folder / "runs")
 
 
-def _close_folder(stand: Stand) -> None:
-    next((stand.folder / "runs").iterdir()).chmod(0o555)
+def _close_folder(injector: FaultInjector) -> None:
+    next((injector.folder / "runs").iterdir()).chmod(0o555)
 
 
 def _read_only(folder: Path) -> None:
@@ -373,8 +373,8 @@ def _small(folder: Path) -> None:
     host.small_disk(folder / "runs", SMALL_DISK)
 
 
-def _change_config(stand: Stand) -> None:
-    (stand.folder / "fault.yaml").write_text("name: another\nlimits: [none\n", encoding="utf-8")
+def _change_config(injector: FaultInjector) -> None:
+    (injector.folder / "fault.yaml").write_text("name: another\nlimits: [none\n", encoding="utf-8")
 
 
 # ---------------------------------------------------------------------- rows
@@ -472,7 +472,7 @@ ROWS = (
     Row(
         "connection reset",
         "by something on the way",
-        lambda stand: stand.device.reset_connection(),
+        lambda injector: injector.device.reset_connection(),
         SILENCE,
         ("LINK_LOST",),
         only=("tcp",),
@@ -481,7 +481,7 @@ ROWS = (
     Row(
         "device hangs up",
         "it closes the connection in order",
-        lambda stand: stand.device.hang_up(),
+        lambda injector: injector.device.hang_up(),
         SILENCE,
         ("LINK_LOST",),
         only=("tcp",),
@@ -499,7 +499,7 @@ ROWS = (
     Row(
         "packet lost, to the host",
         "it is sent again after 0.2 s, and all that follows waits",
-        lambda stand: stand.device.lose_packet("host"),
+        lambda injector: injector.device.lose_packet("host"),
         HEARD,
         ("LINK_TIMEOUT",),
         only=("tcp",),
@@ -509,7 +509,7 @@ ROWS = (
     Row(
         "packet lost, to the device",
         "it is sent again after 0.2 s, and all that follows waits",
-        lambda stand: stand.device.lose_packet("device"),
+        lambda injector: injector.device.lose_packet("device"),
         SILENCE,
         ("LINK_TIMEOUT",),
         only=("tcp",),
@@ -723,7 +723,7 @@ ROWS = (
     Row(
         "device reset",
         "by its reset input",
-        lambda stand: stand.device.reset(2),
+        lambda injector: injector.device.reset(2),
         AT_ONCE,
         ("DEVICE_RESET",),
         other=RESET | ARMED_ANEW | RESET_BARE,
@@ -1042,15 +1042,15 @@ ROWS = (
     Row(
         "host SIGINT",
         "Ctrl-C",
-        lambda stand: stand.tell_host(signal.SIGINT),
+        lambda injector: injector.tell_host(signal.SIGINT),
         SEEN,
         ("INTERRUPTED",),
     ),
-    Row("host SIGTERM", "kill", lambda stand: stand.tell_host(signal.SIGTERM), SEEN, ("INTERRUPTED",)),
+    Row("host SIGTERM", "kill", lambda injector: injector.tell_host(signal.SIGTERM), SEEN, ("INTERRUPTED",)),
     Row(
         "host SIGKILL",
         "kill -9",
-        lambda stand: stand.kill_host(),
+        lambda injector: injector.kill_host(),
         SILENCE,
         ("",),
         alone=True,
@@ -1062,7 +1062,7 @@ ROWS = (
     Row(
         "host SIGSTOP, 1 s",
         "the process does nothing for a second",
-        lambda stand: stand.freeze_host(FREEZE_S),
+        lambda injector: injector.freeze_host(FREEZE_S),
         SILENCE,
         ("DEVICE_WATCHDOG", "MODBUS_EXCEPTION"),
         either="MODBUS_EXCEPTION by a block without a status, which takes no drive after its time-out",

@@ -20,21 +20,21 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from faults.backends import PLAIN, Backend, BlockOnStand
+from faults.backends import PLAIN, Backend, InjectableBlock
 from faults.bounds import Times
-from faults.case import SETTLE_S, judged, new_stand, restart, undisturbed
+from faults.case import SETTLE_S, judged, new_injector, restart, undisturbed
 from faults.case import run as run_on
 from faults.case import times as times_of
+from faults.injector import FaultInjector
 from faults.rows import ROWS, RUNNING, RUNS_ON, Row
 from faults.stages import CYCLE
-from faults.stand import Stand
 from rig.config.schema import Experiment
 from shared.cases import spread
 
 CYCLES = 30  # of a relay test, unless something ends it
 FAULTY = 0.5  # share of the runs in which something goes wrong
 GROWTH_MB = 4.0  # of memory, from the first third of the runs to the last: more is growth
-NOTHING = Row("nothing", "nothing goes wrong", lambda stand: None, RUNNING, (RUNS_ON,), status=(0, 1))
+NOTHING = Row("nothing", "nothing goes wrong", lambda injector: None, RUNNING, (RUNS_ON,), status=(0, 1))
 
 
 @dataclass
@@ -79,40 +79,42 @@ def spend(key: str, hours: float, seed: int) -> Day:
     config["relay"]["cycles"] = CYCLES
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        stand, experiment = new_stand(backend, config, folder, rng.randrange(2**32))
+        injector, experiment = new_injector(backend, config, folder, rng.randrange(2**32))
         language, limits = backend.language, experiment.limits.hard_rad
         times, (cycle_s, next_s) = times_of(backend), plain.windows[CYCLE.key]
-        device, timeout_s, began_s = stand.device, experiment.daq.timeout_s, stand.now_s()
-        while (stand.now_s() - began_s) < 3600.0 * hours:
+        device, timeout_s, began_s = injector.device, experiment.daq.timeout_s, injector.now_s()
+        while (injector.now_s() - began_s) < 3600.0 * hours:
             row = rng.choice(rows_for(backend)) if rng.random() < FAULTY else NOTHING
-            stand = Stand(device, language(experiment), limits, timeout_s, folder, rng.randrange(2**32))
-            stand.spare_s = backend.spare_s(experiment)
+            injector = FaultInjector(device, language(experiment), limits, timeout_s, folder, rng.randrange(2**32))
+            injector.spare_s = backend.spare_s(experiment)
             phase = rng.uniform(0.0, CYCLES - 5.0)
-            stand.schedule(stand.now_s() + cycle_s + phase * (next_s - cycle_s), row.act)
-            for words in _one(row, backend, phase, stand, times, experiment):
+            injector.schedule(injector.now_s() + cycle_s + phase * (next_s - cycle_s), row.act)
+            for words in _one(row, backend, phase, injector, times, experiment):
                 day.trouble.append(f"run {day.runs + 1}, {row.name} at cycle {phase:.2f}: {words}")
-            if isinstance(device, BlockOnStand):
+            if isinstance(device, InjectableBlock):
                 device.forget()  # what it keeps for tests is not the host's memory
             shutil.rmtree(folder / "runs", ignore_errors=True)
             day.runs += 1
             day.rows[row.name] += 1
             day.memory_MB.append(_memory_MB())
-        day.hours = (stand.now_s() - began_s) / 3600.0
+        day.hours = (injector.now_s() - began_s) / 3600.0
     return day
 
 
-def _one(row: Row, backend: Backend, phase: float, stand: Stand, times: Times, experiment: Experiment) -> list[str]:
+def _one(
+    row: Row, backend: Backend, phase: float, injector: FaultInjector, times: Times, experiment: Experiment
+) -> list[str]:
     """One run, and after what went wrong a mended bench that has to move again; what should not be."""
-    run = run_on(stand, backend)
-    stand.watch(SETTLE_S)
-    trouble = list(judged(row, backend, CYCLE, phase, stand, times, run).trouble)
-    stand.cure()
+    run = run_on(injector, backend)
+    injector.watch(SETTLE_S)
+    trouble = list(judged(row, backend, CYCLE, phase, injector, times, run).trouble)
+    injector.cure()
     if row.lasting:
-        stand.bring_home()
+        injector.bring_home()
     elif row is not NOTHING and run.fault is not None:
-        stand.device.place(0.0)
-    shutil.rmtree(stand.folder / "runs", ignore_errors=True)
-    if run.fault is not None and (code := restart(stand, backend, experiment)):
+        injector.device.place(0.0)
+    shutil.rmtree(injector.folder / "runs", ignore_errors=True)
+    if run.fault is not None and (code := restart(injector, backend, experiment)):
         trouble.append(f"the next run, mended: {code}")
     return trouble
 

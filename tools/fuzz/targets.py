@@ -70,8 +70,8 @@ def frames_from_device(data: bytes) -> None:
 _UNPACK: dict[int, Callable[[bytes], object]] = {
     frames.Kind.HELLO_REPLY: frames.Hello.unpack,
     frames.Kind.SETUP_REPLY: frames.Setup.unpack,
-    frames.Kind.STATE: frames.State.unpack,
-    frames.Kind.STOP_REPLY: frames.State.unpack,
+    frames.Kind.STATE: frames.DeviceState.unpack,
+    frames.Kind.STOP_REPLY: frames.DeviceState.unpack,
     frames.Kind.RELAY_REPLY: frames.RelaySetup.unpack,
     frames.Kind.BLOCK: frames.Block.unpack,
     frames.Kind.NACK: frames.Nack.unpack,

@@ -20,7 +20,7 @@ from rig.identify.triple_relay import Features
 from rig.model.friction import coulomb
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
-from rig.model.sampled_relay import Disturbance, RelayTest, relay_test
+from rig.model.sampled_relay import Disturbance, SimulatedRelayTest, relay_test
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries
 from rig.report.style import Picture
@@ -125,7 +125,7 @@ def _motor() -> Motor:
     return Motor(tau, K, coulomb(fc))
 
 
-def _relay_test(noise_rad: float, seed: int) -> RelayTest:
+def _relay_test(noise_rad: float, seed: int) -> SimulatedRelayTest:
     """A test of the first pair of gains, long enough for the largest number of periods and the settling."""
     gains = surviving.GAINS[0]
     cycle = limit_cycle(*surviving.MOTOR, *gains)
@@ -136,7 +136,7 @@ def _relay_test(noise_rad: float, seed: int) -> RelayTest:
     return relay_test(_motor(), gains.h1_V, gains.h2_V, t_s, 0.0, disturbance=Disturbance(noise), start=start)
 
 
-def _record(test: RelayTest, y_rad: Array) -> TimeSeries:
+def _record(test: SimulatedRelayTest, y_rad: Array) -> TimeSeries:
     return TimeSeries(test.t_s, y_rad, test.t_u_s, test.u_V, name="simulated")
 
 
@@ -157,14 +157,14 @@ def _errors(cycle: Cycle, periods: int, form: str) -> Array:
     return np.asarray(np.array(found.theta) / np.array(surviving.MOTOR) - 1.0)
 
 
-def _rising(test: RelayTest) -> NDArray[np.intp]:
+def _rising(test: SimulatedRelayTest) -> NDArray[np.intp]:
     """Samples at which RC steps up, once it has settled."""
     outer = np.flatnonzero(np.abs(test.u_V) > surviving.GAINS[0].h2_V)
     rising = outer[1:][(test.u_V[outer[1:]] > 0.0) & (test.u_V[outer[:-1]] < 0.0)]
     return np.asarray(rising[4:])
 
 
-def _averaged(test: RelayTest) -> Averaged:
+def _averaged(test: SimulatedRelayTest) -> Averaged:
     """Position and drive over a period, point by point from RC's step on."""
     exact = limit_cycle(*surviving.MOTOR, *surviving.GAINS[0])
     rows = round(exact.period_s / SAMPLING_S)
@@ -179,7 +179,7 @@ def _averaged(test: RelayTest) -> Averaged:
     )  # fmt: skip
 
 
-def _chatter(test: RelayTest) -> Chatter:
+def _chatter(test: SimulatedRelayTest) -> Chatter:
     """The averaged staircase about the RB edge; RC's own edges align the periods."""
     h1, h2 = surviving.GAINS[0]
     rising = _rising(test)

@@ -19,11 +19,11 @@ from rig.backends.serial.emulated.virtual_chip import ChipTruth, VirtualChip
 from rig.backends.serial.frames import (
     STATUS_FAULT,
     Code,
+    DeviceState,
     FrameReader,
     Kind,
     Packet,
     RelaySetup,
-    State,
     encode,
     pack_ack,
     pack_arm,
@@ -189,9 +189,9 @@ class DrivenChip:
 
     def arm(self) -> None:
         """Stop, set the limits, arm. Raises RuntimeError where it refuses."""
-        state = State.unpack(self.ask(Kind.STOP).body)
+        state = DeviceState.unpack(self.ask(Kind.STOP).body)
         while state.status & STATUS_FAULT:
-            state = State.unpack(self.ask(Kind.ACK, pack_ack(state.fault)).body)
+            state = DeviceState.unpack(self.ask(Kind.ACK, pack_ack(state.fault)).body)
         if self.ask(Kind.SETUP, SETUP.pack()).kind != Kind.SETUP_REPLY:
             raise RuntimeError("the chip does not take the limits")
         if self.ask(Kind.ARM, pack_arm(SESSION)).body[0] != Code.NONE:

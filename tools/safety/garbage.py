@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from cobs import cobs
 
-from rig.backends.serial.frames import STATUS_ARMED, FrameReader, Kind, State, encode, pack_drive
+from rig.backends.serial.frames import STATUS_ARMED, DeviceState, FrameReader, Kind, encode, pack_drive
 from safety.driven_chip import SETUP, DrivenChip, Way
 
 _CHUNK = 8  # pieces of garbage between two looks: the chip has room for 255 bytes
@@ -84,7 +84,7 @@ def throw(baud: int, pieces: int, seed: int = 1) -> Thrown:
         truth = driven.truth()
         if truth.pin_changed_s != changed_s:
             moves, changed_s = moves + 1, truth.pin_changed_s
-        if State.unpack(driven.ask(Kind.READ).body).status != STATUS_ARMED:
+        if DeviceState.unpack(driven.ask(Kind.READ).body).status != STATUS_ARMED:
             raise RuntimeError("the chip is no longer armed: garbage proves nothing")
     return Thrown(baud, pieces // _CHUNK * _CHUNK, moves)
 

@@ -1,4 +1,4 @@
-"""The bench that a config describes under ``emulated``, as the model has it."""
+"""The bench of a config's section ``emulated``, as parameters of the model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # the process of an emulated device starts without the config
 
 
 def bench_parameters(emulated: Emulated, tachometer: Tachometer | None = None) -> BenchParameters:
-    """What is really there. What the section leaves out is the model's own default: of a whole config nothing is."""
+    """The parameters. Keys that the section leaves out have the model's defaults; a whole config leaves out none."""
     m, w, dead_band = emulated.motor, emulated.wiring, emulated.dead_band_duty
     believed: dict[str, Any] = {
         "rad_per_count": emulated.potentiometer.rad_per_count,

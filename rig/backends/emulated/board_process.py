@@ -18,9 +18,9 @@ _STOP_S = 3.0
 
 
 class BoardProcess:
-    """Starts and stops the process. Its port opens and closes like a serial device's, as often as one likes.
+    """Starts and stops the process. Its port can be opened and closed like a serial device's, any number of times.
 
-    The process ends with ``stop``, with the ``with`` block, and, however this process dies, 0.3 s after it.
+    The process ends with ``stop`` or with the ``with`` block; if this process dies, 0.3 s later.
     It has a session of its own: a Ctrl-C in the terminal does not reach it.
     """
 
@@ -52,7 +52,7 @@ class BoardProcess:
 
     def _must_not_run(self) -> None:
         if self._process is not None:
-            raise EmulationError("this emulated board runs already")
+            raise EmulationError("this emulated board already runs")
 
     def _await_port(self) -> str:
         process = self._process

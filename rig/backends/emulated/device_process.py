@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn
 
-ORPHAN_S = 0.3  # they outlive their parent by so much, as the emulated boards do
+ORPHAN_S = 0.3  # they outlive their parent by this time, as the emulated boards do
 _PRIORITY = 70  # above the loop's 60: a real device does not wait for the host's processor
 
 
@@ -31,7 +31,7 @@ def open_pty() -> tuple[int, str]:
 
 
 def signals() -> int:
-    """A file that can be read once a signal has come: its number."""
+    """File number from which a byte can be read after each signal."""
     ends, told = os.pipe()
     os.set_blocking(told, False)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
@@ -58,7 +58,7 @@ def linked(path: Path, port: str) -> Iterator[None]:
 
 
 def take_priority() -> None:
-    """Go before ordinary programs, where that is allowed; else say so."""
+    """Take a real-time priority if that is allowed; else say so."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     except PermissionError as error:

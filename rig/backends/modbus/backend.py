@@ -58,8 +58,8 @@ class ModbusBackend(LineBackend):
     def times_error_s(self, e: Experiment) -> float:
         """As of ``Backend``.
 
-        The device tells no time: both are reckoned, and where within its turnaround it takes the one and does the other
-        it does not say.
+        The device reports no times: rig computes them. When within its turnaround the device samples and drives is not
+        known.
         """
         return _STAMPS_S + (0.5 * e.daq.modbus.turnaround_s if e.daq.modbus is not None else 0.0)
 
@@ -92,10 +92,10 @@ class ModbusBackend(LineBackend):
         if modbus is None or modbus.registers.watchdog is not None:
             return super().failsafe_words(e)
         if modbus.device_watchdog_s is None:
-            return "failsafe: none, as daq.accept_no_watchdog takes upon itself: have the motor's supply in reach"
+            return "failsafe: none; daq.accept_no_watchdog accepts that: keep the motor's supply switch in reach"
         return (
             f"failsafe: the device sets 0 V after {modbus.device_watchdog_s * 1e3:g} ms of silence, as set on it "
-            "(daq.modbus.device_watchdog_s): try it, pull the plug at 0.3 V"
+            "(daq.modbus.device_watchdog_s): test that, pull the plug at 0.3 V"
         )
 
     def notes(self, e: Experiment) -> Iterator[str]:

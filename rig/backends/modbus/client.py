@@ -1,7 +1,7 @@
 """A Modbus client on a transport: one request and one reply at a time, and when the device executed it.
 
-Silences between frames are those of Modbus over Serial Line 1.02. Nothing is asked again within a tick: the first
-time-out, and the first reply that does not fit, is a fault.
+The silences between frames follow Modbus over Serial Line 1.02. Within a tick the client asks once only: a time-out, or
+a reply that does not fit, is a fault.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class ModbusLine:
 class Reply(NamedTuple):
     """A reply that fits its request, and when the device executed that, host time s.
 
-    reckoned_s  what the exchange takes by the config
+    reckoned_s  time that the config gives the exchange
     """
 
     pdu: bytes
@@ -67,7 +67,7 @@ class ModbusClient:
 
     transport  an open port; times are in its clock, s
     line       how the device is reached
-    is_suspect something of an exchange that went wrong may still be on its way
+    is_suspect bytes of an exchange that went wrong may still be on their way
     """
 
     def __init__(self, transport: Transport, line: ModbusLine) -> None:
@@ -82,18 +82,16 @@ class ModbusClient:
 
     @property
     def statistics(self) -> Mapping[str, int]:
-        """Counts since construction.
+        """Counts since construction, by name.
 
-        exchanges    requests that were waited for
-        timeouts     of these, without a whole reply in time
-        bad_replies  damaged, of another unit, or of another request
-        exceptions   refusals by the device
-        stale_bytes  that came when nothing was asked
+        exchanges: requests whose reply the client waited for; timeouts: those without a whole reply in time;
+        bad_replies: damaged, of another unit, or of another request; exceptions: refusals by the device;
+        stale_bytes: bytes that came when nothing was asked.
         """
         return dict(self._counts)
 
     def set_pace(self, fastest: Reply) -> None:
-        """What an exchange takes by the config is from now on no more than the fastest really took."""
+        """Scale the config's exchange times down to the fastest real exchange, from now on."""
         if fastest.reckoned_s > 0.0:
             self._pace = min(fastest.round_trip_s / fastest.reckoned_s, 1.0)
 
@@ -104,7 +102,7 @@ class ModbusClient:
     # ------------------------------------------------------------------ exchanges
 
     def patiently(self, request: Request, timeout_s: float) -> Reply:
-        """``asked`` up to three times, for what may be said twice."""
+        """``asked`` up to three times, for requests that may be repeated."""
         for _ in range(ATTEMPTS - 1):
             try:
                 return self.asked(request, timeout_s)
@@ -114,14 +112,14 @@ class ModbusClient:
         return self.asked(request, timeout_s)
 
     def asked(self, request: Request, timeout_s: float) -> Reply:
-        """Outside the tick: whatever is not the reply is thrown away, until the time is over. Raises as ``in_tick``."""
+        """Outside the tick: throw away whatever is not the reply, until the time is over. Raises as ``in_tick``."""
         self._drain()
         return self._await(request, timeout_s, self._send(request), strict=False)
 
     def in_tick(self, request: Request, timeout_s: float, *, after_silence: bool) -> Reply:
-        """Within the tick: anything but the reply is a fault, and whatever may follow it is suspect.
+        """Within the tick: anything but the reply is a fault, and what follows it on the line is suspect.
 
-        after_silence  whether bytes that came before the request, unasked, are a fault, too
+        after_silence  whether bytes that nobody asked for, before the request, are a fault too
         Raises Fault LINK_TIMEOUT, LINK_REPLY, LINK_UNIT, LINK_LOST, MODBUS_EXCEPTION.
         """
         try:
@@ -136,7 +134,7 @@ class ModbusClient:
             raise
 
     def unheard(self, request: Request, wait_s: float) -> None:
-        """Send a request, then throw away all that comes within ``wait_s``: nothing is suspect any more."""
+        """Send a request and throw away all that comes within ``wait_s``. After it nothing is suspect."""
         self._drain()
         self._send(request)
         until_s = self._transport.now_s() + wait_s

@@ -1,10 +1,9 @@
-"""A Modbus device as a ``Driver``: what is read and written when, and what the values say.
+"""A Modbus device as a ``Driver``: what it reads and writes when, and what the values mean.
 
-Registers mean what the config says; ``rig.backends.modbus.client`` asks for them.
+The config says what each register means; ``rig.backends.modbus.client`` exchanges the requests.
 
-Asked by FC23 a tick is one exchange: the drive decided in the tick before goes out, and the position of that same
-instant comes back (order "write_first"). Asked separately it is a read, then a write that its reply confirms
-("sample_first").
+With FC23 a tick is one exchange: the drive of the previous tick goes out, and the position at that instant comes back
+(order "write_first"). With separate requests a tick is a read, then a write that its reply confirms ("sample_first").
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from dataclasses import replace
 
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, Transport
 from rig.backends.modbus.client import ATTEMPTS, ModbusClient, ModbusLine, Reply
-from rig.backends.modbus.registers import ARMED, OFF, Register, RegisterMap, Span
+from rig.backends.modbus.registers import ARMED, OFF, Register, RegisterMap, RegisterSpan
 from rig.backends.modbus.requests import (
     Request,
     identification,
@@ -29,12 +28,12 @@ from rig.calibration import Calibration, DriveMap, hard_limits_in_counts, larges
 from rig.faults import Fault
 from rig.signals import Limits, Order, Sample
 
-_UNHURRIED_S = 0.1  # least time-out of a request outside the tick; stopping keeps to the tick's
-_STOPPING_S = 0.02  # for which a request to stop is waited for, so that even three take less than most watchdogs
+_UNHURRIED_S = 0.1  # least time-out of a request outside the tick; a stop uses the tick's time-out
+_STOPPING_S = 0.02  # longest wait for a stop: three of them are shorter than most watchdogs
 _INTRODUCTIONS = 20  # reads that measure the round trip
-_LATE_TIMEOUTS = 2  # by when the latest reply has come
-_LONGEST_WATCHDOG_S = 1.0  # that the config takes
-_EMULATED = ("rig", "emulated I/O block")  # vendor and product of ours
+_LATE_TIMEOUTS = 2  # time-outs until the latest reply has come
+_LONGEST_WATCHDOG_S = 1.0  # that the config allows
+_EMULATED = ("rig", "emulated I/O block")  # vendor and product of the emulated block
 
 
 class ModbusDriver:
@@ -99,7 +98,7 @@ class ModbusDriver:
 
     @property
     def order(self) -> Order:
-        """One exchange writes, then reads; separate ones read, then write."""
+        """With FC23 "write_first": one exchange writes, then reads. Else "sample_first"."""
         return "write_first" if self._line.requests == "read-write" else "sample_first"
 
     @property
@@ -118,7 +117,7 @@ class ModbusDriver:
         self._until_answered()
         self._met = True
         vendor, product, revision = self._identity()
-        # a device that does not know that question may be deaf for a while after it: one on libmodbus for 0.5 s
+        # a device that does not know this request may not answer for a while: libmodbus for 0.5 s
         self._until_answered()
         replies = [self._client.patiently(reading(self._read_span), self._unhurried_s) for _ in range(_INTRODUCTIONS)]
         fastest = min(replies, key=lambda reply: reply.round_trip_s)
@@ -137,17 +136,17 @@ class ModbusDriver:
         )
 
     def arm(self, limits: Limits) -> None:
-        """Stop, write what the device takes of the limits and read it back, drive 0, arm.
+        """Stop, write the limits that have registers and read them back, drive 0, arm.
 
-        Armed again it must still have what was written before: a device that has lost it was reset, and is told
-        nothing anew. Only other limits are written.
-        Raises ValueError where sensor, drive or a register cannot hold such limits; Fault ARM_READBACK, DEVICE_RESET,
-        LINK_*, MODBUS_EXCEPTION, or what the device's status says before or then.
+        A device that is armed again must still hold what was written before. If it does not, it was reset: nothing is
+        written, and Fault DEVICE_RESET is raised. Registers are written again only for other limits.
+        Raises ValueError where sensor, drive or a register cannot hold the limits; Fault ARM_READBACK, DEVICE_RESET,
+        LINK_*, MODBUS_EXCEPTION, or the fault in the device's status.
         """
         settings, max_units = self._settings(limits)
         self._armed = False
         self._settle()
-        if self._is_off:  # looked at first: to stop it once more clears what it may have latched
+        if self._is_off:  # read first: another stop would clear what the device may have latched
             self.read()
         self._is_off = False
         self._write_stop(self._client.patiently, self._unhurried_s)
@@ -167,9 +166,9 @@ class ModbusDriver:
         self._armed = True
 
     def read(self) -> Sample:
-        """Sample the bench; asked by FC23, the drive of the last ``write`` goes out with the same request.
+        """Sample the bench. With FC23 the same request carries the drive of the last ``write``.
 
-        ``u_V`` is the device's word for what acts where it has such a register, else what was commanded.
+        ``u_V`` is the drive that the device reports, if it has a register for that; else the commanded drive.
         Raises Fault LINK_TIMEOUT, LINK_REPLY, LINK_UNIT, LINK_LOST, MODBUS_EXCEPTION, DEVICE_RESET, or the fault
         that the device's status names.
         """
@@ -185,7 +184,7 @@ class ModbusDriver:
         if self._armed:
             self._check_status(values)
             self._check_echo(values)
-        elif self._max_units > 0:  # armed before: what happens in a pause must not be forgotten
+        elif self._max_units > 0:  # armed before: a fault in a pause must not go unseen
             self._check_pause(values)
         counts = self._checked(self._map.position, self._map.counts, values["position"])
         units = self._units if self._armed else 0
@@ -202,10 +201,10 @@ class ModbusDriver:
         )
 
     def write(self, u_V: float) -> None:
-        """Set the drive: asked by FC23 it goes out with the next ``read``, else now, confirmed.
+        """Set the drive. With FC23 it goes out with the next ``read``; else now, and its reply confirms it.
 
-        Raises ValueError beyond supply and bridge, or beyond what the device was armed for; Fault DEVICE_NOT_ARMED;
-        asked separately also what ``read`` raises of the link.
+        Raises ValueError beyond supply and bridge, or beyond the drive that the device is armed for; Fault
+        DEVICE_NOT_ARMED; with separate requests also the link faults of ``read``.
         """
         units = self.drive_map.to_units(u_V)
         if not self._armed:
@@ -219,16 +218,16 @@ class ModbusDriver:
             self._t_u_s = self._exchange(self._writing_drive(units)).executed_s
 
     def safe_stop(self) -> bool:
-        """Drive 0, control to stop, up to three times; True once the replies and the registers confirm it.
+        """Drive 0, control to stop, up to three times. True once replies and registers confirm it.
 
-        Where an exchange went wrong before, a first request to stop goes out at once and unheard; then whatever is
-        late is waited for and thrown away, so that it does not pass for the confirmation. A device with a program of
-        its own, which sees the request in its next cycle only, is waited for, 0.06 s in all.
+        If an exchange went wrong before, a first stop goes out at once and its reply is ignored. Then the driver waits
+        for late bytes and throws them away, so that they do not look like the confirmation. A device with a program of
+        its own sees the request in its next cycle only: the driver waits for it, 0.06 s in all.
         """
         self._armed = False
         self._fresh = False
         if not self._met:
-            return False  # nothing is written to a device that was never found
+            return False  # never write to a device that has not answered yet
         begin_s = self._transport.now_s()
         for attempt in range(1, ATTEMPTS + 1):
             try:
@@ -252,7 +251,7 @@ class ModbusDriver:
     # ------------------------------------------------------------------ arming and stopping
 
     def _settings(self, limits: Limits) -> tuple[list[tuple[Register, list[int]]], int]:
-        """The words that each register is set to, and the largest drive, units. Raises ValueError."""
+        """The words for each register, and the largest drive, units. Raises ValueError."""
         m = self._map
         hard = hard_limits_in_counts(limits, self.calibration, self.drive_map, self._rail_counts)
         max_units = largest_drive_in_units(limits, self.drive_map)
@@ -268,7 +267,7 @@ class ModbusDriver:
         return [(register, register.pack(value)) for register, value in settings], max_units
 
     def _await_armed(self) -> None:
-        """Until the status says so: a device with a program of its own sees the request in its next cycle only."""
+        """Wait until the status is armed: a device with its own program sees the request in its next cycle only."""
         if self._map.status is None:
             return
         until_s = self._transport.now_s() + self._unhurried_s
@@ -299,10 +298,10 @@ class ModbusDriver:
 
     def _stored(self, register: Register) -> list[int]:
         """The words that a setting's register holds now."""
-        return registers_of(self._client.patiently(reading(Span((register,))), self._unhurried_s).pdu)
+        return registers_of(self._client.patiently(reading(RegisterSpan((register,))), self._unhurried_s).pdu)
 
     def _check_settings(self) -> None:
-        """Raises Fault DEVICE_RESET where a register no longer holds what was written in this session."""
+        """Raises Fault DEVICE_RESET where a register no longer holds the value written in this session."""
         for register, words in self._written:
             stored = self._stored(register)
             if stored != words:
@@ -337,10 +336,10 @@ class ModbusDriver:
         self._units = 0
 
     def _is_stopped(self, again_s: float, last_s: float) -> bool:
-        """Whether the device's own registers say so, where it has such.
+        """Whether the device's registers confirm the stop; True where it has no such registers.
 
-        While they say armed, or that something drives, they are asked until ``again_s``; while the status means
-        nothing, which may be on its way to off, until ``last_s``.
+        Reads them until ``again_s`` while they report armed or a drive. Reads until ``last_s`` while the status is an
+        unknown value: it may be on its way to off.
         """
         if self._map.applied is None and self._map.status is None:
             return True
@@ -354,11 +353,11 @@ class ModbusDriver:
                 return stopped
 
     def _is_armed_by(self, status: float) -> bool:
-        """Whether a status means armed; a device without control register always is, since nothing disarms it."""
+        """Whether a status means armed. Not for a device without control register: nothing disarms it."""
         return status == ARMED and self._map.control is not None
 
     def _settle(self) -> None:
-        """After an exchange that went wrong: ask for a stop unheard, then let everything late come and go."""
+        """After an exchange that went wrong: send a stop, ignore its reply, and throw away all late bytes."""
         if not self._client.is_suspect:
             return
         m = self._map
@@ -366,7 +365,7 @@ class ModbusDriver:
         self._client.unheard(stop, _LATE_TIMEOUTS * self._timeout_s)
 
     def _until_answered(self) -> None:
-        """Read again and again, for as long as a device may take to introduce itself; raises the last fault."""
+        """Read until the device answers or ``open_timeout_s`` is over; raises the last fault then."""
         until_s = self._transport.now_s() + self._open_timeout_s
         while True:
             try:
@@ -377,7 +376,7 @@ class ModbusDriver:
                     raise
 
     def _identity(self) -> tuple[str, str, str]:
-        """Vendor, product and revision as FC43 tells them; empty where the device does not."""
+        """Vendor, product and revision by FC43; empty where the device does not report them."""
         try:
             return identity_of(self._client.asked(identification(), self._unhurried_s).pdu)
         except Fault as fault:
@@ -385,20 +384,20 @@ class ModbusDriver:
                 raise
             return "", "", ""
 
-    # ------------------------------------------------------------------ what the values say
+    # ------------------------------------------------------------------ what the values mean
 
-    def _values(self, span: Span, reply: Reply) -> dict[str, float]:
+    def _values(self, span: RegisterSpan, reply: Reply) -> dict[str, float]:
         return span.values(registers_of(reply.pdu))
 
     def _check_range(self, value: float) -> None:
-        """Raises Fault CONFIG_MISMATCH for a position beyond what the sensor reads: another type, order or scale."""
+        """Raises Fault CONFIG_MISMATCH for a position beyond the sensor's range: wrong type, order or scale."""
         position = self._map.position
         counts = self._checked(position, self._map.counts, value)
         if self._counts_max is not None and not 0 <= counts <= self._counts_max:
             raise Fault(
                 "CONFIG_MISMATCH",
                 f"{position} reads {value:g}: {counts:g} counts, of 0 to {self._counts_max} (sensor.counts_max); "
-                "see its type, scale and offset_counts, and daq.modbus.word_order; or the sensor's wire is open",
+                "check its type, scale and offset_counts, daq.modbus.word_order, and the sensor's wire",
             )
 
     def _check_status(self, values: Mapping[str, float]) -> None:
@@ -421,12 +420,12 @@ class ModbusDriver:
         return f"{self._map.scale * values['position'] + self._map.offset_counts:g} counts"
 
     def _check_pause(self, values: Mapping[str, float]) -> None:
-        """Raise what the status of a device that was stopped says, where that is not off."""
+        """Raise the fault in the status of a stopped device, unless the status is off."""
         status = self._map.status
         if status is None or values["status"] == OFF:
             return
         if self._is_armed_by(values["status"]):
-            words = f"{status} reads {ARMED}: armed, though it was stopped; at {self._counts(values)}"
+            words = f"{status} reads {ARMED}: armed, although rig stopped it; at {self._counts(values)}"
             raise Fault("STOP_UNCONFIRMED", words)
         self._check_status(values)
 
@@ -451,7 +450,7 @@ class ModbusDriver:
         return max(self._timeout_s, _UNHURRIED_S)
 
     def _unhurried_reading(self) -> Reply:
-        """While disarmed there is time for a second try."""
+        """A reading while disarmed: there is time to repeat it."""
         return self._client.patiently(reading(self._read_span), self._unhurried_s)
 
     def _exchange(self, request: Request) -> Reply:

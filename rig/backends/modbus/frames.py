@@ -58,7 +58,7 @@ class RtuFraming:
         return self._framer.encode(_pdu(request), unit, number)
 
     def take(self, data: bytes) -> Frame | None:
-        """As Framing. The length follows from the function code and the byte count."""
+        """As Framing. Raises Damaged. The length follows from the function code and the byte count."""
         if len(data) < _RTU_LEAST:
             return None
         kind = self._decoder.lookupPduClass(data)
@@ -88,7 +88,7 @@ class TcpFraming:
         return self._framer.encode(_pdu(request), unit, number)
 
     def take(self, data: bytes) -> Frame | None:
-        """As Framing."""
+        """As Framing. Raises Damaged."""
         if len(data) < _TCP_HEADER:
             return None
         number, protocol, left = (int.from_bytes(data[k : k + 2], "big") for k in (0, 2, 4))

@@ -25,7 +25,7 @@ from rig.config.schema import Emulated, Experiment
 
 @contextmanager
 def modbus_line(e: Experiment) -> Iterator[Line]:
-    """As of ``LineBackend.line``."""
+    """As of ``LineBackend.line``. Raises ValueError where the config has no port."""
     port = e.daq.port
     if port is None:
         raise ValueError("daq.port is missing")

@@ -67,7 +67,7 @@ class Register(NamedTuple):
         return ModbusClientMixin.convert_to_registers(held, _TYPES[self.type], "little" if self.low_first else "big")
 
     def unpack(self, words: Sequence[int]) -> float:
-        """The value of its words; float32 may be infinite or nan."""
+        """The value of its words; float32 may be infinite or nan. Raises ValueError for another number of words."""
         value = ModbusClientMixin.convert_from_registers(
             words, _TYPES[self.type], "little" if self.low_first else "big"
         )
@@ -83,7 +83,7 @@ class Register(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Span:
+class RegisterSpan:
     """Registers that one request takes, gaps included."""
 
     registers: tuple[Register, ...]
@@ -195,15 +195,15 @@ class RegisterMap:
         )
 
     @property
-    def written(self) -> Span:
+    def written(self) -> RegisterSpan:
         """What goes out with each drive."""
-        return Span((self.drive,) if self.sequence is None else (self.drive, self.sequence))
+        return RegisterSpan((self.drive,) if self.sequence is None else (self.drive, self.sequence))
 
     @property
-    def read(self) -> Span:
+    def read(self) -> RegisterSpan:
         """What comes back in each tick."""
         others = (self.echo, self.applied, self.status)
-        return Span((self.position, *(r for r in others if r is not None)))
+        return RegisterSpan((self.position, *(r for r in others if r is not None)))
 
     @property
     def full_units(self) -> int:
@@ -211,21 +211,21 @@ class RegisterMap:
         return round(self.full) if self.drive.is_whole else FLOAT_STEPS
 
     def drive_value(self, units: float) -> float:
-        """Value of a register that holds a drive, for drive units."""
+        """Value of a register that holds a drive of so many drive units."""
         return units * self.full / self.full_units
 
     def drive_units(self, value: float) -> int:
-        """Drive units nearest to what a register says. Raises ValueError beyond full duty, or if it is no number."""
+        """Drive units nearest to a register's ``value``. Raises ValueError beyond full duty, or for nan."""
         if not abs(value) <= self.full * (1.0 + 1e-6):
             raise ValueError(f"{value:g} is beyond the full duty of {self.full:g}")
         return round(value * self.full_units / self.full)
 
     def counts(self, position: float) -> int:
-        """Raw reading for a value of the position's register. Raises ValueError if it is no number."""
+        """Raw reading for a value of the register ``position``. Raises ValueError if it is not finite."""
         if not math.isfinite(position):
             raise ValueError(f"{position} is no position")
         return round(self.scale * position + self.offset_counts)
 
     def position_value(self, counts: float) -> float:
-        """Value of the position's register at a raw reading, not rounded."""
+        """Value of the position's register for a raw reading of ``counts``, not rounded."""
         return (counts - self.offset_counts) / self.scale

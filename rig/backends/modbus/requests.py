@@ -19,7 +19,7 @@ from pymodbus.pdu.register_message import (
 )
 
 from rig.backends.modbus.frames import Frame, is_exception
-from rig.backends.modbus.registers import Register, Span
+from rig.backends.modbus.registers import Register, RegisterSpan
 from rig.faults import Fault
 from rig.signals import plain
 
@@ -37,26 +37,26 @@ _EXCEPTIONS = {
 
 
 class Request(NamedTuple):
-    """A request, and what it is about, in words for a fault."""
+    """A request, and its subject in words, for a fault."""
 
     pdu: ModbusPDU
     about: str
 
 
-def reading(span: Span) -> Request:
+def reading(span: RegisterSpan) -> Request:
     """FC03, or FC04 of input registers."""
     kind = ReadInputRegistersRequest if span.registers[0].table == "input" else ReadHoldingRegistersRequest
     return Request(kind(address=span.address, count=span.words), str(span))
 
 
-def writing(what: Register | Span, words: list[int]) -> Request:
+def writing(what: Register | RegisterSpan, words: list[int]) -> Request:
     """FC06 of one register, FC16 of more."""
     if len(words) == 1:
         return Request(WriteSingleRegisterRequest(address=what.address, registers=words), str(what))
     return Request(WriteMultipleRegistersRequest(address=what.address, registers=words), str(what))
 
 
-def reading_and_writing(read: Span, written: Span, words: list[int]) -> Request:
+def reading_and_writing(read: RegisterSpan, written: RegisterSpan, words: list[int]) -> Request:
     """FC23: the device writes ``words``, then reads."""
     pdu = ReadWriteMultipleRegistersRequest(
         read_address=read.address,
@@ -68,12 +68,12 @@ def reading_and_writing(read: Span, written: Span, words: list[int]) -> Request:
 
 
 def identification() -> Request:
-    """FC43: who are you."""
+    """FC43: ask for vendor, product and revision."""
     return Request(ReadDeviceInformationRequest(read_code=1, object_id=0), "identification")
 
 
 def identity_of(pdu: bytes) -> tuple[str, str, str]:
-    """Vendor, product and revision from the reply to ``identification``, printable; empty where it does not tell."""
+    """Vendor, product and revision from the reply to ``identification``, printable; empty where they are missing."""
     told = ReadDeviceInformationResponse()
     try:
         told.decode(pdu[1:])
@@ -87,16 +87,17 @@ def identity_of(pdu: bytes) -> tuple[str, str, str]:
 
 
 def registers_of(pdu: bytes) -> list[int]:
-    """Registers of a reply that was checked."""
+    """Registers of a reply that ``check`` has accepted."""
     reply = ReadHoldingRegistersResponse()
     reply.decode(pdu[1:])
     return list(reply.registers)
 
 
 def check(frame: Frame, request: Request, unit: int, number: int) -> None:
-    """Whether a frame is the reply to a request, by everything that it says.
+    """Check that a frame is the reply to a request.
 
-    unit, number  that were asked, and of the request (TCP)
+    unit    unit id that was asked
+    number  number of the request (TCP)
     Raises Fault LINK_REPLY, LINK_UNIT, MODBUS_EXCEPTION.
     """
     asked, about = request

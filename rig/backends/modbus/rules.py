@@ -1,6 +1,6 @@
-"""What the keys of a Modbus device say together: one request each way, no two registers in one place.
+"""The rules of a Modbus device's keys: one request each way, no two registers in one place.
 
-And what such a device cannot tell, so that a person has to know it.
+And the notes about what such a device cannot report.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from rig.backends.link_budget import BAUD_RATES
 from rig.backends.modbus.link_budget import longest_transaction_s, tick_budget
 from rig.backends.modbus.section import (
     EMULATED_PORTS,
+    KeySpan,
     Modbus,
-    Span,
     as_in_a_manual,
     is_tcp,
     read_in_a_tick,
@@ -33,12 +33,12 @@ _HOST = re.compile(r"\d{1,3}(\.\d{1,3}){3}(:\d+)?")  # as one writes it without 
 
 
 def modbus_rules(e: Experiment) -> Iterator[Problem]:
-    """Everything that is a Modbus device's own."""
+    """The rules that only a Modbus device has."""
     yield from _port(e)
     if e.relay.where == "device":
         yield wrong(
             "relay.where",
-            "`driver: modbus` knows of no relay in the device",
+            "`driver: modbus` has no relay in the device",
             "set it to host, or daq.driver to serial with a port",
         )
     modbus = e.daq.modbus
@@ -53,7 +53,7 @@ def modbus_rules(e: Experiment) -> Iterator[Problem]:
 
 
 def modbus_notes(e: Experiment) -> Iterator[str]:
-    """What a Modbus device may not tell of a pause, where it is disarmed; and an address as in a manual."""
+    """What a Modbus device may not report of a pause, in which it is disarmed; and addresses as manuals count them."""
     if e.daq.modbus is None:
         return
     r = e.daq.modbus.registers
@@ -61,19 +61,18 @@ def modbus_notes(e: Experiment) -> Iterator[str]:
         yield words
     if r.status is None:
         yield (
-            "daq.modbus.registers has no status: an e-stop that is pressed and released in a pause is not seen at all; "
+            "daq.modbus.registers has no status: rig does not see an e-stop that you press and release in a pause; "
             "wire it so that it cuts the motor's supply"
         )
     elif "DEVICE_ESTOP" not in r.status.faults:
         yield (
-            "daq.modbus.registers.status.faults names no DEVICE_ESTOP: an e-stop that is pressed and released in a "
-            "pause is seen while it is open, if it changes the status, or not at all; wire it so that it cuts the "
-            "motor's supply"
+            "daq.modbus.registers.status.faults names no DEVICE_ESTOP: rig sees an e-stop in a pause only while it is "
+            "open, and only if it changes the status; wire it so that it cuts the motor's supply"
         )
     if r.watchdog is None and r.limits is None and r.rails is None and r.max_drive is None:
         yield (
-            "daq.modbus.registers has none of watchdog, limits, rails and max_drive, which are read back when it is "
-            "armed again: a power cycle in a pause would go unnoticed"
+            "daq.modbus.registers has none of watchdog, limits, rails and max_drive, which rig reads back when it arms "
+            "the device again: rig would not notice a power cycle in a pause"
         )
 
 
@@ -102,7 +101,7 @@ def _map(m: Modbus) -> Iterator[Problem]:
     written, read, armed = list(written_in_a_tick(r)), list(read_in_a_tick(r)), list(written_at_arming(r))
     for span in (*written, *read, *armed):
         if span.address + span.words > _REGISTERS:
-            yield _register(span.key, f"{span.words} registers from {span.address} on go beyond the last, 65535")
+            yield _register(span.key, f"{span.words} registers from {span.address} on end beyond the last one, 65535")
     holding = [*written, *armed, *(read if r.position.table == "holding" else ())]
     yield from _apart(holding)
     if r.position.table == "input":
@@ -111,7 +110,7 @@ def _map(m: Modbus) -> Iterator[Problem]:
     if count > sum(span.words for span in written):
         yield _register(
             "sequence.address",
-            f"{written[1].address} is not beside the drive, {_registers(written[0])}: both go out in one request",
+            f"{written[1].address} is not beside the drive, {_registers(written[0])}: one request writes both",
             f"{written[0].address + written[0].words}, or {written[0].address - 1}",
         )
     first, count = span_of(read)
@@ -119,8 +118,7 @@ def _map(m: Modbus) -> Iterator[Problem]:
         farthest = max(read, key=lambda span: abs(span.address - read[0].address))
         yield _register(
             farthest.key,
-            f"what a tick reads spans {count} registers, {first} to {first + count - 1}; one request "
-            f"takes {_MOST_READ}",
+            f"a tick would read {count} registers, {first} to {first + count - 1}; one request can read {_MOST_READ}",
             as_in_a_manual(read) or "move them together, or leave it out",
         )
     if m.requests == "read-write" and r.position.table == "input":
@@ -130,11 +128,11 @@ def _map(m: Modbus) -> Iterator[Problem]:
 
 
 def reads_too_far_apart(m: Modbus) -> bool:
-    """Whether what a tick reads is more than one reply holds."""
+    """Whether a tick reads more registers than one reply holds."""
     return span_of(read_in_a_tick(m.registers))[1] > _MOST_READ
 
 
-def _apart(spans: Iterable[Span]) -> Iterator[Problem]:
+def _apart(spans: Iterable[KeySpan]) -> Iterator[Problem]:
     for a, b in combinations(spans, 2):
         if a.address < b.address + b.words and b.address < a.address + a.words:
             lie = "lies" if b.words == 1 else "lie"
@@ -160,9 +158,10 @@ def _times(e: Experiment, m: Modbus) -> Iterator[Problem]:
     if watchdog is None and m.device_watchdog_s is None and not d.accept_no_watchdog:
         yield wrong(
             "daq.modbus",
-            "nothing sets 0 V when the host is silent: no register sets the device's output time-out, nor is it given",
-            "registers.watchdog; or device_watchdog_s, as set on the device; or daq.accept_no_watchdog: true, with the "
-            "motor's supply in reach",
+            "nothing sets 0 V when the host is silent: the config gives neither the register of the device's output "
+            "time-out nor that time",
+            "give registers.watchdog; or device_watchdog_s, as set on the device; or daq.accept_no_watchdog: true, and "
+            "keep the motor's supply switch in reach",
         )
     elif watchdog is not None:
         units = d.watchdog_s / watchdog.unit_s
@@ -170,7 +169,7 @@ def _times(e: Experiment, m: Modbus) -> Iterator[Problem]:
             yield wrong(
                 "daq.watchdog_s",
                 f"{d.watchdog_s:g} s is {units:g} units of the watchdog's register, "
-                "which takes whole ones from 1 to 65535",
+                "which takes whole numbers from 1 to 65535",
                 "within 5 %, or correct daq.modbus.registers.watchdog.unit_s",
             )
 
@@ -186,7 +185,7 @@ def _link_budget(e: Experiment, m: Modbus) -> Iterator[Problem]:
     yield tick_budget(e.daq, m).too_slow(key, e.period_s, fitting[:1])
 
 
-def _registers(span: Span) -> str:
+def _registers(span: KeySpan) -> str:
     last = span.address + span.words - 1
     return f"register {span.address}" if span.words == 1 else f"registers {span.address} and {last}"
 

@@ -180,7 +180,7 @@ class Modbus(Section):
         return self
 
 
-class Span(NamedTuple):
+class KeySpan(NamedTuple):
     """Registers of one key below ``registers``: where they begin, how many they are."""
 
     key: str
@@ -188,47 +188,47 @@ class Span(NamedTuple):
     words: int
 
 
-def written_in_a_tick(registers: Registers) -> Iterator[Span]:
+def written_in_a_tick(registers: Registers) -> Iterator[KeySpan]:
     """What one tick writes."""
-    yield Span("drive.address", registers.drive.address, WORDS[registers.drive.type])
+    yield KeySpan("drive.address", registers.drive.address, WORDS[registers.drive.type])
     if registers.sequence is not None:
-        yield Span("sequence.address", registers.sequence.address, 1)
+        yield KeySpan("sequence.address", registers.sequence.address, 1)
 
 
-def read_in_a_tick(registers: Registers) -> Iterator[Span]:
+def read_in_a_tick(registers: Registers) -> Iterator[KeySpan]:
     """What one tick reads, from the position's table."""
-    yield Span("position.address", registers.position.address, WORDS[registers.position.type])
+    yield KeySpan("position.address", registers.position.address, WORDS[registers.position.type])
     if registers.sequence is not None:
-        yield Span("sequence.echo", registers.sequence.echo, 1)
+        yield KeySpan("sequence.echo", registers.sequence.echo, 1)
     if registers.applied is not None:
-        yield Span("applied.address", registers.applied.address, WORDS[registers.applied.type])
+        yield KeySpan("applied.address", registers.applied.address, WORDS[registers.applied.type])
     if registers.status is not None:
-        yield Span("status.address", registers.status.address, 1)
+        yield KeySpan("status.address", registers.status.address, 1)
 
 
-def written_at_arming(registers: Registers) -> Iterator[Span]:
+def written_at_arming(registers: Registers) -> Iterator[KeySpan]:
     """What is written outside the tick."""
     r = registers
     if r.control is not None:
-        yield Span("control.address", r.control.address, 1)
+        yield KeySpan("control.address", r.control.address, 1)
     if r.watchdog is not None:
-        yield Span("watchdog.address", r.watchdog.address, 1)
+        yield KeySpan("watchdog.address", r.watchdog.address, 1)
     for key, pair in (("limits", r.limits), ("rails", r.rails)):
         if pair is not None:
-            yield Span(f"{key}.low", pair.low, WORDS[r.position.type])
-            yield Span(f"{key}.high", pair.high, WORDS[r.position.type])
+            yield KeySpan(f"{key}.low", pair.low, WORDS[r.position.type])
+            yield KeySpan(f"{key}.high", pair.high, WORDS[r.position.type])
     if r.max_drive is not None:
-        yield Span("max_drive.address", r.max_drive.address, WORDS[r.drive.type])
+        yield KeySpan("max_drive.address", r.max_drive.address, WORDS[r.drive.type])
 
 
-def span_of(spans: Iterable[Span]) -> tuple[int, int]:
+def span_of(spans: Iterable[KeySpan]) -> tuple[int, int]:
     """First address and number of registers that hold them all, gaps included."""
     found = list(spans)
     first = min(span.address for span in found)
     return first, max(span.address + span.words for span in found) - first
 
 
-def as_in_a_manual(spans: Iterable[Span]) -> str:
+def as_in_a_manual(spans: Iterable[KeySpan]) -> str:
     """What the first address that looks like a manual's, 4xxxx or 3xxxx, is in a map; "" where none does.
 
     Manuals write the table in front and count from 1 (Modbus application protocol 1.1b3, section 4.4: PDU from 0).

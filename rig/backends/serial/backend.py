@@ -78,25 +78,25 @@ class SerialBackend(LineBackend):
         """As of ``Backend``."""
         yield f"link: {self.budget(e).beside(e.period_s)}"
         delay_ms = 1e3 * link_budget.sample_to_drive_s(e)
-        yield f"delay: a drive acts up to {delay_ms:.2f} ms after its sample, and what the host takes"
+        yield f"delay: a drive acts up to {delay_ms:.2f} ms after its sample, plus the host's own time"
         if e.relay.where == "device":
             block = link_budget.block_sum(e.daq.baud)
-            yield f"relay in the device: decides every ms; {block}; a search runs in the host"
+            yield f"relay in the device: decides every ms; {block}; the gain search runs in the host"
             yield from _device_drives(e)
 
     def notes(self, e: Experiment) -> Iterator[str]:
-        """As of ``Backend``: what is reckoned with between USB and the line, where it is not certain."""
+        """As of ``Backend``: which USB adapter rig assumes, where it is not certain."""
         adapter = adapter_of(e)
         chip = CHIPS.get(adapter)
         if chip is not None and e.daq.adapter is None:
             yield (
-                f"daq.adapter is not given; by the port's name it is reckoned with {chip.words} ({adapter}): "
+                f"daq.adapter is not given; from the port's name rig assumes {chip.words} ({adapter}): "
                 "`rig doctor` says which is there"
             )
         if chip is not None and chip.assumed:
             yield (
-                f"nobody says how long {chip.words} waits; {1e3 * chip.wait_s:g} ms is assumed: `rig doctor` on this "
-                "config measures it"
+                f"no data sheet says how long {chip.words} waits; rig assumes {1e3 * chip.wait_s:g} ms: measure it "
+                "with `rig doctor` on this config"
             )
 
     def not_emulated_words(self, e: Experiment) -> str:
@@ -129,7 +129,7 @@ class SerialBackend(LineBackend):
 
 
 def _device_drives(e: Experiment) -> Iterator[str]:
-    """What given gains become in whole units of the drive."""
+    """The given gains in whole units of the drive."""
     full_V, dead = e.drive.supply_V - e.drive.bridge_drop_V, e.drive.dead_band_duty.plus
     for g in e.relay.gains or ():
         outer, inner = (

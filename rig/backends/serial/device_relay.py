@@ -1,4 +1,4 @@
-"""The relay while it runs in the device: started, heard, stopped."""
+"""The relay while it runs in the device: start it, take its blocks, stop it."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Self
 from rig.backends.driver import RelayRow
 from rig.backends.serial import frames
 from rig.backends.serial.exchange import ATTEMPTS, Exchange
-from rig.backends.serial.frames import Kind, RelaySetup, State
+from rig.backends.serial.frames import DeviceState, Kind, RelaySetup
 from rig.backends.serial.introduction import STALE_READS, refusal
 from rig.backends.serial.relay_stream import TICK_S, RelayStream
 from rig.faults import Fault
 
 
-class DeviceRelay:
-    """One run of it. Constructed by ``start``.
+class RelayRun:
+    """One run of the relay in the device. ``start`` constructs it.
 
     exchange  with the device
     stream    of its blocks
@@ -26,9 +26,9 @@ class DeviceRelay:
 
     @classmethod
     def start(cls, exchange: Exchange, setup: RelaySetup, stream: RelayStream) -> Self:
-        """Let it drive from the device's next tick on, from 0 V.
+        """Let the relay drive from the device's next tick on, from 0 V.
 
-        Raises Fault ARM_READBACK, LINK_TIMEOUT, or what the device refuses with.
+        Raises Fault ARM_READBACK, LINK_TIMEOUT, or the refusal of the device.
         """
         for _ in range(ATTEMPTS):
             # a relay whose confirmation was lost runs already: this ends it
@@ -45,18 +45,18 @@ class DeviceRelay:
         raise exchange.silence(Kind.RELAY)
 
     def rows(self) -> list[RelayRow]:
-        """The ticks that have come since the last call, of blocks that were taken."""
+        """The ticks, since the last call, of the blocks taken so far."""
         return self._stream.rows()
 
     def hear(self) -> None:
-        """Take the blocks that are there; does not wait. Raises Fault LINK_GAP, LINK_LOST, DEVICE_RESET."""
+        """Take the blocks that have arrived; does not wait. Raises Fault LINK_GAP, LINK_LOST, DEVICE_RESET."""
         for _ in range(STALE_READS):
             if not self._exchange.listen(0.0):
                 break
         self._take_blocks()
 
     def hear_last(self, until_s: float) -> None:
-        """Take what comes of a relay that was stopped, up to the first block that is missing; raises nothing."""
+        """Take the last blocks of a relay that was stopped, up to the first missing one. Raises nothing."""
         try:
             self._take_blocks()
             self._until_ended(until_s)
@@ -73,19 +73,19 @@ class DeviceRelay:
         raise self._exchange.silence(Kind.DRIVE)
 
     @property
-    def ended(self) -> State | None:
-        """What the last block says of a relay that has ended; None while it runs."""
+    def ended(self) -> DeviceState | None:
+        """The state in the last block of a relay that has ended; None while it runs."""
         block = self._stream.last
         if block is None or not self._stream.ended:
             return None
         counts, drive = block.rows[-1] if block.rows else (0, 0)
-        return State(
+        return DeviceState(
             block.t_first_us, counts, frames.NO_TACHOMETER, 0, drive, 0, block.status, block.fault, block.session
         )
 
     @property
     def missed_s(self) -> float:
-        """For how long no block has come, s, where that is longer than it may be; else 0."""
+        """Time since the last block, s, if it is longer than allowed; else 0."""
         silent_s = self._exchange.now_s() - self._stream.heard_s
         if silent_s > frames.BLOCK_ROWS * TICK_S + self._exchange.timeout_s:
             return silent_s

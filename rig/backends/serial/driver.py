@@ -15,10 +15,10 @@ from statistics import median
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow, Transport
 from rig.backends.serial import frames
 from rig.backends.serial.device_clock import DeviceClock, TimedExchange, fit_device_clock
-from rig.backends.serial.device_relay import DeviceRelay
+from rig.backends.serial.device_relay import RelayRun
 from rig.backends.serial.exchange import ATTEMPTS, Exchange
 from rig.backends.serial.fit import PLAIN_BOARD, Board, Expected, check_fit, measured_supply_V
-from rig.backends.serial.frames import Code, Hello, Kind, Packet, Setup, State
+from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Packet, Setup
 from rig.backends.serial.introduction import await_introduction, refusal
 from rig.backends.serial.relay_stream import TICK_S, FirmwareRelay, RelayStream, relay_command
 from rig.calibration import (
@@ -36,12 +36,12 @@ LONGEST_WATCHDOG_S = 1.0  # that the device accepts
 _SYNCHRONISE_S = 1.0
 _SLOW_SYNCHRONISE_S = 3.0  # where exchanges are few, or differ
 _FEW_EXCHANGES = 100
-_STEADY_S = 0.0005  # between the fastest exchange and the median: more is the frames of USB
+_STEADY_S = 0.0005  # from the fastest exchange to the median; USB frames make it longer
 _SHORTEST_PAUSE_S = 0.001  # between two of the exchanges that measure the clock
-_LONGEST_PAUSE_S = 0.020  # of an FTDI's timer of 16 ms every phase is met
-_GOLDEN = 0.618034  # its multiples fall everywhere between 0 and 1
-_READ_SHARES = (2 / 3, 1.0, 1.0)  # of the time-out: until when each of a tick's requests for the state is waited for
-_READ_AGAIN = 3  # readings in a row that had to be asked for again: the link is not fit for the period
+_LONGEST_PAUSE_S = 0.020  # meets every phase of an FTDI's 16 ms timer
+_GOLDEN = 0.618034  # its multiples, modulo 1, spread evenly over 0 to 1
+_READ_SHARES = (2 / 3, 1.0, 1.0)  # of the time-out: end of the wait for each of a tick's requests for the state
+_READ_AGAIN = 3  # repeated readings in a row: the link is not fit for the period
 _LOST_DRIVES = 3  # in a row: the drive that acts is no longer the host's
 
 # Share of the wire time of a HELLO exchange that passes before the device reads its clock.
@@ -65,16 +65,17 @@ _FAULT_OF_CODE: dict[int, str] = {
     Code.SESSION: "DEVICE_RESET",
 }
 _MOST_LATCHED = 16  # faults that a device can have latched
-_RESET_BEFORE_S = 0.25  # opening a port takes less, and what began to run since then was reset by it
+_RESET_BEFORE_S = 0.25  # opening a port takes less: a device that started since then was reset by it
 
 
 def setup_for(
     limits: Limits, calibration: Calibration, drive_map: DriveMap, rail_counts: tuple[int, int], session: int
 ) -> Setup:
-    """What the device is told before arming. session  1 to 2**32 - 1.
+    """The limits as the device takes them, before arming.
 
-    Raises ValueError where the device could not hold such limits: as ``hard_limits_in_counts`` and
-    ``largest_drive_in_units``, watchdog outside 1 ms to 1 s.
+    session  number of this session, 1 to 2**32 - 1
+    Raises ValueError for limits that the device cannot hold: as ``hard_limits_in_counts`` and
+    ``largest_drive_in_units``, and for a watchdog time outside 1 ms to 1 s.
     """
     hard_lo, hard_hi = hard_limits_in_counts(limits, calibration, drive_map, rail_counts)
     rail_lo, rail_hi = rail_counts
@@ -105,7 +106,7 @@ class SerialDriver:
     timeout_s       longest wait for one reply
     open_timeout_s  longest wait for the device to introduce itself, its restart on opening included
     tachometer      scale of the velocity channel; None: not used
-    board           what the config says of it
+    board           the board as the config describes it
     session         number of this session, 1 to 2**32 - 1; None: a random one
     name            of the port, for ``backend``
     emulated        True where it is known that no real motor is behind the port
@@ -152,18 +153,16 @@ class SerialDriver:
         self._again_in_a_row = 0
         self._drives_lost = 0
         self._lost_in_a_row = 0
-        self._relay: DeviceRelay | None = None  # while it runs
+        self._relay: RelayRun | None = None  # while it runs
 
     @property
     def link_statistics(self) -> Mapping[str, int]:
-        """Counts since construction.
+        """Counts since construction, by name.
 
-        exchanges      requests that were waited for
-        timeouts       of these, without a reply in time
-        asked_again    readings that were asked for more than once, since a reply was damaged or did not come
-        stale_replies  intact replies that were not the awaited one: late, repeated, of another request
-        bad_frames     damaged frames from the device
-        drives_lost    DRIVE frames that the device never accepted
+        exchanges: requests whose reply the driver waited for; timeouts: those without a reply in time;
+        asked_again: readings asked for more than once, because a reply was damaged or did not come;
+        stale_replies: intact replies that are not the awaited one (late, repeated, of another request);
+        bad_frames: damaged frames from the device; drives_lost: DRIVE frames that the device never accepted.
         """
         return {
             "exchanges": self._exchange.exchanges,
@@ -175,9 +174,9 @@ class SerialDriver:
         }
 
     def open(self) -> DeviceInfo:
-        """Wait for the device to introduce itself, clear what it has latched, and measure its clock for one to three s.
+        """Wait for the device to introduce itself, clear the faults it has latched, and measure its clock for 1 to 3 s.
 
-        A fault whose cause lasts stays latched, and one that has come since the opening began: ``arm`` raises it.
+        Two faults stay latched, and ``arm`` raises them: one whose cause lasts, and one that came during ``open``.
         Raises Fault LINK_HELLO, LINK_VERSION, LINK_TIMEOUT, DEVICE_RESET or LINK_LOST; CONFIG_MISMATCH where the config
         does not fit the device (converter range, rails, tachometer, bridge).
         """
@@ -208,14 +207,14 @@ class SerialDriver:
         )
 
     def arm(self, limits: Limits) -> None:
-        """Stop, send the limits where the device has not got them yet, read them back, arm.
+        """Stop, send the limits if the device does not have them yet, read them back, arm.
 
-        What the device has latched since it was opened refuses, and a device that has lost this session: it was reset.
-        Raises ValueError as ``setup_for``; Fault ARM_READBACK, LINK_TIMEOUT, or what the device refuses with.
+        It refuses if the device has latched a fault since it was opened, or has lost this session: it was reset.
+        Raises ValueError as ``setup_for``; Fault ARM_READBACK, LINK_TIMEOUT, or the refusal of the device.
         """
         setup = setup_for(limits, self.calibration, self.drive_map, self._expected.rail_counts, self._session)
         self._armed = False
-        state = State.unpack(self._exchange.request(Kind.STOP, b"", Kind.STOP_REPLY).body)
+        state = DeviceState.unpack(self._exchange.request(Kind.STOP, b"", Kind.STOP_REPLY).body)
         self._check_pause(state)
         if setup != self._setup:
             stored = Setup.unpack(self._exchange.request(Kind.SETUP, setup.pack(), Kind.SETUP_REPLY).body)
@@ -235,16 +234,16 @@ class SerialDriver:
         self._armed = True
 
     def read(self) -> Sample:
-        """Ask for the state and wait for it; ask again where a reply was damaged or stays away, within one time-out.
+        """Ask for the state and wait for it; ask again if a reply is damaged or missing, within one time-out.
 
-        ``u_V`` is what acts at the pin by the device's own word, even if the last ``write`` was lost on the
-        way (which ``link_statistics`` counts). Before arming it reads, too.
-        Raises Fault LINK_TIMEOUT, LINK_LOST, DEVICE_RESET, or the fault that the device latched.
+        ``u_V`` is the drive that the device reports at its pin, even if the last ``write`` was lost on the way
+        (``link_statistics`` counts that). It also reads before arming.
+        Raises Fault LINK_TIMEOUT, LINK_LOST, DEVICE_RESET, the refusal of the device, or the fault that it latched.
         """
         packet = self._ask_state()
         if packet.kind == Kind.NACK:
             raise refusal(packet)
-        state = State.unpack(packet.body)
+        state = DeviceState.unpack(packet.body)
         if self._armed:
             if (
                 state.status & frames.STATUS_FAULT
@@ -265,7 +264,7 @@ class SerialDriver:
                 self._drives_lost += 1
                 self._lost_in_a_row += 1
                 if self._lost_in_a_row >= _LOST_DRIVES:
-                    # the reading that came with it is in no row: it is here
+                    # this reading goes into no row, so the fault names it
                     raise Fault(
                         "LINK_TIMEOUT", f"{self._lost_in_a_row} drives in a row were not accepted; {self._where(state)}"
                     )
@@ -288,10 +287,10 @@ class SerialDriver:
         )
 
     def _ask_state(self) -> Packet:
-        """READ, up to three times within one time-out: again at once where a damaged frame came, or when most is over.
+        """READ, up to three times within one time-out: again at once after a damaged frame, or when most time is over.
 
-        A late answer to an earlier one of them will do: a state tells itself when it was sampled. Raises Fault
-        LINK_TIMEOUT without any, and where the two readings before had to be asked for again, too.
+        A late answer to an earlier READ is good too, since a state carries the time of its sample. Raises Fault
+        LINK_TIMEOUT without an answer, and when three readings in a row had to be repeated.
         """
         start_s = self._exchange.now_s()
         seqs: list[int] = []
@@ -303,7 +302,7 @@ class SerialDriver:
                 self._again_in_a_row = 0 if len(seqs) == 1 else self._again_in_a_row + 1
                 if self._again_in_a_row < _READ_AGAIN:
                     return packet
-                state = "refused" if packet.kind == Kind.NACK else self._where(State.unpack(packet.body))
+                state = "refused" if packet.kind == Kind.NACK else self._where(DeviceState.unpack(packet.body))
                 raise self._exchange.silence(
                     Kind.READ, f"{_READ_AGAIN} readings in a row had to be asked for again; {state}"
                 )
@@ -314,17 +313,17 @@ class SerialDriver:
         raise self._exchange.silence(Kind.READ)
 
     def write(self, u_V: float) -> None:
-        """Send the drive, one way. Raises ValueError beyond supply and bridge, Fault LINK_LOST.
+        """Send the drive; there is no reply. Raises ValueError beyond supply and bridge, Fault LINK_LOST.
 
-        Beyond what it was armed for, the device sets 0 V and the next ``read`` raises DEVICE_DRIVE_RANGE.
+        Beyond the drive that it is armed for, the device sets 0 V and the next ``read`` raises DEVICE_DRIVE_RANGE.
         """
         self._unconfirmed = self._exchange.send(Kind.DRIVE, frames.pack_drive(self.drive_map.to_units(u_V)))
 
     def safe_stop(self) -> bool:
         """Tell the device to stop, up to three times; True once it confirms 0 drive, disarmed.
 
-        On False (or without the host at all) the device's watchdog does it. The last ticks of a relay that ran are for
-        ``read_rows``.
+        If False (or if the host dies) the device's watchdog stops it. ``read_rows`` returns the last ticks of a relay
+        that ran.
         """
         self._armed = False
         self._unconfirmed = None
@@ -338,7 +337,7 @@ class SerialDriver:
             for _ in range(ATTEMPTS):
                 packet = self._exchange.answer(self._exchange.send(Kind.STOP), Kind.STOP_REPLY)
                 if packet is not None and packet.kind == Kind.STOP_REPLY:
-                    state = State.unpack(packet.body)
+                    state = DeviceState.unpack(packet.body)
                     if state.drive == 0 and not state.status & frames.STATUS_ARMED:
                         return True
         except Fault:  # a dead port
@@ -359,30 +358,30 @@ class SerialDriver:
         return TICK_S / self._clock.ratio
 
     def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
-        """What the device is to be told for these gains; raises as ``relay_stream.relay_command``."""
+        """The command for these gains; raises as ``relay_stream.relay_command``."""
         return relay_command(h1_V, h2_V, z_bound_rad_s, self.calibration, self.drive_map, self.tick_s)
 
     def start_relay(self, command: RelayCommand) -> None:
-        """Let the device's relay drive from its next tick on, from 0 V. It needs ``keep`` from then on.
+        """Let the device's relay drive from its next tick on, from 0 V. Call ``keep`` regularly from then on.
 
-        Raises Fault ARM_READBACK, LINK_TIMEOUT, or what the device refuses with.
+        Raises Fault ARM_READBACK, LINK_TIMEOUT, or the refusal of the device; TypeError for another driver's command.
         """
         if not isinstance(command, FirmwareRelay):
             raise TypeError("a command of another driver")
         self._unconfirmed = None
         self._relay = None
         stream = RelayStream(self.calibration, self.drive_map, self._clock, self._session, self._exchange.now_s())
-        self._relay = DeviceRelay.start(self._exchange, command.setup, stream)
+        self._relay = RelayRun.start(self._exchange, command.setup, stream)
 
     def keep(self) -> None:
-        """Tell the device that the host lives: without this its relay ends when the watchdog time is over."""
+        """Tell the device that the host lives. Without this its watchdog ends the relay."""
         self._exchange.send(Kind.KEEP)
 
     def read_rows(self) -> list[RelayRow]:
-        """The relay's ticks that have come since the last call; does not wait. After a ``safe_stop``: the last ones.
+        """The relay's ticks since the last call; does not wait. After a ``safe_stop``: its last ticks.
 
-        Once there are no more:
-        Raises Fault LINK_GAP, LINK_LOST, LINK_TIMEOUT where blocks stay away, DEVICE_RESET, or what the device latched.
+        If there are none, it raises Fault LINK_GAP, LINK_LOST, LINK_TIMEOUT where blocks stay away, DEVICE_RESET, or
+        the fault that the device latched.
         """
         relay = self._running_relay()
         if not self._armed:
@@ -404,9 +403,9 @@ class SerialDriver:
         return rows
 
     def stop_relay(self) -> list[RelayRow]:
-        """End the device's relay with 0 V; still armed. Returns its last ticks.
+        """End the device's relay with 0 V, still armed. Returns its last ticks.
 
-        What the device may have latched meanwhile, the next ``read`` raises. Raises Fault LINK_GAP, LINK_LOST,
+        If the device has latched a fault meanwhile, the next ``read`` raises it. Raises Fault LINK_GAP, LINK_LOST,
         LINK_TIMEOUT.
         """
         relay = self._running_relay()
@@ -414,7 +413,7 @@ class SerialDriver:
         self._relay = None
         return relay.rows()
 
-    def _running_relay(self) -> DeviceRelay:
+    def _running_relay(self) -> RelayRun:
         if self._relay is None:
             raise ValueError("no relay runs in the device")
         return self._relay
@@ -433,16 +432,16 @@ class SerialDriver:
         return introduction.hello
 
     def _acknowledge(self, hello: Hello) -> tuple[str, ...]:
-        """Clear what the device had latched before the command that opens it; codes of the faults, its reset left out.
+        """Clear the faults that the device latched before it was opened. Returns their codes, without the reset.
 
-        What came after that command stays, for ``arm`` to raise: a code that latches again, and where the device was
-        reset by the opening, as an Uno is, everything but the reset.
+        Later faults stay, and ``arm`` raises them: a code that latches again, and every fault but the reset where
+        opening resets the device, as it does an Uno.
         """
         known_s = self._exchange.now_s() - self._made_s + _RESET_BEFORE_S
         was_reset_now = 1e-6 * hello.now_us < known_s
         cleared: list[int] = []
         for _ in range(_MOST_LATCHED):
-            state = State.unpack(self._exchange.request(Kind.READ, b"", Kind.STATE).body)
+            state = DeviceState.unpack(self._exchange.request(Kind.READ, b"", Kind.STATE).body)
             code = state.fault
             if not state.status & frames.STATUS_FAULT or code in cleared or not self._is_cleared(code):
                 break
@@ -460,9 +459,9 @@ class SerialDriver:
         raise self._exchange.silence(Kind.ACK)
 
     def _measured_supply_V(self, hello: Hello) -> tuple[float, bool]:
-        """The motor supply as the device measures it now, not in its first millisecond; and whether it may be more.
+        """The motor supply as the device measures it now, not in its first millisecond, V; whether it may be higher.
 
-        nan if it does not. A little off is for the run to say: it ends nothing.
+        nan if the device does not measure it. A small difference ends nothing: the run reports it.
         """
         if not hello.features & frames.FEATURE_SUPPLY:
             return math.nan, False
@@ -470,10 +469,10 @@ class SerialDriver:
         return measured_supply_V(now, self.drive_map.supply_V)
 
     def _time_exchanges(self) -> list[TimedExchange]:
-        """Ask for the device's time again and again, for a second, or up to three over a slow link or USB.
+        """Ask for the device's time repeatedly, for one second, or up to three over a slow link or USB.
 
-        HELLO carries the time at which it is answered; a sample's time may be a device tick old. The pauses differ, up
-        to the longest exchange: with equal ones each reply would meet a USB adapter's timer at the same phase.
+        The reply to HELLO carries the time of that reply; a sample's time may be a device tick old. The pauses vary, up
+        to the longest exchange: with equal pauses each reply would meet a USB adapter's timer at the same phase.
         """
         now_s = self._exchange.now_s
         exchanges: list[TimedExchange] = []
@@ -492,18 +491,18 @@ class SerialDriver:
             raise self._exchange.silence(Kind.HELLO)
         return exchanges
 
-    # ------------------------------------------------------------------ what a state says
+    # ------------------------------------------------------------------ what a state means
 
-    def _where(self, state: State) -> str:
+    def _where(self, state: DeviceState) -> str:
         return f"{self.calibration.to_rad(state.counts):.4f} rad, {state.counts} counts"
 
-    def _check_pause(self, state: State) -> None:
-        """Raise what has happened to a disarmed device since it was opened."""
+    def _check_pause(self, state: DeviceState) -> None:
+        """Raise the fault that a disarmed device has latched since it was opened."""
         if state.status & frames.STATUS_FAULT or (self._setup is not None and state.session != self._session):
             raise self._device_fault(state)
 
-    def _device_fault(self, state: State) -> Fault:
-        """What a STATE says that ends the run, with this case's numbers."""
+    def _device_fault(self, state: DeviceState) -> Fault:
+        """The fault in a STATE, with the numbers of this case."""
         if self._setup is not None and state.session != self._session:
             return Fault("DEVICE_RESET", f"the device has lost its session; at {self._where(state)}")
         if self._armed and not state.status & frames.STATUS_FAULT:
@@ -523,7 +522,7 @@ class SerialDriver:
 
 
 def _is_vague(exchanges: Sequence[TimedExchange]) -> bool:
-    """Whether those of one second are too few, or too unlike, for the device's rate."""
+    """Whether the exchanges of one second are too few, or differ too much, to fit the device's clock."""
     if len(exchanges) <= _FEW_EXCHANGES:
         return True
     took_s = [exchange.received_s - exchange.sent_s for exchange in exchanges]
@@ -531,5 +530,5 @@ def _is_vague(exchanges: Sequence[TimedExchange]) -> bool:
 
 
 def _fields(setup: Setup, other: Setup) -> str:
-    """The fields in which two set-ups differ, with the first one's values."""
+    """The fields in which two set-ups differ, with the values of the first."""
     return ", ".join(f"{name} {a}" for name, a, b in zip(Setup._fields, setup, other, strict=True) if a != b)

@@ -1,4 +1,4 @@
-"""Requests to a serial device and their replies, one at a time; blocks that come unasked are kept."""
+"""Requests to a serial device and their replies, one at a time. Keeps blocks that come unasked."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class Exchange:
 
     transport  an open port
     timeout_s  longest wait for one reply
-    reader     of what comes
-    seq        of the last request
-    exchanges, timeouts, stale_replies   so far: requests that were waited for; of these, without a reply in time;
-               intact replies that were not the awaited one
+    reader     takes the packets out of the incoming bytes
+    seq        sequence number of the last request
+    exchanges, timeouts, stale_replies   counts so far: requests with a wait; those without a reply in time; intact
+               replies that were not the awaited one
     """
 
     def __init__(self, transport: Transport, timeout_s: float) -> None:
@@ -37,13 +37,13 @@ class Exchange:
         return self.transport.now_s()
 
     def send(self, kind: Kind, body: bytes = b"") -> int:
-        """Send a request; its seq."""
+        """Send a request. Returns its seq."""
         self.seq = seq = (self.seq + 1) & 0xFFFF
         self.transport.write(frames.encode(kind, seq, body))
         return seq
 
     def answer(self, seq: int, kind: Kind) -> Packet | None:
-        """The reply of that seq and kind, or the refusal; None after the time-out, which is counted."""
+        """The reply of that seq and kind, or the refusal; None after the time-out. Counts time-outs."""
         packet = self.wait([seq], kind, self.now_s() + self.timeout_s)
         self.timeouts += packet is None
         return packet
@@ -51,7 +51,7 @@ class Exchange:
     def wait(self, seqs: list[int], kind: Kind, until_s: float, damage_ends: bool = False) -> Packet | None:
         """The reply of that kind to one of ``seqs``, or the refusal; None at ``until_s``. Anything else is stale.
 
-        ``damage_ends``: None as soon as a damaged frame has come, too, which may have been it.
+        damage_ends  also return None after a damaged frame, which may have been the reply
         """
         transport = self.transport
         self.exchanges += 1
@@ -77,7 +77,7 @@ class Exchange:
         return None
 
     def request(self, kind: Kind, body: bytes, reply: Kind) -> Packet:
-        """Send until answered, a few times; raises Fault on refusal or silence."""
+        """Send up to ``ATTEMPTS`` times until the device answers. Raises Fault on refusal or silence."""
         for _ in range(ATTEMPTS):
             packet = self.answer(self.send(kind, body), reply)
             if packet is not None:
@@ -87,7 +87,7 @@ class Exchange:
         raise self.silence(kind)
 
     def silence(self, kind: Kind, what: str = "") -> Fault:
-        """The fault of a device that does not answer, or of what happened instead."""
+        """The fault of a device that does not answer; ``what`` says what happened instead."""
         what = what or f"no reply to {kind.name} within {1e3 * self.timeout_s:g} ms"
         return Fault(
             "LINK_TIMEOUT",
@@ -96,13 +96,13 @@ class Exchange:
         )
 
     def listen(self, for_s: float) -> bool:
-        """Take what comes within a time without asking; whether anything came."""
+        """Take bytes that come unasked within ``for_s``. Returns whether any came."""
         data = self.transport.read(for_s)
         self._sort(self.reader.feed(data))
         return data != b""
 
     def ignore(self, for_s: float) -> None:
-        """Wait for so long, and take nothing of what comes."""
+        """Wait for ``for_s`` and ignore all that comes."""
         self.stale_replies += len(self.reader.feed(self.transport.read(for_s)))
 
     def blocks(self) -> list[Packet]:
@@ -111,7 +111,7 @@ class Exchange:
         return blocks
 
     def _sort(self, packets: list[Packet]) -> None:
-        """Keep blocks; nothing else is waited for."""
+        """Keep blocks; count everything else as stale."""
         for packet in packets:
             if packet.kind == Kind.BLOCK and packet.version == frames.VERSION:
                 self._blocks.append(packet)

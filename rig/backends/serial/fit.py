@@ -1,4 +1,4 @@
-"""Whether the device that says who it is, is the one that the config describes."""
+"""Whether the device at the port is the one that the config describes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from rig.backends.serial import frames
 from rig.backends.serial.frames import Hello
 from rig.faults import Fault
 
-_LEAST_FULL_UNITS = 50  # coarser, and no drive is near what was asked for
-_SUPPLY_TOLERANCE = 0.15  # of the divider in front of the converter, and of a loaded supply
+_LEAST_FULL_UNITS = 50  # with coarser steps no drive is near the commanded one
+_SUPPLY_TOLERANCE = 0.15  # relative: the divider in front of the converter, and a loaded supply
 
 
 @dataclass(frozen=True)
@@ -17,8 +17,8 @@ class Board:
     """The board of a config.
 
     counts_max    the ADC's largest reading that the calibration was made for; None: not checked
-    bridge        what the board's outputs are wired for, a value of ``frames.BRIDGES``; None: not told
-    flashing      what a person has to do to flash it, the whole command in it
+    bridge        the bridge at the board's outputs, a value of ``frames.BRIDGES``; None: not given
+    flashing      how to flash it, with the whole command, for people
     """
 
     counts_max: int | None = None
@@ -31,12 +31,12 @@ PLAIN_BOARD = Board()
 
 @dataclass(frozen=True)
 class Expected:
-    """What the config says of the device.
+    """The device as the config describes it.
 
-    board         which it is
+    board         the board
     rail_counts   (low, high): readings at or beyond are a broken sensor
     tachometer    whether its velocity channel is used
-    emulated      it is known that no real motor is behind it
+    emulated      no real motor can be behind it
     """
 
     board: Board
@@ -50,7 +50,7 @@ def check_fit(hello: Hello, expected: Expected) -> None:
     if not _LEAST_FULL_UNITS <= hello.drive_full <= 32767:
         raise Fault(
             "LINK_HELLO",
-            f"the device says full drive is {hello.drive_full} units; {_LEAST_FULL_UNITS} to 32767 are a drive",
+            f"the device reports a full drive of {hello.drive_full} units; it must be {_LEAST_FULL_UNITS} to 32767",
         )
     if expected.board.counts_max is not None and hello.counts_max != expected.board.counts_max:
         raise Fault(
@@ -70,7 +70,7 @@ def check_fit(hello: Hello, expected: Expected) -> None:
 
 
 def _check_bridge(hello: Hello, expected: Expected) -> None:
-    """With the wrong bridge a drive of 0 V can be full drive: the config has to say what is wired."""
+    """With the wrong bridge 0 V can be full drive: so the config must name the bridge that is wired."""
     bridge, believed = frames.BRIDGES.get(hello.bridge), expected.board.bridge
     flashing = expected.board.flashing
     emulated = expected.emulated or hello.board in frames.EMULATED_BOARDS
@@ -89,7 +89,7 @@ def _check_bridge(hello: Hello, expected: Expected) -> None:
     if believed is None:
         raise Fault(
             "CONFIG_MISMATCH",
-            f"drive.bridge is missing, and the device's firmware is for {bridge}: with the motor's supply off, see "
+            f"drive.bridge is missing, and the device's firmware is for {bridge}: switch the motor's supply off, check "
             f"that the bridge is wired so (docs/real-bench.md), then write bridge: {bridge}",
         )
     raise Fault(
@@ -99,9 +99,9 @@ def _check_bridge(hello: Hello, expected: Expected) -> None:
 
 
 def measured_supply_V(now: Hello, believed_V: float) -> tuple[float, bool]:
-    """The motor supply as the device measures it; and whether it may be more.
+    """The motor supply as the device measures it, V; whether it may be higher.
 
-    Raises Fault CONFIG_MISMATCH where it is another than believed. A little off is for the run to say: it ends nothing.
+    Raises Fault CONFIG_MISMATCH where it differs much from the config's. A small difference the run reports.
     """
     measured_V = frames.SUPPLY_UNIT_V * now.supply
     at_least = now.supply >= frames.SUPPLY_FULL

@@ -1,4 +1,4 @@
-"""Putting the firmware into an Arduino Uno: which port, what avrdude is told, what its complaints mean.
+"""Flash the firmware into an Arduino Uno: find the port, run avrdude, explain its errors.
 
 The Uno's boot loader (Optiboot) listens at 115200 baud, whatever the firmware speaks afterwards.
 """
@@ -19,6 +19,7 @@ from serial.tools import list_ports
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.frames import BOARDS, FrameReader, Hello
 from rig.backends.serial.introduction import await_introduction
+from rig.errors import RigError
 from rig.faults import Fault
 
 # The chip between USB and the Uno's serial port; those of the Uno itself are in the Arduino IDE's boards.txt.
@@ -42,12 +43,12 @@ AT_REST = {
 }
 
 _BUSY = ("is held by another program", "end the other rig, serial monitor or modem manager: `fuser {port}` names it")
-_ABSENT = ("is not there", "plug the board in; `ls /dev/serial/by-id/` shows which ports there are")
+_ABSENT = ("is not there", "plug the board in; `ls /dev/serial/by-id/` lists the ports")
 # Reasons for which a port cannot be opened, in the words of the C library.
 _CANNOT_OPEN = {
     "No such file or directory": _ABSENT,
     "No such device": _ABSENT,
-    "Permission denied": ("may not be opened by you", "`sudo adduser $USER dialout`, then log in anew"),
+    "Permission denied": ("cannot be opened by this user", "`sudo adduser $USER dialout`, then log in again"),
     "Device or resource busy": _BUSY,
     "Resource temporarily unavailable": _BUSY,
 }
@@ -71,15 +72,15 @@ _COMPLAINTS = (
     (
         r"input file|not readable|invalid record|no valid record|read from file",
         "avrdude cannot read the .hex: {last}",
-        "leave --hex out, and it is built",
+        "leave --hex out: then rig builds it",
     ),
 )
 _LAST_WORDS = re.compile(r"^avrdude(?: OS)?(?: error)?: (?!.*TIOCM)(?!.*done\.  Thank you)(.*\S)\s*$", re.MULTILINE)
 _SIGNATURE = re.compile(r"device signature = (0x[0-9a-f]+)", re.IGNORECASE)
 
 
-class FlashError(Exception):
-    """What went wrong and what to do, a line each; ``status`` to exit with: avrdude's own, where it failed."""
+class FlashError(RigError):
+    """What went wrong and what to do, a line each; ``status``: exit status, avrdude's own where that failed."""
 
     def __init__(self, cause: str, cure: str, status: int = 1) -> None:
         super().__init__(cause)
@@ -107,7 +108,7 @@ def serial_ports() -> list[Port]:
 
 
 def only_candidate(ports: Iterable[Port]) -> Port:
-    """The one port behind which an Uno may be. Raises FlashError where there is none, or a choice."""
+    """The only port where an Uno may be. Raises FlashError where there is none, or more than one."""
     on_usb = sorted(port for port in ports if port.vid is not None)
     candidates = [port for port in on_usb if (port.vid, port.pid) in USB_CHIPS]
     if len(candidates) == 1:
@@ -126,12 +127,12 @@ def find_avrdude() -> str | None:
 
 
 def no_avrdude() -> FlashError:
-    """That it is missing, and what to type."""
+    """The error that avrdude is missing, and what to type."""
     return FlashError("`avrdude`, which writes to the board, is missing", "Debian: apt-get install avrdude")
 
 
 def avrdude_command(avrdude: str, port: str, hex_file: Path) -> list[str]:
-    """What writes the .hex to the Uno at ``port``, and reads it back."""
+    """The command that writes the .hex to the Uno at ``port`` and reads it back."""
     # -D: this boot loader cannot erase the chip; it erases each page that it writes
     boot_loader = ["-c", "arduino", "-b", "115200", "-P", port]
     return [avrdude, "-p", "atmega328p", *boot_loader, "-D", "-U", f"flash:w:{hex_file}:i"]
@@ -140,19 +141,17 @@ def avrdude_command(avrdude: str, port: str, hex_file: Path) -> list[str]:
 def check_port(port: str) -> None:
     """Raise FlashError where the port cannot be opened, or a program holds it as rig does.
 
-    avrdude itself takes no notice of that. Opening the port restarts an Uno.
+    avrdude itself does not check that. Opening the port restarts an Uno.
     """
     try:
         import fcntl  # not everywhere
     except ImportError as error:
-        raise FlashError(
-            "flashing is for Linux, where this has been tried", "`rig flash --dry-run` says what would be run"
-        ) from error
+        raise FlashError("flashing works on Linux only", "`rig flash --dry-run` shows the command") from error
     try:
         handle = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             if not os.isatty(handle):
-                raise FlashError(f"{port} is no serial port", "`ls /dev/serial/by-id/` shows which are")
+                raise FlashError(f"{port} is no serial port", "`ls /dev/serial/by-id/` lists the ports")
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         finally:
             os.close(handle)
@@ -163,9 +162,9 @@ def check_port(port: str) -> None:
 
 
 def write(command: list[str], port: str, show: Callable[[str], None]) -> None:
-    """Run avrdude; ``show`` is given what it says, as it comes.
+    """Run avrdude and pass its output on to ``show`` as it comes.
 
-    Raises FlashError where it fails: cause, cure and its exit status (128 + n after signal n).
+    Raises FlashError, as ``failure`` has it, where avrdude fails: cause, cure and exit status (128 + n after signal n).
     """
     said: list[str] = []
     environment = os.environ | {"LC_ALL": "C"}
@@ -189,7 +188,7 @@ def write(command: list[str], port: str, show: Callable[[str], None]) -> None:
 
 
 def failure(status: int, said: str, port: str) -> FlashError:
-    """What it means that avrdude ended with this status, not 0, and these words."""
+    """The error for avrdude's exit status, which is not 0, and its output."""
     for line in said.splitlines():
         if "open" in line and (port in line or "device" in line):
             for reason, (what, cure) in _CANNOT_OPEN.items():

@@ -1,4 +1,4 @@
-"""What has to be typed to flash the board of a config: every option of `rig flash` that the config tells."""
+"""The `rig flash` command for the board of a config, with every option that the config implies."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ WRONG_BRIDGE = "with the wrong one 0 V can be full drive"
 
 
 def flash_line(e: Experiment) -> str:
-    """The command for people to type, whole; where the config does not name the bridge, that of each."""
+    """The whole command, for people. If the config does not name the bridge: one command for each bridge."""
     baud = e.daq.baud if e.daq.baud in CHIP_BAUDS else max(CHIP_BAUDS)
     tachometer = "" if e.tachometer is None else " --tachometer"
 
@@ -25,11 +25,11 @@ def flash_line(e: Experiment) -> str:
     else:
         words = (
             " or ".join(map(line, BRIDGES)) + f", as the inputs of the bridge are labelled (docs/real-bench.md): "
-            f"{WRONG_BRIDGE}, and drive.bridge is to name it, too"
+            f"{WRONG_BRIDGE}; name the same bridge in drive.bridge"
         )
     if baud != e.daq.baud:
         words += f"; set daq.baud to {baud}: the firmware does not speak {e.daq.baud}"
     return (
-        f"switch the motor's supply off, then type: {words}; add --supply and --end-switches where these are wired, "
-        "which the config does not tell"
+        f"switch the motor's supply off, then type: {words}; add --supply and --end-switches if these are wired: "
+        "the config does not say"
     )

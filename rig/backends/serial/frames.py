@@ -183,7 +183,7 @@ class Setup(NamedTuple):
         return cls(*_SETUP.unpack(body))
 
 
-class State(NamedTuple):
+class DeviceState(NamedTuple):
     """Body of STATE and of STOP_REPLY.
 
     t_sample_us  device time of the position sample, us, wraps at 2**32
@@ -250,8 +250,8 @@ class Block(NamedTuple):
     t_first_us  device time of the first row's sample, us; the others follow every ``period_us``
     delay_us    from a row's sample until its drive acts
     status      STATUS_* bits when the block was closed; without STATUS_RELAY it is the last one
-    fault       as in State
-    session     as in State
+    fault       as in DeviceState
+    session     as in DeviceState
     rows        (position reading, drive units from then on) of each tick; the last block may have none. On the wire a
                 position is its 16-bit distance from the block's first
     """

@@ -1,8 +1,7 @@
-"""How a device behind a serial port is met: asked who it is until it says so, or refuses.
+"""The first exchange with a device behind a serial port: ask who it is until it answers, or refuses.
 
-Opening the port restarts an Uno, and its boot loader hears what is said first, perhaps at another baud rate. It must
-never hear "program page", which at once erases a page of the firmware; so these requests are spelled
-(docs/wire.md).
+Opening the port restarts an Uno. Its boot loader hears the first bytes, perhaps at another baud rate. It must never
+hear "program page", which erases a page of the firmware at once. So these requests go out byte by byte (docs/wire.md).
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ _PROGRAM_PAGE = 0x64  # to the boot loaders of Arduinos (STK500)
 
 
 class Introduction(NamedTuple):
-    """What a device said of itself, seq of the last HELLO (``requests``), and how many other replies came meanwhile."""
+    """The device's HELLO_REPLY, the seq of the last HELLO (``requests``), and how many other replies came meanwhile."""
 
     hello: Hello
     requests: int
@@ -33,7 +32,7 @@ class Introduction(NamedTuple):
 def await_introduction(transport: Transport, reader: frames.FrameReader, timeout_s: float) -> Introduction:
     """Ask until the device introduces itself: it may be restarting, or in its boot loader.
 
-    Raises Fault LINK_HELLO after ``timeout_s``, LINK_VERSION, LINK_REJECTED or LINK_LOST.
+    Raises Fault LINK_HELLO after ``timeout_s``, LINK_LOST, or the refusal of the device: LINK_VERSION, LINK_REJECTED.
     """
     for _ in range(STALE_READS):  # what an earlier run left behind; a device that never falls silent leaves more
         if not transport.read(0.0):
@@ -91,7 +90,7 @@ def _on_the_line(byte: int) -> str:
 
 
 def refusal(packet: Packet) -> Fault:
-    """What a NACK says."""
+    """The fault that a NACK stands for."""
     nack = Nack.unpack(packet.body)
     try:
         request = Kind(nack.kind).name

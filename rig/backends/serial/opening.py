@@ -27,7 +27,7 @@ from rig.faults import Fault
 
 @contextmanager
 def serial_line(e: Experiment) -> Iterator[Line]:
-    """As of ``LineBackend.line``."""
+    """As of ``LineBackend.line``. Raises ValueError where the config has no port."""
     port = e.daq.port
     if port == "emulated-chip":
         device = emulated_chip(e)
@@ -75,7 +75,7 @@ def serial_driver(e: Experiment, line: Line) -> SerialDriver:
 def emulated_chip(e: Experiment) -> VirtualChip:
     """The Uno's emulated chip with the config's bench behind it: port and clock in one, in virtual time.
 
-    Raises EmulationError where it cannot be built.
+    Raises EmulationError where it cannot be built, ValueError without section ``emulated``.
     """
     if e.emulated is None:
         raise ValueError("the config has no section `emulated`")
@@ -92,11 +92,13 @@ def emulated_chip(e: Experiment) -> VirtualChip:
 def emulated_board(
     e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
 ) -> Iterator[BoardProcess]:
-    """The emulated board of the config, running in real time for the block; its ``port`` is as daq.port takes it.
+    """The emulated board of the config, running in real time for the block; its ``port`` is a value for daq.port.
 
-    chip  the Uno's firmware on its emulated chip, as where the config's port asks for that; else the firmware's core
-          on this machine
-    Raises EmulationError where it cannot be built or started.
+    link   symbolic link to its port
+    trace  CSV file of the truth
+    chip   the Uno's firmware on its emulated chip, whatever the config's port is; False: only if the port asks for it,
+           else the firmware's core on this machine
+    Raises EmulationError where it cannot be built or started, ValueError without section ``emulated``.
     """
     if e.emulated is None:
         raise ValueError("the config has no section `emulated`")

@@ -1,4 +1,4 @@
-"""What ``daq.port`` names for ``driver: serial``: an emulated device, or a port and what delays its replies."""
+"""What ``daq.port`` names for ``driver: serial``: an emulated device, or a port and its USB adapter."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ CHIP_BAUDS = (115200, 1_000_000)  # that the Uno's firmware is built for
 
 
 def is_emulated(e: Experiment) -> bool:
-    """Whether the port is one of an emulated device."""
+    """Whether the port is that of an emulated device."""
     return e.daq.port in EMULATED_PORTS
 
 
 def adapter_of(e: Experiment) -> Adapter:
-    """What delays the replies: what the config says; else what its port's name gives away."""
+    """The USB adapter that delays the replies: from the config, else from the port's name."""
     if e.daq.adapter is not None:
         return e.daq.adapter
     return "none" if e.daq.port is None or is_emulated(e) else adapter_by_name(e.daq.port)

@@ -1,4 +1,4 @@
-"""The relay in the device, seen from the host: what it is told, and its ticks as they come back in blocks."""
+"""The relay in the device, seen from the host: its command, and its ticks, which come back in blocks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LARGEST_INTEGRAL = 2**30
 
 @dataclass(frozen=True)
 class FirmwareRelay(RelayCommand):
-    """The command as it goes over the wire, besides."""
+    """The command, with the ``setup`` that goes over the wire."""
 
     setup: RelaySetup
 
@@ -29,7 +29,8 @@ def relay_command(
 ) -> FirmwareRelay:
     """The command for these gains, drives rounded to whole units.
 
-    calibration  must be a straight line; tick_s  the device's tick in host time, s.
+    calibration  a straight line
+    tick_s       the device's tick in host time, s
     Raises ValueError for drives beyond the bridge's; Fault CONFIG_MISMATCH where the integral does not fit the device.
     """
     count_tick_rad_s = calibration.lsb_rad * tick_s
@@ -59,9 +60,9 @@ def relay_command(
 class RelayStream:
     """The blocks of one run of the relay in the device.
 
-    heard_s  host time at which the last block came, s; at first that of the start
-    last     the block that came last, None before the first
-    session  that each block must name
+    heard_s  host time at which the last block came, s; before the first block, that of the start
+    last     the last block; None before the first
+    session  number that each block must carry
     """
 
     def __init__(
@@ -82,9 +83,9 @@ class RelayStream:
         return self.last is not None and not self.last.status & frames.STATUS_RELAY
 
     def take(self, packet: Packet, now_s: float) -> bool:
-        """Take a packet of kind BLOCK; False where it has come before.
+        """Take a packet of kind BLOCK; False if it is a repeated one.
 
-        Raises Fault LINK_GAP where one is missing, DEVICE_RESET where it is of another session.
+        Raises Fault LINK_GAP where a block is missing, DEVICE_RESET where it is of another session.
         """
         ahead = (packet.seq - self._expected) % 2**16
         if ahead >= 2**15:
@@ -107,6 +108,6 @@ class RelayStream:
         return True
 
     def rows(self) -> list[RelayRow]:
-        """The rows that have come since the last call, in order."""
+        """The rows since the last call, in order."""
         rows, self._rows = self._rows, []
         return rows

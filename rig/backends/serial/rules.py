@@ -28,7 +28,7 @@ _PORTS_OF_MODBUS = ("emulated-tcp", "emulated-virtual")
 
 
 def serial_rules(e: Experiment) -> Iterator[Problem]:
-    """Everything that is a serial device's own."""
+    """The rules that only a serial device has."""
     yield from _keys(e)
     yield from _bridge(e)
     yield from _link_budget(e)
@@ -46,7 +46,7 @@ def _keys(e: Experiment) -> Iterator[Problem]:
     if d.port in CHIP_PORTS and d.baud not in CHIP_BAUDS:
         yield wrong("daq.baud", f"the Uno's firmware does not speak {d.baud} baud", "115200 or 1000000")
     if _is_of_modbus(d.port):
-        yield wrong("daq.port", f"{d.port} is of `driver: modbus`", "/dev/ttyACM0, or port: emulated")
+        yield wrong("daq.port", f"{d.port} is a port of `driver: modbus`", "/dev/ttyACM0, or port: emulated")
 
 
 def _is_of_modbus(port: str | None) -> bool:
@@ -54,7 +54,7 @@ def _is_of_modbus(port: str | None) -> bool:
 
 
 def _bridge(e: Experiment) -> Iterator[Problem]:
-    """Nobody but the config can tell what is wired: the firmware is held to it as the port is opened."""
+    """Only the config knows the wiring. rig compares the firmware with it when it opens the port."""
     port = e.daq.port
     if port is None or port.startswith("emulated") or _is_of_modbus(port):
         return
@@ -63,7 +63,7 @@ def _bridge(e: Experiment) -> Iterator[Problem]:
             "drive.bridge",
             f"is missing, and a real motor may be behind {port}: it names the inputs of the bridge, and {WRONG_BRIDGE}",
             "pwm-dir where the bridge's label says PWM and DIR, in1-in2 where it says IN1 and IN2 (docs/real-bench.md, "
-            "Which bridge); `rig doctor` on this config says which of them the firmware is for",
+            "Which bridge); `rig doctor` on this config says which one the firmware is for",
         )
 
 
@@ -72,7 +72,7 @@ def _fits(e: Experiment, baud: int, adapter: Adapter | None = None) -> bool:
 
 
 def _quicker_adapter(e: Experiment, fits: Callable[[Adapter], bool]) -> str:
-    """What to do about an adapter where another one would fit; nothing where none would."""
+    """The hint to use another adapter, where that would fit; "" where none would."""
     adapter = adapter_of(e)
     if adapter == "ftdi" and fits("ftdi-1ms"):
         device = PurePosixPath(e.daq.port or "").name if (e.daq.port or "").startswith("/dev/tty") else "ttyUSB0"
@@ -80,9 +80,9 @@ def _quicker_adapter(e: Experiment, fits: Callable[[Adapter], bool]) -> str:
             f"an FTDI with its latency timer at 1 ms fits: `echo 1 | sudo tee /sys/bus/usb-serial/devices/{device}/"
             "latency_timer`, and daq.adapter: ftdi-1ms"
         )
-        return timer if e.daq.adapter is not None else f"daq.adapter: which one `rig doctor` finds there; {timer}"
+        return timer if e.daq.adapter is not None else f"set daq.adapter to what `rig doctor` finds there; {timer}"
     if adapter != "none" and e.daq.adapter is None and fits("native-usb"):
-        return "daq.adapter: which one `rig doctor` finds there, if it is another"
+        return "set daq.adapter to what `rig doctor` finds there, if it is another"
     return ""
 
 
@@ -102,7 +102,7 @@ def _link_budget(e: Experiment) -> Iterator[Problem]:
 
 
 def _reply_time(e: Experiment) -> Iterator[Problem]:
-    """Three readings in a row that are asked for again end a run: of a sound link none is."""
+    """A run ends after three repeated readings in a row. On a sound link no reading may need repeating."""
     if not _fits(e, e.daq.baud):
         return
     reading = reading_budget(e)
@@ -114,7 +114,7 @@ def _reply_time(e: Experiment) -> Iterator[Problem]:
         yield wrong(
             "daq.timeout_s",
             f"{1e3 * e.daq.timeout_s:g} ms is too short for a reading: {reading.written}; after two thirds of the "
-            "time-out it is asked for again, and three such in a row end the run",
+            "time-out it is asked for again, and three repeated readings in a row end the run",
             f"{least_ms / 1e3:g} seconds and more, or {quicker or 'a higher daq.baud'}",
         )
 

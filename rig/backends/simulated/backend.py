@@ -12,11 +12,11 @@ from rig.backends.keys import foreign_keys
 from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
 
-_ROUNDED_S = 1e-6  # in the record
+_ROUNDED_S = 1e-6  # the last digit in samples.csv
 
 
 class SimulatedBackend(Backend):
-    """No device: a model of the motor, and a driver that has its own clock."""
+    """No device: a model of the motor, and a driver with its own clock."""
 
     name = "simulated"
 
@@ -43,7 +43,7 @@ class SimulatedBackend(Backend):
         return False
 
     def times_error_s(self, e: Experiment) -> float:
-        """As of ``Backend``: times are exact, but for their digits in a record."""
+        """As of ``Backend``: exact, but for the digits in samples.csv."""
         return _ROUNDED_S
 
     def words(self, e: Experiment) -> str:
@@ -60,7 +60,7 @@ class SimulatedBackend(Backend):
 
     @contextmanager
     def unopened(self, e: Experiment) -> Iterator[Unopened]:
-        """As of ``Backend``."""
+        """As of ``Backend``. Raises ValueError without section ``emulated``."""
         from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 
         truth = truth_of(e)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from rig.backends.driver import Clock, DeviceInfo, DeviceWatchdog
 from rig.calibration import Calibration, DriveMap, hard_limits_in_counts
 from rig.faults import Fault
-from rig.model.bench import Bench, BenchParameters
+from rig.model.bench import BenchModel, BenchParameters
 from rig.signals import Limits, Order, Sample
 
 
@@ -24,14 +24,14 @@ class SimulatedLatency:
 
 
 class SimulatedDriver:
-    """A bench behind the driver interface, with the device's own watchdog and travel limits.
+    """The emulated bench as a driver, with a device's own watchdog and travel limits.
 
     clock         virtual time; ``read`` lets the bench catch up with it
     bench         what is really there
-    calibration, drive_map   what the host believes of sensor and drive
+    calibration, drive_map   sensor and drive as the config describes them
     rail_counts   readings at or beyond these make the device stop
-    latency       from a drive's way out until it acts; it may be longer than a period
-    order         "write_first": a drive goes out with the next ``read``, just before that samples; it acts at once
+    latency       from the write of a drive until it acts; may be longer than a period
+    order         "write_first": a drive goes out with the next ``read``, just before its sample, and acts at once
     """
 
     backend = "simulated in virtual time"
@@ -48,7 +48,7 @@ class SimulatedDriver:
         order: Order = "sample_first",
     ) -> None:
         self.order: Order = order
-        self.bench = Bench(bench, seed)
+        self.bench = BenchModel(bench, seed)
         self.failsafe: DeviceWatchdog | None = DeviceWatchdog(1.0)  # until armed with less
         self.link_statistics: Mapping[str, int] = {}
         self._clock = clock
@@ -96,7 +96,7 @@ class SimulatedDriver:
             self._set_pin(self._staged)
             self._staged = None
         if self.bench.pin_counts == 0:
-            self._heard_s = self._now_s  # as the firmware: what drives is kept up by drives alone
+            self._heard_s = self._now_s  # as in the firmware: only drives keep a drive on
         counts = self.bench.read_counts()
         self._check_device(counts)
         if self._fault is not None:
@@ -113,7 +113,7 @@ class SimulatedDriver:
         )
 
     def write(self, u_V: float) -> None:
-        """Set the drive; it takes effect after the latency. Raises ValueError beyond the drive's range."""
+        """Set the drive; it acts after the latency. Raises ValueError beyond the drive's range, Fault if not armed."""
         units = self._drive_map.to_units(u_V)
         if self._limits is None:
             raise Fault("DEVICE_NOT_ARMED")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rig.identify.laws.coulomb import Coulomb
-from rig.identify.laws.law import CLEAR, Comparison, Doubt
+from rig.identify.laws.law import CLEAR, Doubt, LawComparison
 
 
 class Asymmetric(Coulomb):
@@ -14,6 +14,6 @@ class Asymmetric(Coulomb):
     asymmetric = True
     confounded_with = ("bias_V",)
 
-    def from_one_amplitude(self, against: Comparison) -> str | Doubt | None:
+    def from_one_amplitude(self, against: LawComparison) -> str | Doubt | None:
         """Within each cycle the two directions are told apart: the criterion alone decides."""
         return f"{against.title}: {against.gained}" if against.gain > CLEAR else None

@@ -27,7 +27,7 @@ CLEAR = 10.0  # difference of criterion that decides ("very strong", Kass & Raft
 SECOND_AMPLITUDE = "record a second relay test of another amplitude"
 
 
-class Parameter(NamedTuple):
+class LawParameter(NamedTuple):
     """One that a law has beyond tau, K, fc, asym and delay.
 
     name         with its unit
@@ -90,7 +90,7 @@ class Doubt(NamedTuple):
     record: str
 
 
-class Comparison(NamedTuple):
+class LawComparison(NamedTuple):
     """A law beside the simpler one that is chosen so far.
 
     title   of the law; gained   what it gains, in words
@@ -120,7 +120,7 @@ class CandidateLaw(Protocol):
     name: str
     title: str
     asymmetric: bool = True
-    parameters: tuple[Parameter, ...] = ()
+    parameters: tuple[LawParameter, ...] = ()
     has_static_level: bool = False
     confounded_with: tuple[str, ...] = ()
 
@@ -155,11 +155,11 @@ class CandidateLaw(Protocol):
         errors = {name: error for name, error in own.items() if error is not None}
         return Values({name: fit.value(name) for name in errors}, errors)
 
-    def needs(self, against: Comparison) -> str | Doubt | None:
+    def needs(self, against: LawComparison) -> str | Doubt | None:
         """What it takes before criterion and prediction are asked: a sentence that decides for it, or a doubt."""
         return None
 
-    def from_one_amplitude(self, against: Comparison) -> str | Doubt | None:
+    def from_one_amplitude(self, against: LawComparison) -> str | Doubt | None:
         """The same where there is no test of another amplitude to be predicted; None: it is not needed."""
         if against.gain <= CLEAR:
             return None

@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.identify.breakaway import Ramps
 from rig.identify.laws.coulomb import Coulomb
-from rig.identify.laws.law import CLEAR, Comparison, Doubt, Fitted, Parameter, Plain, Values
+from rig.identify.laws.law import CLEAR, Doubt, Fitted, LawComparison, LawParameter, Plain, Values
 from rig.model.sensitivity import Theta
 
 LEVELS = 24  # that are tried,
@@ -25,7 +25,7 @@ class Static(Coulomb):
     name = "static"
     title = "Coulomb friction with a static level"
     asymmetric = True
-    parameters = (Parameter("excess_V", 1e-5, fitted=False),)
+    parameters = (LawParameter("excess_V", 1e-5, fitted=False),)
     has_static_level = True
     confounded_with = ("stribeck",)
 
@@ -55,7 +55,7 @@ class Static(Coulomb):
         level_V = fit.value("fc_V") + fit.value("excess_V")
         return Values({"fs_V": level_V}, {"fs_V": math.nan if ramps is None else ramps.error_V})
 
-    def needs(self, against: Comparison) -> str | Doubt | None:
+    def needs(self, against: LawComparison) -> str | Doubt | None:
         """Both ramps, or a motor that stands still in motion."""
         ramps = against.ramps
         if ramps is not None and any(ramps.shown):

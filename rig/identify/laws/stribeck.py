@@ -14,10 +14,10 @@ from rig.identify.laws.law import (
     SECOND_AMPLITUDE,
     Array,
     CandidateLaw,
-    Comparison,
     Doubt,
     Fitted,
-    Parameter,
+    LawComparison,
+    LawParameter,
     Plain,
     Range,
     Values,
@@ -34,7 +34,7 @@ class Stribeck(CandidateLaw):
 
     name = "stribeck"
     title = "Stribeck friction"
-    parameters = (Parameter("excess_V", 1e-5), Parameter("stribeck_rad_s", 1e-4, logarithmic=True))
+    parameters = (LawParameter("excess_V", 1e-5), LawParameter("stribeck_rad_s", 1e-4, logarithmic=True))
     has_static_level = True
     confounded_with = ("tau_s", "K_rad_s_V", "fc_V")
 
@@ -64,7 +64,7 @@ class Stribeck(CandidateLaw):
         level_V, speed = fit.value("fc_V") + fit.value("excess_V"), fit.value("stribeck_rad_s")
         return Values({"fs_V": level_V, "stribeck_rad_s": speed}, {"fs_V": level_error, "stribeck_rad_s": speed_error})
 
-    def from_one_amplitude(self, against: Comparison) -> str | Doubt | None:
+    def from_one_amplitude(self, against: LawComparison) -> str | Doubt | None:
         """Never: it looks much like another tau, K and fc there."""
         wants = f"{against.gained}, but " if against.gain > CLEAR else ""
         return Doubt(f"{wants}at one amplitude it looks like another tau, K and fc", SECOND_AMPLITUDE)

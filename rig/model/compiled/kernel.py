@@ -1,10 +1,10 @@
 """How the loops of this room are compiled: they call the plain functions of ``rig.model``, and are kept on disk.
 
-numba looks at a loop's own file to tell whether what it kept is current. A loop here also calls functions of other
-files, so the text of all of them is part of the key.
+numba compares only a loop's own file with the compiled copy on disk. A loop here also calls functions of other files,
+so the text of all of them is part of the key.
 
-Plain tuples of numbers go in, and get their names (``Plant``, ``State``) inside: at each call numba takes 5 us to tell
-the type of a named tuple, and what it keeps on disk could not be read any more once such a class is gone.
+The loops take plain tuples of numbers and name them (``Plant``, ``State``) inside. For a named tuple numba would need
+5 us at each call to find its type, and could not read its copy on disk once the class has gone.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def _digest() -> str:
-    """Of the text of everything that a loop may be made of."""
+    """Digest of the text of all files that a loop may call."""
     files = [*(Path(str(part.__file__)) for part in PARTS), *sorted(Path(__file__).parent.glob("*.py"))]
     return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
 
 
 class _Cache(FunctionCache):
-    """numba's, with that text in the key."""
+    """numba's cache, with that text in the key."""
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         return super()._index_key(sig, codegen), SOURCE  # type: ignore[no-untyped-call]

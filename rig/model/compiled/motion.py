@@ -34,7 +34,7 @@ def response(motor: Numbers, start: Numbers, drive: Drive, t_s: Array, out: Arra
     """Fill ``out`` at the times ``t_s`` (n, s, non-decreasing): positions, (n,), or v, y, z, (n, 3).
 
     start   state at the first sample
-    The drive before its first edge is that of its first edge.
+    Before its first edge the drive is the drive of that edge.
     """
     plant, state = Plant(*motor), State(*start)
     edge_s, u_V, delay_s = drive
@@ -79,7 +79,7 @@ def position_and_jacobian(
 ) -> None:
     """Fill ``y_rad`` (n,) and ``jacobian`` (n, 7), by tau, K, fc, asym, delay, v0, y0; no Stribeck effect.
 
-    Of the plant fc is the level of both directions, and asym the bias.
+    fc is the plant's level in both directions, and asym its bias.
     """
     plant, state = Plant(*motor), State(*start)
     tau, K = plant.tau_s, plant.K_rad_s_V

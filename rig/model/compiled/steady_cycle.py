@@ -1,8 +1,8 @@
 """The steady cycle under given edges of the relays, in closed form, with its derivatives, and fits to it.
 
-Velocity is linear in what drives it, and w = y + tau v moves in straight lines, so a periodic motion under given edges
-of the relays needs no iteration; not even the reversal does: exp(t1 / tau) solves a linear equation. Used by
-``rig.identify.triple_relay``.
+Velocity is linear in the drive, and w = y + tau v moves in straight lines. So a periodic motion under given edges needs
+no iteration. The reversal needs none either: exp(t1 / tau) solves a linear equation.
+``rig.identify.triple_relay`` uses it.
 """
 
 from __future__ import annotations
@@ -225,8 +225,8 @@ def curve(
     for n in range(t_s.size):
         first = n < halves[0]
         t = t_s[n] - delay
-        # After the delay a sample may lie in the half before. From the first RC edge the motor goes through the one
-        # half, and then back through the other; before that edge it comes back to it.
+        # After the delay a sample may lie in the half before. From the first RC edge the motor moves away through one
+        # half, and back through the other. Before that edge it is on its way back.
         if first == (t >= 0.0):
             d, d_0, d_1, d_2, v = _travel(tau, up, x_up, t1_up, rb_up, 1.0, stop_up, t if first else t + rc_up)
         else:
@@ -249,7 +249,7 @@ def curve(
 def _normal_equations(
     residual: Array, jacobian: Array, free: NDArray[np.bool_], normal: Array, gradient: Array
 ) -> None:
-    """Fill J'J and J'r; a parameter that is not free gets an equation of its own that leaves it alone."""
+    """Fill J'J and J'r. A parameter that is not free gets an equation of its own that keeps its value."""
     n, p = jacobian.shape
     normal[:] = 0.0
     gradient[:] = 0.0
@@ -310,7 +310,7 @@ def _misfit(
     residual: Array,
     jacobian: Array,
 ) -> float:
-    """Fill weighted residuals and their Jacobian: the curve's, or where there are no samples the five conditions'.
+    """Fill weighted residuals and their Jacobian: of the curve, or without samples of the five conditions.
 
     Returns the sum of squares.
     """
@@ -360,13 +360,12 @@ def solve(
     theta             (6,) as for ``curve``, or (3,) as for ``switching_conditions``
     edges             (4,) as for ``curve``, or (3,): the durations
     halves, t_s       as for ``curve``; no samples for the five conditions
-    measured, weight  what the curve or the conditions have to be, and one over the size of an error
-    low, high         where theta is looked for. The delay goes up to its bounds and stays there
+    measured, weight  target of the curve or of the conditions, and one over the size of an error
+    low, high         range of theta. The delay goes up to its bounds and stays there
     tolerance         steps that end the search
     damping           of the first step
     iterates          (m, 3) or (m, 6): filled with theta at each iteration, the start first
-    Returns the number of iterates and the sum of squares. The damping grows until a step lowers that, and falls after
-    one that does.
+    Returns the number of iterates and the sum of squares. The damping grows until a step lowers the sum, then it falls.
     """
     n, p = measured.size, theta.size
     walls = 5

@@ -19,7 +19,7 @@ from rig.control.guard import Guard, GuardSettings
 from rig.loop.real_time import RealTimeSettings, real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
-from rig.recording.record import NoRecord
+from rig.recording.sink import NullSink
 from rig.signals import Limits, Order, Sample
 
 LIMITS = Limits(soft_rad=(-1.0, 1.0), hard_rad=(-2.0, 2.0), max_u_V=3.0, watchdog_s=0.1)
@@ -69,7 +69,7 @@ class Evidence:
         return int(os.pread(self._file, 80, 0).split()[1]), usage.ru_minflt + usage.ru_majflt
 
 
-class Ticked(NoRecord):
+class Ticked(NullSink):
     """Keeps of each tick its number, how late it was (us), when that was over, and the evidence until then."""
 
     def __init__(self, evidence: Evidence) -> None:

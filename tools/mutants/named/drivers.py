@@ -230,14 +230,14 @@ RELAY = of(
     "rig/backends/serial/device_relay.py",
     (
         "the relay's read-back is not compared",
-        "DeviceRelay.start",
+        "RelayRun.start",
         "if RelaySetup.unpack(packet.body) != setup:",
         "if False:",
         _in_device("test_a_relay_that_was_stored_otherwise_is_refused"),
     ),
     (
         "blocks that stay away are not missed",
-        "DeviceRelay.missed_s",
+        "RelayRun.missed_s",
         "if silent_s > frames.BLOCK_ROWS * TICK_S + self._exchange.timeout_s:",
         "if False:",
         _in_device("test_a_reset_a_hang_and_a_cable_while_it_runs"),

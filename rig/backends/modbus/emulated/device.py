@@ -1,4 +1,4 @@
-"""What the process of the emulated I/O block is told: parsed already, so that it starts without loading the config."""
+"""The parameters of the emulated I/O block's process, already parsed, so that it starts without loading the config."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from rig.backends.modbus.emulated.io_block_registers import BlockRegisters
 from rig.backends.modbus.emulated.line_faults import CorruptionRate
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
-from rig.backends.modbus.emulated.rtu_slave import Line
+from rig.backends.modbus.emulated.reply_faults import ReplyFault
+from rig.backends.modbus.emulated.rtu_slave import LineTimes
 from rig.model.bench import BenchParameters
 
 
@@ -22,7 +22,7 @@ class Device:
     polarity          +1: positive drive raises the position register; -1: lowers it
     line              times of an RTU line; of TCP its turnaround alone counts
     tcp_port          TCP on this port, 0: on a free one; None: RTU
-    misbehaviour, corruption   of the block, of an RTU line
+    reply_fault, corruption   of the block, of an RTU line
     """
 
     registers: BlockRegisters
@@ -30,9 +30,9 @@ class Device:
     bench: BenchParameters
     seed: int
     polarity: int
-    line: Line
+    line: LineTimes
     tcp_port: int | None = None
-    misbehaviour: Misbehaviour | None = None
+    reply_fault: ReplyFault | None = None
     corruption: CorruptionRate | None = None
 
     def packed(self) -> str:

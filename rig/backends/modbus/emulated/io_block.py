@@ -20,7 +20,7 @@ from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.io_block_registers import RANGES, BlockRegisters
 from rig.backends.modbus.registers import Table
-from rig.model.bench import Bench
+from rig.model.bench import BenchModel
 
 if TYPE_CHECKING:  # the process of an emulated device starts without the config
     from rig.backends.modbus.section import Modbus
@@ -99,7 +99,7 @@ class IoBlock:
     def __init__(
         self,
         registers: BlockRegisters,
-        bench: Bench,
+        bench: BenchModel,
         unit: int = 1,
         *,
         polarity: int = 1,
@@ -141,7 +141,7 @@ class IoBlock:
     @classmethod
     def of(cls, modbus: Modbus, emulated: Emulated, seed: int, **options: Any) -> Self:
         """As the sections ``daq.modbus`` and ``emulated`` have it; options as of the class."""
-        bench = Bench(bench_parameters(emulated), seed)
+        bench = BenchModel(bench_parameters(emulated), seed)
         return cls(BlockRegisters.of(modbus), bench, modbus.unit, **options)
 
     # ------------------------------------------------------------------ time
@@ -334,8 +334,10 @@ class IoBlock:
     # ------------------------------------------------------------------ requests
 
     def request(self, pdu: bytes, t_s: float) -> bytes:
-        """The answer to one request that arrives whole at ``t_s``; any bytes at all are answered, badly formed ones by
-        an exception. ``pdu`` has at least its function code. A time that is past counts as now.
+        """The answer to one request that arrives whole at ``t_s``. A time that is past counts as now.
+
+        ``pdu`` has at least its function code. The block answers any bytes. If it has ``_Refused`` them, the
+        answer is a Modbus exception.
         """
         self.advance_to(t_s)
         self.requests += 1

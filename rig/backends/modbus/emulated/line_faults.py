@@ -1,4 +1,4 @@
-"""Random damage to what is sent on a serial line."""
+"""Random damage to the bytes on a serial line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _DIRECTIONS: tuple[Direction, ...] = ("request", "reply")
 
 
 class CorruptionRate(NamedTuple):
-    """How often a line damages what passes: arguments of ``Corruption``."""
+    """How often a line damages bytes: arguments of ``Corruption``."""
 
     rate_1_s: float
     seed: int
@@ -20,11 +20,11 @@ class CorruptionRate(NamedTuple):
 
 
 class Corruption:
-    """Random damage to single bytes: changed, lost or come from nowhere, at most one in what is sent at a time.
+    """Random damage to single bytes: one is changed, lost or added, at most one in each frame.
 
-    rate_1_s  how many a second, of requests and replies alike; where there is no traffic they wait for it
-    seed      of where and what
-    after_s   when it begins
+    rate_1_s  damages per second, of requests and replies alike; without traffic they wait for it
+    seed      of place and kind of each damage
+    after_s   time at which it begins, s
     """
 
     def __init__(self, rate_1_s: float, seed: int, after_s: float = 0.0) -> None:
@@ -35,7 +35,7 @@ class Corruption:
         self._next: Direction = self._random.choice(_DIRECTIONS)
 
     def __call__(self, direction: Direction, data: bytes, t_s: float) -> Sequence[tuple[float, bytes]]:
-        """As a Disturbance."""
+        """As ``Disturbance``: the bytes that arrive instead, each with its delay, s."""
         if direction != self._next or (t_s - self._after_s) * self._rate_1_s < self.done + 1:
             return ((0.0, data),)
         self.done += 1

@@ -12,8 +12,8 @@ from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.device import Device
 from rig.backends.modbus.emulated.io_block_registers import BlockRegisters
 from rig.backends.modbus.emulated.line_faults import CorruptionRate
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
-from rig.backends.modbus.emulated.rtu_slave import Line
+from rig.backends.modbus.emulated.reply_faults import ReplyFault
+from rig.backends.modbus.emulated.rtu_slave import LineTimes
 from rig.backends.modbus.section import Modbus, read_in_a_tick, span_of
 from rig.config.schema import Emulated
 
@@ -46,7 +46,7 @@ class ModbusBoard(BoardProcess):
         baud: int = 115200,
         tcp_port: int | None = None,
         polarity: int = 1,
-        misbehaviour: Misbehaviour | None = None,
+        reply_fault: ReplyFault | None = None,
         corruption: CorruptionRate | None = None,
     ) -> str:
         """Start the process and return the name of its port: a pseudo-terminal's, or ``tcp://127.0.0.1:number``.
@@ -56,7 +56,7 @@ class ModbusBoard(BoardProcess):
         baud          RTU: of the wire, whose time is kept
         tcp_port      TCP on this port, 0: on a free one; None: RTU
         polarity      +1: positive drive raises the position register; -1: lowers it
-        misbehaviour  of the device
+        reply_fault   fault of the device's replies
         corruption    RTU: damage on the line
         Raises EmulationError where it does not start.
         """
@@ -69,9 +69,9 @@ class ModbusBoard(BoardProcess):
             bench_parameters(emulated),
             seed,
             polarity,
-            Line.of(modbus, baud),
+            LineTimes.of(modbus, baud),
             tcp_port,
-            misbehaviour,
+            reply_fault,
             corruption,
         )
         command = (sys.executable, "-m", "rig.backends.modbus.emulated.modbus_process")

@@ -1,7 +1,7 @@
 """The emulated Modbus I/O block in real time: a process behind a pseudo-terminal (RTU) or on loopback (TCP).
 
-Started by ``modbus_board``. It says ``port NAME`` once it is there. It sleeps between requests, for 20 ms
-at most: the block's milliseconds are caught up with then, which nobody outside can tell from doing them in time.
+``modbus_board`` starts it. It prints ``port NAME`` when it is ready. It sleeps between requests, for 20 ms at most, and
+then catches up with the block's milliseconds. From outside that looks the same as doing them in time.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ import time
 from pathlib import Path
 from typing import Protocol, TextIO
 
-from rig import __version__
 from rig.backends.emulated.device_process import ORPHAN_S, fail, linked, open_pty, signals, take_priority
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.device import Device, unpacked
@@ -29,7 +28,8 @@ from rig.backends.modbus.emulated.io_block import IoBlock
 from rig.backends.modbus.emulated.line_faults import Corruption
 from rig.backends.modbus.emulated.rtu_slave import RtuSlave
 from rig.backends.modbus.emulated.tcp_slave import Stream, TcpSlave
-from rig.model.bench import Bench
+from rig.model.bench import BenchModel
+from rig.package import VERSION
 
 LOOPBACK = "127.0.0.1"
 _TRACE_S = 0.01
@@ -103,7 +103,7 @@ class _Tcp:
         except OSError as error:
             why = "another program has it" if error.errno == errno.EADDRINUSE else error.strerror
             raise EmulationError(
-                f"port {number} of this machine: {why}; end what uses it, or give daq.port another"
+                f"port {number} of this machine: {why}; end that program, or give daq.port another number"
             ) from error
         self._server.setblocking(False)
         self.name = f"tcp://{LOOPBACK}:{self._server.getsockname()[1]}"
@@ -218,13 +218,13 @@ def main() -> None:
 
 
 def _device(device: Device, trace: _Trace) -> tuple[IoBlock, _Port]:
-    bench = Bench(device.bench, device.seed)
-    block = IoBlock(device.registers, bench, device.unit, polarity=device.polarity, revision=__version__)
+    bench = BenchModel(device.bench, device.seed)
+    block = IoBlock(device.registers, bench, device.unit, polarity=device.polarity, revision=VERSION)
     block.on_output = lambda t_s, u_V: trace.row(block)
     if device.tcp_port is not None:
-        return block, _Tcp(TcpSlave(block, device.line.turnaround_s, device.misbehaviour), device.tcp_port)
+        return block, _Tcp(TcpSlave(block, device.line.turnaround_s, device.reply_fault), device.tcp_port)
     corruption = None if device.corruption is None else Corruption(*device.corruption)
-    return block, _Pty(RtuSlave(block, device.line, device.misbehaviour, corruption))
+    return block, _Pty(RtuSlave(block, device.line, device.reply_fault, corruption))
 
 
 def _run(block: IoBlock, port: _Port, trace: _Trace, start_s: float, ends: int, *, watches_stdin: bool) -> None:

@@ -1,7 +1,7 @@
 """The emulated I/O block on a Modbus RTU line: framing by silence, check sums, wire times, and faults of all of them.
 
-Pure: time is told. Modbus over serial line, V1.02, section 2.5.1: a frame ends with 3.5 characters of silence; one that
-is damaged or another unit's is not answered; what is sent to unit 0 is executed and not answered.
+Pure: the caller gives the time. Modbus over serial line, V1.02, section 2.5.1: a frame ends with 3.5 characters of
+silence. A damaged frame, or one for another unit, gets no answer. A request to unit 0 is executed, without an answer.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, Self
 from pymodbus.framer import FramerRTU
 
 from rig.backends.modbus.emulated.io_block import IoBlock
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.reply_faults import ReplyFault
 
 if TYPE_CHECKING:  # the process of an emulated device starts without the config
     from rig.backends.modbus.section import Modbus
@@ -29,7 +29,7 @@ Disturbance = Callable[[Direction, bytes, float], Sequence[tuple[float, bytes]]]
 
 
 @dataclass(frozen=True)
-class Line:
+class LineTimes:
     """Times of a serial line.
 
     baud, bits_per_byte   start, parity and stop bits included: 10 (8N1) or 11
@@ -72,7 +72,7 @@ class RtuSlave:
 
     block         time passes for it together with the line's
     line          times
-    misbehaviour  of the block, None: it does as it should
+    reply_fault  fault of the block's replies; None: none
     disturbance   on the line, both ways; may be changed at any time
     frames, damaged, foreign   requests so far: executed ones; dropped for their check sum or length; of other units
     """
@@ -80,13 +80,13 @@ class RtuSlave:
     def __init__(
         self,
         block: IoBlock,
-        line: Line,
-        misbehaviour: Misbehaviour | None = None,
+        line: LineTimes,
+        reply_fault: ReplyFault | None = None,
         disturbance: Disturbance | None = None,
     ) -> None:
         self.block = block
         self.line = line
-        self.misbehaviour = misbehaviour
+        self.reply_fault = reply_fault
         self.disturbance = disturbance
         self.frames = self.damaged = self.foreign = 0
         self._coming: list[tuple[float, int, bytes]] = []  # heaps by time, in order of sending where it is the same
@@ -154,7 +154,7 @@ class RtuSlave:
         if unit == BROADCAST:
             self.block.request(pdu, t_s)
             return
-        answer = Misbehaviour.answer_of(self.misbehaviour, self.block, pdu, t_s)
+        answer = ReplyFault.answer_of(self.reply_fault, self.block, pdu, t_s)
         if answer is None:
             return
         begins_s = max(t_s + self.line.turnaround_s + answer.late_s, self._free_s)

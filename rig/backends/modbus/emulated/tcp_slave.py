@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from rig.backends.modbus.emulated.io_block import IoBlock
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.reply_faults import ReplyFault
 
 _HEADER = 7
 _ITSELF = (0, 255)
@@ -60,12 +60,12 @@ class TcpSlave:
     """The block and the replies that are not out yet.
 
     turnaround_s  from a request to its reply
-    misbehaviour  of the block, None: it does as it should
+    reply_fault  fault of the block's replies; None: none
     """
 
-    def __init__(self, block: IoBlock, turnaround_s: float, misbehaviour: Misbehaviour | None = None) -> None:
+    def __init__(self, block: IoBlock, turnaround_s: float, reply_fault: ReplyFault | None = None) -> None:
         self.block = block
-        self.misbehaviour = misbehaviour
+        self.reply_fault = reply_fault
         self._turnaround_s = turnaround_s
         self._going: list[tuple[float, int, int, bytes]] = []
         self._n = 0
@@ -74,7 +74,7 @@ class TcpSlave:
         """Execute a request that arrived at ``t_s`` on a connection; one to another unit is not answered."""
         if adu.unit != self.block.unit and adu.unit not in _ITSELF:
             return
-        answer = Misbehaviour.answer_of(self.misbehaviour, self.block, adu.pdu, t_s)
+        answer = ReplyFault.answer_of(self.reply_fault, self.block, adu.pdu, t_s)
         if answer is not None:
             unit = adu.unit if answer.unit == self.block.unit else answer.unit
             reply = Adu(adu.transaction, unit, answer.pdu).pack()

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 from rig.backends.emulated.plug import Plug
 from rig.backends.modbus.emulated.io_block import ExecutedDrive, IoBlock, IoBlockTruth
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
-from rig.backends.modbus.emulated.rtu_slave import Disturbance, Line, RtuSlave
+from rig.backends.modbus.emulated.reply_faults import ReplyFault
+from rig.backends.modbus.emulated.rtu_slave import Disturbance, LineTimes, RtuSlave
 from rig.backends.modbus.section import Modbus
 from rig.config.schema import Emulated
 from rig.model.bench import DriveWiring, SensorWiring
@@ -79,7 +79,7 @@ class VirtualIoBlock(BlockInVirtualTime, Plug):
 
     modbus, emulated, seed, polarity   as of ``BlockInVirtualTime``
     baud              of the line
-    misbehaviour, disturbance   of the device, of the line; may be set at any time
+    reply_fault, disturbance   of the device, of the line; may be set at any time
     """
 
     def __init__(
@@ -90,13 +90,13 @@ class VirtualIoBlock(BlockInVirtualTime, Plug):
         *,
         baud: int = 115200,
         polarity: int = 1,
-        misbehaviour: Misbehaviour | None = None,
+        reply_fault: ReplyFault | None = None,
         disturbance: Disturbance | None = None,
     ) -> None:
         BlockInVirtualTime.__init__(self, modbus, emulated, seed, polarity)
         Plug.__init__(self, "virtual I/O block")
-        self.line = Line.of(modbus, baud)
-        self._slave = RtuSlave(self.block, self.line, misbehaviour, disturbance)
+        self.line = LineTimes.of(modbus, baud)
+        self._slave = RtuSlave(self.block, self.line, reply_fault, disturbance)
 
     # ------------------------------------------------------------------ port
 
@@ -120,14 +120,14 @@ class VirtualIoBlock(BlockInVirtualTime, Plug):
     def _advance(self) -> None:
         self._slave.advance_to(self._now_s)
 
-    # ------------------------------------------------------------------ what may happen, and what is the case
+    # ------------------------------------------------------------------ fault injection, and counts
 
-    def misbehave(self, misbehaviour: Misbehaviour | None) -> None:
-        """From now on the device answers so; None: as it should."""
-        self._slave.misbehaviour = misbehaviour
+    def inject(self, reply_fault: ReplyFault | None) -> None:
+        """From now on the replies have this fault; None: no fault."""
+        self._slave.reply_fault = reply_fault
 
     def disturb(self, disturbance: Disturbance | None) -> None:
-        """From now on the line does so; None: nothing."""
+        """From now on the line has this disturbance; None: none."""
         self._slave.disturbance = disturbance
 
     @property

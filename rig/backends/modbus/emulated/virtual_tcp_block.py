@@ -11,7 +11,7 @@ import math
 from collections import deque
 from typing import Literal
 
-from rig.backends.modbus.emulated.misbehaviour import Misbehaviour
+from rig.backends.modbus.emulated.reply_faults import ReplyFault
 from rig.backends.modbus.emulated.tcp_slave import Stream, TcpSlave
 from rig.backends.modbus.emulated.virtual_io_block import BlockInVirtualTime
 from rig.backends.modbus.section import Modbus
@@ -70,7 +70,7 @@ class _Way:
 class VirtualTcpBlock(BlockInVirtualTime):
     """The block behind a network: a connection to it is a ``Transport``, and a ``Clock`` too.
 
-    modbus, emulated, seed, polarity, misbehaviour   as of ``VirtualIoBlock``, but nothing of the line
+    modbus, emulated, seed, polarity, reply_fault   as of ``VirtualIoBlock``, but nothing of the line
     Not connected at first. Raises EmulationError where a register cannot hold what it is for.
     """
 
@@ -81,10 +81,10 @@ class VirtualTcpBlock(BlockInVirtualTime):
         seed: int = 1,
         *,
         polarity: int = 1,
-        misbehaviour: Misbehaviour | None = None,
+        reply_fault: ReplyFault | None = None,
     ) -> None:
         super().__init__(modbus, emulated, seed, polarity)
-        self._slave = TcpSlave(self.block, modbus.turnaround_s, misbehaviour)
+        self._slave = TcpSlave(self.block, modbus.turnaround_s, reply_fault)
         self._ways: dict[To, _Way] = {"host": _Way(), "device": _Way()}
         self._stream: Stream | None = None  # the device's end of the connection
         self._ended = "not connected"  # why the host's end is dead; empty while it is not

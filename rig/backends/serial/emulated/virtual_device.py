@@ -21,8 +21,8 @@ class VirtualDevice(Plug):
 
     library  as ``load`` gives it
     options  of the device, by name
-    byte_ns  that a byte takes the host to send
-    Raises EmulationError if an option is wrong.
+    byte_ns  time in which the host sends a byte
+    Raises EmulationError if an option is wrong, MemoryError if there is no room for the device.
     """
 
     absolute = True  # of the clock: it sleeps until an instant, not for a while

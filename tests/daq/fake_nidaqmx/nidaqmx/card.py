@@ -9,7 +9,7 @@ from simulated_bench import DEMO
 
 from nidaqmx.errors import DaqError
 from rig.backends.clock import VirtualClock
-from rig.model.bench import Bench
+from rig.model.bench import BenchModel
 
 AMPLIFIER_GAIN = 1.2
 CENTRE_V, V_PER_RAD, NOISE_V = 2.5, 0.9, 0.0027
@@ -24,7 +24,7 @@ class Card:
         self.restarts = 0
         self.output_V = 0.0
         self.written: list[float] = []
-        self.bench = Bench(DEMO, seed=1)
+        self.bench = BenchModel(DEMO, seed=1)
         self._noise = random.Random(2)
         self._until_s = 0.0
 

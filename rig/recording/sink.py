@@ -1,4 +1,4 @@
-"""Where the rows and events of a run go, whatever becomes of them: kept on disk, compared, or thrown away."""
+"""Where the loop sends its rows and events: to disk, to a comparison, or nowhere."""
 
 from __future__ import annotations
 
@@ -8,41 +8,41 @@ from rig.signals import Sample
 
 JsonScalar = str | int | float | bool | None
 
-# A row as the loop opens it.
+# The fields of a row when the loop opens it.
 Row = tuple[
     int,  # tick
     Sample,  # what was sampled
     str,  # stage
     float,  # z_rad_s, integral of the position
     float,  # yd_rad, reference; nan without one
-    float,  # u_V, drive as commanded
-    float,  # late_us, how late the tick began; nan for a tick of the device's own
-    float,  # io_us, what the reading took; likewise
+    float,  # u_V, commanded drive
+    float,  # late_us, how late the tick began; nan for a tick of the relay in the device
+    float,  # io_us, time for the reading; nan likewise
     int,  # flags
 ]
 
 
-class Record(Protocol):
-    """What the loop tells of a run."""
+class RowSink(Protocol):
+    """Takes the rows and events of a run."""
 
     def sample(self, *row: *Row) -> None:
         """Open a row."""
 
     def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:
-        """Finish the row opened last: when its drive took effect, and the drive that the device reports, V."""
+        """Finish the open row: the time at which its drive took effect, and the drive that the device reports."""
 
     def event(self, t_s: float, kind: str, **fields: JsonScalar) -> None:
-        """Note an event."""
+        """Take an event."""
 
     def check(self) -> None:
-        """Raise Fault RECORDER_DEAD if rows are not being taken."""
+        """Raise Fault RECORDER_DEAD if rows are not taken."""
 
     def drain(self, timeout_s: float = 5.0) -> None:
-        """Return once every completed row can be read."""
+        """Wait until every completed row can be read."""
 
 
-class NoRecord:
-    """Keeps nothing: for simulations before a run."""
+class NullSink:
+    """Drops all rows and events: for the simulation before a run."""
 
     def sample(self, *row: *Row) -> None:
         """Do nothing."""

@@ -1,4 +1,4 @@
-"""Prediction of noise that is partly white and partly wanders (see ``rig.identify.noise``), sample by sample."""
+"""Prediction of noise that is partly white and partly coloured (see ``rig.identify.noise``), sample by sample."""
 
 from __future__ import annotations
 
@@ -17,9 +17,12 @@ Rows = NDArray[np.int64]
 def innovations(t_s: Array, starts: Rows, memory_s: float, ratio: float, columns: Array, out: Array) -> float:
     """Fill ``out`` (n, p) with the innovations of ``columns`` in units of the white part; returns sum of log F.
 
-    starts   first rows of the pieces, each with a wander of its own
-    ratio    variance of the wander over that of the white part
-    F is the variance of each innovation over that of the white part: those of ``out`` all have the same variance.
+    t_s       n times, s
+    starts    first rows of the windows, each with coloured noise of its own
+    memory_s  correlation time of the coloured noise, s
+    ratio     variance of the coloured noise over the variance of the white noise
+    columns   (n, p), in any unit
+    F is the variance of each innovation over the variance of the white noise. All of ``out`` has the same variance.
     """
     n, p = columns.shape
     state = np.zeros(p)
@@ -50,9 +53,9 @@ def innovations(t_s: Array, starts: Rows, memory_s: float, ratio: float, columns
 
 @kernel
 def deviance(t_s: Array, starts: Rows, memory_s: float, ratio: float, residual: Array) -> float:
-    """-2 log likelihood of the residual (n,), its scale profiled out, up to a constant; rest as ``innovations``.
+    """-2 log likelihood of the residual (n,), its scale profiled out, up to a constant; the rest as ``innovations``.
 
-    ratio   variance of the wander over that of the white part
+    ratio   variance of the coloured noise over the variance of the white noise
     """
     n = residual.size
     total = logs = state = 0.0

@@ -1,4 +1,4 @@
-"""The test stand: a device in virtual time, a hand in its wires, and an eye on its output."""
+"""Fault injection: a device in virtual time, with faults put into link, host and shaft, and its output watched."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Truth(Protocol):
     def pin_changed_s(self) -> float: ...  # noqa: D102
 
 
-class Stand:
+class FaultInjector:
     """Port and clock for the host, as the device itself is. The fault comes at ``fault_s`` of the device's time.
 
     device    in virtual time: port, clock, ``truth``
@@ -68,7 +68,7 @@ class Stand:
         self.spare_s = 0.0  # of the time-out, beside the exchange
         self.to_undo: list[Callable[[], None]] = []
         self.written: Callable[[], None] = lambda: None  # waits until the recorder has written what it was told
-        self.hand: Callable[[], None] | None = None  # on the shaft, from the fault on
+        self.push: Callable[[], None] | None = None  # on the shaft, from the fault on
         self.fault_s = math.inf
         self.is_watched = False
         self.readings: list[Reading] = []
@@ -85,7 +85,7 @@ class Stand:
         self._language = language
         self._timeout_s = timeout_s
         self.rng = random.Random(seed)
-        self._act: Callable[[Stand], None] | None = None
+        self._act: Callable[[FaultInjector], None] | None = None
         self._later: tuple[float, Callable[[], object]] | None = None
         self._held: list[tuple[float, int, bytes]] = []  # on the way to the host
         self._count = 0
@@ -98,7 +98,7 @@ class Stand:
 
     # ------------------------------------------------------------------ what is done
 
-    def schedule(self, fault_s: float, act: Callable[[Stand], None]) -> None:
+    def schedule(self, fault_s: float, act: Callable[[FaultInjector], None]) -> None:
         """Let ``act`` happen at ``fault_s``."""
         self.fault_s, self._act = fault_s, act
 
@@ -125,14 +125,14 @@ class Stand:
 
     def cure(self) -> None:
         """Wire, port, shaft and host are whole again."""
-        self.down = self.up = self.stall_s = self.hand = None
+        self.down = self.up = self.stall_s = self.push = None
         self.is_gone = False
         while self.to_undo:
             self.to_undo.pop()()
 
     def bring_home(self) -> None:
-        """Wiring and contacts are mended, and a hand turns the shaft to the centre and lets go."""
-        self.hand = None
+        """Wiring and contacts are mended, and the shaft is turned to the centre."""
+        self.push = None
         self.device.rewire()
         for which in CONTACTS if hasattr(self.device, "contact") else ():
             self.device.contact(which, is_open=False)
@@ -196,8 +196,8 @@ class Stand:
             self.first_drive_s = truth.pin_changed_s
         if not self.is_watched:
             return
-        if self.hand is not None:
-            self.hand()
+        if self.push is not None:
+            self.push()
         if self._later is not None and truth.t_s >= self._later[0]:
             (_, act_later), self._later = self._later, None
             act_later()
@@ -275,7 +275,7 @@ class Stand:
     def close(self) -> None:
         """The device lives on."""
 
-    def connected(self) -> Stand:
+    def connected(self) -> FaultInjector:
         """The host's end of a new connection, where the device is behind a network. Raises Fault LINK_OPEN."""
         if self.is_gone:
             raise Fault("LINK_OPEN", "there is no network")

@@ -1,4 +1,4 @@
-"""A Modbus device that answers late, wrong, with an exception, with another unit's id, or not at all."""
+"""Faults of a Modbus device's replies: late, wrong, an exception, another unit's id, or none."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Kind = Literal["late", "wrong", "exception", "unit", "silent"]
 
 
 class Answer(NamedTuple):
-    """What goes back: whose it says it is, its protocol data unit, and by how much it is late, s."""
+    """The reply: its unit id, its protocol data unit, and its extra delay, s."""
 
     unit: int
     pdu: bytes
@@ -19,14 +19,14 @@ class Answer(NamedTuple):
 
 
 @dataclass
-class Misbehaviour:
-    """What the device does, from when, and how often.
+class ReplyFault:
+    """A fault of the replies: what, from when, and how often.
 
-    kind     late: executed, answered ``by_s`` after its time. wrong: executed, answered with a register too few, or
+    kind     late: executed, answered ``by_s`` too late. wrong: executed, answered with a register too few, or with
              another address. unit: executed, answered as from ``unit``. exception: answered with ``code``, not
              executed. silent: neither executed nor answered
-    after_s  device time since it was first armed
-    times    so many requests, then it does as it should; None: for ever
+    after_s  begin: device time since it was first armed
+    times    number of requests that it affects; None: all
     """
 
     kind: Kind
@@ -37,12 +37,12 @@ class Misbehaviour:
     code: int = DEVICE_FAILURE
 
     @staticmethod
-    def answer_of(misbehaviour: Misbehaviour | None, block: IoBlock, pdu: bytes, t_s: float) -> Answer | None:
-        """The answer to a request that arrives whole at ``t_s``; None: there is none."""
+    def answer_of(reply_fault: ReplyFault | None, block: IoBlock, pdu: bytes, t_s: float) -> Answer | None:
+        """The answer to a request that arrives whole at ``t_s``; None for no answer."""
         block.advance_to(t_s)
-        if misbehaviour is None or not misbehaviour._is_due(block):
+        if reply_fault is None or not reply_fault._is_due(block):
             return Answer(block.unit, block.request(pdu, t_s))
-        return misbehaviour._answer(block, pdu, t_s)
+        return reply_fault._answer(block, pdu, t_s)
 
     def _is_due(self, block: IoBlock) -> bool:
         if self.times == 0 or block.bench.armed_for_s < self.after_s:  # negative before it is armed
@@ -65,7 +65,7 @@ class Misbehaviour:
 
 
 def _wrong(reply: bytes) -> bytes:
-    """A well formed reply to another request."""
+    """A well-formed reply, but to another request."""
     if reply[0] in (3, 4, 23):
         return bytes((reply[0], reply[1] - 2)) + reply[2:-2]
     if reply[0] in (6, 16):
