@@ -213,13 +213,14 @@ def test_a_bound_that_is_too_tight_and_a_code_that_is_another_are_found() -> Non
 
 
 def test_a_sample_that_the_record_has_not_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    from rig.recording import sink
     from rig.recording.recorder import Recorder
 
     original = Recorder.sample
 
-    def forgetful(self, tick, *row) -> None:  # type: ignore[no-untyped-def]
-        original(self, tick, *row)
-        if tick % 50 == 7:
+    def forgetful(self: Recorder, *row: *sink.Row) -> None:
+        original(self, *row)
+        if row[0] % 50 == 7:
             self._opened -= 1  # the next row takes its place
 
     undisturbed(BOARD)
@@ -355,7 +356,7 @@ def test_a_dead_terminal_and_a_dead_connection_are_dead(tmp_path: Path) -> None:
     os.close(terminal)
     link_fault = logged_rig.LinkFault(0, tmp_path / "link-fault")
     assert not link_fault.is_cut(0, lambda: 0)
-    realtime.say("cut")(realtime.Case(None, None, tmp_path / "link-fault"))  # type: ignore[arg-type]
+    realtime.say("cut")(realtime.Case(None, None, tmp_path / "link-fault"))  # type: ignore[arg-type]  # acts on neither
     assert link_fault.is_cut(0, lambda: 0)
 
 
