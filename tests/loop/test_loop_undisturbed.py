@@ -30,7 +30,7 @@ from rig.loop.real_time import real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.recording.reader import read_run
-from rig.recording.record import NoRecord
+from rig.recording.record import NoRecord, Row
 from rig.recording.recorder import Recorder
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -178,10 +178,11 @@ class Lateness(NoRecord):
         self.recorder = recorder
         self.late = self.ticks = 0
 
-    def sample(self, tick, sample, stage, z_rad_s, yd_rad, u_V, late_us, io_us, flags) -> None:  # type: ignore[no-untyped-def]
+    def sample(self, *row: *Row) -> None:
+        *_, late_us, _, _ = row
         self.ticks += 1
         self.late += late_us > 0.25e6 * PERIOD_S
-        self.recorder.sample(tick, sample, stage, z_rad_s, yd_rad, u_V, late_us, io_us, flags)
+        self.recorder.sample(*row)
 
     def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:
         self.recorder.complete(t_u_s, u_V, flags)
