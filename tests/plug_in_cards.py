@@ -90,12 +90,10 @@ class BareCard:
 class WriteTakesNothing(BareCard):
     """A method with too few arguments."""
 
-    def write(self) -> None:  # type: ignore[override]
-        ...
+    def write(self) -> None: ...  # type: ignore[override]  # the defect
 
 
 class ReadTakesMore(BareCard):
     """A method with too many arguments."""
 
-    def read(self, channel: int) -> None:  # type: ignore[override]
-        ...
+    def read(self, channel: int) -> None: ...  # type: ignore[override]  # the defect

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 
 from rig.faults import Fault
 
 
-def fault_of(call: Callable[..., object], *arguments: Any) -> Fault:
+def fault_of(call: Callable[..., object], *arguments: object) -> Fault:
     """The fault that the call raises; fails where it raises none."""
     with pytest.raises(Fault) as caught:
         call(*arguments)

@@ -15,7 +15,7 @@ from rig.loop.stop_request import StopRequest
 from rig.model.bench import BenchParameters
 from rig.model.friction import Friction
 from rig.model.motor import Motor
-from rig.recording.record import NoRecord
+from rig.recording.record import NoRecord, Row
 from rig.signals import Limits
 
 PERIOD_S = 0.01
@@ -43,7 +43,8 @@ class ListRecord(NoRecord):
         self.rows: list[dict[str, Any]] = []
         self.events: list[dict[str, Any]] = []
 
-    def sample(self, tick, sample, stage, z_rad_s, yd_rad, u_V, late_us, io_us, flags) -> None:  # type: ignore[no-untyped-def]
+    def sample(self, *row: *Row) -> None:
+        tick, sample, stage, z_rad_s, _, u_V, late_us, io_us, flags = row
         self.rows.append(
             {"tick": tick, "t_s": sample.t_s, "y_rad": sample.y_rad, "stage": stage, "u_V": u_V, "asked_V": u_V,
              "t_u_s": None, "late_us": late_us, "io_us": io_us, "flags": flags, "z_rad_s": z_rad_s}
