@@ -76,7 +76,7 @@ def test_the_configs_of_the_project_mean_what_they_did(name: str) -> None:
     assert list(differences(read)) == []
 
 
-SAYS = {
+SAYS: dict[str, tuple[dict[str, Any], str]] = {
     "supply": ({"supply_V": 8.0}, "the emulated bridge gives 8 V, the config believes 12 V: K and f_c"),
     "drop": ({"bridge_drop_V": 2.0}, "the emulated bridge gives 10 V, the config believes 12 V: K and f_c"),
     "dead band": ({"dead_band_duty": {"plus": 0.04}}, "passes nothing below 0.04 and 0 of full duty, drive.dead_band"),

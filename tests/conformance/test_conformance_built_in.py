@@ -7,14 +7,17 @@ from pathlib import Path
 
 import pytest
 
+from rig.backends.driver import Driver
+from rig.backends.serial.driver import SerialDriver
 from rig.testing import conformance
 
 TESTS = Path(__file__).parent.parent
 CONFIGS = TESTS.parent / "config"
 
 
-def stop_the_board(driver):
+def stop_the_board(driver: Driver) -> None:
     """The emulated device dies: its port hangs up."""
+    assert isinstance(driver, SerialDriver)
     driver._exchange.transport.close()
 
 
@@ -26,7 +29,7 @@ TestModbusSeparate = conformance.suite("modbus-separate.yaml", silence=True)
 
 
 @pytest.mark.parametrize(("card", "passes"), [("VirtualCard", True), ("Clips", False)])
-def test_one_line_is_enough_with_pytest_alone(tmp_path, card, passes):
+def test_one_line_is_enough_with_pytest_alone(tmp_path: Path, card: str, passes: bool) -> None:
     """In a folder of its own, with an installed plug-in: entry point, config beside the test, one line."""
     module = {"VirtualCard": "plug_in_cards", "Clips": "broken_cards"}[card]
     package = tmp_path / "site" / "rig_virtual_card-1.0.dist-info"
@@ -54,6 +57,6 @@ def test_one_line_is_enough_with_pytest_alone(tmp_path, card, passes):
         assert done.stdout.count("FAILED") == 1
 
 
-def test_nothing_of_pytest_is_imported_by_rig(tmp_path):
+def test_nothing_of_pytest_is_imported_by_rig(tmp_path: Path) -> None:
     program = "import sys, rig.testing.conformance; sys.exit('pytest' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=False).returncode == 0

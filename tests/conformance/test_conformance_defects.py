@@ -8,21 +8,23 @@ from broken_cards import CAUGHT_BY
 from plug_in_cards import VirtualCard, WriteFirstCard
 
 from rig.backends import registry
+from rig.backends.driver import Driver
 from rig.testing import conformance
 
 CONFIG = Path(__file__).with_name("virtual-card.yaml")
 
 
-def offer(monkeypatch, card):
+def offer(monkeypatch: pytest.MonkeyPatch, card: type[VirtualCard]) -> None:
     entry = EntryPoint("virtual-card", f"{card.__module__}:{card.__qualname__}", registry.GROUP)
     monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
 
 
-def pull_the_plug(driver):
+def pull_the_plug(driver: Driver) -> None:
+    assert isinstance(driver, VirtualCard)
     driver.dead = True
 
 
-def failures(suite):
+def failures(suite: type[conformance.Suite]) -> dict[str, str]:
     """The tests of a suite that fail, as pytest would run them, and what they say."""
     names = [name for base in reversed(suite.__mro__) for name in vars(base) if name.startswith("test_")]
     said = {}
@@ -41,13 +43,13 @@ def failures(suite):
 
 
 @pytest.mark.parametrize("card", [VirtualCard, WriteFirstCard])
-def test_a_sound_driver_passes(monkeypatch, card):
+def test_a_sound_driver_passes(monkeypatch: pytest.MonkeyPatch, card: type[VirtualCard]) -> None:
     offer(monkeypatch, card)
     assert failures(conformance.suite(CONFIG, silence=True, cut=pull_the_plug)) == {}
 
 
 @pytest.mark.parametrize("card", CAUGHT_BY, ids=lambda card: card.__name__)
-def test_a_defect_is_found_by_name(monkeypatch, card):
+def test_a_defect_is_found_by_name(monkeypatch: pytest.MonkeyPatch, card: type[VirtualCard]) -> None:
     offer(monkeypatch, card)
     said = failures(conformance.suite(CONFIG, silence=True, cut=pull_the_plug))
     assert set(said) == CAUGHT_BY[card], said

@@ -42,7 +42,8 @@ bodies = st.one_of(
     st.builds(RelaySetup, st.tuples(i16, i16, i16, i16), i32, u32, st.sampled_from((-1, 1)), u8),
     st.builds(Block, u32, u16, u16, u8, u8, u32, rows),
 )
-KIND_OF = {
+Body = State | Setup | Hello | Nack | RelaySetup | Block
+KIND_OF: dict[type[Body], Kind] = {
     State: Kind.STATE,
     Setup: Kind.SETUP_REPLY,
     Hello: Kind.HELLO_REPLY,
@@ -81,11 +82,11 @@ def wire(packet: Packet) -> bytes:
     return encode(packet.kind, packet.seq, packet.body)
 
 
-def test_crc_is_ibm_3740():
+def test_crc_is_ibm_3740() -> None:
     assert crc16(b"123456789") == 0x29B1
 
 
-def test_a_frame_byte_by_byte():
+def test_a_frame_byte_by_byte() -> None:
     """READ with seq 0x0201, stuffed by hand: the packet is 02 04 01 02 and its CRC."""
     packet = bytes([2, 4, 1, 2])
     crc = struct.pack("<H", crc16(packet))
@@ -93,8 +94,8 @@ def test_a_frame_byte_by_byte():
     assert encode(Kind.READ, 0x0201) == bytes([7]) + packet + crc + b"\0"
 
 
-def test_body_sizes_are_those_of_the_protocol():
-    sizes = {kind.name: size for kind, size in frames.BODY_LENGTH.items()}
+def test_body_sizes_are_those_of_the_protocol() -> None:
+    sizes = {Kind(kind).name: size for kind, size in frames.BODY_LENGTH.items()}
     assert sizes == {
         "HELLO": 0, "SETUP": 30, "ARM": 4, "READ": 0, "ACK": 1, "ACK_REPLY": 24, "DRIVE": 2, "STOP": 0,
         "HELLO_REPLY": 31, "SETUP_REPLY": 30, "ARM_REPLY": 1, "STATE": 24, "STOP_REPLY": 24, "NACK": 2,
@@ -105,14 +106,14 @@ def test_body_sizes_are_those_of_the_protocol():
 
 
 @pytest.mark.parametrize("length", [0, 17, 19, 20, 21, 55, 56, 57])
-def test_a_block_of_an_impossible_length_is_damaged(length):
+def test_a_block_of_an_impossible_length_is_damaged(length: int) -> None:
     reader = FrameReader()
     assert reader.feed(encode(Kind.BLOCK, 3, bytes(length))) == []
     assert reader.bad_frames == 1
 
 
 @given(body=bodies, seq=u16)
-def test_every_body_survives_the_wire(body, seq):
+def test_every_body_survives_the_wire(body: Body, seq: int) -> None:
     kind = KIND_OF[type(body)]
     frame = encode(kind, seq, body.pack())
     assert frame.count(0) == 1 and frame.endswith(b"\0")
@@ -122,7 +123,7 @@ def test_every_body_survives_the_wire(body, seq):
 
 
 @given(units=i16)
-def test_drive_survives(units):
+def test_drive_survives(units: int) -> None:
     assert frames.unpack_drive(frames.pack_drive(units)) == units
 
 
@@ -132,13 +133,13 @@ def test_drive_survives(units):
     body=st.binary(max_size=frames.MAX_BODY),
     version=st.integers(0, 255).filter(lambda v: v != frames.VERSION),
 )
-def test_packets_of_another_version_are_delivered_as_such(kind, seq, body, version):
+def test_packets_of_another_version_are_delivered_as_such(kind: int, seq: int, body: bytes, version: int) -> None:
     """So that the driver can say which version the device speaks."""
     assert FrameReader().feed(encode(kind, seq, body, version)) == [Packet(kind, seq, body, version)]
 
 
 @given(packets=st.lists(st.sampled_from(MESSAGES), max_size=6), data=st.data())
-def test_chunks_do_not_matter(packets, data):
+def test_chunks_do_not_matter(packets: list[Packet], data: st.DataObject) -> None:
     stream = b"".join(map(wire, packets))
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=8)))
     reader = FrameReader()
@@ -150,7 +151,7 @@ def test_chunks_do_not_matter(packets, data):
 
 
 @given(body=bodies, seq=u16, data=st.data())
-def test_any_flipped_bit_of_a_packet_is_detected(body, seq, data):
+def test_any_flipped_bit_of_a_packet_is_detected(body: Body, seq: int, data: st.DataObject) -> None:
     packet = bytearray(cobs.decode(encode(KIND_OF[type(body)], seq, body.pack())[:-1]))
     bit = data.draw(st.integers(0, 8 * len(packet) - 1))
     packet[bit // 8] ^= 1 << bit % 8
@@ -160,7 +161,7 @@ def test_any_flipped_bit_of_a_packet_is_detected(body, seq, data):
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda m: f"{Kind(m.kind).name}-{m.seq}")
-def test_any_flipped_bit_on_the_wire_is_detected(message):
+def test_any_flipped_bit_on_the_wire_is_detected(message: Packet) -> None:
     """Stuffing bytes and the delimiter included: the damaged frame never arrives, its neighbours do."""
     frame = wire(message)
     for bit in range(8 * len(frame)):
@@ -174,7 +175,7 @@ def test_any_flipped_bit_on_the_wire_is_detected(message):
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda m: f"{Kind(m.kind).name}-{m.seq}")
-def test_every_truncation_is_detected(message):
+def test_every_truncation_is_detected(message: Packet) -> None:
     frame = wire(message)
     for length in range(1, len(frame) - 1):
         for part in (frame[:length], frame[-1 - length : -1]):  # tail lost, head lost
@@ -184,13 +185,13 @@ def test_every_truncation_is_detected(message):
 
 
 @given(garbage=st.binary(max_size=300))
-def test_in_step_again_after_garbage(garbage):
+def test_in_step_again_after_garbage(garbage: bytes) -> None:
     reader = FrameReader()
     reader.feed(garbage)
     assert reader.feed(b"\0" + wire(LAST))[-1] == LAST
 
 
-def test_an_endless_frame_is_dropped_once_and_not_kept():
+def test_an_endless_frame_is_dropped_once_and_not_kept() -> None:
     reader = FrameReader()
     for _ in range(1000):
         assert reader.feed(b"\x55" * 100) == []
@@ -200,13 +201,13 @@ def test_an_endless_frame_is_dropped_once_and_not_kept():
     assert reader.bad_frames == 1
 
 
-def test_a_wrong_body_length_with_a_right_crc_is_dropped():
+def test_a_wrong_body_length_with_a_right_crc_is_dropped() -> None:
     reader = FrameReader()
     assert reader.feed(encode(Kind.STATE, 5, bytes(17)) + encode(Kind.STATE, 6, bytes(19))) == []
     assert reader.bad_frames == 2
 
 
-def test_the_largest_packet_and_one_byte_more():
+def test_the_largest_packet_and_one_byte_more() -> None:
     largest = bytes(range(1, frames.MAX_BODY + 1))
     assert FrameReader().feed(encode(0x70, 1, largest)) == [Packet(0x70, 1, largest)]
     with pytest.raises(ValueError, match=f"at most {frames.MAX_BODY}"):
@@ -217,7 +218,7 @@ def test_the_largest_packet_and_one_byte_more():
     assert reader.bad_frames == 1
 
 
-def test_words_for_people():
+def test_words_for_people() -> None:
     assert frames.code_name(6) == "code 6 (travel)"
     assert frames.code_name(77) == "code 77 (unknown)"
     hello = Hello(2, 5, 0, 0, 1023, 799, 0, 0, b"abc\xff".ljust(16, b"\0"))

@@ -188,7 +188,8 @@ def test_arming_writes_limits_rounded_inward_and_reads_them_back(rig: Rig) -> No
     values = rig.block.block._values
     low, high = (rig.driver.calibration.to_counts(y) for y in rig.experiment.limits.hard_rad)
     assert (values["limits.low"], values["limits.high"]) == (math.ceil(low), math.floor(high))
-    assert (values["rails.low"], values["rails.high"]) == rig.experiment.sensor.rail_counts
+    rail_low, rail_high = rig.experiment.sensor.rail_counts
+    assert (values["rails.low"], values["rails.high"]) == (rail_low, rail_high)
     assert values["watchdog"] == round(1000 * rig.experiment.daq.watchdog_s)
     assert values["max_drive"] == rig.driver.drive_map.to_units(rig.experiment.drive.max_V)
     assert rig.driver.failsafe is not None
@@ -578,7 +579,8 @@ def test_a_power_cycle_in_a_pause_is_found_when_it_is_armed_again(style: str, re
 
 def test_armed_again_only_other_limits_are_written() -> None:
     rig = Rig(experiment_with())
-    real, written = rig.block.block._write, []
+    real = rig.block.block._write
+    written: list[str] = []
 
     def watching(values: dict[str, float]) -> None:
         written.extend(values)

@@ -104,7 +104,7 @@ def test_types_and_word_orders_are_those_of_libmodbus(
     reading: int,
     tmp_path: Path,
 ) -> None:
-    registers = {
+    registers: dict[str, dict[str, Any]] = {
         "drive": {"address": 0, "type": drive_type, "full": full},
         "sequence": {"address": 2 if drive_type != "int16" else 1, "echo": 22},
         "limits": {"low": 40, "high": 42},

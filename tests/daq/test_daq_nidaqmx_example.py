@@ -5,7 +5,9 @@ import os
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import yaml
@@ -13,9 +15,13 @@ import yaml
 from rig import experiment
 from rig.backends.driver import DriverSettings
 from rig.backends.registry import connect
+from rig.config import Experiment
 from rig.faults import Fault
 from rig.preflight import check
 from rig.testing import conformance
+
+if TYPE_CHECKING:
+    from nidaqmx.card import Card
 
 ROOT = Path(__file__).parent.parent.parent
 EXAMPLE = ROOT / "docs/examples/nidaqmx_driver"
@@ -23,7 +29,7 @@ FAKE = Path(__file__).parent / "fake_nidaqmx"
 OURS = ("nidaqmx", "rig_nidaqmx", "virtual_nidaqmx")
 
 
-def install(site):
+def install(site: Path) -> list[str]:
     """What `pip install` of the example leaves behind: its entry points, and beside them the one in virtual time."""
     project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     folder = site / f"rig_nidaqmx-{project['version']}.dist-info"
@@ -36,7 +42,7 @@ def install(site):
 
 
 @pytest.fixture
-def card(tmp_path, monkeypatch):
+def card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator["Card"]:
     """The stand-in's card, new, with the example installed."""
     for path in install(tmp_path / "site"):
         monkeypatch.syspath_prepend(path)
@@ -47,12 +53,12 @@ def card(tmp_path, monkeypatch):
     forget()
 
 
-def forget():
+def forget() -> None:
     for name in [name for name in sys.modules if name.split(".")[0] in OURS]:
         del sys.modules[name]
 
 
-def config(tmp_path, driver="nidaqmx-virtual", **changes):
+def config(tmp_path: Path, driver: str = "nidaqmx-virtual", **changes: object) -> Path:
     """card.yaml with changes to its sections, the motor behind the stand-in named as the truth."""
     data = yaml.safe_load((EXAMPLE / "card.yaml").read_text(encoding="utf-8"))
     data["daq"]["driver"] = driver
@@ -70,11 +76,11 @@ def config(tmp_path, driver="nidaqmx-virtual", **changes):
     return path
 
 
-def load(path):
+def load(path: Path) -> Experiment:
     return check(path)[0]
 
 
-def rig(tmp_path, *arguments):
+def rig(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     path = os.pathsep.join([*install(tmp_path / "site"), str(ROOT / "tests")])
     return subprocess.run(
         [sys.executable, "-m", "rig", *arguments],
@@ -82,7 +88,7 @@ def rig(tmp_path, *arguments):
     )  # fmt: skip
 
 
-def test_rig_check_takes_the_example_as_it_stands_without_a_card(tmp_path):
+def test_rig_check_takes_the_example_as_it_stands_without_a_card(tmp_path: Path) -> None:
     done = rig(tmp_path, "check", str(EXAMPLE / "card.yaml"))
     assert done.returncode == 0, done.stderr
     assert "backend: plug-in driver nidaqmx: take it for a REAL MOTOR" in done.stdout
@@ -92,11 +98,11 @@ def test_rig_check_takes_the_example_as_it_stands_without_a_card(tmp_path):
     assert "link: the budget of a plug-in driver is not known" in done.stdout
 
 
-def test_the_whole_experiment(card, tmp_path):
+def test_the_whole_experiment(card: "Card", tmp_path: Path) -> None:
     e = load(config(tmp_path, tracking__duration_s=3.0))
     outcome = experiment.run(e, tmp_path / "runs")
     assert outcome.failure == ""
-    result = outcome.result.as_json()
+    result: dict[str, Any] = outcome.result.as_json()
     assert result["backend"] == "nidaqmx:Dev1 (PCI-6221, serial 1A2B3C4)"
     estimate, truth = result["estimates"]["sampled-data"], result["truth"]
     assert estimate["verdict"] == "ok"
@@ -113,7 +119,7 @@ def test_the_whole_experiment(card, tmp_path):
     assert max(map(abs, card.written)) <= 3.0 / 1.2 + 1e-3  # drive.max_V over the amplifier's gain
 
 
-def test_it_conforms(card, tmp_path):
+def test_it_conforms(card: "Card", tmp_path: Path) -> None:
     suite = conformance.suite(config(tmp_path), cut=lambda driver: setattr(card, "plugged_in", False))
     names = [name for base in reversed(suite.__mro__) for name in vars(base) if name.startswith("test_")]
     assert "test_a_dead_link_is_a_fault_and_safe_stop_does_not_raise" in names
@@ -127,21 +133,21 @@ def test_it_conforms(card, tmp_path):
     assert card.output_V == 0.0
 
 
-def test_no_run_without_leave_to_do_without_a_watchdog(card, tmp_path):
+def test_no_run_without_leave_to_do_without_a_watchdog(card: "Card", tmp_path: Path) -> None:
     e = load(config(tmp_path, daq__accept_no_watchdog=False))
     with pytest.raises(Fault, match="NO_WATCHDOG"), connect(e):
         pass
     assert card.reserved == {}
 
 
-def test_the_output_is_zero_once_it_is_open_whatever_it_held_before(card, tmp_path):
+def test_the_output_is_zero_once_it_is_open_whatever_it_held_before(card: "Card", tmp_path: Path) -> None:
     card.output_V = 4.0
     with connect(load(config(tmp_path))) as bench:
         assert card.output_V == 0.0
         assert bench.driver.read().u_V == 0.0
 
 
-def test_the_drive_is_that_of_the_converter(card, tmp_path):
+def test_the_drive_is_that_of_the_converter(card: "Card", tmp_path: Path) -> None:
     e = load(config(tmp_path))
     with connect(e) as bench:
         bench.driver.arm(e.device_limits)
@@ -152,7 +158,7 @@ def test_the_drive_is_that_of_the_converter(card, tmp_path):
             assert math.isclose(bench.driver.read().t_u_s, bench.clock.now_s(), abs_tol=5e-4)
 
 
-def test_a_card_that_is_pulled_out_ends_the_run_and_nobody_claims_that_it_stopped(card, tmp_path):
+def test_a_card_that_is_pulled_out_ends_the_run_and_nobody_claims_that_it_stopped(card: "Card", tmp_path: Path) -> None:
     e = load(config(tmp_path))
     with connect(e) as bench:
         bench.driver.arm(e.device_limits)
@@ -171,14 +177,14 @@ def test_a_card_that_is_pulled_out_ends_the_run_and_nobody_claims_that_it_stoppe
         ({"position": "ai9"}, "LINK_OPEN.*Physical channel specified does not exist"),
     ],
 )
-def test_another_card_than_the_config_says(card, tmp_path, changes, words):
+def test_another_card_than_the_config_says(card: "Card", tmp_path: Path, changes: dict[str, str], words: str) -> None:
     options = yaml.safe_load((EXAMPLE / "card.yaml").read_text(encoding="utf-8"))["daq"]["options"] | changes
     with pytest.raises(Fault, match=words), connect(load(config(tmp_path, daq__options=options))):
         pass
     assert card.reserved == {}
 
 
-def test_a_channel_that_another_program_holds(card, tmp_path):
+def test_a_channel_that_another_program_holds(card: "Card", tmp_path: Path) -> None:
     card.reserved["Dev1/ao0"] = object()
     with pytest.raises(Fault, match=r"LINK_OPEN.*resource is reserved"), connect(load(config(tmp_path))):
         pass
@@ -201,7 +207,7 @@ def test_a_channel_that_another_program_holds(card, tmp_path):
         ({"amplifier_gain": 1.2, "drive_bits": 40}, "drive_bits must be a whole number"),
     ],
 )
-def test_options_that_cannot_be(card, options, words):
+def test_options_that_cannot_be(card: "Card", options: dict[str, object], words: str) -> None:
     from plug_in_cards import settings
     from rig_nidaqmx import CardDriver
 
@@ -211,7 +217,7 @@ def test_options_that_cannot_be(card, options, words):
 
 
 @pytest.mark.parametrize(("bits", "step_V"), [(16, 1.2 * 20 / 65536), (12, 1.2 * 20 / 4096)])
-def test_a_unit_of_the_drive_is_a_step_of_the_converter(card, bits, step_V):
+def test_a_unit_of_the_drive_is_a_step_of_the_converter(card: "Card", bits: int, step_V: float) -> None:
     from plug_in_cards import settings
     from rig_nidaqmx import CardDriver
 

@@ -21,7 +21,7 @@ SOURCE = Path(__file__).parent.parent / "conformance/virtual-card.yaml"
 
 
 @pytest.fixture
-def installed(monkeypatch):
+def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two packages with drivers: one in virtual time, one without a watchdog."""
     entries = [
         EntryPoint("virtual-card", "plug_in_cards:VirtualCard", registry.GROUP),
@@ -30,7 +30,7 @@ def installed(monkeypatch):
     monkeypatch.setattr(registry, "entry_points", lambda group: entries)
 
 
-def written(tmp_path, **changes):
+def written(tmp_path: Path, **changes: object) -> Path:
     """The config with changes to its section daq; None leaves a key out. Others as section__key."""
     data = yaml.safe_load(SOURCE.read_text(encoding="utf-8"))
     for key, value in changes.items():
@@ -42,7 +42,7 @@ def written(tmp_path, **changes):
     return path
 
 
-def refused(tmp_path, *, command="check", **changes):
+def refused(tmp_path: Path, *, command: str = "check", **changes: object) -> tuple[str, str]:
     """The one line that a command says of a bad config."""
     path = written(tmp_path, **changes)
     result = CliRunner().invoke(main, [command, str(path), *(["--out", str(tmp_path)] if command == "run" else [])])
@@ -53,7 +53,7 @@ def refused(tmp_path, *, command="check", **changes):
     return path.read_text(encoding="utf-8").splitlines()[row - 1].strip(), words
 
 
-def test_check_says_what_is_known_and_what_is_not(installed, tmp_path):
+def test_check_says_what_is_known_and_what_is_not(installed: None, tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["check", str(written(tmp_path))])
     assert result.exit_code == 0, result.stderr
     assert "backend: plug-in driver virtual-card: take it for a REAL MOTOR, every 10 ms" in result.stdout
@@ -72,7 +72,9 @@ def test_check_says_what_is_known_and_what_is_not(installed, tmp_path):
         ("labjack", "install the package that offers it (docs/plug-in-driver.md)"),
     ],
 )
-def test_an_unknown_driver_lists_those_that_there_are(installed, tmp_path, command, name, hint):
+def test_an_unknown_driver_lists_those_that_there_are(
+    installed: None, tmp_path: Path, command: str, name: str, hint: str
+) -> None:
     line, words = refused(tmp_path, command=command, driver=name)
     assert line == f"driver: {name}"
     assert words == (
@@ -81,7 +83,7 @@ def test_an_unknown_driver_lists_those_that_there_are(installed, tmp_path, comma
     )
 
 
-def test_with_no_plug_in_installed(monkeypatch, tmp_path):
+def test_with_no_plug_in_installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(registry, "entry_points", lambda group: [])
     assert "; plug-ins installed: none; " in refused(tmp_path)[1]
     with pytest.raises(config.ConfigError, match="no driver 'virtual-card'"):
@@ -90,13 +92,13 @@ def test_with_no_plug_in_installed(monkeypatch, tmp_path):
         pass
 
 
-def test_options_that_the_driver_refuses_are_named_with_their_place(installed, tmp_path):
+def test_options_that_the_driver_refuses_are_named_with_their_place(installed: None, tmp_path: Path) -> None:
     line, words = refused(tmp_path, options={"sead": 3})
     assert line == "sead: 3"
     assert words == "daq.options: driver 'virtual-card': unknown: sead; known: seed"
 
 
-def test_a_defect_of_the_plug_in_names_package_and_line(installed, tmp_path):
+def test_a_defect_of_the_plug_in_names_package_and_line(installed: None, tmp_path: Path) -> None:
     _, words = refused(tmp_path, driver="bare-card", options={"mode": "wide"})
     assert words.startswith("daq.driver: driver 'bare-card' (plug_in_cards:BareCard) cannot be constructed: KeyError")
     assert "plug_in_cards.py:" in words
@@ -109,11 +111,13 @@ def test_a_defect_of_the_plug_in_names_package_and_line(installed, tmp_path):
         ({"relay__where": "device"}, "relay.where: driver 'virtual-card' has no relay in its device; set it to host"),
     ],
 )
-def test_keys_that_do_not_go_with_a_plug_in(installed, tmp_path, changes, words):
+def test_keys_that_do_not_go_with_a_plug_in(
+    installed: None, tmp_path: Path, changes: dict[str, str], words: str
+) -> None:
     assert refused(tmp_path, **changes)[1] == words
 
 
-def test_options_are_of_plug_ins_only(tmp_path):
+def test_options_are_of_plug_ins_only(tmp_path: Path) -> None:
     line, words = refused(
         tmp_path, driver="serial", port="/dev/ttyACM0", adapter="none", options={"seed": 1}, drive__bridge="pwm-dir"
     )
@@ -121,7 +125,7 @@ def test_options_are_of_plug_ins_only(tmp_path):
     assert words == "daq.options: is of plug-in drivers, `driver: serial` has none; remove it"
 
 
-def test_options_arrive_as_written_and_survive_the_resolved_config(installed, tmp_path):
+def test_options_arrive_as_written_and_survive_the_resolved_config(installed: None, tmp_path: Path) -> None:
     options = {"seed": 3, "deep": {"list": [1, 2.5, "x", True, None]}}
     e = config.load(written(tmp_path, options=options))
     settings = driver_settings_of(e)
@@ -131,13 +135,13 @@ def test_options_arrive_as_written_and_survive_the_resolved_config(installed, tm
     assert settings.calibration.to_rad(512.0) == 0.0
     assert settings.drive_map.full_V == 12.0
     with pytest.raises(TypeError):
-        settings.options["seed"] = 4
+        settings.options["seed"] = 4  # type: ignore[index]  # which a reader of types is told, too
     again = tmp_path / "again.yaml"
     again.write_text(config.dump(e), encoding="utf-8")
     assert config.load(again) == e
 
 
-def test_a_driver_lives_in_its_own_clock_or_in_the_hosts(installed, tmp_path):
+def test_a_driver_lives_in_its_own_clock_or_in_the_hosts(installed: None, tmp_path: Path) -> None:
     with connect(config.load(written(tmp_path))) as bench:
         assert isinstance(bench.driver, VirtualCard)
         assert isinstance(bench.clock, VirtualClock)
@@ -147,7 +151,7 @@ def test_a_driver_lives_in_its_own_clock_or_in_the_hosts(installed, tmp_path):
         assert isinstance(bench.clock, MonotonicClock)
 
 
-def test_a_device_without_a_watchdog_needs_leave(installed, tmp_path):
+def test_a_device_without_a_watchdog_needs_leave(installed: None, tmp_path: Path) -> None:
     with pytest.raises(Fault, match="NO_WATCHDOG"), connect(config.load(written(tmp_path, driver="bare-card"))):
         pass
     path = written(tmp_path, driver="bare-card", accept_no_watchdog=True)
@@ -155,7 +159,7 @@ def test_a_device_without_a_watchdog_needs_leave(installed, tmp_path):
     assert any("drives all the same (daq.accept_no_watchdog: true)" in line for line in lines)
 
 
-def test_any_name_is_valid_for_editors():
+def test_any_name_is_valid_for_editors() -> None:
     daq = json_schema()["$defs"]["Daq"]["properties"]
     assert daq["driver"]["examples"] == ["simulated", "serial", "modbus"]
     assert "enum" not in daq["driver"]

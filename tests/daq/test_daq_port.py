@@ -4,6 +4,7 @@ import contextlib
 import os
 import pty
 import tty
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,7 +19,7 @@ from rig.faults import Fault
 
 
 @pytest.fixture
-def terminal():
+def terminal() -> Iterator[tuple[dict[str, int], str]]:
     """(our end, the port's name) of a pseudo-terminal."""
     ours, theirs = pty.openpty()
     tty.setraw(ours)
@@ -28,7 +29,7 @@ def terminal():
         os.close(fd)
 
 
-def test_bytes_both_ways(terminal):
+def test_bytes_both_ways(terminal: tuple[dict[str, int], str]) -> None:
     ends, name = terminal
     port = SerialPort(name)
     assert port.read(0.0) == b""
@@ -45,7 +46,7 @@ def test_bytes_both_ways(terminal):
     port.close()
 
 
-def test_the_port_is_held_exclusively(terminal):
+def test_the_port_is_held_exclusively(terminal: tuple[dict[str, int], str]) -> None:
     _, name = terminal
     port = SerialPort(name)
     with pytest.raises(Fault) as caught:
@@ -56,14 +57,14 @@ def test_the_port_is_held_exclusively(terminal):
     SerialPort(name).close()
 
 
-def test_a_missing_port():
+def test_a_missing_port() -> None:
     with pytest.raises(Fault) as caught:
         SerialPort("/dev/no-such-port")
     assert caught.value.code == "LINK_OPEN"
     assert caught.value.detail == "/dev/no-such-port: No such file or directory"
 
 
-def test_the_cable_is_pulled(terminal):
+def test_the_cable_is_pulled(terminal: tuple[dict[str, int], str]) -> None:
     ends, name = terminal
     port = SerialPort(name)
     os.close(ends.pop("ours"))
@@ -74,7 +75,7 @@ def test_the_cable_is_pulled(terminal):
     port.close()
 
 
-def test_a_closed_port_is_dead_not_another_file(terminal, tmp_path):
+def test_a_closed_port_is_dead_not_another_file(terminal: tuple[dict[str, int], str], tmp_path: Path) -> None:
     """Files opened later get its number; nothing may be written to them."""
     _, name = terminal
     port = SerialPort(name)

@@ -9,19 +9,19 @@ from rig.backends import registry
 from rig.backends.registry import PlugInError
 
 
-def offer(monkeypatch, *pairs):
+def offer(monkeypatch: pytest.MonkeyPatch, *pairs: tuple[str, str]) -> None:
     entries = [EntryPoint(name, value, registry.GROUP) for name, value in pairs]
     monkeypatch.setattr(registry, "entry_points", lambda group: [e for e in entries if e.group == group])
 
 
-def test_a_driver_is_found_by_name(monkeypatch):
+def test_a_driver_is_found_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, ("mycard", "plug_in_cards:VirtualCard"))
     assert list(registry.registered()) == ["mycard"]
     assert registry.load("mycard") is VirtualCard
     assert type(registry.construct("mycard", settings())) is VirtualCard
 
 
-def test_an_unknown_name_lists_what_is_known(monkeypatch):
+def test_an_unknown_name_lists_what_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, ("b", "x:B"), ("a", "x:A"))
     with pytest.raises(LookupError, match="known: a, b"):
         registry.load("c")
@@ -30,7 +30,7 @@ def test_an_unknown_name_lists_what_is_known(monkeypatch):
         registry.load("c")
 
 
-def test_two_packages_with_one_name(monkeypatch):
+def test_two_packages_with_one_name(monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, ("a", "x:A"), ("a", "y:A"))
     with pytest.raises(PlugInError, match="x:A and y:A"):
         registry.load("a")
@@ -48,7 +48,7 @@ def test_two_packages_with_one_name(monkeypatch):
         ("plug_in_cards:NoSuchCard", "cannot be imported: AttributeError"),
     ],
 )
-def test_what_is_no_driver_class_is_refused(monkeypatch, value, why):
+def test_what_is_no_driver_class_is_refused(monkeypatch: pytest.MonkeyPatch, value: str, why: str) -> None:
     offer(monkeypatch, ("it", value))
     with pytest.raises(PlugInError, match=f"driver 'it' \\({value}\\).*{why}"):
         registry.load("it")
@@ -63,7 +63,9 @@ def test_what_is_no_driver_class_is_refused(monkeypatch, value, why):
         ("clock", 3, "clock must have now_s and sleep_until"),
     ],
 )
-def test_what_a_driver_says_of_itself_is_held_to_its_type(monkeypatch, attribute, value, why):
+def test_what_a_driver_says_of_itself_is_held_to_its_type(
+    monkeypatch: pytest.MonkeyPatch, attribute: str, value: object, why: str
+) -> None:
     offer(monkeypatch, ("bare", "plug_in_cards:BareCard"))
     assert registry.construct("bare", settings()).backend == "bare"
     monkeypatch.setattr(BareCard, attribute, value, raising=False)
@@ -71,14 +73,16 @@ def test_what_a_driver_says_of_itself_is_held_to_its_type(monkeypatch, attribute
         registry.construct("bare", settings())
 
 
-def test_a_missing_attribute_is_named(monkeypatch):
+def test_a_missing_attribute_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, ("bare", "plug_in_cards:BareCard"))
     monkeypatch.delattr(BareCard, "backend")
     with pytest.raises(PlugInError, match="lacks backend"):
         registry.construct("bare", settings())
 
 
-def test_refused_options_stay_a_value_error_and_anything_else_names_package_and_line(monkeypatch):
+def test_refused_options_stay_a_value_error_and_anything_else_names_package_and_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     offer(monkeypatch, ("bare", "plug_in_cards:BareCard"))
     with pytest.raises(ValueError, match="channel 9: this card has 0 to 7"):
         registry.construct("bare", settings(channel=9))

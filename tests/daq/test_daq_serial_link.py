@@ -2,7 +2,9 @@
 
 import math
 import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, TypedDict, Unpack
 
 import pytest
 from raised import fault_of
@@ -28,6 +30,28 @@ SESSION = 0x89ABCDEF
 SETUP = Setup(SESSION, 49, 975, 5, 1018, 512, 200, 100, 1)
 TIMEOUT_S = 0.03
 
+Reply = tuple[float, bytes] | Fault
+
+
+class HelloFields(TypedDict, total=False):
+    """What a device says of itself, where it is not the plain one."""
+
+    board: int
+    reset_cause: int
+    bridge: int
+    features: int
+    counts_max: int
+    drive_full: int
+
+
+class DriverOptions(TypedDict, total=False):
+    """What a driver is told of its device."""
+
+    board: Board
+    tachometer: TachometerScale
+    name: str
+    emulated: bool
+
 
 class ScriptedPort:
     """A transport in virtual time. It answers HELLO by itself, READ until ``met``, and all else from its script.
@@ -35,26 +59,33 @@ class ScriptedPort:
     A reply is (delay in s, bytes), or a Fault that the port dies of.
     """
 
-    def __init__(self, ratio=1.0, start_us=1000, silent_s=0.0, version=frames.VERSION, **hello):
+    def __init__(
+        self,
+        ratio: float = 1.0,
+        start_us: int = 1000,
+        silent_s: float = 0.0,
+        version: int = frames.VERSION,
+        **hello: Unpack[HelloFields],
+    ) -> None:
         self.t_s = 100.0
         self.ratio, self.start_us = ratio, start_us
         self.silent_until_s = self.t_s + silent_s
         self.version = version
         self.hello = Hello(1, 1, 0, 0, 1023, 799, 0, 0, b"test-1".ljust(16, b"\0"))._replace(**hello)
         self.met = False
-        self.script: list[tuple[bytes, tuple]] = []
+        self.script: list[tuple[bytes, tuple[Reply, ...]]] = []
         self.arriving: list[tuple[float, bytes]] = []
         self.requests = frames.FrameReader()
         self.seq = 0  # of the last request seen
         self.dead = False
         self.closed = False
 
-    def device_us(self, t_s=None):
+    def device_us(self, t_s: float | None = None) -> int:
         return int(self.start_us + ((self.t_s if t_s is None else t_s) - 100.0) * 1e6 * self.ratio) % 2**32
 
     # the Transport
 
-    def write(self, data):
+    def write(self, data: bytes) -> None:
         if self.dead:
             raise Fault("LINK_LOST", "scripted")
         requests = self.requests.feed(data)
@@ -79,11 +110,11 @@ class ScriptedPort:
             else:
                 self.reply(*reply)
 
-    def reply(self, delay_s, data):
+    def reply(self, delay_s: float, data: bytes) -> None:
         self.arriving.append((self.t_s + delay_s, data))
         self.arriving.sort(key=lambda arrival: arrival[0])
 
-    def read(self, timeout_s):
+    def read(self, timeout_s: float) -> bytes:
         assert timeout_s >= 0.0
         if self.arriving and self.arriving[0][0] <= self.t_s + timeout_s:
             self.t_s = max(self.t_s, self.arriving[0][0])
@@ -93,52 +124,52 @@ class ScriptedPort:
         self.t_s += timeout_s
         return b""
 
-    def now_s(self):
+    def now_s(self) -> float:
         return self.t_s
 
-    def close(self):
+    def close(self) -> None:
         self.closed = True
 
     # the script
 
-    def next_seq(self, ahead=1):
+    def next_seq(self, ahead: int = 1) -> int:
         return (self.seq + ahead + len(self.script)) & 0xFFFF
 
-    def expect(self, kind, body=b"", *replies):
+    def expect(self, kind: Kind, body: bytes = b"", *replies: Reply) -> None:
         """The next request, and what comes back."""
         self.met = True
         self.script.append((encode(kind, self.next_seq(), body), replies))
 
-    def expect_answer(self, kind, body, reply_kind, reply_body):
+    def expect_answer(self, kind: Kind, body: bytes, reply_kind: Kind, reply_body: bytes) -> None:
         self.expect(kind, body, (0.001, encode(reply_kind, self.next_seq(), reply_body)))
 
-    def expect_read(self, **state):
+    def expect_read(self, **state: int) -> None:
         self.expect_answer(Kind.READ, b"", Kind.STATE, self.state(**state))
 
-    def state(self, **fields):
+    def state(self, **fields: int) -> bytes:
         base = State(self.device_us(), 512, frames.NO_TACHOMETER, 0, 0, 0, frames.STATUS_ARMED, 0, SESSION)
         return base._replace(**fields).pack()
 
 
-def make(port, **options):
+def make(port: ScriptedPort, **options: Unpack[DriverOptions]) -> SerialDriver:
     return SerialDriver(port, CALIBRATION, DRIVE, RAILS, TIMEOUT_S, 5.0, session=SESSION, **options)
 
 
-def opened(**options):
-    port = ScriptedPort(**options)
+def opened(**hello: Unpack[HelloFields]) -> tuple[ScriptedPort, SerialDriver]:
+    port = ScriptedPort(**hello)
     driver = make(port)
     driver.open()
     return port, driver
 
 
-def expect_arming(port, setup=SETUP, stored=None, code=0):
+def expect_arming(port: ScriptedPort, setup: Setup = SETUP, stored: Setup | None = None, code: int = 0) -> None:
     port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0, session=0))
     port.expect_answer(Kind.SETUP, setup.pack(), Kind.SETUP_REPLY, (stored or setup).pack())
     port.expect_answer(Kind.ARM, frames.pack_arm(SESSION), Kind.ARM_REPLY, bytes([code]))
 
 
-def armed(**options):
-    port, driver = opened(**options)
+def armed() -> tuple[ScriptedPort, SerialDriver]:
+    port, driver = opened()
     expect_arming(port)
     driver.arm(LIMITS)
     assert not port.script
@@ -148,7 +179,7 @@ def armed(**options):
 # ---------------------------------------------------------------------- opening
 
 
-def test_open_says_who_is_there():
+def test_open_says_who_is_there() -> None:
     port = ScriptedPort(ratio=1.005, reset_cause=8)
     driver = make(port, name="serial:/dev/ttyX")
     info = driver.open()
@@ -158,20 +189,20 @@ def test_open_says_who_is_there():
     assert driver.order == "sample_first"
 
 
-def test_a_real_board_is_not_called_emulated_unless_told():
+def test_a_real_board_is_not_called_emulated_unless_told() -> None:
     driver = make(ScriptedPort(board=2), name="serial:/dev/ttyACM0")
     assert not driver.open().emulated
     assert driver.backend == "serial:/dev/ttyACM0 (uno board, build test-1)"
     assert make(ScriptedPort(board=2), emulated=True).open().emulated
 
 
-def test_hello_is_repeated_while_the_board_restarts():
+def test_hello_is_repeated_while_the_board_restarts() -> None:
     port = ScriptedPort(silent_s=2.0)
     make(port).open()
     assert 102.0 <= port.t_s < 104.0
 
 
-def test_garbage_of_the_boot_loader_is_survived():
+def test_garbage_of_the_boot_loader_is_survived() -> None:
     port = ScriptedPort(silent_s=0.7)
     port.reply(0.0, b"left over from before")
     port.reply(0.3, b"\x14\x10\0garbage\0")
@@ -180,7 +211,7 @@ def test_garbage_of_the_boot_loader_is_survived():
     assert driver.link_statistics["bad_frames"] >= 1
 
 
-def test_what_an_earlier_run_left_in_the_port_is_not_believed():
+def test_what_an_earlier_run_left_in_the_port_is_not_believed() -> None:
     port = ScriptedPort()
     stale = port.hello._replace(build=b"stale".ljust(16, b"\0")).pack()
     port.reply(0.0, b"left over")
@@ -188,7 +219,7 @@ def test_what_an_earlier_run_left_in_the_port_is_not_believed():
     assert make(port).open().build == "test-1"
 
 
-def test_an_introduction_that_nobody_asked_for_is_not_believed():
+def test_an_introduction_that_nobody_asked_for_is_not_believed() -> None:
     """Late, of a run before: its number is none of this one's."""
     port = ScriptedPort(silent_s=0.5)
     stale = port.hello._replace(build=b"stale".ljust(16, b"\0")).pack()
@@ -198,7 +229,7 @@ def test_an_introduction_that_nobody_asked_for_is_not_believed():
     assert driver.link_statistics["stale_replies"] == 1
 
 
-def test_a_silent_device_is_an_error_with_the_numbers():
+def test_a_silent_device_is_an_error_with_the_numbers() -> None:
     port = ScriptedPort(silent_s=1e9)
     fault = fault_of(make(port).open)
     assert fault.code == "LINK_HELLO"
@@ -207,7 +238,7 @@ def test_a_silent_device_is_an_error_with_the_numbers():
 
 
 @pytest.mark.parametrize("version", [1, 255])
-def test_another_version_names_both(version):
+def test_another_version_names_both(version: int) -> None:
     fault = fault_of(make(ScriptedPort(version=version)).open)
     assert fault.code == "LINK_VERSION"
     assert f"version {version}" in fault.detail and f"version {frames.VERSION}" in fault.detail
@@ -234,7 +265,7 @@ AT = "rig flash --port /dev/ttyACM0 --bridge"
     ],
     ids=["as it is", "tachometer", "no bridge", "another baud"],
 )
-def test_a_board_of_before_gets_the_whole_line_that_flashes_it(changed, line):
+def test_a_board_of_before_gets_the_whole_line_that_flashes_it(changed: dict[str, object], line: str) -> None:
     device = on_device(ScriptedPort(version=1), MonotonicClock(), emulated=False)
     with device, unopened(Experiment.model_validate(UNO | changed)) as (driver, _, _):
         fault = fault_of(driver.open)
@@ -246,29 +277,29 @@ def test_a_board_of_before_gets_the_whole_line_that_flashes_it(changed, line):
         main.commands["flash"].make_context("flash", command.split())  # it can be typed
 
 
-def test_a_device_that_refuses_our_version():
+def test_a_device_that_refuses_our_version() -> None:
     port = ScriptedPort(silent_s=1e9)
     port.reply(0.01, encode(Kind.NACK, 1, Nack(Code.VERSION, Kind.HELLO).pack()))
     assert fault_of(make(port).open).code == "LINK_VERSION"
 
 
-def test_a_late_hello_of_an_earlier_request_is_as_good():
+def test_a_late_hello_of_an_earlier_request_is_as_good() -> None:
     """A slow reply is not awaited for ever by asking ever anew."""
     port = ScriptedPort(silent_s=0.5)
     port.reply(0.45, encode(Kind.HELLO_REPLY, 1, port.hello._replace(build=b"late".ljust(16, b"\0")).pack()))
     assert make(port).open().build == "late"
 
 
-def test_the_device_restarts_while_its_clock_is_measured():
+def test_the_device_restarts_while_its_clock_is_measured() -> None:
     port = ScriptedPort(start_us=5_000_000)
     write = port.write
 
-    def restarting(data):
+    def restarting(data: bytes) -> None:
         if port.t_s > 100.5:
             port.start_us = -500_000
         write(data)
 
-    port.write = restarting
+    port.write = restarting  # type: ignore[method-assign]  # the restart
     assert fault_of(make(port).open).code == "DEVICE_RESET"
 
 
@@ -280,7 +311,7 @@ def test_the_device_restarts_while_its_clock_is_measured():
         ({"features": 0}, {"tachometer": TachometerScale(1.0)}, "tachometer"),
     ],
 )
-def test_a_config_that_does_not_fit_the_device(hello, options, words):
+def test_a_config_that_does_not_fit_the_device(hello: HelloFields, options: DriverOptions, words: str) -> None:
     fault = fault_of(make(ScriptedPort(**hello), **options).open)
     assert fault.code == "CONFIG_MISMATCH"
     assert words in fault.detail
@@ -296,7 +327,7 @@ def test_a_config_that_does_not_fit_the_device(hello, options, words):
         (0, "in1-in2", "does not say which bridge it is for, and with the wrong one 0 V can be full drive: type: this"),
     ],
 )
-def test_a_bridge_that_is_not_the_configs(told, config, words):
+def test_a_bridge_that_is_not_the_configs(told: int, config: str | None, words: str) -> None:
     """The wrong one can be full drive at 0 V: nothing but questions goes out."""
     fault = fault_of(
         make(ScriptedPort(board=2, bridge=told), board=Board(bridge=config, flashing="type: this line")).open
@@ -309,7 +340,7 @@ def test_a_bridge_that_is_not_the_configs(told, config, words):
     ("board", "told", "config"),
     [(2, 1, "pwm-dir"), (2, 2, "in1-in2"), (2, 0, None), (1, 0, "in1-in2"), (1, 0, None), (1, 1, None)],
 )
-def test_a_bridge_that_is_the_configs_or_none(board, told, config):
+def test_a_bridge_that_is_the_configs_or_none(board: int, told: int, config: str | None) -> None:
     """A board that is emulated has none to say, whatever the config names."""
     make(ScriptedPort(board=board, bridge=told), board=Board(bridge=config)).open()
 
@@ -317,12 +348,14 @@ def test_a_bridge_that_is_the_configs_or_none(board, told, config):
 # ---------------------------------------------------------------------- what is latched already
 
 
-def meeting(*latched, refuses=(), **hello):
+def meeting(
+    *latched: Code, refuses: Sequence[Code] = (), start_us: int = 600_000_000, silent_s: float = 0.0
+) -> tuple[ScriptedPort, list[Code]]:
     """A port whose device has these codes latched, and refuses to clear some; it has run for ten minutes."""
-    port = ScriptedPort(**({"start_us": 600_000_000} | hello))
+    port = ScriptedPort(start_us=start_us, silent_s=silent_s)
     codes, write, reader = list(latched), port.write, frames.FrameReader()
 
-    def answer(data):
+    def answer(data: bytes) -> None:
         requests = reader.feed(data)
         if not requests or requests[0].kind == Kind.HELLO:  # spelled
             write(data)
@@ -331,7 +364,8 @@ def meeting(*latched, refuses=(), **hello):
         port.seq = request.seq
         status = frames.STATUS_FAULT if codes else 0
         if request.kind == Kind.ACK:
-            (code,) = request.body
+            (number,) = request.body
+            code = Code(number)
             if code in refuses:
                 port.reply(0.001, encode(Kind.NACK, request.seq, Nack(code, Kind.ACK).pack()))
                 return
@@ -344,17 +378,17 @@ def meeting(*latched, refuses=(), **hello):
         else:
             write(data)
 
-    port.write = answer
+    port.write = answer  # type: ignore[method-assign]  # what is latched
     return port, codes
 
 
-def test_opening_clears_what_was_latched_and_tells_of_it():
+def test_opening_clears_what_was_latched_and_tells_of_it() -> None:
     port, codes = meeting(Code.RESET, Code.E_STOP, Code.WATCHDOG)
     assert make(port).open().acknowledged == ("DEVICE_ESTOP", "DEVICE_WATCHDOG")
     assert codes == []
 
 
-def test_what_latches_while_a_device_is_opened_stays_latched():
+def test_what_latches_while_a_device_is_opened_stays_latched() -> None:
     """Opening resets an Uno: what it has latched since then came after the command was given."""
     port, codes = meeting(Code.RESET, Code.E_STOP, start_us=0, silent_s=1.5)
     assert make(port).open().acknowledged == ()
@@ -364,22 +398,22 @@ def test_what_latches_while_a_device_is_opened_stays_latched():
     assert codes == [Code.E_STOP]
 
 
-def test_what_lasts_stays_latched():
+def test_what_lasts_stays_latched() -> None:
     port, codes = meeting(Code.RESET, Code.E_STOP, refuses=[Code.E_STOP])
     assert make(port).open().acknowledged == ()
     assert codes == [Code.E_STOP]
 
 
-def test_a_device_that_takes_long_to_answer_is_opened_all_the_same():
+def test_a_device_that_takes_long_to_answer_is_opened_all_the_same() -> None:
     """The pauses between the exchanges that measure its clock stay short: four of them fit."""
     port = ScriptedPort()
     reply = port.reply
-    port.reply = lambda delay_s, data: reply(delay_s + 0.7, data)
+    port.reply = lambda delay_s, data: reply(delay_s + 0.7, data)  # type: ignore[method-assign]  # slower
     driver = SerialDriver(port, CALIBRATION, DRIVE, RAILS, 1.0, 5.0, session=SESSION)
     assert driver.open().round_trip_s == pytest.approx(0.7, abs=0.01)
 
 
-def test_full_drive_is_the_devices_own():
+def test_full_drive_is_the_devices_own() -> None:
     _, driver = opened(drive_full=399)
     assert driver.drive_map.to_units(12.0) == 399
     assert fault_of(make(ScriptedPort(drive_full=0)).open).code == "LINK_HELLO"
@@ -388,14 +422,14 @@ def test_full_drive_is_the_devices_own():
 # ---------------------------------------------------------------------- arming
 
 
-def test_arming_sends_stop_limits_and_arm_in_this_order():
+def test_arming_sends_stop_limits_and_arm_in_this_order() -> None:
     port, driver = armed()
     assert driver.failsafe is not None and driver.failsafe.time_s == pytest.approx(0.1)
     assert port.hello.drive_full == 799
 
 
 @pytest.mark.parametrize("field", [f for f in Setup._fields if f != "polarity"])
-def test_a_read_back_that_differs_in_any_field(field):
+def test_a_read_back_that_differs_in_any_field(field: str) -> None:
     port, driver = opened()
     expect_arming(port, stored=SETUP._replace(**{field: getattr(SETUP, field) + 1}))
     fault = fault_of(driver.arm, LIMITS)
@@ -408,7 +442,7 @@ def test_a_read_back_that_differs_in_any_field(field):
     ("code", "name"),
     [(Code.SENSOR_RAIL, "DEVICE_SENSOR"), (Code.NO_SETUP, "DEVICE_RESET"), (99, "LINK_REJECTED")],
 )
-def test_arming_refused(code, name):
+def test_arming_refused(code: int, name: str) -> None:
     port, driver = opened()
     expect_arming(port, code=code)
     fault = fault_of(driver.arm, LIMITS)
@@ -417,7 +451,7 @@ def test_arming_refused(code, name):
 
 
 @pytest.mark.parametrize("code", [Code.E_STOP, Code.RESET, Code.SENSOR_RAIL])
-def test_what_was_latched_since_opening_refuses_and_is_not_cleared(code):
+def test_what_was_latched_since_opening_refuses_and_is_not_cleared(code: Code) -> None:
     port, driver = opened()
     state = port.state(status=frames.STATUS_FAULT, fault=code, session=0)
     port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, state)
@@ -426,7 +460,7 @@ def test_what_was_latched_since_opening_refuses_and_is_not_cleared(code):
     assert not port.script  # neither SETUP nor ACK nor ARM
 
 
-def test_arming_again_sends_no_setup_and_names_the_session():
+def test_arming_again_sends_no_setup_and_names_the_session() -> None:
     port, driver = armed()
     port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0))
     driver.safe_stop()
@@ -437,7 +471,7 @@ def test_arming_again_sends_no_setup_and_names_the_session():
 
 
 @pytest.mark.parametrize("session", [0, SESSION + 1])
-def test_a_device_that_has_lost_the_session_was_reset(session):
+def test_a_device_that_has_lost_the_session_was_reset(session: int) -> None:
     port, driver = armed()
     port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0))
     driver.safe_stop()
@@ -451,7 +485,7 @@ def test_a_device_that_has_lost_the_session_was_reset(session):
     assert fault_of(driver.read).code == "DEVICE_RESET"  # armed, as it says
 
 
-def test_an_e_stop_in_a_pause_is_told():
+def test_an_e_stop_in_a_pause_is_told() -> None:
     port, driver = armed()
     port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0))
     driver.safe_stop()
@@ -459,13 +493,13 @@ def test_an_e_stop_in_a_pause_is_told():
     assert fault_of(driver.read).code == "DEVICE_ESTOP"
 
 
-def test_each_driver_has_a_session_of_its_own():
+def test_each_driver_has_a_session_of_its_own() -> None:
     drivers = [SerialDriver(ScriptedPort(), CALIBRATION, DRIVE, RAILS) for _ in range(50)]
     sessions = {driver._session for driver in drivers}
     assert len(sessions) == 50 and all(1 <= session < 2**32 for session in sessions)
 
 
-def test_setup_refused():
+def test_setup_refused() -> None:
     port, driver = opened()
     port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0, session=0))
     port.expect_answer(Kind.SETUP, SETUP.pack(), Kind.NACK, Nack(Code.SETUP_INVALID, Kind.SETUP).pack())
@@ -474,7 +508,7 @@ def test_setup_refused():
     assert "SETUP refused, code 9" in fault.detail
 
 
-def test_arming_asks_again_when_a_reply_is_lost_and_gives_up_in_the_end():
+def test_arming_asks_again_when_a_reply_is_lost_and_gives_up_in_the_end() -> None:
     port, driver = opened()
     port.expect(Kind.STOP)
     expect_arming(port)
@@ -484,7 +518,7 @@ def test_arming_asks_again_when_a_reply_is_lost_and_gives_up_in_the_end():
     assert fault_of(driver.arm, LIMITS).code == "LINK_TIMEOUT"
 
 
-def test_setup_of_a_falling_sensor_and_a_reversed_bridge():
+def test_setup_of_a_falling_sensor_and_a_reversed_bridge() -> None:
     falling = Calibration([(24, 2.0), (1000, -2.0)])
     setup = setup_for(LIMITS, falling, DRIVE, RAILS, SESSION)
     assert setup.polarity == -1
@@ -494,14 +528,14 @@ def test_setup_of_a_falling_sensor_and_a_reversed_bridge():
 
 
 @pytest.mark.parametrize("calibration", [CALIBRATION, Calibration([(20, 2.03), (500, 0.1), (1000, -2.01)])])
-def test_counts_are_inside_exactly_if_the_position_is(calibration):
+def test_counts_are_inside_exactly_if_the_position_is(calibration: Calibration) -> None:
     setup = setup_for(LIMITS, calibration, DRIVE, RAILS, SESSION)
     for counts in range(6, 1018):
         inside = LIMITS.hard_rad[0] <= calibration.to_rad(counts) <= LIMITS.hard_rad[1]
         assert (setup.hard_lo <= counts <= setup.hard_hi) == inside
 
 
-def test_the_largest_drive_covers_both_directions():
+def test_the_largest_drive_covers_both_directions() -> None:
     drive = DriveMap(supply_V=12.0, dead_band_plus=0.0, dead_band_minus=0.1)
     setup = setup_for(LIMITS, CALIBRATION, drive, RAILS, SESSION)
     assert setup.max_drive == -drive.to_units(-3.0) > drive.to_units(3.0)
@@ -520,7 +554,7 @@ def test_the_largest_drive_covers_both_directions():
         ({"watchdog_s": 0.0004}, "watchdog"),
     ],
 )
-def test_limits_that_the_device_cannot_hold(change, words):
+def test_limits_that_the_device_cannot_hold(change: dict[str, Any], words: str) -> None:
     limits = Limits(**{**LIMITS.__dict__, **change})
     with pytest.raises(ValueError, match=words):
         setup_for(limits, CALIBRATION, DRIVE, RAILS, SESSION)
@@ -529,7 +563,7 @@ def test_limits_that_the_device_cannot_hold(change, words):
 # ---------------------------------------------------------------------- one tick
 
 
-def test_a_tick():
+def test_a_tick() -> None:
     """Read, write, read: the second sample tells when the drive took effect, and how much it was."""
     port, driver = armed()
     port.expect_read(counts=600)
@@ -554,7 +588,7 @@ def test_a_tick():
     assert driver.link_statistics["drives_lost"] == 0
 
 
-def test_a_drive_held_for_longer_than_the_clock_wraps_keeps_its_time():
+def test_a_drive_held_for_longer_than_the_clock_wraps_keeps_its_time() -> None:
     port, driver = armed()
     port.expect(Kind.DRIVE, frames.pack_drive(67))
     drive_seq = port.next_seq(0)
@@ -568,13 +602,13 @@ def test_a_drive_held_for_longer_than_the_clock_wraps_keeps_its_time():
     assert len(set(times)) == 1
 
 
-def test_a_drive_beyond_the_bridge_is_refused_before_it_is_sent():
+def test_a_drive_beyond_the_bridge_is_refused_before_it_is_sent() -> None:
     _, driver = armed()
     with pytest.raises(ValueError, match="beyond"):
         driver.write(12.5)
 
 
-def test_a_lost_drive_is_not_pretended():
+def test_a_lost_drive_is_not_pretended() -> None:
     port, driver = armed()
     port.expect(Kind.DRIVE, frames.pack_drive(67))
     accepted = port.next_seq(0)
@@ -593,7 +627,7 @@ def test_a_lost_drive_is_not_pretended():
     assert driver.link_statistics["drives_lost"] == 1
 
 
-def test_three_lost_drives_in_a_row_end_the_run():
+def test_three_lost_drives_in_a_row_end_the_run() -> None:
     """The drive that acts is no longer the host's."""
     port, driver = armed()
     for accepted in (False, False, True, False, False, False):
@@ -608,7 +642,7 @@ def test_three_lost_drives_in_a_row_end_the_run():
     assert caught.value.code == "LINK_TIMEOUT" and "512 counts" in caught.value.detail
 
 
-def test_the_first_drive_lost_leaves_its_time_unknown():
+def test_the_first_drive_lost_leaves_its_time_unknown() -> None:
     port, driver = armed()
     port.expect(Kind.DRIVE, frames.pack_drive(67))
     driver.write(1.0)
@@ -618,7 +652,7 @@ def test_the_first_drive_lost_leaves_its_time_unknown():
     assert math.isnan(sample.t_u_s)
 
 
-def test_tachometer():
+def test_tachometer() -> None:
     port = ScriptedPort(features=1)
     driver = make(port, tachometer=TachometerScale(0.09, 512.0, 9.0))
     driver.open()
@@ -628,7 +662,7 @@ def test_tachometer():
     assert math.isnan(driver.read().v_rad_per_s)
 
 
-def test_reading_before_arming_is_allowed():
+def test_reading_before_arming_is_allowed() -> None:
     port, driver = opened()
     port.expect_read(counts=700, status=0)
     assert driver.read().y_counts == 700
@@ -639,7 +673,7 @@ def test_reading_before_arming_is_allowed():
 # ---------------------------------------------------------------------- replies that are not the reply
 
 
-def test_late_replies_are_never_taken_for_the_next_ones():
+def test_late_replies_are_never_taken_for_the_next_ones() -> None:
     port, driver = armed()
     late = port.next_seq()
     port.expect(Kind.READ, b"", (TIMEOUT_S + 0.001, encode(Kind.STATE, late, port.state(counts=111))))
@@ -653,7 +687,7 @@ def test_late_replies_are_never_taken_for_the_next_ones():
     assert driver.link_statistics["timeouts"] == 1
 
 
-def test_a_lost_reply_is_asked_for_again_before_the_time_out():
+def test_a_lost_reply_is_asked_for_again_before_the_time_out() -> None:
     port, driver = armed()
     port.expect(Kind.READ)
     port.expect(Kind.READ, b"", (0.002, encode(Kind.STATE, port.next_seq(), port.state(counts=222))))
@@ -663,7 +697,7 @@ def test_a_lost_reply_is_asked_for_again_before_the_time_out():
     assert (driver.link_statistics["asked_again"], driver.link_statistics["timeouts"]) == (1, 0)
 
 
-def test_a_late_reply_to_what_was_asked_twice_will_do_and_says_when_it_was_sampled():
+def test_a_late_reply_to_what_was_asked_twice_will_do_and_says_when_it_was_sampled() -> None:
     port, driver = armed()
     sampled_us = port.device_us()
     first = encode(Kind.STATE, port.next_seq(), port.state(counts=222, t_sample_us=sampled_us))
@@ -681,7 +715,7 @@ def test_a_late_reply_to_what_was_asked_twice_will_do_and_says_when_it_was_sampl
 
 
 @pytest.mark.parametrize("together", [True, False])
-def test_a_repeated_reply_counts_once(together):
+def test_a_repeated_reply_counts_once(together: bool) -> None:
     port, driver = armed()
     reply = encode(Kind.STATE, port.next_seq(), port.state(counts=333))
     replies = [(0.001, reply + reply)] if together else [(0.001, reply), (0.002, reply)]
@@ -704,7 +738,7 @@ def test_a_repeated_reply_counts_once(together):
     ],
     ids=["before", "ahead", "another kind", "another version", "unknown kind"],
 )
-def test_foreign_replies_are_passed_over(foreign):
+def test_foreign_replies_are_passed_over(foreign: Callable[[int, bytes], bytes]) -> None:
     port, driver = armed()
     seq = port.next_seq()
     wrong, right = port.state(counts=111), port.state(counts=222)
@@ -713,7 +747,7 @@ def test_foreign_replies_are_passed_over(foreign):
     assert driver.link_statistics["stale_replies"] == 1
 
 
-def test_a_garbled_reply_is_asked_for_again_at_once_and_is_never_another_reading():
+def test_a_garbled_reply_is_asked_for_again_at_once_and_is_never_another_reading() -> None:
     """Whichever bit of the reply is flipped."""
     port, driver = armed()
     bits = 8 * len(encode(Kind.STATE, 1, port.state()))
@@ -731,7 +765,7 @@ def test_a_garbled_reply_is_asked_for_again_at_once_and_is_never_another_reading
     assert driver.link_statistics["timeouts"] == 0
 
 
-def test_three_garbled_replies_end_in_the_time_out():
+def test_three_garbled_replies_end_in_the_time_out() -> None:
     port, driver = armed()
     for _ in range(3):
         port.expect(Kind.READ, b"", (0.001, b"\x55\0"))
@@ -744,7 +778,7 @@ def test_three_garbled_replies_end_in_the_time_out():
     assert driver.read().y_counts == 223
 
 
-def test_three_readings_in_a_row_that_had_to_be_asked_for_again_end_the_run():
+def test_three_readings_in_a_row_that_had_to_be_asked_for_again_end_the_run() -> None:
     port, driver = armed()
     for k in range(3):
         port.expect(Kind.READ, b"", (0.001, b"\x55\0"))
@@ -757,14 +791,14 @@ def test_three_readings_in_a_row_that_had_to_be_asked_for_again_end_the_run():
     assert "223 counts" in fault.detail  # the reading that ends the run is in no row
 
 
-def test_a_reply_in_pieces():
+def test_a_reply_in_pieces() -> None:
     port, driver = armed()
     reply = encode(Kind.STATE, port.next_seq(), port.state(counts=222))
     port.expect(Kind.READ, b"", *((0.0005 * k, reply[k : k + 1]) for k in range(len(reply))))
     assert driver.read().y_counts == 222
 
 
-def test_a_trickle_of_noise_does_not_stretch_the_time_out():
+def test_a_trickle_of_noise_does_not_stretch_the_time_out() -> None:
     port, driver = armed()
     port.expect(Kind.READ, b"", *((0.001 * k, b"\x55\0") for k in range(100)))
     port.expect(Kind.READ)
@@ -774,7 +808,7 @@ def test_a_trickle_of_noise_does_not_stretch_the_time_out():
     assert port.t_s - started_s == pytest.approx(TIMEOUT_S, abs=0.0011)
 
 
-def test_sequence_numbers_wrap():
+def test_sequence_numbers_wrap() -> None:
     port, driver = armed()
     driver._exchange.seq = port.seq = 0xFFFE
     for seq in (0xFFFF, 0, 1):
@@ -796,7 +830,7 @@ def test_sequence_numbers_wrap():
         (42, "LINK_REJECTED", "code 42"),
     ],
 )
-def test_a_latched_fault_has_its_name_and_numbers(code, name, numbers):
+def test_a_latched_fault_has_its_name_and_numbers(code: int, name: str, numbers: str) -> None:
     port, driver = armed()
     port.expect_read(counts=1001, status=frames.STATUS_FAULT, fault=code)
     fault = fault_of(driver.read)
@@ -805,13 +839,13 @@ def test_a_latched_fault_has_its_name_and_numbers(code, name, numbers):
 
 
 @pytest.mark.parametrize("code", [Code.NONE, Code.NOT_ARMED])
-def test_a_device_that_is_no_longer_armed_has_restarted(code):
+def test_a_device_that_is_no_longer_armed_has_restarted(code: Code) -> None:
     port, driver = armed()
     port.expect_read(status=0, fault=code)
     assert fault_of(driver.read).code == "DEVICE_RESET"
 
 
-def test_driving_before_arming_is_told():
+def test_driving_before_arming_is_told() -> None:
     port, driver = opened()
     port.expect(Kind.DRIVE, frames.pack_drive(67))
     driver.write(1.0)
@@ -819,19 +853,19 @@ def test_driving_before_arming_is_told():
     assert fault_of(driver.read).code == "DEVICE_NOT_ARMED"
 
 
-def test_recovering_is_no_fault():
+def test_recovering_is_no_fault() -> None:
     port, driver = armed()
     port.expect_read(counts=1000, status=frames.STATUS_ARMED | frames.STATUS_RECOVERING)
     assert driver.read().y_counts == 1000
 
 
-def test_a_refused_read():
+def test_a_refused_read() -> None:
     port, driver = armed()
     port.expect_answer(Kind.READ, b"", Kind.NACK, Nack(Code.UNKNOWN_TYPE, Kind.READ).pack())
     assert fault_of(driver.read).code == "LINK_REJECTED"
 
 
-def test_a_dead_port_is_told_and_never_reopened():
+def test_a_dead_port_is_told_and_never_reopened() -> None:
     port, driver = armed()
     port.expect(Kind.READ, b"", Fault("LINK_LOST"))
     assert fault_of(driver.read).code == "LINK_LOST"
@@ -845,13 +879,13 @@ def test_a_dead_port_is_told_and_never_reopened():
 # ---------------------------------------------------------------------- stopping
 
 
-def test_safe_stop_confirmed():
+def test_safe_stop_confirmed() -> None:
     port, driver = armed()
     port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=frames.STATUS_FAULT, fault=6))
     assert driver.safe_stop() is True
 
 
-def test_safe_stop_asks_three_times_and_says_so():
+def test_safe_stop_asks_three_times_and_says_so() -> None:
     port, driver = armed()
     port.expect(Kind.STOP)
     port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=frames.STATUS_ARMED))  # not stopped
@@ -864,7 +898,7 @@ def test_safe_stop_asks_three_times_and_says_so():
 
 
 @pytest.mark.parametrize("left", [{"drive": 30, "status": 0}, {"drive": 0, "status": frames.STATUS_ARMED}])
-def test_a_stop_that_leaves_the_drive_on_or_the_device_armed_is_not_confirmed(left):
+def test_a_stop_that_leaves_the_drive_on_or_the_device_armed_is_not_confirmed(left: dict[str, int]) -> None:
     port, driver = armed()
     for _ in range(3):
         port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(**left))
@@ -872,7 +906,7 @@ def test_a_stop_that_leaves_the_drive_on_or_the_device_armed_is_not_confirmed(le
     assert not port.script
 
 
-def test_close_stops_what_is_armed():
+def test_close_stops_what_is_armed() -> None:
     port, driver = armed()
     port.expect_answer(Kind.STOP, b"", Kind.STOP_REPLY, port.state(status=0))
     driver.close()
@@ -884,7 +918,7 @@ def test_close_stops_what_is_armed():
 
 
 @pytest.mark.parametrize("ppm", [-20000, -5000, 0, 5000, 20000])
-def test_device_time_becomes_host_time(ppm):
+def test_device_time_becomes_host_time(ppm: int) -> None:
     """Over five minutes, a wrap of the 32 bits in between, whatever the device's rate."""
     ratio = 1.0 + 1e-6 * ppm
     port = ScriptedPort(ratio=ratio, start_us=2**32 - 60_000_000)

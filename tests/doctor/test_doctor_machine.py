@@ -1,9 +1,11 @@
 """What the doctor says of a machine whose kernel's files are set up by hand."""
 
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from serial.tools import list_ports
 
 from rig.backends.links.usb_adapters import CHIPS, Adapter, adapter_delay_s
 from rig.doctor import machine
@@ -42,7 +44,7 @@ def test_ftdi_latency_of_16_ms_is_bad_and_the_cure_names_its_file(tmp_path: Path
 
 def plugged_in(monkeypatch: pytest.MonkeyPatch, device: str, vid: int | None, pid: int | None) -> None:
     ports = [SimpleNamespace(device=device, vid=vid, pid=pid)]
-    monkeypatch.setattr(machine.list_ports, "comports", lambda: ports)
+    monkeypatch.setattr(list_ports, "comports", lambda: ports)
 
 
 @pytest.mark.parametrize(
@@ -173,8 +175,8 @@ def test_a_port_of_another_group_names_the_group(tmp_path: Path, monkeypatch: py
 def test_a_full_disk_and_one_that_may_not_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert machine.disk(tmp_path / "runs" / "not-made-yet").state == "good"
     for free, state in ((10**8, "poor"), (10**6, "bad")):
-        usage = machine.shutil._ntuple_diskusage(10**9, 10**9 - free, free)
-        monkeypatch.setattr(machine.shutil, "disk_usage", lambda _, usage=usage: usage)
+        usage = shutil._ntuple_diskusage(10**9, 10**9 - free, free)
+        monkeypatch.setattr(shutil, "disk_usage", lambda _, usage=usage: usage)
         assert machine.disk(tmp_path).state == state
     monkeypatch.setattr("os.access", lambda *_: False)
     assert machine.disk(tmp_path).state == "bad"

@@ -1,5 +1,7 @@
 """Ticks, wake-ups and margins, in virtual time and so exactly."""
 
+from collections.abc import Callable
+
 import pytest
 
 from rig.backends.clock import VirtualClock
@@ -19,7 +21,7 @@ class SleepyClock(VirtualClock):
         return super().sleep_until(t_s + self._late_s[(self._ticks - 1) % len(self._late_s)])
 
 
-def exchange_of(clock: VirtualClock, seconds: float):
+def exchange_of(clock: VirtualClock, seconds: float) -> Callable[[], float]:
     return lambda: VirtualClock.sleep_until(clock, clock.now_s() + seconds)
 
 

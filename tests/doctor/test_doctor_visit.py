@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 from rig.backends.serial.opening import emulated_chip
 from rig.cli import main
@@ -15,7 +15,7 @@ from rig.testing.line import on_device
 ROOT = Path(__file__).parents[2]
 
 
-def doctor(*arguments: str | Path):
+def doctor(*arguments: str | Path) -> Result:
     return CliRunner().invoke(main, ["doctor", "--seconds", "0.2", *map(str, arguments)])
 
 

@@ -34,6 +34,7 @@ from modbus_device import (
 from processes import alive, rows, wait_until
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ModbusException
+from pymodbus.pdu.mei_message import ReadDeviceInformationResponse
 
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.line_faults import CorruptionRate
@@ -79,7 +80,7 @@ def stock_client(port: str) -> Iterator[ModbusSerialClient | ModbusTcpClient]:
     try:
         yield client
     finally:
-        client.close()  # type: ignore[no-untyped-call]
+        client.close()  # type: ignore[no-untyped-call]  # has none in pymodbus
 
 
 class Socket:
@@ -117,6 +118,7 @@ def start(board: ModbusBoard, tcp: bool, **options: Any) -> str:
 def test_the_stock_client_reads_arms_and_drives_it(tcp: bool) -> None:
     with ModbusBoard() as board, stock_client(start(board, tcp)) as client:
         who = client.read_device_information(device_id=1)
+        assert isinstance(who, ReadDeviceInformationResponse)
         assert who.information == {0: b"rig", 1: b"emulated I/O block", 2: b"0.1.0"}
         assert client.read_holding_registers(POSITION, count=4, device_id=1).registers == [512, 0, 0, 0]
         assert client.write_registers(WATCHDOG, list(LONG_WATCHDOG), device_id=1).count == 6
@@ -145,7 +147,7 @@ def test_the_stock_client_hears_nothing_of_another_unit() -> None:
         with pytest.raises(ModbusException, match="No response"):
             client.read_holding_registers(POSITION, count=1, device_id=2)
         assert client.read_holding_registers(POSITION, count=1, device_id=1).registers == [512]
-        client.close()  # type: ignore[no-untyped-call]
+        client.close()  # type: ignore[no-untyped-call]  # has none in pymodbus
 
 
 @pytest.mark.parametrize("tcp", [False, True], ids=["rtu", "tcp"])
@@ -300,7 +302,7 @@ def test_a_damaged_line_answers_less_and_executes_nothing_else(tmp_path: Path) -
         for _ in range(5):
             with contextlib.suppress(ModbusException):
                 client.write_register(DRIVE, 500, device_id=1)
-        client.close()  # type: ignore[no-untyped-call]
+        client.close()  # type: ignore[no-untyped-call]  # has none in pymodbus
         board.stop()
     # every request or reply is damaged: what arrives whole is refused, for it is not armed
     assert {row["drive_V"] for row in rows(tmp_path / "trace.csv")} == {0.0}
@@ -335,11 +337,12 @@ def test_its_reset_button_cuts_the_drive_disarms_it_and_ends_its_connections(tcp
         board.reset()
         wait_until(lambda: trace.read_text(encoding="ascii").splitlines()[-1].split(",")[1] == "0.000000")
         if tcp:
+            assert isinstance(client.socket, socket.socket)
             with pytest.raises(OSError):
                 client.socket.send(b"\0")
                 client.socket.recv(1)
-            client.close()
+            client.close()  # type: ignore[no-untyped-call]  # has none in pymodbus
             client = connect()
         assert client.read_holding_registers(STATUS, count=1, device_id=1).registers == [0]
         board.check()
-        client.close()
+        client.close()  # type: ignore[no-untyped-call]  # has none in pymodbus

@@ -71,7 +71,8 @@ def test_a_short_reply_waits_for_the_chips_timer_and_the_frame(adapter: Adapter,
     first, second = [0.0003, 0.0004], [0.0092, 0.0093]
     if adapter == "ftdi":
         second = [0.0192, 0.0193]
-    assert arrivals(adapter, first + second) == [(pytest.approx(t), 2) for t in at_s]
+    expected: list[tuple[object, int]] = [(pytest.approx(t), 2) for t in at_s]
+    assert arrivals(adapter, first + second) == expected
 
 
 @pytest.mark.parametrize("adapter", CHIPS)

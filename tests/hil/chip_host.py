@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TypedDict, TypeVar, Unpack
 
-from virtual_host import BENCH, HELD, SETUP, VirtualHost
+from virtual_host import BENCH, HELD, SETUP, Host, Wired
 
 from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
 from rig.backends.serial.emulated.virtual_chip import ChipTruth, VirtualChip
@@ -18,13 +18,14 @@ SETTLE_S = 0.4e-3  # from a frame's last bit until the program has acted on it, 
 START_S = 2e-3  # from power on until the program listens
 
 
-class ChipHost(VirtualHost):
-    """Frames to and from one emulated chip."""
+Chip = TypeVar("Chip", bound=Wired)
 
-    board: VirtualChip
 
-    def __init__(self, board: VirtualChip, baud: int = 115200) -> None:
-        super().__init__(board)  # type: ignore[arg-type]
+class UnoHost(Host[Chip]):
+    """Frames to and from one emulated chip, whichever emulates it."""
+
+    def __init__(self, board: Chip, baud: int = 115200) -> None:
+        super().__init__(board)
         self._byte_s = round(10e9 / baud) * 1e-9
         self.wait(START_S)
 
@@ -37,12 +38,25 @@ class ChipHost(VirtualHost):
         self.send(Kind.DRIVE, pack_drive(units))
         self.board.sleep_until(self.heard_s + SETTLE_S)
 
+
+class ChipHost(UnoHost[VirtualChip]):
+    """Frames to and from one emulated chip."""
+
     def truth(self) -> ChipTruth:
         return self.board.truth()
 
 
+class ChipOptions(TypedDict, total=False):
+    """What an emulated chip is made with besides its bench and its firmware."""
+
+    seed: int
+    clock_error_ppm: float
+    dead_time_s: float
+    measure: bool
+
+
 def armed_chip(
-    bench: BenchParameters = BENCH, setup: Setup = SETUP, options: UnoOptions = PLAIN_UNO, **board: Any
+    bench: BenchParameters = BENCH, setup: Setup = SETUP, options: UnoOptions = PLAIN_UNO, **board: Unpack[ChipOptions]
 ) -> ChipHost:
     host = ChipHost(VirtualChip(bench, options=options, **board), options.baud)
     host.acknowledge(Code.RESET)
@@ -51,4 +65,4 @@ def armed_chip(
     return host
 
 
-__all__ = ["BENCH", "HELD", "QUIET", "SETTLE_S", "SETUP", "ChipHost", "armed_chip"]
+__all__ = ["BENCH", "HELD", "QUIET", "SETTLE_S", "SETUP", "ChipHost", "UnoHost", "armed_chip"]

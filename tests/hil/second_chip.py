@@ -9,6 +9,8 @@ import subprocess
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
+from chip_host import UnoHost
+
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
 from rig.model.bench import BenchParameters
@@ -136,3 +138,10 @@ class SecondChip:
         self._now_ns = int(seen.pop("now_ns"))
         self._longest_pulse_s = max(self._longest_pulse_s, seen.pop("longest_pulse_s"))
         self._truth = SecondTruth(self.now_s(), **seen)
+
+
+class SecondHost(UnoHost[SecondChip]):
+    """Frames to and from one Uno on this emulator."""
+
+    def truth(self) -> SecondTruth:
+        return self.board.truth()

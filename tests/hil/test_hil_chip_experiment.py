@@ -6,6 +6,7 @@ import json
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[2]
 UNO_FULL = 400
 
 
-def run_on_chip(folder: Path, daq: dict[str, object] | None = None, **relay: object) -> dict:
+def run_on_chip(folder: Path, daq: dict[str, object] | None = None, **relay: object) -> dict[str, Any]:
     """config/demo.yaml on the chip; changes of its sections ``daq`` and ``relay``."""
     config = yaml.safe_load((ROOT / "config/demo.yaml").read_text(encoding="utf-8"))
     config["daq"] |= {"port": "emulated-chip"} | (daq or {})
@@ -42,10 +43,11 @@ def run_on_chip(folder: Path, daq: dict[str, object] | None = None, **relay: obj
     path.write_text(yaml.safe_dump(config), encoding="utf-8")
     result = CliRunner().invoke(main, ["run", str(path), "--out", str(folder / "runs"), "--json"])
     assert result.exit_code == 0, result.output
-    return json.loads(result.stdout)
+    outcome: dict[str, Any] = json.loads(result.stdout)
+    return outcome
 
 
-def within_2_percent_of_the_truth(outcome: dict) -> None:
+def within_2_percent_of_the_truth(outcome: dict[str, Any]) -> None:
     estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
     for name in ("tau_s", "K_rad_s_V", "fc_V"):
         assert estimate[name] == pytest.approx(truth[name], rel=0.02)

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from chip_host import QUIET, SETUP, ChipHost
-from second_chip import SecondChip
+from chip_host import QUIET, SETUP
+from second_chip import SecondChip, SecondHost
 from virtual_host import LSB_RAD, SESSION, TICK_S
 
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
@@ -231,8 +231,8 @@ def test_the_limit_cycle_is_the_same_within_2_percent(simavr: Session, avr8js: S
     assert one.amplitude_counts * LSB_RAD > 0.5
 
 
-def driving(board: SecondChip, watchdog_ms: int = SETUP.watchdog_ms) -> ChipHost:
-    host = ChipHost(board)  # type: ignore[arg-type]
+def driving(board: SecondChip, watchdog_ms: int = SETUP.watchdog_ms) -> SecondHost:
+    host = SecondHost(board)
     host.acknowledge(Code.RESET)
     host.setup(SETUP._replace(watchdog_ms=watchdog_ms))
     assert host.arm() == Code.NONE

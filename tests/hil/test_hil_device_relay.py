@@ -7,12 +7,13 @@ import random
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Literal, Unpack
 
 import numpy as np
 import pytest
 from raised import fault_of
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListRecord
-from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, VirtualHost, armed_host
+from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, BoardOptions, VirtualHost, armed_host
 
 import rig.experiment
 import rig.session
@@ -20,17 +21,30 @@ from rig.backends.driver import RelayCommand, RelayDriver, RelayRow
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.backends.serial.frames import STATUS_RELAY, Block, Code, FrameReader, Kind, Nack, Packet, RelaySetup, encode
+from rig.backends.serial.frames import (
+    STATUS_RELAY,
+    Block,
+    Code,
+    FrameReader,
+    Kind,
+    Nack,
+    Packet,
+    RelaySetup,
+    Setup,
+    encode,
+)
+from rig.backends.serial.relay_stream import FirmwareRelay
 from rig.calibration import DriveMap
 from rig.config import load
 from rig.config.schema import Experiment, Gains, Relay
 from rig.control.excitation import RelayTest
-from rig.control.guard import Guard
+from rig.control.guard import Guard, GuardSettings
 from rig.control.law import Constant
 from rig.control.relay import RelayOnCounts
 from rig.faults import Fault
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
+from rig.model.bench import BenchParameters, SensorWiring
 from rig.model.cycle_detector import CycleDetector
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
@@ -41,7 +55,9 @@ GAINS_V = (0.4, 0.85)
 RELAY = RelaySetup((-80, 30, -30, 80), 512 * 16, 5_000_000, 1, 10)
 
 
-def running_host(bench=BENCH, setup=SETUP, relay: RelaySetup = RELAY, **board: float) -> VirtualHost:
+def running_host(
+    bench: BenchParameters = BENCH, setup: Setup = SETUP, relay: RelaySetup = RELAY, **board: Unpack[BoardOptions]
+) -> VirtualHost:
     host = armed_host(bench, setup, **board)
     packet = host.ask(Kind.RELAY, relay.pack())
     assert packet.kind == Kind.RELAY_REPLY and RelaySetup.unpack(packet.body) == relay
@@ -97,7 +113,9 @@ def test_a_silent_host_means_0_V_within_the_watchdog_time_and_a_tick(watchdog_ms
     ("happens", "code"),
     [("limit", Code.TRAVEL), ("broken_low", Code.SENSOR_RAIL), ("broken_high", Code.SENSOR_RAIL)],
 )
-def test_what_stops_a_drive_stops_the_relay_within_two_ticks(happens: str, code: Code) -> None:
+def test_what_stops_a_drive_stops_the_relay_within_two_ticks(
+    happens: Literal["limit"] | SensorWiring, code: Code
+) -> None:
     rng = random.Random(happens)
     for _ in range(40):
         host = running_host()
@@ -192,7 +210,7 @@ def test_the_pin_does_what_the_rows_say() -> None:
 # ---------------------------------------------------------------------- through the driver
 
 
-def armed_driver(**bench) -> tuple[VirtualBoard, SerialDriver]:
+def armed_driver(**bench: Any) -> tuple[VirtualBoard, SerialDriver]:
     board = VirtualBoard(replace(DEMO, **bench), clock_error_ppm=4000)
     driver = SerialDriver(board, CALIBRATION, DriveMap(12.0), RAILS)
     driver.open()
@@ -200,7 +218,7 @@ def armed_driver(**bench) -> tuple[VirtualBoard, SerialDriver]:
     return board, driver
 
 
-def run_for(board: VirtualBoard, driver: SerialDriver, time_s: float):
+def run_for(board: VirtualBoard, driver: SerialDriver, time_s: float) -> list[RelayRow]:
     rows = []
     until_s = board.now_s() + time_s
     while board.now_s() < until_s:
@@ -234,7 +252,8 @@ def test_every_tick_comes_once_until_the_relay_is_stopped() -> None:
 
 def test_a_start_whose_confirmation_gets_lost_is_repeated() -> None:
     board, driver = armed_driver()
-    read, lost = board.read, []
+    read = board.read
+    lost: list[bytes] = []
 
     def lossy(timeout_s: float) -> bytes:
         data = read(timeout_s)
@@ -288,7 +307,8 @@ def test_a_block_that_is_missing_is_a_fault(damage: str) -> None:
     board, driver = armed_driver()
     start(board, driver)
     run_for(board, driver, 0.3)
-    read, seen = board.read, []
+    read = board.read
+    seen: list[bytes] = []
 
     def damaging(timeout_s: float) -> bytes:
         data = read(timeout_s)
@@ -320,7 +340,7 @@ def test_keeps_that_do_not_arrive_end_in_the_watchdog() -> None:
     run_for(board, driver, 0.3)
     lost_s = board.now_s()
     write = board.write
-    board.write = lambda data: None if len(data) == 8 else write(data)  # type: ignore[method-assign, assignment]
+    board.write = lambda data: None if len(data) == 8 else write(data)  # type: ignore[method-assign]
     assert fault_of(lambda: run_for(board, driver, 0.3)).code == "DEVICE_WATCHDOG"
     on_the_wire_s = 8 * 11 / 115200  # the last one that did arrive
     assert board.truth().pin_changed_s - lost_s < on_the_wire_s + LIMITS.watchdog_s + TICK_S
@@ -362,7 +382,9 @@ def test_an_integral_that_does_not_fit_is_refused_in_words() -> None:
 class DeviceBench:
     """The loop on the compiled firmware, and a relay test for its own relay."""
 
-    def __init__(self, cycles: int = 3, gains_V: tuple[float, float] = GAINS_V, guard=GUARD, **bench) -> None:
+    def __init__(
+        self, cycles: int = 3, gains_V: tuple[float, float] = GAINS_V, guard: GuardSettings = GUARD, **bench: Any
+    ) -> None:
         self.board = VirtualBoard(replace(DEMO, **bench), clock_error_ppm=4000)
         self.driver = SerialDriver(self.board, CALIBRATION, DriveMap(12.0), RAILS)
         self.driver.open()
@@ -439,6 +461,7 @@ def test_a_drive_that_the_guard_would_not_let_out_ends_the_run_though_nothing_is
 
 def test_a_device_that_decides_otherwise_is_found_out() -> None:
     bench = DeviceBench()
+    assert isinstance(bench.command, FirmwareRelay)
     setup = bench.command.setup
     bench.command = replace(bench.command, setup=setup._replace(centre=setup.centre + 40))
     fault = fault_of(bench.run)
@@ -486,9 +509,9 @@ def board_of(experiment: Experiment) -> VirtualBoard:
 
 
 @pytest.mark.parametrize("where", ["host", "device"])
-def test_the_experiment_runs_either_way_by_one_key(where: str, tmp_path: Path) -> None:
+def test_the_experiment_runs_either_way_by_one_key(where: Literal["host", "device"], tmp_path: Path) -> None:
     experiment = load(Path(__file__).parents[2] / "config" / "device-relay.yaml")
-    relay = Relay(where=where, gains=(Gains(h1_V=0.4, h2_V=0.85),), cycles=5)  # type: ignore[arg-type]
+    relay = Relay(where=where, gains=(Gains(h1_V=0.4, h2_V=0.85),), cycles=5)
     with on_device(board_of):
         outcome = rig.experiment.run_relay(experiment.model_copy(update={"relay": relay}), tmp_path)
     assert outcome.failure == ""
@@ -500,7 +523,8 @@ def test_the_experiment_runs_either_way_by_one_key(where: str, tmp_path: Path) -
     for name, truth in (("tau_s", 0.17), ("K_rad_s_V", 6.5), ("fc_V", 0.48)):
         assert estimate[name] == pytest.approx(truth, rel=0.02)
     assert math.isfinite(outcome.result.relays[0].period_s)
-    assert ("device" in outcome.result.as_json()["loop"]) == (where == "device")
+    told: dict[str, Any] = outcome.result.as_json()
+    assert ("device" in told["loop"]) == (where == "device")
 
 
 def received(board: VirtualBoard) -> list[int]:
@@ -580,7 +604,8 @@ class Wire:
 
 def test_blocks_before_the_one_that_is_missing_are_in_the_record() -> None:
     """Three come at once, the second one damaged."""
-    bench, held = DeviceBench(), []
+    bench = DeviceBench()
+    held: list[bytes] = []
 
     def three(frame: bytes) -> list[bytes]:
         if bench.loop.now_s < 1.5 or len(held) >= 3:

@@ -1,17 +1,20 @@
 """The serial driver against the compiled firmware, both in virtual time. The truth is read at the pin."""
 
 import math
+from typing import Any
 
 import pytest
 from raised import fault_of
+from virtual_host import BoardOptions
 
 from rig.backends.serial.driver import SerialDriver
-from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.emulated.virtual_board import Truth, VirtualBoard
 from rig.calibration import Calibration, DriveMap, TachometerScale
-from rig.model.bench import BenchParameters
+from rig.faults import Fault
+from rig.model.bench import BenchParameters, SensorWiring
 from rig.model.friction import Friction
 from rig.model.motor import Motor
-from rig.signals import Limits
+from rig.signals import Limits, Sample
 
 MOTOR = Motor(0.17, 6.5, Friction(0.5, 0.46, 0.54, 0.5), 0.01)
 RAD_PER_COUNT = 4.2 / 1024
@@ -23,11 +26,21 @@ PERIOD_S = 0.01
 WATCHDOG_LATEST_S = LIMITS.watchdog_s + 0.002  # a tick of the device, and the last frame's way
 
 
-def make(board, calibration=RISING, drive_map=DRIVE, **options):
-    return SerialDriver(board, calibration, drive_map, (5, 1018), **options)
+def make(
+    board: VirtualBoard,
+    calibration: Calibration = RISING,
+    drive_map: DriveMap = DRIVE,
+    tachometer: TachometerScale | None = None,
+) -> SerialDriver:
+    return SerialDriver(board, calibration, drive_map, (5, 1018), tachometer=tachometer)
 
 
-def armed(calibration=RISING, drive_map=DRIVE, board_options=None, **bench):
+def armed(
+    calibration: Calibration = RISING,
+    drive_map: DriveMap = DRIVE,
+    board_options: BoardOptions | None = None,
+    **bench: Any,
+) -> tuple[VirtualBoard, SerialDriver]:
     board = VirtualBoard(BenchParameters(MOTOR, **bench), **(board_options or {}))
     driver = make(board, calibration, drive_map)
     driver.open()
@@ -35,7 +48,7 @@ def armed(calibration=RISING, drive_map=DRIVE, board_options=None, **bench):
     return board, driver
 
 
-def ticks(board, driver, u_V, n):
+def ticks(board: VirtualBoard, driver: SerialDriver, u_V: float, n: int) -> list[tuple[Sample, Truth]]:
     """``n`` ticks of constant drive; their samples, and the truth right after each was read."""
     pairs = []
     for _ in range(n):
@@ -49,14 +62,14 @@ def ticks(board, driver, u_V, n):
 
 
 @pytest.mark.parametrize("ppm", [-20000, -5000, 0, 4000, 5000, 20000])
-def test_the_devices_clock_is_found(ppm):
+def test_the_devices_clock_is_found(ppm: int) -> None:
     board = VirtualBoard(BenchParameters(MOTOR), clock_error_ppm=ppm)
     info = make(board).open()
     assert info.clock_ratio == pytest.approx(1.0 + 1e-6 * ppm, abs=10e-6)  # 100 ppm is what is asked for
     assert (info.board, info.reset_cause, info.emulated) == ("host", "power-on", True)
 
 
-def test_the_cause_of_the_last_reset_is_told():
+def test_the_cause_of_the_last_reset_is_told() -> None:
     board = VirtualBoard(BenchParameters(MOTOR))
     board.sleep_until(0.5)
     board.reset(8)
@@ -64,7 +77,7 @@ def test_the_cause_of_the_last_reset_is_told():
 
 
 @pytest.mark.parametrize("ppm", [0, 5000])
-def test_the_drives_time_is_that_at_the_pin(ppm):
+def test_the_drives_time_is_that_at_the_pin(ppm: int) -> None:
     """Also while the device's 32 bits of microseconds wrap, here in the middle of the run."""
     board, driver = armed(board_options={"clock_error_ppm": ppm, "clock_start_us": 2**32 - 2_000_000})
     for k in range(200):
@@ -84,7 +97,7 @@ def test_the_drives_time_is_that_at_the_pin(ppm):
 @pytest.mark.parametrize(
     ("calibration", "rad_per_count"), [(RISING, RAD_PER_COUNT), (FALLING, -RAD_PER_COUNT)], ids=["rising", "falling"]
 )
-def test_a_run_agrees_with_the_truth(calibration, rad_per_count):
+def test_a_run_agrees_with_the_truth(calibration: Calibration, rad_per_count: float) -> None:
     board, driver = armed(calibration, rad_per_count=rad_per_count)
     assert board.truth().armed
     for sample, truth in ticks(board, driver, 1.5, 20):
@@ -100,7 +113,7 @@ def test_a_run_agrees_with_the_truth(calibration, rad_per_count):
     assert board.truth().dropped == 0
 
 
-def test_a_reversed_bridge_is_turned_back_by_the_config():
+def test_a_reversed_bridge_is_turned_back_by_the_config() -> None:
     """Wired the other way round, and said so: positive volts raise the position all the same."""
     board, driver = armed(RISING, DriveMap(supply_V=12.0, reversed=True), drive="reversed")
     samples = [sample for sample, _ in ticks(board, driver, 1.5, 20)]
@@ -109,9 +122,9 @@ def test_a_reversed_bridge_is_turned_back_by_the_config():
     assert board.truth().pin_V == pytest.approx(-1.5, abs=0.01)
 
 
-def test_the_tachometer_gives_the_shafts_velocity():
-    tachometer = {"tachometer_rad_s_per_count": 0.2, "tachometer_zero_counts": 512.0, "gear_ratio": 9.0}
-    board = VirtualBoard(BenchParameters(MOTOR, **tachometer))
+def test_the_tachometer_gives_the_shafts_velocity() -> None:
+    bench = BenchParameters(MOTOR, tachometer_rad_s_per_count=0.2, tachometer_zero_counts=512.0, gear_ratio=9.0)
+    board = VirtualBoard(bench)
     driver = make(board, tachometer=TachometerScale(0.2, 512.0, 9.0))
     driver.open()
     driver.arm(LIMITS)
@@ -122,14 +135,14 @@ def test_the_tachometer_gives_the_shafts_velocity():
     assert fault.code == "CONFIG_MISMATCH"
 
 
-def test_a_damaged_drive_is_not_pretended():
+def test_a_damaged_drive_is_not_pretended() -> None:
     board, driver = armed()
     ticks(board, driver, 1.0, 3)
     acting_V = board.truth().pin_V
     write = board.write
-    board.write = lambda data: write(data[:2] + bytes([data[2] ^ 0x10]) + data[3:])
+    board.write = lambda data: write(data[:2] + bytes([data[2] ^ 0x10]) + data[3:])  # type: ignore[method-assign]  # a damaged byte
     driver.write(-1.0)
-    board.write = write
+    board.write = write  # type: ignore[method-assign]  # and the line as it was
     sample = driver.read()
     assert sample.u_V == board.truth().pin_V == acting_V > 0.0
     assert driver.link_statistics["drives_lost"] == 1
@@ -139,7 +152,7 @@ def test_a_damaged_drive_is_not_pretended():
 # ---------------------------------------------------------------------- faults, with their codes and at the pin
 
 
-def expect_fault(board, driver, code):
+def expect_fault(board: VirtualBoard, driver: SerialDriver, code: str) -> Fault:
     """The fault comes with its code; the pin is at 0 V, latched, and stays there whatever is written."""
     fault = fault_of(driver.read)
     assert fault.code == code
@@ -151,7 +164,7 @@ def expect_fault(board, driver, code):
     return fault
 
 
-def test_host_silence():
+def test_host_silence() -> None:
     board, driver = armed()
     ticks(board, driver, 1.0, 3)
     heard_s = board.now_s() - PERIOD_S
@@ -162,7 +175,7 @@ def test_host_silence():
 
 
 @pytest.mark.parametrize("y_rad", [1.91, -1.91])
-def test_travel(y_rad):
+def test_travel(y_rad: float) -> None:
     board, driver = armed()
     ticks(board, driver, 0.2, 3)
     board.place(y_rad)
@@ -172,7 +185,7 @@ def test_travel(y_rad):
 
 
 @pytest.mark.parametrize("wiring", ["broken_low", "broken_high"])
-def test_sensor(wiring):
+def test_sensor(wiring: SensorWiring) -> None:
     board, driver = armed()
     ticks(board, driver, 0.2, 3)
     board.rewire(sensor=wiring)
@@ -181,14 +194,14 @@ def test_sensor(wiring):
     expect_fault(board, driver, "DEVICE_SENSOR")
 
 
-def test_more_drive_than_armed_for():
+def test_more_drive_than_armed_for() -> None:
     board, driver = armed()
     ticks(board, driver, 3.0, 3)
     driver.write(3.1)
     expect_fault(board, driver, "DEVICE_DRIVE_RANGE")
 
 
-def test_drive_without_arming():
+def test_drive_without_arming() -> None:
     board = VirtualBoard(BenchParameters(MOTOR))
     driver = make(board)
     driver.open()
@@ -198,7 +211,7 @@ def test_drive_without_arming():
 
 
 @pytest.mark.parametrize("cause", [1, 2, 4, 8])
-def test_a_reset_during_the_run(cause):
+def test_a_reset_during_the_run(cause: int) -> None:
     board, driver = armed()
     ticks(board, driver, 1.0, 3)
     board.reset(cause)
@@ -208,7 +221,7 @@ def test_a_reset_during_the_run(cause):
     assert driver.safe_stop()
 
 
-def test_a_hung_firmware():
+def test_a_hung_firmware() -> None:
     """No reply; the chip's own watchdog resets it, and it is not armed then."""
     board, driver = armed()
     ticks(board, driver, 1.0, 3)
@@ -219,7 +232,7 @@ def test_a_hung_firmware():
     assert fault_of(driver.read).code == "DEVICE_RESET"
 
 
-def test_the_cable_is_pulled():
+def test_the_cable_is_pulled() -> None:
     board, driver = armed()
     ticks(board, driver, 1.0, 3)
     pulled_s = board.now_s()
@@ -231,7 +244,7 @@ def test_the_cable_is_pulled():
     assert board.truth().pin_V == 0.0
 
 
-def test_arming_with_a_broken_wire_is_refused():
+def test_arming_with_a_broken_wire_is_refused() -> None:
     board = VirtualBoard(BenchParameters(MOTOR, sensor="broken_low"))
     driver = make(board)
     driver.open()
@@ -242,7 +255,7 @@ def test_arming_with_a_broken_wire_is_refused():
     assert not board.truth().armed
 
 
-def test_a_fault_is_cleared_by_opening_anew_and_by_nothing_else():
+def test_a_fault_is_cleared_by_opening_anew_and_by_nothing_else() -> None:
     board, driver = armed()
     assert not math.isnan(ticks(board, driver, 0.2, 3)[-1][0].t_u_s)
     board.place(1.91)
@@ -265,10 +278,10 @@ def test_a_fault_is_cleared_by_opening_anew_and_by_nothing_else():
 @pytest.mark.parametrize("falling", [False, True])
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_beyond_a_limit_only_inward_drive_passes(falling, turned, side):
+def test_beyond_a_limit_only_inward_drive_passes(falling: bool, turned: bool, side: float) -> None:
     """Whatever way sensor and bridge are turned, once the config says so."""
     calibration = FALLING if falling else RISING
-    bench = {
+    bench: dict[str, Any] = {
         "start_rad": side * 1.95,
         "rad_per_count": -RAD_PER_COUNT if falling else RAD_PER_COUNT,
         "drive": "reversed" if turned else "ok",
@@ -291,7 +304,7 @@ def test_beyond_a_limit_only_inward_drive_passes(falling, turned, side):
 # ---------------------------------------------------------------------- stopping
 
 
-def test_safe_stop_is_seen_at_the_pin():
+def test_safe_stop_is_seen_at_the_pin() -> None:
     board, driver = armed()
     ticks(board, driver, 1.0, 3)
     assert board.truth().pin_V > 0.9
@@ -305,7 +318,7 @@ def test_safe_stop_is_seen_at_the_pin():
     assert board.truth().pin_V == 0.0
 
 
-def test_close_stops():
+def test_close_stops() -> None:
     board, driver = armed()
     ticks(board, driver, 1.0, 3)
     driver.close()

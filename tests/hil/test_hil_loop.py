@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -20,6 +21,7 @@ from rig.control.relay import DualChannelRelay
 from rig.faults import Fault
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
+from rig.model.bench import SensorWiring
 from rig.model.cycle_detector import CycleDetector
 
 
@@ -34,7 +36,7 @@ class ChipBench:
     stop: StopRequest
 
 
-def chip_bench(seed: int = 1, **changes) -> ChipBench:
+def chip_bench(seed: int = 1, **changes: Any) -> ChipBench:
     board = VirtualBoard(replace(DEMO, **changes), seed, clock_error_ppm=4000)
     driver = SerialDriver(board, CALIBRATION, DriveMap(12.0), RAILS)
     driver.open()
@@ -70,7 +72,7 @@ def test_breakaway_search_and_relay_on_the_compiled_firmware() -> None:
 
 @pytest.mark.parametrize("sensor", ["broken_low", "broken_high"])
 @pytest.mark.parametrize("seed", range(5))
-def test_a_wire_that_breaks_while_driving_is_zero_at_the_pin_within_a_tick(sensor: str, seed: int) -> None:
+def test_a_wire_that_breaks_while_driving_is_zero_at_the_pin_within_a_tick(sensor: SensorWiring, seed: int) -> None:
     bench = chip_bench(seed)
     broken_s: list[float] = []
 

@@ -25,7 +25,7 @@ CALIBRATION = Calibration([(12, -500 * 4.2 / 1024), (1012, 500 * 4.2 / 1024)])
 LIMITS = Limits(soft_rad=(-1.1, 1.1), hard_rad=(-1.9, 1.9), max_u_V=3.0, watchdog_s=1.0)
 
 
-def connect(port):
+def connect(port: str) -> SerialDriver:
     # a shared machine may hold a process up for long
     transport, drive_map = SerialPort(port), DriveMap(supply_V=12.0)
     return SerialDriver(
@@ -33,7 +33,7 @@ def connect(port):
     )
 
 
-def test_a_run_and_another_on_the_same_port():
+def test_a_run_and_another_on_the_same_port() -> None:
     with HostBoard() as board:
         port = board.start(EMULATED, 1)
         for _ in range(2):
@@ -54,7 +54,7 @@ def test_a_run_and_another_on_the_same_port():
                 assert driver.link_statistics["bad_frames"] == 0
 
 
-def test_the_device_disappears():
+def test_the_device_disappears() -> None:
     with HostBoard() as board, contextlib.closing(connect(board.start(EMULATED, 1))) as driver:
         driver.open()
         driver.arm(LIMITS)
@@ -67,7 +67,7 @@ def test_the_device_disappears():
 
 
 @pytest.mark.parametrize("device", [HostBoard, ChipBoard])
-def test_the_reset_button_is_seen_by_the_run_and_told_to_the_next(device):
+def test_the_reset_button_is_seen_by_the_run_and_told_to_the_next(device: type[HostBoard] | type[ChipBoard]) -> None:
     with device() as board:
         port = board.start(EMULATED, 1)
         with contextlib.closing(connect(port)) as driver:

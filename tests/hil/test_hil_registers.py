@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from chip_host import HELD, QUIET, SETUP, ChipHost, armed_chip
-from second_chip import SecondChip
+from second_chip import SecondChip, SecondHost
 
 from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.firmware_build import ChipFirmware, UnoOptions
@@ -109,23 +109,23 @@ def build_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Call
 # ---------------------------------------------------------------------- the bridge's timer
 
 
-def emulator(which: str, options: UnoOptions) -> ChipHost:
+def emulator(which: str, options: UnoOptions) -> ChipHost | SecondHost:
     """An armed chip on that emulator, which has not driven yet."""
     if which == "simavr":
         return armed_chip(HELD, options=options)
-    host = ChipHost(SecondChip(QUIET, options))  # type: ignore[arg-type]
+    host = SecondHost(SecondChip(QUIET, options))
     host.setup(SETUP)
     assert host.arm_anew() == Code.NONE
     return host
 
 
-def end(host: ChipHost) -> None:
+def end(host: ChipHost | SecondHost) -> None:
     board = host.board
     if isinstance(board, SecondChip):
         board.__exit__()
 
 
-def longest_pulse_s(host: ChipHost) -> float:
+def longest_pulse_s(host: ChipHost | SecondHost) -> float:
     """Since the last time that this was asked."""
     return host.board.longest_pulse_s()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -170,7 +171,8 @@ def test_a_broken_wire_means_0_V_within_two_ticks(sensor: SensorWiring) -> None:
 def test_no_drive_before_arming() -> None:
     host = VirtualHost(VirtualBoard(BENCH))
     host.acknowledge(Code.RESET)
-    for prepare in (lambda: None, host.setup):
+    preparations: tuple[Callable[[], None], ...] = (lambda: None, host.setup)
+    for prepare in preparations:
         prepare()
         for units in (1, 50, -50, 200, 799, -799, 32767, -32768):
             host.drive(units)
@@ -262,10 +264,10 @@ def test_garbage_never_moves_the_drive() -> None:
             data = frame[: rng.randint(1, len(frame) - 2)] + bytes([rng.randint(1, 255)]) * rng.randint(1, 90)
             data += b"\0"
         else:
-            frame = bytearray(rng.choice(good))
-            for bit in rng.sample(range(8 * (len(frame) - 1)), rng.randint(1, 3)):
-                frame[bit // 8] ^= 1 << bit % 8
-            data = bytes(frame)
+            damaged = bytearray(rng.choice(good))
+            for bit in rng.sample(range(8 * (len(damaged) - 1)), rng.randint(1, 3)):
+                damaged[bit // 8] ^= 1 << bit % 8
+            data = bytes(damaged)
         host.send_raw(data)
         host.board.sleep_until(host.heard_s)
         truth = host.board.truth()

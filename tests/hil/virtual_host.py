@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Generic, Protocol, TypedDict, TypeVar, Unpack
 
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.frames import (
@@ -42,13 +43,45 @@ TICK_S = 1e-3
 LSB_RAD = BENCH.rad_per_count
 
 
-class VirtualHost:
-    """Frames to and from one virtual board.
+class Truth(Protocol):
+    """What is really the case at a device, as far as every one of them tells it."""
+
+    @property
+    def pin_V(self) -> float: ...
+
+
+class Wired(Protocol):
+    """A device in virtual time at the other end of the wire."""
+
+    def write(self, data: bytes) -> None: ...
+
+    def read(self, timeout_s: float) -> bytes: ...
+
+    def now_s(self) -> float: ...
+
+    def sleep_until(self, t_s: float) -> float: ...
+
+    def truth(self) -> Truth: ...
+
+
+Device = TypeVar("Device", bound=Wired)
+
+
+class BoardOptions(TypedDict, total=False):
+    """What a virtual board is made with besides its bench."""
+
+    seed: int
+    clock_error_ppm: float
+    clock_start_us: int
+
+
+class Host(Generic[Device]):
+    """Frames to and from one device.
 
     heard_s  time at which the last frame sent has arrived whole at the device
     """
 
-    def __init__(self, board: VirtualBoard) -> None:
+    def __init__(self, board: Device) -> None:
         self.board = board
         self.heard_s = 0.0
         self._reader = FrameReader()
@@ -113,8 +146,12 @@ class VirtualHost:
         return self.board.truth().pin_V
 
 
-def armed_host(bench: BenchParameters = BENCH, setup: Setup = SETUP, **board: float) -> VirtualHost:
-    host = VirtualHost(VirtualBoard(bench, **board))  # type: ignore[arg-type]
+class VirtualHost(Host[VirtualBoard]):
+    """Frames to and from one virtual board."""
+
+
+def armed_host(bench: BenchParameters = BENCH, setup: Setup = SETUP, **board: Unpack[BoardOptions]) -> VirtualHost:
+    host = VirtualHost(VirtualBoard(bench, **board))
     host.acknowledge(Code.RESET)
     host.setup(setup)
     assert host.arm(setup.session) == Code.NONE
