@@ -8,8 +8,8 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
-from campaign.small_campaign import small
 from command_line import rig
+from small_campaign import small
 
 from rig.campaign import picture, results, trial
 from rig.campaign.trial import Row, run_trial

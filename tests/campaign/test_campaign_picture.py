@@ -10,7 +10,7 @@ from typing import Any, cast
 import matplotlib.image
 import numpy as np
 import pytest
-from campaign.small_campaign import small, table
+from small_campaign import small, table
 
 from rig.campaign import picture, summary
 from rig.campaign.report import HEADINGS, sentences, table_rows, write_report

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaign.small_campaign import small
+from small_campaign import small
 
 from rig.campaign import results
 from rig.campaign.grid import CampaignError

@@ -14,9 +14,9 @@ from pathlib import Path
 import joblib
 import numpy as np
 import pytest
-from campaign.small_campaign import UNREPEATABLE, small
 from distributed import LocalCluster
 from joblib.externals.loky.process_executor import TerminatedWorkerError
+from small_campaign import UNREPEATABLE, small
 
 from rig.campaign import results, runner, session
 from rig.campaign.grid import BrokenOffError, CampaignError

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from campaign.small_campaign import table
+from small_campaign import table
 
 from rig.campaign import summary
 from rig.identify.estimate import PARAMETERS

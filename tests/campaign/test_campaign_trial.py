@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaign.small_campaign import UNREPEATABLE, small
+from small_campaign import UNREPEATABLE, small
 
 from rig.campaign import grid
 from rig.campaign.trial import COLUMNS, run_trial

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from replay.run_copy import GOLDEN, RunCopy
+from run_copy import GOLDEN, RunCopy
 
 from rig import config
 from rig.bench import guard_settings_of

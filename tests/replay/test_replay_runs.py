@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import rig
-from replay.run_copy import GOLDEN, RunCopy
+from run_copy import GOLDEN, RunCopy
 
 from rig import config, experiment
 from rig.backends.simulated.driver import SimulatedDriver

@@ -21,7 +21,7 @@ from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
-from report.synthetic_run import BACKEND, write_run
+from synthetic_run import BACKEND, write_run
 
 from rig.cli import main
 from rig.faults import FAULTS, Fault
