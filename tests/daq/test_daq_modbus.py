@@ -203,7 +203,7 @@ def test_a_setting_that_the_device_changes_is_no_arming() -> None:
     def rounding(values: dict[str, float]) -> None:
         real({k: 90.0 if k == "watchdog" else v for k, v in values.items()})
 
-    rig.block.block._write = rounding  # type: ignore[method-assign]
+    rig.block.block._write = rounding  # type: ignore[method-assign]  # of this block alone
     with pytest.raises(Fault, match=r"ARM_READBACK.*watchdog, holding register 9: sent 100, stored 90"):
         rig.arm()
 
@@ -241,7 +241,7 @@ def test_a_block_that_goes_on_driving_does_not_confirm_the_stop(style: str, with
     def deaf(pdu: bytes, t_s: float) -> bytes:
         return pdu if pdu[0] == 6 else b"\x10" + pdu[1:5] if pdu[0] == 16 else real(pdu, t_s)
 
-    rig.block.block.request = deaf  # type: ignore[method-assign]
+    rig.block.block.request = deaf  # type: ignore[method-assign]  # of this block alone
     assert not rig.driver.safe_stop()
     assert rig.block.truth().output_V != 0.0
 
@@ -255,7 +255,7 @@ def test_a_block_that_takes_no_drive_while_it_is_stopped_is_stopped(rig: Rig) ->
     def choosy(pdu: bytes, t_s: float) -> bytes:
         return bytes((0x80 | pdu[0], 4)) if pdu[0] == 16 else real(pdu, t_s)
 
-    rig.block.block.request = choosy  # type: ignore[method-assign]
+    rig.block.block.request = choosy  # type: ignore[method-assign]  # of this block alone
     assert rig.driver.safe_stop()
     assert rig.block.truth().output_V == 0.0
 
@@ -298,7 +298,7 @@ def test_arming_sets_the_drive_to_0_before_it_arms() -> None:
         written.append(values)
         real(values)
 
-    rig.block.block._write = watching  # type: ignore[method-assign]
+    rig.block.block._write = watching  # type: ignore[method-assign]  # of this block alone
     rig.arm()
     assert written[-1] == {"control": 1.0} and written[-2]["drive"] == 0.0 and "sequence" in written[-2]
 
@@ -324,7 +324,7 @@ def test_a_device_that_refuses_to_stop_is_driven_to_0_all_the_same(rig: Rig) -> 
     def refusing(pdu: bytes, t_s: float) -> bytes:
         return b"\x86\x06" if pdu[:3] == b"\x06\x00\x08" else real(pdu, t_s)  # control, register 8: busy
 
-    rig.block.block.request = refusing  # type: ignore[method-assign]
+    rig.block.block.request = refusing  # type: ignore[method-assign]  # of this block alone
     assert not rig.driver.safe_stop()
     assert rig.block.truth().output_V == 0.0
     assert [drive.value for drive in rig.block.executed][-1] == 0.0
@@ -586,7 +586,7 @@ def test_armed_again_only_other_limits_are_written() -> None:
         written.extend(values)
         real(values)
 
-    rig.block.block._write = watching  # type: ignore[method-assign]
+    rig.block.block._write = watching  # type: ignore[method-assign]  # of this block alone
     assert rig.driver.safe_stop()
     rig.arm()
     assert set(written) == {"control", "drive", "sequence"}
@@ -631,7 +631,7 @@ def test_noise_between_two_exchanges_is_thrown_away_and_counted(rig: Rig) -> Non
 def test_a_line_that_is_never_quiet_is_a_fault_and_ends() -> None:
     rig = Rig(experiment_with())
     rig.tick(0.3)
-    rig.block.read = lambda timeout_s: b"\x55" * 16  # type: ignore[method-assign]
+    rig.block.read = lambda timeout_s: b"\x55" * 16  # type: ignore[method-assign]  # of this block alone
     assert rig.fault_while_driving().code == "LINK_REPLY"
     assert not rig.driver.safe_stop()
 

@@ -8,6 +8,7 @@ import random
 import statistics
 from dataclasses import replace
 from statistics import fmean, pstdev
+from typing import Any
 
 import pytest
 from hypothesis import example, given, settings
@@ -125,9 +126,9 @@ def test_a_stop_is_met_at_the_exact_instant_and_left_at_once() -> None:
     assert y < 1.0 and v < 0.0
 
 
-def _board_at(y_rad: float, **parameters: object) -> VirtualBoard:
+def _board_at(y_rad: float, **parameters: Any) -> VirtualBoard:
     motor = Motor(0.17, 6.5, coulomb(0.5))
-    return VirtualBoard(replace(BenchParameters(motor, start_rad=y_rad), **parameters), 3)  # type: ignore[arg-type]
+    return VirtualBoard(replace(BenchParameters(motor, start_rad=y_rad), **parameters), 3)
 
 
 @settings(max_examples=100, deadline=None)

@@ -9,7 +9,7 @@ import pytest
 from rig import config
 from rig.backends.modbus.driver import ModbusDriver
 from rig.backends.modbus.emulated.tcp_slave import Adu
-from rig.backends.modbus.emulated.virtual_tcp_block import SENT_AGAIN_S, VirtualTcpBlock
+from rig.backends.modbus.emulated.virtual_tcp_block import SENT_AGAIN_S, To, VirtualTcpBlock
 from rig.backends.modbus.opening import modbus_driver
 from rig.faults import Fault
 
@@ -75,9 +75,9 @@ def test_requests_of_one_segment_and_half_ones_are_answered_in_order() -> None:
 
 
 @pytest.mark.parametrize("to", ["host", "device"])
-def test_a_lost_packet_comes_later_and_what_follows_waits_for_it(to: str) -> None:
+def test_a_lost_packet_comes_later_and_what_follows_waits_for_it(to: To) -> None:
     block = connected()
-    block.lose_packet(to)  # type: ignore[arg-type]
+    block.lose_packet(to)
     block.write(READ_STATUS)
     block.write(Adu(8, 1, READ_STATUS[7:]).pack())
     assert block.read(SENT_AGAIN_S) == b""

@@ -213,13 +213,14 @@ def test_a_bound_that_is_too_tight_and_a_code_that_is_another_are_found() -> Non
 
 
 def test_a_sample_that_the_record_has_not_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    from rig.recording import record
     from rig.recording.recorder import Recorder
 
     original = Recorder.sample
 
-    def forgetful(self, tick, *row) -> None:  # type: ignore[no-untyped-def]
-        original(self, tick, *row)
-        if tick % 50 == 7:
+    def forgetful(self: Recorder, *row: *record.Row) -> None:
+        original(self, *row)
+        if row[0] % 50 == 7:
             self._opened -= 1  # the next row takes its place
 
     undisturbed(BOARD)
@@ -355,7 +356,7 @@ def test_a_dead_terminal_and_a_dead_connection_are_dead(tmp_path: Path) -> None:
     os.close(terminal)
     hand = logged_rig.Hand(0, tmp_path / "hand")
     assert not hand.is_cut(0, lambda: 0)
-    realtime.say("cut")(realtime.Case(None, None, tmp_path / "hand"))  # type: ignore[arg-type]
+    realtime.say("cut")(realtime.Case(None, None, tmp_path / "hand"))  # type: ignore[arg-type]  # acts on neither
     assert hand.is_cut(0, lambda: 0)
 
 

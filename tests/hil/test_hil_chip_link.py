@@ -13,6 +13,7 @@ from chip_host import BENCH, HELD, QUIET, SETTLE_S, SETUP, ChipHost, armed_chip
 from simulated_bench import CALIBRATION, LIMITS, RAILS
 from virtual_host import LSB_RAD
 
+from rig.backends.driver import Transport
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import UnoOptions
@@ -28,8 +29,8 @@ FAST = UnoOptions(baud=1_000_000)
 WIRED = UnoOptions(tachometer=True, supply=True, end_switches=True)
 
 
-def driver_on(board: VirtualChip, **options: object) -> SerialDriver:
-    return SerialDriver(board, CALIBRATION, DriveMap(SUPPLY_V), RAILS, emulated=True, **options)  # type: ignore[arg-type]
+def driver_on(board: Transport, tachometer: TachometerScale | None = None) -> SerialDriver:
+    return SerialDriver(board, CALIBRATION, DriveMap(SUPPLY_V), RAILS, emulated=True, tachometer=tachometer)
 
 
 @pytest.mark.parametrize(("options", "bridge"), [*zip(BRIDGES, (1, 2), strict=True)], ids=("pwm-dir", "in1-in2"))
@@ -251,8 +252,14 @@ class Booting:
             self._board.sleep_until(self._board.now_s() + 0.003)
         return data
 
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._board, name)
+    def write(self, data: bytes) -> None:
+        self._board.write(data)
+
+    def now_s(self) -> float:
+        return self._board.now_s()
+
+    def close(self) -> None:
+        self._board.close()
 
 
 @pytest.mark.parametrize("garbage", [False, True])
@@ -260,7 +267,7 @@ class Booting:
 def test_opening_survives_the_boot_loader(boot_s: float, garbage: bool) -> None:
     board = VirtualChip(BENCH)
     board.sleep_until(0.3)
-    driver = driver_on(Booting(board, boot_s, garbage))  # type: ignore[arg-type]
+    driver = driver_on(Booting(board, boot_s, garbage))
     assert driver.open().reset_cause == "external"
     assert 0.3 + boot_s < board.now_s() < 0.3 + boot_s + 1.6  # its clock is measured for a second
     driver.arm(LIMITS)

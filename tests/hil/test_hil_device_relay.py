@@ -262,7 +262,7 @@ def test_a_start_whose_confirmation_gets_lost_is_repeated() -> None:
             return b""
         return data
 
-    board.read = lossy  # type: ignore[method-assign]
+    board.read = lossy  # type: ignore[method-assign]  # of this board alone
     start(board, driver)
     assert lost
     rows = run_for(board, driver, 0.3)
@@ -282,7 +282,7 @@ def test_a_relay_that_was_stored_otherwise_is_refused() -> None:
         ]
         return b"".join(encode(p.kind, p.seq, p.body) for p in stored)
 
-    board.read = another  # type: ignore[method-assign]
+    board.read = another  # type: ignore[method-assign]  # of this board alone
     fault = fault_of(lambda: start(board, driver))
     assert fault.code == "ARM_READBACK" and "z_bound=7" in fault.detail
 
@@ -298,7 +298,7 @@ def test_a_block_of_another_session_is_a_reset() -> None:
         blocks = [(p, Block.unpack(p.body)) for p in feed(data) if p.kind == Kind.BLOCK]
         return [p._replace(body=b._replace(session=b.session ^ 1).pack()) for p, b in blocks]
 
-    driver._exchange.reader.feed = another  # type: ignore[method-assign]
+    driver._exchange.reader.feed = another  # type: ignore[method-assign]  # of this driver alone
     assert fault_of(lambda: run_for(board, driver, 0.3)).code == "DEVICE_RESET"
 
 
@@ -317,7 +317,7 @@ def test_a_block_that_is_missing_is_a_fault(damage: str) -> None:
             return b"" if damage == "lost" else data[:20] + bytes([data[20] ^ 4]) + data[21:]
         return data
 
-    board.read = damaging  # type: ignore[method-assign]
+    board.read = damaging  # type: ignore[method-assign]  # of this board alone
     assert fault_of(lambda: run_for(board, driver, 0.3)).code == "LINK_GAP"
     assert driver.safe_stop()
 
@@ -340,7 +340,7 @@ def test_keeps_that_do_not_arrive_end_in_the_watchdog() -> None:
     run_for(board, driver, 0.3)
     lost_s = board.now_s()
     write = board.write
-    board.write = lambda data: None if len(data) == 8 else write(data)  # type: ignore[method-assign]
+    board.write = lambda data: None if len(data) == 8 else write(data)  # type: ignore[method-assign]  # of this board alone
     assert fault_of(lambda: run_for(board, driver, 0.3)).code == "DEVICE_WATCHDOG"
     on_the_wire_s = 8 * 11 / 115200  # the last one that did arrive
     assert board.truth().pin_changed_s - lost_s < on_the_wire_s + LIMITS.watchdog_s + TICK_S
@@ -539,7 +539,7 @@ def received(board: VirtualBoard) -> list[int]:
                 counts.extend(row[0] for row in Block.unpack(packet.body).rows)
         return data
 
-    board.read = listening  # type: ignore[method-assign]
+    board.read = listening  # type: ignore[method-assign]  # of this board alone
     return counts
 
 
@@ -583,7 +583,7 @@ def test_what_is_wrong_with_the_last_ticks_ends_the_run_by_its_name(cause: str, 
         if last:
             raise Fault("OVERSPEED")
 
-    bench.driver.stop_relay = stopped  # type: ignore[method-assign]
+    bench.driver.stop_relay = stopped  # type: ignore[method-assign]  # of this driver alone
     assert fault_of(lambda: bench.run(judge)).code == code
     assert [row["y_rad"] for row in bench.record.rows[-len(last) :]] == [row.y_rad for row in last]
     assert {event["kind"] for event in bench.record.events} == {"stage", "stop"}
@@ -595,7 +595,7 @@ class Wire:
 
     def __init__(self, board: VirtualBoard, passes: Callable[[bytes], list[bytes]]) -> None:
         self._read, self._pending, self._passes = board.read, b"", passes
-        board.read = self.read  # type: ignore[method-assign]
+        board.read = self.read  # type: ignore[method-assign]  # of this board alone
 
     def read(self, timeout_s: float) -> bytes:
         *frames, self._pending = (self._pending + self._read(timeout_s)).split(b"\0")

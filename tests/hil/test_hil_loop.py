@@ -171,7 +171,7 @@ def test_drives_that_never_arrive_end_the_run_within_the_watchdog_time(monkeypat
         if not (lost_s and len(data) == 10):  # a DRIVE frame, COBS and delimiter included
             original(data)
 
-    bench.board.write = lossy  # type: ignore[method-assign]
+    bench.board.write = lossy  # type: ignore[method-assign]  # of this board alone
 
     def watch(t_s: float) -> None:
         if t_s > 1.4 and not lost_s:
