@@ -53,3 +53,11 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: None)
     monkeypatch.setattr(Figure, "savefig", lambda self, buffer, **options: buffer.write(b"<svg/>"))
+
+
+@pytest.fixture
+def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A campaign writes no page: that takes a second to draw, and is tested elsewhere."""
+    from rig.campaign import report
+
+    monkeypatch.setattr(report, "write_report", lambda *_: None)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 from command_line import rig
 from small_campaign import small
 
-from rig.campaign import report, results, trial
+from rig.campaign import picture, results, trial
 from rig.campaign.trial import Row, run_trial
 from rig.config import Campaign, ConfigError, dump, load_campaign
 
@@ -24,7 +26,7 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
-def test_json_is_one_object_and_pipes_see_no_progress(tmp_path, config):
+def test_json_is_one_object_and_pipes_see_no_progress(tmp_path: Path, config: Path) -> None:
     result = rig("campaign", config, "--out", tmp_path, "--jobs", 1, "--json")
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
@@ -36,7 +38,7 @@ def test_json_is_one_object_and_pipes_see_no_progress(tmp_path, config):
 
 
 @pytest.mark.usefixtures("no_report")
-def test_the_table_goes_to_stdout_and_nothing_to_stderr(tmp_path, config):
+def test_the_table_goes_to_stdout_and_nothing_to_stderr(tmp_path: Path, config: Path) -> None:
     result = rig("campaign", config, "--out", tmp_path, "--jobs", 1, "--number", 2)
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
@@ -47,7 +49,7 @@ def test_the_table_goes_to_stdout_and_nothing_to_stderr(tmp_path, config):
 
 
 @pytest.mark.usefixtures("no_report")
-def test_resuming_with_another_config_is_refused_in_two_lines(tmp_path, config):
+def test_resuming_with_another_config_is_refused_in_two_lines(tmp_path: Path, config: Path) -> None:
     folder = tmp_path / "mine"
     folder.mkdir()
     assert rig("campaign", config, "--resume", folder, "--jobs", 1, "--number", 1).exit_code == 0
@@ -59,7 +61,7 @@ def test_resuming_with_another_config_is_refused_in_two_lines(tmp_path, config):
 
 
 @pytest.mark.parametrize("path", READY, ids=lambda path: path.stem)
-def test_the_ready_configs_are_campaigns(path):
+def test_the_ready_configs_are_campaigns(path: Path) -> None:
     campaign = load_campaign(path)
     assert campaign.experiments >= 2000
     result = rig("check", path)
@@ -67,7 +69,7 @@ def test_the_ready_configs_are_campaigns(path):
     assert f"{campaign.experiments} random experiments" in result.stdout
 
 
-def test_the_main_config_is_the_grid_of_theory_section_8():
+def test_the_main_config_is_the_grid_of_theory_section_8() -> None:
     campaign = load_campaign(ROOT / "config/campaign.yaml")
     assert campaign.experiments == 10_000
     assert campaign.sensor.lsb_rad == 4.2 / 1024
@@ -90,7 +92,7 @@ def test_the_main_config_is_the_grid_of_theory_section_8():
         ("name: grid", "nmae: grid", ["nmae", "did you mean 'name'"]),
     ],
 )
-def test_bad_keys_are_said_with_file_line_and_key(tmp_path, old, new, words):
+def test_bad_keys_are_said_with_file_line_and_key(tmp_path: Path, old: str, new: str, words: list[str]) -> None:
     text = (ROOT / "config/campaign.yaml").read_text(encoding="utf-8")
     assert old in text
     path = tmp_path / "bad.yaml"
@@ -104,7 +106,7 @@ def test_bad_keys_are_said_with_file_line_and_key(tmp_path, old, new, words):
     assert sorted(tmp_path.iterdir()) == [path]
 
 
-def test_experiments_and_campaigns_are_told_apart(tmp_path, config):
+def test_experiments_and_campaigns_are_told_apart(tmp_path: Path, config: Path) -> None:
     run = rig("run", config)
     assert run.exit_code == 2
     assert "run it with `rig campaign`" in run.stderr
@@ -113,13 +115,13 @@ def test_experiments_and_campaigns_are_told_apart(tmp_path, config):
     assert "run it with `rig run`" in campaign.stderr
 
 
-def test_a_scheduler_needs_dask(config):
+def test_a_scheduler_needs_dask(config: Path) -> None:
     result = rig("campaign", config, "--scheduler", "tcp://127.0.0.1:8786")
     assert result.exit_code == 2
     assert "--backend dask" in result.stderr
 
 
-def test_impossible_ranges_end_in_two_lines(tmp_path):
+def test_impossible_ranges_end_in_two_lines(tmp_path: Path) -> None:
     path = tmp_path / "small.yaml"
     path.write_text(dump(small(3, relay={"least_samples": 5000.0})), encoding="utf-8")
     result = rig("campaign", path, "--out", tmp_path, "--jobs", 1)
@@ -128,7 +130,7 @@ def test_impossible_ranges_end_in_two_lines(tmp_path):
     assert "5000 samples" in result.stderr
 
 
-def test_a_dumped_campaign_loads_back_equal(tmp_path, config):
+def test_a_dumped_campaign_loads_back_equal(tmp_path: Path, config: Path) -> None:
     campaign = small(
         7, sensor={"correlated": {"coefficient": 0.5, "std_rad": 0.001}}, drive_noise={"coefficient": 0.0, "std_V": 0.1}
     )
@@ -145,7 +147,9 @@ def failing(campaign: Campaign, number: int) -> Row:
 
 
 @pytest.mark.usefixtures("no_report")
-def test_a_failed_experiment_is_said_ends_in_status_1_and_can_be_repeated(tmp_path, config, monkeypatch):
+def test_a_failed_experiment_is_said_ends_in_status_1_and_can_be_repeated(
+    tmp_path: Path, config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(trial, "run_trial", failing)
     result = rig("campaign", config, "--out", tmp_path, "--jobs", 1)
     assert result.exit_code == 1, result.output
@@ -161,13 +165,13 @@ def test_a_failed_experiment_is_said_ends_in_status_1_and_can_be_repeated(tmp_pa
     assert row["tau_s"] == run_trial(small(3), 1)["tau_s"]
 
 
-def test_an_experiment_that_the_campaign_does_not_have_is_refused(config):
+def test_an_experiment_that_the_campaign_does_not_have_is_refused(config: Path) -> None:
     result = rig("campaign", config, "--experiment", 3)
     assert result.exit_code == 2
     assert "there is no experiment 3" in result.stderr and "0 to 2" in result.stderr
 
 
-def test_where_all_fail_status_and_words_say_so(tmp_path, config, monkeypatch):
+def test_where_all_fail_status_and_words_say_so(tmp_path: Path, config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trial, "run_trial", lambda *_: 1 / 0)
     result = rig("campaign", config, "--out", tmp_path, "--jobs", 1)
     assert result.exit_code == 1
@@ -175,9 +179,14 @@ def test_where_all_fail_status_and_words_say_so(tmp_path, config, monkeypatch):
     assert "the first 3 experiments all failed" in result.stderr
 
 
-def test_a_full_disk_leaves_the_old_report_whole(tmp_path, config, monkeypatch, largest_file):
+def test_a_full_disk_leaves_the_old_report_whole(
+    tmp_path: Path,
+    config: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    largest_file: Callable[[int], AbstractContextManager[None]],
+) -> None:
     """What the page needs does not fit any more; rows still do."""
-    monkeypatch.setattr(report.picture, "draw", lambda *_: bytes(30_000))
+    monkeypatch.setattr(picture, "draw", lambda *_: bytes(30_000))
     folder = results.folder_for(tmp_path, small(3))
     assert rig("campaign", config, "--out", tmp_path, "--jobs", 1, "--number", 2).exit_code == 0
     before = {path.name: path.read_bytes() for path in folder.iterdir()}

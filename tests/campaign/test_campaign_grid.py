@@ -20,7 +20,7 @@ GRID = Campaign(name="grid", experiments=1)
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10**7), st.integers(0, 2**31 - 1))
-def test_every_draw_is_of_the_grid(number, seed):
+def test_every_draw_is_of_the_grid(number: int, seed: int) -> None:
     one = grid.draw(Campaign(name="grid", experiments=1, seed=seed), number)
     assert 0.08 <= one.tau_s <= 0.5
     assert 0.1 <= one.fc_V <= 0.5
@@ -35,7 +35,7 @@ def test_every_draw_is_of_the_grid(number, seed):
     assert sine.period_s >= 0.3
 
 
-def test_draws_fill_the_grid():
+def test_draws_fill_the_grid() -> None:
     ones = [grid.draw(GRID, k) for k in range(400)]
     thirds = [np.histogram([one.fc_V for one in ones], 3, (0.1, 0.5))[0]]
     thirds += [np.histogram([math.log(one.tau_s) for one in ones], 3, (math.log(0.08), math.log(0.5)))[0]]
@@ -43,7 +43,7 @@ def test_draws_fill_the_grid():
     assert len({one.K_rad_s_V for one in ones}) == 400
 
 
-def test_an_experiment_does_not_depend_on_the_others_or_on_what_disturbs_it():
+def test_an_experiment_does_not_depend_on_the_others_or_on_what_disturbs_it() -> None:
     forwards = [grid.draw(GRID, k) for k in range(5)]
     backwards = [grid.draw(GRID, k) for k in reversed(range(5))]
     assert forwards == backwards[::-1]
@@ -52,13 +52,13 @@ def test_an_experiment_does_not_depend_on_the_others_or_on_what_disturbs_it():
     assert grid.draw(GRID.model_copy(update={"seed": 2}), 0) != forwards[0]
 
 
-def test_streams_are_independent():
+def test_streams_are_independent() -> None:
     draws = [grid.stream(GRID, k, name).standard_normal(4000) for k in range(3) for name in grid.STREAMS]
     correlation = np.corrcoef(draws) - np.eye(len(draws))
     assert np.abs(correlation).max() < 5.0 / math.sqrt(4000)
 
 
-def test_one_experiment_is_simulated_twice_alike_and_its_second_test_otherwise():
+def test_one_experiment_is_simulated_twice_alike_and_its_second_test_otherwise() -> None:
     campaign = GRID.model_copy(update={"relay": CampaignRelay(second={"amplitude_ratio": 0.75}, cycles=4)})
     one = grid.draw(campaign, 7)
     (first, rows), (again, _) = grid.simulate(campaign, one), grid.simulate(campaign, one)
@@ -72,7 +72,7 @@ def test_one_experiment_is_simulated_twice_alike_and_its_second_test_otherwise()
 
 
 @pytest.mark.parametrize("number", range(6))
-def test_the_record_holds_the_cycles_that_were_asked_for(number):
+def test_the_record_holds_the_cycles_that_were_asked_for(number: int) -> None:
     campaign = Campaign(name="grid", experiments=1, relay=CampaignRelay(settling_cycles=5, cycles=8))
     test, rows = grid.simulate(campaign, grid.draw(campaign, number))
     edges = np.flatnonzero(np.diff(np.sign(test.z_rad_s[rows])) < 0.0)
@@ -83,14 +83,14 @@ def test_the_record_holds_the_cycles_that_were_asked_for(number):
     assert before.size == 5
 
 
-def test_rows_of_a_test_that_never_oscillates_are_all_of_it():
+def test_rows_of_a_test_that_never_oscillates_are_all_of_it() -> None:
     campaign = GRID.model_copy(update={"motor": CampaignMotor(static_ratio=40.0)})
     test, rows = grid.simulate(campaign, grid.draw(campaign, 0))
     assert np.ptp(test.true_y_rad) == 0.0
     assert rows == slice(0, test.t_s.size)
 
 
-def test_times_jitter_as_much_as_they_should():
+def test_times_jitter_as_much_as_they_should() -> None:
     sampling = CampaignSampling(jitter_s=0.001, delay_s=(0.003, 0.004), delay_jitter_s=0.002)
     campaign = GRID.model_copy(update={"sampling": sampling})
     one = grid.draw(campaign, 1)
@@ -102,7 +102,7 @@ def test_times_jitter_as_much_as_they_should():
         assert np.std(jitter) == pytest.approx(half / math.sqrt(3.0), rel=0.1)
 
 
-def test_correlated_noise_is_stationary_and_forgets_as_it_should():
+def test_correlated_noise_is_stationary_and_forgets_as_it_should() -> None:
     white = np.random.default_rng(3).standard_normal((200, 300))
     x = np.array([grid.autoregressive(row, 0.9) for row in white])
     assert x[:, 0] == pytest.approx(white[:, 0])
@@ -116,7 +116,7 @@ def test_correlated_noise_is_stationary_and_forgets_as_it_should():
     assert np.std(test.y_rad - test.true_y_rad - one.offset_rad) == pytest.approx(0.004, rel=0.3)
 
 
-def test_ranges_without_a_slow_cycle_are_refused_in_two_lines():
+def test_ranges_without_a_slow_cycle_are_refused_in_two_lines() -> None:
     campaign = GRID.model_copy(update={"relay": CampaignRelay(least_samples=5000)})
     with pytest.raises(CampaignError, match="5000 samples") as caught:
         grid.draw(campaign, 0)

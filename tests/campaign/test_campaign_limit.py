@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from rig.campaign import session
+from rig.campaign.summary import Summary
 from rig.config import load_campaign
 
 CONFIGS = Path(__file__).parents[2] / "config"
@@ -22,15 +22,15 @@ MOTORS_OF_THE_OTHERS = 1000  # with coarse steps, with correlated noise
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")
 
 
-def summary_of(name: str, folder: Path, motors: int) -> dict[str, Any]:
+def summary_of(name: str, folder: Path, motors: int) -> Summary:
     campaign = load_campaign(CONFIGS / f"{name}.yaml").model_copy(update={"experiments": motors})
     found = session.run(campaign, folder / name, jobs=os.cpu_count() or 1).summary
-    assert found["number"] == motors
+    assert found is not None and found["number"] == motors
     return found
 
 
 @pytest.mark.timeout(900)
-def test_on_the_grid_errors_are_at_the_bound_and_intervals_hold(tmp_path):
+def test_on_the_grid_errors_are_at_the_bound_and_intervals_hold(tmp_path: Path) -> None:
     """RMS at most 1.1 times the Cramer-Rao bound, medians 0.5 %, 95th percentiles 1.7 %, coverage 94 to 96 %."""
     found = summary_of("campaign", tmp_path, MOTORS)
     for name in MAIN:
@@ -47,7 +47,7 @@ def test_on_the_grid_errors_are_at_the_bound_and_intervals_hold(tmp_path):
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", ["campaign-coarse", "campaign-correlated"])
-def test_intervals_hold_with_coarse_steps_and_with_correlated_noise(name, tmp_path):
+def test_intervals_hold_with_coarse_steps_and_with_correlated_noise(name: str, tmp_path: Path) -> None:
     found = summary_of(name, tmp_path, MOTORS_OF_THE_OTHERS)
     for parameter in MAIN:
         sums = found["estimated"]["parameters"][parameter]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
+from typing import Any, cast
 
 import matplotlib.image
 import numpy as np
@@ -18,7 +20,7 @@ from rig.identify.estimate import PARAMETERS
 GRID = Campaign(name="grid", experiments=1)
 
 
-def scattered(rows: int, **columns):
+def scattered(rows: int, **columns: Any) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(5)
     tau, fc = np.exp(rng.uniform(math.log(0.08), math.log(0.5), rows)), rng.uniform(0.1, 0.5, rows)
     errors = 0.01 * rng.standard_normal((2, rows))
@@ -28,7 +30,7 @@ def scattered(rows: int, **columns):
     return table(rows, **(given | columns))
 
 
-def test_cells_hold_the_rows_of_their_tau_and_fc():
+def test_cells_hold_the_rows_of_their_tau_and_fc() -> None:
     rows = scattered(500)
     tau, fc = picture.grid_edges(GRID, 500)
     assert (tau[0], tau[-1], fc[0], fc[-1]) == pytest.approx((0.08, 0.5, 0.1, 0.5))
@@ -43,12 +45,12 @@ def test_cells_hold_the_rows_of_their_tau_and_fc():
             assert counts[i, j] == values[i, j] == sum(inside)
 
 
-def test_cells_with_few_experiments_say_nothing():
+def test_cells_with_few_experiments_say_nothing() -> None:
     values, counts = picture.cells(scattered(20), picture.grid_edges(GRID, 20), lambda inside: 1.0)
     assert np.array_equal(np.isfinite(values), counts >= picture.FEWEST_IN_CELL)
 
 
-def test_a_motor_that_does_not_vary_still_has_a_cell():
+def test_a_motor_that_does_not_vary_still_has_a_cell() -> None:
     fixed = small(motor={"tau_s": (0.17, 0.17), "fc_V": (0.5, 0.5)})
     tau, fc = picture.grid_edges(fixed, 100)
     assert tau[0] < 0.17 < tau[-1]
@@ -65,7 +67,7 @@ def test_a_motor_that_does_not_vary_still_has_a_cell():
     ],
     ids=["no bound", "all verdicts", "no estimate", "exact"],
 )
-def test_there_is_a_picture_whatever_came_out(tmp_path, rows):
+def test_there_is_a_picture_whatever_came_out(tmp_path: Path, rows: dict[str, np.ndarray]) -> None:
     path = tmp_path / "picture.png"
     path.write_bytes(picture.draw(GRID, rows))
     pixels = matplotlib.image.imread(path)
@@ -73,14 +75,14 @@ def test_there_is_a_picture_whatever_came_out(tmp_path, rows):
     assert np.ptp(pixels) > 0.5
 
 
-def test_the_same_rows_give_the_same_picture():
+def test_the_same_rows_give_the_same_picture() -> None:
     rows = scattered(300)
     assert picture.draw(GRID, rows) == picture.draw(GRID, rows)
 
 
-def test_the_page_stands_alone_and_holds_the_table(tmp_path):
+def test_the_page_stands_alone_and_holds_the_table(tmp_path: Path) -> None:
     rows = scattered(60)
-    found = summary.summarise(rows) | {"session": {"experiments": 0}}
+    found = cast(summary.Summary, summary.summarise(rows) | {"session": {"experiments": 0}})
     write_report(tmp_path, GRID, rows, found)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert not re.search(r'(?:src|href)="(?!data:)', page)
@@ -91,7 +93,7 @@ def test_the_page_stands_alone_and_holds_the_table(tmp_path):
     assert (tmp_path / "campaign.png").stat().st_size > 10_000
 
 
-def test_the_table_shows_per_cent_where_the_truth_is_no_zero():
+def test_the_table_shows_per_cent_where_the_truth_is_no_zero() -> None:
     found = summary.summarise(table(4, tau_s=1.02, asym_V=1.001))
     rows = {row[0]: row for row in table_rows(found["ok"])}
     assert all(len(row) == len(HEADINGS) for row in rows.values())
@@ -100,10 +102,10 @@ def test_the_table_shows_per_cent_where_the_truth_is_no_zero():
     assert rows["K, (rad/s)/V"][-1] == "100.0 ± 0.0"
 
 
-def test_outliers_are_named():
+def test_outliers_are_named() -> None:
     found = summary.summarise(table(3, tau_s=[1.0, 1.2, 1.0])) | {
         "session": {"experiments": 3, "seconds": 1.5, "experiments_per_s": 2.0, "backend": "joblib", "workers": "2"}
     }
-    text = "\n".join(sentences(found))
+    text = "\n".join(sentences(cast(summary.Summary, found)))
     assert "above 5 % in tau, K or f_c: 1 (1)" in text
     assert "3 done now in 1.5 s: 2.0 a second" in text

@@ -8,9 +8,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 
+import joblib
 import numpy as np
 import pytest
 from distributed import LocalCluster
@@ -35,7 +36,7 @@ def assert_rows(folder: Path, count: int = COUNT) -> None:
             np.testing.assert_array_equal(table[name], EXPECTED[name][:count], err_msg=name)
 
 
-def test_processes_give_the_rows_of_none(tmp_path):
+def test_processes_give_the_rows_of_none(tmp_path: Path) -> None:
     told = []
     done = session.run(small(COUNT), tmp_path, jobs=2, on_progress=lambda *count: told.append(count))
     assert_rows(tmp_path)
@@ -49,16 +50,21 @@ def test_processes_give_the_rows_of_none(tmp_path):
 
 
 @pytest.mark.usefixtures("no_report")
-def test_what_is_there_is_not_done_again(tmp_path, monkeypatch):
+def test_what_is_there_is_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     session.run(small(10), tmp_path, jobs=1)
     asked = []
     stream = runner.stream_trials
-    monkeypatch.setattr(runner, "stream_trials", lambda c, numbers: asked.append(list(numbers)) or stream(c, numbers))
+
+    def noted(campaign: Campaign, numbers: Sequence[int]) -> Generator[list[Row]]:
+        asked.append(list(numbers))
+        return stream(campaign, numbers)
+
+    monkeypatch.setattr(runner, "stream_trials", noted)
     more = session.run(small(14), tmp_path, jobs=1)
     again = session.run(small(14), tmp_path, jobs=1)
     assert asked == [[10, 11, 12, 13]]
     assert (more.added, again.added) == (4, 0)
-    assert again.summary["number"] == 14
+    assert again.summary is not None and again.summary["number"] == 14
     assert_rows(tmp_path, 14)
     before = (tmp_path / "summary.json").read_bytes()
     with pytest.raises(CampaignError, match="up to number 13 already"):
@@ -67,7 +73,7 @@ def test_what_is_there_is_not_done_again(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("no_report")
-def test_ctrl_c_keeps_the_rows_so_far(tmp_path):
+def test_ctrl_c_keeps_the_rows_so_far(tmp_path: Path) -> None:
     def interrupt(done: int, of: int) -> None:
         if done:
             raise KeyboardInterrupt
@@ -100,7 +106,7 @@ def rows_of(tmp_path: Path) -> list[str]:
 
 
 @pytest.mark.usefixtures("no_report")
-def test_a_killed_campaign_goes_on_where_it_was_and_leaves_no_worker(tmp_path):
+def test_a_killed_campaign_goes_on_where_it_was_and_leaves_no_worker(tmp_path: Path) -> None:
     process = started(tmp_path)
     process.kill()
     process.communicate(timeout=60)  # the end of its output: no worker holds it any more
@@ -121,7 +127,7 @@ def test_a_killed_campaign_goes_on_where_it_was_and_leaves_no_worker(tmp_path):
             np.testing.assert_array_equal(table[name][known], EXPECTED[name][table["number"][known]], err_msg=name)
 
 
-def test_ctrl_c_on_the_terminal_is_two_lines_that_say_how_to_go_on(tmp_path):
+def test_ctrl_c_on_the_terminal_is_two_lines_that_say_how_to_go_on(tmp_path: Path) -> None:
     process = started(tmp_path)
     os.killpg(process.pid, signal.SIGINT)
     output, error = process.communicate(timeout=60)
@@ -137,15 +143,15 @@ def test_ctrl_c_on_the_terminal_is_two_lines_that_say_how_to_go_on(tmp_path):
 @pytest.mark.usefixtures("no_report")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:distributed")
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_a_dask_cluster_gives_the_same_rows(tmp_path):
+def test_a_dask_cluster_gives_the_same_rows(tmp_path: Path) -> None:
     done = session.run(small(COUNT), tmp_path, jobs=2, backend="dask")
     assert done.added == COUNT
     assert_rows(tmp_path)
 
 
 @pytest.mark.usefixtures("no_report")
-def test_a_cluster_that_is_there_is_joined_and_left_running(tmp_path):
-    with LocalCluster(
+def test_a_cluster_that_is_there_is_joined_and_left_running(tmp_path: Path) -> None:
+    with LocalCluster(  # type: ignore[no-untyped-call]  # distributed tells no types
         n_workers=1, threads_per_worker=1, processes=False, host="127.0.0.1", protocol="tcp", dashboard_address=None
     ) as cluster:
         address = cluster.scheduler_address
@@ -154,20 +160,20 @@ def test_a_cluster_that_is_there_is_joined_and_left_running(tmp_path):
     assert_rows(tmp_path, 10)
 
 
-def test_no_cluster_at_an_address_is_said(tmp_path, monkeypatch):
+def test_no_cluster_at_an_address_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runner, "JOIN_S", 0.5)
     with pytest.raises(CampaignError, match="no dask scheduler at tcp://127"):
         session.run(small(1), tmp_path, jobs=1, backend="dask", scheduler="tcp://127.0.0.1:9")
 
 
-def test_a_killed_worker_is_said_and_keeps_the_rows_so_far(tmp_path, monkeypatch):
+def test_a_killed_worker_is_said_and_keeps_the_rows_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = [run_trial(small(), k) for k in range(runner.CHUNK)]
 
     def chunks(*_: object) -> Iterator[list[Row]]:
         yield first
         raise TerminatedWorkerError("killed")
 
-    monkeypatch.setattr(runner.joblib, "Parallel", lambda **_: chunks)
+    monkeypatch.setattr(joblib, "Parallel", lambda **_: chunks)
     with pytest.raises(BrokenOffError, match="a worker process was killed") as caught:
         session.run(small(COUNT), tmp_path, jobs=2)
     assert "run the command again" in caught.value.cure
@@ -185,7 +191,7 @@ def failing(*numbers: int) -> Callable[[Campaign, int], Row]:
     return trial
 
 
-def test_a_defect_is_one_experiments_row_and_no_others(tmp_path, monkeypatch):
+def test_a_defect_is_one_experiments_row_and_no_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rig.campaign.trial.run_trial", failing(0, 5))
     done = session.run(small(COUNT), tmp_path, jobs=1)
     table = results.read(tmp_path)
@@ -195,7 +201,7 @@ def test_a_defect_is_one_experiments_row_and_no_others(tmp_path, monkeypatch):
     assert np.isnan(table["tau_s"][5])
     for name in ("tau_s", "true_tau_s", "verdict"):
         assert np.delete(table[name], [0, 5]).tolist() == np.delete(EXPECTED[name], [0, 5]).tolist()
-    assert done.summary["failed"] == [0, 5]
+    assert done.summary is not None and done.summary["failed"] == [0, 5]
     assert done.summary["verdicts"]["failed"] == 2
     assert sum(done.summary["verdicts"].values()) == COUNT
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -205,16 +211,24 @@ def test_a_defect_is_one_experiments_row_and_no_others(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("no_report")
-def test_a_session_that_adds_experiments_survives_a_bad_one(tmp_path, monkeypatch):
+def test_a_session_that_adds_experiments_survives_a_bad_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     session.run(small(10), tmp_path, jobs=1)
     monkeypatch.setattr("rig.campaign.trial.run_trial", failing(10))
-    assert session.run(small(11), tmp_path, jobs=1).summary["failed"] == [10]
+    summary = session.run(small(11), tmp_path, jobs=1).summary
+    assert summary is not None and summary["failed"] == [10]
 
 
 @pytest.mark.parametrize("count", [3, 100])
-def test_where_all_fail_it_ends_at_once_and_keeps_no_row(tmp_path, monkeypatch, count):
+def test_where_all_fail_it_ends_at_once_and_keeps_no_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
     seen = []
-    monkeypatch.setattr("rig.campaign.trial.run_trial", lambda campaign, number: seen.append(number) or 1 / 0)
+
+    def fails(campaign: Campaign, number: int) -> float:
+        seen.append(number)
+        return 1 / 0
+
+    monkeypatch.setattr("rig.campaign.trial.run_trial", fails)
     with pytest.raises(BrokenOffError) as caught:
         session.run(small(count), tmp_path, jobs=1)
     assert f"the first {min(count, 16)} experiments all failed" in caught.value.cause

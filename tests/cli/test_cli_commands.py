@@ -33,7 +33,7 @@ def test_predict_gives_the_check_values_of_theory_section_4() -> None:
     ("options", "words"),
     [(("--fc", 0.5, "--h1", 0.8, "--h2", 0.4), "h2"), (("--fc", 0.5, "--fs", 3.0, "--h1", 0.8, "--h2", 1), "sticks")],
 )
-def test_predict_says_why_there_is_no_cycle(options, words: str) -> None:
+def test_predict_says_why_there_is_no_cycle(options: tuple[str | float, ...], words: str) -> None:
     result = rig("predict", "--tau", 0.17, "--K", 6.5, *options)
     assert result.exit_code == 1
     assert words in result.stdout

@@ -76,7 +76,7 @@ def test_a_doubt_to_record_anew_is_followed_by_what_to_type(capsys: pytest.Captu
         ({"cyles": 3, "nonsense": 1}, "refused, 2 problems; nothing would be run", 2),
     ],
 )
-def test_check_ends_with_a_verdict(tmp_path: Path, change: dict, verdict: str, status: int) -> None:
+def test_check_ends_with_a_verdict(tmp_path: Path, change: dict[str, float], verdict: str, status: int) -> None:
     config = yaml.safe_load(SIMULATED.read_text(encoding="utf-8"))
     if "supply_V" in change:
         config["emulated"] |= change

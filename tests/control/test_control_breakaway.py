@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -53,7 +54,7 @@ def test_it_measures_both_levels_and_the_noise_and_hardly_moves_the_shaft() -> N
         ({"noise_rad": 0.05}, "SENSOR_NOISY"),
     ],
 )
-def test_each_wrong_bench_is_named_and_left_at_zero(wiring, code: str) -> None:
+def test_each_wrong_bench_is_named_and_left_at_zero(wiring: dict[str, Any], code: str) -> None:
     bench = simulated_bench(**wiring)
     with pytest.raises(Fault) as caught, bench.loop.armed(LIMITS):
         bench.loop.run(breakaway_check(), "breakaway")
@@ -90,7 +91,7 @@ def test_a_shaft_that_drifts_by_more_than_the_noise_explains_is_waited_for(drift
 
     def y_rad(t_s: float) -> float:
         flicker = noise_rad * math.sqrt(6.0) / 4.0  # which second differences find to be of noise_rad
-        return flicker * (-1) ** round(t_s / 0.01) + drift * noise_rad * t_s / 0.1  # the halves are 0.1 s apart
+        return flicker * (-1.0) ** round(t_s / 0.01) + drift * noise_rad * t_s / 0.1  # the halves are 0.1 s apart
 
     assert (max(drives(breakaway_check(), y_rad, 0.6)) == 0.0) is waits
 
@@ -135,7 +136,7 @@ def test_with_a_sensor_that_sticks_the_shaft_turns_less_than_half_a_radian(
         shaft_rad.append(bench.driver.bench.state.y)
         return step(sample)
 
-    law.step = watched  # type: ignore[method-assign]
+    law.step = watched  # type: ignore[method-assign]  # for this test
     with contextlib.suppress(Fault), bench.loop.armed(LIMITS):
         bench.loop.run(law, "breakaway")
     assert bench.driver.bench.pin_counts == 0
@@ -213,7 +214,8 @@ def test_many_late_ticks_end_the_check_before_they_add_up() -> None:
 
 def test_a_drive_that_is_lost_at_the_end_of_a_stroke_is_taken_back() -> None:
     """The device tells what acts, and since when: by that the stroke lasted longer than it was asked for."""
-    law, drives, tick = breakaway_check(), [], 0
+    law, tick = breakaway_check(), 0
+    drives: list[float] = []
     acts_V, since_s, lost = 0.0, -1.0, False
     while len([k for k in range(1, len(drives)) if drives[k] and not drives[k - 1]]) < 3:
         asked_V = law.step(Sample(0.01 * tick, 0.0, 512, math.nan, since_s, acts_V, tick))

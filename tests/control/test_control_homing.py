@@ -104,7 +104,7 @@ def a_homing() -> Homing:
 def test_the_first_stroke_is_short_and_inward_and_longer_from_afar(
     stands_rad: float, ticks: int, drive_V: float
 ) -> None:
-    assert stroke(a_homing(), stands_rad) == (ticks, pytest.approx(drive_V))
+    assert stroke(a_homing(), stands_rad) == pytest.approx((ticks, drive_V))
 
 
 def test_a_stroke_tells_how_long_the_next_one_should_be() -> None:
@@ -114,13 +114,13 @@ def test_a_stroke_tells_how_long_the_next_one_should_be() -> None:
     ticks, _ = stroke(homing, 0.25 - 0.144)
     assert ticks == 10  # the root of 106
     # these 10 ticks moved it by 0.156 rad; what one way has shown serves the other, until that has shown its own
-    assert stroke(homing, -0.05) == (5, pytest.approx(0.575))  # the root of 50 over 1.56
+    assert stroke(homing, -0.05) == pytest.approx((5, 0.575))  # the root of 50 over 1.56
 
 
 def test_a_long_stroke_that_moves_nothing_makes_the_next_stronger() -> None:
     homing = a_homing()
-    assert stroke(homing, 0.25) == (12, pytest.approx(-0.46))
-    assert stroke(homing, 0.25) == (12, pytest.approx(-0.46 * 1.1))
+    assert stroke(homing, 0.25) == pytest.approx((12, -0.46))
+    assert stroke(homing, 0.25) == pytest.approx((12, -0.46 * 1.1))
 
 
 def test_the_shortest_stroke_that_goes_too_far_makes_the_next_weaker() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -54,7 +55,9 @@ def test_senseless_relays_are_refused(d: float, eps: float) -> None:
         HystereticRelay(d, eps)
 
 
-def run_on_bench(d_V: float, eps_rad: float, switchings: int = 5, motor: Motor = DEMO.motor, **changes: object):  # type: ignore[no-untyped-def]
+def run_on_bench(
+    d_V: float, eps_rad: float, switchings: int = 5, motor: Motor = DEMO.motor, **changes: Any
+) -> tuple[HystereticRun, list[dict[str, Any]]]:
     bench = simulated_bench(motor=motor, noise_rad=0.0, offset_rad=0.0, **changes)
     bench.guard.sign_proven = True
     law = HystereticRun(HystereticRelay(d_V, eps_rad), rest_s=0.3, switchings=switchings, timeout_s=5.0)

@@ -7,6 +7,7 @@ import random
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -183,7 +184,9 @@ def positions_of(bench: BenchModel) -> tuple[Callable[[float], None], list[float
 
 @pytest.mark.parametrize("wiring", [{"sensor": "stuck"}, {"drive": "dead"}], ids=["sensor stuck", "drive dead"])
 @pytest.mark.parametrize("gains_V", [(0.45, 0.9), (0.2, 0.8)], ids=["inner level 0.45 V", "inner level 0.6 V"])
-def test_at_any_phase_of_the_cycle_it_is_found_and_the_shaft_stays_inside(wiring, gains_V: tuple[float, float]) -> None:
+def test_at_any_phase_of_the_cycle_it_is_found_and_the_shaft_stays_inside(
+    wiring: dict[str, Any], gains_V: tuple[float, float]
+) -> None:
     """In the fifth period: a frozen reading within 0.6 of the longest period before, a dead drive within a whole one.
 
     The relay's inner level is below friction, or above it and moves the shaft unseen.

@@ -26,7 +26,9 @@ def test_zero_keeps_the_previous_state() -> None:
     st.floats(0.1, 2),
     st.floats(0.1, 2),
 )
-def test_drive_is_one_of_four_levels_and_z_is_the_trapezoidal_integral(steps, h1, h2) -> None:
+def test_drive_is_one_of_four_levels_and_z_is_the_trapezoidal_integral(
+    steps: list[tuple[float, float]], h1: float, h2: float
+) -> None:
     relay = DualChannelRelay(h1, h2, z_bound_rad_s=1e6)
     t, z, last = 0.0, 0.0, None
     for dt, y in steps:
@@ -59,6 +61,6 @@ def test_both_relays_start_inward() -> None:
 
 
 @pytest.mark.parametrize("gains", [(-0.1, 1.0, 1.0), (1.0, math.nan, 1.0), (1.0, 1.0, 0.0)])
-def test_senseless_gains_are_refused(gains) -> None:
+def test_senseless_gains_are_refused(gains: tuple[float, float, float]) -> None:
     with pytest.raises(ValueError, match="gains"):
         DualChannelRelay(*gains)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from rig.control.tracking import Tracking, linearising_drive, tracking_error
 from rig.control.trajectory import Reference, SumOfSines
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
+from rig.signals import Sample
 
 YD = [(0.5, 1.5), (0.2, 3.1)]
 
@@ -23,7 +25,9 @@ YD = [(0.5, 1.5), (0.2, 3.1)]
     st.floats(0.05, 0.5), st.floats(1, 10), st.floats(0, 1), st.floats(-0.1, 0.1),
     st.floats(-3, 3), st.floats(-1, 1), st.floats(-3, 3), st.floats(-1, 1), st.floats(-10, 10),
 )  # fmt: skip
-def test_the_drive_makes_the_error_obey_35(tau, K, fc, bias, v, y, vd, yd, ad) -> None:
+def test_the_drive_makes_the_error_obey_35(
+    tau: float, K: float, fc: float, bias: float, v: float, y: float, vd: float, yd: float, ad: float
+) -> None:
     """Substitute (33), (34) into the plant: e'' + k1 e' + k2 e = 0 exactly, friction and bias cancelled."""
     motor = Motor(tau, K, coulomb(fc), bias)
     u = linearising_drive(motor, State(v, y), Reference(yd, vd, ad), 12.0, 36.0, v)
@@ -43,11 +47,11 @@ def test_reference_derivatives_match_its_positions_and_it_starts_at_rest() -> No
         assert here.a_rad_s2 == pytest.approx((after.v_rad_s - before.v_rad_s) / (2 * h), abs=1e-5)
 
 
-def track(model: Motor, sign: str = "reference", seed: int = 1) -> float:
+def track(model: Motor, sign: Literal["reference", "estimate"] = "reference", seed: int = 1) -> float:
     bench = simulated_bench(seed=seed)
     bench.guard.sign_proven = True
     observer = MotorObserver(model, PERIOD_S, 0.003)
-    law = Tracking(model, observer, SumOfSines(YD), 12.0, 36.0, 8.0, sign)  # type: ignore[arg-type]
+    law = Tracking(model, observer, SumOfSines(YD), 12.0, 36.0, 8.0, sign)
     truth: list[float] = []
     reference: list[float] = []
     times: list[float] = []
@@ -74,7 +78,7 @@ def test_the_true_model_tracks_best_and_the_reference_sign_beats_the_estimates()
 
 
 def test_tracking_error_is_the_rms_and_the_largest_after_the_fade() -> None:
-    t = np.arange(100) * 0.1
+    t = np.arange(100, dtype=float) * 0.1
     y, yd = np.zeros(100), np.where(t < 5.0, 9.0, 0.3)
     yd[80] = -0.5
     rms, largest = tracking_error(t, y, yd, after_s=4.95)
@@ -85,7 +89,7 @@ def test_tracking_error_is_the_rms_and_the_largest_after_the_fade() -> None:
 
 
 @pytest.mark.parametrize("tachometer", [None, 0.05])
-def test_the_observer_sees_velocity_through_noise_and_predicts_over_the_delay(tachometer) -> None:
+def test_the_observer_sees_velocity_through_noise_and_predicts_over_the_delay(tachometer: float | None) -> None:
     bench = simulated_bench(tachometer_rad_s_per_count=None if tachometer is None else 0.05)
     observer = MotorObserver(DEMO_MOTOR, PERIOD_S, 0.003, tachometer_noise_rad_s=tachometer)
     errors: list[float] = []
@@ -94,7 +98,7 @@ def test_the_observer_sees_velocity_through_noise_and_predicts_over_the_delay(ta
     class Wiggle:
         finished, z_rad_s, yd_rad, n = False, math.nan, math.nan, 0
 
-        def step(self, sample) -> float:  # type: ignore[no-untyped-def]
+        def step(self, sample: Sample) -> float:
             state = observer.step(sample)
             truth = bench.driver.bench
             ahead = truth.parameters.motor.advance(truth.state, truth.motor_V, observer.latency_s)

@@ -6,10 +6,11 @@ import json
 import math
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -17,13 +18,16 @@ from command_line import rig
 
 from rig import config as configs
 from rig import session
-from rig.backends.registry import Bench
+from rig.backends.driver import DeviceInfo
+from rig.backends.registry import Bench, connect
+from rig.backends.simulated.driver import SimulatedDriver
 from rig.config.schema import Experiment
 from rig.control.law import Constant
 from rig.experiment import script, stages
 from rig.faults import Fault
-from rig.identify import identify
-from rig.recording.reader import read_run
+from rig.identify import Identification, identify
+from rig.recording.reader import Recording, read_run
+from rig.signals import Sample
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -52,9 +56,9 @@ def test_nothing_arms_again_after_a_fault_or_a_signal(tmp_path: Path) -> None:
 def test_a_signal_in_the_loop_or_while_identifying_ends_the_run_with_a_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
-    original = stages.identify
+    original = identify
 
-    def interrupted(recordings):  # type: ignore[no-untyped-def]
+    def interrupted(recordings: Sequence[Recording]) -> Identification:
         os.kill(os.getpid(), number)
         return original(recordings)
 
@@ -71,7 +75,7 @@ def test_a_signal_in_the_loop_or_while_identifying_ends_the_run_with_a_result(
 def test_a_defect_of_the_program_is_a_fault_with_its_traceback_in_the_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(self, sample) -> float:  # type: ignore[no-untyped-def]
+    def broken(self: Constant, sample: Sample) -> float:
         raise ZeroDivisionError("a bug")
 
     monkeypatch.setattr(Constant, "step", broken)
@@ -98,7 +102,7 @@ def test_a_drive_that_is_no_number_never_reaches_the_bench(tmp_path: Path, monke
 def test_a_report_that_cannot_be_written_costs_the_report_and_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(folder, identification) -> None:  # type: ignore[no-untyped-def]
+    def full(folder: Path, identification: Identification) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(session, "write_report", full)
@@ -124,7 +128,7 @@ def test_a_result_that_cannot_be_made_is_the_least_one(tmp_path: Path, monkeypat
 def test_what_the_device_had_latched_since_the_last_run_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original = session.connect
+    original = connect
 
     @contextmanager
     def cleared(experiment: Experiment) -> Iterator[Bench]:
@@ -150,7 +154,7 @@ def test_what_the_device_had_latched_since_the_last_run_is_said(
 def test_a_supply_that_is_a_little_off_is_said_and_makes_the_estimates_doubtful(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, measured_V: float, at_least: bool, said: str
 ) -> None:
-    original = session.connect
+    original = connect
 
     @contextmanager
     def measuring(experiment: Experiment) -> Iterator[Bench]:
@@ -204,11 +208,9 @@ def test_a_run_cut_off_before_a_settled_cycle_gives_no_number_as_ok(tmp_path: Pa
 def test_a_device_without_watchdog_is_refused_unless_the_config_accepts_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, accepted: bool
 ) -> None:
-    from rig.backends.simulated.driver import SimulatedDriver
-
     original = SimulatedDriver.open
 
-    def without(self):  # type: ignore[no-untyped-def]
+    def without(self: SimulatedDriver) -> DeviceInfo:
         info = original(self)
         self.failsafe = None
         return info
@@ -232,7 +234,7 @@ def test_an_unconfirmed_stop_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None
         bench.loop.run(Constant(0.3, 0.1), "jog")
     assert caught.value.code == "STOP_UNCONFIRMED"
 
-    def broken(self) -> bool:  # type: ignore[no-untyped-def]
+    def broken(self: SimulatedDriver) -> bool:
         raise OSError("a broken driver")
 
     monkeypatch.setattr(type(bench.driver), "safe_stop", broken)
@@ -266,9 +268,9 @@ def test_nothing_is_tracked_where_the_sampled_data_estimate_is_refused(
     config = yaml.safe_load(quick(tmp_path).read_text(encoding="utf-8"))
     whole = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
     (tmp_path / "whole.yaml").write_text(yaml.safe_dump(config | {"tracking": whole["tracking"]}), encoding="utf-8")
-    original = stages.identify
+    original = identify
 
-    def refusing(recordings):  # type: ignore[no-untyped-def]
+    def refusing(recordings: Sequence[Recording]) -> Identification:
         found = original(recordings)
         estimates = {**found.estimates}
         estimates["sampled-data"] = estimates["sampled-data"].judged("refused", "for this test")
@@ -314,7 +316,7 @@ def test_a_defect_after_the_loop_costs_neither_record_nor_result(
 
 
 @pytest.mark.parametrize("changed", [{"tau_s": 0.6, "K_rad_s_V": 1.2}, {"fc_V": 2.5}], ids=["sluggish", "rough"])
-def test_a_model_that_fails_its_rehearsal_never_drives_the_bench(changed: dict[str, float], tmp_path: Path) -> None:
+def test_a_model_that_fails_its_rehearsal_never_drives_the_bench(changed: dict[str, Any], tmp_path: Path) -> None:
     """Measured at the drive: the record has no tick of it, and the model that passed never goes beyond the limits."""
     e = configs.load(ROOT / "config/simulated.yaml")
     e = e.model_copy(update={"tracking": e.tracking and e.tracking.model_copy(update={"duration_s": 2.0})})
@@ -322,7 +324,8 @@ def test_a_model_that_fails_its_rehearsal_never_drives_the_bench(changed: dict[s
     found.estimates["triple-relay"] = replace(found.estimates["triple-relay"], **changed)
     outcome = script.run_tracking(e, found, tmp_path, tmp_path / "runs")
     assert outcome.fault is None
-    assert "in simulation on the best model" in outcome.result.tracking["triple-relay"].not_run
+    reason = outcome.result.tracking["triple-relay"].not_run
+    assert reason is not None and "in simulation on the best model" in reason
     recording = read_run(outcome.folder)
     assert "track:sampled-data" in recording.stages() and "track:triple-relay" not in recording.stages()
     assert abs(recording.y_rad).max() < e.limits.soft_rad[1] and abs(recording.u_V).max() <= e.drive.max_V

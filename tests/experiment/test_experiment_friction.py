@@ -25,10 +25,11 @@ def truth_of(folder: Path, **motor: float) -> dict[str, float]:
     (written,) = (folder / "runs").glob("*/result.json")
     outcome = json.loads(written.read_text(encoding="utf-8"))
     assert outcome["jog"]["to_rad"] > outcome["jog"]["from_rad"] + 0.1
-    return outcome["truth"]
+    truth: dict[str, float] = outcome["truth"]
+    return truth
 
 
-def test_the_truth_of_a_motor_with_viscous_friction_is_what_its_motion_shows(tmp_path):
+def test_the_truth_of_a_motor_with_viscous_friction_is_what_its_motion_shows(tmp_path: Path) -> None:
     truth = truth_of(tmp_path, tau_s=0.204, K_rad_s_V=7.8, viscous_V_s_rad=0.2 / 7.8)
     assert (truth["tau_s"], truth["K_rad_s_V"]) == pytest.approx((0.17, 6.5))
     assert (truth["tau_without_viscous_s"], truth["K_without_viscous_rad_s_V"]) == (0.204, 7.8)
@@ -36,7 +37,7 @@ def test_the_truth_of_a_motor_with_viscous_friction_is_what_its_motion_shows(tmp
     assert "stribeck_rad_s" not in truth
 
 
-def test_a_motor_with_stribeck_effect_says_so(tmp_path):
+def test_a_motor_with_stribeck_effect_says_so(tmp_path: Path) -> None:
     truth = truth_of(tmp_path, fc_plus_V=0.5, fc_minus_V=0.5, fs_plus_V=0.7, fs_minus_V=0.7, stribeck_rad_s=0.4)
     assert truth["stribeck_rad_s"] == 0.4
     assert (truth["tau_s"], truth["K_rad_s_V"], truth["fc_V"]) == (0.17, 6.5, 0.5)

@@ -20,7 +20,7 @@ from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.opening import emulated_chip
 from rig.backends.simulated.driver import SimulatedDriver
 from rig.config import Experiment, load
-from rig.experiment import script
+from rig.experiment import script, stages
 from rig.identify import identify
 from rig.loop.pause_watch import PauseWatch
 from rig.recording.reader import read_run
@@ -45,10 +45,10 @@ def short(folder: Path, name: str, port: str) -> Path:
 
 def in_the_pause(monkeypatch: pytest.MonkeyPatch, happens: Callable[[Any], None]) -> list[Any]:
     """Let it happen to the device behind the bench, just after the record has been identified; the device."""
-    original, devices = script.identify_recorded, []
+    devices: list[Any] = []
 
     def identify_recorded(run: Session) -> None:
-        original(run)
+        stages.identify_recorded(run)
         devices.append(run.bench.clock)
         happens(run.bench.clock)
 
@@ -224,9 +224,14 @@ def test_whatever_fails_around_the_loop_there_is_a_result(
         monkeypatch.setattr(SimulatedDriver, broken, fails)
     elif broken == "recorder":
         close = Recorder.close
-        monkeypatch.setattr(Recorder, "close", lambda recorder: (close(recorder), fails()))
+
+        def closes_and_fails(recorder: Recorder) -> None:
+            close(recorder)
+            fails()
+
+        monkeypatch.setattr(Recorder, "close", closes_and_fails)
     on_start = fails if broken == "progress" else None
-    outcome = script.jog(e, 0.2, 0.1, tmp_path / "runs", on_start)  # type: ignore[arg-type]
+    outcome = script.jog(e, 0.2, 0.1, tmp_path / "runs", on_start)
     assert "Input/output error" in outcome.failure or outcome.fault is not None
     result = json.loads((outcome.folder / "result.json").read_text(encoding="utf-8"))
     assert result["schema"] == 1 and "loop" in result

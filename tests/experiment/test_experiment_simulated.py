@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -20,9 +21,9 @@ def written(folder: Path, **changes: object) -> Path:
     """config/simulated.yaml with changes: dotted keys."""
     config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
     for key, value in changes.items():
-        *path, last = key.split("__")
+        *sections, last = key.split("__")
         section = config
-        for name in path:
+        for name in sections:
             section = section.setdefault(name, {})
         section[last] = value
     path = folder / "changed.yaml"
@@ -31,12 +32,12 @@ def written(folder: Path, **changes: object) -> Path:
 
 
 @pytest.fixture(scope="module")
-def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict]:
+def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict[str, Any]]:
     result = rig("run", ROOT / "config/simulated.yaml", "--out", tmp_path_factory.mktemp("runs"), "--json")
     return result, json.loads(result.stdout)
 
 
-def test_it_ends_well_and_finds_the_truth(demo_run) -> None:
+def test_it_ends_well_and_finds_the_truth(demo_run: tuple[Result, dict[str, Any]]) -> None:
     result, outcome = demo_run
     assert result.exit_code == 0, result.output
     estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
@@ -49,7 +50,7 @@ def test_it_ends_well_and_finds_the_truth(demo_run) -> None:
     assert outcome["backend"] == "simulated in virtual time"
 
 
-def test_the_sampled_data_model_tracks_best_of_those_that_ran(demo_run) -> None:
+def test_the_sampled_data_model_tracks_best_of_those_that_ran(demo_run: tuple[Result, dict[str, Any]]) -> None:
     _, outcome = demo_run
     tracking = outcome["tracking"]
     ran = {method: entry["rms_rad"] for method, entry in tracking.items() if "rms_rad" in entry}
@@ -60,14 +61,16 @@ def test_the_sampled_data_model_tracks_best_of_those_that_ran(demo_run) -> None:
         assert "rms_rad" in entry or entry["not_run"]
 
 
-def test_breakaway_finds_static_friction_both_ways(demo_run) -> None:
+def test_breakaway_finds_static_friction_both_ways(demo_run: tuple[Result, dict[str, Any]]) -> None:
     _, outcome = demo_run
     breakaway, truth = outcome["breakaway"], outcome["truth"]
     assert breakaway["static_plus_V"] == pytest.approx(truth["static_plus_V"], abs=0.03)
     assert breakaway["static_minus_V"] == pytest.approx(truth["static_minus_V"], abs=0.03)
 
 
-def test_the_run_folder_reads_back_whole_and_stays_inside_the_soft_limits(demo_run) -> None:
+def test_the_run_folder_reads_back_whole_and_stays_inside_the_soft_limits(
+    demo_run: tuple[Result, dict[str, Any]],
+) -> None:
     _, outcome = demo_run
     folder = Path(outcome["folder"])
     names = {path.name for path in folder.iterdir()}
@@ -85,7 +88,9 @@ def test_the_run_folder_reads_back_whole_and_stays_inside_the_soft_limits(demo_r
     assert json.loads((folder / "result.json").read_text())["schema"] == 1
 
 
-def test_identify_from_the_folder_and_from_the_bare_csv(demo_run, tmp_path: Path) -> None:
+def test_identify_from_the_folder_and_from_the_bare_csv(
+    demo_run: tuple[Result, dict[str, Any]], tmp_path: Path
+) -> None:
     _, outcome = demo_run
     folder = Path(outcome["folder"])
     again = rig("identify", folder, "--json")
@@ -144,7 +149,11 @@ def test_the_same_seed_gives_the_same_samples_byte_for_byte_and_another_does_not
         ({"relay__search": {"h_max_V": 0.5}}, "NO_CYCLE"),
     ],
 )
-def test_each_bad_bench_ends_in_its_fault_with_a_cure_and_a_readable_folder(tmp_path: Path, changes, code: str) -> None:
+def test_each_bad_bench_ends_in_its_fault_with_a_cure_and_a_readable_folder(
+    tmp_path: Path,
+    changes: dict[str, object],
+    code: str,
+) -> None:
     result = rig("run", written(tmp_path, **changes), "--out", tmp_path / "runs", "--json")
     assert result.exit_code == 1, result.output
     outcome = json.loads(result.stdout)
@@ -171,7 +180,7 @@ def test_jog_recovers_a_shaft_from_beyond_the_soft_limit_and_goes_no_farther_out
     assert "drive.max_V" in too_much.stderr
 
 
-def test_track_alone_uses_the_models_of_an_earlier_run(demo_run, tmp_path: Path) -> None:
+def test_track_alone_uses_the_models_of_an_earlier_run(demo_run: tuple[Result, dict[str, Any]], tmp_path: Path) -> None:
     _, outcome = demo_run
     result = rig("track", ROOT / "config/simulated.yaml", "--model", outcome["folder"], "--out", tmp_path, "--json")
     assert result.exit_code == 0, result.output

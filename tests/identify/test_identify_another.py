@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,10 +66,11 @@ def with_largest_speed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("with_largest_speed")
-def test_an_estimator_in_the_list_is_found_and_in_the_result():
+def test_an_estimator_in_the_list_is_found_and_in_the_result() -> None:
     found = identify([read_run(GOLDEN / "simulated")], choose_law=False)
     assert list(found.estimates)[-1] == "largest-speed"
-    mine = found.as_result().as_json()["estimates"]["largest-speed"]
+    written: dict[str, Any] = found.as_result().as_json()
+    mine = written["estimates"]["largest-speed"]
     assert mine["verdict"] == "doubtful"
     assert mine["reasons"] == ["beside 3 better ones"]
     assert "largest-speed: quick" in found.notes
@@ -77,7 +79,7 @@ def test_an_estimator_in_the_list_is_found_and_in_the_result():
 
 
 @pytest.mark.usefixtures("with_largest_speed")
-def test_it_can_be_asked_for_and_says_where_it_does_not_apply():
+def test_it_can_be_asked_for_and_says_where_it_does_not_apply() -> None:
     alone = identify([read_run(GOLDEN / "simulated")], ["largest-speed"], choose_law=False)
     assert list(alone.estimates) == ["largest-speed"]
     with pytest.raises(IdentifyError, match="there is no cycle"):
@@ -96,7 +98,9 @@ def bent(bend_per_rad: float, h2_V: float, seed: int) -> Recording:
 
 
 @pytest.mark.parametrize("bend_per_rad", [0.15, -0.15])
-def test_a_law_in_the_list_is_tried_chosen_and_in_the_result(monkeypatch: pytest.MonkeyPatch, bend_per_rad: float):
+def test_a_law_in_the_list_is_tried_chosen_and_in_the_result(
+    monkeypatch: pytest.MonkeyPatch, bend_per_rad: float
+) -> None:
     monkeypatch.setattr(laws, "LAWS", [*laws.LAWS, BentSensor()])
     tests = [bent(bend_per_rad, h2_V, seed) for h2_V, seed in ((1.0, 1), (1.3, 2))]
     found = identify(tests, ["sampled-data"]).friction_law
@@ -104,5 +108,6 @@ def test_a_law_in_the_list_is_tried_chosen_and_in_the_result(monkeypatch: pytest
     assert found.chosen.law == "bent sensor"
     value, error = found.chosen.parameters["bend_per_rad"], found.chosen.errors["bend_per_rad"]
     assert abs(value - bend_per_rad) < 4.0 * error
-    assert found.as_result().as_json()["rungs"][-1]["law"] == "bent sensor"
+    written: dict[str, Any] = found.as_result().as_json()
+    assert written["rungs"][-1]["law"] == "bent sensor"
     assert found.notes()[0].startswith("friction law: a bent sensor")

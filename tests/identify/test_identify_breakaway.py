@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from synthetic import LSB_RAD, Bench, record, simulate
@@ -10,6 +12,7 @@ from rig.identify.breakaway import Ramp, breakaway, split
 from rig.identify.estimate import Estimate
 from rig.model.friction import Friction
 from rig.model.motor import Motor
+from rig.recording.series import TimeSeries
 
 NOISE = 0.003
 
@@ -35,7 +38,9 @@ class Ramps:
         return self.sign * level if on else 0.0
 
 
-def plant(fs_plus=0.54, fs_minus=0.50, plus=0.50, minus=0.46, bias=0.01) -> Motor:
+def plant(
+    fs_plus: float = 0.54, fs_minus: float = 0.50, plus: float = 0.50, minus: float = 0.46, bias: float = 0.01
+) -> Motor:
     return Motor(0.17, 6.5, Friction(plus, minus, fs_plus, fs_minus), bias)
 
 
@@ -46,13 +51,13 @@ def estimate_of(motor: Motor, error_V: float = 0.0005) -> Estimate:
     )
 
 
-def ramped(motor: Motor, stroke_s: float, seed: int = 1, limit_V: float = 1.5, **bench):
+def ramped(motor: Motor, stroke_s: float, seed: int = 1, limit_V: float = 1.5, **bench: Any) -> TimeSeries:
     bench = {"noise_rad": NOISE, "lsb_rad": LSB_RAD} | bench
     return record(simulate(motor, Ramps(stroke_s, limit_V), 600, Bench(seed=seed, **bench)))
 
 
 @pytest.mark.parametrize("stroke_s", [0.0, 0.04])
-def test_without_noise_the_drive_at_break_away_is_found_between_two_ticks_of_the_ramp(stroke_s):
+def test_without_noise_the_drive_at_break_away_is_found_between_two_ticks_of_the_ramp(stroke_s: float) -> None:
     motor = plant()
     found = breakaway(ramped(motor, stroke_s, noise_rad=0.0, lsb_rad=0.0), estimate_of(motor), 1e-9)
     assert found.plus is not None
@@ -63,7 +68,7 @@ def test_without_noise_the_drive_at_break_away_is_found_between_two_ticks_of_the
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_with_noise_the_interval_holds_it(seed):
+def test_with_noise_the_interval_holds_it(seed: int) -> None:
     motor = plant()
     found = breakaway(ramped(motor, 0.04, seed), estimate_of(motor), NOISE)
     assert found.plus is not None
@@ -75,7 +80,7 @@ def test_with_noise_the_interval_holds_it(seed):
         assert ramp.low_V - 0.01 <= true <= ramp.high_V + 0.01
 
 
-def test_equal_static_and_moving_friction_never_separate_bias_from_direction():
+def test_equal_static_and_moving_friction_never_separate_bias_from_direction() -> None:
     for motor in (
         plant(0.5, 0.46),
         plant(0.48, 0.48, 0.48, 0.48, -0.01),
@@ -85,7 +90,7 @@ def test_equal_static_and_moving_friction_never_separate_bias_from_direction():
         assert "cannot be told apart" in found.reason or "too little" in found.reason
 
 
-def test_clearly_larger_static_friction_separates_them_under_one_ratio():
+def test_clearly_larger_static_friction_separates_them_under_one_ratio() -> None:
     motor = plant(0.50 * 1.6, 0.42 * 1.6, 0.50, 0.42, 0.03)
     found = breakaway(ramped(motor, 0.0, noise_rad=0.0005, lsb_rad=0.0), estimate_of(motor), 0.0005)
     assert found.friction_V == pytest.approx((0.50, 0.42, 0.03), abs=0.03)
@@ -94,7 +99,7 @@ def test_clearly_larger_static_friction_separates_them_under_one_ratio():
     assert slight[0] is None
 
 
-def test_a_ramp_without_motion_tells_nothing_and_says_so():
+def test_a_ramp_without_motion_tells_nothing_and_says_so() -> None:
     motor = plant()
     found = breakaway(ramped(motor, 0.0, limit_V=0.45), estimate_of(motor), NOISE)
     assert found.plus is None

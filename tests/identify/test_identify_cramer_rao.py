@@ -26,7 +26,7 @@ def relay_record() -> tuple[TimeSeries, Theta, Steps, np.ndarray]:
     return one, TRUE._replace(v0_rad_per_s=v0, y0_rad=y0), window.steps, window.t_s
 
 
-def test_it_is_the_inverse_of_the_information():
+def test_it_is_the_inverse_of_the_information() -> None:
     _, theta, drive, t_s = relay_record()
     jacobian = position_and_jacobian(theta, *drive, t_s)[1]
     noise = PositionNoise(0.003, LSB_RAD)
@@ -35,7 +35,7 @@ def test_it_is_the_inverse_of_the_information():
     assert cramer_rao(theta, drive, t_s, noise) == pytest.approx(expected, rel=1e-6)
 
 
-def test_estimates_scatter_as_much_as_the_bound_says():
+def test_estimates_scatter_as_much_as_the_bound_says() -> None:
     one, theta, drive, t_s = relay_record()
     bound = cramer_rao(theta, drive, t_s, PositionNoise(0.003))
     rng = np.random.default_rng(4)
@@ -50,7 +50,7 @@ def test_estimates_scatter_as_much_as_the_bound_says():
     assert np.all((scatter > 0.75) & (scatter < 1.3)), scatter  # 1 +- 0.08 by chance
 
 
-def test_a_known_delay_makes_the_others_no_worse_and_is_not_estimated():
+def test_a_known_delay_makes_the_others_no_worse_and_is_not_estimated() -> None:
     _, theta, drive, t_s = relay_record()
     noise = PositionNoise(0.003)
     unknown, known = cramer_rao(theta, drive, t_s, noise), cramer_rao(theta, drive, t_s, noise, delay_known=True)
@@ -60,7 +60,7 @@ def test_a_known_delay_makes_the_others_no_worse_and_is_not_estimated():
     assert known[0] < 0.9 * unknown[0]  # delay and tau are confounded
 
 
-def test_whitening_is_that_of_the_dense_covariance():
+def test_whitening_is_that_of_the_dense_covariance() -> None:
     n, noise = 60, PositionNoise(0.003, 0.002, 0.004, 0.9)
     lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     covariance = 0.004**2 * 0.9**lags + (0.003**2 + 0.002**2 / 12) * np.eye(n)
@@ -70,15 +70,15 @@ def test_whitening_is_that_of_the_dense_covariance():
     assert white.T @ white == pytest.approx(expected, rel=1e-9)
 
 
-def test_correlated_noise_of_no_memory_is_white_noise():
+def test_correlated_noise_of_no_memory_is_white_noise() -> None:
     _, theta, drive, t_s = relay_record()
     both = cramer_rao(theta, drive, t_s, PositionNoise(0.003, 0.0, 0.004, 0.0))
     assert both == pytest.approx(cramer_rao(theta, drive, t_s, PositionNoise(0.005)), rel=1e-9)
 
 
-def test_what_the_experiment_does_not_tell_has_no_bound():
+def test_what_the_experiment_does_not_tell_has_no_bound() -> None:
     """Under one drive in one direction only K (u + a - fc) shows, and no delay."""
-    t_s = np.arange(200) * 0.01
+    t_s = np.arange(200, dtype=float) * 0.01
     drive = steps_of(np.array([-1.0]), np.array([1.5]))
     bound = cramer_rao(TRUE, drive, t_s, PositionNoise(0.003))
     assert [name for name, b in zip(Theta._fields, bound, strict=True) if math.isinf(b)] == [
@@ -88,6 +88,6 @@ def test_what_the_experiment_does_not_tell_has_no_bound():
 
 
 @pytest.mark.parametrize("values", [(-0.001,), (0.003, -0.1), (0.003, 0.0, 0.001, 1.0), (0.0, 0.0, 0.01, 0.5)])
-def test_senseless_noise_is_refused(values):
+def test_senseless_noise_is_refused(values: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match=r"must be|no bound"):
         PositionNoise(*values)

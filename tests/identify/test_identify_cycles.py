@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,7 +20,7 @@ from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries
 
 
-def relay_record(h1=0.8, h2=1.0, rows=1200, first=0, **bench) -> TimeSeries:
+def relay_record(h1: float = 0.8, h2: float = 1.0, rows: int = 1200, first: int = 0, **bench: Any) -> TimeSeries:
     return record(simulate(motor(), dcr(h1, h2), rows, Bench(**bench)), first=first)
 
 
@@ -26,13 +29,13 @@ def redriven(base: TimeSeries, u_V: np.ndarray) -> TimeSeries:
 
 
 @pytest.mark.parametrize(("h1", "h2"), [(0.8, 1.0), (0.5, 1.2), (1.0, 1.0), (0.3, 0.9), (1.2, 1.0)])
-def test_gains_are_read_off_the_levels(h1, h2):
+def test_gains_are_read_off_the_levels(h1: float, h2: float) -> None:
     gains = relay_gains(relay_record(h1, h2, noise_rad=0.003))
     assert (gains.h1_V, gains.h2_V) == pytest.approx((h1, h2), abs=1e-12)
     assert f"h1 = {h1:.4g} V" in gains.note
 
 
-def test_a_quantised_and_a_noisily_reported_drive_have_the_same_gains():
+def test_a_quantised_and_a_noisily_reported_drive_have_the_same_gains() -> None:
     base = relay_record()
     step = 12.0 / 255
     rng = np.random.default_rng(1)
@@ -41,13 +44,13 @@ def test_a_quantised_and_a_noisily_reported_drive_have_the_same_gains():
         assert (gains.h1_V, gains.h2_V) == pytest.approx((0.8, 1.0), abs=step)
 
 
-def test_a_saturated_drive_has_the_gains_that_the_motor_saw():
+def test_a_saturated_drive_has_the_gains_that_the_motor_saw() -> None:
     gains = relay_gains(redriven(base := relay_record(), np.clip(base.u_V, -1.5, 1.5)))
     assert gains.h1_V + gains.h2_V == pytest.approx(1.5)
     assert gains.h2_V - gains.h1_V == pytest.approx(0.2)
 
 
-def test_levels_that_differ_between_the_directions_are_averaged_and_it_says_so():
+def test_levels_that_differ_between_the_directions_are_averaged_and_it_says_so() -> None:
     base = relay_record()
     gains = relay_gains(redriven(base, np.where(base.u_V > 0, base.u_V, 0.95 * base.u_V)))
     assert gains.h1_V + gains.h2_V == pytest.approx(1.8 * 0.975)
@@ -63,13 +66,13 @@ def test_levels_that_differ_between_the_directions_are_averaged_and_it_says_so()
         (lambda t: 1.0 + 0.5 * np.sign(np.sin(3.0 * t)) + 0.2 * np.sign(np.sin(7.0 * t)), "not symmetric"),
     ],
 )
-def test_other_drives_are_not_taken_for_a_relay(law, words):
+def test_other_drives_are_not_taken_for_a_relay(law: Callable[[np.ndarray], np.ndarray], words: str) -> None:
     base = relay_record(rows=600)
     with pytest.raises(IdentifyError, match=words):
         relay_gains(redriven(base, law(base.t_s)))
 
 
-def test_finely_sampled_the_averaged_cycle_is_that_of_theorem_2_1():
+def test_finely_sampled_the_averaged_cycle_is_that_of_theorem_2_1() -> None:
     cycle = find_cycle(relay_record(rows=40_000, period_s=0.0002, delay_s=0.0))
     exact = limit_cycle(0.17, 6.5, 0.5, 0.8, 1.0)
     assert cycle.period_s == pytest.approx(exact.period_s, rel=0.01)
@@ -81,7 +84,15 @@ def test_finely_sampled_the_averaged_cycle_is_that_of_theorem_2_1():
     assert cycle.amplitude_rad == -cycle.y_extremum_rad
 
 
-def ideal_record(tau=0.17, K=6.5, fc=0.5, h1=0.8, h2=1.0, cycles=15, sampling_s=0.01) -> TimeSeries:
+def ideal_record(
+    tau: float = 0.17,
+    K: float = 6.5,
+    fc: float = 0.5,
+    h1: float = 0.8,
+    h2: float = 1.0,
+    cycles: int = 15,
+    sampling_s: float = 0.01,
+) -> TimeSeries:
     """The exact limit cycle, seen at a rate that its period is no multiple of; edges between the samples."""
     exact = limit_cycle(tau, K, fc, h1, h2)
     t1, t2, _ = exact.durations_s
@@ -99,7 +110,7 @@ def ideal_record(tau=0.17, K=6.5, fc=0.5, h1=0.8, h2=1.0, cycles=15, sampling_s=
     return TimeSeries(t, y, t_u, levels[following])
 
 
-def test_the_average_is_aligned_although_the_period_is_no_multiple_of_the_sampling():
+def test_the_average_is_aligned_although_the_period_is_no_multiple_of_the_sampling() -> None:
     exact = limit_cycle(0.17, 6.5, 0.5, 0.8, 1.0)
     assert abs(exact.period_s / 0.01 - round(exact.period_s / 0.01)) > 0.2
     cycle = find_cycle(ideal_record())
@@ -119,7 +130,7 @@ def test_the_average_is_aligned_although_the_period_is_no_multiple_of_the_sampli
     assert cycle.amplitude_rad == pytest.approx(exact.amplitude_rad, rel=0.005)
 
 
-def test_an_offset_of_position_does_not_reach_the_average():
+def test_an_offset_of_position_does_not_reach_the_average() -> None:
     base = relay_record(rows=1500)
     shifted = TimeSeries(base.t_s, base.y_rad + 0.3, base.t_u_s, base.u_V)
     one, other = find_cycle(base), find_cycle(shifted)
@@ -127,7 +138,9 @@ def test_an_offset_of_position_does_not_reach_the_average():
     assert other.t1_s == pytest.approx(one.t1_s)
 
 
-def edges_of(u_V: np.ndarray, before, after) -> np.ndarray:
+def edges_of(
+    u_V: np.ndarray, before: Callable[[np.ndarray], np.ndarray], after: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
     """Rows at which the drive steps from a level to another, with room on both sides."""
     rows = np.flatnonzero(before(u_V[:-1]) & after(u_V[1:])) + 1
     return rows[(rows > 30) & (rows < u_V.size - 30)]
@@ -152,7 +165,7 @@ def shape(cycle: Cycle) -> tuple[float, ...]:
 
 @pytest.mark.parametrize("relay", ["RB", "RC", "both"])
 @pytest.mark.parametrize(("period_s", "reach"), [(0.01, 2), (0.0002, 20)])
-def test_chatter_is_merged_into_one_edge_of_the_same_area(relay, period_s, reach):
+def test_chatter_is_merged_into_one_edge_of_the_same_area(relay: str, period_s: float, reach: int) -> None:
     base = relay_record(rows=round(9.0 / period_s), period_s=period_s, delay_s=0.3 * period_s)
     clean = find_cycle(base)
     rb = edges_of(base.u_V, lambda u: np.abs(u) > 1.0, lambda u: np.abs(u) < 1.0)
@@ -164,7 +177,7 @@ def test_chatter_is_merged_into_one_edge_of_the_same_area(relay, period_s, reach
     assert (found.h1_V, found.h2_V) == (clean.h1_V, clean.h2_V)
 
 
-def test_a_moment_of_the_opposite_level_is_no_cycle():
+def test_a_moment_of_the_opposite_level_is_no_cycle() -> None:
     base = relay_record(rows=900)
     clean = find_cycle(base)
     u = base.u_V.copy()
@@ -173,8 +186,8 @@ def test_a_moment_of_the_opposite_level_is_no_cycle():
     assert find_cycle(redriven(base, u)).cycles == clean.cycles
 
 
-def test_noise_makes_a_sampled_relay_chatter_and_cycles_are_counted_all_the_same():
-    fine = {"rows": 40_000, "period_s": 0.0002, "delay_s": 0.0001}
+def test_noise_makes_a_sampled_relay_chatter_and_cycles_are_counted_all_the_same() -> None:
+    fine: dict[str, Any] = {"rows": 40_000, "period_s": 0.0002, "delay_s": 0.0001}
     clean, noisy = relay_record(**fine), relay_record(noise_rad=0.003, **fine)
     exact = limit_cycle(0.17, 6.5, 0.5, 0.8, 1.0)
     assert np.count_nonzero(np.diff(noisy.u_V)) > 2 * np.count_nonzero(np.diff(clean.u_V))
@@ -184,7 +197,7 @@ def test_noise_makes_a_sampled_relay_chatter_and_cycles_are_counted_all_the_same
     assert other.period_s == pytest.approx(exact.period_s, rel=0.01)
 
 
-def test_the_averaged_relay_signal_has_the_mean_of_its_cycles_edges():
+def test_the_averaged_relay_signal_has_the_mean_of_its_cycles_edges() -> None:
     base = relay_record(rows=60_000, period_s=0.0002, delay_s=0.0001, noise_rad=0.003)
     cycle = find_cycle(base)
     begins = edges_of(base.u_V, lambda u: np.abs(u) < 1.0, lambda u: u > 1.0)
@@ -193,14 +206,14 @@ def test_the_averaged_relay_signal_has_the_mean_of_its_cycles_edges():
     length = round(cycle.period_s / 0.0002)
     u, y = (np.mean([values[k : k + length] for k in begins], axis=0) for values in (base.u_V, base.y_rad))
     assert np.unique(np.round(u, 6)).size > 8  # a staircase
-    t = 0.0002 * np.arange(5 * length)
+    t = 0.0002 * np.arange(5 * length, dtype=float)
     found = find_cycle(TimeSeries(t, np.tile(y, 5), t + 0.0001, np.tile(u, 5)))
     assert (found.h1_V, found.h2_V) == pytest.approx((0.8, 1.0), abs=0.01)
     assert shape(found) == pytest.approx(shape(cycle), rel=0.005)
 
 
 @given(st.lists(st.tuples(st.floats(0.01, 1.0), st.floats(0.0, 1.0)), min_size=1, max_size=20), st.floats(-5.0, 5.0))
-def test_an_equivalent_edge_has_the_area_of_its_staircase(stairs, first):
+def test_an_equivalent_edge_has_the_area_of_its_staircase(stairs: list[tuple[float, float]], first: float) -> None:
     lasting, done = (np.array(column) for column in zip(*stairs, strict=True))
     begin = first + np.concatenate([[0.0], np.cumsum(lasting)[:-1]])
     edge = equivalent_edge(begin, lasting, done)
@@ -208,7 +221,7 @@ def test_an_equivalent_edge_has_the_area_of_its_staircase(stairs, first):
     assert first + lasting.sum() - edge == pytest.approx(lasting @ done)
 
 
-def test_means_without_one_cycle_are_those_of_the_others():
+def test_means_without_one_cycle_are_those_of_the_others() -> None:
     cycle = find_cycle(relay_record(rows=900, noise_rad=0.003))
     bins = Bins.of(cycle.waves, cycle.period_sampling_s)
     for k in (0, cycle.cycles - 1):
@@ -219,7 +232,7 @@ def test_means_without_one_cycle_are_those_of_the_others():
             assert one.at_s == pytest.approx(other.at_s, abs=1e-12)
 
 
-def test_cycles_before_it_has_settled_are_left_out():
+def test_cycles_before_it_has_settled_are_left_out() -> None:
     samples = simulate(motor(), dcr(0.5, 1.2), 2500, Bench())
     cycle = find_cycle(record(samples))
     assert cycle.rows[0] > 100
@@ -228,7 +241,7 @@ def test_cycles_before_it_has_settled_are_left_out():
     assert first.rows[0] >= 700
 
 
-def test_delay_hunting_is_not_a_cycle():
+def test_delay_hunting_is_not_a_cycle() -> None:
     samples = simulate(motor(), dcr(1.0, 0.4), 1500, Bench(delay_s=0.009))
     assert np.ptp(samples.y_rad[500:]) > 0.02  # it does oscillate, with h2 < fc
     with pytest.raises(IdentifyError, match=r"delay hunting|not a simple|settled") as caught:
@@ -236,12 +249,12 @@ def test_delay_hunting_is_not_a_cycle():
     assert "h2" in caught.value.cure or "steady" in caught.value.cure
 
 
-def test_a_cycle_as_small_as_the_sensor_is_refused():
+def test_a_cycle_as_small_as_the_sensor_is_refused() -> None:
     with pytest.raises(IdentifyError, match="steps of the sensor"):
         find_cycle(relay_record(rows=1500, lsb_rad=0.05))
 
 
-def test_too_few_and_unsettled_cycles_are_refused():
+def test_too_few_and_unsettled_cycles_are_refused() -> None:
     with pytest.raises(IdentifyError, match="too few"):
         find_cycle(relay_record(rows=100))
     base = relay_record(rows=1500)

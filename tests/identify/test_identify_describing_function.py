@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
-import control
 import numpy as np
 import pytest
+from control.descfcn import describing_function as sine_response
+from control.descfcn import relay_hysteresis_nonlinearity
+from control.xferfcn import tf
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import fsolve
@@ -23,14 +27,15 @@ from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import State
 from rig.model.sampled_relay import Disturbance, relay_test
 from rig.recording.errors import IdentifyError
+from rig.recording.series import TimeSeries
 
 
-def cycle_of(h1: float, h2: float, rows: int = 1600, **bench) -> Cycle:
+def cycle_of(h1: float, h2: float, rows: int = 1600, **bench: Any) -> Cycle:
     return find_cycle(record(simulate(motor(), dcr(h1, h2), rows, Bench(**bench))))
 
 
 @given(st.floats(0.05, 1.0), st.floats(0.5, 20.0), st.floats(0.0, 0.5), st.floats(1.1, 3.0))
-def test_two_sines_give_the_motor_that_makes_them(tau, K, fc, ratio):
+def test_two_sines_give_the_motor_that_makes_them(tau: float, K: float, fc: float, ratio: float) -> None:
     gains = [(0.5, fc + 0.4), (0.8, fc + 0.4 * ratio)]
     sines = [predict(tau, K, fc, *pair) for pair in gains]
     found = describing_function.solve(
@@ -41,7 +46,7 @@ def test_two_sines_give_the_motor_that_makes_them(tau, K, fc, ratio):
 
 
 @given(st.floats(0.05, 1.0), st.floats(0.5, 20.0), st.floats(0.0, 0.5), st.lists(st.floats(0.3, 2.0), min_size=3))
-def test_more_than_two_tests_agree_on_the_motor(tau, K, fc, beyond):
+def test_more_than_two_tests_agree_on_the_motor(tau: float, K: float, fc: float, beyond: list[float]) -> None:
     beyond[0] = beyond[1] + 0.5
     gains = [(0.5 + 0.1 * k, fc + more) for k, more in enumerate(beyond)]
     assert solved([predict(tau, K, fc, *pair) for pair in gains], gains) == pytest.approx(
@@ -49,7 +54,7 @@ def test_more_than_two_tests_agree_on_the_motor(tau, K, fc, beyond):
     )
 
 
-def solved(oscillations, gains) -> tuple[float, float, float]:
+def solved(oscillations: Sequence[Oscillation], gains: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
     return describing_function.solve(
         *(np.array(column) for column in zip(*oscillations, strict=True)),
         *(np.array(column) for column in zip(*gains, strict=True)),
@@ -61,12 +66,12 @@ def balanced(tau: float, K: float, fc: float, h1: float, h2: float) -> Oscillati
 
     Relays on the position, its integral and its derivative see sines of amplitude A, A / w and A w.
     """
-    plant = control.tf([K], [tau, 1.0, 0.0])
+    plant = tf([K], [tau, 1.0, 0.0])
 
-    def loop(unknown):
+    def loop(unknown: np.ndarray) -> list[float]:
         omega, amplitude = np.exp(unknown)
         relays = [
-            control.describing_function(control.relay_hysteresis_nonlinearity(gain, 0.0), size) * channel
+            sine_response(relay_hysteresis_nonlinearity(gain, 0.0), size) * channel
             for gain, size, channel in (
                 (h1, amplitude, 1.0),
                 (h2, amplitude / omega, 1.0 / (1j * omega)),
@@ -81,12 +86,12 @@ def balanced(tau: float, K: float, fc: float, h1: float, h2: float) -> Oscillati
 
 
 @pytest.mark.parametrize("truth", [(0.17, 6.5, 0.5), (1.0, 1.0, 0.5), (0.35, 3.0, 0.4)])
-def test_oscillations_balanced_by_another_library_give_the_motor(truth):
+def test_oscillations_balanced_by_another_library_give_the_motor(truth: tuple[float, float, float]) -> None:
     gains = [(0.8, 1.0), (0.5, 1.2)]
     assert solved([balanced(*truth, *pair) for pair in gains], gains) == pytest.approx(truth, rel=1e-6)
 
 
-def grid(count: int):
+def grid(count: int) -> Iterator[tuple[tuple[float, float, float], list[tuple[float, float]]]]:
     """Motors as in docs/theory.md 7.10, with the gains of two tests of one frequency (DF) and 1.3 x the amplitude."""
     rng = np.random.default_rng(5)
     while count:
@@ -96,11 +101,11 @@ def grid(count: int):
             yield (tau, K, fc), [(h1, h2), (1.3 * h1, fc + 1.3 * (h2 - fc))]
 
 
-def test_the_error_of_a_sine_on_exact_limit_cycles_is_some_per_cent():
+def test_the_error_of_a_sine_on_exact_limit_cycles_is_some_per_cent() -> None:
     off = []
     for truth, gains in grid(40):
         cycles = [limit_cycle(*truth, *pair) for pair in gains]
-        found = solved([(2.0 * math.pi / cycle.period_s, cycle.amplitude_rad) for cycle in cycles], gains)
+        found = solved([Oscillation(2.0 * math.pi / cycle.period_s, cycle.amplitude_rad) for cycle in cycles], gains)
         off.append(np.array(found) / truth - 1.0)
     tau, K, fc = np.median(np.abs(off), axis=0)
     assert 0.05 < tau < 0.09
@@ -108,7 +113,7 @@ def test_the_error_of_a_sine_on_exact_limit_cycles_is_some_per_cent():
     assert 0.015 < fc < 0.03
 
 
-def test_at_ten_milliseconds_it_is_off_by_several_per_cent_and_called_doubtful():
+def test_at_ten_milliseconds_it_is_off_by_several_per_cent_and_called_doubtful() -> None:
     off = []
     for seed, (truth, gains) in enumerate(grid(25)):
         records = []
@@ -118,7 +123,7 @@ def test_at_ten_milliseconds_it_is_off_by_several_per_cent_and_called_doubtful()
             test = relay_test(
                 motor(*truth), h1, h2, t, 0.004, disturbance=Disturbance(noise, lsb_rad=LSB_RAD), start=State(y=0.3)
             )
-            records.append(record(test))
+            records.append(TimeSeries(test.t_s, test.y_rad, test.t_u_s, test.u_V, name="synthetic"))
         cycles = [find_cycle(one) for one in records]
         found = describing_function.fit(cycles)
         off.append(np.abs(np.array([found.tau_s, found.K_rad_s_V, found.fc_V]) / truth - 1.0))
@@ -130,7 +135,7 @@ def test_at_ten_milliseconds_it_is_off_by_several_per_cent_and_called_doubtful()
     assert np.all(np.percentile(off, 75, axis=0) > [0.02, 0.01, 0.01])
 
 
-def test_real_cycles_carry_the_error_of_a_sine():
+def test_real_cycles_carry_the_error_of_a_sine() -> None:
     fine = {"period_s": 0.001, "delay_s": 0.0}
     found = describing_function.fit([cycle_of(0.8, 1.0, 12_000, **fine), cycle_of(0.5, 1.2, 24_000, **fine)])
     error = np.array([found.tau_s / 0.17, found.K_rad_s_V / 6.5, found.fc_V / 0.5]) - 1.0
@@ -141,7 +146,7 @@ def test_real_cycles_carry_the_error_of_a_sine():
     assert low < found.tau_s < high
 
 
-def test_one_test_or_two_alike_are_not_enough():
+def test_one_test_or_two_alike_are_not_enough() -> None:
     one = cycle_of(0.8, 1.0)
     with pytest.raises(IdentifyError, match="needs two"):
         describing_function.fit([one])
@@ -149,7 +154,7 @@ def test_one_test_or_two_alike_are_not_enough():
         describing_function.fit([one, one])
 
 
-def test_oscillations_of_no_motor_are_refused():
+def test_oscillations_of_no_motor_are_refused() -> None:
     one = cycle_of(0.8, 1.0)
     other = replace(one, h2_V=1.4, amplitude_rad=0.5 * one.amplitude_rad)
     found = describing_function.fit([one, other])

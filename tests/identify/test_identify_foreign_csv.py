@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from foreign_bench import (
     QUICK,
     SLOW,
     Columns,
+    Law,
     binary,
     by_hand,
     chirp,
@@ -166,7 +168,9 @@ def test_origins_do_not_matter(tmp_path: Path, relay_test: Columns) -> None:
         (square(0.3, 1.0), "no more than its noise"),
     ],
 )
-def test_what_the_input_cannot_tell_is_refused_with_the_reason(tmp_path, names, law, words):
+def test_what_the_input_cannot_tell_is_refused_with_the_reason(
+    tmp_path: Path, names: tuple[str, ...], law: Law, words: str
+) -> None:
     columns = sampled(motor(**PAPER), law, ticks(600), 0.004)
     path = plain_csv(tmp_path / "a.csv", columns, names)
     try:
@@ -186,7 +190,9 @@ def test_what_the_input_cannot_tell_is_refused_with_the_reason(tmp_path, names, 
 @pytest.mark.parametrize("drive", ["relay", "chirp"])
 @pytest.mark.parametrize("factor", [1e-6, 1e-3, 1e3, 1e6])
 @pytest.mark.parametrize("column", ["t_s", "u_V", "y_rad"])
-def test_units_wrong_by_a_thousand_either_way_are_refused_with_a_question(tmp_path, names, drive, factor, column):
+def test_units_wrong_by_a_thousand_either_way_are_refused_with_a_question(
+    tmp_path: Path, names: tuple[str, ...], drive: str, factor: float, column: str
+) -> None:
     columns = sampled(motor(**PAPER), DRIVES[drive], ticks(600), 0.004)
     columns[column] = columns[column] * factor
     if column == "t_s":
@@ -218,7 +224,9 @@ def test_units_wrong_by_a_thousand_either_way_are_refused_with_a_question(tmp_pa
         (lambda c: {"y_rad": np.roll(c["y_rad"], -1)}, "t_u_s"),
     ],
 )
-def test_columns_that_are_not_what_they_say(tmp_path, relay_test, spoil, words):
+def test_columns_that_are_not_what_they_say(
+    tmp_path: Path, relay_test: Columns, spoil: Callable[[Columns], Columns], words: str
+) -> None:
     """Without t_u_s too, but for what only t_u_s shows."""
     spoiled = relay_test | spoil(relay_test)
     not_believed(plain_csv(tmp_path / "a.csv", spoiled, WITH_DRIVE_TIMES), words)
@@ -228,7 +236,9 @@ def test_columns_that_are_not_what_they_say(tmp_path, relay_test, spoil, words):
 
 @pytest.mark.parametrize("rows", [-3, -2, -1, 1, 2, 3])
 @pytest.mark.parametrize("drive", ["relay", "square", "chirp"])
-def test_a_drive_some_rows_off_without_its_times_is_right_or_not_believed(tmp_path, drive, rows):
+def test_a_drive_some_rows_off_without_its_times_is_right_or_not_believed(
+    tmp_path: Path, drive: str, rows: int
+) -> None:
     """The free delay covers what lies between 0 and 2 periods, and says so where it would have to be beyond."""
     columns = sampled(motor(**PAPER), DRIVES[drive], ticks(1200), 0.004)
     columns["u_V"] = np.roll(columns["u_V"], rows)
@@ -239,14 +249,17 @@ def test_a_drive_some_rows_off_without_its_times_is_right_or_not_believed(tmp_pa
 
 
 @pytest.mark.parametrize("names", [PLAIN, WITH_DRIVE_TIMES])
-def test_all_methods_take_what_the_others_refuse_without_a_traceback(tmp_path, relay_test, names):
-    for spoil in (
+def test_all_methods_take_what_the_others_refuse_without_a_traceback(
+    tmp_path: Path, relay_test: Columns, names: tuple[str, ...]
+) -> None:
+    spoils: tuple[Callable[[Columns], Columns], ...] = (
         lambda c: {},
         lambda c: {"y_rad": c["u_V"], "u_V": c["y_rad"]},
         lambda c: {"u_V": -c["u_V"]},
         lambda c: {"y_rad": 1e3 * c["y_rad"]},
         lambda c: {"u_V": np.sign(c["u_V"]) * 1e-5},
-    ):
+    )
+    for spoil in spoils:
         change = spoil(relay_test)
         try:
             found = identify([read(plain_csv(tmp_path / "a.csv", relay_test | change, names))])
@@ -258,7 +271,7 @@ def test_all_methods_take_what_the_others_refuse_without_a_traceback(tmp_path, r
 
 
 @pytest.mark.parametrize("rows", [3, 10, 19])
-def test_a_handful_of_rows_is_one_clear_line(tmp_path, relay_test, rows):
+def test_a_handful_of_rows_is_one_clear_line(tmp_path: Path, relay_test: Columns, rows: int) -> None:
     short = {name: column[:rows] for name, column in relay_test.items()}
     with pytest.raises(IdentifyError, match=f"{rows} rows are too few"):
         identify([read(plain_csv(tmp_path / "a.csv", short))])
@@ -311,7 +324,9 @@ def damaged(
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(how=damage(), drive_times=st.booleans())
-def test_any_damage_ends_in_an_error_a_refusal_a_doubt_or_the_right_motor(tmp_path, relay_test, how, drive_times):
+def test_any_damage_ends_in_an_error_a_refusal_a_doubt_or_the_right_motor(
+    tmp_path: Path, relay_test: Columns, how: list[tuple[str, int, int, str, float]], drive_times: bool
+) -> None:
     names = WITH_DRIVE_TIMES if drive_times else PLAIN
     rows = [list(map(repr, row)) for row in zip(*(relay_test[name].tolist() for name in names), strict=True)]
     rows, factors = damaged(rows, how)

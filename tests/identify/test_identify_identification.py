@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from synthetic import LSB_RAD, Bench, Samples, dcr, motor, simulate, write_csv
 from rig.identify import METHODS, IdentifyError, identify
 from rig.recording.reader import read_csv
 
-NOISY = {"noise_rad": 0.003, "lsb_rad": LSB_RAD}
+NOISY: dict[str, Any] = {"noise_rad": 0.003, "lsb_rad": LSB_RAD}
 KEYS = {
     "tau_s", "K_rad_s_V", "fc_V", "asym_V", "delay_s", "fc_plus_V", "fc_minus_V", "bias_V", "ci95", "covariance",
     "covariance_of",
@@ -20,7 +22,7 @@ KEYS = {
 }  # fmt: skip
 
 
-def relay(h1: float = 0.8, h2: float = 1.0, rows: int = 1200, **bench) -> Samples:
+def relay(h1: float = 0.8, h2: float = 1.0, rows: int = 1200, **bench: Any) -> Samples:
     return simulate(motor(), dcr(h1, h2), rows, Bench(**(NOISY | bench)))
 
 
@@ -40,7 +42,7 @@ def run_csv(path: Path) -> Path:
     return path
 
 
-def test_a_run_with_two_relay_tests_gives_all_three_methods(tmp_path):
+def test_a_run_with_two_relay_tests_gives_all_three_methods(tmp_path: Path) -> None:
     found = identify([read_csv(run_csv(tmp_path / "samples.csv"))])
     assert tuple(found.estimates) == tuple(method for method in METHODS if method != "least-squares")
     best = found.estimates["sampled-data"]
@@ -60,7 +62,7 @@ def test_a_run_with_two_relay_tests_gives_all_three_methods(tmp_path):
         assert found.estimates[method].rms_rad > best.rms_rad
 
 
-def test_the_dictionary_is_that_of_result_json(tmp_path):
+def test_the_dictionary_is_that_of_result_json(tmp_path: Path) -> None:
     found = identify([read_csv(run_csv(tmp_path / "samples.csv"))])
     for estimate in found.estimates.values():
         entry = json.loads(json.dumps(estimate.as_result().as_json(), allow_nan=False))
@@ -73,14 +75,14 @@ def test_the_dictionary_is_that_of_result_json(tmp_path):
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_a_plain_csv_of_one_relay_test_gives_two_methods_and_says_what_is_missing(tmp_path, known):
+def test_a_plain_csv_of_one_relay_test_gives_two_methods_and_says_what_is_missing(tmp_path: Path, known: bool) -> None:
     found = identify([read_csv(write_csv(tmp_path / "log.csv", relay(), known))])
     assert set(found.estimates) == {"sampled-data", "triple-relay"}
     assert any("needs two relay tests" in note for note in found.notes)
     assert found.estimates["sampled-data"].tau_s == pytest.approx(0.17, rel=0.05)
 
 
-def test_two_csv_files_are_two_tests(tmp_path):
+def test_two_csv_files_are_two_tests(tmp_path: Path) -> None:
     files = [write_csv(tmp_path / "a.csv", relay()), write_csv(tmp_path / "b.csv", relay(0.6, 1.2, 1600))]
     found = identify([read_csv(file) for file in files], ["describing-function"])
     assert set(found.estimates) == {"describing-function"}
@@ -89,7 +91,7 @@ def test_two_csv_files_are_two_tests(tmp_path):
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_a_log_without_any_relay_is_identified_from_its_samples(tmp_path, known):
+def test_a_log_without_any_relay_is_identified_from_its_samples(tmp_path: Path, known: bool) -> None:
     samples = simulate(motor(), lambda t, y, z: 1.5 if t % 1.0 < 0.5 else -1.5, 1000, Bench(**NOISY))
     found = identify([read_csv(write_csv(tmp_path / "square.csv", samples, known))])
     assert set(found.estimates) == {"sampled-data"}
@@ -102,7 +104,7 @@ def test_a_log_without_any_relay_is_identified_from_its_samples(tmp_path, known)
     ("method", "words"),
     [("describing-function", "needs two"), ("triple-relay", "relay"), ("guess", "no method 'guess'")],
 )
-def test_a_wanted_method_that_cannot_work_says_why(tmp_path, method, words):
+def test_a_wanted_method_that_cannot_work_says_why(tmp_path: Path, method: str, words: str) -> None:
     drive = (lambda t, y, z: 1.5 if t % 1.0 < 0.5 else -1.5) if method == "triple-relay" else dcr(0.8, 1.0)
     samples = simulate(motor(), drive, 1000, Bench(**NOISY))
     with pytest.raises(IdentifyError, match=words) as caught:
@@ -122,7 +124,7 @@ def test_a_wanted_method_that_cannot_work_says_why(tmp_path, method, words):
         lambda s: s.y_rad.__setitem__(slice(None), np.sign(s.y_rad)),
     ],
 )
-def test_nonsense_is_refused_in_words_and_never_believed(tmp_path, spoil):
+def test_nonsense_is_refused_in_words_and_never_believed(tmp_path: Path, spoil: Callable[[Samples], object]) -> None:
     samples = relay(rows=600)
     spoil(samples)
     recording = read_csv(write_csv(tmp_path / "a.csv", samples, t_u_known=False))
@@ -141,7 +143,9 @@ def test_nonsense_is_refused_in_words_and_never_believed(tmp_path, spoil):
 @pytest.mark.parametrize(
     ("y_scale", "t_scale", "u_scale"), [(1e6, 1.0, 1.0), (1.0, 1e-3, 1.0), (1.0, 1e3, 1.0), (1.0, 1.0, 100.0)]
 )
-def test_other_units_give_the_same_motor_in_those_units(tmp_path, y_scale, t_scale, u_scale):
+def test_other_units_give_the_same_motor_in_those_units(
+    tmp_path: Path, y_scale: float, t_scale: float, u_scale: float
+) -> None:
     samples = relay()
     scaled = Samples(
         samples.t_s * t_scale, samples.t_u_s * t_scale, samples.y_rad * y_scale, samples.u_V * u_scale, samples.z_rad_s
@@ -155,7 +159,7 @@ def test_other_units_give_the_same_motor_in_those_units(tmp_path, y_scale, t_sca
         assert any("?" in reason for reason in other[method].reasons)
 
 
-def test_every_short_piece_of_a_record_is_identified_or_refused_and_never_wrong_with_confidence(tmp_path):
+def test_every_short_piece_of_a_record_is_identified_or_refused_and_never_wrong_with_confidence(tmp_path: Path) -> None:
     """Half a cycle to many: an estimate that calls itself ok is near the truth."""
     recording = read_csv(write_csv(tmp_path / "a.csv", relay(rows=1500)))
     outcomes = []
@@ -172,7 +176,7 @@ def test_every_short_piece_of_a_record_is_identified_or_refused_and_never_wrong_
     assert outcomes[0] != "ok"
 
 
-def test_a_run_without_a_relay_test_is_refused(tmp_path):
+def test_a_run_without_a_relay_test_is_refused(tmp_path: Path) -> None:
     path = write_csv(tmp_path / "a.csv", relay(rows=100), stage="jog")
     with pytest.raises(IdentifyError, match="no relay test"):
         identify([read_csv(path)])

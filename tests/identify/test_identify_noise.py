@@ -27,7 +27,7 @@ def wandering(rng: np.random.Generator, t_s: np.ndarray, memory_s: float, size: 
     return out
 
 
-def test_the_filter_is_the_inverse_root_of_the_covariance():
+def test_the_filter_is_the_inverse_root_of_the_covariance() -> None:
     """Against a Cholesky factor of the covariance matrix, on unevenly spaced samples and two pieces."""
     rng = np.random.default_rng(3)
     t_s = np.concatenate((np.cumsum(rng.uniform(0.005, 0.02, 40)), 5.0 + np.cumsum(rng.uniform(0.005, 0.02, 25))))
@@ -42,9 +42,9 @@ def test_the_filter_is_the_inverse_root_of_the_covariance():
 
 
 @pytest.mark.parametrize(("memory_s", "size"), [(0.05, 2.0), (0.3, 1.0), (20.0, 5.0)])
-def test_what_wanders_is_found_and_whitened(memory_s, size):
+def test_what_wanders_is_found_and_whitened(memory_s: float, size: float) -> None:
     rng = np.random.default_rng(8)
-    t_s = np.arange(2000) * PERIOD_S
+    t_s = np.arange(2000, dtype=float) * PERIOD_S
     one = wandering(rng, t_s, memory_s, size)
     noise = noise_of(0.003 * one, t_s, [2000])
     # what counts over short times is the rate at which it wanders
@@ -55,17 +55,17 @@ def test_what_wanders_is_found_and_whitened(memory_s, size):
     assert abs(float(one[1:] @ one[:-1]) / float(one @ one)) > 0.3
 
 
-def test_white_noise_is_rarely_taken_for_more():
+def test_white_noise_is_rarely_taken_for_more() -> None:
     rng = np.random.default_rng(7)
-    t_s = np.arange(500) * PERIOD_S
+    t_s = np.arange(500, dtype=float) * PERIOD_S
     assert sum(not noise_of(rng.standard_normal(500), t_s, [250, 250]).white for _ in range(200)) <= 6
     assert noise_of(np.zeros(500), t_s, [500]) == WHITE
 
 
-def test_intervals_of_a_mean_hold_whatever_the_noise():
+def test_intervals_of_a_mean_hold_whatever_the_noise() -> None:
     """Generalised least squares for a mean: its scatter is what the whitened columns say."""
     rng = np.random.default_rng(12)
-    t_s = np.arange(600) * PERIOD_S
+    t_s = np.arange(600, dtype=float) * PERIOD_S
     ones = np.ones((600, 1))
     scores = []
     for _ in range(150):
@@ -80,11 +80,11 @@ def test_intervals_of_a_mean_hold_whatever_the_noise():
 
 
 def window_of(rows: int) -> Window:
-    t_s = np.arange(rows) * PERIOD_S
+    t_s = np.arange(rows, dtype=float) * PERIOD_S
     return Window(TimeSeries(t_s, np.zeros(rows), t_s, np.where(t_s < 1.0, 1.0, -1.0)), 0, rows)
 
 
-def test_what_repeats_in_each_cycle_is_seen_and_does_not_average_out():
+def test_what_repeats_in_each_cycle_is_seen_and_does_not_average_out() -> None:
     rng = np.random.default_rng(4)
     pairs = repetitions([window_of(1000)], [1.0])
     assert [first.size for first, _ in pairs] == [900, 800, 700, 600, 500, 400, 300, 200, 100]

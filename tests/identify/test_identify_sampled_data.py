@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -65,7 +66,7 @@ def recorded(d: Draw, noise_rad: float, seed: int, t_u_known: bool) -> tuple[Tim
 
 
 @pytest.mark.parametrize("t_u_known", [True, False])
-def test_clean_data_give_the_motor_exactly(t_u_known):
+def test_clean_data_give_the_motor_exactly(t_u_known: bool) -> None:
     rng = np.random.default_rng(11)
     for seed in range(8):
         d = draw(rng)
@@ -77,7 +78,7 @@ def test_clean_data_give_the_motor_exactly(t_u_known):
         assert found.rms_rad < 1e-9
 
 
-def test_noisy_data_give_errors_at_the_cramer_rao_bound_and_intervals_that_hold():
+def test_noisy_data_give_errors_at_the_cramer_rao_bound_and_intervals_that_hold() -> None:
     """Twenty of the grid. A prototype gave 1.1 times the bound, medians of 0.3, 0.2, 0.4 % (docs/theory.md 7.10)."""
     rng = np.random.default_rng(5)
     relative, standard, covered, efforts = [], [], [], []
@@ -94,7 +95,7 @@ def test_noisy_data_give_errors_at_the_cramer_rao_bound_and_intervals_that_hold(
         standard.append(error / bound[:3])
         relative.append(np.abs(error) / d[:3])
         covered.append(
-            [low < truth < high for (low, high), truth in zip(map(found.ci95.get, NAMES), d[:3], strict=True)]
+            [low < truth < high for (low, high), truth in zip((found.ci95[name] for name in NAMES), d[:3], strict=True)]
         )
         efforts.append(found.iterations)
     ratio = np.sqrt(np.mean(np.square(standard), axis=0))
@@ -106,9 +107,10 @@ def test_noisy_data_give_errors_at_the_cramer_rao_bound_and_intervals_that_hold(
 
 @settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10_000))
-def test_offset_and_start_of_the_clock_do_not_matter(seed):
+def test_offset_and_start_of_the_clock_do_not_matter(seed: int) -> None:
     d = draw(np.random.default_rng(seed))
     one, _, starts = recorded(d, 0.0, 0, t_u_known=True)
+    assert one.t_u_s is not None
     moved = TimeSeries(one.t_s + 1234.5, one.y_rad + 0.7, one.t_u_s + 1234.5, one.u_V)
     found = sampled_data.fit([moved], starts)
     assert (found.tau_s, found.K_rad_s_V, found.fc_V) == pytest.approx(d[:3], rel=1e-6)
@@ -128,7 +130,9 @@ def steps(t_s: float, y_rad: float, z_rad_s: float) -> float:
 
 @pytest.mark.parametrize("law", [chirp, square, steps])
 @pytest.mark.parametrize("truth", [(0.17, 6.5, 0.5), (0.06, 3.0, 0.2), (0.45, 12.0, 0.35)])
-def test_any_drive_that_moves_the_motor_both_ways_will_do(law, truth):
+def test_any_drive_that_moves_the_motor_both_ways_will_do(
+    law: Callable[[float, float, float], float], truth: tuple[float, float, float]
+) -> None:
     samples = simulate(motor(*truth, asym_V=0.02), law, 1000, Bench())
     for t_u_known in (True, False):
         found = sampled_data.fit([record(samples, t_u_known)])
@@ -136,7 +140,7 @@ def test_any_drive_that_moves_the_motor_both_ways_will_do(law, truth):
         assert found.asym_V == pytest.approx(0.02, abs=1e-6)
 
 
-def test_two_records_share_the_motor_and_nothing_else():
+def test_two_records_share_the_motor_and_nothing_else() -> None:
     parts = []
     for gains, start in (((0.8, 1.0), 0.0), ((0.5, 1.2), 0.3)):
         samples = simulate(motor(asym_V=-0.02), dcr(*gains), 700, Bench(offset_rad=start))
@@ -146,14 +150,14 @@ def test_two_records_share_the_motor_and_nothing_else():
     assert found.residual_rad.size == sum(len(part.predictable(0.0).t_s) for part in parts)
 
 
-def test_jittered_latencies_are_no_error_when_the_device_reports_them():
+def test_jittered_latencies_are_no_error_when_the_device_reports_them() -> None:
     samples = simulate(motor(), dcr(0.8, 1.0), 900, Bench(jitter_s=0.003))
     found = sampled_data.fit([record(samples)])
     assert (found.tau_s, found.K_rad_s_V, found.fc_V) == pytest.approx((0.17, 6.5, 0.5), rel=1e-8)
     assert found.delay_s == pytest.approx(float(np.mean(samples.t_u_s - samples.t_s)))
 
 
-def test_jitter_that_nobody_reports_widens_the_interval_and_spoils_little():
+def test_jitter_that_nobody_reports_widens_the_interval_and_spoils_little() -> None:
     """Position integrates the timing errors: with one initial state for all, 0.3 ms of jitter cost 7 % of tau."""
     errors, covered = [], []
     for seed in range(6):
@@ -169,7 +173,7 @@ def test_jitter_that_nobody_reports_widens_the_interval_and_spoils_little():
     assert sum(covered) >= 5
 
 
-def test_iterates_end_at_the_estimate():
+def test_iterates_end_at_the_estimate() -> None:
     samples = simulate(motor(), dcr(0.8, 1.0), 700, Bench(noise_rad=0.003))
     found = sampled_data.fit([record(samples)])
     assert found.iterates.shape == (found.iterations, 3)
@@ -177,7 +181,7 @@ def test_iterates_end_at_the_estimate():
     assert found.rms_rad == pytest.approx(math.sqrt(np.mean(found.residual_rad**2)))
 
 
-def test_parameters_that_cannot_be_told_apart_have_no_interval():
+def test_parameters_that_cannot_be_told_apart_have_no_interval() -> None:
     samples = simulate(motor(), lambda t, y, z: 1.5 if t < 0.5 else 1.1, 150, Bench())
     found = sampled_data.fit([record(samples)])
     low, high = found.ci95["fc_V"]
@@ -192,7 +196,7 @@ def test_parameters_that_cannot_be_told_apart_have_no_interval():
         (lambda r: r.part(0, 12), "too few"),
     ],
 )
-def test_nothing_to_fit_is_said_in_words(change, words):
+def test_nothing_to_fit_is_said_in_words(change: Callable[[TimeSeries], TimeSeries], words: str) -> None:
     base = record(simulate(motor(), dcr(0.8, 1.0), 200, Bench()))
     with pytest.raises(IdentifyError, match=words) as caught:
         sampled_data.fit([change(base)])

@@ -64,7 +64,9 @@ def outcomes(path: Path, truth: dict[str, float], choices: list[slice]) -> dict[
     ("drive", "truth"),
     [("relay", PAPER), ("relay", QUICK), ("chirp", PAPER), ("square", PAPER)],
 )
-def test_every_stretch_of_a_good_record_is_right_or_not_believed(tmp_path, names, drive, truth):
+def test_every_stretch_of_a_good_record_is_right_or_not_believed(
+    tmp_path: Path, names: tuple[str, ...], drive: str, truth: dict[str, float]
+) -> None:
     law = {"relay": relay(truth["fc_V"]), "chirp": chirp(1.4, 15.0), "square": square(1.2, 1.0)}[drive]
     columns = sampled(motor(**truth), law, ticks(ROWS), 0.004, seed=7)
     seen = outcomes(plain_csv(tmp_path / "a.csv", columns, names), truth, contiguous())
@@ -73,7 +75,7 @@ def test_every_stretch_of_a_good_record_is_right_or_not_believed(tmp_path, names
     assert slice(0, 60) not in seen["ok"]  # 0.6 s
 
 
-def test_whole_cycles_of_a_relay_test_are_right_or_not_believed_from_three_to_all(tmp_path):
+def test_whole_cycles_of_a_relay_test_are_right_or_not_believed_from_three_to_all(tmp_path: Path) -> None:
     """Cut where the drive steps up to its maximum, as one would by eye."""
     columns = sampled(motor(**PAPER), relay(0.5), ticks(ROWS), 0.004, seed=3)
     up = np.flatnonzero((columns["u_V"][1:] > 1.5) & (columns["u_V"][:-1] < 0.0)) + 1
@@ -86,7 +88,9 @@ def test_whole_cycles_of_a_relay_test_are_right_or_not_believed_from_three_to_al
 
 
 @pytest.mark.parametrize(("drive", "names"), [("relay", PLAIN), ("relay", (*PLAIN, "t_u_s")), ("square", PLAIN)])
-def test_every_few_rows_of_a_record_are_right_or_not_believed(tmp_path, drive, names):
+def test_every_few_rows_of_a_record_are_right_or_not_believed(
+    tmp_path: Path, drive: str, names: tuple[str, ...]
+) -> None:
     """Without the rows between, an edge of the drive is only known to the rows that are left."""
     law = {"relay": relay(0.5), "square": square(1.2, 1.0)}[drive]
     columns = sampled(motor(**PAPER), law, ticks(2 * ROWS, period_s=0.005), 0.002, seed=5)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,7 +30,8 @@ from rig.recording.series import TimeSeries
 TRUTH = (0.17, 6.5, 0.5)
 FINE_S = 2e-4
 # the check rows of docs/theory.md 3.4: tau, K, fc, h1, h2
-CHECKS = [
+Check = tuple[float, float, float, float, float]
+CHECKS: list[Check] = [
     (0.17, 6.5, 0.5, 0.8, 1.0),
     (1.0, 1.0, 0.5, 0.8, 1.0),
     (0.17, 6.5, 0.5, 0.5, 1.2),
@@ -36,22 +39,22 @@ CHECKS = [
 ]
 
 
-def exact(tau=0.17, K=6.5, fc=0.5, h1=0.8, h2=1.0) -> Features:
+def exact(tau: float = 0.17, K: float = 6.5, fc: float = 0.5, h1: float = 0.8, h2: float = 1.0) -> Features:
     cycle = limit_cycle(tau, K, fc, h1, h2)
     return Features(*cycle.durations_s, float(cycle.states[1, 1]), float(cycle.states[0, 1]))
 
 
 @cache
 def recorded(
-    check=CHECKS[0],
-    period_s=FINE_S,
-    ticks=0.0,
-    known=True,
-    cycles=18,
-    asym_V=0.0,
-    noise_rad=0.0,
-    lsb_rad=0.0,
-    seed=1,
+    check: Check = CHECKS[0],
+    period_s: float = FINE_S,
+    ticks: float = 0.0,
+    known: bool = True,
+    cycles: int = 18,
+    asym_V: float = 0.0,
+    noise_rad: float = 0.0,
+    lsb_rad: float = 0.0,
+    seed: int = 1,
 ) -> TimeSeries:
     """A sampled relay on the motor of a check row from 0.3 rad, its drive acting ``ticks`` sampling periods late."""
     tau, K, fc, h1, h2 = check
@@ -73,14 +76,15 @@ def ridge(cycle: Cycle) -> list[Start]:
     return ridge_starts(cycle.omega_rad_s, cycle.amplitude_rad, cycle.h1_V, cycle.h2_V)
 
 
-def errors(theta, truth) -> np.ndarray:
-    return np.abs(np.array(theta) / np.array(truth[:3]) - 1.0)
+def errors(theta: Sequence[float] | np.ndarray, truth: Sequence[float]) -> np.ndarray:
+    off: np.ndarray = np.abs(np.array(theta) / np.array(truth[:3]) - 1.0)
+    return off
 
 
 # the paper's equations, on exact data
 
 
-def test_the_truth_has_no_residual_and_anything_else_has():
+def test_the_truth_has_no_residual_and_anything_else_has() -> None:
     assert residuals(Start(*TRUTH), exact(), 0.8, 1.0) == pytest.approx(0.0, abs=1e-12)
     for k in range(3):
         wrong = list(TRUTH)
@@ -88,11 +92,11 @@ def test_the_truth_has_no_residual_and_anything_else_has():
         assert np.abs(residuals(Start(*wrong), exact(), 0.8, 1.0)).max() > 1e-3
 
 
-def plain_gauss_newton(start, steps=30) -> np.ndarray:
+def plain_gauss_newton(start: tuple[float, float, float], steps: int = 30) -> np.ndarray:
     """As the paper has it: full steps in tau, K and fc themselves."""
     theta = np.array(start)
 
-    def values(x):
+    def values(x: np.ndarray) -> np.ndarray:
         return residuals(Start(*x), exact(), 0.8, 1.0)
 
     for _ in range(steps):
@@ -103,14 +107,14 @@ def plain_gauss_newton(start, steps=30) -> np.ndarray:
     return theta
 
 
-def test_damping_arrives_where_plain_gauss_newton_diverges():
+def test_damping_arrives_where_plain_gauss_newton_diverges() -> None:
     assert plain_gauss_newton((0.1, 3.0, 0.2)) == pytest.approx(TRUTH, rel=1e-8)
     assert not np.allclose(plain_gauss_newton((0.3, 4.0, 0.3)), TRUTH, rtol=0.1)
     assert solve(exact(), 0.8, 1.0, [Start(0.3, 4.0, 0.3)]).theta == pytest.approx(TRUTH, rel=1e-8)
 
 
 @pytest.mark.parametrize("guess", [(0.1, 3.0, 0.2), (0.3, 4.0, 0.3), (0.05, 20.0, 0.7), (0.5, 2.0, 0.0)])
-def test_exact_data_give_the_motor_to_eight_digits_from_bad_guesses(guess):
+def test_exact_data_give_the_motor_to_eight_digits_from_bad_guesses(guess: tuple[float, float, float]) -> None:
     fit = solve(exact(), 0.8, 1.0, [Start(*guess)])
     assert fit.theta == pytest.approx(TRUTH, rel=1e-8)
     assert fit.iterates[0] == pytest.approx(guess)
@@ -133,7 +137,9 @@ factors = st.floats(0.3, 3.0)
     factors,
     st.floats(0.0, 0.95),
 )
-def test_any_motor_of_the_grid_is_found_whatever_is_tried_first(tau, K, fc, beyond, share, by_tau, by_K, first_fc):
+def test_any_motor_of_the_grid_is_found_whatever_is_tried_first(
+    tau: float, K: float, fc: float, beyond: float, share: float, by_tau: float, by_K: float, first_fc: float
+) -> None:
     h2 = fc + beyond
     h1 = share * h2
     cycle = limit_cycle(tau, K, fc, h1, h2)
@@ -142,7 +148,7 @@ def test_any_motor_of_the_grid_is_found_whatever_is_tried_first(tau, K, fc, beyo
     assert solve(exact(tau, K, fc, h1, h2), h1, h2, starts).theta == pytest.approx((tau, K, fc), rel=1e-7)
 
 
-def test_single_random_starts_nearly_always_arrive():
+def test_single_random_starts_nearly_always_arrive() -> None:
     rng = np.random.default_rng(3)
     arrived = 0
     for _ in range(200):
@@ -151,11 +157,12 @@ def test_single_random_starts_nearly_always_arrive():
     assert arrived >= 180
 
 
-def test_it_is_as_ill_conditioned_in_time_as_the_theory_says():
+def test_it_is_as_ill_conditioned_in_time_as_the_theory_says() -> None:
     features = exact()
 
-    def wrong(**changed):
-        return np.array(solve(features._replace(**changed), 0.8, 1.0, [Start(*TRUTH)]).theta) / TRUTH - 1.0
+    def wrong(**changed: float) -> np.ndarray:
+        off: np.ndarray = np.array(solve(features._replace(**changed), 0.8, 1.0, [Start(*TRUTH)]).theta) / TRUTH - 1.0
+        return off
 
     late = wrong(t1_s=features.t1_s + 1e-3, t2_s=features.t2_s - 1e-3)
     assert np.all((np.abs(late) > 0.07) & (np.abs(late) < 0.15))
@@ -165,7 +172,7 @@ def test_it_is_as_ill_conditioned_in_time_as_the_theory_says():
     assert solve(larger, 0.8, 1.0, [Start(*TRUTH)]).theta == pytest.approx((0.17, 6.5 * 1.03, 0.5), rel=1e-6)
 
 
-def test_edges_in_the_wrong_order_are_refused():
+def test_edges_in_the_wrong_order_are_refused() -> None:
     with pytest.raises(IdentifyError, match="order"):
         solve(exact()._replace(t1_s=-0.01), 0.8, 1.0, [Start(*TRUTH)])
 
@@ -175,7 +182,7 @@ def test_edges_in_the_wrong_order_are_refused():
 
 @pytest.mark.parametrize("check", CHECKS)
 @pytest.mark.parametrize(("ticks", "known"), [(0.0, True), (0.5, True), (1.5, True), (0.5, False), (1.5, False)])
-def test_a_relay_sampled_at_a_fifth_of_a_millisecond_gives_the_motor(check, ticks, known):
+def test_a_relay_sampled_at_a_fifth_of_a_millisecond_gives_the_motor(check: Check, ticks: float, known: bool) -> None:
     cycle = find_cycle(recorded(check, ticks=ticks, known=known))
     found = solve_cycle(cycle, ridge(cycle))
     assert errors(found.theta, check).max() < 0.001
@@ -187,7 +194,7 @@ def test_a_relay_sampled_at_a_fifth_of_a_millisecond_gives_the_motor(check, tick
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_the_command_on_a_plain_csv_of_it_is_right(tmp_path, known):
+def test_the_command_on_a_plain_csv_of_it_is_right(tmp_path: Path, known: bool) -> None:
     record = recorded(ticks=1.3, known=known)
     columns = [record.t_s, record.u_V, record.y_rad] + ([] if record.t_u_s is None else [record.t_u_s])
     path = tmp_path / "log.csv"
@@ -204,7 +211,7 @@ def test_the_command_on_a_plain_csv_of_it_is_right(tmp_path, known):
     assert found.verdict == "ok", found.reasons
 
 
-def test_asymmetry_comes_out_beside_the_rest():
+def test_asymmetry_comes_out_beside_the_rest() -> None:
     cycle = find_cycle(recorded(asym_V=0.05, ticks=0.7, known=False))
     found = triple_relay.fit(cycle)
     assert errors((found.tau_s, found.K_rad_s_V, found.fc_V), TRUTH).max() < 0.002
@@ -214,7 +221,7 @@ def test_asymmetry_comes_out_beside_the_rest():
 
 @pytest.mark.parametrize("check", CHECKS)
 @pytest.mark.parametrize("known", [True, False])
-def test_noise_and_the_chatter_that_it_makes_cost_little(check, known):
+def test_noise_and_the_chatter_that_it_makes_cost_little(check: Check, known: bool) -> None:
     clean = find_cycle(recorded(check, ticks=0.5))
     record = recorded(check, ticks=0.5, known=known, noise_rad=0.003)
     switches = np.count_nonzero(np.diff(record.u_V)) / 18
@@ -225,7 +232,7 @@ def test_noise_and_the_chatter_that_it_makes_cost_little(check, known):
     assert errors(solve_cycle(cycle, ridge(cycle)).theta, check).max() < 0.015
 
 
-def test_the_describing_functions_estimate_starts_it_well():
+def test_the_describing_functions_estimate_starts_it_well() -> None:
     other = (0.17, 6.5, 0.5, 1.04, 1.15)
     cycles = [find_cycle(recorded(noise_rad=0.001)), find_cycle(recorded(other, noise_rad=0.001))]
     first = describing_function.fit(cycles)
@@ -240,7 +247,7 @@ def test_the_describing_functions_estimate_starts_it_well():
 # at ten milliseconds
 
 
-def grid(count: int):
+def grid(count: int) -> Iterator[tuple[Check, float, float]]:
     """Motors as in docs/theory.md 7.10: parameters, relay, delay in ticks, asymmetry."""
     rng = np.random.default_rng(12)
     while count:
@@ -252,7 +259,7 @@ def grid(count: int):
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_at_ten_milliseconds_it_is_a_fair_reference_and_its_intervals_say_how_good(known):
+def test_at_ten_milliseconds_it_is_a_fair_reference_and_its_intervals_say_how_good(known: bool) -> None:
     off, covered = [], []
     for k, (check, ticks, asym) in enumerate(grid(40)):
         record = recorded(check, 0.01, ticks, known, 18, asym, 0.003, LSB_RAD, k)
@@ -265,13 +272,13 @@ def test_at_ten_milliseconds_it_is_a_fair_reference_and_its_intervals_say_how_go
     assert np.mean(covered) > 0.85
 
 
-def test_a_motor_that_waits_for_a_late_edge_is_no_worse():
+def test_a_motor_that_waits_for_a_late_edge_is_no_worse() -> None:
     check = (0.1136, 29.83, 0.33, 0.5793, 0.6575)  # reverses 5 ms after RC, whose edge is up to 19 ms late
     cycle = find_cycle(recorded(check, 0.01, 0.91, asym_V=0.035))
     assert errors(solve_cycle(cycle, ridge(cycle)).theta, check).max() < 0.03
 
 
-def test_the_interval_is_the_jackknife_over_cycles():
+def test_the_interval_is_the_jackknife_over_cycles() -> None:
     cycle = find_cycle(recorded(period_s=0.01, ticks=0.4, noise_rad=0.003))
     found = triple_relay.fit(cycle)
     left = []

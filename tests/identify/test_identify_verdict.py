@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 from rig.identify import sampled_data, sampled_data_verdict
 from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
+from rig.identify.mean_cycle import Cycle
 from rig.identify.measurements import Measurements
 from rig.identify.triple_relay import TripleRelay
 from rig.model.friction import Friction
@@ -20,11 +22,12 @@ from rig.model.motor import Motor, State
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TIMES_ERROR_S, TimeSeries
 
-NOISY = {"noise_rad": 0.003, "lsb_rad": LSB_RAD}
+NOISY: dict[str, Any] = {"noise_rad": 0.003, "lsb_rad": LSB_RAD}
 
 
 def judged(*records: TimeSeries) -> Estimate:
-    cycles, periods_s = [], []
+    cycles: list[Cycle] = []
+    periods_s: list[float | None] = []
     for one in records:
         try:
             cycles.append(find_cycle(one))
@@ -35,7 +38,7 @@ def judged(*records: TimeSeries) -> Estimate:
 
 
 def relay(
-    rows: int = 1000, known: bool = True, plant: Motor | None = None, h1: float = 0.8, h2: float = 1.0, **bench
+    rows: int = 1000, known: bool = True, plant: Motor | None = None, h1: float = 0.8, h2: float = 1.0, **bench: Any
 ) -> TimeSeries:
     samples = simulate(plant or motor(asym_V=0.02), dcr(h1, h2), rows, Bench(**(NOISY | bench)))
     return record(samples, known, 100)
@@ -55,7 +58,7 @@ def slipped(one: TimeSeries, rows: int) -> TimeSeries:
 
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("seed", range(3))
-def test_a_good_record_is_ok(known, seed):
+def test_a_good_record_is_ok(known: bool, seed: int) -> None:
     found = judged(relay(known=known, seed=seed))
     assert found.verdict == "ok", found.reasons
     assert found.reasons == ()
@@ -64,7 +67,7 @@ def test_a_good_record_is_ok(known, seed):
 
 @pytest.mark.parametrize("rows", [1, -1])
 @pytest.mark.parametrize("seed", range(3))
-def test_with_known_times_a_row_slipped_by_one_tick_is_refused(rows, seed):
+def test_with_known_times_a_row_slipped_by_one_tick_is_refused(rows: int, seed: int) -> None:
     found = judged(slipped(relay(seed=seed), rows))
     assert found.verdict == "refused"
     assert any("than t_u_s says" in reason or "unexplained" in reason for reason in found.reasons)
@@ -73,11 +76,12 @@ def test_with_known_times_a_row_slipped_by_one_tick_is_refused(rows, seed):
 def shifted(by_s: float, error_s: float, noise_rad: float = 0.0) -> Estimate:
     """A fine sensor, and times of the drive that are off; ``error_s``: by what its link says that they can be."""
     one = relay(noise_rad=noise_rad, lsb_rad=1e-4)
+    assert one.t_u_s is not None
     return judged(replace(one, t_u_s=one.t_u_s - by_s, times_error_s=error_s))
 
 
 @pytest.mark.parametrize("by_s", [2e-5, -2e-5])
-def test_a_shift_within_what_the_links_times_can_be_wrong_by_is_no_objection(by_s):
+def test_a_shift_within_what_the_links_times_can_be_wrong_by_is_no_objection(by_s: float) -> None:
     """Without noise a hundredth of a millisecond shows, and moves nothing that anyone would miss."""
     found = shifted(by_s, TIMES_ERROR_S)
     assert found.verdict == "ok", found.reasons
@@ -89,7 +93,7 @@ def test_a_shift_within_what_the_links_times_can_be_wrong_by_is_no_objection(by_
 
 
 @pytest.mark.parametrize("error_s", [TIMES_ERROR_S, 3.5e-4])
-def test_beyond_what_they_can_be_wrong_by_it_is_one(error_s):
+def test_beyond_what_they_can_be_wrong_by_it_is_one(error_s: float) -> None:
     for by_s, noise_rad in ((4e-4, 0.0), (1e-3, 0.003), (-1e-3, 0.003), (2e-3, 0.003)):
         found = shifted(by_s, error_s, noise_rad)
         assert found.verdict != "ok"
@@ -97,7 +101,7 @@ def test_beyond_what_they_can_be_wrong_by_it_is_one(error_s):
 
 
 @pytest.mark.parametrize("delay_s", [0.002, 0.006])
-def test_without_times_the_delay_absorbs_a_row_slipped_early(delay_s):
+def test_without_times_the_delay_absorbs_a_row_slipped_early(delay_s: float) -> None:
     """A drive one row early in the file acts from t_s + delay + Ts: within the 2 Ts that are looked at."""
     found = judged(slipped(relay(known=False, delay_s=delay_s), -1))
     whole = judged(relay(known=False, delay_s=delay_s))
@@ -106,7 +110,7 @@ def test_without_times_the_delay_absorbs_a_row_slipped_early(delay_s):
     assert found.tau_s == pytest.approx(0.17, rel=0.05)
 
 
-def test_without_times_a_row_slipped_late_is_not_believed():
+def test_without_times_a_row_slipped_late_is_not_believed() -> None:
     """It would have to act before it was commanded: the delay is negative, and the motor right."""
     found = judged(slipped(relay(known=False, delay_s=0.002), 1))
     assert found.verdict == "doubtful"
@@ -116,7 +120,7 @@ def test_without_times_a_row_slipped_late_is_not_believed():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_drive_that_acts_at_once_is_no_objection(seed):
+def test_a_drive_that_acts_at_once_is_no_objection(seed: int) -> None:
     """A plain simulation, or a controller that writes within microseconds of reading."""
     found = judged(relay(known=False, delay_s=0.0, seed=seed))
     assert found.verdict == "ok", found.reasons
@@ -139,26 +143,26 @@ def test_a_drive_that_acts_at_once_is_no_objection(seed):
 )
 def test_positions_that_do_not_belong_to_the_drive_are_not_believed(
     change: Callable[[TimeSeries], TimeSeries], words: str
-):
+) -> None:
     found = judged(change(relay()))
     assert found.verdict != "ok"
     assert re.search(words, " ".join(found.reasons)), found.reasons
 
 
-def test_a_short_noisy_record_is_doubted_for_its_interval():
+def test_a_short_noisy_record_is_doubted_for_its_interval() -> None:
     found = judged(relay(rows=190, noise_rad=0.02, lsb_rad=0.0))
     assert found.verdict != "ok"
     assert any("only known to" in reason for reason in found.reasons)
 
 
-def test_a_motor_that_turns_one_way_only_is_refused():
+def test_a_motor_that_turns_one_way_only_is_refused() -> None:
     samples = simulate(motor(), lambda t, y, z: 1.5 if t % 1.0 < 0.5 else 1.0, 400, Bench(**NOISY))
     found = judged(record(samples))
     assert found.verdict == "refused"
     assert any("both ways" in reason or "only known" in reason for reason in found.reasons)
 
 
-def test_a_motor_that_mostly_stands_still_is_doubted():
+def test_a_motor_that_mostly_stands_still_is_doubted() -> None:
     samples = simulate(
         motor(), lambda t, y, z: (1.5 if t % 4.0 < 2.0 else -1.5) if t % 2.0 < 0.3 else 0.0, 2000, Bench(**NOISY)
     )
@@ -167,7 +171,7 @@ def test_a_motor_that_mostly_stands_still_is_doubted():
     assert found.verdict == "doubtful"
 
 
-def test_two_tests_of_one_motor_predict_each_other_and_of_two_motors_do_not():
+def test_two_tests_of_one_motor_predict_each_other_and_of_two_motors_do_not() -> None:
     same = judged(relay(), relay(1700, h1=0.5, h2=1.2, seed=2))
     assert same.verdict == "ok", same.reasons
     warm = judged(relay(), relay(1700, plant=motor(0.17, 6.0, 0.42), h1=0.5, h2=1.2, seed=2))
@@ -175,7 +179,7 @@ def test_two_tests_of_one_motor_predict_each_other_and_of_two_motors_do_not():
     assert any("noise" in reason or "own fit" in reason for reason in warm.reasons)
 
 
-def test_static_friction_above_moving_friction_is_no_objection_where_the_relay_exceeds_it():
+def test_static_friction_above_moving_friction_is_no_objection_where_the_relay_exceeds_it() -> None:
     plant = Motor(0.17, 6.5, Friction(0.5, 0.46, 0.56, 0.52), 0.01)
     found = judged(relay(plant=plant))
     assert found.verdict == "ok", found.reasons
@@ -190,7 +194,7 @@ def reference(tau: float, K: float, fc: float, known: bool = True) -> Estimate:
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_a_reference_method_is_judged_by_what_its_model_leaves(known):
+def test_a_reference_method_is_judged_by_what_its_model_leaves(known: bool) -> None:
     good, poor, none = (reference(*p, known) for p in ((0.17, 6.5, 0.5), (0.22, 6.5, 0.5), (0.17, 6.5, -0.1)))
     # right or not: at 10 ms the interval of a reference method does not hold its own error, and it says so
     assert good.verdict == "doubtful"
@@ -203,12 +207,12 @@ def test_a_reference_method_is_judged_by_what_its_model_leaves(known):
     assert "no motor" in none.reasons[0]
 
 
-def test_a_verdict_never_improves_and_reasons_do_not_repeat():
+def test_a_verdict_never_improves_and_reasons_do_not_repeat() -> None:
     one = Estimate("sampled-data", 0.1, 1.0, 0.1).judged("refused", "a").judged("doubtful", "b", "a")
     assert (one.verdict, one.reasons) == ("refused", ("a", "b"))
 
 
-def test_an_asymmetry_beyond_the_friction_is_doubtful():
+def test_an_asymmetry_beyond_the_friction_is_doubtful() -> None:
     """A weight on the shaft pulls harder than friction holds."""
     pulled = judged(relay(plant=Motor(0.17, 6.5, Friction(0.1, 0.1, 0.1, 0.1), 0.2)))
     assert pulled.asym_V == pytest.approx(0.2, abs=0.01)
@@ -218,7 +222,7 @@ def test_an_asymmetry_beyond_the_friction_is_doubtful():
     assert not any("turns by itself" in reason for reason in held.reasons)
 
 
-def test_what_an_unknown_delay_costs_is_said():
+def test_what_an_unknown_delay_costs_is_said() -> None:
     unknown, known = judged(relay(known=False)), judged(relay(known=True))
     words = sampled_data_verdict.confounding(unknown)
     assert words is not None
@@ -231,9 +235,9 @@ def test_what_an_unknown_delay_costs_is_said():
     assert sampled_data_verdict.confounding(known) is None
 
 
-def test_rows_left_out_of_a_record_with_times_are_not_believed():
+def test_rows_left_out_of_a_record_with_times_are_not_believed() -> None:
     """Logged every few ticks only: the drives between the rows are missing, and t_u_s cannot say so."""
-    t = np.arange(1500) * 0.01
+    t = np.arange(1500, dtype=float) * 0.01
     u = 1.2 * (2.0 * np.abs((t / 1.5 + 0.25) % 1.0 - 0.5) * 2.0 - 1.0)
     y = Motor(0.17, 6.5, Friction(0.5, 0.5, 0.5, 0.5)).response(State(), t, np.r_[-1.0, t + 0.004], np.r_[0.0, u])[:, 1]
     y = y + 0.003 * np.random.default_rng(3).standard_normal(t.size)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -111,7 +112,7 @@ def test_what_was_raised_is_given_back_and_nothing_else(
     raised: list[int],
 ) -> None:
     monkeypatch.setattr(kernel_workers, "workers", lambda proc: iter([21, 22, 23]))
-    monkeypatch.setattr(kernel_workers.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
     monkeypatch.setattr(os, "sched_setscheduler", scheduler.set)
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     assert main(["59", "/proc"]) == 0

@@ -30,15 +30,14 @@ class Ended:
 
     def __init__(self, law: Law, ticks: int) -> None:
         self._law, self._left = law, ticks
-
-    @property
-    def z_rad_s(self) -> float:
-        return self._law.z_rad_s
+        self.z_rad_s = law.z_rad_s
 
     def step(self, sample: Sample) -> float:
         self._left -= 1
         self.finished = self._left <= 0
-        return self._law.step(sample)
+        u_V = self._law.step(sample)
+        self.z_rad_s = self._law.z_rad_s
+        return u_V
 
 
 def relay_test(order: Order, latency_s: float) -> tuple[list[dict[str, Any]], Loop]:
@@ -62,7 +61,7 @@ def test_a_drive_that_goes_out_with_the_next_exchange_may_act_late_in_that() -> 
     latency = SimulatedLatency(0.0, 0.0)
     driver = SimulatedDriver(clock, DEMO, CALIBRATION, DriveMap(12.0), RAILS, latency, 1, "write_first")
     read = driver.read
-    driver.read = lambda: (sample := read())._replace(t_u_s=sample.t_u_s + 0.003)  # type: ignore[method-assign]
+    driver.read = lambda: (sample := read())._replace(t_u_s=sample.t_u_s + 0.003)  # type: ignore[method-assign]  # for this test
     loop = Loop(driver, clock, Guard(GUARD), ListSink(), PERIOD_S, StopRequest())
     with loop.armed(LIMITS):
         loop.run(Ended(DualChannelRelay(0.0, 0.0, 1.0), 20), "relay-1")
@@ -83,10 +82,10 @@ def test_a_drive_that_acts_a_period_or_more_later_is_in_its_rows_and_identified_
         assert loop.latency_s == pytest.approx(PERIOD_S, abs=1e-9)
     estimates = []
     for rows in (at_once, later):
-        columns = [
+        t_s, y_rad, t_u_s, u_V = (
             np.array([row[name] for row in rows[300:-2]], dtype=float) for name in ("t_s", "y_rad", "t_u_s", "u_V")
-        ]
-        estimates.append(sampled_data.fit([TimeSeries(*columns, name="relay-1")]))
+        )
+        estimates.append(sampled_data.fit([TimeSeries(t_s, y_rad, t_u_s, u_V, name="relay-1")]))
     for name, truth in (("tau_s", 0.17), ("K_rad_s_V", 6.5), ("fc_V", 0.48)):
         assert getattr(estimates[1], name) == pytest.approx(truth, rel=0.02)
         assert getattr(estimates[1], name) == pytest.approx(getattr(estimates[0], name), rel=0.02)

@@ -39,7 +39,7 @@ class Device:
 
 
 def watch(device: Device, *, real: bool = False) -> PauseWatch:
-    return PauseWatch(device, MonotonicClock() if real else VirtualClock(), 0.01, RAILS)  # type: ignore[arg-type]
+    return PauseWatch(device, MonotonicClock() if real else VirtualClock(), 0.01, RAILS)  # type: ignore[arg-type]  # it only reads
 
 
 def test_in_virtual_time_it_is_read_each_period_of_a_pause() -> None:
@@ -138,7 +138,7 @@ def test_a_pause_begins_where_a_block_that_is_armed_has_ended() -> None:
         readings[0] += 1
         return read()
 
-    bench.driver.read = counted  # type: ignore[method-assign]
+    bench.driver.read = counted  # type: ignore[method-assign]  # for this test
     bench.loop.pause_watch.end()
     assert readings[0] == round(VIRTUAL_PAUSE_S / PERIOD_S)
     assert bench.loop.now_s - before_s == pytest.approx(VIRTUAL_PAUSE_S, abs=PERIOD_S)

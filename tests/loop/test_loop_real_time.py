@@ -17,7 +17,6 @@ import pytest
 import yaml
 
 from rig.backends.clock import MonotonicClock
-from rig.loop import real_time as module
 from rig.loop.real_time import RealTimeSettings, real_time
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -100,9 +99,9 @@ class Machine:
 
 def test_an_exception_in_the_block_gives_everything_back(monkeypatch: pytest.MonkeyPatch) -> None:
     machine = Machine()
-    monkeypatch.setattr(module.os, "sched_setscheduler", machine.setscheduler)
-    monkeypatch.setattr(module.os, "sched_getscheduler", lambda pid: machine.scheduler[0])
-    monkeypatch.setattr(module.ctypes, "CDLL", lambda *a, **k: machine)
+    monkeypatch.setattr(os, "sched_setscheduler", machine.setscheduler)
+    monkeypatch.setattr(os, "sched_getscheduler", lambda pid: machine.scheduler[0])
+    monkeypatch.setattr(ctypes, "CDLL", lambda *a, **k: machine)
     with pytest.raises(ZeroDivisionError), real_time(RealTimeSettings(priority=42)) as done:
         assert machine.scheduler == (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 42)
         assert machine.locked

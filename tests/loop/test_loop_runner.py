@@ -6,6 +6,8 @@ import math
 import os
 import signal
 from array import array
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
 
 import pytest
 from simulated_bench import LIMITS, PERIOD_S, BenchModel, simulated_bench
@@ -15,7 +17,10 @@ from rig.control.law import Constant, Rest
 from rig.faults import Fault
 from rig.loop.statistics import LoopStatistics, Times, quantiles
 from rig.loop.stop_request import stop_on_signals
-from rig.signals import FLAG_SATURATED, FLAG_SKIPPED
+from rig.signals import FLAG_SATURATED, FLAG_SKIPPED, Sample
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class Stalling:
@@ -27,7 +32,7 @@ class Stalling:
     def __init__(self, bench: BenchModel, stalls_s: dict[int, float], ticks: int) -> None:
         self.bench, self.stalls_s, self.ticks, self.n = bench, stalls_s, ticks, 0
 
-    def step(self, sample) -> float:  # type: ignore[no-untyped-def]
+    def step(self, sample: Sample) -> float:
         clock = self.bench.clock
         clock.sleep_until(clock.now_s() + self.stalls_s.get(self.n, 0.0))
         self.n += 1
@@ -70,7 +75,7 @@ def test_a_drive_that_acts_otherwise_than_asked_is_flagged_unless_it_was_lost() 
     bench = simulated_bench()
     read, ticks = bench.driver.read, [0]
 
-    def odd():  # type: ignore[no-untyped-def]
+    def odd() -> Sample:
         ticks[0] += 1
         sample = read()
         if ticks[0] == 5:
@@ -79,7 +84,7 @@ def test_a_drive_that_acts_otherwise_than_asked_is_flagged_unless_it_was_lost() 
             return sample._replace(u_V=0.1, t_u_s=sample.t_u_s - PERIOD_S)
         return sample
 
-    bench.driver.read = odd  # type: ignore[method-assign]
+    bench.driver.read = odd  # type: ignore[method-assign]  # for this test
     with bench.loop.armed(LIMITS):
         bench.loop.run(Constant(0.3, 0.12), "jog")
     assert [k for k, row in enumerate(bench.record.rows) if row["flags"] & FLAG_SATURATED] == [3]
@@ -110,7 +115,7 @@ def test_signals_end_in_a_safe_stop_and_handlers_come_back(number: signal.Signal
 
 def test_any_exception_of_a_law_ends_in_a_safe_stop() -> None:
     class Broken(Constant):
-        def step(self, sample) -> float:  # type: ignore[no-untyped-def]
+        def step(self, sample: Sample) -> float:
             if sample.t_s > 0.1:
                 raise ZeroDivisionError("a bug in a law")
             return 0.3
@@ -124,7 +129,7 @@ def test_any_exception_of_a_law_ends_in_a_safe_stop() -> None:
 
 def test_the_reading_that_ended_the_run_is_the_records_last_row() -> None:
     class Failing(Constant):
-        def step(self, sample) -> float:  # type: ignore[no-untyped-def]
+        def step(self, sample: Sample) -> float:
             return math.nan if sample.t_s > 0.115 else 0.3
 
     bench = simulated_bench()
@@ -139,7 +144,7 @@ def test_a_clock_that_goes_back_is_a_reset() -> None:
     """The reading is in no row: a record whose time goes back cannot be read."""
     bench = simulated_bench()
     read = bench.driver.read
-    bench.driver.read = lambda: (  # type: ignore[method-assign]
+    bench.driver.read = lambda: (  # type: ignore[method-assign]  # for this test
         sample._replace(t_s=sample.t_s - 1.0) if (sample := read()).t_s > 0.2 else sample
     )
     with pytest.raises(Fault, match="DEVICE_RESET"), bench.loop.armed(LIMITS):
@@ -156,7 +161,7 @@ def test_a_dead_recorder_ends_the_run() -> None:
         if bench.loop.now_s > 0.5:
             raise Fault("RECORDER_DEAD", "test")
 
-    bench.record.check = dead  # type: ignore[method-assign]
+    bench.record.check = dead  # type: ignore[method-assign]  # for this test
     with pytest.raises(Fault, match="RECORDER_DEAD"), bench.loop.armed(LIMITS):
         bench.loop.run(Constant(0.3, 5.0), "jog")
     assert bench.loop.now_s < 1.0
@@ -200,16 +205,16 @@ def test_each_part_of_a_tick_is_told_by_its_own_time() -> None:
     bench = simulated_bench()
     clock = bench.clock
 
-    def takes(what, time_s: float):  # type: ignore[no-untyped-def]
-        def slow(*given):  # type: ignore[no-untyped-def]
+    def takes(what: Callable[P, R], time_s: float) -> Callable[P, R]:
+        def slow(*given: P.args, **named: P.kwargs) -> R:
             clock.sleep_until(clock.now_s() + time_s)
-            return what(*given)
+            return what(*given, **named)
 
         return slow
 
-    bench.driver.read = takes(bench.driver.read, 1e-3)  # type: ignore[method-assign]
-    bench.driver.write = takes(bench.driver.write, 3e-3)  # type: ignore[method-assign]
-    bench.record.sample = takes(bench.record.sample, 0.5e-3)  # type: ignore[method-assign]
+    bench.driver.read = takes(bench.driver.read, 1e-3)  # type: ignore[method-assign]  # for this test
+    bench.driver.write = takes(bench.driver.write, 3e-3)  # type: ignore[method-assign]  # for this test
+    bench.record.sample = takes(bench.record.sample, 0.5e-3)  # type: ignore[method-assign]  # for this test
     with bench.loop.armed(LIMITS):
         bench.loop.run(Stalling(bench, dict.fromkeys(range(20), 2e-3), 20), "jog")
     told = bench.loop.statistics.summary().as_json()

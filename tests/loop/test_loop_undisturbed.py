@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from rig.recording.record import Row
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, simulated_bench
 
 from rig.backends.clock import MonotonicClock
@@ -178,10 +179,11 @@ class Lateness(NullSink):
         self.recorder = recorder
         self.late = self.ticks = 0
 
-    def sample(self, tick, sample, stage, z_rad_s, yd_rad, u_V, late_us, io_us, flags) -> None:  # type: ignore[no-untyped-def]
+    def sample(self, *row: *Row) -> None:
+        *_, late_us, _, _ = row
         self.ticks += 1
         self.late += late_us > 0.25e6 * PERIOD_S
-        self.recorder.sample(tick, sample, stage, z_rad_s, yd_rad, u_V, late_us, io_us, flags)
+        self.recorder.sample(*row)
 
     def complete(self, t_u_s: float, u_V: float, flags: int = 0) -> None:
         self.recorder.complete(t_u_s, u_V, flags)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from crossing import Crossing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -29,7 +30,9 @@ motors = st.tuples(
 
 
 @pytest.mark.parametrize("row", TABLE)
-def test_the_table_of_check_values(row):
+def test_the_table_of_check_values(
+    row: tuple[float, ...],
+) -> None:
     cycle = limit_cycle(*row[:5])
     assert cycle.durations_s == pytest.approx(row[5:8], abs=0.6e-6)
     assert cycle.states[1, 1] == pytest.approx(row[8], abs=0.6e-6)
@@ -42,7 +45,7 @@ def test_the_table_of_check_values(row):
 
 @settings(max_examples=60, deadline=None)
 @given(motors)
-def test_the_switching_conditions_hold_and_nothing_else_switches(parameters):
+def test_the_switching_conditions_hold_and_nothing_else_switches(parameters: tuple[float, ...]) -> None:
     tau, K, fc, beyond, share = parameters
     h2 = fc + beyond
     cycle = limit_cycle(tau, K, fc, share * h2, h2)
@@ -68,35 +71,28 @@ def test_the_switching_conditions_hold_and_nothing_else_switches(parameters):
     assert np.all(z < tiny)
 
 
-def test_shape_depends_on_the_gains_and_friction_alone():
+def test_shape_depends_on_the_gains_and_friction_alone() -> None:
     slow, fast = limit_cycle(1.0, 1.0, 0.5, 0.8, 1.0), limit_cycle(0.17, 6.5, 0.5, 0.8, 1.0)
     assert np.array(fast.durations_s) == pytest.approx(0.17 * np.array(slow.durations_s), rel=1e-9)
     assert fast.amplitude_rad == pytest.approx(6.5 * 0.17 * slow.amplitude_rad, rel=1e-9)
     assert fast.eigenvalues() == pytest.approx(slow.eigenvalues(), abs=1e-9)
 
 
-def test_an_ode_solver_with_events_reaches_the_same_cycle():
+def test_an_ode_solver_with_events_reaches_the_same_cycle() -> None:
     tau, K, fc, h1, h2 = 0.17, 6.5, 0.5, 0.8, 1.0
     cycle = limit_cycle(tau, K, fc, h1, h2)
     x, now = np.array([0.0, -0.2, -0.01]), 0.0
     signs = np.array([1.0, -1.0, -1.0])
-    rises = []
+    rises: list[tuple[float, np.ndarray, float]] = []
     while len(rises) < 40:
         u = -h1 * signs[1] - h2 * signs[2] - fc * signs[0]
 
-        def slope(t, x, u=u):
+        def slope(t: float, x: np.ndarray, u: float = u) -> list[float]:
             return [(K * u - x[0]) / tau, x[0], x[1]]
 
-        events = []
-        for k in range(3):
-
-            def crossing(t, x, k=k):
-                return x[k]
-
-            crossing.terminal = True
-            crossing.direction = -signs[k]
-            events.append(crossing)
+        events = [Crossing(k, -signs[k]) for k in range(3)]
         run = solve_ivp(slope, (now, now + 10.0), x, events=events, rtol=1e-11, atol=1e-13, method="DOP853")
+        assert run.t_events is not None
         switched = [k for k in range(3) if run.t_events[k].size]
         now, x = run.t[-1], run.y[:, -1].copy()
         for k in switched:
@@ -111,7 +107,7 @@ def test_an_ode_solver_with_events_reaches_the_same_cycle():
 
 
 @pytest.mark.parametrize("tau", [0.17, 0.4])
-def test_theorem_2_2_is_how_fast_the_stepped_motor_returns(tau):
+def test_theorem_2_2_is_how_fast_the_stepped_motor_returns(tau: float) -> None:
     """Perturb the state at RC, run the exact half period with switching on the planes, compare with J."""
     K, fc, h1, h2 = 6.5, 0.5, 0.8, 1.0
     cycle = limit_cycle(tau, K, fc, h1, h2)
@@ -138,7 +134,7 @@ def test_theorem_2_2_is_how_fast_the_stepped_motor_returns(tau):
 @pytest.mark.parametrize("fc", [0.0, 0.01, 0.5, 3.0])
 @pytest.mark.parametrize("beyond", [0.01, 0.3, 10.0])
 @pytest.mark.parametrize("h1", [0.01, 0.3, 10.0])
-def test_the_solver_finds_the_cycle_far_from_the_usual_gains(fc, beyond, h1):
+def test_the_solver_finds_the_cycle_far_from_the_usual_gains(fc: float, beyond: float, h1: float) -> None:
     cycle = limit_cycle(1.0, 1.0, fc, h1, fc + beyond)
     sine_period = 2.0 * math.pi * beyond / h1
     assert 0.4 * sine_period < cycle.period_s < 2.5 * sine_period
@@ -153,12 +149,12 @@ def test_the_solver_finds_the_cycle_far_from_the_usual_gains(fc, beyond, h1):
         ((0.17, 6.5, 0.5, 0.2, 0.6, 0.9), "sticks"),
     ],
 )
-def test_where_there_is_no_cycle_it_says_why(parameters, words):
+def test_where_there_is_no_cycle_it_says_why(parameters: tuple[float, ...], words: str) -> None:
     with pytest.raises(NoLimitCycle, match=words):
         limit_cycle(*parameters)
 
 
-def test_parameters_out_of_range_are_refused():
+def test_parameters_out_of_range_are_refused() -> None:
     for wrong in ((0.0, 1, 0.1, 1, 1), (1, 1, -0.1, 1, 1), (1, 1, 0.1, 0.0, 1), (1, 1, 0.5, 1, 1, 0.4)):
         with pytest.raises(ValueError, match="need"):
             limit_cycle(*wrong)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
+from crossing import Crossing
 from directional_friction import directional
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -26,7 +28,7 @@ spans = st.floats(0.001, 2.0)
 def integrate(motor: Motor, state: State, u_V: float, dt_s: float) -> np.ndarray:
     """The same by a general ODE solver that stops where the velocity crosses zero."""
 
-    def field(direction: float):
+    def field(direction: float) -> Callable[[float, np.ndarray], list[float]]:
         f = motor.friction
 
         def slope(t: float, x: np.ndarray) -> list[float]:
@@ -35,17 +37,15 @@ def integrate(motor: Motor, state: State, u_V: float, dt_s: float) -> np.ndarray
 
         return slope
 
-    def stop(t: float, x: np.ndarray) -> float:
-        return x[0]
-
-    stop.terminal = True
-    x, now = np.array(state, dtype=float), 0.0
+    stop = Crossing(0)
+    x: np.ndarray = np.array(state, dtype=float)
+    now = 0.0
     direction = math.copysign(1.0, x[0]) if x[0] else 0.0
     while True:
         if direction == 0.0:
             drive = u_V + motor.bias_V
             if -motor.friction.static_minus_V <= drive <= motor.friction.static_plus_V:
-                return x + np.array([0.0, 0.0, x[1] * (dt_s - now)])
+                return np.asarray(x + np.array([0.0, 0.0, x[1] * (dt_s - now)]))
             direction = math.copysign(1.0, drive)
         stop.direction = -direction
         run = solve_ivp(field(direction), (now, dt_s), x, events=stop, rtol=1e-10, atol=1e-12, method="DOP853")
@@ -55,7 +55,7 @@ def integrate(motor: Motor, state: State, u_V: float, dt_s: float) -> np.ndarray
         now, x[0], direction = run.t[-1], 0.0, 0.0
 
 
-def test_first_order_step_response_has_its_textbook_values():
+def test_first_order_step_response_has_its_textbook_values() -> None:
     motor = Motor(0.2, 5.0)
     state = motor.advance(State(), 2.0, 0.2)
     assert state.v == pytest.approx(10.0 * (1.0 - math.exp(-1.0)), rel=1e-14)
@@ -63,14 +63,14 @@ def test_first_order_step_response_has_its_textbook_values():
     assert state.z == pytest.approx(10.0 * 0.02 - 10.0 * (0.04 - 0.04 * (1.0 - math.exp(-1.0))), rel=1e-13)
 
 
-def test_reversal_time_is_the_zero_of_the_velocity():
+def test_reversal_time_is_the_zero_of_the_velocity() -> None:
     tau, v, target = 0.17, 3.0, -6.5
     assert reversal_time(v, target, tau) == pytest.approx(-tau * math.log(target / (target - v)), rel=1e-14)
     assert reversal_time(v, 1.0, tau) == math.inf
     assert reversal_time(0.0, -1.0, tau) == 0.0
 
 
-def test_at_zero_volts_it_stops_after_the_distance_of_the_closed_form():
+def test_at_zero_volts_it_stops_after_the_distance_of_the_closed_form() -> None:
     motor = Motor(0.17, 6.5, coulomb(0.5))
     v, decel = 4.8, 6.5 * 0.5
     stop_s = 0.17 * math.log1p(v / decel)
@@ -79,7 +79,7 @@ def test_at_zero_volts_it_stops_after_the_distance_of_the_closed_form():
 
 
 @pytest.mark.parametrize(("u_V", "moves"), [(0.5, 0), (0.61, 1), (-0.5, 0), (-0.71, -1)])
-def test_static_friction_holds_up_to_its_level_and_then_gives_way_to_the_moving_one(u_V, moves):
+def test_static_friction_holds_up_to_its_level_and_then_gives_way_to_the_moving_one(u_V: float, moves: int) -> None:
     motor = Motor(0.1, 4.0, Friction(0.4, 0.5, 0.6, 0.7))
     end = motor.advance(State(), u_V, 3.0)
     if moves:
@@ -88,7 +88,7 @@ def test_static_friction_holds_up_to_its_level_and_then_gives_way_to_the_moving_
         assert end == State()
 
 
-def test_bias_and_direction_show_in_motion_only_as_asymmetry():
+def test_bias_and_direction_show_in_motion_only_as_asymmetry() -> None:
     one = Motor(0.17, 6.5, Friction(0.5, 0.4, 0.6, 0.6), 0.02)
     other = Motor(0.17, 6.5, Friction(0.45, 0.45, 0.6, 0.6), 0.02 - 0.05)
     assert one.asym_V == pytest.approx(other.asym_V)
@@ -99,7 +99,9 @@ def test_bias_and_direction_show_in_motion_only_as_asymmetry():
 
 @settings(max_examples=60, deadline=None)
 @given(taus, gains, levels, levels, st.floats(1.0, 1.5), st.floats(-0.2, 0.2), speeds, drives, spans)
-def test_advance_is_the_solution_of_the_differential_equation(tau, K, plus, minus, ratio, bias, v, u_V, dt_s):
+def test_advance_is_the_solution_of_the_differential_equation(
+    tau: float, K: float, plus: float, minus: float, ratio: float, bias: float, v: float, u_V: float, dt_s: float
+) -> None:
     motor = Motor(tau, K, directional(plus, minus, ratio), bias)
     state = State(v, 0.3, -0.1)
     if abs(abs(u_V + bias) - max(plus, minus)) < 1e-6:
@@ -111,7 +113,9 @@ def test_advance_is_the_solution_of_the_differential_equation(tau, K, plus, minu
 
 @settings(max_examples=60, deadline=None)
 @given(taus, gains, levels, speeds, drives, spans, st.integers(2, 7))
-def test_many_small_steps_are_one_large_step(tau, K, fc, v, u_V, dt_s, steps):
+def test_many_small_steps_are_one_large_step(
+    tau: float, K: float, fc: float, v: float, u_V: float, dt_s: float, steps: int
+) -> None:
     motor = Motor(tau, K, coulomb(fc))
     whole = motor.advance(State(v), u_V, dt_s)
     state = State(v)
@@ -130,7 +134,9 @@ def test_many_small_steps_are_one_large_step(tau, K, fc, v, u_V, dt_s, steps):
     st.lists(st.tuples(drives, st.floats(0.0, 0.4)), min_size=1, max_size=8),
     st.integers(2, 40),
 )
-def test_response_is_advance_repeated(tau, K, fc, v, plan, samples):
+def test_response_is_advance_repeated(
+    tau: float, K: float, fc: float, v: float, plan: list[tuple[float, float]], samples: int
+) -> None:
     motor = Motor(tau, K, coulomb(fc), 0.03)
     edges = np.concatenate(([0.0], np.cumsum([width for _, width in plan])[:-1]))
     u = np.array([level for level, _ in plan])
@@ -146,7 +152,7 @@ def test_response_is_advance_repeated(tau, K, fc, v, plan, samples):
         assert states[k] == pytest.approx(np.array(state), abs=1e-8 * (1.0 + abs(v) + 4.0 * K))
 
 
-def test_energy_never_grows_without_drive():
+def test_energy_never_grows_without_drive() -> None:
     motor = Motor(0.17, 6.5, coulomb(0.4))
     t = np.linspace(0.0, 3.0, 200)
     v = motor.response(State(5.0), t, [0.0], [0.0])[:, 0]
@@ -158,12 +164,12 @@ def test_energy_never_grows_without_drive():
     ("t_s", "edges", "u"),
     [([1.0, 0.0], [0.0], [1.0]), ([0.0, 1.0], [0.5], [1.0]), ([0.0], [0.0, 1.0], [1.0]), ([0.0], [], [])],
 )
-def test_unordered_times_and_unknown_drive_are_refused(t_s, edges, u):
+def test_unordered_times_and_unknown_drive_are_refused(t_s: list[float], edges: list[float], u: list[float]) -> None:
     with pytest.raises(ValueError, match=r"times|drive|one-dimensional"):
         Motor(0.1, 1.0).response(State(), t_s, edges, u)
 
 
-def test_parameters_out_of_range_are_refused():
+def test_parameters_out_of_range_are_refused() -> None:
     with pytest.raises(ValueError, match="tau_s"):
         Motor(0.0, 1.0)
     with pytest.raises(ValueError, match=">= 0"):

@@ -109,11 +109,11 @@ def product(a: list[Vector], b: list[Vector]) -> list[Vector]:
 
 
 @pytest.mark.parametrize("row", TABLE)
-def test_prediction_is_exact_to_1e_9(row):
+def test_prediction_is_exact_to_1e_9(row: tuple[str, ...]) -> None:
     with localcontext() as context:
         context.prec = 50
         numbers = [Decimal(text) for text in row]
-        exact = Exact(*numbers[:5], numbers[5:])
+        exact = Exact(numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5:])
         j1, j2, j3 = exact.jacobians()
         whole, last = eigenvalues(product(j3, product(j2, j1))), eigenvalues(j3)
         assert max(map(abs, exact.conditions(exact.durations))) < Decimal(10) ** -40
@@ -142,7 +142,9 @@ def test_prediction_is_exact_to_1e_9(row):
         (0.5, 0.5, 1e-5, 1.0, "no cycle can be computed"),
     ],
 )
-def test_where_there_is_no_simple_oscillation_it_says_why(fc, fs, h1, h2, words):
+def test_where_there_is_no_simple_oscillation_it_says_why(
+    fc: float, fs: float, h1: float, h2: float, words: str
+) -> None:
     found = predict_cycle(0.17, 6.5, fc, fs, h1, h2)
     assert not found["oscillates"] and "durations_s" not in found
     with pytest.raises(NoLimitCycle, match=words):
@@ -167,7 +169,7 @@ def made_up(*states: tuple[float, float, float]) -> LimitCycle:
         (made_up((-1, -1, 0), (0, -1, 0.1), (1, 0, 0.1), (1, 1, 0)), "RC"),
     ],
 )
-def test_a_solution_of_the_equations_with_additional_switching_is_no_cycle(cycle, words):
+def test_a_solution_of_the_equations_with_additional_switching_is_no_cycle(cycle: LimitCycle, words: str) -> None:
     """The switching conditions have such solutions as well; the theorem excludes them."""
     with pytest.raises(NoLimitCycle, match=f"additional switching of {words}"):
         theorem._check_no_additional_switching(cycle)
@@ -177,7 +179,9 @@ def test_a_solution_of_the_equations_with_additional_switching_is_no_cycle(cycle
 @given(
     st.floats(0.05, 1.0), st.floats(0.5, 20.0), st.floats(0.0, 1.0), st.floats(0.02, 2.0), st.floats(0.05, 3.0)
 )  # fmt: skip
-def test_started_on_the_cycle_the_loop_switches_as_the_theorem_says_and_not_once_more(tau, K, fc, beyond, h1):
+def test_started_on_the_cycle_the_loop_switches_as_the_theorem_says_and_not_once_more(
+    tau: float, K: float, fc: float, beyond: float, h1: float
+) -> None:
     cycle = limit_cycle(tau, K, fc, h1, fc + beyond)
     # from the switching of RC itself; rounding decides which side of its plane a start lies on, so z is 0 and kept
     start = State(*cycle.states[0])._replace(z=0.0)
@@ -193,7 +197,9 @@ def test_started_on_the_cycle_the_loop_switches_as_the_theorem_says_and_not_once
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(0.05, 1.0), st.floats(0.5, 20.0), st.floats(0.05, 1.0), st.floats(0.0, 1.0), st.floats(0.05, 2.0))
-def test_property_3_1_no_cycle_unless_h2_exceeds_the_friction(tau, K, fc, share, h1):
+def test_property_3_1_no_cycle_unless_h2_exceeds_the_friction(
+    tau: float, K: float, fc: float, share: float, h1: float
+) -> None:
     with pytest.raises(NoLimitCycle, match=r"Property 3\.1"):
         limit_cycle(tau, K, fc, h1, share * fc)
     # and in motion: whatever cycle begins dies away, at rest on the plane or held by friction
@@ -209,7 +215,9 @@ def test_property_3_1_no_cycle_unless_h2_exceeds_the_friction(tau, K, fc, share,
     st.floats(0.05, 1.0), st.floats(0.5, 20.0), st.floats(0.0, 0.8), st.floats(0.1, 2.0), st.floats(0.1, 2.0),
     st.floats(1.05, 2.0),
 )  # fmt: skip
-def test_property_3_2_holds_of_the_exact_cycle_and_not_of_the_sine_alone(tau, K, fc, h1, beyond, more):
+def test_property_3_2_holds_of_the_exact_cycle_and_not_of_the_sine_alone(
+    tau: float, K: float, fc: float, h1: float, beyond: float, more: float
+) -> None:
     """Amplitude grows with h2 and falls with h1; frequency falls with h2 and grows with h1."""
     base = limit_cycle(tau, K, fc, h1, fc + beyond)
     h2_up = limit_cycle(tau, K, fc, h1, fc + more * beyond)

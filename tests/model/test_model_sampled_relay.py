@@ -14,9 +14,20 @@ from rig.model.sampled_relay import Disturbance, relay_test
 from rig.signals import Sample
 
 
-def by_hand(motor, h1_V, h2_V, t_s, t_u_s, noise_rad, torque_V, lsb_rad, start):
+def by_hand(
+    motor: Motor,
+    h1_V: float,
+    h2_V: float,
+    t_s: np.ndarray,
+    t_u_s: np.ndarray,
+    noise_rad: np.ndarray,
+    torque_V: np.ndarray,
+    lsb_rad: float,
+    start: State,
+) -> np.ndarray:
     """The same with the classes that the real loop and the simulated driver use."""
-    relay, state, acting, applied, drives = DualChannelRelay(h1_V, h2_V, 1e9), start, 0.0, 0, []
+    relay, state, acting, applied = DualChannelRelay(h1_V, h2_V, 1e9), start, 0.0, 0
+    drives: list[float] = []
     rows = []
     for k, t in enumerate(t_s):
         read = state.y + noise_rad[k]
@@ -42,7 +53,9 @@ def by_hand(motor, h1_V, h2_V, t_s, t_u_s, noise_rad, torque_V, lsb_rad, start):
     lsb_rad=st.sampled_from([0.0, 4.2 / 1024]),
     static=st.floats(1.0, 1.5),
 )
-def test_it_is_the_loops_own_law_on_the_models_own_motor(seed, latency_periods, lsb_rad, static):
+def test_it_is_the_loops_own_law_on_the_models_own_motor(
+    seed: int, latency_periods: float, lsb_rad: float, static: float
+) -> None:
     rng = np.random.default_rng(seed)
     plus, minus = rng.uniform(0.1, 0.5, 2)
     motor = Motor(rng.uniform(0.08, 0.5), rng.uniform(2, 8), Friction(plus, minus, plus * static, minus * static), 0.02)
@@ -57,8 +70,8 @@ def test_it_is_the_loops_own_law_on_the_models_own_motor(seed, latency_periods, 
     assert np.allclose(found, expected, rtol=0.0, atol=1e-10)
 
 
-def test_what_cannot_be_is_refused():
-    motor, t = Motor(0.2, 5.0), np.arange(10) * 0.01
+def test_what_cannot_be_is_refused() -> None:
+    motor, t = Motor(0.2, 5.0), np.arange(10, dtype=float) * 0.01
     with pytest.raises(ValueError, match="increase"):
         relay_test(motor, 0.8, 1.0, t[::-1], 0.001)
     with pytest.raises(ValueError, match="latencies"):
@@ -69,8 +82,8 @@ def test_what_cannot_be_is_refused():
         relay_test(Motor(0.2, 5.0, tustin(0.4, 0.5, 0.1)), 0.8, 1.0, t, 0.001)
 
 
-def test_viscous_friction_shows_as_a_smaller_tau_and_gain():
-    t = np.arange(200) * 0.01
+def test_viscous_friction_shows_as_a_smaller_tau_and_gain() -> None:
+    t = np.arange(200, dtype=float) * 0.01
     tests = [
         relay_test(motor, 0.8, 1.0, t, 0.001, start=State(y=-0.2))
         for motor in (Motor(0.2, 5.0, tustin(0.4, 0.4, 0.0, 0.1)), Motor(0.2 / 1.5, 5.0 / 1.5, coulomb(0.4)))

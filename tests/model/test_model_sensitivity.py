@@ -15,7 +15,7 @@ from rig.recording.series import steps_of
 STEP = 1e-6
 
 
-def test_position_is_the_recorded_one():
+def test_position_is_the_recorded_one() -> None:
     samples = simulate(motor(asym_V=0.03), dcr(0.8, 1.0), 400, Bench(jitter_s=0.002))
     drive = steps_of(samples.t_u_s, samples.u_V)
     v0, y0, _ = samples.true[50]
@@ -28,7 +28,9 @@ def test_position_is_the_recorded_one():
     st.floats(0.05, 0.6), st.floats(1.0, 10.0), st.floats(0.0, 0.7), st.floats(-0.1, 0.1), st.floats(0.0, 0.015),
     st.floats(0.2, 3.0), st.integers(0, 1000),
 )  # fmt: skip
-def test_jacobian_is_that_of_finite_differences(tau, K, fc, asym, delay, v0, seed):
+def test_jacobian_is_that_of_finite_differences(
+    tau: float, K: float, fc: float, asym: float, delay: float, v0: float, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     edges = np.cumsum(rng.uniform(0.08, 0.3, 12))
     levels = rng.choice([-1.0, 1.0], 12) * rng.uniform(1.0, 2.0, 12)
@@ -48,7 +50,7 @@ def test_jacobian_is_that_of_finite_differences(tau, K, fc, asym, delay, v0, see
         assert jacobian[:, k] == pytest.approx(numeric, abs=2e-4 * (1.0 + np.abs(jacobian[:, k]).max()))
 
 
-def test_a_motor_held_by_friction_does_not_depend_on_its_parameters():
+def test_a_motor_held_by_friction_does_not_depend_on_its_parameters() -> None:
     y, jacobian = position_and_jacobian(
         Theta(0.2, 5.0, 0.5, 0.0, 0.0, 0.0, 0.4),
         np.array([0.0, 1.0]),

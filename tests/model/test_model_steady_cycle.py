@@ -16,9 +16,12 @@ from rig.model.motor import Motor, State
 
 GAINS = (0.8, 1.0)
 SAMPLES = 60
+Vector = list[float] | np.ndarray
 
 
-def curve(theta, edges, gains=GAINS):
+def curve(
+    theta: Vector, edges: list[float], gains: tuple[float, float] = GAINS
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Position at the RC edge 0; both halves, at times from each one's edge on; and the derivatives."""
     t = np.concatenate([np.linspace(0.0, edges[1], SAMPLES), np.linspace(0.0, edges[3], SAMPLES)])
     y, jacobian = np.empty(t.size), np.empty((t.size, 6))
@@ -26,7 +29,7 @@ def curve(theta, edges, gains=GAINS):
     return t, y, jacobian
 
 
-def reversal_times(theta, edges, gains=GAINS):
+def reversal_times(theta: Vector, edges: list[float], gains: tuple[float, float] = GAINS) -> tuple[float, ...]:
     """t1 of both halves, s; 0 where the motor stops before the RC edge."""
     inputs, x = np.empty((2, 3)), np.empty((2, 4))
     steady_cycle._inputs(np.array(theta), gains, inputs)
@@ -34,9 +37,10 @@ def reversal_times(theta, edges, gains=GAINS):
     return tuple(math.exp(theta[0]) * np.log(x[:, 0]))
 
 
-def settled(theta, edges, gains=GAINS, periods=80):
+def settled(theta: Vector, edges: list[float], gains: tuple[float, float] = GAINS, periods: int = 80) -> np.ndarray:
     """Folded positions of the exact motor that has run under these edges for a long time, less what it has drifted."""
-    tau, K, fc, asym, offset, delay = math.exp(theta[0]), math.exp(theta[1]), *theta[2:]
+    tau, K = math.exp(theta[0]), math.exp(theta[1])
+    fc, asym, offset, delay = theta[2:]
     high, low = sum(gains), gains[1] - gains[0]
     one = np.array([0.0, edges[0], edges[1], edges[1] + edges[2]])
     period = edges[1] + edges[3]
@@ -53,7 +57,7 @@ def settled(theta, edges, gains=GAINS, periods=80):
     return np.concatenate([physical[:SAMPLES], -physical[SAMPLES:]])
 
 
-def test_under_its_own_edges_it_is_the_limit_cycle():
+def test_under_its_own_edges_it_is_the_limit_cycle() -> None:
     cycle = limit_cycle(0.17, 6.5, 0.5, *GAINS)
     half, inner = 0.5 * cycle.period_s, sum(cycle.durations_s[:2])
     theta = [math.log(0.17), math.log(6.5), 0.5, 0.0, cycle.states[0, 1], 0.0]
@@ -73,7 +77,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_it_is_what_the_exact_motor_settles_to(case):
+def test_it_is_what_the_exact_motor_settles_to(case: str) -> None:
     theta, edges = CASES[case]
     assert curve(theta, edges)[1] == pytest.approx(settled(theta, edges), abs=1e-9)
     stops = sum(t == 0.0 for t in reversal_times(theta, edges))
@@ -81,7 +85,7 @@ def test_it_is_what_the_exact_motor_settles_to(case):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_its_derivatives_are_those_of_central_differences(case):
+def test_its_derivatives_are_those_of_central_differences(case: str) -> None:
     theta, edges = CASES[case]
     _, _, jacobian = curve(theta, edges)
     for k, step in enumerate(1e-6 * np.eye(6)):
@@ -93,11 +97,13 @@ def test_its_derivatives_are_those_of_central_differences(case):
 
 @settings(max_examples=50, deadline=None)
 @given(st.floats(0.05, 0.5), st.floats(0.5, 20.0), st.floats(0.0, 0.6), st.floats(0.7, 1.4), st.floats(0.7, 1.4))
-def test_the_five_conditions_are_those_of_the_exact_stages_and_so_are_their_derivatives(tau, K, fc, early, late):
+def test_the_five_conditions_are_those_of_the_exact_stages_and_so_are_their_derivatives(
+    tau: float, K: float, fc: float, early: float, late: float
+) -> None:
     durations = (0.1 * early * tau, 0.8 * tau, 0.9 * late * tau)
     theta = np.array([math.log(tau), math.log(K), fc])
 
-    def conditions(x):
+    def conditions(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values, jacobian = np.empty(5), np.empty((5, 3))
         steady_cycle.switching_conditions(x, GAINS, durations, values, jacobian)
         return values, jacobian

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
+from crossing import Crossing
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
@@ -28,7 +30,7 @@ spans = st.floats(0.001, 1.0)
 
 
 @st.composite
-def motors(draw):
+def motors(draw: st.DrawFn) -> Motor:
     fc_plus, fc_minus, ratio = draw(levels), draw(levels), draw(st.floats(1.0, 2.0))
     friction = Friction(
         fc_plus, fc_minus, fc_plus + draw(drops), fc_minus * ratio, draw(widths), draw(viscous)
@@ -36,12 +38,12 @@ def motors(draw):
     return Motor(draw(taus), draw(gains), friction, draw(st.floats(-0.1, 0.1)))
 
 
-def slope(motor: Motor, u_V: float, sign: float):
+def slope(motor: Motor, u_V: float, sign: float) -> Callable[[float, np.ndarray], list[float]]:
     """Right side of the plant's equations while it moves one way, friction written out, smooth a little beyond rest."""
     f = motor.friction
     fc, fs = (f.plus_V, f.static_plus_V) if sign > 0 else (f.minus_V, f.static_minus_V)
 
-    def right_side(t, x):
+    def right_side(t: float, x: np.ndarray) -> list[float]:
         friction = (
             sign * (fc + (fs - fc) * np.exp(min(-sign * x[0] / f.stribeck_rad_s, 3.0))) + f.viscous_V_s_rad * x[0]
         )
@@ -52,18 +54,15 @@ def slope(motor: Motor, u_V: float, sign: float):
 
 def integrate(motor: Motor, state: State, u_V: float, dt_s: float) -> np.ndarray:
     """The same by a general ODE solver that stops where the velocity crosses zero."""
-
-    def stop(t, x):
-        return x[0]
-
-    stop.terminal = True
-    x, now = np.array(state, dtype=float), 0.0
+    stop = Crossing(0)
+    x: np.ndarray = np.array(state, dtype=float)
+    now = 0.0
     while True:
         drive = u_V + motor.bias_V
         if x[0] != 0.0:
             sign = math.copysign(1.0, x[0])
         elif -motor.friction.static_minus_V <= drive <= motor.friction.static_plus_V:
-            return x + np.array([0.0, 0.0, x[1] * (dt_s - now)])
+            return np.asarray(x + np.array([0.0, 0.0, x[1] * (dt_s - now)]))
         else:
             sign = math.copysign(1.0, drive)
         stop.direction = -sign
@@ -86,7 +85,7 @@ def well_posed(motor: Motor, v: float, u_V: float) -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(motors(), speeds, drives, spans)
-def test_advance_is_the_solution_of_the_differential_equation(motor, v, u_V, dt_s):
+def test_advance_is_the_solution_of_the_differential_equation(motor: Motor, v: float, u_V: float, dt_s: float) -> None:
     well_posed(motor, v, u_V)
     scale = 1.0 + abs(v) + motor.K_rad_s_V * (abs(u_V) + 1.0)
     state = State(v, 0.3, -0.1)
@@ -100,7 +99,9 @@ def test_advance_is_the_solution_of_the_differential_equation(motor, v, u_V, dt_
     [(4.0, 0.5, 0.2), (4.0, 0.02, -1.5), (0.5, 1e-3, 0.3), (0.0, 5.0, 1.5), (0.0, 0.2, 0.62), (1e-3, 2.0, 1.2)],
 )
 @pytest.mark.parametrize("width", [0.02, 0.2, 2.0])
-def test_time_path_and_integral_between_two_speeds_are_those_of_quadrature(v0, v1, u_V, width):
+def test_time_path_and_integral_between_two_speeds_are_those_of_quadrature(
+    v0: float, v1: float, u_V: float, width: float
+) -> None:
     """The velocity's equation is separable: t = int dv/a(v), y = int v dv/a(v); an independent peer to 1e-12."""
     motor = Motor(0.17, 6.5, tustin(0.4, 0.6, width, 0.02))
 
@@ -109,10 +110,10 @@ def test_time_path_and_integral_between_two_speeds_are_those_of_quadrature(v0, v
 
     points = [p for p in (width, 5.0 * width, 20.0 * width) if min(v0, v1) < p < max(v0, v1)]
 
-    def total(integrand) -> float:
+    def total(integrand: Callable[[float], float]) -> float:
         value, error = quad(integrand, v0, v1, points=points or None, epsabs=1e-14, epsrel=1e-13, limit=400)
         assert error < 1e-11
-        return value
+        return float(value)
 
     t_s = total(lambda v: 1.0 / acceleration(v))
     y_rad = total(lambda v: v / acceleration(v))
@@ -125,7 +126,7 @@ def test_time_path_and_integral_between_two_speeds_are_those_of_quadrature(v0, v
 @given(st.floats(0.0, 30.0), st.floats(-60.0, 60.0), st.floats(1e-3, 1e3))
 @example(0.0, 1e-9, 50.0)
 @example(3.0, 0.0, 50.0)
-def test_a_step_is_as_good_as_its_bound_says(x, e, b):
+def test_a_step_is_as_good_as_its_bound_says(x: float, e: float, b: float) -> None:
     """A step of the series against twice as many quarter steps, and its terms against Cauchy's estimate."""
     if x == 0.0:
         e = abs(e) + 1e-9
@@ -146,7 +147,7 @@ def test_a_step_is_as_good_as_its_bound_says(x, e, b):
     assert abs(stribeck.speed_at(c, step) - small) <= stribeck.TRUNCATION * radius + rounding
 
 
-def test_the_error_falls_with_the_order_as_the_bound_does(monkeypatch):
+def test_the_error_falls_with_the_order_as_the_bound_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same step cut off earlier: the error is below R RATIO^-p/(RATIO - 1) at every order p."""
     x, e, b = 0.5, -3.0, 4.0
     c, w = [0.0] * (stribeck.ORDER + 1), [0.0] * (stribeck.ORDER + 1)
@@ -161,7 +162,9 @@ def test_the_error_falls_with_the_order_as_the_bound_does(monkeypatch):
 
 @settings(max_examples=40, deadline=None)
 @given(taus, gains, levels, widths, viscous, speeds, drives, spans)
-def test_without_a_drop_of_friction_it_is_the_closed_form(tau, K, fc, width, fv, v, u_V, dt_s):
+def test_without_a_drop_of_friction_it_is_the_closed_form(
+    tau: float, K: float, fc: float, width: float, fv: float, v: float, u_V: float, dt_s: float
+) -> None:
     """With fs = fc, whatever the Stribeck velocity; and viscous friction as effective parameters."""
     shown = Motor(tau / (1.0 + K * fv), K / (1.0 + K * fv), coulomb(fc))
     motor = Motor(tau, K, tustin(fc, fc, width, fv))
@@ -178,7 +181,9 @@ def test_without_a_drop_of_friction_it_is_the_closed_form(tau, K, fc, width, fv,
 
 @settings(max_examples=40, deadline=None)
 @given(taus, gains, levels, st.floats(0.01, 0.3), speeds, drives, spans)
-def test_with_a_vanishing_stribeck_velocity_it_is_static_friction_at_rest_only(tau, K, fc, drop, v, u_V, dt_s):
+def test_with_a_vanishing_stribeck_velocity_it_is_static_friction_at_rest_only(
+    tau: float, K: float, fc: float, drop: float, v: float, u_V: float, dt_s: float
+) -> None:
     assume(min(abs(abs(u_V) - fc), abs(abs(u_V) - fc - drop)) > 1e-3)
     limit = Motor(tau, K, coulomb(fc, fc + drop))
     motor = Motor(tau, K, tustin(fc, fc + drop, 1e-9))
@@ -190,7 +195,7 @@ def test_with_a_vanishing_stribeck_velocity_it_is_static_friction_at_rest_only(t
 
 @settings(max_examples=40, deadline=None)
 @given(motors(), speeds, drives, spans, st.integers(2, 5))
-def test_many_small_steps_are_one_large_step(motor, v, u_V, dt_s, steps):
+def test_many_small_steps_are_one_large_step(motor: Motor, v: float, u_V: float, dt_s: float, steps: int) -> None:
     well_posed(motor, v, u_V)
     whole = motor.advance(State(v), u_V, dt_s)
     state = State(v)
@@ -201,7 +206,7 @@ def test_many_small_steps_are_one_large_step(motor, v, u_V, dt_s, steps):
 
 @settings(max_examples=40, deadline=None)
 @given(motors(), speeds, drives)
-def test_the_mirrored_motor_moves_in_the_mirror(motor, v, u_V):
+def test_the_mirrored_motor_moves_in_the_mirror(motor: Motor, v: float, u_V: float) -> None:
     f = motor.friction
     mirrored = Friction(f.minus_V, f.plus_V, f.static_minus_V, f.static_plus_V, f.stribeck_rad_s, f.viscous_V_s_rad)
     other = Motor(motor.tau_s, motor.K_rad_s_V, mirrored, -motor.bias_V)
@@ -225,7 +230,7 @@ def equilibria() -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_above_the_unstable_speed_it_runs_on_and_below_it_creeps_to_a_stop_and_sticks(sign):
+def test_above_the_unstable_speed_it_runs_on_and_below_it_creeps_to_a_stop_and_sticks(sign: float) -> None:
     unstable, stable = equilibria()
     above = TWO.advance(State(sign * unstable * 1.02), sign * U_TWO, 6.0)
     assert abs(above.v) == pytest.approx(stable, abs=1e-4)
@@ -238,7 +243,7 @@ def test_above_the_unstable_speed_it_runs_on_and_below_it_creeps_to_a_stop_and_s
     assert TWO.terminal_velocity(sign * unstable * 0.98, sign * U_TWO) == 0.0
 
 
-def test_on_the_unstable_speed_it_stays_for_as_long_as_rounding_lets_it():
+def test_on_the_unstable_speed_it_stays_for_as_long_as_rounding_lets_it() -> None:
     low, high = 0.02, 0.05
     for _ in range(200):
         middle = 0.5 * (low + high)
@@ -247,7 +252,7 @@ def test_on_the_unstable_speed_it_stays_for_as_long_as_rounding_lets_it():
     assert held.v == pytest.approx(high, rel=1e-9)
 
 
-def test_from_rest_it_gives_way_above_the_static_level_only():
+def test_from_rest_it_gives_way_above_the_static_level_only() -> None:
     assert TWO.advance(State(), 0.6, 10.0) == State()
     assert TWO.advance(State(), -0.6, 10.0) == State()
     released = TWO.advance(State(), 0.6 + 1e-6, 10.0)
@@ -257,7 +262,7 @@ def test_from_rest_it_gives_way_above_the_static_level_only():
     assert TWO.advance(State(), 0.5, 10.0).v == 0.0
 
 
-def test_without_drive_it_comes_to_rest_and_stays():
+def test_without_drive_it_comes_to_rest_and_stays() -> None:
     t = np.linspace(0.0, 3.0, 300)
     v = TWO.response(State(5.0), t, [0.0], [0.0])[:, 0]
     assert np.all(np.diff(v) <= 0.0)
@@ -269,7 +274,7 @@ def test_without_drive_it_comes_to_rest_and_stays():
 
 @settings(max_examples=60, deadline=None)
 @given(motors(), speeds, drives)
-def test_terminal_velocity_is_where_long_motion_ends(motor, v, u_V):
+def test_terminal_velocity_is_where_long_motion_ends(motor: Motor, v: float, u_V: float) -> None:
     well_posed(motor, v, u_V)
     end = motor.terminal_velocity(v, u_V)
     # a reversal ends where the motion from rest does, and that is well posed as well
@@ -278,7 +283,7 @@ def test_terminal_velocity_is_where_long_motion_ends(motor, v, u_V):
 
 @settings(max_examples=60, deadline=None)
 @given(motors(), speeds, drives, spans)
-def test_pieces_meet_and_velocity_keeps_its_sign_within_each(motor, v, u_V, dt_s):
+def test_pieces_meet_and_velocity_keeps_its_sign_within_each(motor: Motor, v: float, u_V: float, dt_s: float) -> None:
     state, total = State(v, 0.1, 0.0), 0.0
     for piece in motor.pieces(state, u_V, dt_s):
         assert np.array(piece.start) == pytest.approx(np.array(state), abs=1e-10 * (1.0 + abs(v)))
@@ -290,12 +295,12 @@ def test_pieces_meet_and_velocity_keeps_its_sign_within_each(motor, v, u_V, dt_s
     assert np.array(state) == pytest.approx(np.array(motor.advance(State(v, 0.1, 0.0), u_V, dt_s)), abs=1e-12)
 
 
-def test_far_from_rest_it_uses_the_closed_form():
+def test_far_from_rest_it_uses_the_closed_form() -> None:
     kinds = [type(piece) for piece in Motor(0.17, 6.5, tustin(0.4, 0.6, 0.01)).pieces(State(4.0), -1.0, 1.0)]
     assert kinds[0] is Glide and Arc in kinds and kinds[-1] is Glide
 
 
-def test_a_glide_that_ends_where_the_effect_begins_is_followed_by_it_whatever_the_rounding():
+def test_a_glide_that_ends_where_the_effect_begins_is_followed_by_it_whatever_the_rounding() -> None:
     rng = np.random.default_rng(1)
     for width in rng.uniform(0.001, 0.1, 300).tolist():
         motor = Motor(0.17, 6.5, tustin(0.4, 0.6, width))
@@ -305,7 +310,7 @@ def test_a_glide_that_ends_where_the_effect_begins_is_followed_by_it_whatever_th
 
 
 @pytest.mark.parametrize("width", [1e-300, 1e-14, 1e30])
-def test_a_stribeck_velocity_beyond_all_measure_is_static_friction_at_rest_or_at_every_speed(width):
+def test_a_stribeck_velocity_beyond_all_measure_is_static_friction_at_rest_or_at_every_speed(width: float) -> None:
     motor, limit = Motor(0.17, 6.5, tustin(0.4, 0.6, width)), Motor(0.17, 6.5, coulomb(0.6 if width > 1 else 0.4, 0.6))
     for u_V in (-1.5, 0.5, 2.0):
         assert np.array(motor.advance(State(3.0), u_V, 0.5)) == pytest.approx(
@@ -313,7 +318,7 @@ def test_a_stribeck_velocity_beyond_all_measure_is_static_friction_at_rest_or_at
         )
 
 
-def test_the_law_is_that_of_the_theory():
+def test_the_law_is_that_of_the_theory() -> None:
     f = Friction(0.4, 0.5, 0.6, 0.8, 0.1, 0.02)
     assert f.level(0.1) == pytest.approx(0.4 + 0.2 / math.e + 0.002)
     assert f.level(-0.2) == pytest.approx(-0.5 - 0.3 / math.e**2 - 0.004)
@@ -339,7 +344,18 @@ def test_the_law_is_that_of_the_theory():
     taus, gains, levels, st.sampled_from([0.0, 0.05, 0.3]), widths, st.floats(-0.1, 0.1), st.floats(0.0, 0.02), speeds,
     st.lists(st.tuples(drives, st.floats(0.0, 0.3)), min_size=1, max_size=8), st.integers(1, 40),
 )  # fmt: skip
-def test_a_compiled_record_is_advance_repeated(tau, K, fc, drop, width, asym, delay, v0, plan, samples):
+def test_a_compiled_record_is_advance_repeated(
+    tau: float,
+    K: float,
+    fc: float,
+    drop: float,
+    width: float,
+    asym: float,
+    delay: float,
+    v0: float,
+    plan: list[tuple[float, float]],
+    samples: int,
+) -> None:
     edges = np.concatenate(([0.0], np.cumsum([span for _, span in plan])[:-1]))
     drive = steps_of(edges, np.array([level for level, _ in plan]))
     t_s = np.sort(np.linspace(0.01, float(edges[-1]) + 0.4, samples))
@@ -360,7 +376,7 @@ def test_a_compiled_record_is_advance_repeated(tau, K, fc, drop, width, asym, de
         assert y[k] == pytest.approx(state.y, abs=1e-8 * (1.0 + abs(v0) + 4.0 * K))
 
 
-def test_parameters_of_a_record_out_of_range_are_refused():
+def test_parameters_of_a_record_out_of_range_are_refused() -> None:
     drive, t_s = (np.array([0.0]), np.array([1.0])), np.linspace(0.0, 1.0, 5)
     good = StribeckTheta(0.17, 6.5, 0.4, 0.0, 0.0, 0.0, 0.0, 0.6, 0.1)
     assert np.all(np.diff(stribeck_response(good, *drive, t_s)) > 0.0)

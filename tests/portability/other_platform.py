@@ -40,7 +40,7 @@ NOT_ON_WINDOWS = (
         ("SIGHUP", "SIGCONT", "SIGSTOP", "SIGUSR1", "SIGUSR2", "SIGALRM", "SIGKILL", "SIGCHLD", "pthread_sigmask"),
     ),
 )
-LOADED_BEFORE = (
+LOADED_BEFORE: tuple[str, ...] = (
     "numpy",
     "scipy.optimize",
     "scipy.signal",
@@ -89,10 +89,10 @@ def pretend(name: str) -> None:
     hidden = HIDDEN_MODULES if name == "win32" else ()
     real_import = builtins.__import__
 
-    def imported(module: str, *arguments: Any, **more: Any) -> ModuleType:
-        if module in hidden:
-            raise ImportError(f"No module named {module!r}")
-        return real_import(module, *arguments, **more)
+    def imported(name: str, *arguments: Any, **more: Any) -> ModuleType:
+        if name in hidden:
+            raise ImportError(f"No module named {name!r}")
+        return real_import(name, *arguments, **more)
 
     builtins.__import__ = imported
     for module_name in hidden:
@@ -108,7 +108,7 @@ def _refuse_what_windows_refuses() -> None:
             raise ValueError("pass_fds not supported on Windows.")
         real_start(self, *arguments, **more)
 
-    subprocess.Popen.__init__ = start  # type: ignore[method-assign]
+    subprocess.Popen.__init__ = start  # type: ignore[method-assign]  # as on Windows
     real_open, real_mkdir = os.open, os.mkdir
 
     def plain(path: Any) -> None:

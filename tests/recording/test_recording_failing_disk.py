@@ -150,7 +150,7 @@ def test_rows_are_put_on_the_disk_every_second(bench: Bench, monkeypatch: pytest
             return len(synced) >= 3 or looks[0] > 20.0
 
     monkeypatch.setattr("rig.recording.writer.time.monotonic", later)
-    bench.writer.serve(Over(), os.getppid())  # type: ignore[arg-type]
+    bench.writer.serve(Over(), os.getppid())
     assert synced.count("samples.csv") >= 4  # three in the run, and the last
     assert looks[0] < 20.0
 

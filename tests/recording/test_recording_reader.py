@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -382,11 +383,11 @@ def test_reading_costs_little_more_than_the_numbers_themselves(tmp_path: Path) -
     text = run_text(20_000)
     path = csv_file(tmp_path, text)
 
-    def best_s(work: object) -> float:
+    def best_s(work: Callable[[], object]) -> float:
         times = []
         for _ in range(3):
             begin = time.perf_counter()
-            work()  # type: ignore[operator]
+            work()
             times.append(time.perf_counter() - begin)
         return min(times)
 
@@ -396,19 +397,23 @@ def test_reading_costs_little_more_than_the_numbers_themselves(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(("before", "after"), [(6, 6), (6, 9), (3, 9000)])
-def test_rows_that_were_read_before_are_not_parsed_again(tmp_path: Path, monkeypatch, before: int, after: int) -> None:
+def test_rows_that_were_read_before_are_not_parsed_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: int, after: int
+) -> None:
     """A run that goes on: what is read is what reading all of it anew gives, and each row is parsed once."""
     lines = run_text(after).splitlines(keepends=True)
     path = csv_file(tmp_path, "".join(lines[: before + 1]))
     known = read_csv(path)
     path.write_text("".join(lines))
     whole = read_csv(path)
-    parsed = []
+    parsed: list[int] = []
     parse_rows = reader._parse_rows
 
-    def counted(*args):
-        parsed.extend(args[-1])
-        return parse_rows(*args)
+    def counted(
+        path: Path, header: tuple[str, ...], delimiter: str, lines: Sequence[str], numbers: Sequence[int]
+    ) -> dict[str, np.ndarray]:
+        parsed.extend(numbers)
+        return parse_rows(path, header, delimiter, lines, numbers)
 
     monkeypatch.setattr(reader, "_parse_rows", counted)
     again = read_csv(path, known=known)

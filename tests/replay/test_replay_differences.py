@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +30,10 @@ def test_a_drive_that_is_a_unit_off_is_named_wherever_it_is(tmp_path: Path) -> N
     run = copy_of("simulated-jog", tmp_path)
     for k in range(0, len(run.rows), 6):
         row = run.rows[k]
-        found = run.changed(lambda row=row: row.update(u_V=repr(float(row["u_V"]) + unit_V(run))), k).difference
+        found = run.changed(partial(row.update, u_V=repr(float(row["u_V"]) + unit_V(run))), k).difference
         assert found is not None and found.tick == run.tick(k) and found.line == k + 2
         assert found.by == ("guard" if int(row["flags"]) else "law")
+        assert found.recorded_V is not None
         assert found.replayed_V == pytest.approx(found.recorded_V - unit_V(run))
 
 
@@ -44,7 +46,7 @@ def test_a_drive_without_steps_may_differ_by_less_than_a_microvolt(tmp_path: Pat
     k = run.number_of("jog", 3)
     row = run.rows[k]
     for by_V, is_same in ((1e-3, False), (1e-9, True)):
-        done = run.changed(lambda by_V=by_V: row.update(u_V=repr(float(row["u_V"]) + by_V)), k)
+        done = run.changed(partial(row.update, u_V=repr(float(row["u_V"]) + by_V)), k)
         assert (done.difference is None) == is_same
 
 
@@ -65,7 +67,7 @@ def test_one_unit_in_any_stage(name: str, tmp_path: Path) -> None:
     for stage, nth in (("breakaway", 100), (RELAYS[name], 0), (RELAYS[name], -1), (tracked, 57)):
         k = run.number_of(stage, nth)
         row = run.rows[k]
-        done = run.changed(lambda row=row: row.update(u_V=repr(float(row["u_V"]) - unit_V(run))), k)
+        done = run.changed(partial(row.update, u_V=repr(float(row["u_V"]) - unit_V(run))), k)
         assert done.difference is not None and done.replayed == k
         assert (done.difference.tick, done.difference.stage) == (run.tick(k), stage)
         assert str(done.difference).startswith(f"tick {run.tick(k)}, t = ")
@@ -177,7 +179,7 @@ def test_the_integral_and_the_reference_are_held_to_the_record_too(tmp_path: Pat
     for stage, column in (("relay-1", "z_rad_s"), (tracked, "yd_rad")):
         k = run.number_of(stage, 30)
         row = run.rows[k]
-        found = run.changed(lambda r=row, c=column: r.update({c: repr(float(r[c]) + 1e-6)}), k).difference
+        found = run.changed(partial(row.update, {column: repr(float(row[column]) + 1e-6)}), k).difference
         assert found is not None and found.tick == run.tick(k) and found.by == "law"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -171,7 +172,7 @@ def test_what_is_no_run_of_ours_is_bad_input(tmp_path: Path) -> None:
         ({"event": {"t_s": 0.1, "kind": "fault", "code": "NEVER_HEARD_OF"}}, "none of this version"),
     ],
 )
-def test_a_broken_run_is_bad_input_in_words(change: dict, words: str, tmp_path: Path) -> None:
+def test_a_broken_run_is_bad_input_in_words(change: dict[str, Any], words: str, tmp_path: Path) -> None:
     run = RunCopy(GOLDEN / "simulated-jog", tmp_path / "run")
     if "meta" in change:
         key, value = change["meta"]

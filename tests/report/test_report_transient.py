@@ -22,7 +22,7 @@ def run_with(estimate: EstimateResult) -> Run:
 
 def friction(**changes: Any) -> Estimate:
     trace = np.column_stack((np.full((20, 2), np.nan), 0.5 + 1.0 / np.arange(1.0, 21.0) ** 2))
-    values = {"fc_V": 0.5025, "ci95": {"fc_V": (0.49, 0.51)}, "iterates": trace} | changes
+    values: dict[str, Any] = {"fc_V": 0.5025, "ci95": {"fc_V": (0.49, 0.51)}, "iterates": trace} | changes
     return Estimate("least-squares", np.nan, np.nan, **values)
 
 

@@ -21,7 +21,7 @@ from rig.results.reading import parsed, unknown_keys
 
 ROOT = Path(__file__).resolve().parents[2]
 GOLDEN = sorted(path.parent for path in (ROOT / "tests/golden").glob("*/meta.json"))
-KINDS = {"meta.json": RunMeta, "result.json": RunResult}
+KINDS: dict[str, type[Part]] = {"meta.json": RunMeta, "result.json": RunResult}
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from pathlib import Path
 
 import pytest
 
@@ -23,7 +24,7 @@ def test_plain_values_are_counted(parameters: str, plain: int) -> None:
     assert check_signatures.plain_parameters(function) == plain
 
 
-def test_too_many_are_told_by_file_and_line_and_a_cured_one_has_to_leave_the_list(tmp_path):
+def test_too_many_are_told_by_file_and_line_and_a_cured_one_has_to_leave_the_list(tmp_path: Path) -> None:
     file = tmp_path / "crowded.py"
     many = ", ".join(f"p{k}: float" for k in range(7))
     file.write_text(f"class A:\n    def crowded(self, {many}): ...\n\n\ndef cured(a: float): ...\n")

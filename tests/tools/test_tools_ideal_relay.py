@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from crossing import Crossing
 from directional_friction import directional
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,11 +16,12 @@ from scipy.integrate import solve_ivp
 
 from paper.ideal_relay import (
     Relay,
+    RelayRun,
     half_periods,
     ideal_relay,
     settled_cycle,
 )
-from rig.model.friction import coulomb, tustin
+from rig.model.friction import Friction, coulomb, tustin
 from rig.model.limit_cycle import NoLimitCycle, limit_cycle
 from rig.model.motor import Motor, State
 
@@ -32,10 +35,12 @@ TABLE = [
 ]
 EXAMPLE = Motor(0.17, 6.5, coulomb(0.5))
 
+Switching = tuple[float, str, np.ndarray]  # when, of what, and the state there
+
 
 @pytest.mark.parametrize("row", TABLE)
 @pytest.mark.parametrize("start", [State(0.0, -0.2, -0.01), State(3.0, 1.0, 0.5)])
-def test_it_settles_in_the_cycle_of_theorem_2_1(row, start):
+def test_it_settles_in_the_cycle_of_theorem_2_1(row: tuple[float, ...], start: State) -> None:
     tau, K, fc, h1, h2 = row
     theory = limit_cycle(*row)
     cycle = settled_cycle(Motor(tau, K, coulomb(fc)), h1, h2, start)
@@ -47,7 +52,7 @@ def test_it_settles_in_the_cycle_of_theorem_2_1(row, start):
 
 
 @pytest.mark.parametrize("row", TABLE)
-def test_it_comes_to_its_cycle_as_fast_as_theorem_2_2_says(row):
+def test_it_comes_to_its_cycle_as_fast_as_theorem_2_2_says(row: tuple[float, ...]) -> None:
     """The distance from the cycle falls by the largest eigenvalue of J from one half period to the next."""
     tau, K, fc, h1, h2 = row
     theory = limit_cycle(*row)
@@ -66,7 +71,9 @@ def test_it_comes_to_its_cycle_as_fast_as_theorem_2_2_says(row):
     st.floats(0.08, 0.5), st.floats(1.0, 20.0), st.floats(0.1, 0.5), st.floats(0.3, 1.0), st.floats(0.4, 1.0),
     st.floats(-3.0, 3.0), st.floats(0.3, 3.0), st.floats(-1.0, 1.0),
 )  # fmt: skip
-def test_from_wherever_it_starts_on_the_grid_it_settles_in_that_cycle(tau, K, fc, beyond, share, v, y, z):
+def test_from_wherever_it_starts_on_the_grid_it_settles_in_that_cycle(
+    tau: float, K: float, fc: float, beyond: float, share: float, v: float, y: float, z: float
+) -> None:
     h2 = fc + beyond
     theory = limit_cycle(tau, K, fc, share * h2, h2)
     size = theory.amplitude_rad
@@ -77,30 +84,24 @@ def test_from_wherever_it_starts_on_the_grid_it_settles_in_that_cycle(tau, K, fc
     assert cycle.y_events_rad[1] == pytest.approx(theory.states[1, 1], abs=1e-9 * (1.0 + size))
 
 
-def switched_by_an_ode_solver(motor: Motor, h1: float, h2: float, start: State, events: int):
+def switched_by_an_ode_solver(motor: Motor, h1: float, h2: float, start: State, events: int) -> list[Switching]:
     """The same loop by solve_ivp, friction written out, each crossing found by its events."""
     f, K, tau = motor.friction, motor.K_rad_s_V, motor.tau_s
     x, now, signs = np.array(start, dtype=float), 0.0, np.sign(start)
-    found = []
+    found: list[Switching] = []
     while len(found) < events:
         u = motor.bias_V - h1 * signs[1] - h2 * signs[2]
 
-        def slope(t, x, u=u, sign=signs[0]):
+        def slope(t: float, x: np.ndarray, u: float = u, sign: float = signs[0]) -> list[float]:
             fc, fs = (f.plus_V, f.static_plus_V) if sign > 0 else (f.minus_V, f.static_minus_V)
             fade = math.exp(min(-sign * x[0] / f.stribeck_rad_s, 3.0)) if f.stribeck_rad_s else 0.0
             friction = sign * (fc + (fs - fc) * fade) + f.viscous_V_s_rad * x[0]
             return [(K * (u - friction) - x[0]) / tau, x[0], x[1]]
 
-        planes = []
-        for k in range(3):
-
-            def plane(t, x, k=k):
-                return x[k]
-
-            plane.terminal, plane.direction = True, -signs[k]
-            planes.append(plane)
+        planes = [Crossing(k, -signs[k]) for k in range(3)]
         run = solve_ivp(slope, (now, now + 10.0), x, events=planes, rtol=1e-12, atol=1e-14, method="DOP853")
         now, x = run.t[-1], run.y[:, -1].copy()
+        assert run.t_events is not None
         (k,) = [k for k in range(3) if run.t_events[k].size]
         signs[k], x[k] = -signs[k], 0.0
         found.append((now, ("velocity", "position", "integral")[k], x.copy()))
@@ -116,7 +117,7 @@ def switched_by_an_ode_solver(motor: Motor, h1: float, h2: float, start: State, 
         (Motor(0.17, 6.5, tustin(0.4, 0.8, 0.4, 0.04)), State(-1.0, 0.3, 0.02)),
     ],
 )
-def test_every_switching_is_that_of_an_ode_solver_with_events(motor, start):
+def test_every_switching_is_that_of_an_ode_solver_with_events(motor: Motor, start: State) -> None:
     expected = switched_by_an_ode_solver(motor, 0.8, 1.0, start, 18)
     run = ideal_relay(motor, Relay(0.8, 1.0), start, expected[-1][0] + 0.01)
     assert run.end == "time"
@@ -126,7 +127,7 @@ def test_every_switching_is_that_of_an_ode_solver_with_events(motor, start):
         assert np.array(event.state) == pytest.approx(x, abs=1e-9)
 
 
-def test_switchings_lie_on_their_planes_and_the_drive_follows_them():
+def test_switchings_lie_on_their_planes_and_the_drive_follows_them() -> None:
     run = ideal_relay(EXAMPLE, Relay(0.8, 1.0), State(0.0, -0.2, -0.01), 3.0)
     sign = {"position": -1.0, "integral": -1.0}
     for event in run.events:
@@ -138,7 +139,7 @@ def test_switchings_lie_on_their_planes_and_the_drive_follows_them():
 
 
 @pytest.mark.parametrize("friction", [coulomb(0.5), tustin(0.5, 0.6, 0.2)])
-def test_sampled_it_is_the_motor_under_the_drive_that_it_gave(friction):
+def test_sampled_it_is_the_motor_under_the_drive_that_it_gave(friction: Friction) -> None:
     motor = Motor(0.17, 6.5, friction)
     run = ideal_relay(motor, Relay(0.8, 1.0), State(0.0, -0.2, -0.01), 1.5)
     t_s = np.linspace(0.0, run.duration_s, 301)
@@ -151,7 +152,7 @@ def test_sampled_it_is_the_motor_under_the_drive_that_it_gave(friction):
         run.states(np.array([2.0]))
 
 
-def test_without_enough_integral_gain_there_is_no_cycle_and_it_says_what_happens():
+def test_without_enough_integral_gain_there_is_no_cycle_and_it_says_what_happens() -> None:
     """Property 3.1 in motion: h2 <= fc ends at rest on the plane, or held by friction."""
     with pytest.raises(NoLimitCycle, match="switch ever faster"):
         settled_cycle(EXAMPLE, 0.8, 0.45, State(0.0, 0.2, 0.0))
@@ -168,7 +169,7 @@ def test_without_enough_integral_gain_there_is_no_cycle_and_it_says_what_happens
 
 
 @pytest.mark.parametrize("fc", [0.0, 0.2])
-def test_where_h1_exceeds_h2_and_friction_it_may_come_to_rest_at_the_centre_and_says_so(fc):
+def test_where_h1_exceeds_h2_and_friction_it_may_come_to_rest_at_the_centre_and_says_so(fc: float) -> None:
     """Beside the cycle of Theorem 2.1: the integral stands still on y = 0, where RB holds the motor."""
     motor = Motor(1.0, 1.0, coulomb(fc))
     z = 20.0 * abs(limit_cycle(1.0, 1.0, fc, 3.0, 1.0).states[2, 2])
@@ -176,7 +177,7 @@ def test_where_h1_exceeds_h2_and_friction_it_may_come_to_rest_at_the_centre_and_
         settled_cycle(motor, 3.0, 1.0, State(0.0, 0.1, z))
 
 
-def test_a_motor_that_sticks_waits_for_the_integral_and_then_goes_on():
+def test_a_motor_that_sticks_waits_for_the_integral_and_then_goes_on() -> None:
     """Static friction between |h1 - h2| and h1 + h2, and a start that stops early: the integral frees it."""
     motor = Motor(0.05, 6.5, coulomb(0.5, 1.6))
     run = ideal_relay(motor, Relay(0.8, 1.0), State(0.5, 0.3, -0.05), 3.0)
@@ -193,14 +194,14 @@ def test_a_motor_that_sticks_waits_for_the_integral_and_then_goes_on():
 EXAMPLE_4_3 = Motor(0.17, 6.75, tustin(0.39, 0.8361, 0.4, 0.03665))
 
 
-def test_chosen_stribeck_parameters_give_the_surviving_digits_of_example_4_3():
+def test_chosen_stribeck_parameters_give_the_surviving_digits_of_example_4_3() -> None:
     cycle = settled_cycle(EXAMPLE_4_3, 0.8, 1.0, State(0.0, -0.2, -0.01))
     assert cycle.is_simple
     assert [round(t, 4) for t in cycle.durations_s] == [0.0080, 0.1400, 0.1566]
     assert round(abs(cycle.y_events_rad[1]), 4) == 0.3871
 
 
-def test_a_small_stribeck_effect_moves_the_cycle_a_little_and_viscous_friction_is_in_tau_and_K():
+def test_a_small_stribeck_effect_moves_the_cycle_a_little_and_viscous_friction_is_in_tau_and_K() -> None:
     theory = limit_cycle(0.17, 6.5, 0.5, 0.8, 1.0)
     start = State(0.0, -0.2, -0.01)
     near = settled_cycle(Motor(0.17, 6.5, tustin(0.5, 0.5001, 0.1)), 0.8, 1.0, start)
@@ -214,12 +215,14 @@ def test_a_small_stribeck_effect_moves_the_cycle_a_little_and_viscous_friction_i
 # ------------------------------------------------------------------ the single hysteretic relay: docs/theory.md 5.1
 
 
-def ideal_hysteretic_relay(motor, d_V, hysteresis_rad, start, duration_s, sign=-1.0):
+def ideal_hysteretic_relay(
+    motor: Motor, d_V: float, hysteresis_rad: float, start: State, duration_s: float, sign: float = -1.0
+) -> RelayRun:
     """One relay of +-d on the position, with hysteresis; ``sign`` is s_y at the start: the first drive is -sign d."""
     return ideal_relay(motor, Relay(d_V, 0.0, hysteresis_rad), start, duration_s, (sign, 1.0))
 
 
-def test_before_the_first_switching_runs_of_two_relays_are_in_the_ratio_of_their_excess():
+def test_before_the_first_switching_runs_of_two_relays_are_in_the_ratio_of_their_excess() -> None:
     """From rest at zero y_i(t) = (d_i - fc) g(t), which is what the least squares of section 6 lives on."""
     t_s = np.linspace(0.0, 0.4, 50)
     runs = [ideal_hysteretic_relay(EXAMPLE, d, eps, State(), 3.0) for eps, d in ((0.5, 0.8), (0.3, 1.0))]
@@ -230,7 +233,7 @@ def test_before_the_first_switching_runs_of_two_relays_are_in_the_ratio_of_their
     assert runs[0].events[0].state.y == 0.5 and runs[1].events[0].state.y == 0.3
 
 
-def test_the_hysteretic_relay_oscillates_about_its_band():
+def test_the_hysteretic_relay_oscillates_about_its_band() -> None:
     run = ideal_hysteretic_relay(EXAMPLE, 0.8, 0.5, State(), 8.0)
     switches = [event for event in run.events if event.kind == "position"]
     assert len(switches) >= 8
@@ -242,7 +245,7 @@ def test_the_hysteretic_relay_oscillates_about_its_band():
     assert [event.t_s for event in mirrored.events] == pytest.approx([event.t_s for event in run.events])
 
 
-def test_an_integral_relay_beside_hysteresis_misses_no_crossing():
+def test_an_integral_relay_beside_hysteresis_misses_no_crossing() -> None:
     """With hysteresis the position passes zero without a switching, and the integral turns there."""
     run = ideal_relay(EXAMPLE, Relay(0.3, 0.9, 0.2), State(0.0, 0.5, -0.02), 4.0)
     t_s = np.linspace(0.0, run.duration_s, 20_001)
@@ -260,6 +263,6 @@ def test_an_integral_relay_beside_hysteresis_misses_no_crossing():
         (lambda: ideal_relay(EXAMPLE, Relay(0.8, 1.0), State(), 1.0, (0.0, 1.0)), "signs"),
     ],
 )
-def test_what_is_out_of_range_is_refused(call, words):
+def test_what_is_out_of_range_is_refused(call: Callable[[], RelayRun], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         call()

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from paper import build, literals, surviving, switching
+from paper import build, example_4_1, example_4_3, literals, noise, section_5, surviving, switching, theorem_2_1
 from paper.example_4_1 import Result as Result41
 from paper.example_4_1 import below_rests, monotone
 from paper.gauss_newton import features_of, iterate
@@ -25,18 +25,18 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
-def bench_result() -> build.section_5.Result:
+def bench_result() -> section_5.Result:
     """Section V, made small: half a minute of work, which its section and the test of its estimates share."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("rig.session.write_report", lambda *_: None)  # of each run, which nobody reads
-        return build.section_5.compute(3, 4.0, law=False)
+        return section_5.compute(3, 4.0, law=False)
 
 
 @pytest.fixture(scope="module")
-def sections(bench_result: build.section_5.Result) -> Iterator[dict[str, Section]]:
+def sections(bench_result: section_5.Result) -> Iterator[dict[str, Section]]:
     """Every section, made small."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(build.section_5, "compute", lambda *_, **__: bench_result)
+        patch.setattr(section_5, "compute", lambda *_, **__: bench_result)
         yield {section.key: section for section, _ in (build.timed(k, True) for k in range(len(build.STEPS)))}
 
 
@@ -103,7 +103,7 @@ class TestExample41:
 
 def small_4_1() -> Result41:
     """Example 4.1 with few points."""
-    return build.example_4_1.compute(4)
+    return example_4_1.compute(4)
 
 
 class TestTheorem21:
@@ -133,9 +133,9 @@ class TestTheorem21:
             assert np.abs(switching.residuals(other, 0.8, 0.5)).max() > 1e-5
 
     def test_the_loop_returns_as_theorem_2_2_says_and_reaches_the_cycle_from_anywhere_unless_h1_is_large(self) -> None:
-        result = build.theorem_2_1.compute(2, 1, 3, 2)
-        assert build.theorem_2_1.derived(result).holds
-        assert build.theorem_2_1.reached(result).holds
+        result = theorem_2_1.compute(2, 1, 3, 2)
+        assert theorem_2_1.derived(result).holds
+        assert theorem_2_1.reached(result).holds
         assert all(v.arrived == v.starts for v in result.visited_where(False))
         assert result.trapped == "chatter"  # at h1 > h2 + fc there is rest beside the cycle
         assert all(place.radius < 1.0 for place in result.below)
@@ -194,13 +194,13 @@ class TestExample42:
         assert path.steps_until(np.array(surviving.MOTOR)) in (steps - 1, steps, steps + 1)
 
     def test_noise_is_averaged_and_the_chatters_edge_lies_within_a_tick_of_the_crossing(self) -> None:
-        result = build.noise.compute(4)
-        assert result.worst(build.noise.PROGRAM)[-1] < 0.7 * result.worst(build.noise.PROGRAM)[0]
-        assert result.worst(build.noise.EQUATIONS)[-1] > 3.0 * result.worst(build.noise.PROGRAM)[-1]
+        result = noise.compute(4)
+        assert result.worst(noise.PROGRAM)[-1] < 0.7 * result.worst(noise.PROGRAM)[0]
+        assert result.worst(noise.EQUATIONS)[-1] > 3.0 * result.worst(noise.PROGRAM)[-1]
         chatter = result.chatter
         assert chatter.switchings > 1.5
         # RC and RB act up to a tick late, and the cycle grows: two ticks
-        assert abs(chatter.equivalent_s - chatter.crossing_s) < 2.0 * build.noise.SAMPLING_S
+        assert abs(chatter.equivalent_s - chatter.crossing_s) < 2.0 * noise.SAMPLING_S
 
     def test_iterations_stand_beside_the_papers_by_every_rule_for_stopping(self, sections: dict[str, Section]) -> None:
         stops = sections["example-4-2c"].tables()[3]
@@ -228,10 +228,11 @@ class TestExample42:
             (falling, True, "falls from N = 1 to 20"),
         ):
             table = np.array(errors)[:, None, None] / 100.0 * np.ones((5, 2, 3))
-            nothing = dict.fromkeys(build.noise.FORMS, table[0])
-            made = build.noise.Result(dict.fromkeys(build.noise.FORMS, table), nothing, nothing, None, None)  # type: ignore[arg-type]
-            assert build.noise.averaging_helps(made, build.noise.EQUATIONS).holds == helps
-            remark = build.noise._averaging_remark(made, build.noise.EQUATIONS)
+            nothing = dict.fromkeys(noise.FORMS, table[0])
+            tables = dict.fromkeys(noise.FORMS, table)
+            made = noise.Result(tables, nothing, nothing, None, None)  # type: ignore[arg-type]  # neither is asked for
+            assert noise.averaging_helps(made, noise.EQUATIONS).holds == helps
+            remark = noise._averaging_remark(made, noise.EQUATIONS)
             assert words in remark.text
             assert remark.kind == ("agrees" if helps else "differs")
 
@@ -244,10 +245,10 @@ class TestExample42:
 
 class TestExample43:
     def test_without_stribeck_effect_t2_and_t3_are_the_papers_but_not_the_rest(self) -> None:
-        result = build.example_4_3.compute(2)
-        t1, t2, t3, y = build.example_4_3._numbers(result.without_stribeck)
+        result = example_4_3.compute(2)
+        t1, t2, t3, y = example_4_3._numbers(result.without_stribeck)
         assert (f"{t2:.4f}", f"{t3:.4f}") == ("0.1400", "0.1566")
-        assert build.example_4_3.ratio_without_stribeck(result).holds
+        assert example_4_3.ratio_without_stribeck(result).holds
         assert t1 / surviving.TUSTIN_DURATIONS_S[0] - 1.0 == pytest.approx(0.074, abs=0.002)
         assert y / surviving.TUSTIN_POSITION_RAD - 1.0 == pytest.approx(-0.016, abs=0.001)
 
@@ -258,12 +259,12 @@ class TestExample43:
         assert cell(starts, "(0.3, 4, 0.3)", 9).text == "no"
 
     def test_a_law_gives_all_the_surviving_digits(self) -> None:
-        assert build.example_4_3.reproduced(build.example_4_3.compute(2)).holds
+        assert example_4_3.reproduced(example_4_3.compute(2)).holds
 
     def test_viscous_friction_is_absorbed_exactly(self, sections: dict[str, Section]) -> None:
         identified = sections["example-4-3"].tables()[1]
         motor, absorbed, found, errors = identified.rows[:4]
-        shrink = 1.0 + build.example_4_3.VISCOUS_V_S_RAD * surviving.MOTOR.K_rad_s_V
+        shrink = 1.0 + example_4_3.VISCOUS_V_S_RAD * surviving.MOTOR.K_rad_s_V
         assert absorbed[1].exact == pytest.approx(surviving.MOTOR.tau_s / shrink)
         assert found[1].exact == pytest.approx(absorbed[1].exact, rel=1e-6)
         assert found[2].exact == pytest.approx(absorbed[2].exact, rel=1e-6)
@@ -285,7 +286,7 @@ class TestExample43:
 
 class TestSection5:
     def test_the_experiment_is_the_papers_where_that_survived(self) -> None:
-        experiment, _ = check(build.section_5.CONFIG)  # raises where the bench has no room to stop
+        experiment, _ = check(section_5.CONFIG)  # raises where the bench has no room to stop
         gains = experiment.relay.gains
         assert gains is not None
         assert tuple((g.h1_V, g.h2_V) for g in gains) == surviving.BENCH_GAINS
@@ -298,7 +299,7 @@ class TestSection5:
         self, sections: dict[str, Section]
     ) -> None:
         estimates = sections["section-5"].tables()[0]
-        names = build.section_5.NAMES
+        names = section_5.NAMES
         worst = {
             method: max(abs(exact(estimates, names[method], k)) for k in (2, 4, 6))
             for method in ("describing-function", "equations", "triple-relay", "sampled-data")
@@ -309,7 +310,7 @@ class TestSection5:
         assert worst["sampled-data"] < abs(by_squares)
 
     def test_least_squares_is_refused_where_its_starts_move_it_and_its_interval_holds_the_truth(
-        self, bench_result: build.section_5.Result
+        self, bench_result: section_5.Result
     ) -> None:
         """Runs that start a few mrad from zero move it; the interval is that of the value without this."""
         for estimate in (trial.estimates["least-squares"] for trial in bench_result.trials):
@@ -330,7 +331,7 @@ class TestSection5:
 
     def test_slower_sampling_hurts_the_equations_and_not_the_sampled_data(self, sections: dict[str, Section]) -> None:
         (table,) = sections["sampling"].tables()
-        names = build.section_5.NAMES
+        names = section_5.NAMES
         assert exact(table, names["equations"], 2) > 15.0
         assert exact(table, names["equations"], 2) > exact(table, names["equations"], 1)
         assert exact(table, names["sampled-data"], 2) < 2.0

@@ -55,10 +55,16 @@ def test_an_installed_rig_gives_a_config_that_its_check_accepts(wheel: Path, tmp
     clean = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
 
     def rig(*words: str) -> str:
-        command = [home / "bin" / "rig", *words]
-        return subprocess.run(
-            command, cwd=tmp_path, env=clean, check=True, capture_output=True, text=True, timeout=120
-        ).stdout
+        done = subprocess.run(
+            [home / "bin" / "rig", *words],
+            cwd=tmp_path,
+            env=clean,
+            check=True,
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+        return done.stdout
 
     where = subprocess.run(
         [python, "-c", "import rig; print(rig.__file__)"], cwd=tmp_path, env=clean, check=True, capture_output=True,
