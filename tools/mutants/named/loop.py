@@ -307,7 +307,7 @@ SESSION = of(
     (
         "nobody says that the e-stop was pressed since the last run",
         "_begin",
-        "notes=said)",
+        "notes=first_notes)",
         "notes=[])",
         _ends("test_what_the_device_had_latched_since_the_last_run_is_said"),
     ),
