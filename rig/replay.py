@@ -22,7 +22,7 @@ from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.guard import Guard
 from rig.experiment import BREAKAWAY_LAW, stages
 from rig.faults import FAULTS, Fault
-from rig.loop.recorded import Comparison, RecordedClock, RecordedDriver, ReplayLoop
+from rig.loop.recorded import RecordedClock, RecordedDriver, ReplayLoop, RowComparison
 from rig.loop.replayed_rows import OF_GUARD, Difference, Diverged, RecordEnds, ReplayedRows
 from rig.loop.stop_request import StopRequest
 from rig.model.friction import coulomb
@@ -113,7 +113,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None) 
     replayed = ReplayedRows(recording, e.period_s, fault, is_whole, stop, on_progress)
     drive_map = e.drive.map if units is None else replace(e.drive.map, full_units=units)
     driver = RecordedDriver(replayed, order, e.sensor.curve, drive_map, clock_ratio)
-    clock, comparison = RecordedClock(replayed), Comparison(replayed, None if units is None else drive_map.quantised)
+    clock, comparison = RecordedClock(replayed), RowComparison(replayed, None if units is None else drive_map.quantised)
     loop = ReplayLoop(driver, clock, Guard(guard_settings_of(e)), comparison, e.period_s, stop)
     loop.replayed = replayed
     session = Session(

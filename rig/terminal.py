@@ -146,7 +146,7 @@ def show_finding(finding: Finding) -> None:
 
 
 def show_prediction(prediction: dict[str, Any]) -> None:
-    """Show a limit cycle and its stability, or why there is none; ``prediction``: what ``rig predict --json`` prints."""
+    """Show a limit cycle and its stability, or why there is none; ``prediction``: from ``rig predict --json``."""
     if prediction["oscillates"]:
         t1, t2, t3 = prediction["durations_s"]
         stable = "locally stable" if prediction["stable"] else "not locally stable"

@@ -322,7 +322,7 @@ def _compare_with_data_sheet(session: Session, identification: Identification) -
     if no_load_rad_s > 1.1 * e.motor.no_load_speed_rad_s:
         session.found.notes.append(
             f"motor.no_load_speed_rad_s is {e.motor.no_load_speed_rad_s:g}, but by this estimate the shaft would reach "
-            f"{no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V: correct it, since it sets the breakaway check's strokes"
+            f"{no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V: correct it; the breakaway check's strokes rely on it"
         )
 
 
