@@ -27,7 +27,9 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture(scope="module")
 def bench_result() -> build.section_5.Result:
     """Section V, made small: half a minute of work, which its section and the test of its estimates share."""
-    return build.section_5.compute(3, 4.0, law=False)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rig.session.write_report", lambda *_: None)  # of each run, which nobody reads
+        return build.section_5.compute(3, 4.0, law=False)
 
 
 @pytest.fixture(scope="module")
