@@ -32,7 +32,7 @@ class Standstill:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew at the next sample."""
+        """Start again at the next sample."""
         self.still_s = 0.0
         self.same_s = 0.0
         self.low_rad = math.inf

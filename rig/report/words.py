@@ -12,7 +12,7 @@ from rig.report.source import Run
 from rig.results import BreakawayResult, EstimateResult, known
 
 NOTHING_TO_IDENTIFY = "nothing to identify"  # begins the note of a run without an estimate
-Outcome = Literal["ok", "doubtful", "refused", "none"]
+HeadlineOutcome = Literal["ok", "doubtful", "refused", "none"]
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Step(NamedTuple):
 class Headline:
     """The result of the run, for the top of the page."""
 
-    outcome: Outcome
+    outcome: HeadlineOutcome
     title: str
     sentences: tuple[str, ...]
     reasons: tuple[str, ...]
@@ -135,7 +135,7 @@ def headline(run: Run) -> Headline:
     method, estimate = next(iter(run.estimates.items()), ("", EstimateResult()))
     if estimate == EstimateResult():
         return _nothing(run)
-    outcome: Outcome = next((o for o in ("ok", "doubtful", "refused") if o == estimate.verdict), "doubtful")
+    outcome: HeadlineOutcome = next((o for o in ("ok", "doubtful", "refused") if o == estimate.verdict), "doubtful")
     reasons = estimate.reasons
     quantities = tuple(quantity(p, estimate, run.truth) for p in HEADLINE_PARAMETERS)
     name = method.replace("-", " ")

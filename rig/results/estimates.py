@@ -71,12 +71,12 @@ class EstimateResult(Part):
     rows: Rows | None = Field(None, description="first and last row used; null: the model comes from another run")
 
     def value(self, name: str) -> float | None:
-        """One parameter by its name; None where it is not known."""
+        """One parameter by its name; None if it is not known."""
         found = getattr(self, name) if name in type(self).model_fields else None
         return found if isinstance(found, float) else None
 
     def interval(self, name: str) -> tuple[float, float] | None:
-        """The 95 % interval of one parameter; None where it has none."""
+        """The 95 % interval of one parameter; None if it has none."""
         low, high = map(known, (self.ci95 or {}).get(name, (None, None)))
         return (low, high) if math.isfinite(low) and math.isfinite(high) else None
 

@@ -81,7 +81,7 @@ class RunMeta(Part):
     times_error_s: Number = Field(None, description="what the times may be wrong by, s")
     firmware: DeviceSeen | None = Field(None, description="the device as it introduced itself")
     drive: SupplyBelieved | None = Field(None, description="the motor supply by the config")
-    failsafe: Text = Field("", description="what stops the drive where the host is silent")
+    failsafe: Text = Field("", description="what stops the drive if the host is silent")
     started_utc: Text | None = Field(None, description="when the run started: ISO 8601, UTC")
     versions: dict[str, JsonValue] = Field({}, description="of rig and Python")
     host: dict[str, JsonValue] = Field({}, description="the machine")

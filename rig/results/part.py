@@ -44,7 +44,7 @@ def _known(value: object) -> object:
 Real = Annotated[float, Strict()]
 """A number; a text or a boolean is none."""
 Number = Annotated[float | None, Strict(), BeforeValidator(_known)]
-"""A number, or None (JSON: null) where it is not known; nan and infinity become None."""
+"""A number, or None (JSON: null) if it is not known; nan and infinity become None."""
 Flag = Annotated[bool, Strict()]
 Sometimes = Annotated[_T | None, Mark.NOT_IN_EACH_FILE, Mark.NEVER_NULL]
 """A key that the file leaves out if it has no value."""

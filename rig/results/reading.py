@@ -157,7 +157,7 @@ def _order(path: _Path) -> list[tuple[int, int | str]]:
 
 
 def _without(data: Any, path: Sequence[int | str]) -> Any:
-    """The data without the piece at a path; without anything where the path is ()."""
+    """The data without the piece at a path; empty if the path is ()."""
     if not path:
         return {}
     *above, last = path

@@ -299,7 +299,7 @@ def test_words_from_files_are_never_markup_or_mathematics(run: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_the_ladder_of_friction_laws_is_a_table_with_its_reason(run: Path) -> None:
+def test_the_nested_friction_laws_are_a_table_with_its_reason(run: Path) -> None:
     rungs = [
         {"law": "asymmetric", "parameters": {"fc_V": 0.481}, "criterion": 151.2, "standing": "too simple"},
         {
@@ -499,7 +499,7 @@ ESTIMATE = st.dictionaries(
     ),
     NUMBER | st.dictionaries(st.sampled_from(["tau_s", "K_rad_s_V", "fc_V"]), st.lists(NUMBER, max_size=3)),
 )
-RUNG = st.dictionaries(
+LAW_FIT = st.dictionaries(
     st.sampled_from(["law", "standing", "parameters", "criterion", "held_out_rms_rad"]),
     NUMBER | st.dictionaries(st.sampled_from(["fc_V", "fs_V"]), NUMBER),
 )
@@ -514,7 +514,7 @@ RESULT = st.fixed_dictionaries(
         "faults": ANY_JSON,
         "notes": ANY_JSON,
         "breakaway": ANY_JSON,
-        "friction_law": ANY_JSON | st.fixed_dictionaries({"rungs": st.lists(RUNG | ANY_JSON, max_size=3)}),
+        "friction_law": ANY_JSON | st.fixed_dictionaries({"rungs": st.lists(LAW_FIT | ANY_JSON, max_size=3)}),
         "search": ANY_JSON,
     },
 )
