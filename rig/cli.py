@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 import click
 from rich.console import Console
 
-import rig
 from rig import config, preflight
 from rig.backends.emulated.errors import EmulationError
 from rig.faults import Fault
+from rig.package import VERSION
 from rig.recording.errors import CannotWriteError, RecordingError
 from rig.recording.folder import json_text
 from rig.results import RunMeta, RunResult, known
@@ -142,7 +142,7 @@ class _Commands(click.Group):
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
-@click.version_option(rig.__version__, prog_name="rig")
+@click.version_option(VERSION, prog_name="rig")
 def main() -> None:
     """Identify and control a friction-impeded DC motor by relay feedback."""
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from rig.errors import RigError
 from rig.signals import plain
 
 
@@ -201,9 +202,10 @@ FAULTS: dict[str, FaultEntry] = {
         "start it again; a relay test that had its cycles can be identified: `rig identify RUN`",
     ),
     "LAW_FAILED": FaultEntry(
-        "the program asked for a drive that is no number",
-        "this is a defect of rig: please report it with the run folder, which `rig export RUN --to run.json` makes "
-        "one file",
+        "the law failed, or asked for a drive that is no number",
+        "of a law of your own, mend the line that is named here, or that events.jsonl names in its traceback; of rig's "
+        "own this is a defect: please report it with the run folder, which `rig export RUN --to run.json` makes one "
+        "file",
     ),
     "INTERNAL": FaultEntry(
         "the program failed",
@@ -260,7 +262,7 @@ def since_the_last_run(code: str) -> str:
     return f"{_SINCE_THE_LAST_RUN.get(code, FAULTS[code].cause)} since the last run: the device had latched {code}"
 
 
-class Fault(Exception):
+class Fault(RigError):
     """A latched fault: code, cause, cure, and what was seen here.
 
     code    a key of ``FAULTS``

@@ -20,13 +20,15 @@ from rig.config.schema import Experiment, Method
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.guard import Guard
-from rig.experiment import BREAKAWAY_LAW, stages
+from rig.control.law import OwnLaw, Timed
+from rig.experiment import BREAKAWAY_LAW, configured_law, stages
 from rig.faults import FAULTS, Fault
 from rig.loop.recorded import RecordedClock, RecordedDriver, ReplayLoop, RowComparison
 from rig.loop.replayed_rows import OF_GUARD, Difference, Diverged, RecordEnds, ReplayedRows
 from rig.loop.stop_request import StopRequest
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
+from rig.plug_ins import PlugInError
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META
 from rig.recording.reader import Recording, read_run
@@ -89,10 +91,11 @@ class Replay:
         }
 
 
-def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None) -> Replay:
+def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, own: OwnLaw | None = None) -> Replay:
     """Replay a run folder. Writes nothing.
 
     on_progress  called now and then with (rows done, rows in all)
+    own          a new object of the user's law that ran; None: the law that the config names, if it names one
     Raises RecordingError if the folder cannot be read, or lacks what a replay needs; ConfigError for its config.
     """
     recording = read_run(folder)
@@ -105,7 +108,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None) 
                 folder / name, "is missing", f"a run cannot be replayed without {kept}; copy the whole folder"
             )
     e = config.load(folder / CONFIG)
-    script = _script(recording)
+    script = _script(recording, e, own)
 
     order, units, clock_ratio = _device(recording)
 
@@ -199,7 +202,7 @@ def _ending(recording: Recording) -> tuple[Fault | None, bool]:
     return fault, "end" in kinds and not torn and "record_lost" not in kinds
 
 
-def _script(recording: Recording) -> Script:
+def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
     """The stages of the run that drive; a replay leaves out those that only read the recording."""
     what = _meta_with(recording, "script").script
     name = None if what is None else what.name
@@ -220,7 +223,10 @@ def _script(recording: Recording) -> Script:
     def by_hand(session: Session) -> None:
         stages.drive_by_hand(session, *jogged)
 
-    scripts = {"run": tests, "relay": tests, "breakaway": check, "track": check, "jog": by_hand}
+    def own_law(session: Session) -> None:
+        stages.drive_law(session, users[0], law(session.experiment))
+
+    scripts = {"run": tests, "relay": tests, "breakaway": check, "track": check, "jog": by_hand, "law": own_law}
     script = scripts.get(name or "")
     if script is None or what is None:
         raise RecordingError(
@@ -234,7 +240,26 @@ def _script(recording: Recording) -> Script:
         if what.u_V is None or what.duration_s is None:
             raise _broken(recording, "script", what.as_json())
         jogged = (what.u_V, what.duration_s)
+    users = [_users_law(recording, what, e, own)] if script is own_law else []
     return script
+
+
+def _users_law(recording: Recording, what: ScriptCall, e: Experiment, own: OwnLaw | None) -> Timed:
+    """The law of the user's own that ran: the one that is given, or the one that the config names."""
+    if own is not None and what.duration_s is not None:
+        return Timed(own, what.duration_s, what.law or type(own).__name__)
+    if e.law is None:
+        raise RecordingError(
+            recording.source / META,
+            f"the law {what.law!r} was an object of a program, which a run folder does not hold",
+            "replay it from Python, with the law made anew: rig.replay(run, law=MyLaw())",
+        )
+    try:
+        return configured_law(e.law)
+    except (LookupError, ValueError, PlugInError) as error:
+        raise RecordingError(
+            recording.source / CONFIG, f"its law cannot be made: {error}", "install the package that offers it"
+        ) from error
 
 
 def _breakaway_law(recording: Recording, what: ScriptCall) -> Callable[[Experiment], BreakawayLaw]:

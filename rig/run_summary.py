@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-import rig
 from rig.backends.registry import Bench, backend_of
 from rig.config import Experiment
 from rig.control.breakaway import BreakawayLaw
@@ -17,6 +16,7 @@ from rig.control.excitation import GainSearch
 from rig.faults import Fault
 from rig.identify import Identification
 from rig.loop.statistics import LoopStatistics
+from rig.package import VERSION as RIG_VERSION
 from rig.preflight import notes
 from rig.preflight.room_to_stop import device_watchdog_s
 from rig.recording.stage import Stage
@@ -93,7 +93,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
         if bench.driver.failsafe is None or watchdog_s is None
         else f"device watchdog, {watchdog_s * 1e3:.0f} ms",
         started_utc=started.isoformat(timespec="milliseconds"),
-        versions={"rig": rig.__version__, "python": platform.python_version()},
+        versions={"rig": RIG_VERSION, "python": platform.python_version()},
         host={"system": platform.platform(), "machine": platform.machine()},
         command=" ".join(sys.argv),
         truth=true_motor(bench),

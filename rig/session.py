@@ -45,6 +45,11 @@ class Outcome:
     failures: list[str] = field(default_factory=list)
 
     @property
+    def traceback(self) -> str:
+        """Where a law of the user's own raised what ended the run; empty if none did."""
+        return "" if self.fault is None else traceback_of(self.fault)
+
+    @property
     def failure(self) -> str:
         """Why the run failed, in words; empty if it did not."""
         why = ([] if self.fault is None else [str(self.fault)]) + self.failures
@@ -165,6 +170,8 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
         session.loop.check_stop()
     except Fault as seen:
         fault = seen
+        if text := traceback_of(seen):
+            session.note("traceback", text=text[-2000:])
     except (IdentifyError, RecordingError) as error:
         fault = Fault("NOT_IDENTIFIED", f"{error.cause}; {error.cure}")
     except Exception as error:  # noqa: BLE001 - whatever it is, the run ends with its record and a result
@@ -177,6 +184,13 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
     session.found.notes += _loop_notes(session.loop)
     session.note("end")
     return fault
+
+
+def traceback_of(fault: Fault) -> str:
+    """The traceback of the exception that a user's law raised, for the user; empty of any other fault."""
+    if fault.code != "LAW_FAILED" or fault.__cause__ is None:
+        return ""
+    return "".join(traceback.format_exception(fault.__cause__))
 
 
 def _loop_notes(loop: Loop) -> list[str]:
@@ -286,4 +300,4 @@ def _stages(experiment: Experiment) -> list[str]:
         runs = range(1, len(experiment.relay.hysteretic) + 1)
         relays += [str(StageKind.HOMING), *(str(Stage.hysteretic(number)) for number in runs)]
     tracks = [] if experiment.tracking is None else [str(Stage.track(method)) for method in experiment.tracking.methods]
-    return ["rest", "jog", "breakaway", "search", *relays, *tracks, STOPPING]
+    return ["rest", "jog", "breakaway", "search", *relays, *tracks, str(StageKind.LAW), STOPPING]

@@ -101,6 +101,8 @@ def show_run(outcome: Outcome) -> None:
     click.echo(f"run:    {outcome.folder}")
     if (outcome.folder / "report.html").is_file():  # if it is missing, the failure says why
         click.echo(f"report: {outcome.folder / 'report.html'}")
+    if outcome.traceback:
+        click.echo(outcome.traceback, err=True, nl=False)
     if outcome.failure:
         click.echo(f"rig: {outcome.failure}", err=True)
         if outcome.fault is not None:

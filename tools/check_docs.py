@@ -19,7 +19,7 @@ from rig.cli import main as rig_command
 
 ROOT = Path(__file__).resolve().parent.parent
 LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(?:#([^)\s]+))?\)")
-CODE = re.compile(r"```(?:sh|console|bash)?\n(.*?)```|`([^`\n]+)`", re.DOTALL)
+CODE = re.compile(r"```\w*\n(.*?)```|`([^`\n]+)`", re.DOTALL)
 
 # a path of the project in a line of code, such as `rig/control/guard.py`
 PATH = re.compile(r"`((?:rig|tests|tools|firmware|config|docs)/[\w./-]*)`")

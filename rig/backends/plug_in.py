@@ -11,25 +11,20 @@ has more to say than a driver can: a section of its own, rules, a link budget, a
 
 from __future__ import annotations
 
-import inspect
-import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import EntryPoint
-from pathlib import Path
 from types import MappingProxyType
 
+from rig import plug_ins
 from rig.backends.backend import Backend, Unopened, host_clock, truth_of
 from rig.backends.driver import DeviceWatchdog, Driver, DriverSettings, RelayDriver
 from rig.backends.keys import keys_of_built_in
 from rig.config.problems import ConfigError, Problem, wrong
 from rig.config.schema import Experiment
+from rig.plug_ins import PlugInError
 
 _ARGUMENTS = {"open": 0, "arm": 1, "read": 0, "write": 1, "safe_stop": 0, "close": 0}
-
-
-class PlugInError(Exception):
-    """A driver that cannot be used: who offers it, and what is wrong with it."""
 
 
 def loaded(entry: EntryPoint) -> type[Driver] | Backend:
@@ -41,7 +36,7 @@ def loaded(entry: EntryPoint) -> type[Driver] | Backend:
     try:
         found: object = entry.load()
     except Exception as error:  # whatever it is, the other package did it
-        raise PlugInError(f"{who} cannot be imported: {_in_words(error)}") from error
+        raise PlugInError(f"{who} cannot be imported: {plug_ins.in_words(error)}") from error
     if isinstance(found, Backend):
         if found.name != entry.name:
             raise PlugInError(f"{who}: its name must be {entry.name!r}, not {found.name!r}")
@@ -51,10 +46,10 @@ def loaded(entry: EntryPoint) -> type[Driver] | Backend:
     missing = [method for method in _ARGUMENTS if not callable(getattr(found, method, None))]
     if missing:
         raise PlugInError(f"{who} lacks {', '.join(missing)}")
-    if not _takes(found, 1):
+    if not plug_ins.takes(found, 1):
         raise PlugInError(f"{who} must be constructed as {found.__name__}(settings), with one DriverSettings")
     for method, arguments in _ARGUMENTS.items():
-        if not _takes(getattr(found, method), 1 + arguments):
+        if not plug_ins.takes(getattr(found, method), 1 + arguments):
             raise PlugInError(f"{who}: {method} must take {arguments or 'no'} argument{'s' * (not arguments)}")
     return found
 
@@ -71,7 +66,7 @@ def constructed(entry: EntryPoint, driver_class: type[Driver], settings: DriverS
     except ValueError:
         raise
     except Exception as error:  # whatever it is, the other package did it
-        raise PlugInError(f"{who} cannot be constructed: {_in_words(error)}") from error
+        raise PlugInError(f"{who} cannot be constructed: {plug_ins.in_words(error)}") from error
     missing = [name for name in ("order", "failsafe", "backend", "link_statistics") if not hasattr(driver, name)]
     if missing:
         raise PlugInError(f"{who} lacks {', '.join(missing)}")
@@ -89,24 +84,7 @@ def constructed(entry: EntryPoint, driver_class: type[Driver], settings: DriverS
 
 def described(entry: EntryPoint) -> str:
     """A driver in words: its name, where it is, and the package that offers it."""
-    package = f" of {entry.dist.name} {entry.dist.version}" if entry.dist is not None else ""
-    return f"driver {entry.name!r} ({entry.value}{package})"
-
-
-def _takes(function: object, arguments: int) -> bool:
-    """Whether something can be called with so many positional arguments."""
-    try:
-        inspect.signature(function).bind(*[None] * arguments)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return False
-    return True
-
-
-def _in_words(error: Exception) -> str:
-    """An exception of another package: what, and in which of its lines."""
-    frames = traceback.extract_tb(error.__traceback__)
-    place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
-    return f"{type(error).__name__}: {error}{place}"
+    return plug_ins.described(entry, "driver")
 
 
 def driver_settings_of(e: Experiment) -> DriverSettings:

@@ -5,22 +5,21 @@ A config comes in here once, and goes out as an open bench.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.backends.backend import Backend, Unopened
 from rig.backends.driver import Clock, DeviceInfo, Driver, DriverSettings
-from rig.backends.plug_in import PlugIn, PlugInError, driver_settings_of, loaded, refused
+from rig.backends.plug_in import PlugIn, driver_settings_of, loaded, refused
 from rig.config.problems import Problem, printable, wrong
 from rig.config.schema import Experiment
 from rig.faults import Fault
+from rig.plug_ins import PlugInError, offered
 
 if TYPE_CHECKING:  # these load slowly
     from rig.backends.emulated.board_process import BoardProcess
@@ -51,21 +50,7 @@ class Bench:
 
 def registered() -> dict[str, EntryPoint]:
     """What installed packages offer, by name. Raises PlugInError if two offer the same name."""
-    found: dict[str, EntryPoint] = {}
-    for entry in _installed(entry_points, tuple(sys.path)):
-        if entry.name in found and found[entry.name].value != entry.value:
-            raise PlugInError(
-                f"two drivers are called {entry.name!r}: {found[entry.name].value} and {entry.value}; "
-                "uninstall one of the packages"
-            )
-        found[entry.name] = entry
-    return found
-
-
-@lru_cache(maxsize=4)
-def _installed(finder: Callable[..., Iterable[EntryPoint]], places: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """What is offered. Looking through all packages takes milliseconds: once for each finder and list of places."""
-    return tuple(finder(group=GROUP))
+    return offered(GROUP, "driver", entry_points)
 
 
 def load(name: str) -> type[Driver] | Backend:

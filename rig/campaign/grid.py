@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.config.campaign import Campaign
+from rig.errors import RigError
 from rig.model.describing_function import predict
 from rig.model.friction import coulomb
 from rig.model.motor import Motor, State
@@ -28,7 +29,7 @@ MOST_DRAWS = 10_000
 LONGEST_CYCLE = 1.6  # of the describing function's period: delay and sampling make the cycle longer
 
 
-class CampaignError(Exception):
+class CampaignError(RigError):
     """A campaign that cannot be run: one line of cause, one of cure."""
 
     def __init__(self, cause: str, cure: str) -> None:

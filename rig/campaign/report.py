@@ -8,11 +8,11 @@ from pathlib import Path
 
 import jinja2
 
-import rig
 from rig.campaign import picture
 from rig.campaign.results import Table
 from rig.campaign.summary import MAIN, ParameterSums, Summary, Sums
 from rig.config import Campaign, dump
+from rig.package import VERSION
 from rig.recording.folder import write_whole
 
 PICTURE = "campaign.png"
@@ -52,7 +52,7 @@ def write_report(folder: Path, campaign: Campaign, table: Table, found: Summary)
         told=picture.TOLD,
         picture=base64.b64encode(image).decode("ascii"),
         config=dump(campaign),
-        version=rig.__version__,
+        version=VERSION,
     )
     write_whole(folder / REPORT, page.encode("utf-8"))
 

@@ -21,10 +21,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-import rig
 from rig.campaign.grid import CampaignError
 from rig.campaign.trial import COLUMNS, Row
 from rig.config import Campaign, dump
+from rig.package import FOLDER, VERSION
 from rig.recording.folder import CONFIG, META, write_config, write_meta
 
 RESULTS: Final = "results.csv"
@@ -41,7 +41,7 @@ def config_hash(campaign: Campaign) -> str:
 
 def program_hash() -> str:
     """Of the sources that a row depends on: models, identification, and the campaign's own grid and trial."""
-    room = Path(rig.__file__).parent
+    room = FOLDER
     files = [*sorted((room / "model").rglob("*.py")), *sorted((room / "identify").rglob("*.py"))]
     files += [room / "campaign" / "grid.py", room / "campaign" / "trial.py"]
     return _sha256(b"\0".join(file.read_bytes() for file in files))
@@ -185,7 +185,7 @@ def _begin(folder: Path, campaign: Campaign) -> None:
         folder,
         {
             "name": campaign.name,
-            "rig": rig.__version__,
+            "rig": VERSION,
             "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
             "config_sha256": config_hash(campaign),
             "program_sha256": program_hash(),

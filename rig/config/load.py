@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,20 +16,24 @@ from rig.config.problems import ConfigError, Problem
 from rig.config.schema import Experiment
 from rig.config.yaml12 import Document, emit, parse
 
+Given = str | PathLike[str] | Mapping[str, Any]  # a file, or its keys with their values
+IN_PYTHON = "config"  # what a config is called that is in no file
+
 _Schema = TypeVar("_Schema", Experiment, Campaign)
 
 
-def load(path: str | PathLike[str]) -> Experiment:
-    """The experiment in a YAML file (UTF-8). Raises ConfigError, and nothing else, if there is none in it.
+def load(path: Given) -> Experiment:
+    """The experiment in a YAML file (UTF-8), or in a mapping with the same keys.
 
+    Raises ConfigError, and nothing else, if there is none in it.
     What is loaded need not be safe to run: that is ``rig.preflight.check``.
     """
     return load_with_places(path)[0]
 
 
-def load_with_places(path: str | PathLike[str]) -> tuple[Experiment, Document]:
+def load_with_places(path: Given) -> tuple[Experiment, Document]:
     """``load``, and the file that it came from, which knows the place of each key."""
-    document = _read(path)
+    document = Document(IN_PYTHON, dict(path)) if isinstance(path, Mapping) else _read(path)
     return _experiment(document), document
 
 
@@ -99,7 +104,11 @@ def _experiment(document: Document) -> Experiment:
 def _validated(document: Document, schema: type[_Schema]) -> _Schema:
     # as JSON: there, lists are tuples and sections are objects even in strict mode, and "1" is no number
     try:
-        return schema.model_validate_json(json.dumps(document.data), strict=True)
+        text = json.dumps(document.data)
+    except (TypeError, ValueError) as error:  # only a program can give such a value
+        raise ConfigError([Problem((), f"holds what no file can: {error}", "", document.file)]) from error
+    try:
+        return schema.model_validate_json(text, strict=True)
     except ValidationError as error:
         problems = explain(error.errors(include_url=False), document, schema)
         raise ConfigError(problems) from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from rig.errors import RigError
 from rig.signals import plain
 
 Path = tuple[str | int, ...]  # keys and list indices from the top, e.g. ("relay", "gains", 0, "h1_V")
@@ -69,7 +70,7 @@ def wrong(key: str, message: str, hint: str = "") -> Problem:
     return Problem(tuple(key.split(".")), message, hint)
 
 
-class ConfigError(Exception):
+class ConfigError(RigError):
     """A configuration that cannot be used. ``problems``: what is wrong, at least one; ``str``: one line each."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:

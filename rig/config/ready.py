@@ -5,11 +5,13 @@ from __future__ import annotations
 import difflib
 from pathlib import Path
 
+from rig.errors import RigError
+
 _PACKAGE = Path(__file__).resolve().parents[1]
 _SUFFIX = ".yaml"
 
 
-class UnknownConfigError(Exception):
+class UnknownConfigError(RigError):
     """There is no ready config of this name: one line of cause, one of cure."""
 
     def __init__(self, name: str) -> None:

@@ -318,6 +318,16 @@ class Tracking(_Section):
     )
 
 
+class OwnLaw(_Section):
+    """A law of a user's own, which a package offers as entry point of the group `rig.laws`."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=40)] = Field(
+        description="by which the package offers it"
+    )
+    duration_s: Annotated[float, Field(gt=0, le=3600)] = Field(10.0, description="it ends then at the latest")
+    options: dict[str, Any] = Field({}, description="whatever the law asks for, by name; see its own documentation")
+
+
 class EmulatedMotor(_Section):
     """The true motor behind an emulated or simulated device."""
 
@@ -421,6 +431,9 @@ class Experiment(_Section):
     breakaway: Breakaway = Field(Breakaway(), description="the check before any relay")
     relay: Relay = Field(description="the relay experiment")
     tracking: Tracking | None = Field(None, description="leave out to skip the tracking check")
+    law: OwnLaw | None = Field(
+        None, description="a law of your own: `rig run` runs the breakaway check and this law, and nothing else"
+    )
     emulated: Emulated | None = Field(None, description="the bench behind `driver: simulated` or `port: emulated`")
 
     @property

@@ -98,7 +98,8 @@ class Document:
             return problem.at(self.file, *self._values[path])
         while path and path not in self._keys:
             path = path[:-1]
-        return problem.at(self.file, *self._keys.get(path, (1, 1)))
+        top = (1, 1) if self._values else (0, 0)  # what a program gives is in no line
+        return problem.at(self.file, *self._keys.get(path, top))
 
 
 def parse(text: str, file: str) -> Document:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
+from rig.faults import Fault
+from rig.plug_ins import in_words
 from rig.signals import Sample
 
 
@@ -20,6 +22,18 @@ class Law(Protocol):
 
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V. Raises Fault if the law finds something wrong with the bench."""
+        ...
+
+
+class OwnLaw(Protocol):
+    """A law of a user's own: all that it must have is ``step``.
+
+    Where it has them, ``finished`` ends it, and ``z_rad_s`` and ``yd_rad`` go into the record: an integral of its own,
+    rad s, and the reference, rad.
+    """
+
+    def step(self, sample: Sample) -> float:
+        """Drive for this sample, V. The guard has the last word: the device may get less."""
         ...
 
 
@@ -58,3 +72,43 @@ class Constant:
         self._rest.step(sample)
         self.finished = self._rest.finished
         return 0.0 if self.finished else self.u_V
+
+
+class Timed:
+    """A law of a user's own, for a given time at most; 0 V once it has ended.
+
+    law         it; its first sample is that of its first tick
+    duration_s  after which it ends, s, > 0; it ends before where it says ``finished``
+    name        what the record calls it
+    Raises ValueError where the time is not > 0, or ``law`` has no ``step``.
+    """
+
+    def __init__(self, law: OwnLaw, duration_s: float, name: str) -> None:
+        if not callable(getattr(law, "step", None)):
+            raise ValueError(f"{name} is no law: it has no method step(sample) that returns volts")
+        if not duration_s > 0.0:
+            raise ValueError(f"the law {name} needs a duration > 0 s, not {duration_s}")
+        self.law = law
+        self.duration_s = duration_s
+        self.name = name
+        self.z_rad_s = math.nan
+        self.yd_rad = math.nan
+        self._rest = Rest(duration_s)
+        self.finished = False
+
+    def step(self, sample: Sample) -> float:
+        """Return the law's drive, V. Raises Fault LAW_FAILED, with the law's exception as its cause."""
+        self._rest.step(sample)
+        self.finished = self._rest.finished
+        if self.finished:
+            return 0.0
+        try:
+            u_V = float(self.law.step(sample))
+            self.z_rad_s = float(getattr(self.law, "z_rad_s", math.nan))
+            self.yd_rad = float(getattr(self.law, "yd_rad", math.nan))
+            self.finished = bool(getattr(self.law, "finished", False))
+        except Fault:
+            raise
+        except Exception as error:  # whatever it is, the user's law did it
+            raise Fault("LAW_FAILED", f"{self.name}: {in_words(error)}") from error
+        return 0.0 if self.finished else u_V

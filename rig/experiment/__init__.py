@@ -4,6 +4,26 @@ script   what each command runs: its stages in order, recorded
 stages   each stage, on an open session; a replay runs them, too
 """
 
-from rig.experiment.script import BREAKAWAY_LAW, jog, repeated, run, run_breakaway, run_relay, run_tracking
+from rig.experiment.script import (
+    BREAKAWAY_LAW,
+    configured_law,
+    jog,
+    repeated,
+    run,
+    run_breakaway,
+    run_law,
+    run_relay,
+    run_tracking,
+)
 
-__all__ = ["BREAKAWAY_LAW", "jog", "repeated", "run", "run_breakaway", "run_relay", "run_tracking"]
+__all__ = [
+    "BREAKAWAY_LAW",
+    "configured_law",
+    "jog",
+    "repeated",
+    "run",
+    "run_breakaway",
+    "run_law",
+    "run_relay",
+    "run_tracking",
+]

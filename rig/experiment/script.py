@@ -8,7 +8,10 @@ from pathlib import Path
 
 from rig.backends.registry import Bench, backend_of, connect
 from rig.config import Experiment
-from rig.experiment.stages import drive_by_hand, drive_check, drive_tests, identify_recorded, verify_models
+from rig.config.schema import OwnLaw
+from rig.control.law import Timed
+from rig.control.laws import construct
+from rig.experiment.stages import drive_by_hand, drive_check, drive_law, drive_tests, identify_recorded, verify_models
 from rig.faults import Fault
 from rig.identify import Identification
 from rig.results import ScriptCall
@@ -18,12 +21,14 @@ BREAKAWAY_LAW = "balanced pairs"  # in meta.json, so that a replay knows which l
 
 
 def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None, again: Bench | None = None) -> Outcome:
-    """The whole experiment.
+    """The whole experiment; if the config has a section `law`: the breakaway check and that law.
 
     parent    folder in which the run folder is made
     on_start  called once with the run folder and the first notes
     again     a bench that the same command has opened already
     """
+    if experiment.law is not None:
+        return run_law(experiment, configured_law(experiment.law), parent, on_start, again)
 
     def script(session: Session) -> None:
         drive_tests(session)
@@ -31,6 +36,26 @@ def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None, a
         verify_models(session)
 
     return record(experiment, parent, _named("run"), script, on_start, again)
+
+
+def run_law(
+    experiment: Experiment, law: Timed, parent: Path, on_start: OnStart | None = None, again: Bench | None = None
+) -> Outcome:
+    """The breakaway check, and then a law of the user's own, under the guard and the limits of the config.
+
+    again  as ``run``
+    """
+
+    def script(session: Session) -> None:
+        drive_law(session, law)
+
+    what = ScriptCall(name="law", breakaway=BREAKAWAY_LAW, law=law.name, duration_s=law.duration_s)
+    return record(experiment, parent, what, script, on_start, again)
+
+
+def configured_law(section: OwnLaw) -> Timed:
+    """The law that the section `law` of a config names, made anew. Raises as ``rig.control.laws.construct``."""
+    return Timed(construct(section.name, section.options), section.duration_s, section.name)
 
 
 def repeated(

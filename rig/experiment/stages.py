@@ -20,7 +20,7 @@ from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.homing import Homing
 from rig.control.hysteretic import HystereticRun
-from rig.control.law import Constant, Rest
+from rig.control.law import Constant, Rest, Timed
 from rig.control.observer import MotorObserver
 from rig.control.relay import DualChannelRelay, HystereticRelay, RelayOnCounts
 from rig.control.tracking import Tracking
@@ -33,7 +33,7 @@ from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
 from rig.preflight.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
 from rig.recording.folder import write_meta
-from rig.recording.stage import Stage
+from rig.recording.stage import Stage, StageKind
 from rig.results import JogResult, RealTimeReport, TrackingResult
 from rig.session import FADE_S, Session
 
@@ -56,6 +56,14 @@ def drive_check(session: Session, check: BreakawayLaw | None = None) -> None:
     """The breakaway check alone; ``check`` as ``check_breakaway``."""
     with _prepared(session):
         _armed_check(session, check)
+
+
+def drive_law(session: Session, law: Timed, check: BreakawayLaw | None = None) -> None:
+    """A law of a user's own, from rest, after the breakaway check; ``check`` as ``check_breakaway``."""
+    with _checked(session, check):
+        session.note("law", name=law.name, duration_s=law.duration_s)
+        session.loop.run(law, str(StageKind.LAW))
+        session.loop.run(Rest(REST_S), "rest")
 
 
 def drive_by_hand(session: Session, u_V: float, duration_s: float) -> None:

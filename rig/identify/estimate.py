@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from scipy.special import stdtrit
 from rig.identify.mean_cycle import Cycle
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
+from rig.optional import needed
 from rig.results import EstimateResult, ResidualResult
 
 Array = NDArray[np.float64]
@@ -84,6 +85,17 @@ class Estimate:
         if not self.is_motor:
             raise ValueError(f"{self.method} gives no motor: tau and K are unknown")
         return Motor(self.tau_s, self.K_rad_s_V, coulomb(self.fc_V), self.asym_V)
+
+    def to_control(self) -> Any:
+        """The linear part as a transfer function of python-control: K / (s (tau s + 1)) from u - f to y, V to rad.
+
+        f is friction, which no transfer function holds: fc_V with the sign of the velocity, while the shaft turns. Take
+        it off the drive, or compensate for it, before you use this. Nor does it hold asym_V and delay_s.
+        Raises ValueError where this is no motor; ImportError where the package control is not installed.
+        """
+        motor = self.motor()
+        control = needed("control", "to_control()")
+        return control.tf([motor.K_rad_s_V], [motor.tau_s, 1.0, 0.0], inputs="u_V", outputs="y_rad", name=self.method)
 
     def judged(self, verdict: Verdict, *reasons: str) -> Estimate:
         """The same with a verdict at least as severe as ``verdict``, and further reasons."""

@@ -1,17 +1,16 @@
-"""A config file that may be run: loaded, and held to the rules, with errors that name file, line and key."""
+"""A config that may be run: loaded, and held to the rules, with errors that name file, line and key."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
-from os import PathLike
 
-from rig.config.load import load_with_places
+from rig.config.load import Given, load_with_places
 from rig.config.problems import ConfigError
 from rig.config.schema import Experiment
 from rig.preflight.rules import Preflight, preflight
 
 
-def check(path: str | PathLike[str], passing: Collection[str] = ()) -> tuple[Experiment, Preflight]:
+def check(path: Given, passing: Collection[str] = ()) -> tuple[Experiment, Preflight]:
     """``load``, and ``preflight`` on it: the experiment, and what it would do.
 
     passing  keys, with dots, whose problems do not count: of what drives nothing

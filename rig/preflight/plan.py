@@ -79,6 +79,12 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
             f"if friction differs by at most {FRICTION_DIFFERS:.0%} from its mean between the ways and "
             f"motor.no_load_speed_rad_s is true; that counts {_check_ends_by(strokes.watchdog_s, e)}"
         )
+    if e.law is not None:
+        yield (
+            f"stage law: {e.law.name}, a law of your own, for at most {e.law.duration_s:g} s, within the limits; "
+            "no relay test, nothing is identified"
+        )
+        return
     if r.target is not None:
         amplitudes = r.target.amplitude_rad, r.target.amplitude_rad * r.second_ratio
         tests_s = 2.0 * r.cycles * r.target.period_s

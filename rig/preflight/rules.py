@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 from pydantic import ValidationError
 
 from rig.backends.registry import backend_of
 from rig.config.messages import unplaced
-from rig.config.problems import Path, Problem, bracketed, wrong
+from rig.config.problems import Path, Problem, bracketed, printable, wrong
 from rig.config.schema import Experiment, Gains, RelayTarget
 from rig.config.sensor import count_rad, range_rad
+from rig.control.laws import OptionError, construct, registered
+from rig.plug_ins import PlugInError
 from rig.preflight.plan import plan
 from rig.preflight.room_to_stop import (
     UNSEEN_RAD,
@@ -384,6 +387,26 @@ def _tracking(e: Experiment) -> Iterator[Problem]:
         )
 
 
+def _law(e: Experiment) -> Iterator[Problem]:
+    """The law is constructed, so that it refuses its options here, not before a motor."""
+    if e.law is None:
+        return
+    try:
+        construct(e.law.name, e.law.options)
+    except LookupError:
+        names = sorted(registered())
+        near = get_close_matches(e.law.name, names, n=1)
+        yield wrong(
+            "law.name",
+            f"no law {printable(e.law.name)!r}; installed: {', '.join(names) or 'none'}",
+            f"did you mean '{near[0]}'?" if near else "install the package that offers it (docs/api.md)",
+        )
+    except OptionError as error:
+        yield Problem(("law", "options", *([error.key] if error.key else [])), str(error))
+    except PlugInError as error:
+        yield wrong("law.name", str(error), "see docs/api.md, or ask its author")
+
+
 def _emulated(e: Experiment) -> Iterator[Problem]:
     if e.emulated is None:
         return
@@ -429,6 +452,7 @@ _RULES: tuple[Rule, ...] = (
     _target,
     _hysteretic,
     _tracking,
+    _law,
     _emulated,
 )
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rig.errors import RigError
 from rig.signals import plain
 
 
-class RecordingError(Exception):
+class RecordingError(RigError):
     """A recording that cannot be made or cannot be read.
 
     path   the file or folder
@@ -29,7 +30,7 @@ class CannotWriteError(RecordingError):
     """A file that the disk does not take: no fault of what was asked for."""
 
 
-class IdentifyError(Exception):
+class IdentifyError(RigError):
     """A recording that cannot be identified: one line of cause, one of cure."""
 
     def __init__(self, cause: str, cure: str) -> None:

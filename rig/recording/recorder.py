@@ -21,8 +21,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-import rig
 from rig.faults import Fault
+from rig.package import FOLDER
 from rig.recording import layout
 from rig.recording.errors import RecordingError
 from rig.recording.layout import COMPLETION, COMPLETION_AT, ROW, SharedMemory
@@ -313,7 +313,7 @@ class Recorder:
 
     def _start_writer(self, stdin: int) -> subprocess.Popen[bytes]:
         # The same modules as here, whatever the working directory; -S because the path is complete already.
-        root = str(Path(rig.__file__).absolute().parents[1])
+        root = str(FOLDER.absolute().parent)
         path = [entry for entry in sys.path if entry]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*path, root])}
         memory = self._descriptor if self._memory_name is None else self._memory_name

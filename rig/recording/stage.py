@@ -21,6 +21,7 @@ class StageKind(StrEnum):
     HOMING = "homing"
     HYSTERETIC = "hysteretic"
     TRACK = "track"
+    LAW = "law"
     STOPPING = "stopping"
     OTHER = "other"
 

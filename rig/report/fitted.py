@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from itertools import pairwise
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from rig.identify.estimate import Estimate
 from rig.report.fit import PARAMETERS, average, cycles_of, motor_of, predict_cycles
@@ -154,6 +155,16 @@ def forest(run: Run) -> Picture:
 
     Raises AbsentError without an estimate.
     """
+    truth = " The dotted line is the emulated motor's true value." if run.truth else ""
+    return render(
+        forest_figure(run), run.backend, "Estimates side by side with their 95 % intervals.",
+        "Estimates and 95 % intervals side by side. Hollow mark: the verdict is not ok. Mark without a bar: no "
+        "interval." + truth,
+    )  # fmt: skip
+
+
+def forest_figure(run: Run) -> Figure:
+    """``forest`` before it is laid out. Raises AbsentError without an estimate."""
     estimates = {m: e for m, e in run.estimates.items() if any(math.isfinite(known(e.value(k))) for k in PARAMETERS)}
     if not estimates:
         raise AbsentError("There is no estimate to compare.")
@@ -178,9 +189,4 @@ def forest(run: Run) -> Picture:
         axes.locator_params(axis="x", nbins=4)  # a third of the page has room for five labels of six digits
     panels[0].set_yticks(range(len(names)), [n.replace("-", " ") for n in names])
     panels[0].set_ylim(len(names) - 0.4, -0.6)
-    truth = " The dotted line is the emulated motor's true value." if run.truth else ""
-    return render(
-        figure, run.backend, "Estimates side by side with their 95 % intervals.",
-        "Estimates and 95 % intervals side by side. Hollow mark: the verdict is not ok. Mark without a bar: no "
-        "interval." + truth,
-    )  # fmt: skip
+    return figure

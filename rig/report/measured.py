@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
 from rig.report.fit import central_difference, cycles_of, predict_cycles
@@ -36,6 +37,16 @@ from rig.results import BreakawayResult, SearchStepResult, known
 
 def whole_run(run: Run) -> Picture:
     """Position and drive over time: stages, limits, cycles, faults."""
+    figure, count = whole_run_figure(run)
+    cycles_words = f" Triangles mark the starts of the {count} relay cycles used." if count else ""
+    return render(
+        figure, run.backend, "Position and drive over the whole run, stages shaded.",
+        f"Position and drive over the whole run ({len(run.rows)} samples). Stages are shaded and named." + cycles_words,
+    )  # fmt: skip
+
+
+def whole_run_figure(run: Run) -> tuple[Figure, int]:
+    """``whole_run`` before it is laid out; and how many relay cycles it marks."""
     t, y, u = run.rows.t_s, run.rows.y_rad, run.rows.u_V
     figure = new_figure(4.9)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.1, 1.0))
@@ -67,11 +78,7 @@ def whole_run(run: Run) -> Picture:
     low, high = top.get_ylim()
     top.set_ylim(low, high + 0.13 * (high - low))  # room for the legend above the limits
     top.legend(loc="upper right", ncols=4, borderaxespad=0.1)
-    cycles_words = f" Triangles mark the starts of the {count} relay cycles used." if count else ""
-    return render(
-        figure, run.backend, "Position and drive over the whole run, stages shaded.",
-        f"Position and drive over the whole run ({t.size} samples). Stages are shaded and named." + cycles_words,
-    )  # fmt: skip
+    return figure, count
 
 
 def _limits(axes: Axes, run: Run) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import jinja2
 
-import rig
 from rig.identify import Identification, IdentifyError, identify
+from rig.package import VERSION
 from rig.recording.errors import RecordingError
 from rig.recording.folder import write_whole
 from rig.recording.reader import Recording
@@ -84,7 +84,7 @@ def render_page(run: Run, identification: Identification | None = None) -> str:
     environment.filters["rounded"] = rounded
     return environment.get_template(TEMPLATE).render(
         run=run,
-        version=rig.__version__,
+        version=VERSION,
         headline=headline(run),
         figures=draw(run, identification),
         estimates=tables.estimates(run),

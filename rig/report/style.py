@@ -101,6 +101,16 @@ class AbsentError(Exception):
     """A part of the run is missing. The message is a sentence for the page: which part, and why."""
 
 
+class Drawing(Figure):
+    """A figure that a notebook can show; it belongs to no window, and needs no display."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        with style():
+            self.savefig(buffer, format="png", dpi=110)
+        return buffer.getvalue()
+
+
 def colour(method: str) -> str:
     """Colour of an estimator."""
     return METHODS.get(method, (INK, "-", ""))[0]
@@ -134,7 +144,13 @@ def stage_label(stage: str) -> str:
 
 def new_figure(height_in: float) -> Figure:
     """An empty figure of the page's width, ``height_in`` inches high."""
-    return Figure(figsize=(WIDTH_IN, height_in))
+    return Drawing(figsize=(WIDTH_IN, height_in))
+
+
+def laid_out(figure: Figure) -> Figure:
+    """A figure to be looked at by itself, outside of a page."""
+    figure.set_layout_engine("constrained")
+    return figure
 
 
 def style() -> Any:

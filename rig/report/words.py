@@ -213,10 +213,14 @@ def _again(run: Run, text: str) -> Step:
 
 def _nothing(run: Run) -> Headline:
     """Headline of a run without an estimate: why it has none, or what else the run did."""
-    jogged = run.meta.script is not None and run.meta.script.name == "jog"
+    script = run.meta.script
+    jogged = script is not None and script.name == "jog"
+    own_law = script.law if script is not None and script.name == "law" else None
     reasons: tuple[str, ...] = ()
     if jogged:
         title = "The shaft was jogged"
+    elif own_law is not None:
+        title = f"A law of your own ran: {own_law}"
     elif run.has_result:
         title = "No estimate in this run"
         reasons = tuple(n for n in run.result.notes if n.startswith(NOTHING_TO_IDENTIFY))
@@ -226,6 +230,10 @@ def _nothing(run: Run) -> Headline:
         step = Step("Cure the fault above, then run again.")
     elif jogged:
         step = _again(run, "A jog identifies nothing; run the whole experiment")
+    elif own_law is not None:
+        step = Step(
+            "Nothing is identified from such a run. Look at its stage `law` below, or from Python (docs/api.md)."
+        )
     elif run.has_result:
         step = _again(run, "No relay test could be identified; run the whole experiment")
     elif run.spans("relay") or run.spans("hysteretic"):

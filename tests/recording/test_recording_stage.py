@@ -19,6 +19,7 @@ from rig.recording.stage import Stage, StageKind
         ("track:sampled-data", StageKind.TRACK, None, "sampled-data"),
         ("relay-a", StageKind.RELAY, None, ""),
         ("stopping", StageKind.STOPPING, None, ""),
+        ("law", StageKind.LAW, None, ""),
         ("relay", StageKind.OTHER, None, ""),
         ("other", StageKind.OTHER, None, ""),
         ("", StageKind.OTHER, None, ""),

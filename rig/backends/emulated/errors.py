@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from rig.errors import RigError
 
-class EmulationError(Exception):
+
+class EmulationError(RigError):
     """Firmware or emulated device could not be built or started; the text says why and what to do."""

@@ -19,6 +19,7 @@ from serial.tools import list_ports
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.frames import BOARDS, FrameReader, Hello
 from rig.backends.serial.introduction import await_introduction
+from rig.errors import RigError
 from rig.faults import Fault
 
 # The chip between USB and the Uno's serial port; those of the Uno itself are in the Arduino IDE's boards.txt.
@@ -78,7 +79,7 @@ _LAST_WORDS = re.compile(r"^avrdude(?: OS)?(?: error)?: (?!.*TIOCM)(?!.*done\.  
 _SIGNATURE = re.compile(r"device signature = (0x[0-9a-f]+)", re.IGNORECASE)
 
 
-class FlashError(Exception):
+class FlashError(RigError):
     """What went wrong and what to do, a line each; ``status`` to exit with: avrdude's own, where it failed."""
 
     def __init__(self, cause: str, cure: str, status: int = 1) -> None:

@@ -21,7 +21,6 @@ import time
 from pathlib import Path
 from typing import Protocol, TextIO
 
-from rig import __version__
 from rig.backends.emulated.device_process import ORPHAN_S, fail, linked, open_pty, signals, take_priority
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.modbus.emulated.device import Device, unpacked
@@ -30,6 +29,7 @@ from rig.backends.modbus.emulated.line_faults import Corruption
 from rig.backends.modbus.emulated.rtu_slave import RtuSlave
 from rig.backends.modbus.emulated.tcp_slave import Stream, TcpSlave
 from rig.model.bench import Bench
+from rig.package import VERSION
 
 LOOPBACK = "127.0.0.1"
 _TRACE_S = 0.01
@@ -219,7 +219,7 @@ def main() -> None:
 
 def _device(device: Device, trace: _Trace) -> tuple[IoBlock, _Port]:
     bench = Bench(device.bench, device.seed)
-    block = IoBlock(device.registers, bench, device.unit, polarity=device.polarity, revision=__version__)
+    block = IoBlock(device.registers, bench, device.unit, polarity=device.polarity, revision=VERSION)
     block.on_output = lambda t_s, u_V: trace.row(block)
     if device.tcp_port is not None:
         return block, _Tcp(TcpSlave(block, device.line.turnaround_s, device.misbehaviour), device.tcp_port)

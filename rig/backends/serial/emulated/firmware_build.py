@@ -9,10 +9,10 @@ import subprocess
 from pathlib import Path
 from typing import NamedTuple
 
-import rig
 from rig.backends.emulated.errors import EmulationError
+from rig.package import FOLDER
 
-_PACKAGE = Path(rig.__file__).parent
+_PACKAGE = FOLDER
 _AVR_PACKAGES = "gcc-avr avr-libc binutils-avr"
 
 

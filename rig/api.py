@@ -1,0 +1,199 @@
+"""The Python API: what `import rig` offers. No logic lives here: the functions call what the commands call."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rig import experiment, preflight, simulation
+from rig.backends.links.device_file import require_device_file
+from rig.config import Experiment
+from rig.config import ready as ready_configs
+from rig.config.load import Given
+from rig.control.law import OwnLaw, Timed
+from rig.control.relay import DualChannelRelay
+from rig.faults import Fault
+from rig.identify import IdentifyError
+from rig.identify import identify as identify_recordings
+from rig.model.friction import coulomb
+from rig.model.motor import Motor
+from rig.model.prediction import predict_cycle
+from rig.notebook import Found, Run
+from rig.recording import reader
+from rig.recording.errors import RecordingError
+from rig.replay import Replay
+from rig.replay import replay as replay_folder
+from rig.results import JsonObject
+from rig.session import Outcome
+from rig.signals import Sample
+from rig.simulation import Drive, Sampling
+
+__all__ = [
+    "Fault",
+    "Found",
+    "Motor",
+    "Run",
+    "Sample",
+    "Sampling",
+    "coulomb",
+    "identify",
+    "predict",
+    "read",
+    "ready",
+    "relay",
+    "replay",
+    "run",
+    "simulate",
+]
+
+AnyPath = str | PathLike[str]
+ARRAYS = Path("t, u, y")  # what messages call columns that are in no file
+
+
+def read(path: AnyPath) -> Run:
+    """Read a run folder, or a CSV file with the columns t_s, u_V and y_rad. Raises RecordingError."""
+    recording = reader.read(Path(path))
+    result = reader.read_result(recording.source) if recording.config_text is not None else None
+    faults = () if result is None else result.faults
+    return Run.of(recording, result, "; ".join(str(Fault(fault.code, fault.detail)) for fault in faults))
+
+
+@overload
+def identify(
+    data: reader.Recording | AnyPath | Sequence[reader.Recording | AnyPath], *, methods: Sequence[str] | None = None
+) -> Found: ...
+@overload
+def identify(
+    data: ArrayLike, u: ArrayLike, y: ArrayLike, t_u: ArrayLike | None = None, *, methods: Sequence[str] | None = None
+) -> Found: ...
+def identify(
+    data: Any,
+    u: ArrayLike | None = None,
+    y: ArrayLike | None = None,
+    t_u: ArrayLike | None = None,
+    *,
+    methods: Sequence[str] | None = None,
+) -> Found:
+    """Identify gain, time constant and friction of one motor.
+
+    data     a run, or the path of a run folder or a CSV file; several in a list are records of one motor. Or, with
+             ``u`` and ``y``, the times of n samples, s, rising
+    u        n drives, V: each acts from its time in ``t_u`` until the next
+    y        n positions, rad
+    t_u      n times from which the drives act, s; default: unknown, a constant delay after the samples
+    methods  names of estimators; default: all that the data allow
+    Raises IdentifyError where the data give no estimate, RecordingError where they cannot be read.
+    """
+    if u is not None and y is not None:
+        recordings: list[reader.Recording] = [_from_arrays(data, u, y, t_u)]
+    elif u is None and y is None and t_u is None:
+        given = [data] if isinstance(data, reader.Recording | str | PathLike) else list(data)
+        recordings = [one if isinstance(one, reader.Recording) else reader.read(Path(one)) for one in given]
+    else:
+        raise TypeError("rig.identify takes one run, a path, a list of them, or t, u and y")
+    return Found.of(identify_recordings(recordings, methods))
+
+
+def _from_arrays(t: ArrayLike, u: ArrayLike, y: ArrayLike, t_u: ArrayLike | None) -> reader.Recording:
+    """Columns as a recording. Raises IdentifyError where they are no columns of one length and of numbers."""
+    given = {"t": t, "u": u, "y": y} | ({} if t_u is None else {"t_u": t_u})
+    columns = {name: np.asarray(values, dtype=np.float64) for name, values in given.items()}
+    for name, column in columns.items():
+        if column.ndim != 1 or column.size != columns["t"].size:
+            raise IdentifyError(
+                f"{name} has the shape {column.shape}, and t {columns['t'].shape}", "give columns of one length"
+            )
+        bad = np.flatnonzero(~np.isfinite(column))
+        if bad.size:
+            raise IdentifyError(f"{name}[{bad[0]}] is {column[bad[0]]}", "leave such samples out, in every column")
+    if columns["t"].size < reader.MIN_ROWS:
+        raise IdentifyError(f"there are {columns['t'].size} samples", "record ten cycles: some hundred samples")
+    return reader.from_columns(ARRAYS, columns["t"], columns["u"], columns["y"], columns.get("t_u"))
+
+
+def simulate(motor: Motor, drive: Drive, duration_s: float, sampling: Sampling | None = None) -> Run:
+    """Drive a motor on this machine; what it shows is as if it had been read: ``rig.identify`` takes it.
+
+    motor       ``rig.Motor(tau_s, K_rad_s_V, rig.coulomb(fc_V))``, or ``found.best.motor()``
+    drive       a law, such as ``rig.relay(h1_V, h2_V)``; a function of the time in s that gives volts; volts, one for
+                each sample; or constant volts
+    duration_s  how long, s
+    sampling    period, delay, noise and so on; default: ``rig.Sampling()``
+    What the law raises goes through. Raises ValueError where there would be fewer than three samples, or a drive is no
+    number.
+    """
+    return Run.of(simulation.simulate(motor, drive, duration_s, sampling))
+
+
+def relay(h1_V: float, h2_V: float) -> DualChannelRelay:
+    """The relay u = -h1 sgn(y) - h2 sgn(z), with z the integral of the position y. Raises ValueError below 0 V."""
+    return DualChannelRelay(h1_V, h2_V, math.inf)
+
+
+def predict(
+    *, tau_s: float, K_rad_s_V: float, fc_V: float, h1_V: float, h2_V: float, fs_V: float | None = None
+) -> JsonObject:
+    """The limit cycle that theory expects under ``rig.relay(h1_V, h2_V)``, by the names of `rig predict --json`.
+
+    tau_s, K_rad_s_V  time constant, s, and gain, (rad/s)/V, > 0
+    fc_V, fs_V        Coulomb and static friction, V; static by default as Coulomb friction
+    Raises ValueError on parameters out of range.
+    """
+    return predict_cycle(tau_s, K_rad_s_V, fc_V, fc_V if fs_V is None else fs_V, h1_V, h2_V)
+
+
+def run(config: Given, law: OwnLaw | None = None, *, duration_s: float = 10.0, out: AnyPath = "runs") -> Run:
+    """Run the whole experiment of a config; or, with a law, the breakaway check and then that law.
+
+    config      a file, such as ``rig.ready("simulated")``, or a mapping with the same keys
+    law         any object with ``step(sample)`` that gives volts; the guard and the limits of the config hold for it
+    duration_s  after which the law ends, s; it ends before where it says ``finished``
+    out         the folder that the run folder is made in
+    Returns the run. Whatever ends it, the drive is stopped and the record is kept: ``failure`` says what went wrong.
+    Raises ConfigError for a config that must not be run, Fault where the bench cannot be opened, RecordingError where
+    there can be no run folder.
+    """
+    checked, _ = preflight.check(config)
+    require_device_file(checked.daq.port)
+    if law is None:
+        return _as_run(experiment.run(checked, Path(out)))
+    own = Timed(law, duration_s, type(law).__name__)
+    # the run folder keeps the config: it must not name a law that did not run
+    return _as_run(experiment.run_law(_without_law(checked), own, Path(out)))
+
+
+def _without_law(e: Experiment) -> Experiment:
+    return e.model_copy(update={"law": None})
+
+
+def _as_run(outcome: Outcome) -> Run:
+    """The run as it was recorded. A law's traceback goes to stderr. Raises its fault where there is no record."""
+    sys.stderr.write(outcome.traceback)
+    try:
+        recording = reader.read_run(outcome.folder)
+    except RecordingError as error:
+        raise (outcome.fault or error) from error
+    return Run.of(recording, outcome.result, outcome.failure)
+
+
+def replay(run: Run | AnyPath, law: OwnLaw | None = None) -> Replay:
+    """Feed a run's record through laws and guard again: ``is_same``, or the first ``difference``.
+
+    run  a run, or the path of its folder
+    law  of ``rig.run(config, law=...)``: made anew, since a law remembers; a law that the config names is found
+    Raises RecordingError where the folder cannot be read, or lacks what a replay needs; ConfigError for its config.
+    """
+    return replay_folder(run.folder if isinstance(run, Run) else Path(run), own=law)
+
+
+def ready(name: str) -> Path:
+    """The path of a ready config, such as "simulated". Raises UnknownConfigError."""
+    ready_configs.text(name)  # it knows the names
+    return ready_configs.folder() / f"{name.removesuffix('.yaml')}.yaml"
