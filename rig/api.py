@@ -89,7 +89,8 @@ def identify(
     y        n positions, rad
     t_u      n times from which the drives act, s; default: unknown, a constant delay after the samples
     methods  names of estimators; default: all that the data allow
-    Raises IdentifyError where the data give no estimate, RecordingError where they cannot be read.
+    Raises IdentifyError where the data give no estimate, RecordingError where they cannot be read, TypeError for
+    arguments that are none of these.
     """
     if u is not None and y is not None:
         recordings: list[reader.Recording] = [_from_arrays(data, u, y, t_u)]

@@ -1,4 +1,4 @@
-"""The command `rig`: what to do. No logic lives here; how results look is in ``rig.terminal``.
+"""The command `rig`: its commands and options. ``rig.terminal`` shows the results.
 
 Exit status: 0 done, 1 the experiment failed or was refused, 2 bad input.
 """
@@ -52,28 +52,28 @@ class _Rows(click.ParamType):  # type: ignore[type-arg]
     name = "rows"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The two numbers, None where there is none."""
+        """The two numbers; None for one that is left out."""
         first, colon, last = str(value).partition(":")
         if not colon or not all(part == "" or part.isdecimal() for part in (first, last)):
-            self.fail(f"{value!r} is no FIRST:LAST, two row numbers such as 120:899", param, ctx)
+            self.fail(f"{value!r} must be FIRST:LAST: two row numbers, such as 120:899", param, ctx)
         return int(first) if first else None, int(last) if last else None
 
 
 CONFIG = click.argument("config_path", metavar="CONFIG", type=click.Path(path_type=Path))
-# One meaning each, in every command: --out is the folder that run folders are made in, --to the file that is written.
+# In every command --out is the folder in which rig makes run folders, and --to is the file that it writes.
 OUT = click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("runs"), show_default=True,
-    help="Folder that the run folder is made in.",
+    help="Folder in which rig makes the run folder.",
 )  # fmt: skip
 ROWS = click.option(
     "--rows", metavar="FIRST:LAST", type=_Rows(), default=None,
-    help="These rows alone, both included, counted from 0 as messages and result.json do; either may be left out.",
+    help="Only these rows, both included. They count from 0, as in messages and result.json. Leave out either.",
 )  # fmt: skip
-JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout, and nothing else.")
 
 
 def _fail(status: int, cause: str, cure: str = "") -> NoReturn:
-    """One line of cause and one of cure on stderr, or one JSON object on stdout where that was asked for; then exit."""
+    """Print the cause and the cure, a line each, on stderr; with --json one JSON object on stdout. Then exit."""
     if click.get_current_context().params.get("as_json"):
         click.echo(json.dumps({"ok": False, "cause": cause, "cure": cure}))
     else:
@@ -84,7 +84,7 @@ def _fail(status: int, cause: str, cure: str = "") -> NoReturn:
 
 
 def _fail_input(error: RecordingError | IdentifyError) -> NoReturn:
-    """Bad recording, or a disk that takes none: file and line where they are known, the cause, the cure."""
+    """Exit for a bad recording or a full disk: print file and line, the cause, the cure."""
     place = ""
     if isinstance(error, RecordingError):
         place = f"{error.path}: " if error.line is None else f"{error.path}:{error.line}: "
@@ -97,10 +97,10 @@ def _counted(number: int, thing: str) -> str:
 
 
 def _fail_config(error: config.ConfigError, verdict: str = "") -> NoReturn:
-    """Bad config: its problems with file, line and key, and the last line on stdout if there is to be one."""
+    """Exit for a bad config: print each problem with file, line and key; then ``verdict`` on stdout."""
     if click.get_current_context().params.get("as_json"):
-        said = {"verdict": verdict.removeprefix("verdict: ")} if verdict else {}
-        click.echo(json.dumps({"ok": False, **said, "problems": str(error).splitlines()}))
+        last = {"verdict": verdict.removeprefix("verdict: ")} if verdict else {}
+        click.echo(json.dumps({"ok": False, **last, "problems": str(error).splitlines()}))
     else:
         click.echo(str(error), err=True)
         if verdict:
@@ -109,9 +109,9 @@ def _fail_config(error: config.ConfigError, verdict: str = "") -> NoReturn:
 
 
 def _load(path: Path, *, drives: bool = True) -> config.Experiment:
-    """The checked experiment of a config file; exits with 2 and the problems where it is bad.
+    """The checked experiment of a config file. Exits with status 2 and the problems if the config is bad.
 
-    drives  False: no motor turns, so that the bridge need not be named; `rig doctor` says which the firmware is for
+    drives  False: no motor turns, so the config need not name the bridge; `rig doctor` reads it from the firmware
     """
     try:
         experiment, _ = preflight.check(path, () if drives else ("drive.bridge",))
@@ -121,7 +121,7 @@ def _load(path: Path, *, drives: bool = True) -> config.Experiment:
 
 
 def _load_bench(path: Path) -> config.Experiment:
-    """``_load`` for what drives a bench; exits with 1 where its port is not there, before anything slow is loaded."""
+    """``_load`` for a command that drives a bench. If its port is missing, exits with status 1 before slow imports."""
     from rig.backends.links.device_file import require_device_file
 
     experiment = _load(path)
@@ -131,7 +131,7 @@ def _load_bench(path: Path) -> config.Experiment:
 
 
 class _Commands(click.Group):
-    """A Ctrl-C outside of a run's loop, where nothing is armed, ends in a line of ours."""
+    """Commands that a Ctrl-C ends with one line, not a traceback, while no run's loop is going."""
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -154,11 +154,14 @@ def main() -> None:
     "--repeat",
     type=click.IntRange(1, 1000),
     default=1,
-    help="Run it N times and show the scatter between runs; an emulated bench takes seed, seed + 1, ...",
+    help="Run it N times and show the scatter between runs. An emulated bench takes seed, seed + 1, ...",
 )
 @JSON
 def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
-    """Run the whole experiment: breakaway, search, relay, identify, verify, report."""
+    """Run the whole experiment, identify the motor, write a report.
+
+    The stages: breakaway, search, relay, identify, verify, report.
+    """
     experiment = _load_bench(config_path)
     if Console(stderr=True).is_terminal and not as_json:
         click.echo("opening the bench ...", err=True)
@@ -180,7 +183,10 @@ def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
 @OUT
 @JSON
 def relay(config_path: Path, out: Path, as_json: bool) -> None:
-    """Run breakaway, gain search and relay tests alone, and identify them."""
+    """Run breakaway, gain search and relay tests, and identify.
+
+    No tracking check follows.
+    """
     experiment = _load_bench(config_path)
     from rig import experiment as script
 
@@ -190,19 +196,23 @@ def relay(config_path: Path, out: Path, as_json: bool) -> None:
 @main.command()
 @CONFIG
 @click.option(
-    "--model", "model_run", required=True, type=click.Path(path_type=Path), help="Run folder to take the models from."
+    "--model",
+    "model_run",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Run folder from which the models come.",
 )
 @OUT
 @JSON
 def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
-    """Run the tracking check alone, with the models of an earlier run."""
+    """Run the tracking check with the models of an earlier run."""
     experiment = _load_bench(config_path)
     from rig import experiment as script
     from rig.identify import IdentifyError, identify
     from rig.recording.reader import read_run
 
     if experiment.tracking is None:
-        _fail(EXIT_BAD_INPUT, f"{config_path}: no section tracking", "add one; config/demo.yaml shows how")
+        _fail(EXIT_BAD_INPUT, f"{config_path} has no section `tracking`", "add one, as in config/demo.yaml")
     try:
         models = identify([read_run(model_run)])
     except (RecordingError, IdentifyError) as error:
@@ -217,7 +227,10 @@ def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
 @OUT
 @JSON
 def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool) -> None:
-    """Drive the shaft by hand for a moment, within the limits; after a limit it recovers inward."""
+    """Drive the shaft for a moment, within the limits.
+
+    If it stands outside the limits, it can only be driven inward: that brings it back.
+    """
     experiment = _load_bench(config_path)
     from rig import experiment as script
 
@@ -232,7 +245,7 @@ def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool)
     if moved is not None and not as_json:
         click.echo(f"y {known(moved.from_rad):+.3f} -> {known(moved.to_rad):+.3f} rad")
         if moved.refused_ticks:
-            click.echo(f"the guard cut the drive in {moved.refused_ticks} ticks: outward; try the other sign")
+            click.echo(f"the guard cut the drive in {moved.refused_ticks} ticks: it drove outward; try the other sign")
     _finish(outcome, as_json)
 
 
@@ -240,7 +253,10 @@ def jog(config_path: Path, u_V: float, seconds: float, out: Path, as_json: bool)
 @CONFIG
 @JSON
 def check(config_path: Path, as_json: bool) -> None:
-    """Validate a config offline: keys, units, limits and stopping distance, link budget."""
+    """Check a config; no device is needed, nothing moves.
+
+    Checks keys, units, limits, stopping distance and link budget, and prints what a run would do.
+    """
     try:
         if config.is_campaign(config_path):
             lines = list(config.campaign_lines(config.load_campaign(config_path)))
@@ -263,16 +279,18 @@ def check(config_path: Path, as_json: bool) -> None:
     "methods",
     multiple=True,
     type=click.Choice(["sampled-data", "triple-relay", "describing-function", "least-squares"]),
-    help="Repeat for several; default: all that the data allows. least-squares takes two CSVs: hysteretic relays.",
+    help="Repeat for several. Default: all that the data allows. "
+    "least-squares takes two CSV files, each of a hysteretic relay.",
 )
 @ROWS
 @JSON
 def identify(
     paths: Sequence[Path], methods: Sequence[str], rows: tuple[int | None, int | None] | None, as_json: bool
 ) -> None:
-    """Identify gain, time constant and friction from run folders or CSV files (t_s,u_V,y_rad).
+    """Identify gain, time constant and friction from recordings.
 
-    Several are taken for records of one motor; where one does not belong with the others, that is said.
+    A recording is a run folder, or a CSV file with columns t_s,u_V,y_rad. Several recordings must be of one motor: rig
+    says so if they do not agree.
     """
     from rig.identify import IdentifyError
     from rig.identify import identify as identify_recordings
@@ -280,7 +298,7 @@ def identify(
     from rig.recording.reader import read
 
     if rows is not None and len(paths) > 1:
-        _fail(EXIT_BAD_INPUT, "--rows are those of one recording", "identify one at a time")
+        _fail(EXIT_BAD_INPUT, f"--rows takes one recording, not {len(paths)}", "identify one at a time")
     try:
         require_distinct(paths)
         with patience("reading and identifying"):
@@ -303,18 +321,21 @@ def identify(
 @click.option("--tau", type=float, required=True, help="Time constant, s.")
 @click.option("--K", "K", type=float, required=True, help="Velocity gain, (rad/s)/V.")
 @click.option("--fc", type=float, required=True, help="Coulomb friction, V.")
-@click.option("--fs", type=float, default=None, help="Static friction, V; default: as --fc.")
+@click.option("--fs", type=float, default=None, help="Static friction, V. Default: as --fc.")
 @click.option("--h1", type=float, required=True, help="Gain of the relay on position, V.")
 @click.option("--h2", type=float, required=True, help="Gain of the relay on the integral, V.")
 @JSON
 def predict(tau: float, K: float, fc: float, fs: float | None, h1: float, h2: float, as_json: bool) -> None:
-    """Predict limit cycle and stability, by Theorems 2.1 and 2.2 and by describing function."""
+    """Predict limit cycle and stability for given relay gains.
+
+    By Theorems 2.1 and 2.2, and by the describing function.
+    """
     from rig.model.prediction import predict_cycle
 
     try:
         prediction = predict_cycle(tau, K, fc, fc if fs is None else fs, h1, h2)
     except ValueError as error:
-        _fail(EXIT_BAD_INPUT, str(error), "tau and K must be > 0, friction and gains >= 0, --fs at least --fc")
+        _fail(EXIT_BAD_INPUT, str(error), "--tau and --K must be > 0, friction and gains >= 0, --fs at least --fc")
     if as_json:
         click.echo(json.dumps(prediction))
     else:
@@ -325,7 +346,7 @@ def predict(tau: float, K: float, fc: float, fs: float | None, h1: float, h2: fl
 @main.command()
 @click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
 def report(run_folder: Path) -> None:
-    """Write a run's report anew, and print its path."""
+    """Write the report of a run again, and print its path."""
     from rig.recording.path_kind import require_run
     from rig.report import write_report
 
@@ -344,11 +365,11 @@ def report(run_folder: Path) -> None:
 @click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
 @click.option(
     "--to", "file", required=True, type=click.Path(path_type=Path), metavar="FILE",
-    help="Its end says how: .mat (MATLAB, Octave), .npz (numpy), .csv (t_s,u_V,y_rad,t_u_s) or .json.",
+    help="Its suffix names the format: .mat (MATLAB, Octave), .npz (numpy), .csv (t_s,u_V,y_rad,t_u_s) or .json.",
 )  # fmt: skip
-@click.option("--stage", default=None, help="Rows of this stage alone, such as relay-1; default: all.")
+@click.option("--stage", default=None, help="Only the rows of this stage, such as relay-1. Default: all.")
 @ROWS
-@click.option("--force", is_flag=True, help="Replace FILE where it is there already.")
+@click.option("--force", is_flag=True, help="Replace FILE if it is there already.")
 @JSON
 def export(
     run_folder: Path,
@@ -358,7 +379,10 @@ def export(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Write samples, events and result of a run to one file that other programs open."""
+    """Write a run to one file that other programs open.
+
+    The file holds samples, events and result; a .csv file holds the samples.
+    """
     from rig.export import export as export_run
 
     try:
@@ -378,12 +402,16 @@ def export(
 @click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
 @JSON
 def replay(run_folder: Path, as_json: bool) -> None:
-    """Feed a run's record through laws and guard again: the same drive, tick for tick, or the first difference."""
+    """Replay a run: compute each drive again and compare.
+
+    The recorded samples go through laws and guard again. Prints that each drive is the same, tick for tick, or the
+    first difference.
+    """
     from rig.replay import replay as replay_run
 
     try:
-        with progress(f"replaying {run_folder.name}", as_json) as tell:
-            done = replay_run(run_folder, tell)
+        with progress(f"replaying {run_folder.name}", as_json) as on_progress:
+            done = replay_run(run_folder, on_progress)
     except RecordingError as error:
         _fail_input(error)
     except config.ConfigError as error:
@@ -402,7 +430,7 @@ def replay(run_folder: Path, as_json: bool) -> None:
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("runs"),
     show_default=True,
-    help="Folder that the campaign's folder is made in; the same campaign goes on there by itself.",
+    help="Folder in which rig makes the campaign's folder. The same campaign goes on where it stopped.",
 )
 @click.option(
     "--resume",
@@ -410,14 +438,16 @@ def replay(run_folder: Path, as_json: bool) -> None:
     default=None,
     help="Go on in this campaign folder.",
 )
-@click.option("--number", type=click.IntRange(1), default=None, help="So many experiments instead of the config's.")
+@click.option("--number", type=click.IntRange(1), default=None, help="Number of experiments, instead of the config's.")
 @click.option(
     "--experiment", "only", metavar="K", type=click.IntRange(0), default=None,
-    help="Do number K alone, and print its row, or where it fails; nothing is written.",
+    help="Run only experiment K, and print its row, or where it fails. No file is written.",
 )  # fmt: skip
-@click.option("--jobs", type=click.IntRange(1, 1024), default=None, help="Processes; default: all cores.")
-@click.option("--backend", type=click.Choice(["joblib", "dask"]), default="joblib", show_default=True)
-@click.option("--scheduler", metavar="ADDRESS", default=None, help="Dask cluster to join; default: one started here.")
+@click.option("--jobs", type=click.IntRange(1, 1024), default=None, help="Number of processes. Default: one per core.")
+@click.option("--backend", type=click.Choice(["joblib", "dask"]), default="joblib", show_default=True,
+    help="What runs the processes.",
+)  # fmt: skip
+@click.option("--scheduler", metavar="ADDRESS", default=None, help="Dask cluster to join. Default: start one here.")
 @JSON
 def campaign(
     config_path: Path,
@@ -430,16 +460,19 @@ def campaign(
     scheduler: str | None,
     as_json: bool,
 ) -> None:
-    """Simulate and identify thousands of random experiments: errors against the bound, coverage."""
+    """Simulate and identify thousands of random experiments.
+
+    Prints the errors beside the smallest possible ones (Cramér-Rao), and how often the intervals hold the true value.
+    """
     try:
         asked = config.load_campaign(config_path)
     except config.ConfigError as error:
         _fail_config(error)
     if scheduler is not None and backend != "dask":
-        _fail(EXIT_BAD_INPUT, "--scheduler is an address of dask", "add --backend dask")
+        _fail(EXIT_BAD_INPUT, "--scheduler needs Dask", "add --backend dask")
     asked = asked if number is None else asked.model_copy(update={"experiments": number})
     if only is not None and only >= asked.experiments:
-        _fail(EXIT_BAD_INPUT, f"there is no experiment {only}", f"this campaign has 0 to {asked.experiments - 1}")
+        _fail(EXIT_BAD_INPUT, f"there is no experiment {only}", f"give --experiment 0 to {asked.experiments - 1}")
     folder = resume or out
     from rig.campaign.grid import BrokenOffError, CampaignError
 
@@ -452,23 +485,22 @@ def campaign(
         from rig.campaign import results, session
 
         folder = resume or results.folder_for(out, asked)
-        with progress(f"campaign {asked.name}", as_json) as tell:
-            done = session.run(
-                asked, folder, jobs=jobs or os.cpu_count() or 1, backend=backend, scheduler=scheduler, on_progress=tell
-            )
+        jobs = jobs or os.cpu_count() or 1
+        with progress(f"campaign {asked.name}", as_json) as on_progress:
+            done = session.run(asked, folder, jobs=jobs, backend=backend, scheduler=scheduler, on_progress=on_progress)
     except CampaignError as error:
         _fail(EXIT_FAILED if isinstance(error, BrokenOffError) else EXIT_BAD_INPUT, error.cause, error.cure)
     except RecordingError as error:
         _fail_input(error)
     except OSError as error:
-        _fail(EXIT_FAILED, f"{folder}: {error.strerror}", "the rows so far are there; the same command goes on")
+        _fail(EXIT_FAILED, f"{folder}: {error.strerror}", "the rows so far are kept: the same command goes on there")
     except KeyboardInterrupt:
-        _fail(EXIT_FAILED, "interrupted before or after the experiments", "the same command goes on")
+        _fail(EXIT_FAILED, "interrupted; no experiment was going on", "the same command goes on")
     if done.summary is None:
         _fail(
             EXIT_FAILED,
             f"interrupted: {done.done} of {asked.experiments} experiments are done in {folder}",
-            "the same command goes on where it stopped",
+            "the same command goes on from there",
         )
     if as_json:
         click.echo(json_text(done.summary | {"folder": str(folder)}), nl=False)
@@ -479,24 +511,33 @@ def campaign(
 
 @main.command()
 @CONFIG
-@click.option("--link", type=click.Path(path_type=Path), default=None, help="Name to give the port (a symbolic link).")
-@click.option("--trace", type=click.Path(path_type=Path), default=None, help="CSV of the drive at the pin over time.")
-@click.option("--chip", is_flag=True, help="The Uno's firmware on its emulated chip; it takes daq.baud.")
+@click.option(
+    "--link", type=click.Path(path_type=Path), default=None, help="Make a symbolic link to the port with this name."
+)
+@click.option(
+    "--trace",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Write the drive at the pin over time to this CSV file.",
+)
+@click.option("--chip", is_flag=True, help="Emulate the Uno's chip, and run its firmware on it at daq.baud.")
 def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool) -> None:
     """Run the emulated device of a config until Ctrl-C."""
     from rig.backends.registry import backend_of, emulated_board
 
     experiment = _load(config_path, drives=False)
     if experiment.emulated is None:
-        _fail(EXIT_BAD_INPUT, f"{config_path}: no section emulated", "add one; config/demo.yaml shows how")
+        _fail(EXIT_BAD_INPUT, f"{config_path} has no section `emulated`", "add one, as in config/demo.yaml")
     backend = backend_of(experiment)
     if chip and not backend.has_chip:
-        _fail(EXIT_BAD_INPUT, "--chip is the Uno, which does not speak Modbus", "leave --chip out")
+        _fail(EXIT_BAD_INPUT, "--chip emulates the Uno, which does not speak Modbus", "leave --chip out")
     from rig.loop.stop_request import stop_on_signals
 
     with stop_on_signals() as stop, _faults(), emulated_board(experiment, link, trace, chip=chip) as board:
         port = board.port
-        click.echo(f"emulated device on {link or port}; set daq.port to it in another terminal. Ctrl-C ends it.")
+        click.echo(
+            f"emulated device on {link or port}; set daq.port to that, and run rig in another terminal. Ctrl-C ends it."
+        )
         if hint := backend.emulated_hint(experiment, str(link or port)):
             click.echo(hint)
         while stop.reason is None:
@@ -507,14 +548,19 @@ def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool
 @main.command()
 @click.argument("config_path", metavar="[CONFIG]", required=False, type=click.Path(path_type=Path))
 @click.option(
-    "--seconds", type=click.FloatRange(0.2, 3600.0), default=3.0, show_default=True, help="Of measured ticks."
+    "--seconds",
+    type=click.FloatRange(0.2, 3600.0),
+    default=3.0,
+    show_default=True,
+    help="How long to measure ticks, s.",
 )
 @OUT
 @JSON
 def doctor(config_path: Path | None, seconds: float, out: Path, as_json: bool) -> None:
-    """Can this machine hold the loop's period; with a CONFIG, can this link? What is in the way, and what to type.
+    """Measure whether this machine and the link hold the period.
 
-    A device is opened and read, but never armed: nothing moves. Exit status 1 where something will not hold.
+    Without CONFIG: this machine. With CONFIG: also the link to its device. Says what is in the way, and what to type.
+    It opens and reads the device, but never arms it: nothing moves. Exit status 1 if the period will not hold.
     """
     from rig.doctor.visit import with_config, without_config
 
@@ -535,23 +581,23 @@ def doctor(config_path: Path | None, seconds: float, out: Path, as_json: bool) -
 
 
 @main.command()
-@click.option("--port", default=None, help="Serial port; default: the one Uno or clone that is plugged in.")
+@click.option("--port", default=None, help="Serial port. Default: the Uno or clone, if just one is plugged in.")
 @click.option(
     "--baud", type=click.Choice(["115200", "1000000"]), default="115200", show_default=True,
-    help="That the firmware speaks; daq.baud in the config.",
+    help="Baud rate of the firmware; the config's daq.baud must be the same.",
 )  # fmt: skip
 @click.option(
     "--bridge", type=click.Choice(["pwm-dir", "in1-in2"]), default="pwm-dir", show_default=True,
-    help="Inputs of the H-bridge: docs/real-bench.md.",
+    help="Kind of inputs that the H-bridge has (docs/real-bench.md).",
 )  # fmt: skip
 @click.option("--tachometer", is_flag=True, help="A tachometer is wired to A1.")
 @click.option("--supply", is_flag=True, help="The motor supply is wired to A2, through a divider by 4.")
 @click.option("--end-switches", is_flag=True, help="End switches are wired to D5 and D6.")
 @click.option(
     "--hex", "hex_file", type=click.Path(path_type=Path, exists=True, dir_okay=False), default=None,
-    help="Built already; default: built here, for the options above.",
+    help="Write this file. Default: build it here, for the options above.",
 )  # fmt: skip
-@click.option("--dry-run", is_flag=True, help="Build, and say what would be run; touch no board.")
+@click.option("--dry-run", is_flag=True, help="Build, and print the command; touch no board.")
 def flash(
     port: str | None,
     baud: str,
@@ -562,16 +608,22 @@ def flash(
     hex_file: Path | None,
     dry_run: bool,
 ) -> None:
-    """Build the Arduino Uno's firmware, write it to the board with avrdude, and ask the board who it is.
+    """Build the Arduino Uno's firmware and write it to the board.
 
-    Switch the motor's supply off before: while a board is written, its pins float.
+    avrdude writes it; then rig asks the board which firmware it runs.
+
+    Switch off the motor's supply first: while a board is written, its pins float.
     """
     from rig.backends.serial import flash as uno
     from rig.backends.serial.emulated.firmware_build import UnoOptions, build_uno
 
     options = UnoOptions(bridge.upper().replace("-", "_"), int(baud), tachometer, supply, end_switches)
     if hex_file is not None and options != UnoOptions(baud=int(baud)):
-        _fail(EXIT_BAD_INPUT, "a .hex that is built already takes no options but --baud", "leave them out, or --hex")
+        _fail(
+            EXIT_BAD_INPUT,
+            "with --hex only --baud has an effect: the file is built already",
+            "leave out the other options, or --hex",
+        )
     try:
         with _faults():
             avrdude = uno.find_avrdude()
@@ -600,7 +652,7 @@ def flash(
             click.echo("written; waiting for the board to answer ...")
             click.echo(f"{port}: {uno.in_words(uno.meet(port, int(baud)))}")
             if hex_file is None:
-                click.echo(f"before the motor's supply is on: {uno.AT_REST[bridge]}")
+                click.echo(f"before you switch on the motor's supply: {uno.AT_REST[bridge]}")
     except uno.FlashError as error:
         _fail(error.status, error.cause, error.cure)
 
@@ -608,16 +660,16 @@ def flash(
 @main.command()
 @click.option(
     "--to", "file", type=click.Path(path_type=Path, dir_okay=False), default=None, metavar="FILE",
-    help="File that is written; default: stdout.",
+    help="File to write. Default: stdout.",
 )  # fmt: skip
 @click.option("--out", "old_name", type=click.Path(path_type=Path, dir_okay=False), default=None, hidden=True)
 @click.option(
     "--of", "of", type=click.Choice(["config", "campaign", "meta", "result"]), default="config", show_default=True,
-    help="A config; one of `rig campaign`; a run's meta.json; its result.json.",
+    help="What it describes: a config, a config of `rig campaign`, a run's meta.json, or its result.json.",
 )  # fmt: skip
-@click.option("--campaign", "of_campaign", is_flag=True, help="As --of campaign.")
+@click.option("--campaign", "of_campaign", is_flag=True, help="The same as --of campaign.")
 def schema(file: Path | None, old_name: Path | None, of: str, of_campaign: bool) -> None:
-    """Write a JSON Schema: of the config, for editors, or of what a run writes."""
+    """Write a JSON Schema of a config, for editors, or of a run's files."""
     if of in ("meta", "result"):
         from rig.results.json_schema import schema_text
 
@@ -625,7 +677,7 @@ def schema(file: Path | None, old_name: Path | None, of: str, of_campaign: bool)
     else:
         text = config.schema_text(config.Campaign if of_campaign or of == "campaign" else config.Experiment)
     if old_name is not None:
-        click.echo(f"note: a file that is written is named by --to now: `rig schema --to {old_name}`", err=True)
+        click.echo(f"note: --out is now --to: `rig schema --to {old_name}`", err=True)
     file = file or old_name
     if file is None:
         click.echo(text, nl=False)
@@ -638,12 +690,12 @@ def schema(file: Path | None, old_name: Path | None, of: str, of_campaign: bool)
 
 @main.group("config")
 def ready_configs() -> None:
-    """The ready configs that come with rig: list them, copy one."""
+    """List the ready configs that come with rig, or copy one."""
 
 
 @ready_configs.command("list")
 def list_configs() -> None:
-    """Names of the ready configs, and what each is for."""
+    """List the ready configs, and what each is for."""
     from rig.config import ready
 
     names = ready.names()
@@ -656,10 +708,13 @@ def list_configs() -> None:
 @click.argument("name", metavar="NAME")
 @click.option(
     "--to", "file", type=click.Path(path_type=Path, dir_okay=False), default=None, metavar="FILE",
-    help="File that is written; default: NAME.yaml here.",
+    help="File to write. Default: NAME.yaml here.",
 )  # fmt: skip
 def copy_config(name: str, file: Path | None) -> None:
-    """Copy a ready config, to change it. A file that is there already stays."""
+    """Copy a ready config, so that you can change it.
+
+    It never replaces a file.
+    """
     from rig.config import ready
 
     try:
@@ -690,14 +745,14 @@ def _faults() -> Any:
 
 
 def _perform(start: Callable[[OnStart], Any], as_json: bool) -> Any:
-    """Run with live progress, in a pipe a line a stage; show the end of it, unless JSON was asked for."""
+    """Run with live progress (in a pipe: one line per stage), then show the result; with --json neither."""
     from rig.recording.follow import following
 
     with _faults(), contextlib.ExitStack() as stack:
 
-        def on_start(folder: Path, said: tuple[str, ...]) -> None:
-            for line in said:
-                click.echo(f"rig: {line}", err=True)
+        def on_start(folder: Path, notes: tuple[str, ...]) -> None:
+            for note in notes:
+                click.echo(f"rig: {note}", err=True)
             if not as_json:
                 stack.enter_context(following(folder))
 

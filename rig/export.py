@@ -1,15 +1,15 @@
-"""A run folder in one file of another kind: what people open next.
+"""Export: a run folder as one file that other programs open.
 
 ======= ==========================================================================================================
 suffix  what is in it
 ======= ==========================================================================================================
 .mat    MATLAB, Octave: structs ``samples``, ``units``, ``meta``, ``config``, ``result``, struct array ``events``
 .npz    numpy: an array for each column; ``units``, ``meta``, ``config``, ``result``, ``events`` as JSON text
-.csv    t_s, u_V, y_rad, t_u_s where it is known, and ``stage`` unless one stage is asked for: `rig identify` reads it
-.json   all of it as one object, columns as lists, null for what is not known
+.csv    t_s, u_V, y_rad, t_u_s if known, ``stage`` if there is more than one; `rig identify` reads it
+.json   everything as one object: columns as lists, null for unknown
 ======= ==========================================================================================================
 
-Values are those of the record, to the last bit.
+Values are those of the recording, to the last bit.
 """
 
 from __future__ import annotations
@@ -60,11 +60,11 @@ _MATLAB_WORDS: Final = (
 
 
 @dataclass(frozen=True)
-class Run:
-    """What is exported: the rows asked for, and everything else of the folder as it is there.
+class ExportedRun:
+    """What an export writes: the rows asked for, and everything else in the folder.
 
-    config, result  empty where the folder has none
-    notes           in words, what the folder lacks
+    config, result  empty if the folder has none
+    notes           what the folder lacks, in words
     """
 
     recording: Recording
@@ -73,11 +73,11 @@ class Run:
     notes: tuple[str, ...]
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns that the record has, by name, one entry a row."""
+        """The columns of the recording by name, one entry per row."""
         return {name: getattr(self.recording, name) for name in COLUMNS if name in self.recording.columns_present}
 
-    def papers(self) -> JsonObject:
-        """Everything but rows and events, as JSON has it."""
+    def documents(self) -> JsonObject:
+        """Everything but rows and events, as JSON."""
         return {
             "units": {name: UNITS[name] for name in self.columns()},
             "meta": self.recording.meta.as_json(),
@@ -87,7 +87,7 @@ class Run:
         }
 
     def events(self) -> list[JsonObject]:
-        """The events, as JSON has them."""
+        """The events, as JSON."""
         return [event.as_json() for event in self.recording.events]
 
 
@@ -98,23 +98,25 @@ def export(
     rows: tuple[int | None, int | None] | None = None,
     *,
     overwrite: bool = False,
-) -> Run:
-    """Write the run to the file ``to``, whose suffix says how: one of ``FORMATS``. What was written is returned.
+) -> ExportedRun:
+    """Write a run to the file ``to``. Its suffix, one of ``FORMATS``, names the format. Returns what was written.
 
-    stage  the rows of this stage alone
-    rows   rows first to last of the run alone, both included, counted from 0; with ``stage``: of that stage's
-    Raises RecordingError where there is no run, no such suffix or no such stage, ``to`` is there already,
-    or is a file of a run;
-    CannotWriteError where it cannot be written.
+    stage      only the rows of this stage
+    rows       only the rows first to last, both included, counted from 0; with ``stage``: counted in that stage
+    overwrite  replace ``to`` if it is there already
+    Raises RecordingError if there is no run, no such suffix or no such stage, or if ``to`` is there already or is a
+    file of a run; CannotWriteError if ``to`` cannot be written.
     """
     written = FORMATS.get(to.suffix.lower())
     if written is None:
-        raise RecordingError(to, f"ends in none of {', '.join(FORMATS)}", "name the file so: its end says the format")
+        raise RecordingError(
+            to, f"ends in none of {', '.join(FORMATS)}", "give the file one of these suffixes: it names the format"
+        )
     try:
         if to.is_dir():
             raise RecordingError(to, "is a folder", f"name a file in it, such as {to / ('run' + to.suffix)}")
         if not to.parent.is_dir():
-            raise RecordingError(to.parent, "is no folder", "make it first, or name a file elsewhere")
+            raise RecordingError(to.parent, "is no folder", "make it first, or name a file in another folder")
         if is_file_of_a_run(to):
             raise RecordingError(
                 to, "is a file of the run itself", f"name another file, such as {to.parent / ('run' + to.suffix)}"
@@ -122,14 +124,14 @@ def export(
         if to.exists() and not overwrite:
             raise RecordingError(to, "is there already", "name another file, or add --force to replace it")
     except OSError as error:
-        raise RecordingError(to, f"cannot be written: {error.strerror}", "name a file elsewhere") from error
+        raise RecordingError(to, f"cannot be written: {error.strerror}", "name a file in another folder") from error
     run = load(run_folder, stage, rows)
     write_whole(to, written(run))
     return run
 
 
-def load(run_folder: Path, stage: str | None = None, rows: tuple[int | None, int | None] | None = None) -> Run:
-    """The run, or of it the rows of ``stage`` alone, and of these rows ``rows`` alone. Raises RecordingError."""
+def load(run_folder: Path, stage: str | None = None, rows: tuple[int | None, int | None] | None = None) -> ExportedRun:
+    """Read a run; only the rows of ``stage``, and of these only ``rows``, if given. Raises RecordingError."""
     recording = read_run(run_folder)
     notes = list(recording.notes)
     result = read_result(run_folder)
@@ -138,7 +140,7 @@ def load(run_folder: Path, stage: str | None = None, rows: tuple[int | None, int
     else:
         notes.extend(f"{RESULT}: {remark}" for remark in remarks(result))
     if any(event.kind == "loop_died" for event in recording.events):
-        notes.append("the run was killed: its record is complete to its last tick")
+        notes.append("the run was killed: its recording is complete to its last tick")
     config: JsonObject = {}
     try:
         if recording.config_text is None:
@@ -152,14 +154,14 @@ def load(run_folder: Path, stage: str | None = None, rows: tuple[int | None, int
         recording = recording.select(of_stage.start, of_stage.stop - 1)
     if rows is not None:
         recording = recording.only_rows(*rows)
-    return Run(replace(recording, notes=()), config, result or RunResult(), tuple(notes))
+    return ExportedRun(replace(recording, notes=()), config, result or RunResult(), tuple(notes))
 
 
 # -- formats ----------------------------------------------------------------------------------------------------------
 
 
-def as_csv(run: Run) -> bytes:
-    """Comma-separated text with a line of names; numbers are the shortest that name the double, empty: not known."""
+def as_csv(run: ExportedRun) -> bytes:
+    """Comma-separated text with a line of names. Each number has as few digits as name the double; empty: unknown."""
     r = run.recording
     columns: list[Iterable[str]] = [map(repr, getattr(r, name).tolist()) for name in ("t_s", "u_V", "y_rad")]
     names = ["t_s", "u_V", "y_rad"]
@@ -173,25 +175,25 @@ def as_csv(run: Run) -> bytes:
     return ("\n".join(lines) + "\n").encode("utf-8")
 
 
-def as_json(run: Run) -> bytes:
+def as_json(run: ExportedRun) -> bytes:
     """One strict JSON object in UTF-8."""
     columns = {name: column.tolist() for name, column in run.columns().items()}
     run_name = run.recording.source.resolve().name
-    whole = {"run": run_name, **run.papers(), "events": run.events(), "samples": columns}
+    whole = {"run": run_name, **run.documents(), "events": run.events(), "samples": columns}
     return json.dumps(json.loads(json_text(whole)), separators=(",", ":")).encode("utf-8") + b"\n"
 
 
-def as_npz(run: Run) -> bytes:
+def as_npz(run: ExportedRun) -> bytes:
     """A compressed .npz that ``numpy.load`` opens without pickle."""
-    papers = {name: np.array(json_text({name: value})) for name, value in run.papers().items()}
-    papers["events"] = np.array(json_text({"events": run.events()}))
+    documents = {name: np.array(json_text({name: value})) for name, value in run.documents().items()}
+    documents["events"] = np.array(json_text({"events": run.events()}))
     out = io.BytesIO()
-    arrays: dict[str, Any] = {**run.columns(), **papers}
+    arrays: dict[str, Any] = {**run.columns(), **documents}
     np.savez_compressed(out, **arrays)
     return out.getvalue()
 
 
-def as_mat(run: Run) -> bytes:
+def as_mat(run: ExportedRun) -> bytes:
     """A MATLAB 5 file: columns n x 1, numbers doubles, texts char, lists of texts cells, null []."""
     from scipy.io import savemat
 
@@ -199,7 +201,7 @@ def as_mat(run: Run) -> bytes:
         name: _cell(column.tolist()) if KINDS[name] == "name" else column.astype(np.float64).reshape(-1, 1)
         for name, column in run.columns().items()
     }
-    whole = {name: _matlab(value) for name, value in run.papers().items()}
+    whole = {name: _matlab(value) for name, value in run.documents().items()}
     out = io.BytesIO()
     savemat(
         out,  # type: ignore[arg-type]  # scipy writes to open files, its stubs do not know
@@ -211,14 +213,19 @@ def as_mat(run: Run) -> bytes:
     return out.getvalue()
 
 
-FORMATS: Final[dict[str, Callable[[Run], bytes]]] = {".mat": as_mat, ".npz": as_npz, ".csv": as_csv, ".json": as_json}
+FORMATS: Final[dict[str, Callable[[ExportedRun], bytes]]] = {
+    ".mat": as_mat,
+    ".npz": as_npz,
+    ".csv": as_csv,
+    ".json": as_json,
+}
 
 
 # -- MATLAB's kinds of values -----------------------------------------------------------------------------------------
 
 
 def matlab_names(names: Sequence[str]) -> list[str]:
-    """These names as MATLAB takes them: a letter, then letters, digits and _, at most 63 in all, each once."""
+    """Names that MATLAB takes: a letter, then letters, digits and _, 63 characters at most, no name twice."""
     taken: list[str] = []
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", name)[:LONGEST_NAME]
@@ -233,7 +240,7 @@ def matlab_names(names: Sequence[str]) -> list[str]:
 
 
 def _matlab(value: Any) -> Any:
-    """A value of JSON as savemat writes it best."""
+    """A JSON value as the type that savemat writes best."""
     if value is None:
         return np.zeros((0, 0))
     if isinstance(value, bool | str):
@@ -251,7 +258,7 @@ def _matlab(value: Any) -> Any:
 
 
 def _numbers(values: Sequence[Any]) -> NDArray[np.float64] | None:
-    """A vector or matrix of the numbers of a list, null as nan; None where there is anything else in it."""
+    """A vector or matrix of the numbers in a list, null as nan; None if the list holds anything else."""
     if all(isinstance(item, list) and item and len(item) == len(values[0]) for item in values):
         rows = [_numbers(item) for item in values]
         return np.vstack([row for row in rows if row is not None]) if all(row is not None for row in rows) else None
@@ -267,7 +274,7 @@ def _cell(items: Sequence[Any]) -> NDArray[np.object_]:
 
 
 def _struct_array(items: Sequence[Mapping[str, Any]]) -> Any:
-    """An n x 1 struct array with every field that one of the items has; [] where an item has none."""
+    """An n x 1 struct array with the fields of all items; [] if an item lacks one."""
     fields = list(dict.fromkeys(name for item in items for name in item))
     if not fields:
         return np.zeros((0, 0))

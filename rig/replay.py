@@ -1,8 +1,8 @@
-"""A replay: the record of a run goes through laws and guard again, and has to give the same drive, tick for tick.
+"""Replay: the recorded samples of a run go through laws and guard again. Each drive must be the same, tick for tick.
 
-The code is that of the run: the experiment's stages, the loop, the laws, the guard. The bench behind them is the record
-(``rig.loop.recorded``). What the laws cannot derive from the samples anew stands in the run folder: the config, the
-script and the drive's units in meta.json, the models that tracked as events.
+A replay runs the same code as the run: the experiment's stages, the loop, the laws, the guard. Only the bench behind
+them is the recording (``rig.loop.recorded``). The run folder also holds what the laws cannot derive from the samples:
+the config; in meta.json the script and the drive's units; as events the models that tracked.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rig.control.guard import Guard
 from rig.control.law import OwnLaw, Timed
 from rig.experiment import BREAKAWAY_LAW, configured_law, stages
 from rig.faults import FAULTS, Fault
-from rig.loop.recorded import Comparison, RecordedClock, RecordedDriver, ReplayLoop
+from rig.loop.recorded import RecordedClock, RecordedDriver, ReplayLoop, RowComparison
 from rig.loop.replayed_rows import OF_GUARD, Difference, Diverged, RecordEnds, ReplayedRows
 from rig.loop.stop_request import StopRequest
 from rig.model.friction import coulomb
@@ -46,18 +46,19 @@ _RECORD_AGAIN = "record the run again with this version"
 
 @dataclass(frozen=True)
 class Replay:
-    """What a replay came to.
+    """The result of a replay.
 
-    folder      the run
-    rows        of the record; ``replayed`` of them, up to the first difference
-    compared    rows whose drive was compared with the one that acted
-    lost        rows whose drive never reached the device, so that there is nothing to compare
-    limited     rows in which the device drove less than it was told to, likewise
-    duration_s  that was recorded
-    difference  the first one; None: the same drive, tick for tick
-    ending      how the record ends; ``no end``: the run was killed, or its last rows are lost
-    fault       that ended the run
-    notes       what was tolerated in the record
+    folder      run folder
+    rows        rows of the recording
+    replayed    rows up to the first difference
+    compared    rows whose drive was compared with the drive that acted
+    lost        rows whose drive never reached the device: nothing to compare
+    limited     rows in which the device drove less than commanded: nothing to compare
+    duration_s  duration of the recording
+    difference  the first difference; None: the same drive, tick for tick
+    ending      how the recording ends; ``no end``: the run was killed, or its last rows are lost
+    fault       the fault that ended the run
+    notes       what was wrong with the recording, and was tolerated
     """
 
     folder: Path
@@ -91,10 +92,11 @@ class Replay:
 
 
 def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, own: OwnLaw | None = None) -> Replay:
-    """Replay a run folder; ``on_progress`` is told (rows done, of) now and then. Nothing is written.
+    """Replay a run folder. Writes nothing.
 
-    own  the law of a run that was made with an object of a program's, made anew; one that the config names is found
-    Raises RecordingError where the folder cannot be read, or lacks what a replay needs; ConfigError for its config.
+    on_progress  called now and then with (rows done, rows in all)
+    own          a new object of the user's law that ran; None: the law that the config names, if it names one
+    Raises RecordingError if the folder cannot be read, or lacks what a replay needs; ConfigError for its config.
     """
     recording = read_run(folder)
     fault, is_whole = _ending(recording)
@@ -114,7 +116,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
     replayed = ReplayedRows(recording, e.period_s, fault, is_whole, stop, on_progress)
     drive_map = e.drive.map if units is None else replace(e.drive.map, full_units=units)
     driver = RecordedDriver(replayed, order, e.sensor.curve, drive_map, clock_ratio)
-    clock, comparison = RecordedClock(replayed), Comparison(replayed, None if units is None else drive_map.quantised)
+    clock, comparison = RecordedClock(replayed), RowComparison(replayed, None if units is None else drive_map.quantised)
     loop = ReplayLoop(driver, clock, Guard(guard_settings_of(e)), comparison, e.period_s, stop)
     loop.replayed = replayed
     session = Session(
@@ -124,7 +126,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
         comparison,
         loop,
         recording.meta,
-        Findings(real_time=RealTimeReport()),  # nothing to be granted, nothing to be written
+        Findings(real_time=RealTimeReport()),  # a replay asks the machine for nothing
     )
     difference = _compare(script, session, replayed)
     ending: Ending = "no end" if not is_whole else "its end" if fault is None else "a fault"
@@ -144,7 +146,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
 
 
 def _compare(script: Script, session: Session, replayed: ReplayedRows) -> Difference | None:
-    """Run the script on the record; the first difference."""
+    """Run the script on the recording. Returns the first difference, or None."""
     seen: Fault | None = None
     try:
         script(session)
@@ -153,14 +155,14 @@ def _compare(script: Script, session: Session, replayed: ReplayedRows) -> Differ
         return None
     except Diverged as diverged:
         difference = diverged.difference
-        # raised while the loop took down the row of a fault: that is what the replay came to
+        # raised while the loop recorded the row of a fault: the replay ended with that fault
         cause = diverged.__context__
         return (
             _with_fault(difference, cause) if isinstance(cause, Fault) and cause is not replayed.fault else difference
         )
     except Fault as fault:
         seen = fault
-    except Exception as error:  # noqa: BLE001 - as in a run: a law that fails on this record is a difference
+    except Exception as error:  # noqa: BLE001 - as in a run: a law that fails on this recording is a difference
         seen = Fault("INTERNAL", f"{type(error).__name__}: {error}")
     if seen is not None and (not replayed.is_over or replayed.fault is None or replayed.fault.code != seen.code):
         row = max(replayed.next - 1, 0)
@@ -183,7 +185,7 @@ def _with_fault(difference: Difference, fault: Fault) -> Difference:
 
 
 def _ending(recording: Recording) -> tuple[Fault | None, bool]:
-    """The fault that ended the run, and whether it came to an end that is on record, with all rows."""
+    """The fault that ended the run, and whether the recording has an end and all rows."""
     fault: Fault | None = None
     kinds = [event.kind for event in recording.events]
     for event in recording.events:
@@ -191,7 +193,9 @@ def _ending(recording: Recording) -> tuple[Fault | None, bool]:
             code = str(event.detail.get("code"))
             if code not in FAULTS:
                 raise RecordingError(
-                    recording.source / EVENTS, f"fault {code} is none of this version", "use the version that recorded"
+                    recording.source / EVENTS,
+                    f"this version does not know the fault {code}",
+                    "use the version that recorded the run",
                 )
             fault = Fault(code, str(event.detail.get("detail", "")))
     torn = any("torn" in note for note in recording.notes)
@@ -199,8 +203,8 @@ def _ending(recording: Recording) -> tuple[Fault | None, bool]:
 
 
 def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
-    """What the run did, without what only looks at its record."""
-    what = _told(recording, "script").script
+    """The stages of the run that drive; a replay leaves out those that only read the recording."""
+    what = _meta_with(recording, "script").script
     name = None if what is None else what.name
     models = _models(recording)
 
@@ -226,7 +230,9 @@ def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
     script = scripts.get(name or "")
     if script is None or what is None:
         raise RecordingError(
-            recording.source / META, f"no script {name!r} in this version", "use the version that recorded"
+            recording.source / META,
+            f"this version does not know the script {name!r}",
+            "use the version that recorded the run",
         )
     law = _breakaway_law(recording, what)
     jogged = (0.0, 0.0)
@@ -257,7 +263,7 @@ def _users_law(recording: Recording, what: ScriptCall, e: Experiment, own: OwnLa
 
 
 def _breakaway_law(recording: Recording, what: ScriptCall) -> Callable[[Experiment], BreakawayLaw]:
-    """The breakaway law that ran: the one of now, or that of an older version."""
+    """The breakaway law that ran: this version's, or an older one's."""
     law = what.breakaway
     if law == BREAKAWAY_LAW:
         return stages.breakaway_check
@@ -266,13 +272,15 @@ def _breakaway_law(recording: Recording, what: ScriptCall) -> Callable[[Experime
             e.breakaway.ramp_V_s, e.breakaway.max_V, e.breakaway.motion_rad, e.breakaway.rest_s
         )
     raise RecordingError(
-        recording.source / META, f"no breakaway law {law!r} in this version", "use the version that recorded"
+        recording.source / META,
+        f"this version does not know the breakaway law {law!r}",
+        "use the version that recorded the run",
     )
 
 
 def _device(recording: Recording) -> tuple[Order, int | None, float]:
-    """Order of a tick, units of the drive (None: it has no steps), device seconds for one of the host's."""
-    meta = _told(recording, "order", "drive_units", "firmware")
+    """Order of a tick; units of the drive (None: it has no steps); device seconds in a second of the host."""
+    meta = _meta_with(recording, "order", "drive_units", "firmware")
     if meta.order is None:
         raise _broken(recording, "order", None)
     if meta.firmware is None or not meta.firmware.says("clock_ratio"):
@@ -290,8 +298,9 @@ def _models(recording: Recording) -> dict[Method, Motor]:
     for event in recording.events:
         if event.kind == "model":
             try:
-                said = parsed(DrivenModel, event.detail)
-                models[cast(Method, said.method)] = Motor(said.tau_s, said.K_rad_s_V, coulomb(said.fc_V), said.bias_V)
+                model = parsed(DrivenModel, event.detail)
+                motor = Motor(model.tau_s, model.K_rad_s_V, coulomb(model.fc_V), model.bias_V)
+                models[cast(Method, model.method)] = motor
             except (DamagedError, ValueError) as error:
                 raise RecordingError(
                     recording.source / EVENTS, f"event model is broken ({error})", _RECORD_AGAIN
@@ -299,8 +308,8 @@ def _models(recording: Recording) -> dict[Method, Motor]:
     return models
 
 
-def _told(recording: Recording, *names: str) -> RunMeta:
-    """meta.json, which says what a replay needs. Raises RecordingError where it does not."""
+def _meta_with(recording: Recording, *names: str) -> RunMeta:
+    """meta.json. Raises RecordingError if it lacks one of the keys ``names``, which a replay needs."""
     for name in names:
         if not recording.meta.says(name):
             raise RecordingError(

@@ -1,4 +1,4 @@
-"""What a run writes of itself: meta.json as it begins, result.json as it ends, made from what is known by then."""
+"""Makes meta.json when a run begins, and result.json when it ends."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ from rig.results.part import VERSION
 
 @dataclass
 class Findings:
-    """What is known of a run so far; what has not happened is None or empty.
+    """What a run has found so far. A field is None or empty until its stage has run.
 
-    real_time       what the machine granted the loop, once it was asked
-    identification  of this run's record, or of ``models_from``
-    models_from     the run whose models are driven, where it is another
-    tracking        by method; an empty one has come to its end and is still to be measured
-    notes           in words, what else there is to know
+    real_time       what the machine granted the loop
+    identification  of this run's recording, or of ``models_from``
+    models_from     another run whose models are driven
+    tracking        by method; an empty one has come to its end, but nobody has measured its error yet
+    notes           what else there is to know, in words
     """
 
     real_time: RealTimeReport | None = None
@@ -61,8 +61,8 @@ class Findings:
     notes: list[str] = field(default_factory=list)
 
     @property
-    def of_this_record(self) -> Identification | None:
-        """What was identified from this run's own record: rows, relays and notes of another would be taken for its."""
+    def of_this_run(self) -> Identification | None:
+        """What was identified from this run's own recording. Rows and relays of another run do not belong here."""
         return self.identification if self.models_from is None else None
 
 
@@ -104,8 +104,8 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
 def run_result(
     experiment: Experiment, bench: Bench, statistics: LoopStatistics, found: Findings, fault: Fault | None
 ) -> RunResult:
-    """result.json of a run that has ended, by its end or by a fault."""
-    own = found.of_this_record
+    """result.json of a run that has come to its end or to a fault."""
+    own = found.of_this_run
     return RunResult(
         version=VERSION,
         backend=bench.driver.backend,
@@ -127,8 +127,8 @@ def run_result(
     )
 
 
-def least_result(bench: Bench, statistics: LoopStatistics, said: list[str], fault: Fault | None) -> RunResult:
-    """What can always be said of a run; ``said``: its notes."""
+def least_result(bench: Bench, statistics: LoopStatistics, notes: list[str], fault: Fault | None) -> RunResult:
+    """result.json of a run whose findings cannot be written: backend, loop, fault and notes."""
     return RunResult(
         version=VERSION,
         backend=bench.driver.backend,
@@ -139,14 +139,14 @@ def least_result(bench: Bench, statistics: LoopStatistics, said: list[str], faul
         link={},
         faults=_faults(fault),
         config_notes=(),
-        notes=tuple(said),
+        notes=tuple(notes),
     )
 
 
 def true_motor(bench: Bench) -> TrueMotor | None:
-    """The emulated motor's parameters, as an estimate would name them; None where the motor is real.
+    """The emulated motor's parameters, under an estimate's names; None if the motor is real.
 
-    With viscous friction tau_s and K_rad_s_V are those that the motion shows; what they are without it is beside them.
+    With viscous friction, tau_s and K_rad_s_V include it, as the motion shows them. The values without it stand beside.
     """
     if bench.truth is None:
         return None
@@ -188,19 +188,19 @@ def _faults(fault: Fault | None) -> tuple[FaultReport, ...]:
 
 def _notes(found: Findings) -> tuple[str, ...]:
     if found.models_from is not None:
-        return (*found.notes, f"models are those of {found.models_from}")
+        return (*found.notes, f"the models come from {found.models_from}")
     return (*found.notes, *([] if found.identification is None else found.identification.notes))
 
 
 def _hysteretic(own: Identification, experiment: Experiment) -> tuple[HystereticResult, ...] | None:
-    """The runs, with the hysteresis that the config asked for; None where there are none."""
+    """The hysteretic runs, with the hysteresis that the config asked for; None if there are none."""
     eps_rad = {str(Stage.hysteretic(k)): run.eps_rad for k, run in enumerate(experiment.relay.hysteretic or (), 1)}
     runs = tuple(run.model_copy(update={"eps_rad": eps_rad.get(run.stage)}) for run in own.hysteretic)
     return runs or None
 
 
 def _breakaway(check: BreakawayLaw, own: Identification | None) -> BreakawayResult:
-    """What the check saw; with what was identified from its record."""
+    """What the breakaway check saw, and what was identified from it."""
     seen = BreakawayResult(seen_plus_V=check.plus_V, seen_minus_V=check.minus_V, noise_rad=check.noise_rad)
     if own is None or own.breakaway is None:
         return seen

@@ -1,4 +1,4 @@
-"""One run on the bench, recorded: whatever ends it, the drive is stopped, and record, result and report are kept."""
+"""One recorded run on the bench. Whatever ends it: the drive stops, and recording, result and report are kept."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _LONG_GAP_S = 0.1  # between two readings of a device that latches no e-stop
 
 @dataclass
 class Outcome:
-    """What a run came to: its folder, its result.json, the fault that ended it, and what else failed."""
+    """How a run ended: its folder, its result.json, the fault that ended it, and what else failed."""
 
     folder: Path
     result: RunResult
@@ -51,9 +51,9 @@ class Outcome:
 
     @property
     def failure(self) -> str:
-        """Why the run is not a success, in words; empty if it is."""
+        """Why the run failed, in words; empty if it did not."""
         why = ([] if self.fault is None else [str(self.fault)]) + self.failures
-        # least squares is what the run was for where it had no other relay test
+        # without another relay test the run was for least squares
         for method in ("sampled-data", *(() if self.result.relays else ("least-squares",))):
             estimate = self.result.estimates.get(method)
             if not why and estimate is not None and estimate.is_refused:
@@ -61,16 +61,16 @@ class Outcome:
         return "; ".join(why)
 
     def as_json(self) -> JsonObject:
-        """What `--json` prints: result.json, where it is, whether all is well, and if not why and what to do."""
-        said: JsonObject = {"ok": not self.failure, "folder": str(self.folder)}
+        """What `--json` prints: whether all is well, the folder, if not the cause and the cure; then result.json."""
+        printed: JsonObject = {"ok": not self.failure, "folder": str(self.folder)}
         if self.failure:
-            said |= {"cause": self.failure, "cure": "" if self.fault is None else self.fault.cure}
-        return said | self.result.as_json()
+            printed |= {"cause": self.failure, "cure": "" if self.fault is None else self.fault.cure}
+        return printed | self.result.as_json()
 
 
 @dataclass
 class Session:
-    """One run in progress: the open bench, the loop on it, what meta.json says, and what is known so far."""
+    """One run in progress: the open bench, its loop, the run folder, meta.json, and the findings so far."""
 
     experiment: Experiment
     folder: Path
@@ -79,20 +79,20 @@ class Session:
     loop: Loop
     meta: RunMeta
     found: Findings = field(default_factory=Findings)
-    recording: Recording | None = None  # the rows as they were last read
+    recording: Recording | None = None  # the rows that were read last
 
     def read(self) -> Recording:
-        """The rows so far; those that were read before are not parsed again. Raises RecordingError."""
+        """The rows so far. Parses only the rows since the last call. Raises RecordingError."""
         self.recording = read_run(self.folder, self.recording)
         return self.recording
 
     def note(self, kind: str, **fields: str | float | int | bool) -> None:
-        """An event of now."""
+        """Write an event, with the time of now."""
         self.recorder.event(self.loop.now_s, kind, **fields)
 
 
 Script = Callable[[Session], None]
-OnStart = Callable[[Path, tuple[str, ...]], None]  # told of the run folder, and of what the device had latched
+OnStart = Callable[[Path, tuple[str, ...]], None]  # called with the run folder and the first notes
 
 
 def record(
@@ -103,12 +103,15 @@ def record(
     on_start: OnStart | None,
     again: Bench | None = None,
 ) -> Outcome:
-    """Run ``script`` on the bench, recorded; whatever ends it, the drive is stopped and the record kept.
+    """Run ``script`` on the bench and record it. Whatever ends it, the drive stops and the recording is kept.
 
-    ``what`` names the script in meta.json, with its arguments, so that it can be replayed. ``again`` is a bench that
-    the same command has opened already, and closes.
+    parent    folder in which the run folder is made
+    what      name and arguments of the script, for meta.json: a replay needs them
+    on_start  called once with the run folder and the first notes
+    again     a bench that the same command has opened already; its opener closes it
+
     result.json is written before signals get their usual meaning back: a second Ctrl-C costs the report, no more.
-    Raises Fault where the bench cannot be opened, RecordingError where there can be no run folder.
+    Raises Fault if the bench cannot be opened, RecordingError if the run folder cannot be made.
     """
     started = datetime.now(UTC)
     session: Session | None = None
@@ -131,7 +134,7 @@ def record(
         _measure_tracking(session, outcome)
         _write_result(session, outcome)
         if stop.reason is not None and fault is None:
-            outcome.failures.append(f"{stop.reason} came when the experiment had ended")
+            outcome.failures.append(f"{stop.reason} came after the experiment had ended")
     return _conclude(session, outcome)
 
 
@@ -143,7 +146,7 @@ def _begin(
     stop: StopRequest,
     started: datetime,
 ) -> tuple[Session, Recorder]:
-    """The run folder, its recorder and the loop."""
+    """Make the run folder, its recorder and the loop."""
     folder = create_run(parent, f"{what.name}-{experiment.name}", started)
     write_config(folder, dump(experiment))
     meta = run_meta(experiment, bench, what, started)
@@ -151,14 +154,14 @@ def _begin(
     guard = Guard(guard_settings_of(experiment))
     recorder = Recorder(folder, _stages(experiment))
     loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
-    said = [since_the_last_run(code) for code in bench.info.acknowledged]
+    first_notes = [since_the_last_run(code) for code in bench.info.acknowledged]
     supply = _supply(experiment, bench).objection
-    said += [] if supply is None else [supply]
-    return Session(experiment, folder, bench, recorder, loop, meta, Findings(notes=said)), recorder
+    first_notes += [] if supply is None else [supply]
+    return Session(experiment, folder, bench, recorder, loop, meta, Findings(notes=first_notes)), recorder
 
 
 def _run_script(script: Script, session: Session, on_start: OnStart | None) -> Fault | None:
-    """Run the script to its end; the fault that ended it, if one did."""
+    """Run the script to its end. Returns the fault that ended it, or None."""
     fault: Fault | None = None
     try:
         if on_start is not None:
@@ -178,7 +181,7 @@ def _run_script(script: Script, session: Session, on_start: OnStart | None) -> F
         session.loop.close()
     if fault is not None:
         session.note("fault", **fault.as_dict())
-    session.found.notes += _seen_by(session.loop)
+    session.found.notes += _loop_notes(session.loop)
     session.note("end")
     return fault
 
@@ -190,36 +193,36 @@ def traceback_of(fault: Fault) -> str:
     return "".join(traceback.format_exception(fault.__cause__))
 
 
-def _seen_by(loop: Loop) -> list[str]:
-    """What the loop has to say of a run that is over, in words."""
-    said = []
+def _loop_notes(loop: Loop) -> list[str]:
+    """Notes on the loop of a run that is over."""
+    notes = []
     braked = loop.guard.braked_ticks
     if braked:
-        said.append(f"the guard braked in {braked} ticks: for this motion the limits leave too little room to stop")
+        notes.append(f"the guard braked in {braked} ticks: for this motion the limits leave too little room to stop")
     if loop.unconfirmed_stops:
-        said.append("the device did not confirm the stop: its watchdog sets 0 V; see that the shaft stands")
+        notes.append("the device did not confirm the stop: its watchdog sets 0 V; make sure that the shaft stands")
     gap_s = loop.pause_watch.longest_gap_s
     if gap_s > _LONG_GAP_S:
-        said.append(
-            f"in a pause the device was not asked for {1e3 * gap_s:.0f} ms: an e-stop opened for less may have passed "
-            "unseen; wire the e-stop so that it cuts the motor's supply"
+        notes.append(
+            f"in a pause nothing read the device for {1e3 * gap_s:.0f} ms: an e-stop that opened for less may have "
+            "passed unseen; wire the e-stop so that it cuts the motor's supply"
         )
-    return said
+    return notes
 
 
 def _close(recorder: Recorder) -> Fault | None:
-    """Close the record; the fault, where rows could not be written."""
+    """Close the recording. Returns the fault if rows could not be written."""
     try:
         recorder.close()
     except Fault as lost:
         return lost
     except Exception as error:  # noqa: BLE001 - what was recorded is there, and gets its result
-        return Fault("INTERNAL", f"closing the record: {type(error).__name__}: {error}")
+        return Fault("INTERNAL", f"closing the recording: {type(error).__name__}: {error}")
     return None
 
 
 def _conclude(session: Session, outcome: Outcome) -> Outcome:
-    """Identify what a fault has left, complete result.json, write the report, say what failed."""
+    """Identify what was recorded before a fault, complete result.json, write the report, note what failed."""
     if session.found.identification is None:
         try:
             recording = session.read()
@@ -228,7 +231,7 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
         except (IdentifyError, RecordingError) as error:
             session.found.notes.append(f"{NOTHING_TO_IDENTIFY}: {error.cause}")
         except Exception as error:  # noqa: BLE001 - the result that is written already stays, and says so
-            outcome.failures.append(f"the record was not identified: {_defect(error)}")
+            outcome.failures.append(f"the recording was not identified: {_defect(error)}")
         _write_result(session, outcome)
     try:
         write_report(session.folder, session.found.identification, session.recording)
@@ -236,7 +239,7 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
         outcome.failures.append(f"{error.path.name} {error.cause}; {error.cure}")
     except OSError as error:
         outcome.failures.append(f"no report: {error}")
-    except Exception as error:  # noqa: BLE001 - record and result are there
+    except Exception as error:  # noqa: BLE001 - recording and result are there
         outcome.failures.append(f"no report: {_defect(error)}")
     return outcome
 
@@ -260,13 +263,13 @@ def _write_result(session: Session, outcome: Outcome) -> None:
 
 
 def _least_result(session: Session, outcome: Outcome) -> RunResult:
-    """What can always be said."""
-    said = [*session.found.notes, *outcome.failures]
-    return least_result(session.bench, session.loop.statistics, said, outcome.fault)
+    """The result that needs nothing but the notes."""
+    notes = [*session.found.notes, *outcome.failures]
+    return least_result(session.bench, session.loop.statistics, notes, outcome.fault)
 
 
 def _measure_tracking(session: Session, outcome: Outcome) -> None:
-    """Errors of the tracking runs that came to their end."""
+    """Measure the tracking error of each tracking run that came to its end."""
     tracking = session.found.tracking
     finished = [method for method, entry in tracking.items() if entry == TrackingResult()]
     for method in finished:
@@ -278,14 +281,14 @@ def _measure_tracking(session: Session, outcome: Outcome) -> None:
             )
         except Exception as error:  # noqa: BLE001 - whatever it is, the run has its result
             words = error.cause if isinstance(error, RecordingError) else _defect(error)
-            tracking[method] = TrackingResult(not_run=f"it ran, but its record cannot be read: {words}")
+            tracking[method] = TrackingResult(not_run=f"it ran, but its recording cannot be read: {words}")
             outcome.failures.append(f"no tracking error of {method}: {words}")
         else:
             tracking[method] = TrackingResult(rms_rad=rms_rad, max_rad=max_rad)
 
 
 def _supply(experiment: Experiment, bench: Bench) -> SupplyReading:
-    """The motor supply as the device measures it, against the config's."""
+    """The motor supply as the device measures it, beside the config's."""
     info, drive = bench.info, experiment.drive
     return SupplyReading(info.supply_V, info.supply_at_least, drive.supply_V, drive.bridge_drop_V)
 

@@ -1,4 +1,4 @@
-"""How results look in a terminal: lines and tables on stdout, progress on stderr. What is shown is result.json's."""
+"""Shows results in a terminal: lines and tables on stdout, progress on stderr. The values are those of result.json."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:  # each loads slowly
     from rig.session import Outcome
 
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")  # the parameters that a table shows
-RECORD_ANEW = (
-    "to record anew: `rig relay CONFIG`; more cycles: relay.cycles; slower, larger or other ones: relay.target or "
-    "relay.gains; a part of a record: --rows FIRST:LAST"
+RECORD_AGAIN = (
+    "to record again: `rig relay CONFIG`; more cycles: relay.cycles; slower, larger or other cycles: relay.target or "
+    "relay.gains; part of a recording: --rows FIRST:LAST"
 )
 
 
 def show_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table as wide as the terminal, whose first column, names that are typed, is never cut; plain in a pipe."""
+    """A table as wide as the terminal; plain in a pipe. It never cuts the first column: people type these names."""
     if not sys.stdout.isatty():
         click.echo("\n".join([title, *plain_table(headings, rows)]))
         return
@@ -45,7 +45,7 @@ def show_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]
 
 
 def plain_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table that a program can read, too: columns two blanks or more apart, a dash where nothing is."""
+    """Lines of a table that a program can read, too: columns two blanks or more apart, a dash for an empty cell."""
     cells = [[cell or "-" for cell in row] for row in [headings, *rows]]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells]
@@ -53,7 +53,7 @@ def plain_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[
 
 @contextmanager
 def progress(what: str, as_json: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """A bar that is told (done, of); nothing in pipes."""
+    """A progress bar. Yields the function (done, total) that moves it; None in a pipe or for JSON: there is no bar."""
     console = Console(stderr=True)
     if as_json or not console.is_terminal:
         yield None
@@ -63,12 +63,12 @@ def progress(what: str, as_json: bool) -> Iterator[Callable[[int, int], None] | 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(what, total=None)
-        yield lambda done, of: bar.update(task, completed=done, total=of)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 @contextmanager
 def patience(what: str) -> Iterator[None]:
-    """A spinner while something takes longer; nothing in pipes."""
+    """A spinner while the block runs; none in a pipe."""
     console = Console(stderr=True)
     if console.is_terminal:
         with console.status(what):
@@ -78,7 +78,7 @@ def patience(what: str) -> Iterator[None]:
 
 
 def show_run(outcome: Outcome) -> None:
-    """What a run came to: relays, estimates, loop, where everything is; on stderr why it failed."""
+    """Show a run: relay tests, estimates, loop, where the files are; on stderr why it failed."""
     result = outcome.result
     click.echo(f"backend: {result.backend}")
     for test in result.relays:
@@ -99,7 +99,7 @@ def show_run(outcome: Outcome) -> None:
     for note in result.config_notes:
         click.echo(f"note: {note}")
     click.echo(f"run:    {outcome.folder}")
-    if (outcome.folder / "report.html").is_file():  # else the failure says why
+    if (outcome.folder / "report.html").is_file():  # if it is missing, the failure says why
         click.echo(f"report: {outcome.folder / 'report.html'}")
     if outcome.traceback:
         click.echo(outcome.traceback, err=True, nl=False)
@@ -121,7 +121,7 @@ def _show_loop(loop: LoopResult) -> None:
 
 
 def show_replay(done: Replay) -> None:
-    """What a replay came to: the same drive, or the first difference, and what was not compared."""
+    """Show a replay: the same drive, or the first difference; and which rows were not compared."""
     for note in done.notes:
         click.echo(note)
     if not done.is_same:
@@ -133,22 +133,22 @@ def show_replay(done: Replay) -> None:
     if done.lost:
         click.echo(f"not compared: {done.lost} rows whose drive never reached the device")
     if done.limited:
-        click.echo(f"not compared: {done.limited} rows in which the device drove less than it was told to")
+        click.echo(f"not compared: {done.limited} rows in which the device drove less than commanded")
     if done.fault is not None:
         click.echo(f"the fault at the end: {done.fault}")
     elif done.ending == "no end":
-        click.echo("the record has no end: the run was killed, or its last rows are lost")
+        click.echo("the recording has no end: the run was killed, or its last rows are lost")
 
 
 def show_finding(finding: Finding) -> None:
-    """A line of `rig doctor`, and what to type."""
+    """Show a finding of `rig doctor`, and what to type."""
     click.echo(f"{finding.state:>5}  {finding.topic}: {finding.words}")
     if finding.cure:
         click.echo(f"       -> {finding.cure}")
 
 
 def show_prediction(prediction: dict[str, Any]) -> None:
-    """A limit cycle and its stability, or why there is none; ``prediction`` as ``rig predict --json`` has it."""
+    """Show a limit cycle and its stability, or why there is none; ``prediction``: from ``rig predict --json``."""
     if prediction["oscillates"]:
         t1, t2, t3 = prediction["durations_s"]
         stable = "locally stable" if prediction["stable"] else "not locally stable"
@@ -168,7 +168,7 @@ def show_estimates(
     truth: TrueMotor | None,
     tracking: Mapping[str, TrackingResult] | None = None,
 ) -> None:
-    """A table, then the reasons; ``truth`` of an emulated motor."""
+    """Show the estimates as a table, then their reasons; ``truth``: the emulated motor, if there is one."""
     headings = ["method", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict", *(["tracking RMS, rad"] if tracking else [])]
     rows: list[list[str]] = []
     for method, estimate in estimates.items():
@@ -182,12 +182,12 @@ def show_estimates(
     if truth is not None:
         row = ["truth", *(f"{value:.4f}" for value in (truth.tau_s, truth.K_rad_s_V, truth.fc_V))]
         rows.append([*row, *[""] * (len(headings) - len(row))])
-    show_table("estimates" + (" (in brackets: error against the emulated truth)" if truth else ""), headings, rows)
+    show_table("estimates" + (" (in brackets: error against the emulated motor)" if truth else ""), headings, rows)
     for method, estimate in estimates.items():
         for reason in estimate.reasons:
             click.echo(f"{method}: {reason}")
     if any("record" in reason for estimate in estimates.values() for reason in estimate.reasons):
-        click.echo(RECORD_ANEW)
+        click.echo(RECORD_AGAIN)
     for method, check_run in (tracking or {}).items():
         if check_run.not_run is not None:
             click.echo(f"tracking with {method}: not run: {check_run.not_run}")
@@ -208,7 +208,7 @@ def _interval(estimate: EstimateResult, name: str, truth: TrueMotor | None) -> s
 
 
 def show_campaign(found: Summary, folder: Path) -> None:
-    """A campaign's errors against the bound, and where everything is; ``found`` as of its summary.json."""
+    """Show a campaign: its errors against the bound, and where the files are; ``found`` is its summary.json."""
     from rig.campaign.report import HEADINGS, sentences, table_rows
 
     title = f"campaign {found['campaign']}: {found['ok']['number']} experiments called ok"
@@ -219,7 +219,7 @@ def show_campaign(found: Summary, folder: Path) -> None:
 
 
 def show_scatter(results: Sequence[RunResult]) -> None:
-    """The scatter between runs beside the intervals that each run gave; ``results``: of each, its result.json."""
+    """Show the scatter between runs beside the intervals that each run gave; ``results``: the result.json of each."""
     estimates = [r.estimates["sampled-data"] for r in results if "sampled-data" in r.estimates]
     if len(estimates) < 2:
         click.echo(f"no scatter: it takes two sampled-data estimates, and {len(results)} runs gave {len(estimates)}")

@@ -1,1 +1,1 @@
-"""Pure laws: one `step(sample) -> volts` each."""
+"""Control laws without I/O: each takes a sample in `step` and returns volts. And the guard, which limits them."""

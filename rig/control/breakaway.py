@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple, Protocol
 from rig.faults import Fault
 from rig.signals import Sample
 
-_LEFT_OVER = 0.55  # periods: just more than a stroke back can differ by from one whose length lies between two of them
+_LEFT_OVER = 0.55  # periods; a stroke lasts whole periods, so one that takes back another is off by up to half of one
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class BreakawayFound:
 
 
 class BreakawayLaw(Protocol):
-    """A check that ends with the drives at which the shaft breaks away; results as of ``BreakawayCheck``."""
+    """A check that finds the drives at which the shaft breaks away; results as in ``BreakawayCheck``."""
 
     finished: bool
     z_rad_s: float
@@ -38,12 +38,12 @@ class BreakawayLaw(Protocol):
     noise_rad: float
 
     def step(self, sample: Sample) -> float:
-        """Drive for this sample, V. Raises Fault where the bench is not sound."""
+        """Drive for this sample, V. Raises Fault if something is wrong with the bench."""
         ...
 
 
 class RestingCheck:
-    """What every breakaway check does at 0 V: wait until the shaft stands, and measure the sensor's noise.
+    """The part at 0 V of every breakaway check: it waits until the shaft stands, and measures the sensor's noise.
 
     motion_rad  displacement that counts as motion
     rest_s      rest before and after; the first one measures the noise
@@ -62,7 +62,7 @@ class RestingCheck:
         self._rest_y: list[float] = []
 
     def _stands(self, sample: Sample, elapsed_s: float, *, first: bool) -> float | None:
-        """Take a sample at 0 V; where the shaft stands once it stands, rad, else None.
+        """Take a sample at 0 V. Returns the position at which the shaft stands, rad; None while it still turns.
 
         Raises Fault SENSOR_NOISY (in the first rest), DRIVE_STUCK_ON.
         """
@@ -71,7 +71,7 @@ class RestingCheck:
             return None
         # the second half: the shaft has coasted to a stop by then
         still = self._rest_y[len(self._rest_y) // 2 :]
-        # from second differences: a shaft that still turns steadily does not count as noise
+        # from second differences, so that steady turning does not count as noise
         rest = self._rest_y
         bends = [a - 2.0 * b + c for a, b, c in zip(rest, rest[1:], rest[2:], strict=False)]
         self.noise_rad = math.sqrt(fmean(bend * bend for bend in bends) / 6.0)
@@ -83,7 +83,7 @@ class RestingCheck:
             )
         if self._turns(still):
             if elapsed_s > 10.0 * self.rest_s:
-                raise Fault("DRIVE_STUCK_ON", f"it still turns {elapsed_s:.1f} s after the drive was set to 0 V")
+                raise Fault("DRIVE_STUCK_ON", f"the shaft still turns {elapsed_s:.1f} s after the drive was set to 0 V")
             self._rest_y = self._rest_y[-2 * len(still) :]
             return None
         self._rest_y = []
@@ -96,7 +96,7 @@ class RestingCheck:
 
 
 class _Stroke(NamedTuple):
-    """A stroke that a pair still needs: its way, +1 or -1; how long, s; whether it takes back another."""
+    """A stroke that a pair still needs: its direction, +1 or -1; its length, s; whether it takes back another."""
 
     way: int
     length_s: float
@@ -105,11 +105,11 @@ class _Stroke(NamedTuple):
 
 @dataclass(frozen=True)
 class StrokePlan:
-    """How long the strokes of a breakaway check are.
+    """Lengths of the strokes of a breakaway check.
 
-    strokes_s   lengths, one period at least: that of each pair, the weakest first; the last one's for all beyond
-    pause_s     after each stroke, four periods at least; it lasts longer where the shaft still coasts
-    late_s      by how much strokes may be longer than meant, together; what is less than half a period is not counted
+    strokes_s   length for each pair, weakest pair first, at least one period; further pairs use the last length
+    pause_s     pause after each stroke, at least four periods; it lasts longer if the shaft still coasts
+    late_s      how much longer than planned all strokes together may be; less than half a period does not count
     """
 
     strokes_s: Sequence[float]
@@ -118,27 +118,27 @@ class StrokePlan:
 
 
 class BreakawayCheck(RestingCheck):
-    """Strokes to and fro, pair by pair stronger, until both ways have moved the shaft.
+    """Strokes to and fro, each pair stronger than the last, until the shaft has moved in both directions.
 
-    If the sensor is stuck or not coupled the shaft turns unseen. So each stroke is followed by an equal one the other
-    way, which takes it back, and every other pair begins the other way: what is left is by how much friction differs
-    between the ways. Both ways go on until both are seen, so that this holds whenever the sensor fails.
-    ``rig.preflight.room_to_stop`` has the bound on it, and chooses the strokes (docs/theory.md 10.1).
+    With a stuck or uncoupled sensor the shaft turns unseen. So an equal stroke in the other direction takes each stroke
+    back, and every other pair begins in the other direction. The shaft then moves only as far as friction differs
+    between the directions. Strokes go on in both directions until both were seen, so that this holds whenever the
+    sensor fails. ``rig.preflight.room_to_stop`` bounds that travel and chooses the strokes (docs/theory.md 10.1).
 
-    A tick that comes late makes its stroke longer. The stroke back is as long as that one really was, by the times
-    at which the drive acted; where the stroke back itself was longer, one more each way makes them equal again. In
-    all the strokes may be longer than meant by ``plan.late_s``.
+    A late tick makes its stroke longer. The stroke back lasts as long as that stroke really acted. If the stroke back
+    is itself too long, one more stroke in each direction makes them equal again. All strokes together may be longer
+    than planned by ``plan.late_s``.
 
-    step_V      by how much the level rises from pair to pair; within a stroke it rises from the last pair's to its own
-    max_V       largest level; Fault NO_MOTION where a pair of it has not moved the shaft both ways
-    motion_rad  displacement, gathered over the strokes of one way, that counts as motion
-    rest_s      rest before and after; the first one measures the sensor's noise
-    plan        how long strokes and pauses are
-    period_s    of the loop
+    step_V      how much the level rises from pair to pair; a stroke rises from the last pair's level to its own
+    max_V       largest level; Fault NO_MOTION if a pair at this level has not moved the shaft in both directions
+    motion_rad  displacement that counts as motion, added up over the strokes in one direction
+    rest_s      rest before and after; the first rest measures the sensor's noise
+    plan        lengths of strokes and pauses
+    period_s    period of the loop
 
-    Results, once finished: ``plus_V`` and ``minus_V`` (> 0), each the middle between the last level at which no motion
-    was to be seen and the next one, and ``noise_rad``, the sensor's standard deviation at rest. Both may lie above
-    static friction by what the level gains until the motion leaves the noise; identification corrects that.
+    Results, once finished: ``plus_V`` and ``minus_V`` (> 0), each halfway between the last level without visible motion
+    and the next level; ``noise_rad``, the sensor's standard deviation at rest. Both levels may lie above static
+    friction, since the level rises until the motion exceeds the noise; identification corrects that.
 
     Raises Fault: DRIVE_STUCK_ON (moves at 0 V), SENSOR_NOISY, NO_MOTION, POLARITY (moves against the drive), LATE.
     """
@@ -163,19 +163,21 @@ class BreakawayCheck(RestingCheck):
         self._since_s = math.nan  # start of the phase
         self._pair = 0
         self._level_V = 0.0
-        self._way = 0  # of the stroke, +1 or -1
-        self._meant_s = 0.0  # its length
-        self._begun_s = self._ended_s = math.nan  # when it began and ended to act, by the samples' times
-        self._asked_s = (math.nan, math.nan)  # the same, by the samples at which it was asked for
-        self._has_times = False  # samples tell when the drive acts
-        self._needed: list[_Stroke] = []  # by the pair, the one that runs first
-        self._ahead_s = 0.0  # by how much longer those towards rising positions have acted than those that took it back
-        self._longer_s = 0.0  # by how much all together were longer, or shorter, than meant
+        self._way = 0  # direction of the stroke, +1 or -1
+        self._meant_s = 0.0  # its planned length
+        self._begun_s = self._ended_s = math.nan  # when it began and ceased to act, by the samples' times
+        self._asked_s = (math.nan, math.nan)  # the same, by the samples at which the check asked for it
+        self._has_times = False  # whether samples tell when the drive acts
+        self._needed: list[_Stroke] = []  # strokes that the pair still needs, in their order
+        self._ahead_s = (
+            0.0  # how much longer strokes towards rising positions have acted than those that took them back
+        )
+        self._longer_s = 0.0  # how much longer or shorter than planned all strokes were, added up
         self._before_rad = 0.0  # where it stood before the stroke
         self._pause_y: list[float] = []
-        self._along = {1: 0.0, -1: 0.0}  # displacement gathered along the strokes of each way, rad
+        self._along = {1: 0.0, -1: 0.0}  # displacement along the strokes of each direction, added up, rad
         self._against = {1: 0.0, -1: 0.0}
-        self._still_V = {1: 0.0, -1: 0.0}  # last level at which none was gathered beyond the noise
+        self._still_V = {1: 0.0, -1: 0.0}  # last level without displacement beyond the noise
         self._found_V: dict[int, float] = {}
 
     def step(self, sample: Sample) -> float:
@@ -185,7 +187,7 @@ class BreakawayCheck(RestingCheck):
         elapsed_s = sample.t_s - self._since_s
         self._watch_drive(sample)
         if self._phase == "stroke":
-            # ticks come a little early, or late: half a period either way is the same tick
+            # a tick may come up to half a period early or late
             if elapsed_s < self._meant_s - 0.5 * self._period_s:
                 return self._stroke_V(elapsed_s)
             self._begin("pause", sample)
@@ -208,7 +210,7 @@ class BreakawayCheck(RestingCheck):
         self._pause_y = []
 
     def _watch_drive(self, sample: Sample) -> None:
-        """When the stroke's drive began and ended to act: one that was lost, or written late, acts otherwise."""
+        """Note when the stroke's drive began and ceased to act: a drive may be lost, or written late."""
         if self._phase not in ("stroke", "pause") or math.isnan(sample.t_u_s):
             return
         self._has_times = True
@@ -220,7 +222,7 @@ class BreakawayCheck(RestingCheck):
             self._ended_s = sample.t_u_s
 
     def _acted_s(self) -> float:
-        """How long the stroke has acted, s; as long as it was asked for where no times tell."""
+        """How long the stroke acted, s; without times: how long the check asked for it."""
         if self._has_times and math.isnan(self._begun_s):
             return 0.0
         if math.isnan(self._begun_s) or math.isnan(self._ended_s):
@@ -239,7 +241,7 @@ class BreakawayCheck(RestingCheck):
             self._needed = [_Stroke(1 if self._pair % 2 else -1, stroke_s, takes_back=False)]
         stroke = self._needed[0]
         self._way = stroke.way
-        # in whole periods; once what that leaves over is more than half a one, it is taken back, too
+        # in whole periods; once more than half a period is left over, this stroke takes that back, too
         ahead_s = self._ahead_s if stroke.takes_back and abs(self._ahead_s) > _LEFT_OVER * self._period_s else 0.0
         self._meant_s = max(round((stroke.length_s - self._way * ahead_s) / self._period_s), 1) * self._period_s
         self._begun_s = self._ended_s = math.nan
@@ -248,14 +250,14 @@ class BreakawayCheck(RestingCheck):
         return self._stroke_V(0.0)
 
     def _stroke_V(self, elapsed_s: float) -> float:
-        """Drive within a stroke, V: it ends at the pair's level."""
+        """Drive within a stroke, V: it rises to the pair's level."""
         stroke_s = self._strokes_s[min(self._pair, len(self._strokes_s)) - 1]
         ticks, tick = round(stroke_s / self._period_s), round(elapsed_s / self._period_s)
         before_V = (self._pair - 1) * self._step_V
         return self._way * min(before_V + self._step_V * min((tick + 1) / ticks, 1.0), self.max_V)
 
     def _pause(self, sample: Sample, elapsed_s: float) -> float:
-        """Wait until the shaft stands, then say what the stroke did, and begin the next one; the drive, V."""
+        """Wait until the shaft stands, judge the stroke, begin the next one. Returns the drive, V."""
         self._pause_y.append(sample.y_rad)
         if elapsed_s < self._pause_s - 0.5 * self._period_s:
             return 0.0
@@ -263,7 +265,7 @@ class BreakawayCheck(RestingCheck):
         still = self._pause_y[len(self._pause_y) // 3 :]
         if self._turns(still):
             if elapsed_s > 10.0 * self.rest_s:
-                raise Fault("DRIVE_STUCK_ON", f"it still turns {elapsed_s:.1f} s after the drive was set to 0 V")
+                raise Fault("DRIVE_STUCK_ON", f"the shaft still turns {elapsed_s:.1f} s after the drive was set to 0 V")
             return 0.0
         stood_rad = fmean(still)
         self._judge(stood_rad, len(still))
@@ -275,7 +277,7 @@ class BreakawayCheck(RestingCheck):
         return self._next_stroke(sample, stood_rad)
 
     def _balance(self) -> None:
-        """What the pair still needs after this stroke, by how long it really was. Raises Fault LATE."""
+        """Plan the strokes that the pair still needs, by how long this one really acted. Raises Fault LATE."""
         acted_s, stroke = self._acted_s(), self._needed.pop(0)
         way, error_s = stroke.way, acted_s - self._meant_s
         as_meant = abs(error_s) <= 0.5 * self._period_s
@@ -284,8 +286,8 @@ class BreakawayCheck(RestingCheck):
             if self._longer_s > self._late_s:
                 raise Fault(
                     "LATE",
-                    f"a stroke of {way * self._level_V:+.2f} V that was to last {1e3 * self._meant_s:.0f} ms lasted "
-                    f"{1e3 * acted_s:.0f} ms; together they may be off by {1e3 * self._late_s:.0f} ms",
+                    f"a stroke of {way * self._level_V:+.2f} V lasted {1e3 * acted_s:.0f} ms instead of "
+                    f"{1e3 * self._meant_s:.0f} ms; all strokes together may be off by {1e3 * self._late_s:.0f} ms",
                 )
         if acted_s < 0.5 * self._period_s:
             self._needed.insert(0, stroke)  # it never reached the motor
@@ -294,14 +296,14 @@ class BreakawayCheck(RestingCheck):
         elif as_meant:
             self._ahead_s += way * (acted_s - stroke.length_s)
         else:
-            # it took back another than it was to: each of the two gets its like
+            # it took back more, or less, than it should: one more stroke in each direction balances both
             self._needed[:0] = [_Stroke(-way, acted_s, takes_back=True), stroke]
 
     def _judge(self, stood_rad: float, samples: int) -> None:
-        """Add what the stroke has moved to what those before it the same way have.
+        """Add the stroke's displacement to that of the earlier strokes in its direction.
 
-        Noise adds up, too: the variance of a stroke's displacement, times six over ``motion_rad``, is taken off each,
-        so that noise alone gathers ``motion_rad`` once in about e^12 strokes (a random walk with that drift).
+        Noise adds up, too. So each displacement is reduced by its variance times six over ``motion_rad``. Noise alone
+        then adds up to ``motion_rad`` once in about e^12 strokes (a random walk with that drift).
         """
         variance = 2.0 * self.noise_rad**2 / samples
         off_rad = 6.0 * variance / self.motion_rad
@@ -312,7 +314,8 @@ class BreakawayCheck(RestingCheck):
         if against[way] > self.motion_rad:
             raise Fault(
                 "POLARITY",
-                f"strokes of up to {way * self._level_V:+.2f} V moved it by {-way * against[way] * 1e3:+.0f} mrad",
+                f"strokes of up to {way * self._level_V:+.2f} V moved the shaft by "
+                f"{-way * against[way] * 1e3:+.0f} mrad",
             )
         if along[way] < max(2.5 * math.sqrt(variance), 0.15 * self.motion_rad):
             self._still_V[way] = self._level_V

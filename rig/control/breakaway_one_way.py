@@ -1,6 +1,6 @@
-"""The breakaway check of older versions, for the replay of their runs: it drives no bench.
+"""The breakaway check of older versions: replays of their runs need it; it drives no bench.
 
-It ramped one way, then the other: with a stuck sensor the shaft could turn unseen by radians.
+It ramped in one direction, then in the other. With a stuck sensor the shaft could turn by radians unseen.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from rig.signals import Sample
 
 
 class OneWayCheck(RestingCheck):
-    """Ramp up in strokes until the shaft moves, rest, ramp down until it moves, rest; results as of ``BreakawayCheck``.
+    """Ramp up in strokes until the shaft moves, rest, ramp down until it moves, rest; results as in ``BreakawayCheck``.
 
     ramp_V_s    slope of the ramp
-    max_V       largest drive tried; Fault NO_MOTION where it does not move the shaft
+    max_V       largest drive; Fault NO_MOTION if it does not move the shaft
     motion_rad  displacement that counts as motion
     rest_s      rest before, between and after
     """
@@ -68,7 +68,7 @@ class OneWayCheck(RestingCheck):
             if moved * self._direction < 0.0:
                 raise Fault(
                     "POLARITY",
-                    f"{self._direction * level:+.2f} V moved it by {moved * 1e3:+.0f} mrad",
+                    f"{self._direction * level:+.2f} V moved the shaft by {moved * 1e3:+.0f} mrad",
                 )
             if self._direction > 0:
                 self.plus_V = self._still_V

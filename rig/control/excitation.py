@@ -1,4 +1,4 @@
-"""The relay experiment's two laws: the search for gains, and the test at fixed gains (docs/theory.md 4.2)."""
+"""The two laws of the relay experiment: the gain search, and the relay test at fixed gains (docs/theory.md 4.2)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rig.signals import Sample
 
 @dataclass(frozen=True)
 class CycleTarget:
-    """The limit cycle that is wanted: amplitude rad, period s, and the relative error that is good enough."""
+    """The wanted limit cycle: amplitude, rad; period, s; tolerance: the relative error that is good enough."""
 
     amplitude_rad: float
     period_s: float
@@ -26,7 +26,7 @@ class CycleTarget:
 
 @dataclass(frozen=True)
 class SearchRange:
-    """How the search goes: first gains and step, V; time for each step, s; largest gains, V; time-out, s."""
+    """Range of the gain search: first gains and step, V; time per step, s; largest gains, V; time-out, s."""
 
     h1_start_V: float
     h2_start_V: float
@@ -38,7 +38,7 @@ class SearchRange:
 
 
 class SearchStep(NamedTuple):
-    """One pair of gains that was tried, and what came of it (nan where no cycle settled)."""
+    """One pair of gains that the search tried, and its outcome; period and amplitude are nan if no cycle settled."""
 
     t_s: float
     h1_V: float
@@ -80,7 +80,7 @@ class _RelayLaw(Generic[R]):
         self._start_s = math.nan
 
     def _run_relay(self, sample: Sample) -> tuple[float, bool]:
-        """Drive, V, and whether this sample completed a period."""
+        """Returns the drive, V, and whether this sample completed a period."""
         if math.isnan(self._start_s):
             self._start_s = sample.t_s
         u_V = self.relay.step(sample)
@@ -92,16 +92,16 @@ class _RelayLaw(Generic[R]):
 class GainSearch(_RelayLaw[DualChannelRelay]):
     """Raise h2 until a cycle is accepted, then trim h1 and h2 to an amplitude and a period (docs/theory.md 4.2).
 
-    relay, detector  shared with the tests that follow, so that the cycle runs on
-    target           the cycle that is wanted
-    search           where to start and how far to go
+    relay, detector  shared with the relay tests that follow, so that the cycle goes on
+    target           the wanted cycle
+    search           where to start, and how far to go
     friction_V       first guess of f_c: the breakaway level, V
-    reach_rad        largest |y| that the search may use: the soft limit with some room
+    reach_rad        largest |y| that the search may use: a little inside the soft limit
     top_speed_rad_s  largest speed that the search may use
 
-    The trim inverts the describing function. With x = h2 - f_c:  w = h1/(tau x),  A = 4 K tau x^2/(pi h1), so a
-    settled (A, w) at known gains gives tau and K for the f_c assumed, and the wanted (A, w) then gives x and h1.
-    From the second settled pair on, f_c comes from the two, where they differ enough.
+    The trim inverts the describing function. With x = h2 - f_c:  w = h1/(tau x),  A = 4 K tau x^2/(pi h1). So a
+    settled (A, w) at known gains gives tau and K for the assumed f_c, and then the wanted (A, w) gives x and h1.
+    From two settled pairs, if they differ enough, the search also estimates f_c.
     No step changes x or h1 by more than a factor ``_STRIDE``. Raises Fault NO_CYCLE at the time-out.
     """
 
@@ -140,7 +140,7 @@ class GainSearch(_RelayLaw[DualChannelRelay]):
         self._y_range = (min(self._y_range[0], sample.y_rad), max(self._y_range[1], sample.y_rad))
         if sample.t_s - self._start_s > self.search.timeout_s:
             raise Fault("NO_CYCLE", self._story())
-        # only on the way out: a start beyond the reach is no fault of the gains
+        # only when it leaves the reach: if it starts beyond, that is not due to the gains
         leaves, self._was_within = (
             self._was_within and abs(sample.y_rad) > self.reach_rad,
             (abs(sample.y_rad) <= self.reach_rad),
@@ -158,11 +158,11 @@ class GainSearch(_RelayLaw[DualChannelRelay]):
 
     def _step_is_over(self, t_s: float) -> bool:
         cycles = self.detector.cycles
-        # a cycle that is growing or settling gets time to do so; hunting does not
+        # give a cycle that grows or settles time; not one that hunts
         promising = sum(c.accepted for c in cycles)
         if promising > 0 and len(cycles) < self._PATIENCE_CYCLES:
             last = cycles[-1]
-            return t_s > last.start_s + 3.5 * last.period_s  # it has stuck meanwhile
+            return t_s > last.start_s + 3.5 * last.period_s  # the shaft sticks meanwhile
         if self._sticks:
             wait_s = self.search.step_s  # there is nothing to wait for
         else:
@@ -173,7 +173,7 @@ class GainSearch(_RelayLaw[DualChannelRelay]):
 
     @property
     def _sticks(self) -> bool:
-        """The shaft has not moved to speak of since the last change of gains."""
+        """Whether the shaft has hardly moved since the last change of gains."""
         return self._y_range[1] - self._y_range[0] < self.detector.min_amplitude_rad
 
     def _raise_h2(self, t_s: float) -> None:
@@ -182,16 +182,16 @@ class GainSearch(_RelayLaw[DualChannelRelay]):
         if h2 > self.search.h_max_V or h2 + self.relay.h1_V > self.search.sum_max_V:
             raise Fault("NO_CYCLE", f"h2 reached {self.relay.h2_V:.2f} V; {self._story()}")
         if self._sticks:
-            self.relay.restart()  # it sticks: what the integral gathered meanwhile says nothing
+            self.relay.restart()  # the shaft sticks: the integral meanwhile means nothing
         self._set_gains(self.relay.h1_V, h2)
         self._step_start_s = t_s
 
     def _retreat(self, t_s: float, why: str) -> None:
-        """The cycle grows beyond its room, or beyond the speed that the bench is made for: less h2 at once."""
+        """Reduce h2 at once: the cycle exceeds its room, or the largest speed of the bench."""
         excess = self.relay.h2_V - self.friction_V
         h2 = self.friction_V + 0.6 * excess if excess > 0.05 else self.relay.h2_V * 0.8
         if t_s - self._step_start_s < self.target.period_s:
-            return  # give the last change a period to show
+            return  # the last change needs a period to take effect
         self._note(t_s, math.nan, math.nan, why)
         h1 = min(self.relay.h1_V * 1.2, self.search.h_max_V, self.search.sum_max_V - h2)
         self._set_gains(h1, h2)
@@ -215,7 +215,7 @@ class GainSearch(_RelayLaw[DualChannelRelay]):
         wanted_x = _within(wished_h2 - (h2 - x), x, self._STRIDE)
         wanted_h1 = _within(wish.omega_rad_s * motor.tau_s * wanted_x, h1, self._STRIDE)
         wanted_h2 = self.friction_V + wanted_x
-        # both scaled down together where the drive would not reach
+        # scale both down together if the drive is too small for them
         scale = min(
             1.0,
             self.search.h_max_V / wanted_h1,
@@ -236,7 +236,7 @@ class GainSearch(_RelayLaw[DualChannelRelay]):
         if slope <= 0.0:
             return
         fc = h2b - Ab * wb / slope
-        # the describing function is a guide: it may move the breakaway level by half, no more
+        # the describing function is approximate: it may change the breakaway level by half at most
         self.friction_V = max(0.5 * self.friction_V, min(1.5 * self.friction_V, fc, h2b - 0.05))
 
     def _set_gains(self, h1_V: float, h2_V: float) -> None:
@@ -265,10 +265,10 @@ class GainSearch(_RelayLaw[DualChannelRelay]):
         )
 
     def second_gains(self, ratio: float) -> tuple[float, float]:
-        """Gains (h1, h2), V, of another test with the period kept and the amplitude changed by ``ratio``.
+        """Gains (h1, h2), V, for a test of the same period whose amplitude is larger by the factor ``ratio``.
 
-        With h1 and x = h2 - f_c both scaled, w = h1/(tau x) stays and A = 4 K tau x^2/(pi h1) goes with the ratio.
-        Where the larger amplitude would leave the reach, or the drive, it is made smaller by as much instead.
+        If h1 and x = h2 - f_c are both scaled, w = h1/(tau x) stays and A = 4 K tau x^2/(pi h1) changes by the ratio.
+        If the larger amplitude would exceed the reach or the drive, the amplitude is smaller by that factor instead.
         """
         _, amplitude = self.detector.mean()
         x = max(self.relay.h2_V - self.friction_V, 0.05)
@@ -282,9 +282,8 @@ class GainSearch(_RelayLaw[DualChannelRelay]):
 class RelayTest(_RelayLaw[Relay]):
     """Run the relay at fixed gains until ``cycles`` settled periods have passed.
 
-    settled_start_s and settled_end_s frame them once finished. Raises Fault NO_CYCLE where ``timeout_s`` passes first;
-    SENSOR_STUCK where a cycle goes on and then the reading stands as none does (``CycleWatch``), whatever the relays
-    drive meanwhile.
+    Once finished, settled_start_s and settled_end_s are the times between which they lie. Raises Fault NO_CYCLE if
+    ``timeout_s`` passes first; SENSOR_STUCK if the reading stands still for longer than a cycle can (``CycleWatch``).
     """
 
     def __init__(

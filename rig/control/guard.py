@@ -1,4 +1,4 @@
-"""The guard: what the bench may do, whatever a law asks for (architecture: Safety)."""
+"""The guard: limits the drive, whatever a law asks for (docs/safety.md)."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ class GuardSettings:
     """What the guard knows of the bench.
 
     limits             travel limits, largest drive, watchdog
-    rail_counts        raw readings at or beyond these are a broken wire
+    rail_counts        raw readings at or beyond these mean a broken wire
     max_speed_rad_s    largest speed to expect; faster is a fault
     coast_tau_s        longest velocity time constant to expect: at 0 V the shaft still travels v * coast_tau_s
-    reaction_s         time at full speed to add to that: a tick, the latency and the watchdog time, so that the
-                       shaft stays inside even if the host dies at this instant
+    reaction_s         time at full speed to add: a tick, the latency and the watchdog time. So the shaft stays inside
+                       even if the host dies at this instant
     noise_rad          sensor noise, standard deviation, at least one LSB
-    stuck_s, motion_rad  a drive well above static friction for stuck_s must move the shaft by motion_rad, or for twice
-                       the longest time that the shaft has needed so far, at most four times stuck_s
+    stuck_s, motion_rad  a drive well above static friction must move the shaft by motion_rad within stuck_s; or within
+                       twice the longest time that the shaft has needed so far, but at most four times stuck_s
     """
 
     limits: Limits
@@ -36,17 +36,17 @@ class GuardSettings:
     stuck_s: float = 0.3
 
 
-WINDOW_S = 0.04  # that the velocity is taken from, at least; so it lags by half of that
+WINDOW_S = 0.04  # shortest window for the velocity, which lags by half of it
 _LEAST_SAMPLES = 5
-_STALE_SAMPLES = 2  # in a row; one may come where a loop is as quick as its device
-_SETTLING_WINDOWS = 1.5  # of the velocity: it lags by half of one, and a drive acts up to two ticks later
+_STALE_SAMPLES = 2  # in a row; one may come if a loop is as quick as its device
+_SETTLING_WINDOWS = 1.5  # windows: the velocity lags by half of one, and a drive acts up to two ticks later
 
 
 class VelocityWindow:
-    """Velocity as the slope of the last few positions, by least squares: no model, so none can mislead it.
+    """Velocity as the slope of the last few positions, by least squares. Without a model, none can mislead it.
 
-    samples       in the window
-    before_rad_s  what it is taken for until half of them are there
+    samples       number of samples in the window
+    before_rad_s  the velocity to return until half of them have come
     """
 
     def __init__(self, samples: int = _LEAST_SAMPLES, before_rad_s: float = 0.0) -> None:
@@ -77,13 +77,15 @@ class VelocityWindow:
 class Guard:
     """Passes, reduces, reverses or refuses the drive that a law asks for.
 
-    Faults raised: LAW_FAILED (no finite drive), SAMPLE_STALE, SENSOR_RAIL, SENSOR_JUMP, SENSOR_STUCK, TRAVEL_HARD,
-    POLARITY, OVERSPEED. Once one was raised it is latched: ``allow`` raises it again until a new guard is made.
-    ``sign_proven`` is set by the experiment after the breakaway check; before that the guard never drives by itself,
-    since it does not know which way is inward. ``static_V`` is the breakaway level, nan until it is known.
-    ``recovering`` lets a shaft that stands outside be jogged inward.
-    ``braked_ticks`` counts the ticks at which it drove inward by itself, ``clipped_ticks`` those at which it refused
-    outward drive beyond a soft limit.
+    It raises Fault LAW_FAILED (no finite drive), SAMPLE_STALE, SENSOR_RAIL, SENSOR_JUMP, SENSOR_STUCK, TRAVEL_HARD,
+    POLARITY or OVERSPEED, and latches it: from then on ``allow`` always raises it.
+
+    sign_proven    set by the experiment after the breakaway check. Before that the guard never drives by itself, since
+                   it does not know which direction is inward
+    static_V       breakaway level; nan until it is known
+    recovering     lets `rig jog` drive a shaft that stands outside inward
+    braked_ticks   ticks in which the guard drove inward by itself
+    clipped_ticks  ticks in which it refused outward drive beyond a soft limit
     """
 
     def __init__(self, settings: GuardSettings) -> None:
@@ -99,16 +101,16 @@ class Guard:
         self._samples = _LEAST_SAMPLES
         self._velocity = VelocityWindow()
         self._last: Sample | None = None
-        self._same_instant = 0  # samples in a row that are no later than the one before
+        self._same_instant = 0  # samples in a row that are not later than the one before
         self._push_sign = 0
         self._window_s = WINDOW_S
         self._standstill = Standstill()
         self._gain = Gain(_SETTLING_WINDOWS * WINDOW_S)
         self._inward_since: tuple[float, float] | None = None
-        self._innermost_rad = math.inf  # distance from the centre under the inward drive of a recovery
+        self._innermost_rad = math.inf  # smallest distance from the centre under the inward drive of a recovery
 
     def rearm(self) -> None:
-        """Forget the motion seen before a pause: time has passed unseen since."""
+        """Forget the motion before a pause: the guard has seen nothing during the pause."""
         self._velocity = VelocityWindow(self._samples)
         self._last = None
         self._standstill.restart()
@@ -117,9 +119,9 @@ class Guard:
         self._innermost_rad = math.inf
 
     def pace(self, sample_s: float, window_s: float = WINDOW_S) -> None:
-        """Samples come every ``sample_s`` from now on; take the velocity from those of ``window_s``, five at least.
+        """From now on samples come every ``sample_s``; take the velocity from ``window_s`` of them, at least five.
 
-        From a shorter time it would be mostly the sensor's noise.
+        From a shorter window the velocity would be mostly the sensor's noise.
         """
         self._samples = max(_LEAST_SAMPLES, 1 + round(window_s / sample_s))
         self._velocity = VelocityWindow(self._samples, self.velocity_rad_s)
@@ -127,10 +129,10 @@ class Guard:
         self._gain = Gain(_SETTLING_WINDOWS * self._window_s)
 
     def allow(self, sample: Sample, asked_V: float) -> tuple[float, int]:
-        """Drive that may go out for what a law asked, V, and the record's flags for it.
+        """The drive that may go out, V, for the drive ``asked_V`` of a law; and the flags for its row.
 
         Raises Fault LAW_FAILED, SAMPLE_STALE, SENSOR_RAIL, SENSOR_JUMP, SENSOR_STUCK, TRAVEL_HARD, POLARITY or
-        OVERSPEED; it is latched: every later call raises it again.
+        OVERSPEED, and raises it again at every later call.
         """
         if self.fault is not None:
             raise self.fault
@@ -149,14 +151,16 @@ class Guard:
 
     @property
     def _clear_rad_s(self) -> float:
-        """Speed that noise cannot be taken for: ten standard deviations of the velocity, and motion_rad a window."""
+        """A speed that cannot be noise: ten standard deviations of the velocity, and motion_rad per window."""
         noise_rad_s = self.settings.noise_rad * math.sqrt(12.0 / self._samples) / self._window_s
         return max(10.0 * noise_rad_s, self.settings.motion_rad / self._window_s)
 
     def _check_sensor(self, sample: Sample) -> None:
         self._same_instant = 0 if self._last is None or sample.t_s > self._last.t_s else self._same_instant + 1
         if self._same_instant >= _STALE_SAMPLES:
-            raise Fault("SAMPLE_STALE", f"{1 + self._same_instant} in a row of {sample.t_s:.4f} s or before")
+            raise Fault(
+                "SAMPLE_STALE", f"{1 + self._same_instant} readings in a row, none later than {sample.t_s:.4f} s"
+            )
         low, high = self.settings.rail_counts
         if not low < sample.y_counts < high:
             raise Fault("SENSOR_RAIL", f"reading {sample.y_counts} counts; the rails are {low} and {high}")
@@ -167,7 +171,8 @@ class Guard:
             if step > allowed:
                 raise Fault(
                     "SENSOR_JUMP",
-                    f"{step:.3f} rad in {(sample.t_s - self._last.t_s) * 1e3:.1f} ms; possible are {allowed:.3f} rad",
+                    f"{step:.3f} rad in {(sample.t_s - self._last.t_s) * 1e3:.1f} ms; at most {allowed:.3f} rad is "
+                    "possible",
                 )
         self.velocity_rad_s = self._velocity.step(sample.t_s, sample.y_rad)
         if abs(self.velocity_rad_s) > 1.2 * self.settings.max_speed_rad_s:
@@ -204,7 +209,7 @@ class Guard:
         return u_V, flags
 
     def _check_polarity(self, sample: Sample, u_V: float) -> None:
-        """Beyond the soft limit, moving outward faster although the drive has been inward for a while."""
+        """Raise POLARITY if the shaft, beyond a soft limit, gets faster outward although the drive is inward."""
         soft_low, soft_high = self.settings.limits.soft_rad
         outward = 1 if sample.y_rad > soft_high else -1 if sample.y_rad < soft_low else 0
         if outward == 0 or u_V * outward >= 0.0:
@@ -218,26 +223,27 @@ class Guard:
             self._inward_since = (sample.t_s, speed)
             return
         since_s, speed_then = self._inward_since
-        # 0.08 s: longer than the velocity window and the latency; an obedient shaft is slower by then
+        # 0.08 s: longer than the velocity window and the latency; a shaft that obeys is slower by then
         gained = speed - max(speed_then, 0.0)
         if sample.t_s - since_s > 0.08 and gained > 0.05 * self.settings.max_speed_rad_s:
             raise Fault(
                 "POLARITY",
-                f"at {sample.y_rad:.2f} rad, outward at {speed:.1f} rad/s and gaining, after "
+                f"at {sample.y_rad:.2f} rad, moving outward at {speed:.1f} rad/s and getting faster, after "
                 f"{(sample.t_s - since_s) * 1e3:.0f} ms of inward drive",
             )
 
     def _check_creep(self, reach_rad: float, y_rad: float) -> None:
-        """While a shaft outside is jogged inward no hard limit ends a slow creep outward: its distance does."""
+        """Raise POLARITY if a shaft creeps outward while it is jogged inward: no hard limit holds then."""
         self._innermost_rad = min(self._innermost_rad, reach_rad)
         crept_rad = reach_rad - self._innermost_rad
         if crept_rad > max(2.0 * self.settings.motion_rad, 12.0 * self.settings.noise_rad):
             raise Fault(
-                "POLARITY", f"at {y_rad:.2f} rad, it crept outward by {crept_rad * 1e3:.0f} mrad under inward drive"
+                "POLARITY",
+                f"at {y_rad:.2f} rad, the shaft crept outward by {crept_rad * 1e3:.0f} mrad under inward drive",
             )
 
     def _check_stuck(self, sample: Sample, u_V: float) -> None:
-        """A drive well above static friction moves a shaft that stands, and never slows one that it has sped up."""
+        """Raise SENSOR_STUCK if a drive well above static friction does not move the shaft, or slows it down again."""
         sign = 0
         if not math.isnan(self.static_V) and abs(u_V) > 1.4 * self.static_V:
             sign = 1 if u_V > 0.0 else -1
@@ -249,20 +255,24 @@ class Guard:
             return
         given_rad_s = self._gain.step(sample.t_s, self.velocity_rad_s, u_V)
         if given_rad_s > self._clear_rad_s and self.velocity_rad_s * sign < 0.25 * given_rad_s:
-            turns_back = self.velocity_rad_s * sign < -0.1 * given_rad_s  # a reading that freezes only slows down
+            turns_back = (
+                self.velocity_rad_s * sign < -0.1 * given_rad_s
+            )  # a reading that freezes slows down, but does not turn back
             raise Fault(
                 "SENSOR_STUCK",
-                f"{u_V:+.2f} V had made it {given_rad_s:.1f} rad/s faster, and the reading now moves at "
+                f"{u_V:+.2f} V had made the shaft {given_rad_s:.1f} rad/s faster, but the reading now moves at "
                 f"{self.velocity_rad_s * sign:.1f} rad/s under the same drive"
-                + ("; it turns back: look at the bridge and the motor's wires, then for noise" if turns_back else ""),
+                + (
+                    "; it turns back: check the bridge and the motor's wires, then look for noise" if turns_back else ""
+                ),
             )
         still_s = self._standstill.step(sample.t_s, sample.y_rad, self.settings.motion_rad)
-        # a slow shaft with coarse counts has shown that it takes longer
+        # a slow shaft with coarse counts takes longer, as it has shown
         stuck_s = self.settings.stuck_s
         if still_s >= min(max(stuck_s, 2.0 * self._standstill.longest_s), 4.0 * stuck_s):
             moved_rad = self._standstill.high_rad - self._standstill.low_rad
             raise Fault(
                 "SENSOR_STUCK",
                 f"{u_V:+.2f} V for {still_s:.2f} s moved the reading by {moved_rad * 1e3:.1f} mrad; "
-                f"it broke away at {self.static_V:.2f} V; {self._standstill.words()}",
+                f"the shaft broke away at {self.static_V:.2f} V; {self._standstill.words()}",
             )

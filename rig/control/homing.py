@@ -1,4 +1,4 @@
-"""Homing: careful strokes that bring the shaft to rest at zero, where a test has to start from."""
+"""Homing: careful strokes that bring the shaft to rest at zero, where a test has to start."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from rig.signals import Sample
 
 
 class Homing:
-    """Look at the shaft until it stands; while it does not stand at zero, give it a stroke towards zero and look again.
+    """Wait until the shaft stands. If it does not stand at zero, give it a stroke towards zero, and wait again.
 
-    A stroke is a constant drive a little above the breakaway level. Under a short one the shaft goes a distance that
-    grows with the square of its time, so each tells how long the next one should be; where it did not move at all the
-    next is stronger. A long way is cut short at a quarter of it. No motor model is needed.
+    A stroke is a constant drive a little above the breakaway level. In a short stroke the shaft travels a distance that
+    grows with the square of time. So each stroke shows how long the next one should be. If the shaft did not move, the
+    next stroke is stronger. A stroke over a long distance ends early, with a quarter of it left. Needs no motor model.
 
-    found          by the breakaway check
+    found          result of the breakaway check
     max_V          largest drive, V
-    tolerance_rad  largest mean position that is zero enough
-    period_s       of the loop
-    timeout_s      longest homing; Fault NOT_HOME where it passes first
+    tolerance_rad  largest mean position that counts as zero
+    period_s       period of the loop
+    timeout_s      longest homing; Fault NOT_HOME if it passes first
 
-    Results: ``strokes``, how many it took, and ``rest_rad``, the mean position at which the shaft stood last.
+    Results: ``strokes``, the number of strokes; ``rest_rad``, the mean position at which the shaft last stood.
     Raises ValueError for levels or a tolerance that are not > 0.
     """
 
-    LOOK_S = 0.2  # over which it has to stand still
+    LOOK_S = 0.2  # time for which the shaft has to stand still
     SHORTEST_TICKS = 1
     FIRST_TICKS = 3
     ABOVE_BREAKAWAY = 1.15
@@ -55,11 +55,11 @@ class Homing:
         self._max_V = max_V
         self._breakaway_V = {1: found.plus_V, -1: found.minus_V}
         self._above = {1: self.ABOVE_BREAKAWAY, -1: self.ABOVE_BREAKAWAY}
-        self._reach_rad = {1: math.nan, -1: math.nan}  # displacement of a stroke of one tick, as learned
+        self._reach_rad = {1: math.nan, -1: math.nan}  # displacement of a stroke of one tick, as measured
         self._window: deque[float] = deque(maxlen=max(8, 2 * round(0.5 * self.LOOK_S / period_s)))
         self._direction = 0  # 0: looking
-        self._ticks = 0  # of the stroke: planned, and gone
-        self._gone = 0
+        self._ticks = 0  # planned ticks of the stroke
+        self._gone = 0  # its ticks so far
         self._begin_s = math.nan
 
     def step(self, sample: Sample) -> float:
@@ -69,7 +69,7 @@ class Homing:
         if sample.t_s - self._begin_s > self.timeout_s:
             raise Fault(
                 "NOT_HOME",
-                f"{self.strokes} strokes in {self.timeout_s:.0f} s, last seen at {1e3 * sample.y_rad:+.1f} mrad; "
+                f"{self.strokes} strokes in {self.timeout_s:.0f} s, last position {1e3 * sample.y_rad:+.1f} mrad; "
                 f"wanted within {1e3 * self.tolerance_rad:.1f} mrad",
             )
         if self._direction == 0:
@@ -104,13 +104,13 @@ class Homing:
         return drift > max(0.5 * self.tolerance_rad, 4.0 * self.noise_rad * math.sqrt(2.0 / half))
 
     def _learn(self, before_rad: float) -> None:
-        """What the last stroke did: how far one of a tick would go, and whether its drive was right."""
+        """Learn from the last stroke: how far a stroke of one tick would go, and whether its drive was right."""
         if self._gone == 0:
             return
         way = -1 if before_rad > 0.0 else 1
         moved = (self.rest_rad - before_rad) * way
         if moved < max(0.5 * self.tolerance_rad, 2.0 * self.noise_rad * math.sqrt(2.0 / len(self._window))):
-            if self._gone > self.FIRST_TICKS:  # a shorter one may have been too short to tell
+            if self._gone > self.FIRST_TICKS:  # a shorter stroke may have been too short to move it
                 self._above[way] = min(1.1 * self._above[way], self._max_V / self._breakaway_V[way])
                 self._reach_rad[way] = math.nan
             else:
@@ -118,7 +118,9 @@ class Homing:
             return
         self._reach_rad[way] = moved / self._gone**2
         if self._gone == self.SHORTEST_TICKS and moved > abs(before_rad) + self.tolerance_rad:
-            self._above[way] = max(1.02, 0.95 * self._above[way])  # the shortest stroke goes too far: a weaker one
+            self._above[way] = max(
+                1.02, 0.95 * self._above[way]
+            )  # the shortest stroke went too far: next time a weaker one
 
     def _plan(self, way: int) -> int:
         """Ticks of the next stroke."""

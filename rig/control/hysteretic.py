@@ -1,4 +1,4 @@
-"""One run of the single hysteretic relay from rest: the experiment of the least-squares method (docs/theory.md 5.1)."""
+"""One run of the hysteretic relay from rest: the experiment for the least-squares method (docs/theory.md 5.1)."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from rig.signals import Sample
 class HystereticRun:
     """Rest at 0 V, then run the relay until it has switched ``switchings`` times.
 
-    The rest belongs to the record: it shows where the run starts, and that it starts from rest.
+    The rest is recorded, too: it shows where the run starts, and that it starts from rest.
 
     relay       a fresh relay; its first drive is +d_V
-    rest_s      time at 0 V before, s; the shaft must have been brought to zero already
-    switchings  of the relay, from which on the run is over; the method needs the first one alone
-    timeout_s   longest wait for a switching, s: before the first one a Fault NO_SWITCHING, later the run just ends
+    rest_s      time at 0 V before, s; the shaft must be at zero already
+    switchings  number of switchings after which the run ends; the method needs only the first
+    timeout_s   longest wait for a switching, s: before the first it raises Fault NO_SWITCHING, later the run just ends
 
-    Results: ``first_switching_s``, time of the sample that switched the relay first (nan before), ``seen``, switchings
-    so far. Raises ValueError for no switching, and for a time-out that is not > 0.
+    Results: ``first_switching_s``, time of the sample at the first switching (nan before); ``seen``, switchings so far.
+    Raises ValueError for ``switchings`` below 1, and for a time-out that is not > 0.
     """
 
     z_rad_s = math.nan

@@ -1,4 +1,4 @@
-"""What the loop runs: a law that turns each sample into a drive."""
+"""The interface of a law, which turns each sample into a drive; and the two simplest laws."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rig.signals import Sample
 class Law(Protocol):
     """A control law. The loop calls ``step`` once a tick until ``finished``.
 
-    z_rad_s and yd_rad are what the record shows beside the drive: nan where the law has none.
+    z_rad_s (integral of the position) and yd_rad (reference) are recorded beside the drive; nan if the law has none.
     """
 
     finished: bool
@@ -21,7 +21,7 @@ class Law(Protocol):
     yd_rad: float
 
     def step(self, sample: Sample) -> float:
-        """Drive for this sample, V. Raises Fault where the law finds that the bench is not sound."""
+        """Drive for this sample, V. Raises Fault if the law finds something wrong with the bench."""
         ...
 
 
@@ -57,7 +57,7 @@ class Rest:
 
 
 class Constant:
-    """A constant drive for a given time: jogging by hand."""
+    """A constant drive for a given time: `rig jog`."""
 
     z_rad_s = math.nan
     yd_rad = math.nan

@@ -1,4 +1,4 @@
-"""What a shaft that is driven must do: a reading that does not show it is frozen, or the drive is dead."""
+"""How a driven shaft must move. If the reading does not show that, the sensor is frozen or the drive is dead."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def is_obeyed(asked_V: float, acting_V: float) -> bool:
 
 
 class Standstill:
-    """How long a reading has kept within a span: since it last left it, at the start since the first sample.
+    """How long a reading has stood still: stayed within a span.
 
-    still_s           that time, s
-    low_rad, high_rad readings meanwhile
+    still_s           time since it last left the span, or since the first sample, s
+    low_rad, high_rad lowest and highest reading in that time
     same_s            time for which the reading has not changed at all, s
-    longest_s         longest stand so far that the reading has left, s
+    longest_s         longest standstill so far that has ended, s
     """
 
     def __init__(self) -> None:
@@ -32,7 +32,7 @@ class Standstill:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew at the next sample."""
+        """Start again at the next sample."""
         self.still_s = 0.0
         self.same_s = 0.0
         self.low_rad = math.inf
@@ -42,7 +42,7 @@ class Standstill:
         self._last_rad = math.nan
 
     def step(self, t_s: float, y_rad: float, span_rad: float) -> float:
-        """Time for which the reading has stood at this sample, s: readings nearer than ``span_rad`` are one place."""
+        """How long the reading has stood still, s; readings within ``span_rad`` of each other count as one position."""
         self.low_rad, self.high_rad = min(self.low_rad, y_rad), max(self.high_rad, y_rad)
         leaves = self.high_rad - self.low_rad >= span_rad
         if leaves:
@@ -55,23 +55,23 @@ class Standstill:
         return self.still_s
 
     def words(self) -> str:
-        """What the readings of a stand that should not be say about its cause, as far as they can."""
+        """The probable cause of a standstill that should not be, by its readings."""
         if self.same_s < 0.3 * self.still_s:
-            return "the reading still flickers, so the sensor lives: look at the drive's supply and the coupling first"
+            return "the reading still flickers, so the sensor works: check the drive's supply and the coupling first"
         return (
             f"the reading has not changed at all for {self.same_s:.2f} s: "
-            "if it flickers at rest, look at the wiper's wire first"
+            "if it flickers at rest, check the wiper's wire first"
         )
 
 
 class Gain:
-    """The speed that a lasting drive has given a shaft, which it cannot lose while the drive lasts.
+    """The speed that a lasting drive has given the shaft. The shaft keeps it while the drive lasts.
 
-    Under a constant drive u above friction the speed goes to K (u - f), from below or from above and never back. One
-    that has risen by some amount since the drive began is below that end, and stays at least as high. Where friction
-    falls with speed the end is higher still.
+    Under a constant drive u above friction the speed tends to K (u - f), monotonically. If it has risen since the
+    drive began, it is still below that value, so it cannot fall again. If friction falls with speed, the value is even
+    higher.
 
-    settling_s     time at the drive's begin that counts as before it: for the latency, and for the lag of the velocity
+    settling_s     time after the drive's begin that counts as before it, for the latency and the lag of the velocity
     """
 
     FALLEN = 0.9  # a drive below this part of its largest is another drive
@@ -102,17 +102,18 @@ class Gain:
 
 
 class CycleWatch:
-    """A cycle of the relays that goes on never stands still for long, whatever the relays drive.
+    """Finds a frozen reading during a relay test: in a steady cycle the shaft never stands still for long.
 
-    The shaft stands where it turns, a little longer where the drive before it is below friction, and moves everywhere
-    else. The longest stand of the last periods is learned, and ``LONGER`` times that is allowed; but not less than a
-    part ``LEAST`` of the longest of these periods, nor more than ``MOST`` of it. A cycle goes on where both last
-    periods were accepted, are nearly alike, and the amplitude keeps or grows: one that dies away may well stand, and is
-    not judged. Where another drive has acted than the relays asked for (the guard has braked), the shaft may stop
-    anywhere, and an inner level below friction leaves it there until the integral turns: what was learned is forgotten.
+    In a cycle the shaft stands still only where it turns; a little longer if the drive before that is below friction.
+    The watch learns the longest standstill of the last periods, and allows ``LONGER`` times that, but at least
+    ``LEAST`` and at most ``MOST`` of the longest of these periods. It judges only a steady cycle: the last two periods
+    were accepted, are nearly equal, and the amplitude stays or grows. In a cycle that dies away the shaft may stand.
 
-    min_amplitude_rad  smallest amplitude of a limit cycle; a quarter of it, or the part ``SPAN`` of the amplitude, is
-                       what a reading keeps within while the shaft stands
+    If another drive has acted than the relays asked for (the guard has braked), the watch forgets what it has learned:
+    the shaft may stop anywhere, and a drive below friction leaves it there until the integral changes sign.
+
+    min_amplitude_rad  smallest amplitude of a limit cycle; a reading stands still if it stays within a quarter of this,
+                       or within the part ``SPAN`` of the amplitude
     """
 
     LONGER = 3.0
@@ -120,23 +121,23 @@ class CycleWatch:
     MOST = 1.0
     SPAN = 0.05
     PERIODS = 3  # the last ones
-    KEEPS = 0.9  # an amplitude of at least this part of the one before
+    KEEPS = 0.9  # the amplitude stays if it is at least this part of the one before
     ALIKE = 0.3  # largest relative difference of two periods
-    ASKED = 4  # last drives asked for, of which one acts: some may get lost, or be told of later
+    ASKED = 4  # one of the last drives asked for must act: some get lost, or are reported later
 
     def __init__(self, min_amplitude_rad: float) -> None:
-        self.longest_s = 0.0  # stand of the last periods
+        self.longest_s = 0.0  # longest standstill of the last periods
         self.allowed_s = math.inf
         self._granted_s = math.inf
         self._span_rad = self._least_rad = 0.25 * min_amplitude_rad
         self.standstill = Standstill()
         self._running_s = 0.0
-        self._last: deque[tuple[DetectedCycle, float]] = deque(maxlen=self.PERIODS)  # with its longest stand
+        self._last: deque[tuple[DetectedCycle, float]] = deque(maxlen=self.PERIODS)  # with its longest standstill
         self._asked_V: deque[float] = deque(maxlen=self.ASKED)
 
     def step(self, sample: Sample, u_V: float) -> None:
-        """Take one sample, and what the relays ask for on it. Raises Fault SENSOR_STUCK where it stands too long."""
-        # a relay in the device tells of no effect here: its rows have been compared with what the law decides
+        """Take a sample, and the drive that the relays ask for. Raises Fault SENSOR_STUCK if it stands too long."""
+        # not for a relay in the device: the loop has compared its rows with the law already
         if math.isfinite(sample.t_u_s) and not any(is_obeyed(asked_V, sample.u_V) for asked_V in self._asked_V):
             self._last.clear()
             self.allowed_s = self._granted_s = math.inf
@@ -144,16 +145,16 @@ class CycleWatch:
         still_s = self.standstill.step(sample.t_s, sample.y_rad, self._span_rad)
         self._running_s = max(self._running_s, still_s)
         if still_s == 0.0:
-            self._granted_s = self.allowed_s  # for this stand, also where the relays' integral ends a period meanwhile
+            self._granted_s = self.allowed_s  # for this standstill, even if a period ends meanwhile
         if still_s > self._granted_s:
             raise Fault(
                 "SENSOR_STUCK",
-                f"the reading has stood for {still_s:.2f} s, at {u_V:+.2f} V; in the cycles before it never stood "
-                f"longer than {self.longest_s:.2f} s; {self.standstill.words()}",
+                f"the reading has stood still for {still_s:.2f} s, at {u_V:+.2f} V; in the cycles before it never "
+                f"stood still for longer than {self.longest_s:.2f} s; {self.standstill.words()}",
             )
 
     def end_period(self, cycle: DetectedCycle) -> None:
-        """A period is over: learn from it."""
+        """Learn from a period that is over."""
         before = self._last[-1][0] if self._last else None
         self._last.append((cycle, self._running_s))
         self._running_s = 0.0

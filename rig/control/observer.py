@@ -17,11 +17,11 @@ class MotorObserver:
     motor        the identified model
     period_s     sampling period, s
     noise_rad    standard deviation of the position reading
-    disturbance_V  standard deviation of what the model misses, as drive constant over a period
-    tachometer_noise_rad_s  standard deviation of the velocity channel; None where there is none
+    disturbance_V  standard deviation of the model's error, as a drive that is constant over a period
+    tachometer_noise_rad_s  standard deviation of the tachometer; None without one
 
-    The gain comes from the linear part; between samples the state moves by the motor's closed form under the drive
-    that really acted, with the change at its true effect time.
+    The gain comes from the linear part. Between samples the state follows the motor's closed form under the drive that
+    really acted, with each change at its true effect time.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class MotorObserver:
         self._gain: list[list[float]] = (P @ C.T @ np.linalg.inv(C @ P @ C.T + R)).tolist()
 
     def step(self, sample: Sample) -> State:
-        """State predicted for the instant at which a drive computed now takes effect."""
+        """The state at the instant at which a drive computed now takes effect."""
         if math.isnan(self._last_t_s):
             self.state = State(0.0, sample.y_rad)
             self._acting_V = sample.u_V
@@ -62,7 +62,7 @@ class MotorObserver:
         return self.motor.advance(self.state, self._acting_V, self.latency_s)
 
     def drive(self, asked_V: float) -> None:
-        """Tell which drive was sent after the last ``step``, V."""
+        """Take the drive that was sent after the last ``step``, V."""
         self._asked_V = asked_V
 
     def _advance(self, sample: Sample) -> None:

@@ -1,4 +1,4 @@
-"""Relays: the dual-channel relay, the single relay with hysteresis, and the sign rule that both share."""
+"""Relays: the dual-channel relay, the single relay with hysteresis, and their common sign rule."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def keep_sign(value: float, previous: int) -> int:
 class DualChannelRelay:
     """u = -h1 sgn(y) - h2 sgn(z), one relay on position and one on its integral (docs/theory.md 2.1).
 
-    z is the trapezoidal integral of y over the samples' true times, zero at the first sample, and held
-    within +-z_bound_rad_s so that a start far from centre does not wind it up. The bound must exceed three
-    times the cycle's largest |z|, else it shortens the period (docs/theory.md 2.2).
+    z is the trapezoidal integral of y over the samples' true times. It is zero at the first sample, and stays within
+    +-z_bound_rad_s, so that a start far from the centre does not wind it up. The bound must exceed three times the
+    cycle's largest |z|, else it shortens the period (docs/theory.md 2.2).
     Raises ValueError for gains below 0 V, and for a bound that is not > 0.
     """
 
@@ -41,7 +41,7 @@ class DualChannelRelay:
         self._last: tuple[float, float] | None = None
 
     def restart(self) -> None:
-        """Begin anew at the next sample: integral zero, both relays inward."""
+        """Start again at the next sample: integral zero, both relays inward."""
         self.z_rad_s = 0.0
         self._last = None
 
@@ -65,9 +65,11 @@ class DualChannelRelay:
 class RelayOnCounts:
     """The dual-channel relay as a device runs it, in whole counts and ticks (firmware/core/relay.h).
 
-    The law is ``DualChannelRelay``, with counts for rad and ticks for s: binary fractions, so that no decision
-    is rounded.
-    centre_counts       reading at y = 0; direction: +1 where positions rise with the counts, else -1
+    The law is ``DualChannelRelay`` with counts instead of rad and ticks instead of s. These are binary fractions, so
+    rounding affects no decision.
+
+    centre_counts       reading at y = 0
+    direction           +1 if positions rise with the counts, else -1
     z_bound_count_ticks bound on the integral
     drives_V            drive of each state: y >= 0 and z >= 0, y >= 0 > z, y < 0 <= z, both < 0
     count_tick_rad_s    integral of one count for one tick

@@ -15,7 +15,7 @@ from rig.signals import Sample
 
 
 class Trajectory(Protocol):
-    """A reference with two derivatives that begins where the shaft stands."""
+    """A reference with two derivatives that begins at the shaft's position."""
 
     start_rad: float
 
@@ -34,8 +34,8 @@ def linearising_drive(
 ) -> float:
     """Drive of (33), (34), V: u = (tau/K) r + v/K + f_c sgn(.) - a, r = yd'' + k1 (yd' - v) + k2 (yd - y).
 
-    sign_velocity_rad_s is the velocity whose sign the friction compensation takes; at exactly 0 there is none.
-    The friction level is that of the direction; the constant a of the asymmetry is taken off.
+    The friction compensation takes the sign of sign_velocity_rad_s, and the friction level of that direction; at
+    exactly 0 there is no compensation. The constant a is the asymmetry.
     """
     r = reference.a_rad_s2 + k1_1_s * (reference.v_rad_s - state.v) + k2_1_s2 * (reference.y_rad - state.y)
     f = motor.friction
@@ -50,11 +50,11 @@ def linearising_drive(
 class Tracking:
     """Follow a trajectory for ``duration_s`` with the model's linearising drive, velocity by its observer.
 
-    The trajectory begins where the first sample finds the shaft.
+    The trajectory begins at the position of the first sample.
 
-    friction_sign  "reference": sign of the reference velocity; "estimate": of the observed velocity, as in the paper,
-                   and of the reference where that is exactly zero (at 10 ms it chatters around reversals:
-                   docs/theory.md 11.2)
+    friction_sign  which velocity's sign the friction compensation takes. "reference": the reference velocity's;
+                   "estimate": the observed velocity's, as in the paper, or the reference's if that is exactly zero.
+                   At 10 ms "estimate" chatters around reversals (docs/theory.md 11.2)
     """
 
     z_rad_s = math.nan
@@ -90,9 +90,9 @@ class Tracking:
         self.finished = elapsed >= self.duration_s
         self.yd_rad = self.trajectory.at(elapsed).y_rad
         state = self.observer.step(sample)
-        # the drive acts after the latency: the reference is taken there too
+        # the drive acts after the latency: take the reference at that time, too
         reference = self.trajectory.at(elapsed + self.observer.latency_s)
-        # at rest the estimate has no sign, and without compensation the shaft would stay there
+        # at rest the estimate has no sign: without compensation the shaft would stay there
         use_reference = self.friction_sign == "reference" or state.v == 0.0
         velocity = reference.v_rad_s if use_reference else state.v
         u_V = linearising_drive(self.motor, state, reference, self.k1_1_s, self.k2_1_s2, velocity)
@@ -106,7 +106,7 @@ def tracking_error(
 ) -> tuple[float, float]:
     """RMS and largest |yd - y|, rad, over the samples later than ``after_s`` from the first one.
 
-    All arrays have one length. Raises ValueError where no sample is left.
+    All arrays have the same length. Raises ValueError if no sample is left.
     """
     error = (yd_rad - y_rad)[t_s - t_s[0] > after_s]
     if error.size == 0:

@@ -1,4 +1,4 @@
-"""Smooth reference trajectories: a sum of sines, faded in from where the shaft stands."""
+"""Smooth reference trajectories: a sum of sines, faded in from the shaft's position."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The experiment.
 
-script   what the commands run: the stages in their order, recorded
-stages   each stage on an open session; a replay runs them, too
+script   what each command runs: its stages in order, recorded
+stages   each stage, on an open session; a replay runs them, too
 """
 
 from rig.experiment.script import (

@@ -21,10 +21,11 @@ BREAKAWAY_LAW = "balanced pairs"  # in meta.json, so that a replay knows which l
 
 
 def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None, again: Bench | None = None) -> Outcome:
-    """The whole experiment, or, where the config has a section `law`, the breakaway check and that law.
+    """The whole experiment; if the config has a section `law`: the breakaway check and that law.
 
-    The run folder is made below ``parent``; ``on_start`` is told of it.
-    again  a bench that the same command has opened already
+    parent    folder in which the run folder is made
+    on_start  called once with the run folder and the first notes
+    again     a bench that the same command has opened already
     """
     if experiment.law is not None:
         return run_law(experiment, configured_law(experiment.law), parent, on_start, again)
@@ -60,11 +61,12 @@ def configured_law(section: OwnLaw) -> Timed:
 def repeated(
     experiment: Experiment, number: int, parent: Path, perform: Callable[[Callable[[OnStart], Outcome]], Outcome]
 ) -> list[Outcome]:
-    """``run`` so many times, each by ``perform``; nothing arms again after a fault, a failure or a signal.
+    """Do ``run`` ``number`` times, each through ``perform``. A fault, a failure or a signal ends the series.
 
-    One person gives one command: what a device latches between two runs is not acknowledged but ends it. A real bench
-    stays open from the first run to the last, so that no opening clears or resets it; an emulated one is made anew,
-    with the next seed. Raises Fault LATCHES_NOTHING for a real device that latches no e-stop, and as ``run``.
+    A person gives this command once. So if a device latches an e-stop between two runs, that ends the series: the next
+    run must not acknowledge it. A real bench stays open from the first run to the last, since opening a device clears
+    or resets it. An emulated bench starts anew, with the next seed.
+    Raises Fault LATCHES_NOTHING for a real device that latches no e-stop, and as ``run``.
     """
     outcomes: list[Outcome] = []
 
@@ -83,14 +85,14 @@ def repeated(
             if not bench.info.emulated and not getattr(bench.driver, "latches_stops", False):
                 raise Fault("LATCHES_NOTHING", bench.driver.backend)
             for k in range(number):
-                told = bench if k == 0 else replace(bench, info=replace(bench.info, acknowledged=()))
-                if not one(experiment, told):
+                opened = bench if k == 0 else replace(bench, info=replace(bench.info, acknowledged=()))
+                if not one(experiment, opened):
                     break
     return outcomes
 
 
 def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
-    """Breakaway, gains and relay tests, and what they identify; no tracking."""
+    """Breakaway, gain search and relay tests, then identification; no tracking."""
 
     def script(session: Session) -> None:
         drive_tests(session)
@@ -100,7 +102,7 @@ def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = N
 
 
 def run_breakaway(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
-    """The breakaway check alone: whether the bench arms, and whether the shaft moves, the right way."""
+    """The breakaway check alone: does the bench arm, and does the shaft move in the right direction?"""
     return record(experiment, parent, _named("breakaway"), drive_check, on_start)
 
 
@@ -111,7 +113,7 @@ def run_tracking(
     parent: Path,
     on_start: OnStart | None = None,
 ) -> Outcome:
-    """Breakaway and the tracking check, with models identified in an earlier run, ``models_from``."""
+    """Breakaway and the tracking check, with the models of an earlier run, ``models_from``."""
 
     def script(session: Session) -> None:
         session.found.identification = models
@@ -125,7 +127,7 @@ def run_tracking(
 def jog(
     experiment: Experiment, u_V: float, duration_s: float, parent: Path, on_start: OnStart | None = None
 ) -> Outcome:
-    """A constant drive for a short time, within the limits; from outside them only inward."""
+    """A constant drive for a short time, within the limits; outside them only inward."""
 
     def script(session: Session) -> None:
         drive_by_hand(session, u_V, duration_s)

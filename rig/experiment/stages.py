@@ -1,7 +1,7 @@
 """The stages of an experiment, each on an open session: arming, breakaway, search, relay tests, tracking.
 
-A stage raises Fault where it ends the run: what the loop raises, and START_OUTSIDE, CONFIG_MISMATCH or DRIVE_TOO_SMALL
-where it cannot begin. ValueError says that it was called out of order.
+A stage raises Fault to end the run: the loop's faults, and START_OUTSIDE, CONFIG_MISMATCH or DRIVE_TOO_SMALL if it
+cannot begin. It raises ValueError if it is called out of order.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ HYSTERETIC_TIMEOUT_S = 10.0  # for each
 
 
 def drive_tests(session: Session, check: BreakawayLaw | None = None) -> None:
-    """All that drives in ``run`` and ``run_relay`` before anything is identified; ``check`` as ``check_breakaway``."""
+    """Breakaway check, relay tests and hysteretic runs: all that is identified; ``check`` as ``check_breakaway``."""
     with _checked(session, check):
         test_relays(session)
         test_hysteretic(session)
@@ -67,7 +67,7 @@ def drive_law(session: Session, law: Timed, check: BreakawayLaw | None = None) -
 
 
 def drive_by_hand(session: Session, u_V: float, duration_s: float) -> None:
-    """A constant drive between two rests, within the limits; from outside them only inward."""
+    """A constant drive between two rests, within the limits; outside them only inward."""
     session.loop.guard.recovering = True
     with driving(session):
         session.loop.run(Rest(0.1), "rest")
@@ -81,14 +81,14 @@ def drive_by_hand(session: Session, u_V: float, duration_s: float) -> None:
 
 @contextmanager
 def driving(session: Session) -> Iterator[None]:
-    """The device armed for the block, and this process set up for real time where time is real."""
+    """Arm the device for the block. If time is real, set this process up for real time."""
     with _prepared(session), session.loop.armed(session.experiment.device_limits):
         yield
 
 
 @contextmanager
 def _checked(session: Session, check: BreakawayLaw | None) -> Iterator[None]:
-    """As ``driving``, after the breakaway check, for which the device is armed with a watchdog of its own."""
+    """As ``driving``, after the breakaway check, which arms the device with its own watchdog time."""
     with _prepared(session):
         _armed_check(session, check)
         with session.loop.armed(session.experiment.device_limits):
@@ -96,7 +96,7 @@ def _checked(session: Session, check: BreakawayLaw | None) -> Iterator[None]:
 
 
 def _armed_check(session: Session, check: BreakawayLaw | None) -> None:
-    """The breakaway check, armed: what a host that dies in a stroke leaves on is part of the bound on unseen travel."""
+    """The breakaway check, armed with a short watchdog: it bounds unseen travel even if the host dies in a stroke."""
     e = session.experiment
     limits = e.device_limits
     strokes = None if e.motor is None or isinstance(check, OneWayCheck) else breakaway_strokes(e)
@@ -108,18 +108,18 @@ def _armed_check(session: Session, check: BreakawayLaw | None) -> None:
 
 @contextmanager
 def _prepared(session: Session) -> Iterator[None]:
-    """The block runs with this process set up for real time, where time is real."""
+    """Set this process up for real time during the block, if time is real."""
     if not isinstance(session.bench.clock, MonotonicClock):
-        _tell_real_time(session, RealTime(["virtual time: lateness means nothing here"]))
+        _note_real_time(session, RealTime(["virtual time: lateness means nothing here"]))
         yield
     else:
         with real_time(real_time_of(session.experiment)) as done:
-            _tell_real_time(session, done)
+            _note_real_time(session, done)
             yield
 
 
-def _tell_real_time(session: Session, done: RealTime) -> None:
-    """Into meta.json, result.json and its notes goes what the machine granted the loop, and what it refused."""
+def _note_real_time(session: Session, done: RealTime) -> None:
+    """Write to meta.json, result.json and its notes what the machine granted the loop, and what it refused."""
     if session.found.real_time is None:
         report = RealTimeReport(granted=tuple(done.granted), refused=tuple(done.refused))
         session.found.real_time = report
@@ -129,12 +129,12 @@ def _tell_real_time(session: Session, done: RealTime) -> None:
 
 
 def breakaway_check(e: Experiment) -> BreakawayCheck:
-    """The breakaway check of a config. Raises Fault CONFIG_MISMATCH where its unseen travel has no bound."""
+    """The breakaway check of a config. Raises Fault CONFIG_MISMATCH if its unseen travel has no bound."""
     strokes = None if e.motor is None else breakaway_strokes(e)
     if strokes is None:
         raise Fault(
             "CONFIG_MISMATCH",
-            "with a stuck or uncoupled sensor nothing would bound what the shaft turns in the breakaway check: "
+            "with a stuck or uncoupled sensor nothing would bound how far the shaft turns in the breakaway check: "
             "motor.no_load_speed_rad_s is missing, or breakaway.max_V is too high for it; see `rig check`",
         )
     b = e.breakaway
@@ -149,9 +149,10 @@ def breakaway_check(e: Experiment) -> BreakawayCheck:
 
 
 def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None:
-    """Prove sensor, drive and sign by strokes to and fro; from then on the guard may brake by itself.
+    """Prove sensor, drive and sign by strokes to and fro; after that the guard may brake by itself.
 
-    check  another law than the one of now: that of an older version, for a replay
+    check  the breakaway law of an older version, for a replay; None: this version's
+    Raises Fault START_OUTSIDE, CONFIG_MISMATCH, and what the loop and the check raise.
     """
     e = session.experiment
     session.loop.run(Rest(0.1), "rest")
@@ -169,16 +170,16 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
     differ = abs(check.plus_V - check.minus_V) / (check.plus_V + check.minus_V)
     if differ > FRICTION_DIFFERS:
         session.found.notes.append(
-            f"friction differs by {differ:.0%} from its mean between the ways (the shaft broke away at "
+            f"friction differs by {differ:.0%} from its mean between the directions (the shaft broke away at "
             f"{check.plus_V:.2f} V and {check.minus_V:.2f} V): unseen travel in the breakaway check was bounded for at "
-            f"most {FRICTION_DIFFERS:.0%}; with a stuck or uncoupled sensor this shaft could turn farther than "
-            "`rig check` says: a lower breakaway.max_V keeps it shorter"
+            f"most {FRICTION_DIFFERS:.0%}, so with a stuck or uncoupled sensor this shaft could turn farther than "
+            "`rig check` says; to shorten that, lower breakaway.max_V"
         )
     session.note("breakaway", plus_V=check.plus_V, minus_V=check.minus_V, noise_rad=check.noise_rad)
 
 
 def test_relays(session: Session) -> None:
-    """Find the gains, where the config gives none, and run a relay test at each pair; then let the shaft rest."""
+    """Run a relay test at each pair of gains, then let the shaft rest. If the config gives no gains, search them."""
     e = session.experiment
     if e.relay.gains is None and e.relay.target is None:
         return
@@ -202,9 +203,7 @@ def test_relays(session: Session) -> None:
         else:
             session.loop.run(RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s), stage, watch)
     if relay.bound_reached:
-        session.found.notes.append(
-            "the relay's integral reached its bound: the first cycles are shorter than they would be"
-        )
+        session.found.notes.append("the relay's integral reached its bound: that made the first cycles shorter")
     session.loop.run(Rest(REST_S), "rest")
 
 
@@ -216,7 +215,10 @@ def run_in_device(
     stage: str,
     watch: Callable[[float], None],
 ) -> None:
-    """One relay test in which the device's own relay drives."""
+    """One relay test in which the device's own relay drives.
+
+    Raises Fault CONFIG_MISMATCH if the device has no relay, and what the loop raises.
+    """
     e, driver = session.experiment, session.bench.driver
     if not isinstance(driver, RelayDriver):
         raise Fault("CONFIG_MISMATCH", f"relay.where is device, but {driver.backend} has no relay")
@@ -236,7 +238,10 @@ def run_in_device(
 
 
 def test_hysteretic(session: Session) -> None:
-    """Run each hysteretic relay of the config, every time from rest at zero; then let the shaft rest."""
+    """Run each hysteretic relay of the config from rest at zero, and let the shaft rest after each.
+
+    Raises Fault DRIVE_TOO_SMALL and what the loop raises; ValueError without a breakaway check.
+    """
     e, breakaway = session.experiment, session.found.breakaway
     if e.relay.hysteretic is None:
         return
@@ -245,7 +250,7 @@ def test_hysteretic(session: Session) -> None:
     for number, wanted in enumerate(e.relay.hysteretic, start=1):
         level_V = breakaway.plus_V if wanted.d_V > 0.0 else breakaway.minus_V
         if abs(wanted.d_V) <= level_V:
-            raise Fault("DRIVE_TOO_SMALL", f"d_V {wanted.d_V:+.3f} V of run {number}; it broke away at {level_V:.3f} V")
+            raise Fault("DRIVE_TOO_SMALL", f"run {number}: d_V {wanted.d_V:+.3f} V; it broke away at {level_V:.3f} V")
     for number, wanted in enumerate(e.relay.hysteretic, start=1):
         stage = str(Stage.hysteretic(number))
         bring_home(session)
@@ -256,12 +261,12 @@ def test_hysteretic(session: Session) -> None:
 
 
 def bring_home(session: Session) -> None:
-    """Bring the shaft to rest at zero."""
+    """Bring the shaft to rest at zero. Raises Fault NOT_HOME; ValueError without a breakaway check."""
     e, breakaway = session.experiment, session.found.breakaway
     if breakaway is None:
         raise ValueError("homing needs a breakaway check")
     lsb_rad, noise_rad = e.sensor.curve.lsb_rad, breakaway.noise_rad
-    # without noise a mean reading is no better than the sensor's steps, one of which may have its edge at zero
+    # without noise the mean of readings is as coarse as the sensor's steps, and the edge of a step may be at zero
     dithered = noise_rad > 0.4 * lsb_rad
     tolerance_rad = max(0.3 * lsb_rad, 0.45 * noise_rad) if dithered else 0.6 * lsb_rad
     homing = Homing(
@@ -276,7 +281,10 @@ def bring_home(session: Session) -> None:
 
 
 def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetector) -> list[tuple[float, float]]:
-    """Search gains for the wanted cycle; returns those of the two relay tests, (h1, h2) in V."""
+    """Search gains for the wanted cycle. Returns (h1, h2) of each of the two relay tests, V.
+
+    Raises Fault NO_CYCLE; ValueError without relay.target or a breakaway check.
+    """
     e, target, breakaway = session.experiment, session.experiment.relay.target, session.found.breakaway
     if target is None or breakaway is None:
         raise ValueError("the gain search needs relay.target and a breakaway check")
@@ -286,26 +294,26 @@ def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetec
         detector,
         CycleTarget(target.amplitude_rad, target.period_s, target.tolerance),
         SearchRange(s.h1_start_V, s.h2_start_V, s.h2_step_V, s.step_s, s.h_max_V, e.drive.max_V, s.timeout_s),
-        # moving friction is a little less than what breaks the shaft away
+        # moving friction is a little less than the drive that breaks the shaft away
         friction_V=0.45 * (breakaway.plus_V + breakaway.minus_V),
         reach_rad=0.9 * reach_rad(e),
         top_speed_rad_s=0.95 * e.limits.max_speed_rad_s,
     )
     session.found.search = search
-    told = 0
+    noted = 0
 
     def watch(t_s: float) -> None:
-        nonlocal told
-        for step in search.steps[told:]:
+        nonlocal noted
+        for step in search.steps[noted:]:
             session.note("search", **{name: value for name, value in step._asdict().items() if name != "t_s"})
-        told = len(search.steps)
+        noted = len(search.steps)
 
     session.loop.run(search, "search", watch)
     return [(relay.h1_V, relay.h2_V), search.second_gains(e.relay.second_ratio)]
 
 
 def identify_recorded(session: Session) -> None:
-    """Identify what has been recorded so far, by every method."""
+    """Identify the motor from the recording so far, by every method."""
     session.recorder.drain()
     session.note("stage", name="identify")
     identification = session.found.identification = identify([session.read()])
@@ -314,7 +322,7 @@ def identify_recorded(session: Session) -> None:
 
 
 def _compare_with_data_sheet(session: Session, identification: Identification) -> None:
-    """Say where the motor is faster than the data sheet's speed, on which the bound of unseen travel rests."""
+    """Note if the motor is faster than the config says: the bound on unseen travel depends on that speed."""
     e, best = session.experiment, identification.best
     if e.motor is None or best is None:
         return
@@ -322,12 +330,12 @@ def _compare_with_data_sheet(session: Session, identification: Identification) -
     if no_load_rad_s > 1.1 * e.motor.no_load_speed_rad_s:
         session.found.notes.append(
             f"motor.no_load_speed_rad_s is {e.motor.no_load_speed_rad_s:g}, but by this estimate the shaft would reach "
-            f"{no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V: correct it, the breakaway check's strokes rest on it"
+            f"{no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V: correct it; the breakaway check's strokes rely on it"
         )
 
 
 def verify_models(session: Session) -> None:
-    """Track the same trajectory with each method's model: those that are safe in simulation on the best one."""
+    """Track the same trajectory with the model of each method, if a pre-run simulation on the best model is safe."""
     e, identification = session.experiment, session.found.identification
     if e.tracking is None or identification is None:
         return
@@ -340,7 +348,7 @@ def verify_models(session: Session) -> None:
             session.found.tracking[method] = TrackingResult(not_run=reason)
     for method, motor in safe.items():
         session.found.tracking[method] = TrackingResult(not_run="the run ended before it")
-        # what a replay tracks with: which models an estimator finds, and which are safe, is not for it to judge
+        # a replay tracks with these models: it identifies nothing, and simulates nothing before
         session.note(
             "model",
             method=method,
@@ -354,11 +362,11 @@ def verify_models(session: Session) -> None:
 
 
 def _why_not(session: Session, identification: Identification, method: Method) -> str | None:
-    """Why the bench is not driven with a method's model, in words; None where nothing speaks against it."""
+    """Why a method's model must not drive the bench, in words; None if it may."""
     best, first_choice = identification.best, identification.estimates.get("sampled-data")
     if best is None or (first_choice is not None and first_choice.verdict == "refused"):
-        # where the best estimator refuses the record, a reference method is no ground to drive the bench on
-        return "no estimate is good enough to rehearse on"
+        # if the best estimator refuses the recording, a reference method's model must not drive the bench either
+        return "no estimate is good enough for the simulation before the run"
     estimate = identification.estimates.get(method)
     if estimate is None:
         return "no estimate"
@@ -415,7 +423,7 @@ def _tracking_law(session: Session, motor: Motor) -> Tracking:
 
 
 def _integral_bound_rad_s(e: Experiment) -> float:
-    """Bound on the relay's integral: four times the largest |z| of any cycle that is to be expected."""
+    """Bound on the relay's integral: four times the largest |z| of any cycle to expect."""
     if e.relay.target is not None:
         # a sine of the wanted period that fills the soft limits
         return 4.0 * reach_rad(e) * e.relay.target.period_s / 6.28
@@ -425,17 +433,17 @@ def _integral_bound_rad_s(e: Experiment) -> float:
 
 
 def _watch_cycles(session: Session, detector: CycleDetector, stage: str) -> Callable[[float], None]:
-    told = 0
+    noted = 0
 
     def watch(t_s: float) -> None:
-        nonlocal told
-        if len(detector.cycles) > told:
-            told = len(detector.cycles)
+        nonlocal noted
+        if len(detector.cycles) > noted:
+            noted = len(detector.cycles)
             c = detector.cycles[-1]
             session.note(
                 "cycle",
                 stage=stage,
-                number=told,
+                number=noted,
                 settled=detector.settled,
                 period_s=c.period_s,
                 amplitude_rad=c.amplitude_rad,

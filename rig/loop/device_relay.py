@@ -1,4 +1,4 @@
-"""The relay in the device while it drives: its ticks are held to law and guard, and recorded, as they come."""
+"""The relay in the device while it drives: the loop records each of its ticks, and checks it by law and guard."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from rig.loop.statistics import LoopStatistics
 from rig.recording.sink import RowSink
 from rig.signals import FLAG_SKIPPED, Sample
 
-STOPPING = "stopping"  # stage of what the relay in the device did until it was stopped, after the loop had given up
+STOPPING = "stopping"  # stage of the rows between the end of the run and the stop of the relay in the device
 
 
 class DeviceRelay:
-    """Follows the relay in the device; the loop keeps its watchdog quiet and brings its rows.
+    """Follows the relay in the device. The loop keeps the device's watchdog quiet and fetches the rows.
 
     guard, record   the loop's own
     statistics      counts the device's ticks
-    since_start_s   from a time of the driver's to one of the run's, s
+    since_start_s   converts a time of the driver to the run's time, s
     """
 
     def __init__(
@@ -35,11 +35,11 @@ class DeviceRelay:
         self._driver: RelayDriver | None = None  # while it drives
         self._tick_s = math.nan
         self._last_row_s = math.nan
-        self._untaken: deque[RelayRow] = deque()  # rows that have come and are not in the record yet
+        self._untaken: deque[RelayRow] = deque()  # rows that have come and are not recorded yet
         self.last_y_rad = math.nan  # position at the last tick
 
     def start(self, driver: RelayDriver, command: RelayCommand, y_rad: float) -> None:
-        """Let the relay drive, from the position ``y_rad`` on."""
+        """Start the relay, with the shaft at ``y_rad``."""
         self.last_y_rad = y_rad
         self._tick_s = driver.tick_s
         self._last_row_s = math.nan
@@ -47,18 +47,19 @@ class DeviceRelay:
         self._driver = driver
 
     def stop(self, driver: RelayDriver) -> list[RelayRow]:
-        """Let it drive no longer; returns its last rows. Raises Fault as the driver does."""
+        """Stop the relay. Returns its last rows. Raises Fault as the driver does."""
         last_rows = driver.stop_relay()
-        self._driver = None  # all that it did has come
+        self._driver = None  # all of its rows have come
         return last_rows
 
     def take(
         self, rows: list[RelayRow], tick: int, law: Law, stage: str, watch: Callable[[float], None] | None
     ) -> None:
-        """Record each row under the loop's ``tick``, then judge it.
+        """Record each row under the loop's ``tick``, then check it.
 
-        ``law`` takes each tick of the device, and what it decides must be what the device did. ``watch`` is called
-        after each with its time, s. Raises Fault DEVICE_RELAY, RELAY_STOPPED, and the law's and the guard's.
+        law    takes each tick of the device; it must decide the drive that the device drove
+        watch  called after each tick with its time, s
+        Raises Fault DEVICE_RELAY, RELAY_STOPPED, and the law's and the guard's.
         """
         self._untaken.extend(rows)
         while self._untaken:
@@ -75,7 +76,9 @@ class DeviceRelay:
             self._record_row(row, sample, tick, stage, law.z_rad_s, law.yd_rad)
         if row.u_V != decided_V:
             if self._driver is not None:
-                self._untaken.extend(self._driver.read_rows())  # where the device has stopped by itself, it says why
+                self._untaken.extend(
+                    self._driver.read_rows()
+                )  # if the device stopped by itself, this raises its reason
             raise Fault("DEVICE_RELAY", f"{row.u_V:+.3f} V at {row.y_counts} counts, not {decided_V:+.3f} V")
         passed_V, _ = self._guard.allow(sample, row.u_V)
         if passed_V != row.u_V:
@@ -87,7 +90,7 @@ class DeviceRelay:
         return sample
 
     def record_last_rows(self, tick: int, now_s: float) -> None:
-        """What else has come when the run ends while the relay drives: recorded, judged by nobody."""
+        """Record the rows that are left when the run ends while the relay drives; nothing checks them."""
         driver, self._driver = self._driver, None
         if driver is not None:
             try:

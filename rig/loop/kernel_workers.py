@@ -1,7 +1,7 @@
-"""The kernel's worker threads, raised by a process of its own, which gives them back whatever ends the loop's.
+"""Raises the priority of the kernel's worker threads, in a process of its own: it restores them even if the loop dies.
 
-``python kernel_workers.py PRIORITY PROC``: raises them, says so in a line, waits for the end of its standard input, and
-makes them ordinary again. Nothing of rig is imported here: it has to be there before the loop begins.
+``python kernel_workers.py PRIORITY PROC`` raises them, prints one line, waits for the end of its standard input, and
+restores them. It imports nothing of rig, so that it starts fast: the loop waits for it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 PROC = Path("/proc")
-NAME = b"kworker/u"  # of those that are bound to no core
+NAME = b"kworker/u"  # the workers that are bound to no core
 
 
 def workers(proc: Path = PROC) -> Iterator[int]:
@@ -28,9 +28,10 @@ def workers(proc: Path = PROC) -> Iterator[int]:
 
 @contextlib.contextmanager
 def raised_workers(priority: int, proc: Path = PROC) -> Iterator[tuple[int, str]]:
-    """Within the block the workers have SCHED_FIFO at ``priority``, 1 to 99: (how many, why not all).
+    """Give the workers SCHED_FIFO at ``priority``, 1 to 99, for the block. Yields how many, and why not all.
 
-    Those that are there now, also where they have been left raised. Raises OSError where no process can be started.
+    It raises the workers that exist now, and restores them even if something else had raised them before.
+    Raises OSError if the process cannot start.
     """
     command = [sys.executable, "-I", "-S", __file__, str(priority), str(proc)]
     with subprocess.Popen(
@@ -38,13 +39,13 @@ def raised_workers(priority: int, proc: Path = PROC) -> Iterator[tuple[int, str]
     ) as keeper:
         assert keeper.stdout is not None
         count, _, refusal = keeper.stdout.readline().strip().partition(" ")
-        yield int(count or 0), refusal if count else "their keeper has ended"
-        # its standard input ends here, or with this process
+        yield int(count or 0), refusal if count else "the process that raises them has ended"
+        # leaving the block, or the end of this process, ends its standard input
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Raise, say how many and why no more, wait, give back."""
-    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):  # it ends when the loop does
+    """Raise the workers, print how many and why no more, wait, restore them."""
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):  # only the end of its standard input ends it
         signal.signal(number, signal.SIG_IGN)
     priority, proc = int(arguments[0]), Path(arguments[1])
     raised: list[int] = []

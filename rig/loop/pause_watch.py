@@ -1,4 +1,4 @@
-"""A device that latches no e-stop by itself is read throughout each pause: one opened and closed must not be missed."""
+"""Reads a device that latches no e-stop throughout each pause: else an e-stop that opens and closes would be missed."""
 
 from __future__ import annotations
 
@@ -9,18 +9,17 @@ from rig.backends.clock import MonotonicClock
 from rig.backends.driver import Clock, Driver
 from rig.faults import Fault
 
-VIRTUAL_PAUSE_S = 1.0  # how long a pause lasts in virtual time, which stands still while anything is computed
+VIRTUAL_PAUSE_S = 1.0  # length of a pause in virtual time, in which computing takes no time
 
 
 class PauseWatch:
-    """Reads ``driver`` each ``period_s`` from ``begin`` to ``end``, in a thread of its own; nothing else uses it then.
+    """Reads ``driver`` every ``period_s`` from ``begin`` to ``end``, in its own thread; nothing else uses it meanwhile.
 
-    A driver whose device latches (``latches_stops``) is left alone: arming tells what has happened. In virtual time the
-    pause comes at its end, and takes VIRTUAL_PAUSE_S.
+    It does not read a device that latches (``latches_stops``): arming tells what happened in the pause. In virtual time
+    all readings come at the end of the pause, and take VIRTUAL_PAUSE_S.
 
-    A reading at or beyond ``rail_counts`` is the fault SENSOR_RAIL: the guard, which says so otherwise, rests as well.
-
-    longest_gap_s  the longest time between two readings so far, s: a contact that opens for less may be missed
+    rail_counts    a reading at or beyond these raises Fault SENSOR_RAIL, as the guard does outside a pause
+    longest_gap_s  longest time between two readings so far, s: a contact that opens for less may be missed
     """
 
     def __init__(
@@ -53,7 +52,7 @@ class PauseWatch:
             self._thread.start()
 
     def end(self) -> None:
-        """The pause is over, and the driver free. Raises the fault that was seen in it."""
+        """The pause is over: let go of the driver. Raises the fault that was seen in the pause."""
         self.give_up()
         if self._is_pause and not self._in_real_time:
             start_s = self._clock.now_s()
@@ -85,7 +84,7 @@ class PauseWatch:
         while not self._over.wait(self._period_s):
             try:
                 self._look()
-            except Exception as error:  # noqa: BLE001 - whatever it is belongs to the run, which is another thread's
+            except Exception as error:  # noqa: BLE001 - whatever it is, the thread of the run must raise it
                 self._seen = error if isinstance(error, Fault) else Fault("INTERNAL", f"in a pause: {error!r}")
                 return
             now_s = self._clock.now_s()

@@ -1,4 +1,4 @@
-"""Pre-run simulation: the tracking run on the best model, before the bench is driven with it."""
+"""Pre-run simulation: the tracking run on the best model, before it drives the bench."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rig.signals import Order
 
 @dataclass(frozen=True)
 class PreRunBench:
-    """What is known of the bench: the best model, where the shaft stands, noise, latency, the order of a tick."""
+    """What rig knows of the bench: the best model, the shaft's position, noise, latency, the order of a tick."""
 
     motor: Motor
     start_rad: float
@@ -34,9 +34,9 @@ class PreRunBench:
 
 
 def pre_run(tracking: Tracking, bench: PreRunBench, guard: GuardSettings, seed: int = 0) -> str | None:
-    """Run ``tracking`` on the simulated bench; the reason why it must not drive the real one, or None.
+    """Run ``tracking`` on a simulated bench. Returns why it must not drive the real bench; None if it may.
 
-    It must not where it leaves the soft limits, asks for more than the largest drive, or raises any fault.
+    It must not if it leaves the soft limits, asks for more than the largest drive, or ends with a fault.
     """
     clock = VirtualClock()
     calibration = bench.calibration
@@ -62,9 +62,9 @@ def pre_run(tracking: Tracking, bench: PreRunBench, guard: GuardSettings, seed: 
         seed,
         bench.order,
     )
-    watching = Guard(guard)
-    watching.sign_proven = True
-    loop = Loop(driver, clock, watching, NullSink(), bench.period_s, StopRequest())
+    simulated_guard = Guard(guard)
+    simulated_guard.sign_proven = True
+    loop = Loop(driver, clock, simulated_guard, NullSink(), bench.period_s, StopRequest())
     low, high = guard.limits.soft_rad
     reached = [bench.start_rad, bench.start_rad]
 
@@ -74,7 +74,7 @@ def pre_run(tracking: Tracking, bench: PreRunBench, guard: GuardSettings, seed: 
 
     try:
         with loop.armed(guard.limits):
-            loop.run(tracking, "rehearsal", watch)
+            loop.run(tracking, "pre-run", watch)
     except Fault as fault:
         return f"in simulation on the best model: {fault}"
     if reached[0] < low or reached[1] > high:

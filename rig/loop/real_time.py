@@ -1,4 +1,4 @@
-"""Real-time set-up of the loop's process: each measure where the machine allows it, and in words where it refuses."""
+"""Sets the loop's process up for real time, as far as the machine allows; notes what it refuses."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _LIMITS_CONF = "in /etc/security/limits.conf, join the group realtime, log in ag
 
 @dataclass(frozen=True)
 class RealTimeSettings:
-    """What is wanted.
+    """The measures that the config asks for.
 
-    priority     of SCHED_FIFO, 1 to 99; 0: the ordinary scheduler
-    cpu          the one core to stay on; None: any
-    lock_memory  no page of the process leaves memory, so that touching it never waits for a disk
-    raise_workers  SCHED_FIFO, one below the loop's priority, for the kernel's worker threads that are not bound to a
-                 core: they carry what a serial port receives to who reads it, and on busy cores they wait their turn
+    priority       priority of SCHED_FIFO, 1 to 99; 0: the ordinary scheduler
+    cpu            the one core to stay on; None: any
+    lock_memory    keep all pages of the process in memory, so that none has to wait for a disk
+    raise_workers  give the kernel's worker threads that are bound to no core SCHED_FIFO, one below the loop's priority.
+                   They hand what a serial port receives to its reader, and on busy cores they have to wait
     """
 
     priority: int = 60
@@ -37,7 +37,7 @@ class RealTimeSettings:
 
 @dataclass
 class RealTime:
-    """What came of it: one line for each measure that is in force, one for each that the machine refused."""
+    """One line for each measure that is in force, and one for each that the machine refused."""
 
     granted: list[str] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
@@ -48,15 +48,15 @@ AS_USUAL = RealTimeSettings()
 
 @contextmanager
 def real_time(settings: RealTimeSettings = AS_USUAL) -> Iterator[RealTime]:
-    """Within the block this process is set up for real time, as far as allowed; before and after it is as it was.
+    """Set this process up for real time during the block, as far as the machine allows; then restore it.
 
-    Processes that are started within the block are ordinary ones, but stay on the same core.
+    Processes that start within the block are ordinary, but stay on the same core.
     """
     done = RealTime()
     if not sys.platform.startswith("linux"):
         done.refused.append(
             f"{_SYSTEMS.get(sys.platform, sys.platform)} has not been tried in real time: no priority, no locked "
-            "memory, no absolute sleep, so nothing is promised of how late a tick is; drive a motor from Linux"
+            "memory, no absolute sleep, so ticks may come late by any time; drive a motor from Linux"
         )
         yield done
         return
@@ -64,7 +64,7 @@ def real_time(settings: RealTimeSettings = AS_USUAL) -> Iterator[RealTime]:
     scheduler, parameter, cores = os.sched_getscheduler(0), os.sched_getparam(0), os.sched_getaffinity(0)
     until_then = ExitStack()
     try:
-        # the ordinary scheduler lets a sleep lengthen by 50 us unless it is told not to
+        # by default the ordinary scheduler lets a sleep lengthen by 50 us
         libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0)
         if settings.cpu is not None:
             _stay_on(settings.cpu, done)
@@ -77,7 +77,7 @@ def real_time(settings: RealTimeSettings = AS_USUAL) -> Iterator[RealTime]:
         yield done
     finally:
         until_then.close()
-        # once set, the flag is not a user's to take back; it does nothing to an ordinary process
+        # an ordinary user cannot clear this flag once it is set; an ordinary process does not notice it
         os.sched_setscheduler(0, scheduler | (os.sched_getscheduler(0) & os.SCHED_RESET_ON_FORK), parameter)
         libc.munlockall()
         os.sched_setaffinity(0, cores)
@@ -112,7 +112,7 @@ def _go_first(priority: int, done: RealTime) -> None:
 
 
 def _raise_workers(priority: int, until_then: ExitStack, done: RealTime) -> None:
-    """Raise them until ``until_then`` is closed, or this process is gone."""
+    """Raise the workers until ``until_then`` closes, or this process ends."""
     why = os.strerror(errno.EPERM)
     if os.geteuid() == 0:
         try:

@@ -1,7 +1,7 @@
-"""A recorded run as a bench: the loop gets the same samples again, and each drive is held to the one that acted.
+"""A recorded run as a bench: the loop gets the same samples again, and must come to the drive that acted.
 
-``RecordedDriver`` and ``RecordedClock`` are the bench, ``Comparison`` is where the loop's rows go, ``ReplayLoop`` is
-the loop; all of them share one ``ReplayedRows``.
+``RecordedDriver`` and ``RecordedClock`` are the bench. ``RowComparison`` takes the loop's rows. ``ReplayLoop`` is the
+loop. All of them share one ``ReplayedRows``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _NAN = math.nan
 
 
 class RecordedClock:
-    """Time as the record has it: it passes from row to row."""
+    """The time of the recording: it passes from row to row."""
 
     absolute = True
 
@@ -35,17 +35,17 @@ class RecordedClock:
         return self._replayed.now_s
 
     def sleep_until(self, t_s: float) -> float:
-        """Let time pass to ``t_s``; none if that is past. The time then, s."""
+        """Let time pass to ``t_s``, unless that is past. Returns the time then, s."""
         self._replayed.now_s = max(self._replayed.now_s, t_s)
         return self._replayed.now_s
 
 
 class RecordedDriver:
-    """The samples of a record behind the driver interface, the relay in a device included. Nothing is driven.
+    """The samples of a recording behind the driver interface, with the relay in a device. It drives nothing.
 
-    order        as it was
-    calibration, drive_map   as they were, the drive's units included
-    clock_ratio  device seconds for one of the host's
+    order        order of a tick in the run
+    calibration, drive_map   of the run, with the drive's units
+    clock_ratio  device seconds in a second of the host
     """
 
     failsafe: DeviceWatchdog | None = DeviceWatchdog(1.0)
@@ -65,20 +65,20 @@ class RecordedDriver:
         self._device_stage = ""
 
     def open(self) -> DeviceInfo:
-        """Nothing to meet."""
+        """There is no device to open."""
         return DeviceInfo(build="", board="record", reset_cause="", emulated=True, clock_ratio=self._clock_ratio)
 
     def arm(self, limits: Limits) -> None:
-        """Go on at the next row; raises as ``ReplayedRows.end`` where there is none."""
+        """Go on at the next row; without one, raises as ``ReplayedRows.end``."""
         if self._replayed.is_over:
             self._replayed.end(arming=True)
         self._is_armed_anew = True
         self._replayed.set_clock()
 
     def read(self) -> Sample:
-        """The next row's sample, with what the row before it says of the last drive; raises as ``ReplayedRows.end``.
+        """The next row's sample, with the last drive as the row before reports it; raises as ``ReplayedRows.end``.
 
-        After the last row there is one more: the exchange that completed it.
+        After the last row there is one more sample: the exchange that completed that row.
         """
         replayed, row = self._replayed, self._replayed.next
         t_u_s, u_V = _NAN, 0.0
@@ -94,9 +94,9 @@ class RecordedDriver:
         return Sample(last.t_s + replayed.period_s, last.y_rad, last.y_counts, _NAN, t_u_s, u_V, last.seq)
 
     def write(self, u_V: float) -> None:
-        """Take the drive, as the device would; ``Comparison`` judges it. Raises ValueError beyond the drive's range.
+        """Take the drive, as the device would; ``RowComparison`` compares it. Raises ValueError beyond its range.
 
-        Raises the fault that ended the run where that was in this tick and came from neither law nor guard.
+        If a fault of neither law nor guard ended the run in this tick, raises that fault.
         """
         self._drive_map.to_units(u_V)
         replayed, fault = self._replayed, self._replayed.fault
@@ -105,7 +105,7 @@ class RecordedDriver:
             raise fault
 
     def safe_stop(self) -> bool:
-        """Whether the device confirmed it then."""
+        """Whether the device confirmed the stop in the run."""
         self._stops += 1
         stops = self._replayed.stops
         return stops[self._stops - 1] if self._stops <= len(stops) else True
@@ -121,13 +121,13 @@ class RecordedDriver:
         return TICK_S / self._clock_ratio
 
     def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
-        """As the device was told; raises as ``relay_stream.relay_command``."""
+        """The command that the device got; raises as ``relay_stream.relay_command``."""
         return relay_command(h1_V, h2_V, z_bound_rad_s, self._calibration, self._drive_map, self.tick_s)
 
     def start_relay(self, command: RelayCommand) -> None:
         """Go on at the relay's first row.
 
-        Raises as ``ReplayedRows.end``; Diverged where the next row is none of a device's.
+        Raises as ``ReplayedRows.end``; Diverged if the next row does not come from a relay in the device.
         """
         if self._replayed.is_over:
             self._replayed.end()
@@ -138,7 +138,7 @@ class RecordedDriver:
         self._replayed.set_clock()
 
     def keep(self) -> None:
-        """The relay goes on; raises as ``ReplayedRows.end``, and Diverged where it had ended."""
+        """The relay goes on. Raises as ``ReplayedRows.end``; Diverged if it had ended here in the run."""
         replayed = self._replayed
         if replayed.is_over:
             replayed.end()
@@ -175,16 +175,17 @@ class RecordedDriver:
         return [RelayRow(row.t_s, row.t_u_s, row.y_rad, row.y_counts, row.u_V, row.seq) for row in rows]
 
 
-class Comparison(NullSink):
-    """Where the rows of a replayed loop go: each is compared with the record's; Diverged at the first difference.
+class RowComparison(NullSink):
+    """Compares each row of a replayed loop with the recorded row; raises Diverged at the first difference.
 
-    When a drive took effect is the record's own word, and what laws and guard come to shows in the drive.
+    It does not compare when a drive took effect: the replay takes that from the recording. The decisions of laws and
+    guard show in the drive.
 
-    quantise   what the device makes of a drive, V to V; None where it does not say: drives then agree to 1 uV
+    quantise   the drive that the device makes of a commanded one, V to V; None: unknown, so drives must agree to 1 uV
 
     compared   rows whose drive is the one that acted
     lost       rows whose drive never reached the device
-    limited    rows in which the device drove less than it was told to
+    limited    rows in which the device drove less than commanded
     """
 
     def __init__(self, replayed: ReplayedRows, quantise: Callable[[float], float] | None) -> None:
@@ -197,7 +198,7 @@ class Comparison(NullSink):
     def sample(self, *row: *Row) -> None:
         """Compare a row that the loop would write.
 
-        Raises Diverged at the first difference; where the record has no more rows, as ``ReplayedRows.end``.
+        Raises Diverged at the first difference; without another recorded row, as ``ReplayedRows.end``.
         """
         tick, _, stage, z_rad_s, yd_rad, u_V, _, _, flags = row
         replayed, at = self._replayed, self._replayed.next
@@ -214,7 +215,7 @@ class Comparison(NullSink):
         replayed.advance()
 
     def _compare_course(self, row: int, tick: int, stage: str, flags: int) -> None:
-        """The row's place in the run: its tick, whether some were skipped before it, its stage, what the guard did."""
+        """Compare the row's tick, whether ticks were skipped before it, its stage, and what the guard did."""
         replayed, then = self._replayed, self._replayed[row]
         recorded = then.flags
         after_relay = row > 0 and replayed[row - 1].in_device and not then.in_device
@@ -237,17 +238,17 @@ class Comparison(NullSink):
         replayed, then = self._replayed, self._replayed[row]
         recorded_V, t_u_s = then.u_V, then.t_u_s
         if then.in_device:
-            self.compared += 1  # the loop itself holds the law to it
+            self.compared += 1  # the loop itself compares it with the law's
             return
         if t_u_s < then.t_s:
-            self.lost += 1  # the device still says the drive before it
+            self.lost += 1  # the device still reports the drive before it
             return
         if then.flags & FLAG_SATURATED:
             self.limited += 1
             return
         acts_V = u_V if self._quantise is None else self._quantise(u_V)
         if math.isnan(t_u_s) and recorded_V == u_V:
-            acts_V = u_V  # the device has not told of it: it stands there as it was commanded
+            acts_V = u_V  # the device did not report it, so the row holds the commanded drive
         if acts_V != recorded_V and (self._quantise is not None or abs(acts_V - recorded_V) > 1e-6):
             by: By = "guard" if (flags | then.flags) & _GUARD_FLAGS else "law"
             raise replayed.diverged(row, by, f"{recorded_V:+.6f} V", f"{acts_V:+.6f} V", recorded_V, acts_V)
@@ -255,31 +256,31 @@ class Comparison(NullSink):
 
 
 class ReplayLoop(Loop):
-    """The loop, with an ear at its laws: what each asked for is kept with the rows."""
+    """The loop; it also keeps the drive that each law asks for."""
 
     replayed: ReplayedRows
 
     def run(self, law: Law, stage: str, watch: Callable[[float], None] | None = None) -> None:
         """As ``Loop.run``."""
-        super().run(_Heard(law, self.replayed), stage, watch)
+        super().run(_AskedDrive(law, self.replayed), stage, watch)
 
     def run_in_device(
         self, law: Law, command: RelayCommand, stage: str, watch: Callable[[float], None] | None = None
     ) -> None:
         """As ``Loop.run_in_device``."""
-        super().run_in_device(_Heard(law, self.replayed), command, stage, watch)
+        super().run_in_device(_AskedDrive(law, self.replayed), command, stage, watch)
 
     def _record_last_rows(self) -> None:
-        """None: a replay ends where the loop gives up."""
+        """Record none: a replay ends where the loop gives up."""
 
 
-class _Heard:
-    """A law whose drives are kept."""
+class _AskedDrive:
+    """A law; keeps the drive that it asks for in ``replayed``."""
 
     def __init__(self, law: Law, replayed: ReplayedRows) -> None:
         self._law = law
         self._replayed = replayed
-        self._show()
+        self._copy_state()
 
     def step(self, sample: Sample) -> float:
         """The law's drive, V."""
@@ -287,16 +288,16 @@ class _Heard:
         try:
             u_V = self._law.step(sample)
         finally:
-            self._show()
+            self._copy_state()
         self._replayed.asked_V = u_V
         return u_V
 
-    def _show(self) -> None:
+    def _copy_state(self) -> None:
         self.finished, self.z_rad_s, self.yd_rad = self._law.finished, self._law.z_rad_s, self._law.yd_rad
 
 
 def _same(a: float, b: float) -> bool:
-    """Whether two numbers are the same, up to the last bits in which mathematical libraries differ; nan is nan."""
+    """Whether two numbers are equal up to the last bits, in which mathematical libraries differ; nan equals nan."""
     return a == b or math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-12) or (math.isnan(a) and math.isnan(b))
 
 

@@ -1,4 +1,4 @@
-"""What a replay is held to: recorded rows, how far it has come, how the run ended, and where the two part."""
+"""What a replay compares with: the recorded rows, the next row, how the run ended, and the first difference."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ OF_GUARD = frozenset(
         *("TRAVEL_HARD", "POLARITY", "OVERSPEED", "RELAY_STOPPED"),
     }
 )
-# and those of laws: the same samples must bring them out again. Any other came from the device, the link, a signal or
-# the disk.
+# and faults that laws raise: the same samples must raise them again. Any other fault came from the device, the link, a
+# signal or the disk.
 OF_LAW_OR_GUARD = OF_GUARD | {
     *("NO_MOTION", "DRIVE_STUCK_ON", "SENSOR_NOISY", "NO_CYCLE", "NOT_HOME", "NO_SWITCHING", "DEVICE_RELAY"),
 }
@@ -34,14 +34,14 @@ AFTER_DRIVING = frozenset({"NOT_IDENTIFIED"})
 
 @dataclass(frozen=True)
 class Difference:
-    """The first place at which the replay is not the record.
+    """The first difference between replay and recording.
 
-    line         of samples.csv; None where the record has ended
-    tick, t_s, stage   as recorded, or as the replay had them where the record has ended
-    by           what decided: the law, the guard, or the record itself contradicts the loop
-    recorded, replayed  in words
-    recorded_V, replayed_V   drives, V; None where it is not a drive that differs
-    asked_V      what the law asked for in the replay, V; None where it asked for nothing
+    line         line of samples.csv; None after its end
+    tick, t_s, stage   as recorded; after the end of the recording: those of its last row
+    by           what decided: law, guard; or record: the recording contradicts itself
+    recorded, replayed  both sides, in words
+    recorded_V, replayed_V   both drives, V; None if something else than the drive differs
+    asked_V      drive that the law asked for in the replay, V; None if it asked for none
     """
 
     line: int | None
@@ -64,7 +64,7 @@ class Difference:
 
 
 class Diverged(Exception):
-    """The replay is not the record."""
+    """The replay differs from the recording."""
 
     def __init__(self, difference: Difference) -> None:
         self.difference = difference
@@ -72,21 +72,21 @@ class Diverged(Exception):
 
 
 class RecordEnds(Exception):
-    """The record ends here, without an end of the run: it was killed, or its last rows are lost."""
+    """The recording ends here, but not the run: it was killed, or its last rows are lost."""
 
 
 class ReplayedRows:
     """The rows of a recording, how far the replay has come, and how the run ended.
 
-    recording   of a run folder
-    period_s    of the loop
-    fault       that ended the run; None for none
-    is_whole    whether the run came to its end, and its rows are all there
-    stop        told where the run was interrupted by a signal
-    on_progress is told (rows done, of) now and then
+    recording    the run
+    period_s     period of the loop
+    fault        the fault that ended the run; None: no fault did
+    is_whole     whether the run came to its end, with all its rows
+    stop         gets the signal that interrupted the run, at its last row
+    on_progress  called now and then with (rows done, rows in all)
 
-    next        number of the row that comes next
-    asked_V     what the law asked for last; nan for nothing
+    next         number of the next row
+    asked_V      drive that the law asked for last, V; nan: none
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class ReplayedRows:
         self.asked_V = _NAN
         self.now_s = -period_s  # so that the loop's first tick, a period later, is at 0
         rows = recording.rows()
-        # what came of a relay in the device after the loop had given up: nobody decided on it
+        # rows of a relay in the device from after the end of the loop: no law decided on them
         end = next((k for k, row in enumerate(rows) if row.stage == STOPPING), len(rows))
         self._rows = rows[:end]
         self.stops: list[bool] = [bool(e.detail.get("confirmed", True)) for e in recording.events if e.kind == "stop"]
@@ -125,14 +125,14 @@ class ReplayedRows:
 
     @property
     def ends_in_tick(self) -> bool:
-        """Whether the last row was cut off while its drive was decided: that of a fault on its sample."""
+        """Whether a fault on the last row's sample ended the run before a drive went out."""
         return bool(self._rows) and not self[-1].in_device and math.isnan(self[-1].t_u_s) and self[-1].u_V == 0.0
 
     @property
     def must_come_again(self) -> bool:
-        """Whether the fault that ended the run is one that laws or guard raised on a sample.
+        """Whether law or guard raised the fault that ended the run: then the replay must raise it again.
 
-        One of the same name came from the device where the last drive had gone out and nothing was read since.
+        A fault of the same code came from the device if the last drive had gone out and no reading followed.
         """
         fault = self.fault
         if fault is None or fault.code not in OF_LAW_OR_GUARD:
@@ -141,15 +141,15 @@ class ReplayedRows:
         return self.ends_in_tick or not is_open
 
     def set_clock(self) -> None:
-        """Put the clock just before the next row's tick, so that the loop goes on there: it skips what has no row.
+        """Set the clock just before the next row's tick. So the loop goes on there, and skips ticks without a row.
 
-        Even back, where the loop has slept until a tick to read what came of its last drive.
+        This may set it back: to complete its last row, the loop sleeps until the tick after it.
         """
         if not self.is_over:
             self.now_s = (self[self.next].tick - 0.5) * self.period_s
 
     def advance(self) -> None:
-        """On to the next row."""
+        """Go to the next row."""
         self.next += 1
         self.set_clock()
         if self.is_over and self.fault is not None and self.fault.code == "INTERRUPTED":
@@ -158,10 +158,10 @@ class ReplayedRows:
             self._on_progress(self.next, len(self))
 
     def end(self, *, arming: bool = False) -> NoReturn:
-        """The replay goes on where the record does not: for the reason that the run had, or else they differ.
+        """End the replay where the recording ends: as the run ended, or with a difference.
 
-        ``arming``: the device is about to be armed, and may have refused.
-        Raises the run's Fault where it was none of law or guard, RecordEnds, or Diverged.
+        arming  the loop is about to arm the device, which may have refused
+        Raises the run's Fault if it came from neither law nor guard; RecordEnds; else Diverged.
         """
         fault = self.fault
         if fault is not None and fault.code not in AFTER_DRIVING:
@@ -178,13 +178,15 @@ class ReplayedRows:
                 self[last].t_s,
                 self[last].stage,
                 "record",
-                "the record ends here, the run did not" if fault is None else f"the rows end here, then {fault.code}",
+                "the recording ends here, the run did not"
+                if fault is None
+                else f"the rows end here, then {fault.code}",
                 "goes on",
             )
         )
 
     def missed_fault(self) -> Diverged:
-        """The fault that ended the run does not come out again."""
+        """What to raise if the replay does not raise the fault that ended the run."""
         fault = self.fault
         seen = "" if fault is None else str(fault)
         return self.diverged(len(self) - 1, "law", f"the run ended: {seen}", "no fault")
@@ -198,7 +200,7 @@ class ReplayedRows:
         recorded_V: float | None = None,
         replayed_V: float | None = None,
     ) -> Diverged:
-        """What to raise for a difference in a row."""
+        """What to raise for a difference in row number ``row``; ``recorded_V``, ``replayed_V``: both drives, V."""
         asked_V = None if math.isnan(self.asked_V) else self.asked_V
         return Diverged(
             Difference(

@@ -1,4 +1,4 @@
-"""The loop: on an absolute grid read, decide, write, record; any end is a safe stop."""
+"""The loop: on an absolute grid of ticks it reads, decides, writes and records. However it ends, it stops the drive."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _CHECK_EVERY_TICKS = 25
 class Loop:
     """Runs laws on a driver, tick by tick, inside ``armed``.
 
-    Tick k is due at t0 + k * period_s. A late tick runs at once with its true time; ticks that have passed meanwhile
-    are skipped and counted, never caught up. The drive that goes out is the guard's.
+    Tick k is due at t0 + k * period_s. A late tick runs at once, with its true time. The loop skips and counts the
+    ticks that have passed meanwhile; it never catches up. The drive that goes out is the guard's.
 
-    driver, clock   the bench, and the time it lives in. Of order "write_first" the driver sends a drive with the next
-                    tick's exchange: it acts about one period later, and its row says so
+    driver, clock   the bench and its time. A driver of order "write_first" sends a drive with the next tick's exchange:
+                    it acts about one period later, and its row says so
     guard           latches faults; one for each loop
-    record          where rows and events go
-    stop            looked at each tick; a reason there raises Fault INTERRUPTED
+    record          takes rows and events
+    stop            checked every tick; a reason there raises Fault INTERRUPTED
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Loop:
         self._clock = clock
         self._record = record
         self._period_s = period_s
-        # a drive that goes out with the next tick's exchange acts a period later than one that goes out at once
+        # with the order write_first a drive acts a period later
         self._longest_latency_s = period_s * (2.0 if driver.order == "write_first" else 1.0)
         self._stop = stop
         self.pause_watch = PauseWatch(driver, clock, period_s, guard.settings.rail_counts)
@@ -58,7 +58,7 @@ class Loop:
         self._last_t_s = math.nan
         self._newest_t_s = -math.inf  # of any row
         self._relay = DeviceRelay(guard, record, self.statistics, self._since_start_s)
-        self.unconfirmed_stops = 0  # stops that the device did not answer: its watchdog has to do them
+        self.unconfirmed_stops = 0  # stops that the device did not confirm: its watchdog has to stop the drive
         self.latency_s = 0.0  # from sample to effect of the drive, smoothed
 
     @property
@@ -67,19 +67,20 @@ class Loop:
         return self._clock.now_s() - self._t0_s
 
     def _since_start_s(self, t_s: float) -> float:
-        """A time of the driver's in the run's, s: to the nanosecond, so that a law decides on what the record holds."""
+        """A driver's time as run time, s; to the nanosecond, so that a law decides on exactly what is recorded."""
         return round(t_s - self._t0_s, 9)
 
     @contextmanager
     def armed(self, limits: Limits) -> Iterator[None]:
-        """Arm the device for the block; however the block ends, stop the drive and disarm first.
+        """Arm the device for the block. However the block ends, stop the drive and disarm.
 
-        Between two blocks the device is in a pause. What happens to it then is raised here, by ``check_stop``, or by
-        the driver as it arms. After the last block ``close`` ends the pause.
+        Between two blocks the device is in a pause. A fault in the pause is raised here, by ``check_stop``, or by the
+        driver when it arms. After the last block ``close`` ends the pause.
+        Raises Fault STOP_UNCONFIRMED, and what the driver and ``check_stop`` raise.
         """
         self.pause_watch.end()
         self.check_stop()
-        # a collection in the middle of a tick would be a late drive; before arming it only takes time
+        # collect garbage now: in the middle of a tick it would delay the drive
         gc.collect()
         gc.disable()
         try:
@@ -100,7 +101,7 @@ class Loop:
         self.pause_watch.give_up()
 
     def _stop_drive(self) -> bool:
-        """Stop, whatever happens; False where the device did not confirm it."""
+        """Stop, whatever happens. Returns whether the device confirmed it."""
         try:
             stopped = self._stop_confirmed()
             self._record_last_rows()
@@ -133,12 +134,12 @@ class Loop:
     def run_in_device(
         self, law: Law, command: RelayCommand, stage: str, watch: Callable[[float], None] | None = None
     ) -> None:
-        """Let the relay in the device drive until ``law`` has ended; inside ``armed``, from rest or nearly so.
+        """Let the relay in the device drive until ``law`` has ended; inside ``armed``, with the shaft about at rest.
 
-        ``law`` runs along: it takes each tick of the device, and what it decides must be what the device did. The guard
-        judges each tick, too; a drive that it would not let out ends the run, since only the device could change it.
-        Each of the loop's own ticks keeps the device's watchdog quiet and takes what has come.
-        Raises Fault as ``run``, and DEVICE_RELAY, RELAY_STOPPED, LINK_GAP; ValueError where the driver has no relay.
+        ``law`` takes each tick of the device, and must decide the drive that the device drove. The guard checks each
+        tick, too. It cannot change the device's drive: if it would have to, it ends the run. Each tick of the loop
+        keeps the device's watchdog quiet and fetches the rows that have come.
+        Raises Fault as ``run``, and DEVICE_RELAY, RELAY_STOPPED, LINK_GAP; ValueError if the driver has no relay.
         """
         driver = self._driver
         if not isinstance(driver, RelayDriver):
@@ -166,7 +167,7 @@ class Loop:
             self.last_y_rad = self._relay.last_y_rad
 
     def _record_last_rows(self) -> None:
-        """What else a relay in the device has done when the run ends while it drives."""
+        """Record the last rows of a relay in the device, if the run ends while it drives."""
         self._relay.record_last_rows(self._tick, self.now_s)
 
     def _run_tick(self, law: Law, stage: str) -> Sample:
@@ -176,7 +177,7 @@ class Loop:
         read_s = now_s()
         sample = sample._replace(t_s=self._since_start_s(sample.t_s), t_u_s=self._since_start_s(sample.t_u_s))
         if sample.t_s < self._newest_t_s:
-            # no row of it: a record whose time goes back cannot be read
+            # record no row of it: nothing can read a recording whose time goes back
             raise Fault("DEVICE_RESET", f"a reading of {sample.t_s:.4f} s after one of {self._newest_t_s:.4f} s")
         self._newest_t_s = sample.t_s
         late_us, io_us = (woke_s - due_s) * 1e6, (read_s - woke_s) * 1e6
@@ -186,7 +187,7 @@ class Loop:
             decided_s = now_s()
             self._driver.write(u_V)
         except BaseException:
-            # the reading that ended the run belongs into the record; the stop that follows is 0 V
+            # record the reading that ended the run; the stop that follows drives 0 V
             self._record_tick(law, stage, sample, 0.0, late_us, io_us, 0)
             raise
         written_s = now_s()
@@ -200,7 +201,7 @@ class Loop:
     def _record_tick(
         self, law: Law, stage: str, sample: Sample, u_V: float, late_us: float, io_us: float, flags: int
     ) -> None:
-        """Finish the row before, which this sample tells of, and open this tick's: once the drive is out."""
+        """Once the drive is out: complete the row before, by what this sample reports, and open this tick's row."""
         self._complete_row(sample)
         self._measure_latency(sample)
         if self._skipped:
@@ -208,16 +209,16 @@ class Loop:
         self._record.sample(self._tick, sample, stage, law.z_rad_s, law.yd_rad, u_V, late_us, io_us, flags)
 
     def _await_tick(self) -> tuple[float, float]:
-        """Sleep until the next tick is due; when that was, and when it was over."""
+        """Sleep until the next tick is due. Returns when it was due and when the sleep ended, s."""
         due_s = self._t0_s + self._tick * self._period_s
         woke_s = self._clock.sleep_until(due_s)
         while woke_s < due_s and self._stop.reason is None:
-            woke_s = self._clock.sleep_until(due_s)  # a signal that is none of ours ended the sleep
+            woke_s = self._clock.sleep_until(due_s)  # a signal ended the sleep, but not one that stops the run
         self.check_stop()
         return due_s, woke_s
 
     def _end_tick(self, due_s: float) -> None:
-        """On to the next tick of the grid that is still to come."""
+        """Go to the next tick of the grid that is still ahead."""
         if self.statistics.ticks % _CHECK_EVERY_TICKS == 0:
             self._record.check()
         self._skipped = max(int((self._clock.now_s() - due_s) / self._period_s), 0)
@@ -225,14 +226,14 @@ class Loop:
         self._tick += 1 + self._skipped
 
     def check_stop(self) -> None:
-        """Raise Fault INTERRUPTED if a signal has asked for a stop, or what was seen in a pause."""
+        """Raise Fault INTERRUPTED if a signal asked for a stop, or the fault that was seen in a pause."""
         if self._stop.reason is not None:
             raise Fault("INTERRUPTED", self._stop.reason)
         self.pause_watch.check()
 
     def _complete_row(self, sample: Sample) -> None:
         if self._row_open:
-            accepted = sample.t_u_s >= self._last_t_s  # else the drive was lost, and the one before still acts
+            accepted = sample.t_u_s >= self._last_t_s  # else the drive was lost: the one before still acts
             clipped = accepted and not is_obeyed(self._asked_V, sample.u_V)
             self._record.complete(sample.t_u_s, sample.u_V, FLAG_SATURATED if clipped else 0)
             self._row_open = False
@@ -245,7 +246,7 @@ class Loop:
         self.last_y_rad = sample.y_rad
 
     def _finish_row(self) -> None:
-        """One last exchange: the effect of the last drive belongs into its row."""
+        """One last exchange, to complete the last row with the effect of its drive."""
         if self._row_open:
             self._clock.sleep_until(self._t0_s + self._tick * self._period_s)
             sample = self._driver.read()

@@ -1,4 +1,4 @@
-"""What the loop achieved: late wake-ups, how long the parts of a tick took, skipped ticks."""
+"""Timing of the loop: how late ticks began, how long their parts took, skipped ticks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ KEPT = 1_000_000  # ticks; at 100 Hz nearly three hours
 class Times:
     """The times, us, that one part of a tick took: the last ``kept`` of them, and the largest of all.
 
-    Of an endless run memory holds no more than that.
+    So even an endless run needs no more memory.
     """
 
     def __init__(self, kept: int = KEPT) -> None:
@@ -26,7 +26,7 @@ class Times:
         self.count = 0
 
     def add(self, time_us: float) -> None:
-        """One more."""
+        """Add one time."""
         if self.count < self._kept:
             self._last.append(time_us)
         else:
@@ -36,19 +36,19 @@ class Times:
             self._largest_us = time_us
 
     def quantiles(self) -> Quantiles:
-        """p50, p99 and p99.9 of those that are kept, and the largest of all; None for each where there are none."""
+        """p50, p99 and p99.9 of the kept times, and the largest of all; None without any."""
         found = quantiles(self._last)
         return Quantiles(**(found | {"max": round(self._largest_us, 3)} if self.count else found))
 
 
 class LoopStatistics:
-    """Collects the times of every tick, us, and the ticks that were skipped."""
+    """Collects the times of every tick, us, and counts the skipped ticks."""
 
     def __init__(self, period_s: float) -> None:
         self.period_s = period_s
         self.skipped = 0
-        self.device_ticks = 0  # of a relay in the device, as far as they were recorded
-        self.device_missed = 0  # that it did not run
+        self.device_ticks = 0  # ticks of a relay in the device that were recorded
+        self.device_missed = 0  # ticks that it missed
         self.device_tick_s = 0.0
         self._late = Times()
         self._io = Times()
@@ -62,24 +62,24 @@ class LoopStatistics:
         return self._late.count
 
     def tick(self, late_us: float, io_us: float) -> None:
-        """Count one tick that woke ``late_us`` late and read the device for ``io_us``."""
+        """Count a tick that began ``late_us`` late and took ``io_us`` to read the device."""
         self._late.add(late_us)
         self._io.add(io_us)
 
     def drive(self, compute_us: float, write_us: float, record_us: float) -> None:
-        """The rest of a tick that drives: law and guard, writing the drive, recording the row."""
+        """Add the times of the rest of a tick: law and guard, writing the drive, recording the row."""
         self._compute.add(compute_us)
         self._write.add(write_us)
         self._record.add(record_us)
 
     def device_tick(self, tick_s: float, missed: int) -> None:
-        """Count one tick of a relay in the device, every ``tick_s``, and those missed before it."""
+        """Count a tick of a relay in the device, of length ``tick_s``, and the ticks missed before it."""
         self.device_ticks += 1
         self.device_missed += missed
         self.device_tick_s = tick_s
 
     def summary(self) -> LoopResult:
-        """What result.json says of the loop; ``device`` is there where a relay in the device has run."""
+        """The loop for result.json; with ``device`` if a relay in the device has run."""
         device = DeviceLoop(period_s=self.device_tick_s, ticks=self.device_ticks, missed=self.device_missed)
         return LoopResult(
             period_s=self.period_s,
@@ -95,7 +95,7 @@ class LoopStatistics:
 
 
 def quantiles(values: array[float]) -> dict[str, float | None]:
-    """p50, p99, p99.9 and the largest of some values, each one of the values; None for each if there are none."""
+    """p50, p99, p99.9 and the largest of ``values``, without interpolation; None for each if there are none."""
     if not values:
         return dict.fromkeys(QUANTILES)
     data = np.frombuffer(values, dtype=values.typecode).astype(float)

@@ -1,4 +1,4 @@
-"""Signals that ask a run to stop, turned into something the loop looks at once a tick."""
+"""Signals that ask a run to stop; the loop checks for them once a tick."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, *((signal.SIGHUP,) if hasattr(sig
 
 
 class StopRequest:
-    """The name of the signal that asked for a stop, or None."""
+    """Keeps in ``reason`` the name of the signal that asked for a stop; None: none did."""
 
     def __init__(self) -> None:
         self.reason: str | None = None

@@ -13,7 +13,10 @@ from rig.results import known
 
 
 def tracking(run: Run) -> Picture:
-    """Wanted and measured position and the error, a column for each model, on the same axes."""
+    """Wanted and measured position, and the error: a column per model, on the same axes.
+
+    Raises AbsentError if no model tracked.
+    """
     spans = run.spans("track")
     if not spans:
         raise AbsentError("No model was driven along the trajectory in this run.")
@@ -49,16 +52,19 @@ def tracking(run: Run) -> Picture:
     panels[0, 0].legend(loc="upper right", ncols=2, borderaxespad=0.1)
     return render(
         figure, run.backend, "Tracking with each model side by side: wanted and measured position, and the error.",
-        "Tracking by feedback linearisation with each model: the same trajectory, gains and axes. The error is that "
-        "of the samples, noise of the sensor included; the table counts it once the trajectory has faded in.",
+        "Tracking by feedback linearisation with each model: the same trajectory, gains and axes. The error includes "
+        "the sensor's noise. The table counts it only after the trajectory has faded in.",
     )  # fmt: skip
 
 
 def loop_timing(run: Run) -> Picture:
-    """Histograms of lateness and link time on logarithmic counts, with percentiles."""
+    """Histograms of lateness and link time, counts on a logarithmic scale, with percentiles.
+
+    Raises AbsentError in virtual time, and if neither was recorded.
+    """
     if run.in_virtual_time:
         raise AbsentError(
-            "This run was simulated in virtual time: its clock waits for the computation, so there is no lateness "
+            "This run was simulated in virtual time: its clock waits for the computation. So there is no lateness "
             "and no link time to show."
         )
     late, io = run.rows.late_us, run.rows.io_us

@@ -1,4 +1,4 @@
-"""Cycles of a relay test, and what an estimated model predicts of each of them under the recorded drive."""
+"""The cycles of a relay test, and an estimated model's prediction of each cycle under the recorded drive."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
 class Cycles:
     """Whole settled cycles of one relay test.
 
-    series  the test as the estimators read it, clock corrected
+    series  the test as the estimators read it, with its clock corrected
     rows    (first, last) of each cycle, both included, counted in the file
     """
 
@@ -44,7 +44,7 @@ class Cycles:
 
 @dataclass(frozen=True)
 class Predicted:
-    """One recorded cycle, and its prediction from a fitted start: arrays of one length.
+    """One recorded cycle and its prediction from a fitted start. All arrays have one length.
 
     phase        time since the cycle's start over its length, 0 to 1
     measured_rad, y_rad   position as recorded and as predicted
@@ -63,7 +63,11 @@ class Predicted:
 
 
 def central_difference(t: Array, y: Array) -> Array:
-    """Velocity by central differences; one-sided at the ends; nan where times repeat."""
+    """Velocity, rad/s, by central differences; one-sided at the ends; nan where times repeat.
+
+    t  times, s
+    y  positions, rad
+    """
     if t.size < 3:
         return np.full(t.size, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -75,10 +79,10 @@ def central_difference(t: Array, y: Array) -> Array:
 
 
 def cycles_of(run: Run, span: Span) -> Cycles | None:
-    """Whole settled cycles of a relay test, as identification finds them; None where it finds none.
+    """Whole settled cycles of a relay test, as identification finds them; None if it finds none.
 
-    A cycle starts where the integral crosses zero downwards (the drive steps up to h1 + h2, docs/theory.md 3.1);
-    crossings closer than half the median are chatter around the edge.
+    A cycle starts where the integral crosses zero downwards: the drive steps up to h1 + h2 (docs/theory.md 3.1). The
+    relay can chatter around that edge, so a crossing sooner than half a period after the last one does not count.
     """
     try:
         series, _ = from_recording(run.rows, slice(span.first, span.last + 1), span.stage)
@@ -98,7 +102,7 @@ def cycles_of(run: Run, span: Span) -> Cycles | None:
 
 
 def motor_of(estimate: EstimateResult | None) -> Motor | None:
-    """The estimated model; None where the estimate has no usable parameters."""
+    """The estimated model; None if the estimate has no usable parameters."""
     if estimate is None:
         return None
     tau, gain, fc = (known(estimate.value(key)) for key in PARAMETERS)
@@ -109,13 +113,13 @@ def motor_of(estimate: EstimateResult | None) -> Motor | None:
 
 
 def predict_cycles(run: Run, estimate: EstimateResult | None, cycles: Cycles) -> list[Predicted]:
-    """Each cycle under its recorded drive, from the start (v0, y0) that fits it best; empty without a model."""
+    """Predict each cycle under its recorded drive, from the start (v0, y0) that fits best; empty without a model."""
     motor = motor_of(estimate)
     if motor is None:
         return []
     series = cycles.series
     edges = series.edge_s
-    if series.t_u_s is None:  # then the drive acts an estimated delay later, if any method knows it
+    if series.t_u_s is None:  # the drive acts later, by the delay that a method estimated
         delays = (known(e.delay_s) for e in (estimate, run.estimates.get("sampled-data")) if e is not None)
         edges = edges + next((d for d in delays if math.isfinite(d)), 0.0)
     found = []
@@ -144,7 +148,11 @@ def _predict(motor: Motor, edges: Array, u: Array, t: Array, y: Array) -> Predic
 
 
 def average(phase: Array, values: Array, bins: int) -> tuple[Array, Array, Array]:
-    """Mean over cycles in ``bins`` equal steps of phase: centres, means, counts (empty bins left out)."""
+    """Mean over cycles in ``bins`` equal steps of phase. Returns centres, means, counts, without empty bins.
+
+    phase   0 to 1
+    values  one per phase; the means have their unit
+    """
     place = np.minimum((phase * bins).astype(int), bins - 1)
     count = np.bincount(place, minlength=bins)
     total = np.bincount(place, weights=values, minlength=bins)
@@ -154,9 +162,9 @@ def average(phase: Array, values: Array, bins: int) -> tuple[Array, Array, Array
 
 
 def fits_of(run: Run, identification: Identification | None = None) -> tuple[dict[str, Estimate], str]:
-    """Estimates with their residuals and recursions, or why there are none, as a sentence.
+    """Estimates with their residuals and recursions; or none, and a sentence that says why.
 
-    Made anew from the recording unless ``identification`` already is of it.
+    identification  of this recording; None: identify it here
     """
     if run.recording is None:
         return {}, "There are no samples, so there is no residual to show."
@@ -167,6 +175,6 @@ def fits_of(run: Run, identification: Identification | None = None) -> tuple[dic
     try:
         return identify([run.recording], choose_law=False).estimates, ""
     except IdentifyError as error:
-        return {}, f"The estimators refuse this recording: {error.cause}. What to do: {error.cure}."
+        return {}, f"No estimator can use this recording: {error.cause}. What to do: {error.cure}."
     except RecordingError as error:
         return {}, f"The estimators cannot read this recording: {error}."

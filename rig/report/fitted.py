@@ -34,7 +34,10 @@ LONGEST_LAG = 60
 
 
 def averaged_cycle(run: Run, span: Span) -> Picture:
-    """One relay test: the averaged cycle with each model's prediction over it, and the residual below."""
+    """One relay test: the averaged cycle, each model's prediction over it, the residual below.
+
+    Raises AbsentError without two settled cycles or without a model.
+    """
     cycles = cycles_of(run, span)
     if cycles is None:
         raise AbsentError(
@@ -75,14 +78,17 @@ def averaged_cycle(run: Run, span: Span) -> Picture:
     stage = stage_label(span.stage)
     return render(
         figure, run.backend, f"Averaged cycle of {stage} with each model over it and the residual below.",
-        f"{stage.capitalize()}: average of {len(cycles)} cycles and what each model predicts of them under the "
-        "recorded drive, each cycle from its own best-fitting start. Below, recorded less predicted position: every "
-        "sample a point, the line their average. Each residual has its own scale.",
+        f"{stage.capitalize()}: average of {len(cycles)} cycles, and each model's prediction under the recorded drive; "
+        "each cycle begins at the start that fits it best. Below: recorded minus predicted position. A point is a "
+        "sample, the line is their average. Each residual has its own scale.",
     )  # fmt: skip
 
 
 def residuals(run: Run, method: str, fits: Mapping[str, Estimate]) -> Picture:
-    """Residual of one estimator over time, its histogram, and its autocorrelation with the whiteness band."""
+    """Residual of one estimator over time, its histogram, and its autocorrelation with the band of white noise.
+
+    Raises AbsentError without a residual.
+    """
     fit = fits.get(method)
     if fit is None or fit.residual_rad.size < 20:
         raise AbsentError("The residual series could not be computed from this recording.")
@@ -120,20 +126,20 @@ def residuals(run: Run, method: str, fits: Mapping[str, Estimate]) -> Picture:
     return render(
         figure, run.backend, f"Residual of the {method} estimate: over time, histogram, autocorrelation.",
         f"Residual of the {method.replace('-', ' ')} estimate (RMS {spread:.3g} mrad about its mean, {r.size} "
-        "samples). A model that explains the data leaves white noise: bell-shaped, and about 5 % of lags outside "
-        "the band.",
+        "samples). If the model explains the data, the residual is white noise: a bell-shaped histogram, and about 5 % "
+        "of lags outside the band.",
     )  # fmt: skip
 
 
 def _pieces(t: Array) -> list[slice]:
-    """Contiguous stretches of a series of times: cut where a step is beyond ten times the median."""
+    """Contiguous stretches of a series of times, cut at steps above ten times the median."""
     steps = np.diff(t)
     cuts = [0, *(np.flatnonzero((steps > 10.0 * np.median(steps)) | (steps <= 0.0)) + 1).tolist(), t.size]
     return [slice(a, b) for a, b in pairwise(cuts)]
 
 
 def autocorrelation(pieces: list[Array], longest: int) -> tuple[Array, Array]:
-    """Autocorrelation at lags 1 to ``longest``, products never taken across pieces."""
+    """Autocorrelation at lags 1 to ``longest``, without products across pieces. Returns lags and values."""
     mean = float(np.mean(np.concatenate(pieces)))
     power = sum(float(np.sum((p - mean) ** 2)) for p in pieces)
     longest = min(longest, max(p.size for p in pieces) - 1)
@@ -145,17 +151,20 @@ def autocorrelation(pieces: list[Array], longest: int) -> tuple[Array, Array]:
 
 
 def forest(run: Run) -> Picture:
-    """Estimates of tau, K and f_c side by side with their 95 % intervals, and the truth where it is known."""
+    """Estimates of tau, K and f_c side by side with their 95 % intervals, and the truth if it is known.
+
+    Raises AbsentError without an estimate.
+    """
     truth = " The dotted line is the emulated motor's true value." if run.truth else ""
     return render(
         forest_figure(run), run.backend, "Estimates side by side with their 95 % intervals.",
-        "Estimates and 95 % intervals side by side. A hollow mark is an estimate whose verdict is not ok; a mark "
-        "without a bar has no interval." + truth,
+        "Estimates and 95 % intervals side by side. Hollow mark: the verdict is not ok. Mark without a bar: no "
+        "interval." + truth,
     )  # fmt: skip
 
 
 def forest_figure(run: Run) -> Figure:
-    """``forest`` before it is laid out. Raises AbsentError where there is no estimate."""
+    """``forest`` before it is laid out. Raises AbsentError without an estimate."""
     estimates = {m: e for m, e in run.estimates.items() if any(math.isfinite(known(e.value(k))) for k in PARAMETERS)}
     if not estimates:
         raise AbsentError("There is no estimate to compare.")

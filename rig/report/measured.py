@@ -38,15 +38,15 @@ from rig.results import BreakawayResult, SearchStepResult, known
 def whole_run(run: Run) -> Picture:
     """Position and drive over time: stages, limits, cycles, faults."""
     figure, count = whole_run_figure(run)
-    cycles_words = f" {count} relay cycles used are marked by triangles at their starts." if count else ""
+    cycles_words = f" Triangles mark the starts of the {count} relay cycles used." if count else ""
     return render(
         figure, run.backend, "Position and drive over the whole run, stages shaded.",
-        f"Position and drive over the whole run ({len(run.rows)} samples), stages shaded and named." + cycles_words,
+        f"Position and drive over the whole run ({len(run.rows)} samples). Stages are shaded and named." + cycles_words,
     )  # fmt: skip
 
 
 def whole_run_figure(run: Run) -> tuple[Figure, int]:
-    """``whole_run`` before it is laid out, and how many relay cycles are marked in it."""
+    """``whole_run`` before it is laid out; and how many relay cycles it marks."""
     t, y, u = run.rows.t_s, run.rows.y_rad, run.rows.u_V
     figure = new_figure(4.9)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.1, 1.0))
@@ -89,7 +89,7 @@ def _limits(axes: Axes, run: Run) -> None:
 
 
 def _stage_bands(panels: tuple[Axes, ...], t: Array, spans: list[Span]) -> None:
-    """Shade each stage, and name it above the first panel; names that would overlap go to a second line."""
+    """Shade each stage, and name it above the first panel; a name that would overlap goes to another line."""
     inches_per_s = 0.88 * WIDTH_IN / max(float(t[-1] - t[0]), 1e-9)
     free_from = [-math.inf, -math.inf, -math.inf]
     head = blended_transform_factory(panels[0].transData, panels[0].transAxes)
@@ -110,7 +110,10 @@ def _stage_bands(panels: tuple[Axes, ...], t: Array, spans: list[Span]) -> None:
 
 
 def relay_tests(run: Run) -> Picture:
-    """The last periods of each relay test: position, its integral, the drive, and the order of the edges."""
+    """The last periods of each relay test: position, its integral, the drive, and the order of the edges.
+
+    Raises AbsentError without a relay test.
+    """
     spans = run.spans("relay")
     if not spans:
         raise AbsentError("There was no relay test, so there is no limit cycle to show.")
@@ -149,14 +152,13 @@ def relay_tests(run: Run) -> Picture:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, borderaxespad=0.0, handletextpad=0.2)
     return render(
         figure, run.backend, "The last four periods of each relay test: position, its integral and drive.",
-        "The last four periods of each relay test: position y, its integral z, and the drive as the device "
-        "reported it. In the limit cycle of the theory the edges follow in the order RA (velocity), RB (position), "
-        "RC (integral).",
+        "The last four periods of each relay test: position y, its integral z, and the drive that the device reported. "
+        "In theory, the edges of the limit cycle come in the order RA (velocity), RB (position), RC (integral).",
     )  # fmt: skip
 
 
 def _last_periods(run: Run, span: Span, count: int) -> slice:
-    """Rows of the last ``count`` whole cycles of a relay test, or of its last 3 s where none is settled."""
+    """Rows of the last ``count`` whole cycles of a relay test; if none is settled, of its last 3 s."""
     cycles = cycles_of(run, span)
     if cycles is not None:
         return slice(cycles.rows[-min(count, len(cycles))][0], cycles.rows[-1][1] + 1)
@@ -172,14 +174,14 @@ def _crossings(t: Array, signal: Array) -> Array:
 
 
 def _extrema(t: Array, y: Array, v: Array) -> Array:
-    """Times of the largest and the smallest position between crossings of the mean (noise makes no extra ones)."""
+    """Times of the largest and the smallest position between crossings of the mean, so that noise adds none."""
     level = y - 0.5 * (np.max(y) + np.min(y))
     edges = np.flatnonzero(np.signbit(level[1:]) != np.signbit(level[:-1])) + 1
     return np.array([t[a + int(np.argmax(np.abs(level[a:b])))] for a, b in pairwise(edges.tolist())])
 
 
 def velocity(run: Run) -> Array:
-    """Velocity of the shaft: the tachometer where there is one, else the central difference of the position."""
+    """Velocity of the shaft, rad/s: the tachometer's, or without one the central difference of the position."""
     if has_tachometer(run):
         return run.rows.v_rad_per_s
     return central_difference(run.rows.t_s, run.rows.y_rad)
@@ -191,7 +193,10 @@ def has_tachometer(run: Run) -> bool:
 
 
 def portraits(run: Run) -> Picture:
-    """Phase portraits y-v and y-z of the relay tests, with the switching planes."""
+    """Phase portraits y-v and y-z of the relay tests, with the switching planes.
+
+    Raises AbsentError without a relay test.
+    """
     spans = run.spans("relay")
     if not spans:
         raise AbsentError("There was no relay test, so there is no phase portrait.")
@@ -232,8 +237,8 @@ def portraits(run: Run) -> Picture:
     source = "the tachometer" if has_tachometer(run) else "the central difference of the position"
     return render(
         figure, run.backend, "Phase portraits of the relay tests with the switching planes.",
-        f"Phase portraits of the settled cycles with the three switching planes; velocity is {source}, every sample "
-        "a point.",
+        f"Phase portraits of the settled cycles with the three switching planes. Each point is a sample; velocity is "
+        f"{source}.",
     )  # fmt: skip
 
 
@@ -247,7 +252,10 @@ def _name_planes(axes: Axes, horizontal: str, ink: str) -> None:
 
 
 def breakaway(run: Run) -> Picture:
-    """The breakaway strokes: drive and position over time, static friction marked."""
+    """The breakaway strokes: drive and position over time, static friction marked.
+
+    Raises AbsentError without a breakaway check.
+    """
     spans = run.spans("breakaway")
     if not spans:
         raise AbsentError("There was no breakaway check in this run.")
@@ -279,7 +287,7 @@ def breakaway(run: Run) -> Picture:
                 right.axvspan(low_V, high_V, color=ink, alpha=0.12, lw=0)
             right.axvline(static_V, color=ink, lw=1.2, ls=(0, (4, 2)), label=f"breaks away at {static_V:.3f} V")
     right.set_xlabel("|drive| of a stroke, V")
-    right.set_ylabel("moved so far by strokes of this way, mrad")
+    right.set_ylabel("moved so far in this direction, mrad")
     right.set_title("displacement over drive")
     if right.get_legend_handles_labels()[0]:
         right.legend(loc="upper left")
@@ -289,18 +297,18 @@ def breakaway(run: Run) -> Picture:
     words = f" At rest the sensor's noise is {noise:.2g} mrad (standard deviation)." if math.isfinite(noise) else ""
     if any(math.isfinite(known(level)) for level in (found.static_plus_V, found.static_minus_V)):
         words += (
-            " Dashed: the drive at which the identified model, breaking away there, reproduces the motion best, and "
-            "its interval; it is static friction less bias towards rising positions, plus bias towards falling ones."
+            " Dashed, with its interval: the drive at which the identified model must break away to reproduce the "
+            "motion best. It is static friction minus bias towards rising positions, plus bias towards falling ones."
         )
     return render(
         figure, run.backend, "Breakaway strokes: drive and position, with static friction.",
-        "Breakaway check: short strokes, slowly stronger, prove sensor, drive and sign before any relay runs, and show "
-        "static friction." + words,
+        "Breakaway check: short strokes, slowly stronger. They prove sensor, drive and sign before any relay runs, and "
+        "show static friction." + words,
     )  # fmt: skip
 
 
 def _strokes(y_rad: Array, u_V: Array, sign: float) -> tuple[Array, Array]:
-    """Of the strokes of one way: the largest |drive|, V, and how far they moved the shaft along it, rad."""
+    """The strokes in one direction: the largest |drive| of each, V, and how far it moved the shaft along, rad."""
     way = np.concatenate(([0.0], np.sign(u_V), [0.0]))
     begins = np.flatnonzero((way[1:-1] != 0.0) & (way[1:-1] != way[:-2]))
     level, moved = [], []
@@ -315,17 +323,20 @@ def _strokes(y_rad: Array, u_V: Array, sign: float) -> tuple[Array, Array]:
 
 
 def gain_search(run: Run) -> Picture:
-    """The path of the gain search: h1 and h2 over time, and the amplitude and period that settled."""
+    """The path of the gain search: h1 and h2 over time, and the amplitude and period that settled.
+
+    Raises AbsentError if no step was noted.
+    """
     steps = _search_steps(run)
     if not steps:
-        raise AbsentError("The gains were given in the configuration, or the run ended before the search noted a step.")
+        raise AbsentError("The config gave the gains, or the run ended before the search noted a step.")
     t, h1, h2, amplitude, period = (
         np.array([known(value) for value in values])
         for values in zip(*((s.t_s, s.h1_V, s.h2_V, s.amplitude_rad, s.period_s) for s in steps), strict=True)
     )
     figure = new_figure(4.3)
     gains, size, length = figure.subplots(3, 1, sharex=True, height_ratios=(1.3, 1, 1))
-    # a step is noted when it is over: its gains held since the step before
+    # the run notes a step when it is over: its gains held since the step before
     begin = min((float(run.rows.t_s[s.first]) for s in run.spans("search")), default=float(t[0]))
     edges = np.concatenate(([begin], t))
     gains.stairs(h1, edges, baseline=None, color="#0072B2", lw=1.6, label="h1 (position)")
@@ -355,13 +366,13 @@ def gain_search(run: Run) -> Picture:
     others = f" The others: {'; '.join(sorted(why))}." if why else ""
     return render(
         figure, run.backend, "Path of the gain search: gains, amplitude and period over time.",
-        f"Gain search: h2 is raised until a cycle settles, then both gains are trimmed towards the wanted amplitude "
-        f"and period (green). {len(steps)} pairs of gains were tried; a dot marks each of the {settled} that settled."
+        f"Gain search: it raises h2 until a cycle settles, then trims both gains towards the wanted amplitude and "
+        f"period (green). It tried {len(steps)} pairs of gains; a dot marks each of the {settled} that settled."
         + others,
     )  # fmt: skip
 
 
 def _search_steps(run: Run) -> list[SearchStepResult]:
-    """Steps of the search from the events, else from the result."""
+    """Steps of the search from the events; without any, from the result."""
     seen = run.events_of("search", SearchStepResult) or run.result.search or ()
     return [s for s in seen if all(math.isfinite(known(value)) for value in (s.t_s, s.h1_V, s.h2_V))]

@@ -1,4 +1,4 @@
-"""The report: a run folder in, one self-contained report.html out."""
+"""The report: reads a run folder, writes one self-contained report.html."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TEMPLATE = "report.html.j2"
 
 @dataclass(frozen=True)
 class Figure:
-    """A place for a figure: the picture, or the sentence that says why there is none."""
+    """A figure of the page: the picture, or the sentence that says why there is none."""
 
     picture: Picture | None
     absent: str = ""
@@ -37,9 +37,11 @@ def write_report(
 ) -> Path:
     """Write ``report.html`` into a run folder and return its path.
 
-    ``identification`` is what `rig.identify` made of this recording, ``known`` its rows as far as they were read,
-    where the caller has them already. Whatever is missing from the folder is said on the page.
-    Raises FileNotFoundError if ``run_folder`` is no folder, CannotWriteError where the file cannot be written.
+    The page says what is missing from the folder.
+
+    identification  of this recording; None: identify it here, if the run has no result
+    known           the rows that were read before, so that they are not parsed again
+    Raises FileNotFoundError if ``run_folder`` is no folder, CannotWriteError if the file cannot be written.
     """
     run = load(Path(run_folder), known)
     if identification is None and not run.has_result:
@@ -51,24 +53,27 @@ def write_report(
 
 
 def _identify_unfinished(run: Run) -> tuple[Run, Identification | None]:
-    """What a run that ended before its result has left, put where the result would be; None if that is nothing."""
+    """Identify a run that ended before its result. Returns the run with that result; None if there is nothing."""
     if run.recording is None or not (run.spans("relay") or run.spans("hysteretic")):
         return run, None
     try:
         found = identify([run.recording])
     except (IdentifyError, RecordingError) as error:
-        run.notes.append(f"The record of this run cannot be identified: {error.cause}. {error.cure}.")
+        run.notes.append(f"The recording of this run cannot be identified: {error.cause}. What to do: {error.cure}.")
         return run, None
-    said = found.as_result()
+    identified = found.as_result()
     result = RunResult(
-        estimates=said.estimates, relays=said.relays, hysteretic=said.hysteretic, friction_law=said.friction_law
+        estimates=identified.estimates,
+        relays=identified.relays,
+        hysteretic=identified.hysteretic,
+        friction_law=identified.friction_law,
     )
-    run.notes.append("The run ended before it had a result: its record was identified for this page.")
+    run.notes.append("The run ended before it had a result. For this page its recording was identified.")
     return replace(run, result=result), found
 
 
 def render_page(run: Run, identification: Identification | None = None) -> str:
-    """The whole page as text; identifies the recording anew unless ``identification`` is given."""
+    """The whole page as text; identifies the recording again unless ``identification`` is given."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.report", package_path="."),
         autoescape=True,
@@ -96,7 +101,7 @@ def render_page(run: Run, identification: Identification | None = None) -> str:
 
 
 def draw(run: Run, identification: Identification | None = None) -> dict[str, list[Figure]]:
-    """All figures by section; a part that is missing becomes its sentence."""
+    """All figures by section. For a missing one: the sentence that says why."""
     with style():
         fits, trouble = fits_of(run, identification)
         best = next(iter(run.estimates), "sampled-data")

@@ -1,4 +1,4 @@
-"""What the report is made from: a run folder, with every part that is missing or unreadable said in words."""
+"""Reads a run folder for the report. For each part that is missing or unreadable it keeps a sentence."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class Span(NamedTuple):
 
 @dataclass(frozen=True)
 class Settings:
-    """What the report shows of config.yaml; None where the config does not say it.
+    """What the report shows of config.yaml; None if the config does not say it.
 
     soft_rad, hard_rad   travel limits
     wanted_amplitude_rad, wanted_period_s, tolerance   the cycle that the gain search looks for
     tracks               whether there is a trajectory to track
-    text                 the file as it is; "" where there is none
+    text                 the file as it is; "" if there is none
     """
 
     period_s: float | None = None
@@ -59,10 +59,10 @@ class Settings:
 class Run:
     """A run folder as far as it could be read.
 
-    recording  the rows of samples.csv; None where it is missing or unusable
-    meta, result   empty where there is no such file, or nothing in it can be used
+    recording  the rows of samples.csv; None if it is missing or unusable
+    meta, result   empty if there is no such file, or nothing in it can be used
     missing    one sentence for each part that is missing or unreadable
-    notes      what was tolerated, such as a torn last line
+    notes      what was wrong and was tolerated, such as a torn last line
     """
 
     folder: Path
@@ -86,7 +86,7 @@ class Run:
 
     @property
     def truth(self) -> dict[str, float]:
-        """True parameters where the backend is emulated, else empty."""
+        """True parameters of an emulated motor; empty if the motor is real."""
         motor = self.meta.truth or self.result.truth
         if motor is None:
             return {}
@@ -95,19 +95,19 @@ class Run:
 
     @property
     def has_result(self) -> bool:
-        """Whether the run came to a result."""
+        """Whether the run has a result."""
         return bool(self.result.model_fields_set)
 
     @property
     def period_s(self) -> float:
-        """The loop's period, s; nan where it is not recorded."""
+        """The loop's period, s; nan if no file says it."""
         loop_s = None if self.result.loop is None else self.result.loop.period_s
-        told = (known(value) for value in (self.meta.period_s, loop_s, self.config.period_s))
-        return next((value for value in told if math.isfinite(value)), math.nan)
+        periods_s = (known(value) for value in (self.meta.period_s, loop_s, self.config.period_s))
+        return next((value for value in periods_s if math.isfinite(value)), math.nan)
 
     @property
     def in_virtual_time(self) -> bool:
-        """Whether the loop ran on a simulated clock, where its timing means nothing."""
+        """Whether the loop ran on a simulated clock: then its timing means nothing."""
         return self.backend.startswith("simulated")
 
     @property
@@ -127,14 +127,15 @@ class Run:
             unique[fault.code, fault.detail] = FaultReport(
                 code=fault.code,
                 cause=fault.cause or (entry.cause if entry else "not recorded"),
-                cure=fault.cure or (entry.cure if entry else "look the code up in docs, or ask with this report"),
+                cure=fault.cure
+                or (entry.cure if entry else "search for this code in docs/, or ask and send this report"),
                 detail=fault.detail,
                 t_s=before.t_s if fault.t_s is None and before is not None else fault.t_s,
             )
         return list(unique.values())
 
     def events_of(self, kind: str, part: type[_P]) -> list[_P]:
-        """The events of one kind, as far as each says what it should."""
+        """The events of one kind, without what is wrong in them."""
         return [salvaged(part, {"t_s": e.t_s, **e.detail})[0] for e in self.events if e.kind == kind]
 
     @property
@@ -145,7 +146,7 @@ class Run:
         return self.recording
 
     def spans(self, kind: str = "") -> list[Span]:
-        """Contiguous visits to named stages, in order; only of one kind (``relay`` for ``relay-1``) where given."""
+        """Contiguous visits to named stages, in order; ``kind``: only of that kind (``relay`` for ``relay-1``)."""
         if self.recording is None:
             return []
         stage = self.recording.stage
@@ -155,15 +156,16 @@ class Run:
 
 
 def load(folder: Path, known: Recording | None = None) -> Run:
-    """Read a run folder; ``known``: its rows as far as they were read before.
+    """Read a run folder.
 
-    Raises FileNotFoundError if ``folder`` is no folder; every other want is put into ``Run.missing``.
+    known  the rows that were read before, so that they are not parsed again
+    Raises FileNotFoundError if ``folder`` is no folder. All else that is missing goes into ``Run.missing``.
     """
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is not a run folder; give the path that `rig run` printed")
     missing: list[str] = []
     notes: list[str] = []
-    meta = _part(folder / "meta.json", RunMeta, "the backend, versions and host of this run are not known", missing)
+    meta = _part(folder / "meta.json", RunMeta, "backend, versions and host of this run are unknown", missing)
     result = _part(folder / "result.json", RunResult, "the run ended before it had a result", missing)
     notes.extend(f"meta.json: {remark}." for remark in remarks(meta))
     notes.extend(f"result.json: {remark}." for remark in remarks(result))
@@ -179,8 +181,8 @@ def load(folder: Path, known: Recording | None = None) -> Run:
         recording = None
         missing.append(f"samples.csv {error.cause}{_line(error)}: nothing that was measured can be shown.")
     if any(event.kind == "loop_died" for event in events):
-        notes.append("The process that ran the loop was killed; the record is complete to its last tick.")
-    if recording is not None:  # estimators compare the clock with the period in meta
+        notes.append("The process that ran the loop was killed. The recording is complete to its last tick.")
+    if recording is not None:  # the estimators compare its clock with the period in meta.json
         recording = replace(recording, source=folder, meta=meta)
     return Run(folder, recording, meta, result, config, tuple(events), missing, notes)
 
@@ -190,7 +192,7 @@ def _line(error: RecordingError) -> str:
 
 
 def _part(path: Path, kind: type[_P], consequence: str, missing: list[str]) -> _P:
-    """What a JSON file holds, without what is wrong in it, which is said."""
+    """What a JSON file holds, without what is wrong in it; a sentence about that goes into ``missing``."""
     if not path.is_file():
         missing.append(f"{path.name} is missing: {consequence}.")
         return kind()
@@ -203,14 +205,14 @@ def _part(path: Path, kind: type[_P], consequence: str, missing: list[str]) -> _
         missing.append(f"{path.name} does not hold an object: {consequence}.")
         return kind()
     found, left_out = salvaged(kind, {str(key): printable(item) for key, item in value.items()})
-    missing.extend(f"{path.name}: {words}; it is left out." for words in left_out)
+    missing.extend(f"{path.name}: {words}; rig leaves it out." for words in left_out)
     return found
 
 
 def _events(path: Path, missing: list[str]) -> list[RunEvent]:
-    """The events; a torn or broken line is left out and said."""
+    """The events, without torn or broken lines; a sentence about these goes into ``missing``."""
     if not path.is_file():
-        missing.append(f"{path.name} is missing: events and faults are known from the result only.")
+        missing.append(f"{path.name} is missing: events and faults come from the result only.")
         return []
     events: list[RunEvent] = []
     broken = 0
@@ -223,20 +225,20 @@ def _events(path: Path, missing: list[str]) -> list[RunEvent]:
         if isinstance(value, dict):
             events.append(salvaged(RunEvent, {str(key): printable(item) for key, item in value.items()})[0])
     if broken:
-        missing.append(f"{path.name}: {broken} line(s) are torn or broken and were left out.")
+        missing.append(f"{path.name}: {broken} line(s) are torn or broken; rig leaves them out.")
     return events
 
 
 def _settings(path: Path, missing: list[str]) -> Settings:
     """What the report shows of a config, whichever version wrote it."""
     if not path.is_file():
-        missing.append(f"{path.name} is missing: limits and settings are not known.")
+        missing.append(f"{path.name} is missing: limits and settings are unknown.")
         return Settings()
     text = path.read_text(encoding="utf-8", errors="replace")
     try:
         value = yaml.safe_load(text)
     except yaml.YAMLError:
-        missing.append(f"{path.name} is no valid YAML: limits and settings are not known.")
+        missing.append(f"{path.name} is no valid YAML: limits and settings are unknown.")
         return Settings(text=text)
 
     def at(*keys: str) -> Any:
@@ -259,7 +261,7 @@ def _settings(path: Path, missing: list[str]) -> Settings:
 
 
 def _number(value: Any) -> float | None:
-    """A number of a config; None where it is anything else."""
+    """A number of a config; None for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     return float(value) if abs(value) < LARGEST else None

@@ -1,7 +1,7 @@
-"""How figures look: palette, names, sizes, and the way from a matplotlib figure to an inline image.
+"""How figures look: palette, names, sizes; and from a matplotlib figure to an inline image.
 
-The palette is Okabe and Ito's (safe for colour-blind readers); line styles differ too, so that a black and
-white print can be read. Figures are made without pyplot: no global state, no display.
+The palette is Okabe and Ito's, which colour-blind readers can tell apart. Line styles differ too, for black and white
+print. No pyplot: no global state, no display.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FAINT = "#c9ced6"
 LIMIT = "#9a1b1b"
 MEASURED = "#4a4f57"
 DRIVE = "#b35900"
-# From this many points on, a curve is drawn as pixels inside the vector figure: all points, smaller file.
+# With this many points or more, a curve becomes pixels inside the vector figure: all points, in a smaller file.
 RASTER_FROM = 20_000
 
 METHODS: dict[str, tuple[str, str, str]] = {  # colour, line style, short name
@@ -90,7 +90,7 @@ RC: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Picture:
-    """One finished figure: ``uri`` is a data URI, ``alt`` what it shows in words, ``caption`` how to read it."""
+    """One finished figure: ``uri`` is a data URI, ``alt`` says what it shows, ``caption`` how to read it."""
 
     uri: str
     alt: str
@@ -98,7 +98,7 @@ class Picture:
 
 
 class AbsentError(Exception):
-    """A part of the run is not there; the message says which and why, as a sentence for the page."""
+    """A part of the run is missing. The message is a sentence for the page: which part, and why."""
 
 
 class Drawing(Figure):
@@ -127,7 +127,7 @@ def short(method: str) -> str:
 
 
 def plain(text: str) -> str:
-    """``text`` from a file, kept from being read as mathematics."""
+    """``text`` from a file, so that matplotlib does not read $ as mathematics."""
     return text.replace("$", r"\$")
 
 
@@ -137,13 +137,13 @@ def stage_kind(stage: str) -> str:
 
 
 def stage_label(stage: str) -> str:
-    """Stage name as figures show it: ``track:sampled-data`` -> ``track SD``."""
+    """Stage name for figures: ``track:sampled-data`` -> ``track SD``."""
     kind, _, method = stage.partition(":")
     return plain(f"{kind} {short(method)}" if method else stage.replace("-", " "))
 
 
 def new_figure(height_in: float) -> Figure:
-    """An empty figure of the page's width."""
+    """An empty figure of the page's width, ``height_in`` inches high."""
     return Drawing(figsize=(WIDTH_IN, height_in))
 
 
@@ -154,7 +154,7 @@ def laid_out(figure: Figure) -> Figure:
 
 
 def style() -> Any:
-    """Context in which every figure is made and rendered."""
+    """The matplotlib settings for every figure, as a context."""
     return mpl.rc_context(RC)
 
 
@@ -170,7 +170,7 @@ def note(axes: Axes, text: str, *, loc: str = "upper left", colour: str = INK) -
 
 
 def render(figure: Figure, backend: str, alt: str, caption: str) -> Picture:
-    """The figure as a data URI, with the backend's words in its foot."""
+    """The figure as a data URI, with the name of the backend at its foot."""
     words = textwrap.wrap(f"backend: {backend}", 150) or ["backend: not recorded"]
     foot_in = 0.13 * len(words) + 0.05
     height = figure.get_figheight()
@@ -179,10 +179,10 @@ def render(figure: Figure, backend: str, alt: str, caption: str) -> Picture:
         ha="right", va="bottom", fontsize=6.5, color=MUTED,
     )  # fmt: skip
     FigureCanvasSVG(figure)
-    # laid out once, by hand: saving with an engine would draw everything once more
+    # lay out once, here: a layout engine would draw everything a second time as it saves
     engine = ConstrainedLayoutEngine(rect=(0.0, foot_in / height, 1.0, 1.0 - foot_in / height))
     engine.execute(figure)
-    for axes in figure.axes:  # its solver is exact to rounding only, and the same run shall give the same file
+    for axes in figure.axes:  # the solver's last digits vary, and the same run must give the same file
         axes.set_position(np.round(axes.get_position().bounds, 6).tolist())
     buffer = io.BytesIO()
     figure.savefig(buffer, format="svg", dpi=160, metadata={"Date": None, "Creator": None})

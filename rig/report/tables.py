@@ -1,4 +1,4 @@
-"""The report's tables: what a run says, in rows of cells. A cell is the exact number, if there is one, and its text."""
+"""The report's tables, as rows of cells. A cell is the exact number, if there is one, and its text."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class LawRow:
 
 @dataclass(frozen=True)
 class LawTable:
-    """The friction laws, what is to be said of them, and the test that they had to predict."""
+    """The friction laws, sentences about them, and the test that they had to predict."""
 
     lines: list[LawRow]
     words: list[str]
@@ -62,7 +62,7 @@ class LawTable:
 
 @dataclass(frozen=True)
 class TrackingRow:
-    """One model's tracking check, or the reason why there was none."""
+    """The tracking check of one model, or why there was none."""
 
     method: str
     short: str
@@ -93,7 +93,7 @@ def estimates(run: Run) -> list[EstimateRow]:
 
 
 def relays(run: Run) -> list[StageRow]:
-    """Relay tests as the result has them."""
+    """The relay tests of the result."""
     return [
         StageRow(
             test.stage.replace("-", " "),
@@ -104,7 +104,7 @@ def relays(run: Run) -> list[StageRow]:
 
 
 def friction_law(run: Run) -> LawTable | None:
-    """The friction laws, a line for each, and why one was chosen; None without any."""
+    """The friction laws, a line each, and why one was chosen; None if there are none."""
     found = run.result.friction_law
     if found is None or not found.rungs:
         return None
@@ -118,7 +118,7 @@ def friction_law(run: Run) -> LawTable | None:
 
 
 def hysteretic(run: Run) -> list[StageRow]:
-    """Hysteretic runs as the result has them, in V, rad, mrad, s and rad."""
+    """The hysteretic runs of the result, in V, rad, mrad, s and rad."""
     return [
         StageRow(
             entry.stage.replace("-", " "),
@@ -148,20 +148,24 @@ def tracking(run: Run) -> list[TrackingRow]:
 
 
 def loop(run: Run) -> list[tuple[str, Cell]]:
-    """Heading and cell of each column of the loop's table; none where the result has no loop."""
-    told = run.result.loop
-    if told is None:
+    """Heading and cell of each column of the loop's table; empty if the result has no loop."""
+    timing = run.result.loop
+    if timing is None:
         return []
-    cells = [("period, ms", _cell(run.period_s, 1e3)), ("ticks", _cell(told.ticks)), ("skipped", _cell(told.skipped))]
+    cells = [
+        ("period, ms", _cell(run.period_s, 1e3)),
+        ("ticks", _cell(timing.ticks)),
+        ("skipped", _cell(timing.skipped)),
+    ]
     if not run.in_virtual_time:
-        late = told.late_us or Quantiles()
-        shown = (("median", late.p50), ("99 %", late.p99), ("99.9 %", late.p999), ("largest", late.max))
-        cells += [(f"late, {name}, µs", _cell(value)) for name, value in shown]
+        late = timing.late_us or Quantiles()
+        columns = (("median", late.p50), ("99 %", late.p99), ("99.9 %", late.p999), ("largest", late.max))
+        cells += [(f"late, {name}, µs", _cell(value)) for name, value in columns]
     return cells
 
 
 def started(run: Run) -> str:
-    """When the run started, in words; empty where it is not recorded."""
+    """When the run started, in words; empty if meta.json does not say."""
     try:
         utc = datetime.fromisoformat(run.meta.started_utc or "")
     except ValueError:
@@ -170,15 +174,15 @@ def started(run: Run) -> str:
 
 
 def facts(run: Run) -> list[tuple[str, str]]:
-    """What is known about the run, in words: (name, value) pairs in the order of meta.json."""
-    told = [
+    """What meta.json says, in words: (name, value) pairs in its order."""
+    pairs = [
         (key.replace("_", " "), _in_words(value))
         for key, value in run.meta.as_json().items()
         if key not in ("truth", "backend", "schema")
     ]
     if run.truth:
-        told.append(("truth (emulated)", ", ".join(f"{k} = {v:.6g}" for k, v in run.truth.items())))
-    return told
+        pairs.append(("truth (emulated)", ", ".join(f"{k} = {v:.6g}" for k, v in run.truth.items())))
+    return pairs
 
 
 def _cell(value: float | None, factor: float = 1.0) -> Cell:

@@ -35,7 +35,7 @@ NO_RUNS = "There was no hysteretic run."
 
 
 def transients(run: Run) -> list[Transient]:
-    """The hysteretic runs as the estimator reads them; those that it cannot read are left out."""
+    """The hysteretic runs as the estimator reads them, without those that it cannot read."""
     found = []
     for span in run.spans("hysteretic"):
         try:
@@ -47,7 +47,10 @@ def transients(run: Run) -> list[Transient]:
 
 
 def first_transients(run: Run) -> Picture:
-    """Position of each run around its transient, and all of them divided by d - f: one curve."""
+    """Position of each run around its transient; and all of them divided by d - f, which gives one curve.
+
+    Raises AbsentError without a hysteretic run.
+    """
     found = transients(run)
     if not found:
         raise AbsentError(NO_RUNS)
@@ -82,19 +85,22 @@ def first_transients(run: Run) -> Picture:
     left.legend(loc="best", markerscale=1.4)
     right.set_xlabel("time since the drive took effect, s")
     right.set_ylabel("position / (d − f), rad/V")
-    right.set_title("divided by drive less friction: one curve g(t)")
+    right.set_title("divided by drive minus friction: one curve g(t)")
     if not math.isfinite(fc):
         note(right, "no friction was estimated")
     return render(
-        figure, run.backend, "Hysteretic runs up to the first switching, and the same divided by drive less friction.",
-        "Runs of the hysteretic relay from rest at zero. Marked samples are what least squares reads: up to the first "
-        "switching (dashed: the edge of the hysteresis) of the shorter run each way. Until then the motion is linear: "
-        "divided by drive less the estimated friction, all runs have to fall on one curve.",
+        figure, run.backend, "Hysteretic runs up to the first switching, and divided by drive minus friction.",
+        "Runs of the hysteretic relay from rest at zero. Least squares reads the marked samples: up to the first "
+        "switching of the shorter run in each direction (dashed: the edge of the hysteresis). Until then the motion is "
+        "linear. So divided by drive minus estimated friction, all runs must fall on one curve.",
     )  # fmt: skip
 
 
 def recursion(run: Run, fits: Mapping[str, Estimate]) -> Picture:
-    """The friction as the recursion has it after each sample, its final interval, and the truth."""
+    """The friction after each sample of the recursion, its final interval, and the truth.
+
+    Raises AbsentError without a recursion.
+    """
     fit = fits.get(least_squares.METHOD)
     if fit is None or fit.iterates.shape[0] < 2:
         raise AbsentError("Least squares gave no value here, so there is no recursion to show.")
@@ -126,7 +132,7 @@ def recursion(run: Run, fits: Mapping[str, Estimate]) -> Picture:
     axes.legend(loc="upper right", ncols=4)
     return render(
         figure, run.backend, "Recursive least squares: estimated friction after each sample.",
-        "Recursive least squares: the friction after each sample of the runs. The band is the interval that also "
-        "knows the noise on both sides of the equation and the measured starts; where the last value lies outside of "
-        "it, these have bent the method's value.",
+        "Recursive least squares: the friction after each sample of the runs. The band is the 95 % interval. It allows "
+        "for noise on both sides of the equation and in the measured starts; the recursion does not. If the last value "
+        "lies outside the band, this noise has biased it.",
     )  # fmt: skip

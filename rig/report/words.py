@@ -1,4 +1,4 @@
-"""The report's words and numbers: the headline, what to do next, and values rounded as their intervals allow."""
+"""The report's words and numbers: the headline, what to do next, and values rounded to their uncertainty."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import Literal, NamedTuple
 from rig.report.source import Run
 from rig.results import BreakawayResult, EstimateResult, known
 
-NOTHING_TO_IDENTIFY = "nothing to identify"  # how the note of a run begins whose record gives no estimate
-Outcome = Literal["ok", "doubtful", "refused", "none"]
+NOTHING_TO_IDENTIFY = "nothing to identify"  # begins the note of a run without an estimate
+HeadlineOutcome = Literal["ok", "doubtful", "refused", "none"]
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """How one parameter is called: symbol, unit, factor from SI to what is shown, and a sentence for it."""
+    """How the page shows one parameter: symbol, unit, factor from SI to that unit, meaning."""
 
     key: str
     symbol: str
@@ -38,13 +38,13 @@ HEADLINE_PARAMETERS = PARAMETERS[:3]
 
 @dataclass(frozen=True)
 class Quantity:
-    """One value of an estimate, ready to show.
+    """One value of an estimate as text.
 
-    exact       the file's value; None where it has none
+    exact       the value in the file; None if there is none
     interval    "low to high"
-    plus_minus  "± half" where the interval is symmetric, else as interval
+    plus_minus  "± half"; if the interval is not symmetric: as ``interval``
     relative    half of the interval over the value
-    error       against the truth, where that is known
+    error       against the truth, if that is known
     """
 
     parameter: Parameter
@@ -57,7 +57,7 @@ class Quantity:
 
 
 class Step(NamedTuple):
-    """One thing to do next, and the command for it where there is one."""
+    """One thing to do next, and its command, if it has one."""
 
     text: str
     command: str = ""
@@ -65,9 +65,9 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True)
 class Headline:
-    """What came of the run, for the top of the page."""
+    """The result of the run, for the top of the page."""
 
-    outcome: Outcome
+    outcome: HeadlineOutcome
     title: str
     sentences: tuple[str, ...]
     reasons: tuple[str, ...]
@@ -77,7 +77,7 @@ class Headline:
 
 
 def rounded(value: float, half_width: float = math.nan) -> str:
-    """``value`` with two digits of its uncertainty, or four digits without one."""
+    """``value`` rounded to two digits of its uncertainty ``half_width``, in the same unit; without one: four digits."""
     if not math.isfinite(value):
         return "–"
     if math.isfinite(half_width) and half_width > 0.0:
@@ -92,7 +92,7 @@ def rounded(value: float, half_width: float = math.nan) -> str:
 
 
 def percent(ratio: float) -> str:
-    """A ratio as per cent with two significant digits and its sign."""
+    """A ratio in per cent, with two significant digits and its sign."""
     if not math.isfinite(ratio):
         return "–"
     value = 100.0 * ratio
@@ -101,7 +101,7 @@ def percent(ratio: float) -> str:
 
 
 def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, float]) -> Quantity:
-    """One parameter of an estimate with its interval, and its error where the truth is known."""
+    """One parameter of an estimate, with its interval, and its error if the truth is known."""
     exact = known(estimate.value(parameter.key))
     if not math.isfinite(exact):
         return Quantity(parameter, None, "–", "", "", "", "")
@@ -131,11 +131,11 @@ def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, fl
 
 
 def headline(run: Run) -> Headline:
-    """What came of the run: verdict, the three parameters, why, and what to do next."""
+    """Headline of the run: verdict, the three parameters, why, and what to do next."""
     method, estimate = next(iter(run.estimates.items()), ("", EstimateResult()))
     if estimate == EstimateResult():
         return _nothing(run)
-    outcome: Outcome = next((o for o in ("ok", "doubtful", "refused") if o == estimate.verdict), "doubtful")
+    outcome: HeadlineOutcome = next((o for o in ("ok", "doubtful", "refused") if o == estimate.verdict), "doubtful")
     reasons = estimate.reasons
     quantities = tuple(quantity(p, estimate, run.truth) for p in HEADLINE_PARAMETERS)
     name = method.replace("-", " ")
@@ -144,10 +144,8 @@ def headline(run: Run) -> Headline:
     next_steps: list[Step] = []
     if outcome == "refused":
         title = "No model: the estimate was refused"
-        sentences.append(
-            f"The {name} estimate does not describe this motor. Its values are shown below for diagnosis only."
-        )
-        next_steps.append(Step("Do not use these values. Follow what each reason says, then run the experiment again."))
+        sentences.append(f"The {name} estimate does not describe this motor. The values below are for diagnosis only.")
+        next_steps.append(Step("Do not use these values. Do what each reason says, then run the experiment again."))
     else:
         whole = all(q.exact is not None for q in quantities)
         found = "The motor is identified" if whole else "The friction is identified"
@@ -160,15 +158,17 @@ def headline(run: Run) -> Headline:
             next_steps.append(Step("Cure the fault above first."))
         sentences.extend(_plain_words(quantities, run))
         if not whole:
-            next_steps.append(Step("Friction alone drives no bench: record a relay test for the other parameters."))
+            next_steps.append(
+                Step("Friction is not enough to drive the bench: record a relay test for the other parameters.")
+            )
         elif models_from:
             next_steps.append(Step("The tracking check below shows how well each of these models drives the bench."))
         elif outcome == "ok":
             next_steps.append(_drive_with(run))
         else:
-            next_steps.append(Step("Treat the values as a first guess. Follow what each reason says, then run again."))
+            next_steps.append(Step("Treat the values as a first guess. Do what each reason says, then run again."))
     if method != "sampled-data":
-        text = f"These values are the {name} method's: this run has no sampled-data estimate, which is more exact."
+        text = f"These values come from the {name} method. A sampled-data estimate is more exact; this run has none."
         next_steps.append(Step(text))
     return Headline(outcome, title, tuple(sentences), reasons, tuple(next_steps), method, quantities)
 
@@ -178,20 +178,20 @@ def _plain_words(quantities: tuple[Quantity, ...], run: Run) -> list[str]:
     if tau is None or gain is None or friction is None:
         return []
     words = (
-        f"After a step of drive the shaft reaches 63 % of its final speed in {1e3 * tau:.0f} ms; each volt beyond "
-        f"friction adds {gain:.3g} rad/s; Coulomb friction takes {friction:.3g} V of the drive."
+        f"After a step of drive the shaft reaches 63 % of its final speed in {1e3 * tau:.0f} ms. Each volt beyond "
+        f"friction adds {gain:.3g} rad/s. Coulomb friction takes {friction:.3g} V of the drive."
     )
     found = run.result.breakaway or BreakawayResult()
     plus, minus = known(found.static_plus_V), known(found.static_minus_V)
     if math.isfinite(plus) and math.isfinite(minus):
         words += (
-            f" From rest it takes {plus:.3g} V towards rising and {minus:.3g} V towards falling positions to move it."
+            f" To move it from rest takes {plus:.3g} V towards rising positions and {minus:.3g} V towards falling ones."
         )
     return [words]
 
 
 def _command(*parts: str | Path) -> str:
-    """A command as a shell takes it."""
+    """A command, quoted for a shell."""
     return shlex.join(["rig", *map(str, parts)])
 
 
@@ -199,24 +199,28 @@ def _drive_with(run: Run) -> Step:
     if not run.config.tracks:
         return Step("To drive the bench with this model, add a section `tracking` to the config and run it again.")
     if run.recording is None:
-        return Step("Its samples are missing: to drive the bench with this model, identify it anew.")
+        return Step("Its samples are missing: to drive the bench with this model, identify the motor again.")
     command = _command("track", run.folder / "config.yaml", "--model", run.folder)
     return Step("Drive the bench with this model:", command)
 
 
 def _again(run: Run, text: str) -> Step:
-    """The advice to run the whole experiment, with the command where the config is there."""
+    """The advice to run the whole experiment, with its command if the config is there."""
     if not run.config.is_there:
         return Step(f"{text}.")
     return Step(f"{text}:", _command("run", run.folder / "config.yaml"))
 
 
 def _nothing(run: Run) -> Headline:
-    """The headline of a run without any estimate: why there is none, or what it was for instead."""
-    jogged = run.meta.script is not None and run.meta.script.name == "jog"
+    """Headline of a run without an estimate: why it has none, or what else the run did."""
+    script = run.meta.script
+    jogged = script is not None and script.name == "jog"
+    own_law = script.law if script is not None and script.name == "law" else None
     reasons: tuple[str, ...] = ()
     if jogged:
-        title = "The shaft was moved by hand"
+        title = "The shaft was jogged"
+    elif own_law is not None:
+        title = f"A law of your own ran: {own_law}"
     elif run.has_result:
         title = "No estimate in this run"
         reasons = tuple(n for n in run.result.notes if n.startswith(NOTHING_TO_IDENTIFY))
@@ -226,6 +230,10 @@ def _nothing(run: Run) -> Headline:
         step = Step("Cure the fault above, then run again.")
     elif jogged:
         step = _again(run, "A jog identifies nothing; run the whole experiment")
+    elif own_law is not None:
+        step = Step(
+            "Nothing is identified from such a run. Look at its stage `law` below, or from Python (docs/api.md)."
+        )
     elif run.has_result:
         step = _again(run, "No relay test could be identified; run the whole experiment")
     elif run.spans("relay") or run.spans("hysteretic"):

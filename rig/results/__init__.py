@@ -1,5 +1,5 @@
-"""What a run says of itself, typed: meta.json is a ``RunMeta``, result.json a ``RunResult``, a line of events.jsonl a
-``RunEvent``. The models say what each key means; docs/results.md is made from them.
+"""The files of a run as typed models: meta.json is a ``RunMeta``, result.json a ``RunResult``, a line of events.jsonl a
+``RunEvent``. Each field says what its key means; docs/results.md is made from that.
 """
 
 from rig.results.estimates import (

@@ -1,4 +1,4 @@
-"""What identification says: relay tests, estimates, static friction and the friction law."""
+"""Results of an identification: relay tests, estimates, static friction and the friction law."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _IfIdentified = NOT_IN_EACH_FILE
 
 
 class RelayTestResult(Part):
-    """A relay test that was used: its gains, and the limit cycle that settled."""
+    """A relay test that was used: its gains and its settled limit cycle."""
 
     stage: Text = Field(description="stage of the run; of a CSV file: the file's name")
     h1_V: Real = Field(description="gain of the relay on position, V")
@@ -31,7 +31,7 @@ class HystereticResult(Part):
 
     stage: Text = Field(description="stage of the run; of a CSV file: the file's name")
     d_V: Real = Field(description="drive, V")
-    start_rad: Number = Field(description="where it started, rad")
+    start_rad: Number = Field(description="position at the start, rad")
     switched_s: Number = Field(None, description="first switching after the drive took effect, s; null: none")
     switched_rad: Number = Field(None, description="position at the first switching, rad; null: none")
     rows: Rows | None = Field(None, description="first and last row, counted from 0")
@@ -39,15 +39,17 @@ class HystereticResult(Part):
 
 
 class ResidualResult(Part):
-    """What is left of the recorded position where the model is taken off."""
+    """The residual: recorded minus modelled position."""
 
-    repeated: Number = Field(None, description="share of its power that comes again in each cycle, 0 to 1")
+    repeated: Number = Field(None, description="share of its power that repeats in each cycle, 0 to 1")
     wander_memory_s: Number = Field(None, description="memory of its coloured noise, s; null: it is white")
-    wander_over_white: Number = Field(None, description="standard deviation of its coloured noise over the white one's")
+    wander_over_white: Number = Field(
+        None, description="standard deviation of its coloured noise over that of its white noise"
+    )
 
 
 class EstimateResult(Part):
-    """One estimator's result; null: this method does not know it."""
+    """One estimator's result. A parameter is null if the method does not estimate it."""
 
     tau_s: Number = Field(None, description="velocity time constant, s")
     K_rad_s_V: Number = Field(None, description="velocity gain of the measured shaft, (rad/s)/V")
@@ -56,25 +58,25 @@ class EstimateResult(Part):
     delay_s: Number = Field(None, description="from a sample to the effect of its drive, s")
     fc_plus_V: Number = Field(None, description="Coulomb friction towards rising positions, V")
     fc_minus_V: Number = Field(None, description="Coulomb friction towards falling positions, V")
-    bias_V: Number = Field(None, description="drive that acts beside the commanded one, V")
+    bias_V: Number = Field(None, description="drive that acts in addition to the commanded one, V")
     ci95: dict[str, Interval] | None = Field(None, description="95 % intervals by parameter: low, high")
     covariance_of: tuple[Text, ...] = Field((), description="parameters in the order of the matrices")
     covariance: Matrix | None = Field(None, description="covariance of the parameters")
     correlation: Matrix | None = Field(None, description="correlation of the parameters")
     rms_rad: Number = Field(None, description="RMS of the residual of the position, rad")
-    residual: ResidualResult | None = Field(None, description="what the residual looks like")
-    iterations: Count | None = Field(None, description="iterations of the start that won")
+    residual: ResidualResult | None = Field(None, description="properties of the residual")
+    iterations: Count | None = Field(None, description="iterations from the start that fitted best")
     verdict: Text = Field("not judged", description="ok, doubtful or refused")
     reasons: tuple[Text, ...] = Field((), description="what is wrong, and what to record instead")
-    rows: Rows | None = Field(None, description="first and last row used; null: rows of another run")
+    rows: Rows | None = Field(None, description="first and last row used; null: the model comes from another run")
 
     def value(self, name: str) -> float | None:
-        """One parameter by its name; None where it is not known."""
+        """One parameter by its name; None if it is not known."""
         found = getattr(self, name) if name in type(self).model_fields else None
         return found if isinstance(found, float) else None
 
     def interval(self, name: str) -> tuple[float, float] | None:
-        """The 95 % interval of one parameter; None where it has none."""
+        """The 95 % interval of one parameter; None if it has none."""
         low, high = map(known, (self.ci95 or {}).get(name, (None, None)))
         return (low, high) if math.isfinite(low) and math.isfinite(high) else None
 
@@ -85,17 +87,19 @@ class EstimateResult(Part):
 
 
 class StaticFrictionResult(Part):
-    """The drives at which the shaft broke away, from the breakaway strokes and the identified motor."""
+    """The drives at which the shaft breaks away, from the breakaway strokes and the identified motor."""
 
-    static_plus_V: Number = Field(None, description="towards rising positions, V; null: the record does not tell")
-    static_minus_V: Number = Field(None, description="towards falling positions, V; null: the record does not tell")
-    static_plus_range_V: Interval | None = Field(None, description="interval that the record leaves, V")
-    static_minus_range_V: Interval | None = Field(None, description="interval that the record leaves, V")
+    static_plus_V: Number = Field(None, description="towards rising positions, V; null: the recording does not show it")
+    static_minus_V: Number = Field(
+        None, description="towards falling positions, V; null: the recording does not show it"
+    )
+    static_plus_range_V: Interval | None = Field(None, description="its interval, V")
+    static_minus_range_V: Interval | None = Field(None, description="its interval, V")
     reason: Text = Field("", description="why something is null, or what was assumed")
 
 
 class BreakawayResult(Part):
-    """What the breakaway check saw, and the static friction that was identified from it."""
+    """What the breakaway check saw, and the static friction identified from it."""
 
     seen_plus_V: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="drive at the first motion, rising, V")
     seen_minus_V: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="drive at the first motion, falling, V")
@@ -115,36 +119,36 @@ class LawFit(Part):
     parameters: dict[str, Number] = Field({}, description="by name, with the unit in the name")
     standard_errors: dict[str, Number] = Field({}, description="of the parameters")
     rms_rad: Number = Field(None, description="RMS of the residual, rad")
-    criterion: Number = Field(None, description="Schwarz's criterion less that of the chosen law; larger is worse")
+    criterion: Number = Field(None, description="BIC minus the chosen law's BIC; larger is worse")
     held_out_rms_rad: Number = Field(None, description="RMS error of the predicted test, rad; null: there is none")
 
 
 class FrictionLawResult(Part):
-    """Which friction law the tests ask for."""
+    """Which friction law describes the tests."""
 
-    chosen: Text = Field("", description="the simplest law that nothing speaks against")
-    open: tuple[Text, ...] = Field((), description="laws that the tests cannot tell from it")
+    chosen: Text = Field("", description="the simplest law that the tests do not contradict")
+    open: tuple[Text, ...] = Field((), description="other laws that the tests cannot exclude")
     reason: Text = Field("", description="why, in words")
-    record: tuple[Text, ...] = Field((), description="what to record to tell the open ones")
-    viscous: Text = Field("", description="what became of viscous friction, in words")
+    record: tuple[Text, ...] = Field((), description="what to record to decide between the open laws")
+    viscous: Text = Field("", description="what the tests say about viscous friction")
     held_out: Text | None = Field(None, description="the test that was predicted; null: there is none")
     effective_samples: Number = Field(None, description="independent samples that the fitted tests are worth")
-    rungs: tuple[LawFit, ...] = Field((), description="the laws, each of which holds the one before it")
+    rungs: tuple[LawFit, ...] = Field((), description="the nested models: each law contains the one before it")
 
 
 class IdentificationResult(Part):
-    """What identification says of recordings: `rig identify --json`."""
+    """The identification of recordings: `rig identify --json`."""
 
     relays: tuple[RelayTestResult, ...] = Field((), description="relay tests that were used")
     estimates: dict[str, EstimateResult] = Field({}, description="estimates by method")
-    notes: tuple[Text, ...] = Field((), description="in words, what else there is to know")
+    notes: tuple[Text, ...] = Field((), description="what else there is to know, in words")
     hysteretic: Sometimes[tuple[HystereticResult, ...]] = Field(None, description="runs of hysteretic relays")
     breakaway: Sometimes[StaticFrictionResult] = Field(None, description="static friction")
-    friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law the tests ask for")
+    friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law describes the tests")
 
 
 def known(value: float | None) -> float:
-    """A number of a result, nan where it is not known, or is so large that nothing can have measured it."""
+    """A number of a result; nan if ``value`` is None, or too large to be a measurement; in the unit of ``value``."""
     return math.nan if value is None or not abs(value) < LARGEST else value
 
 

@@ -1,4 +1,4 @@
-"""events.jsonl: one event a line, each with keys of its kind."""
+"""events.jsonl: one event per line, each with the keys of its kind."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from rig.results.part import JsonObject, Number, Part, Real, Text
 
 
 class RunEvent(Part):
-    """An event: when, of which kind, and the keys of that kind, which ``detail`` gives."""
+    """An event: its time, its kind, and in ``detail`` the keys of that kind."""
 
     t_s: Number = Field(None, description="when, s since the run's start")
     kind: Text = Field("", description="stage, gains, cycle, search, model, fault, stop, end, ...")
@@ -20,7 +20,7 @@ class RunEvent(Part):
 
 
 class DrivenModel(Part):
-    """Of an event ``model``: the model that tracked."""
+    """The keys of an event ``model``: a model that tracked."""
 
     method: Text
     tau_s: Real

@@ -1,4 +1,4 @@
-"""meta.json: what is known of a run before its first row."""
+"""meta.json: what rig knows of a run before its first row."""
 
 from __future__ import annotations
 
@@ -14,37 +14,37 @@ class DeviceSeen(Part):
     """The device as it introduced itself."""
 
     board: Text = Field("", description="kind of board or device")
-    build: Text = Field("", description="its firmware, by the name that it gives")
-    reset_cause: Text = Field("", description="why it started last")
+    build: Text = Field("", description="the name that its firmware gives")
+    reset_cause: Text = Field("", description="why it last started")
     clock_ratio: Annotated[float, Field(strict=True, gt=0.0)] = Field(
-        1.0, description="seconds of the device's clock for one of the host's"
+        1.0, description="seconds of the device's clock in a second of the host's"
     )
     supply_V: Sometimes[Number] = Field(None, description="motor supply as the device measures it, V")
-    supply_at_least: Sometimes[Flag] = Field(None, description="the supply is beyond what the device can measure")
+    supply_at_least: Sometimes[Flag] = Field(None, description="true: the supply is above what the device can measure")
 
 
 class SupplyBelieved(Part):
-    """The motor supply by the config."""
+    """The motor supply that the config gives."""
 
     supply_V: Number = Field(None, description="supply of the bridge, V")
-    bridge_drop_V: Number = Field(None, description="what the bridge takes of it, V")
+    bridge_drop_V: Number = Field(None, description="voltage drop in the bridge, V")
 
 
 class ScriptCall(Part):
     """The script that ran, with its arguments, so that it can be replayed."""
 
     name: Text = Field(description="run, relay, breakaway, track, jog or law")
-    breakaway: Sometimes[Text] = Field(None, description="the law of the breakaway check; an older version names none")
-    u_V: Sometimes[Number] = Field(None, description="of a jog: the drive, V")
-    duration_s: Sometimes[Number] = Field(None, description="of a jog or a law: how long, s")
+    breakaway: Sometimes[Text] = Field(None, description="law of the breakaway check; older versions write none")
+    u_V: Sometimes[Number] = Field(None, description="drive of a jog, V")
+    duration_s: Sometimes[Number] = Field(None, description="duration of a jog or of a user's law, s")
     law: Sometimes[Text] = Field(None, description="the user's law that ran: its name in the config, or its class")
 
 
 class RealTimeReport(Part):
     """What the machine granted the loop, and what it refused: a sentence for each."""
 
-    granted: tuple[Text, ...] = Field((), description="what it granted")
-    refused: tuple[Text, ...] = Field((), description="what it refused, and what helps")
+    granted: tuple[Text, ...] = Field((), description="each measure that it granted")
+    refused: tuple[Text, ...] = Field((), description="each measure that it refused, and what helps")
 
 
 class TrueMotor(Part):
@@ -62,7 +62,7 @@ class TrueMotor(Part):
     K_without_viscous_rad_s_V: Sometimes[Number] = Field(None, description="gain without viscous friction, (rad/s)/V")
 
     def value(self, name: str) -> float | None:
-        """One parameter by its name in an estimate; None where the motor has none by that name."""
+        """One parameter by its name in an estimate; None if the motor has none of that name."""
         found = getattr(self, name) if name in type(self).model_fields else None
         return found if isinstance(found, float) else None
 
@@ -82,7 +82,7 @@ class RunMeta(Part):
     times_error_s: Number = Field(None, description="what the times may be wrong by, s")
     firmware: DeviceSeen | None = Field(None, description="the device as it introduced itself")
     drive: SupplyBelieved | None = Field(None, description="the motor supply by the config")
-    failsafe: Text = Field("", description="what stops the drive where the host is silent")
+    failsafe: Text = Field("", description="what stops the drive if the host is silent")
     started_utc: Text | None = Field(None, description="when the run started: ISO 8601, UTC")
     versions: dict[str, JsonValue] = Field({}, description="of rig and Python")
     host: dict[str, JsonValue] = Field({}, description="the machine")

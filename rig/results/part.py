@@ -1,4 +1,4 @@
-"""What every part of meta.json and result.json is: typed, frozen, and written as it was filled in."""
+"""The base class of every part of meta.json and result.json: typed, frozen, written with the keys that were set."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _T = TypeVar("_T")
 
 
 class Mark(Enum):
-    """What a key's type says beside its values."""
+    """What a key's type says about the key itself."""
 
     NOT_IN_EACH_FILE = "a file of this version may lack the key"
-    NEVER_NULL = "it is left out of the file where there is no such thing"
+    NEVER_NULL = "the file leaves the key out instead of writing null"
 
 
 NOT_IN_EACH_FILE: Final = Mark.NOT_IN_EACH_FILE
@@ -44,10 +44,10 @@ def _known(value: object) -> object:
 Real = Annotated[float, Strict()]
 """A number; a text or a boolean is none."""
 Number = Annotated[float | None, Strict(), BeforeValidator(_known)]
-"""A number, or None (JSON: null) where it is not known; nan and infinity become None."""
+"""A number, or None (JSON: null) if it is not known; nan and infinity become None."""
 Flag = Annotated[bool, Strict()]
 Sometimes = Annotated[_T | None, Mark.NOT_IN_EACH_FILE, Mark.NEVER_NULL]
-"""A key that is there only where there is such a thing."""
+"""A key that the file leaves out if it has no value."""
 Count = StrictInt
 Text = StrictStr
 
@@ -55,13 +55,13 @@ Text = StrictStr
 class Part(BaseModel):
     """A part of a file. Equal parts write equal JSON.
 
-    A key that this version does not know is kept, so that it is written again; ``unknown_keys`` names it.
+    A part keeps keys that this version does not know, and writes them again; ``unknown_keys`` names them.
     """
 
     model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False, populate_by_name=True, defer_build=True)
 
     def as_json(self) -> JsonObject:
-        """The part as JSON: the keys that were filled in, in the order of the class; unknown ones last."""
+        """The part as JSON: the keys that were set, in the order of the class; unknown keys last."""
         return cast(JsonObject, self.model_dump(mode="json", by_alias=True, exclude_unset=True))
 
     @model_serializer(mode="wrap")
@@ -73,12 +73,12 @@ class Part(BaseModel):
         return written
 
     def says(self, name: str) -> bool:
-        """Whether the key was there, be it null."""
+        """Whether the key was set, even if to null."""
         return name in self.model_fields_set
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """Require in the JSON Schema what this version always writes: when reading, an older file may lack it."""
+        """Require in the JSON Schema the keys that this version always writes; reading an older file needs none."""
         found = handler(core_schema)
         schema = handler.resolve_ref_schema(found)
         required = [

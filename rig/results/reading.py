@@ -1,4 +1,4 @@
-"""From what stands in a file to a typed part, strictly or as far as it can be used. No file is opened here."""
+"""Makes a typed part from the data of a file: strictly, or without what is wrong in it. Opens no file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _MUST_BE = {
 
 
 class DamagedError(Exception):
-    """What stands in a file is not what it should be.
+    """A file holds something wrong.
 
     key, cause  the first key that is wrong, with dots, and what is wrong with it
     """
@@ -43,27 +43,27 @@ class DamagedError(Exception):
 
 
 def parsed(kind: type[_P], data: Mapping[str, Any]) -> _P:
-    """The part that a JSON object says. Raises DamagedError for the first key that is wrong."""
+    """The part that a JSON object describes. Raises DamagedError for the first key that is wrong."""
     try:
         return kind.model_validate(data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        raise DamagedError(_key(first["loc"]), _said(first)) from error
+        raise DamagedError(_key(first["loc"]), _in_words(first)) from error
 
 
 def salvaged(kind: type[_P], data: Mapping[str, Any]) -> tuple[_P, list[str]]:
-    """The part that a JSON object says, without what is wrong in it, and a sentence for each piece left out."""
+    """The part that a JSON object describes, without what is wrong; and a sentence for each piece left out."""
     kept: Any = json.loads(json.dumps(data))
-    said: list[str] = []
+    left_out: list[str] = []
     while True:
         try:
-            return kind.model_validate(kept), said
+            return kind.model_validate(kept), left_out
         except ValidationError as error:
             found = error.errors(include_url=False)
-        wrong: dict[_Path, str] = {}  # what is left out, and the first thing that is wrong with it
+        wrong: dict[_Path, str] = {}  # each piece to leave out, and the first thing that is wrong with it
         for one in found:
-            wrong.setdefault(_innermost(kept, one["loc"]), _said(one))
-        said += wrong.values()
+            wrong.setdefault(_innermost(kept, one["loc"]), _in_words(one))
+        left_out += wrong.values()
         # from the end, so that what stands before keeps its place in a list
         for path in sorted(wrong, key=_order, reverse=True):
             kept = _without(kept, path)
@@ -75,14 +75,14 @@ def unknown_keys(part: Part) -> tuple[str, ...]:
 
 
 def remarks(file: RunMeta | RunResult) -> list[str]:
-    """What to say of a file that was read: that a newer version wrote it, and which keys are not understood."""
-    said = []
+    """Notes on a file that was read: a newer version wrote it; this version does not know some of its keys."""
+    notes = []
     if file.version > VERSION:
-        said.append(f"a newer version of rig wrote it (schema {file.version}; this one knows {VERSION})")
+        notes.append(f"a newer version of rig wrote it (schema {file.version}; this one knows {VERSION})")
     keys = unknown_keys(file)
     if keys:
-        said.append(f"not known to this version of rig, and not used: {', '.join(map(plain, keys))}")
-    return said
+        notes.append(f"not known to this version of rig, and not used: {', '.join(map(plain, keys))}")
+    return notes
 
 
 def _unknown(value: object, at: str) -> Iterator[str]:
@@ -109,7 +109,7 @@ def _key(path: _Path) -> str:
     return plain(text)
 
 
-def _said(error: ErrorDetails) -> str:
+def _in_words(error: ErrorDetails) -> str:
     """An error of pydantic for people: the key, what it must be, what it is."""
     key, kind, value = _key(error["loc"]), error["type"], error["input"]
     if kind == "missing":
@@ -141,7 +141,7 @@ def _described(value: object) -> str:
 
 
 def _innermost(data: Any, path: _Path) -> _Path:
-    """As much of a path as there is in the data: what is missing is the fault of what holds it."""
+    """As much of a path as the data has: if a key is missing, the object that lacks it is at fault."""
     there: list[int | str] = []
     for part in path:
         is_there = part in data if isinstance(data, dict) else isinstance(data, list) and part in range(len(data))
@@ -157,7 +157,7 @@ def _order(path: _Path) -> list[tuple[int, int | str]]:
 
 
 def _without(data: Any, path: Sequence[int | str]) -> Any:
-    """The data without the piece at a path; without anything where the path is ()."""
+    """The data without the piece at a path; empty if the path is ()."""
     if not path:
         return {}
     *above, last = path

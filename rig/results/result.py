@@ -1,4 +1,4 @@
-"""result.json: what a run came to."""
+"""result.json: the result of a run."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class FaultReport(Part):
     cause: Text = Field("", description="what it means")
     cure: Text = Field("", description="what to do")
     detail: Text = Field("", description="what was seen")
-    t_s: Sometimes[Number] = Field(None, description="when, s since the run's start; of an event")
+    t_s: Sometimes[Number] = Field(None, description="when, s since the run's start; only in an event")
 
 
 class TrackingResult(Part):
@@ -32,11 +32,11 @@ class TrackingResult(Part):
 
     rms_rad: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="RMS error, rad")
     max_rad: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="largest error, rad")
-    not_run: Sometimes[Text] = Field(None, description="why there is no error to tell")
+    not_run: Sometimes[Text] = Field(None, description="why there is no error")
 
 
 class Quantiles(Part):
-    """Quantiles of the times that one part of a tick took, us; null where no tick ran."""
+    """Quantiles of the times that one part of a tick took, us; null if no tick ran."""
 
     p50: Number = Field(None, description="median")
     p99: Number = Field(None, description="99 %")
@@ -49,29 +49,29 @@ class DeviceLoop(Part):
 
     period_s: Number = Field(None, description="its period, s")
     ticks: Count = Field(0, description="ticks that were recorded")
-    missed: Count = Field(0, description="ticks that it did not run")
+    missed: Count = Field(0, description="ticks that it missed")
 
 
 class LoopResult(Part):
-    """What the loop achieved."""
+    """Timing of the loop."""
 
     period_s: Number = Field(None, description="its period, s")
     ticks: Count | None = Field(None, description="ticks that ran")
-    skipped: Count | None = Field(None, description="ticks that were left out, since one before took too long")
+    skipped: Count | None = Field(None, description="ticks that the loop skipped because an earlier one took too long")
     late_us: Quantiles | None = Field(None, description="how late ticks began")
     io_us: Quantiles | None = Field(None, description="reading the device")
     compute_us: Quantiles | None = Field(None, description="law and guard")
     write_us: Quantiles | None = Field(None, description="writing the drive")
     record_us: Quantiles | None = Field(None, description="handing a row to the recorder")
-    device: Sometimes[DeviceLoop] = Field(None, description="the relay in the device, where one ran")
+    device: Sometimes[DeviceLoop] = Field(None, description="the relay in the device, if one ran")
     real_time: Sometimes[RealTimeReport] = Field(None, description="what the machine granted the loop")
 
 
 class JogResult(Part):
-    """A drive by hand."""
+    """What `rig jog` did."""
 
-    from_rad: Number = Field(None, description="where the shaft stood before, rad")
-    to_rad: Number = Field(None, description="where it stands now, rad")
+    from_rad: Number = Field(None, description="position before, rad")
+    to_rad: Number = Field(None, description="position after, rad")
     refused_ticks: Count = Field(0, description="ticks in which the guard cut the drive")
 
 
@@ -81,9 +81,9 @@ class SearchStepResult(Part):
     t_s: Number = Field(None, description="when, s since the run's start")
     h1_V: Number = Field(None, description="gain of the relay on position, V")
     h2_V: Number = Field(None, description="gain of the relay on the integral, V")
-    period_s: Number = Field(None, description="of the settled cycle, s; null: none settled")
-    amplitude_rad: Number = Field(None, description="of the settled cycle, rad; null: none settled")
-    outcome: Text = Field("", description="what came of it, in words")
+    period_s: Number = Field(None, description="period of the settled cycle, s; null: none settled")
+    amplitude_rad: Number = Field(None, description="amplitude of the settled cycle, rad; null: none settled")
+    outcome: Text = Field("", description="what happened, in words")
 
 
 class RunResult(Part):
@@ -94,15 +94,15 @@ class RunResult(Part):
     relays: tuple[RelayTestResult, ...] = Field((), description="relay tests that were used")
     estimates: dict[str, EstimateResult] = Field({}, description="estimates by method")
     tracking: dict[str, TrackingResult] = Field({}, description="tracking checks by the method of their model")
-    loop: LoopResult | None = Field(None, description="what the loop achieved")
-    link: dict[str, Count] = Field({}, description="counts of exchanges and of what went wrong in them")
+    loop: LoopResult | None = Field(None, description="timing of the loop")
+    link: dict[str, Count] = Field({}, description="number of exchanges with the device, and of each kind of error")
     faults: tuple[FaultReport, ...] = Field((), description="the fault that ended the run; empty: none did")
     config_notes: tuple[Text, ...] = Field((), description="what `rig check` notes of the config")
-    notes: tuple[Text, ...] = Field((), description="in words, what else there is to know")
+    notes: tuple[Text, ...] = Field((), description="what else there is to know, in words")
     hysteretic: Sometimes[tuple[HystereticResult, ...]] = Field(None, description="runs of hysteretic relays")
-    models_from: Sometimes[Text] = Field(None, description="the run whose models were driven, where it is another")
+    models_from: Sometimes[Text] = Field(None, description="another run whose models drove this one")
     breakaway: Sometimes[BreakawayResult] = Field(None, description="the breakaway check, and static friction")
-    friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law the tests ask for")
-    jog: Sometimes[JogResult] = Field(None, description="of a jog")
+    friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law describes the tests")
+    jog: Sometimes[JogResult] = Field(None, description="what `rig jog` did")
     search: Sometimes[tuple[SearchStepResult, ...]] = Field(None, description="the gain search, step by step")
     truth: Sometimes[TrueMotor] = Field(None, description="the emulated motor")

@@ -57,6 +57,7 @@ def test_from_yaml_at_the_command_line(tmp_path: Path) -> None:
     run = rig.read(folder)
     assert run.meta.script is not None and (run.meta.script.name, run.meta.script.law) == ("law", "spring")
     assert run["law"].y_rad[-1] < -0.15
+    assert "A law of your own ran: spring" in (folder / "report.html").read_text(encoding="utf-8")
     assert command("replay", folder).exit_code == 0
     assert rig.run(path, out=tmp_path / "again")["law"].u_V.tolist() == run["law"].u_V.tolist()
 
@@ -133,3 +134,14 @@ def test_a_law_without_a_drive_or_without_a_step_is_refused(tmp_path: Path) -> N
         rig.run(rig.ready("simulated"), law=object(), out=tmp_path)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="duration"):
         rig.run(rig.ready("simulated"), law=Spring(), duration_s=0.0, out=tmp_path)
+
+
+def test_runs_may_be_repeated_and_a_replay_needs_the_law(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = with_law(tmp_path, name="spring", duration_s=0.5)
+    result = command("run", path, "--repeat", 2, "--out", tmp_path / "runs", "--json")
+    assert result.exit_code == 0, result.output
+    folder = Path(json.loads(result.stdout)["runs"][1]["folder"])
+    monkeypatch.setattr(laws, "entry_points", lambda group: [])
+    refused = command("replay", folder)
+    assert refused.exit_code == 2
+    assert "no law 'spring'" in refused.stderr and "install the package" in refused.stderr

@@ -170,4 +170,4 @@ def test_in_a_pipe_each_stage_is_a_plain_line_and_folders_tell_commands_apart(tm
     beyond = rig("identify", relay, "--rows", "0:99999")
     assert (beyond.exit_code, "give --rows within 0:" in beyond.stderr) == (2, True)
     two = rig("identify", relay, tmp_path / "part.csv", "--rows", "0:9")
-    assert (two.exit_code, "--rows are those of one recording" in two.stderr) == (2, True)
+    assert (two.exit_code, "--rows takes one recording, not 2" in two.stderr) == (2, True)

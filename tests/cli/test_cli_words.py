@@ -152,7 +152,7 @@ def test_the_old_name_of_a_file_still_works_and_says_the_new_one(tmp_path: Path)
     old, new = tmp_path / "old.json", tmp_path / "new.json"
     result = rig("schema", "--out", old)
     assert (result.exit_code, result.stderr) == (
-        0, f"note: a file that is written is named by --to now: `rig schema --to {old}`\n"
+        0, f"note: --out is now --to: `rig schema --to {old}`\n"
     )  # fmt: skip
     assert rig("schema", "--to", new).stderr == ""
     assert old.read_bytes() == new.read_bytes() != b""

@@ -316,7 +316,7 @@ def test_a_defect_after_the_loop_costs_neither_record_nor_result(
 
 
 @pytest.mark.parametrize("changed", [{"tau_s": 0.6, "K_rad_s_V": 1.2}, {"fc_V": 2.5}], ids=["sluggish", "rough"])
-def test_a_model_that_fails_its_rehearsal_never_drives_the_bench(changed: dict[str, Any], tmp_path: Path) -> None:
+def test_a_model_that_fails_in_simulation_never_drives_the_bench(changed: dict[str, Any], tmp_path: Path) -> None:
     """Measured at the drive: the record has no tick of it, and the model that passed never goes beyond the limits."""
     e = configs.load(ROOT / "config/simulated.yaml")
     e = e.model_copy(update={"tracking": e.tracking and e.tracking.model_copy(update={"duration_s": 2.0})})

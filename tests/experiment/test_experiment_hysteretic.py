@@ -150,7 +150,7 @@ def test_a_drive_below_the_breakaway_level_is_a_fault_before_anything_moves(tmp_
     assert result.exit_code == 1
     outcome = json.loads(result.stdout)
     assert [fault["code"] for fault in outcome["faults"]] == ["DRIVE_TOO_SMALL"]
-    assert "d_V +0.400 V of run 1" in outcome["faults"][0]["detail"]
+    assert "run 1: d_V +0.400 V" in outcome["faults"][0]["detail"]
     assert not any(s.startswith(("homing", "hysteretic")) for s in read_run(Path(outcome["folder"])).stages())
 
 

@@ -175,7 +175,7 @@ def test_a_torn_folder_is_exported_as_far_as_it_is_there(run_folder: Path, tmp_p
             f"line {rows + 2}, the last, is torn and was left out (5 bytes)",
             "meta.json is missing",
             "result.json is missing: the run ended before it had a result",
-            "the run was killed: its record is complete to its last tick",
+            "the run was killed: its recording is complete to its last tick",
             "config.yaml is missing",
             f"{tmp_path / f'a{suffix}'}: {rows} rows",
         ]

@@ -18,7 +18,6 @@ from pathlib import Path
 
 import pytest
 import yaml
-from rig.recording.record import Row
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, simulated_bench
 
 from rig.backends.clock import MonotonicClock
@@ -32,7 +31,7 @@ from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
-from rig.recording.sink import NullSink
+from rig.recording.sink import NullSink, Row
 
 ROOT = Path(__file__).resolve().parents[2]
 STAGES = ("rest", "jog")

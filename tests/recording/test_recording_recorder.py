@@ -27,8 +27,8 @@ from rig.recording import layout
 from rig.recording.columns import COLUMNS, HEADER, KINDS
 from rig.recording.errors import RecordingError
 from rig.recording.reader import read_run
-from rig.recording.record import JsonScalar
 from rig.recording.recorder import Recorder
+from rig.recording.sink import JsonScalar
 from rig.recording.writer import KeptRoom, Writer
 from rig.signals import Sample
 

@@ -57,7 +57,7 @@ def test_a_missing_row_is_named_wherever_it_was(tmp_path: Path) -> None:
         assert found is not None and found.tick == run.tick(k + 1) and found.by == "record"
         assert found.replayed == "rows are missing before it"
     found = run.without(len(run.rows) - 1).difference
-    assert found is not None and found.line is None and found.recorded == "the record ends here, the run did not"
+    assert found is not None and found.line is None and found.recorded == "the recording ends here, the run did not"
 
 
 @pytest.mark.parametrize("name", RELAYS)

@@ -161,7 +161,7 @@ def test_what_is_no_run_of_ours_is_bad_input(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"meta": ("script", {"name": "dance"})}, "no script 'dance'"),
+        ({"meta": ("script", {"name": "dance"})}, "does not know the script 'dance'"),
         ({"meta": ("script", {"name": "jog"})}, "script"),
         ({"meta": ("script", 7)}, "no script"),
         ({"meta": ("drive_units", "many")}, "drive_units"),
@@ -169,7 +169,7 @@ def test_what_is_no_run_of_ours_is_bad_input(tmp_path: Path) -> None:
         ({"meta": ("firmware", {"clock_ratio": 0})}, "clock_ratio"),
         ({"meta": ("order", "at_random")}, "order"),
         ({"event": {"t_s": 0.1, "kind": "model", "method": "sampled-data", "tau_s": "x"}}, "event model is broken"),
-        ({"event": {"t_s": 0.1, "kind": "fault", "code": "NEVER_HEARD_OF"}}, "none of this version"),
+        ({"event": {"t_s": 0.1, "kind": "fault", "code": "NEVER_HEARD_OF"}}, "does not know the fault"),
     ],
 )
 def test_a_broken_run_is_bad_input_in_words(change: dict[str, Any], words: str, tmp_path: Path) -> None:
@@ -194,7 +194,7 @@ def test_a_run_of_an_older_version_replays_with_the_breakaway_law_of_then(tmp_pa
     run.meta["script"]["breakaway"] = "of another version"
     with pytest.raises(RecordingError) as caught:
         replay(run.write())
-    assert "no breakaway law 'of another version'" in caught.value.cause
+    assert "does not know the breakaway law 'of another version'" in caught.value.cause
 
 
 def test_a_run_of_now_says_which_breakaway_law_ran(tmp_path: Path) -> None:

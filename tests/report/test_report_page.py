@@ -193,7 +193,7 @@ def test_any_subset_of_files_makes_a_page_that_says_what_is_missing(run: Path, g
     # whole run, breakaway, relays, portraits, residual, tracking, timing, two averaged cycles; estimates side by side
     # need a result, or samples that can be identified in its place
     assert len(page.images()) == 9 * samples + (result or samples) + steps
-    assert ("its record was identified for this page" in page.words) == (samples and not result)
+    assert ("For this page its recording was identified" in page.words) == (samples and not result)
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -218,7 +218,7 @@ def test_a_killed_run_shows_what_there_is(run: Path, rows: int, drawn: str, not_
         assert "No result: the run ended before it had one" in page.words
         assert f"run the experiment again: rig run {run / 'config.yaml'}" in page.words
     else:  # enough of the relay tests is there: the page identifies it
-        assert "its record was identified for this page" in page.words
+        assert "For this page its recording was identified" in page.words
         assert "sampled data" in page.words
     assert drawn in page.words
     assert (not_drawn in page.words) == (rows < 3500)
@@ -299,7 +299,7 @@ def test_words_from_files_are_never_markup_or_mathematics(run: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_the_ladder_of_friction_laws_is_a_table_with_its_reason(run: Path) -> None:
+def test_the_nested_friction_laws_are_a_table_with_its_reason(run: Path) -> None:
     rungs = [
         {"law": "asymmetric", "parameters": {"fc_V": 0.481}, "criterion": 151.2, "standing": "too simple"},
         {
@@ -323,7 +323,7 @@ def test_the_notes_of_rig_check_stand_above_the_result(run: Path) -> None:
     note = "the emulated bridge gives 8 V, the config believes <12> V: K and f_c will come out scaled"
     edit(run / "result.json", lambda r: r.update(config_notes=[note]))
     words = page_of(run).words
-    assert words.index("rig check notes of this config") < words.index(note[1:]) < words.index("The motor is")
+    assert words.index("Notes of rig check on this config") < words.index(note[1:]) < words.index("The motor is")
 
 
 @pytest.mark.parametrize("ended", [{}, {"faults": [Fault("POLARITY").as_dict()]}])
@@ -336,7 +336,7 @@ def test_notes_on_the_loops_timing_are_the_cause_of_nothing(run: Path, ended: di
     (run / "result.json").write_text(json.dumps(result))
     edit(run / "meta.json", lambda m: m.update(script={"name": "jog", "u_V": 0.8}))
     words = page_of(run).words
-    assert "The shaft was moved by hand" in words
+    assert "The shaft was jogged" in words
     assert "Why" not in words
     assert words.index(timing) > words.index("About this run")
 
@@ -502,7 +502,7 @@ ESTIMATE = st.dictionaries(
     ),
     NUMBER | st.dictionaries(st.sampled_from(["tau_s", "K_rad_s_V", "fc_V"]), st.lists(NUMBER, max_size=3)),
 )
-RUNG = st.dictionaries(
+LAW_FIT = st.dictionaries(
     st.sampled_from(["law", "standing", "parameters", "criterion", "held_out_rms_rad"]),
     NUMBER | st.dictionaries(st.sampled_from(["fc_V", "fs_V"]), NUMBER),
 )
@@ -517,7 +517,7 @@ RESULT = st.fixed_dictionaries(
         "faults": ANY_JSON,
         "notes": ANY_JSON,
         "breakaway": ANY_JSON,
-        "friction_law": ANY_JSON | st.fixed_dictionaries({"rungs": st.lists(RUNG | ANY_JSON, max_size=3)}),
+        "friction_law": ANY_JSON | st.fixed_dictionaries({"rungs": st.lists(LAW_FIT | ANY_JSON, max_size=3)}),
         "search": ANY_JSON,
     },
 )

@@ -170,14 +170,14 @@ PAUSE = of(
 PRE_RUN = of(
     "rig/loop/pre_run.py",
     (
-        "a rehearsal that leaves the soft limits passes",
+        "a pre-run simulation that leaves the soft limits passes",
         "pre_run",
         "if reached[0] < low or reached[1] > high:",
         "if False:",
         in_file("tests/loop/test_loop_pre_run.py", "test_one_that_leaves_the_soft_limits_must_not_drive_the_bench"),
     ),
     (
-        "a rehearsal that asks for too much drive passes",
+        "a pre-run simulation that asks for too much drive passes",
         "pre_run",
         "if tracking.largest_u_V > guard.limits.max_u_V:",
         "if False:",
@@ -307,7 +307,7 @@ SESSION = of(
     (
         "nobody says that the e-stop was pressed since the last run",
         "_begin",
-        "notes=said)",
+        "notes=first_notes)",
         "notes=[])",
         _ends("test_what_the_device_had_latched_since_the_last_run_is_said"),
     ),
