@@ -73,7 +73,7 @@ class Run(Recording):
 
     def plot(self) -> Figure:
         """Position and drive over time, with stages, cycles and faults; a figure of matplotlib, which is not shown."""
-        run = source.Run(self.source, self, self.meta, self.result or RunResult(), events=self.events)
+        run = source.ReportedRun(self.source, self, self.meta, self.result or RunResult(), events=self.events)
         with style():
             return laid_out(whole_run_figure(run)[0])
 
@@ -118,7 +118,7 @@ class Found(Identification):
 
         A hollow mark is an estimate whose verdict is not ok. Raises ValueError where there is no estimate.
         """
-        run = source.Run(Path(), None, RunMeta(), self._result())
+        run = source.ReportedRun(Path(), None, RunMeta(), self._result())
         try:
             with style():
                 return laid_out(forest_figure(run))
@@ -139,7 +139,7 @@ class Found(Identification):
 def _table(result: RunResult, meta: RunMeta | None = None) -> list[list[str]]:
     """The estimates, a row each; a refusal gives no number."""
     rows = []
-    for row in estimate_rows(source.Run(Path(), None, meta or RunMeta(), result)):
+    for row in estimate_rows(source.ReportedRun(Path(), None, meta or RunMeta(), result)):
         numbers = [f"{quantity.text} {quantity.plus_minus}".strip() for quantity in row.quantities[:3]]
         rows.append([row.method, *(["–"] * 3 if row.verdict == "refused" else numbers), row.verdict])
     return rows

@@ -208,7 +208,7 @@ class BreakawaySection(_Section):
     )
 
 
-class RelayGains(_Section):
+class RelayGainsSection(_Section):
     """Gains of the dual-channel relay."""
 
     h1_V: Positive = Field(description="gain on the sign of the position")
@@ -254,7 +254,7 @@ class RelaySection(_Section):
     """The relay experiment: gains given, or searched for a target; or, or besides, runs of a hysteretic relay."""
 
     target: RelayTarget | None = Field(None, description="search gains that give this limit cycle; or give `gains`")
-    gains: Annotated[tuple[RelayGains, ...], Field(min_length=1, max_length=4)] | None = Field(
+    gains: Annotated[tuple[RelayGainsSection, ...], Field(min_length=1, max_length=4)] | None = Field(
         None, description="one relay test for each pair; without it the gains are searched"
     )
     where: Literal["host", "device"] = Field(
@@ -320,7 +320,7 @@ class TrackingSection(_Section):
     )
 
 
-class OwnLaw(_Section):
+class LawSection(_Section):
     """A law of a user's own, which a package offers as entry point of the group `rig.laws`."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=40)] = Field(
@@ -433,7 +433,7 @@ class Experiment(_Section):
     breakaway: BreakawaySection = Field(BreakawaySection(), description="the check before any relay")
     relay: RelaySection = Field(description="the relay experiment")
     tracking: TrackingSection | None = Field(None, description="leave out to skip the tracking check")
-    law: OwnLaw | None = Field(
+    law: LawSection | None = Field(
         None, description="a law of your own: `rig run` runs the breakaway check and this law, and nothing else"
     )
     emulated: Emulated | None = Field(None, description="the bench behind `driver: simulated` or `port: emulated`")

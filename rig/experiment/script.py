@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rig.backends.registry import Bench, backend_of, connect
 from rig.config import Experiment
-from rig.config.schema import OwnLaw
+from rig.config.schema import LawSection
 from rig.control.law import Timed
 from rig.control.laws import construct
 from rig.experiment.stages import drive_by_hand, drive_check, drive_law, drive_tests, identify_recorded, verify_models
@@ -53,7 +53,7 @@ def run_law(
     return record(experiment, parent, what, script, on_start, again)
 
 
-def configured_law(section: OwnLaw) -> Timed:
+def configured_law(section: LawSection) -> Timed:
     """The law that the section `law` of a config names, made anew. Raises as ``rig.control.laws.construct``."""
     return Timed(construct(section.name, section.options), section.duration_s, section.name)
 

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from rig.backends.registry import backend_of
 from rig.config.messages import unplaced
 from rig.config.problems import Path, Problem, bracketed, printable, wrong
-from rig.config.schema import Experiment, RelayGains, RelayTarget
+from rig.config.schema import Experiment, RelayGainsSection, RelayTarget
 from rig.config.sensor import count_rad, range_rad
 from rig.control.laws import OptionError, construct, registered
 from rig.plug_ins import PlugInError
@@ -252,8 +252,8 @@ def _gains(e: Experiment) -> Iterator[Problem]:
     if e.relay.gains is None and e.relay.target is None:
         return
     if e.relay.gains is None:
-        start = RelayGains(h1_V=s.h1_start_V, h2_V=s.h2_start_V)
-        pairs: list[tuple[Path, RelayGains, str]] = [(("relay", "search"), start, "_start_V")]
+        start = RelayGainsSection(h1_V=s.h1_start_V, h2_V=s.h2_start_V)
+        pairs: list[tuple[Path, RelayGainsSection, str]] = [(("relay", "search"), start, "_start_V")]
     else:
         pairs = [(("relay", "gains", k), g, "_V") for k, g in enumerate(e.relay.gains)]
     for path, gains, ending in pairs:

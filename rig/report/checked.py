@@ -7,12 +7,12 @@ import math
 import numpy as np
 from matplotlib.axes import Axes
 
-from rig.report.source import Array, Run
+from rig.report.source import Array, ReportedRun
 from rig.report.style import INK, LIMIT, MEASURED, MUTED, AbsentError, Picture, colour, new_figure, note, render
 from rig.results import known
 
 
-def tracking(run: Run) -> Picture:
+def tracking(run: ReportedRun) -> Picture:
     """Wanted and measured position, and the error: a column per model, on the same axes.
 
     Raises AbsentError if no model tracked.
@@ -57,7 +57,7 @@ def tracking(run: Run) -> Picture:
     )  # fmt: skip
 
 
-def loop_timing(run: Run) -> Picture:
+def loop_timing(run: ReportedRun) -> Picture:
     """Histograms of lateness and link time, counts on a logarithmic scale, with percentiles.
 
     Raises AbsentError in virtual time, and if neither was recorded.

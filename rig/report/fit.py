@@ -17,7 +17,7 @@ from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.recording.errors import IdentifyError, RecordingError
 from rig.recording.series import TimeSeries
-from rig.report.source import Array, Run, Span
+from rig.report.source import Array, ReportedRun, Span
 from rig.results import EstimateResult, known
 
 PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
@@ -78,7 +78,7 @@ def central_difference(t: Array, y: Array) -> Array:
     return np.where(np.isfinite(v), v, np.nan)
 
 
-def cycles_of(run: Run, span: Span) -> Cycles | None:
+def cycles_of(run: ReportedRun, span: Span) -> Cycles | None:
     """Whole settled cycles of a relay test, as identification finds them; None if it finds none.
 
     A cycle starts where the integral crosses zero downwards: the drive steps up to h1 + h2 (docs/theory.md 3.1). The
@@ -112,7 +112,7 @@ def motor_of(estimate: EstimateResult | None) -> Motor | None:
     return Motor(tau, gain, Friction(fc, fc, fc, fc), bias_V=asym if math.isfinite(asym) else 0.0)
 
 
-def predict_cycles(run: Run, estimate: EstimateResult | None, cycles: Cycles) -> list[Predicted]:
+def predict_cycles(run: ReportedRun, estimate: EstimateResult | None, cycles: Cycles) -> list[Predicted]:
     """Predict each cycle under its recorded drive, from the start (v0, y0) that fits best; empty without a model."""
     motor = motor_of(estimate)
     if motor is None:
@@ -161,7 +161,7 @@ def average(phase: Array, values: Array, bins: int) -> tuple[Array, Array, Array
     return centre[full] / count[full], total[full] / count[full], count[full].astype(float)
 
 
-def fits_of(run: Run, identification: Identification | None = None) -> tuple[dict[str, Estimate], str]:
+def fits_of(run: ReportedRun, identification: Identification | None = None) -> tuple[dict[str, Estimate], str]:
     """Estimates with their residuals and recursions; or none, and a sentence that says why.
 
     identification  of this recording; None: identify it here

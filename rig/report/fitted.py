@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from rig.identify.estimate import Estimate
 from rig.report.fit import PARAMETERS, average, cycles_of, motor_of, predict_cycles
-from rig.report.source import Array, Run, Span
+from rig.report.source import Array, ReportedRun, Span
 from rig.report.style import (
     INK,
     MEASURED,
@@ -33,7 +33,7 @@ LABELS = {"tau_s": "τ, s", "K_rad_s_V": "K, (rad/s)/V", "fc_V": r"$\mathbf{f_c}
 LONGEST_LAG = 60
 
 
-def averaged_cycle(run: Run, span: Span) -> Picture:
+def averaged_cycle(run: ReportedRun, span: Span) -> Picture:
     """One relay test: the averaged cycle, each model's prediction over it, the residual below.
 
     Raises AbsentError without two settled cycles or without a model.
@@ -84,7 +84,7 @@ def averaged_cycle(run: Run, span: Span) -> Picture:
     )  # fmt: skip
 
 
-def residuals(run: Run, method: str, fits: Mapping[str, Estimate]) -> Picture:
+def residuals(run: ReportedRun, method: str, fits: Mapping[str, Estimate]) -> Picture:
     """Residual of one estimator over time, its histogram, and its autocorrelation with the band of white noise.
 
     Raises AbsentError without a residual.
@@ -150,7 +150,7 @@ def autocorrelation(pieces: list[Array], longest: int) -> tuple[Array, Array]:
     return lags.astype(float), np.array(values)
 
 
-def forest(run: Run) -> Picture:
+def forest(run: ReportedRun) -> Picture:
     """Estimates of tau, K and f_c side by side with their 95 % intervals, and the truth if it is known.
 
     Raises AbsentError without an estimate.
@@ -163,7 +163,7 @@ def forest(run: Run) -> Picture:
     )  # fmt: skip
 
 
-def forest_figure(run: Run) -> Figure:
+def forest_figure(run: ReportedRun) -> Figure:
     """``forest`` before it is laid out. Raises AbsentError without an estimate."""
     estimates = {m: e for m, e in run.estimates.items() if any(math.isfinite(known(e.value(k))) for k in PARAMETERS)}
     if not estimates:

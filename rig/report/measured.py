@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
 from rig.report.fit import central_difference, cycles_of, predict_cycles
-from rig.report.source import Array, Run, Span
+from rig.report.source import Array, ReportedRun, Span
 from rig.report.style import (
     BANDS,
     DRIVE,
@@ -35,7 +35,7 @@ from rig.report.style import (
 from rig.results import BreakawayResult, SearchStepResult, known
 
 
-def whole_run(run: Run) -> Picture:
+def whole_run(run: ReportedRun) -> Picture:
     """Position and drive over time: stages, limits, cycles, faults."""
     figure, count = whole_run_figure(run)
     cycles_words = f" Triangles mark the starts of the {count} relay cycles used." if count else ""
@@ -45,7 +45,7 @@ def whole_run(run: Run) -> Picture:
     )  # fmt: skip
 
 
-def whole_run_figure(run: Run) -> tuple[Figure, int]:
+def whole_run_figure(run: ReportedRun) -> tuple[Figure, int]:
     """``whole_run`` before it is laid out; and how many relay cycles it marks."""
     t, y, u = run.rows.t_s, run.rows.y_rad, run.rows.u_V
     figure = new_figure(4.9)
@@ -81,7 +81,7 @@ def whole_run_figure(run: Run) -> tuple[Figure, int]:
     return figure, count
 
 
-def _limits(axes: Axes, run: Run) -> None:
+def _limits(axes: Axes, run: ReportedRun) -> None:
     soft, hard = run.config.soft_rad, run.config.hard_rad
     for limits, style, words in ((soft, (0, (5, 3)), "soft limit"), (hard, "-", "hard limit")):
         for k, value in enumerate(limits or ()):
@@ -109,7 +109,7 @@ def _stage_bands(panels: tuple[Axes, ...], t: Array, spans: list[Span]) -> None:
         )
 
 
-def relay_tests(run: Run) -> Picture:
+def relay_tests(run: ReportedRun) -> Picture:
     """The last periods of each relay test: position, its integral, the drive, and the order of the edges.
 
     Raises AbsentError without a relay test.
@@ -157,7 +157,7 @@ def relay_tests(run: Run) -> Picture:
     )  # fmt: skip
 
 
-def _last_periods(run: Run, span: Span, count: int) -> slice:
+def _last_periods(run: ReportedRun, span: Span, count: int) -> slice:
     """Rows of the last ``count`` whole cycles of a relay test; if none is settled, of its last 3 s."""
     cycles = cycles_of(run, span)
     if cycles is not None:
@@ -180,19 +180,19 @@ def _extrema(t: Array, y: Array, v: Array) -> Array:
     return np.array([t[a + int(np.argmax(np.abs(level[a:b])))] for a, b in pairwise(edges.tolist())])
 
 
-def velocity(run: Run) -> Array:
+def velocity(run: ReportedRun) -> Array:
     """Velocity of the shaft, rad/s: the tachometer's, or without one the central difference of the position."""
     if has_tachometer(run):
         return run.rows.v_rad_per_s
     return central_difference(run.rows.t_s, run.rows.y_rad)
 
 
-def has_tachometer(run: Run) -> bool:
+def has_tachometer(run: ReportedRun) -> bool:
     """Whether nearly every row has a measured velocity."""
     return bool(np.isfinite(run.rows.v_rad_per_s).mean() > 0.9)
 
 
-def portraits(run: Run) -> Picture:
+def portraits(run: ReportedRun) -> Picture:
     """Phase portraits y-v and y-z of the relay tests, with the switching planes.
 
     Raises AbsentError without a relay test.
@@ -251,7 +251,7 @@ def _name_planes(axes: Axes, horizontal: str, ink: str) -> None:
                   textcoords="offset points", fontsize=7.5, color="#0072B2")  # fmt: skip
 
 
-def breakaway(run: Run) -> Picture:
+def breakaway(run: ReportedRun) -> Picture:
     """The breakaway strokes: drive and position over time, static friction marked.
 
     Raises AbsentError without a breakaway check.
@@ -322,7 +322,7 @@ def _strokes(y_rad: Array, u_V: Array, sign: float) -> tuple[Array, Array]:
     return np.array(level), np.array(moved)
 
 
-def gain_search(run: Run) -> Picture:
+def gain_search(run: ReportedRun) -> Picture:
     """The path of the gain search: h1 and h2 over time, and the amplitude and period that settled.
 
     Raises AbsentError if no step was noted.
@@ -372,7 +372,7 @@ def gain_search(run: Run) -> Picture:
     )  # fmt: skip
 
 
-def _search_steps(run: Run) -> list[SearchStepResult]:
+def _search_steps(run: ReportedRun) -> list[SearchStepResult]:
     """Steps of the search from the events; without any, from the result."""
     seen = run.events_of("search", SearchStepResult) or run.result.search or ()
     return [s for s in seen if all(math.isfinite(known(value)) for value in (s.t_s, s.h1_V, s.h2_V))]

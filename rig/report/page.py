@@ -15,7 +15,7 @@ from rig.recording.folder import write_whole
 from rig.recording.reader import Recording
 from rig.report import checked, fitted, measured, tables, transient
 from rig.report.fit import fits_of
-from rig.report.source import Run, load
+from rig.report.source import ReportedRun, load
 from rig.report.style import AbsentError, Picture, style
 from rig.report.words import headline, rounded
 from rig.results import RunResult
@@ -52,7 +52,7 @@ def write_report(
     return path
 
 
-def _identify_unfinished(run: Run) -> tuple[Run, Identification | None]:
+def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification | None]:
     """Identify a run that ended before its result. Returns the run with that result; None if there is nothing."""
     if run.recording is None or not (run.spans("relay") or run.spans("hysteretic")):
         return run, None
@@ -72,7 +72,7 @@ def _identify_unfinished(run: Run) -> tuple[Run, Identification | None]:
     return replace(run, result=result), found
 
 
-def render_page(run: Run, identification: Identification | None = None) -> str:
+def render_page(run: ReportedRun, identification: Identification | None = None) -> str:
     """The whole page as text; identifies the recording again unless ``identification`` is given."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.report", package_path="."),
@@ -100,7 +100,7 @@ def render_page(run: Run, identification: Identification | None = None) -> str:
     )
 
 
-def draw(run: Run, identification: Identification | None = None) -> dict[str, list[Figure]]:
+def draw(run: ReportedRun, identification: Identification | None = None) -> dict[str, list[Figure]]:
     """All figures by section. For a missing one: the sentence that says why."""
     with style():
         fits, trouble = fits_of(run, identification)

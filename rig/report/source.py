@@ -56,7 +56,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Run:
+class ReportedRun:
     """A run folder as far as it could be read.
 
     recording  the rows of samples.csv; None if it is missing or unusable
@@ -155,11 +155,11 @@ class Run:
         return [s for s in spans if s.stage and kind in ("", stage_kind(s.stage))]
 
 
-def load(folder: Path, known: Recording | None = None) -> Run:
+def load(folder: Path, known: Recording | None = None) -> ReportedRun:
     """Read a run folder.
 
     known  the rows that were read before, so that they are not parsed again
-    Raises FileNotFoundError if ``folder`` is no folder. All else that is missing goes into ``Run.missing``.
+    Raises FileNotFoundError if ``folder`` is no folder. All else that is missing goes into ``ReportedRun.missing``.
     """
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is not a run folder; give the path that `rig run` printed")
@@ -184,7 +184,7 @@ def load(folder: Path, known: Recording | None = None) -> Run:
         notes.append("The process that ran the loop was killed. The recording is complete to its last tick.")
     if recording is not None:  # the estimators compare its clock with the period in meta.json
         recording = replace(recording, source=folder, meta=meta)
-    return Run(folder, recording, meta, result, config, tuple(events), missing, notes)
+    return ReportedRun(folder, recording, meta, result, config, tuple(events), missing, notes)
 
 
 def _line(error: RecordingError) -> str:

@@ -8,7 +8,7 @@ from datetime import datetime
 
 from pydantic import JsonValue
 
-from rig.report.source import PREFERRED, Run
+from rig.report.source import PREFERRED, ReportedRun
 from rig.report.style import short
 from rig.report.words import PARAMETERS, Quantity, quantity, rounded
 from rig.results import Quantiles, known
@@ -70,7 +70,7 @@ class TrackingRow:
     reason: str
 
 
-def estimates(run: Run) -> list[EstimateRow]:
+def estimates(run: ReportedRun) -> list[EstimateRow]:
     """The estimates, the preferred first."""
     table = []
     for method, e in run.estimates.items():
@@ -92,7 +92,7 @@ def estimates(run: Run) -> list[EstimateRow]:
     return table
 
 
-def relays(run: Run) -> list[StageRow]:
+def relays(run: ReportedRun) -> list[StageRow]:
     """The relay tests of the result."""
     return [
         StageRow(
@@ -103,7 +103,7 @@ def relays(run: Run) -> list[StageRow]:
     ]
 
 
-def friction_law(run: Run) -> LawTable | None:
+def friction_law(run: ReportedRun) -> LawTable | None:
     """The friction laws, a line each, and why one was chosen; None if there are none."""
     found = run.result.friction_law
     if found is None or not found.rungs:
@@ -117,7 +117,7 @@ def friction_law(run: Run) -> LawTable | None:
     return LawTable(lines, [*words, *found.record], (found.held_out or "").replace("-", " "))
 
 
-def hysteretic(run: Run) -> list[StageRow]:
+def hysteretic(run: ReportedRun) -> list[StageRow]:
     """The hysteretic runs of the result, in V, rad, mrad, s and rad."""
     return [
         StageRow(
@@ -134,7 +134,7 @@ def hysteretic(run: Run) -> list[StageRow]:
     ]
 
 
-def tracking(run: Run) -> list[TrackingRow]:
+def tracking(run: ReportedRun) -> list[TrackingRow]:
     """The tracking checks, the preferred model first; errors in mrad."""
     table = []
     outcomes = run.result.tracking
@@ -147,7 +147,7 @@ def tracking(run: Run) -> list[TrackingRow]:
     return table
 
 
-def loop(run: Run) -> list[tuple[str, Cell]]:
+def loop(run: ReportedRun) -> list[tuple[str, Cell]]:
     """Heading and cell of each column of the loop's table; empty if the result has no loop."""
     timing = run.result.loop
     if timing is None:
@@ -164,7 +164,7 @@ def loop(run: Run) -> list[tuple[str, Cell]]:
     return cells
 
 
-def started(run: Run) -> str:
+def started(run: ReportedRun) -> str:
     """When the run started, in words; empty if meta.json does not say."""
     try:
         utc = datetime.fromisoformat(run.meta.started_utc or "")
@@ -173,7 +173,7 @@ def started(run: Run) -> str:
     return f"{utc:%Y-%m-%d %H:%M:%S} UTC"
 
 
-def facts(run: Run) -> list[tuple[str, str]]:
+def facts(run: ReportedRun) -> list[tuple[str, str]]:
     """What meta.json says, in words: (name, value) pairs in its order."""
     pairs = [
         (key.replace("_", " "), _in_words(value))

@@ -12,7 +12,7 @@ from rig.identify.estimate import Estimate
 from rig.identify.least_squares import Transient
 from rig.identify.preprocessing import from_recording
 from rig.recording.errors import IdentifyError
-from rig.report.source import Run
+from rig.report.source import ReportedRun
 from rig.report.style import (
     INK,
     MUTED,
@@ -34,7 +34,7 @@ MARKS = "osD^v<>P"
 NO_RUNS = "There was no hysteretic run."
 
 
-def transients(run: Run) -> list[Transient]:
+def transients(run: ReportedRun) -> list[Transient]:
     """The hysteretic runs as the estimator reads them, without those that it cannot read."""
     found = []
     for span in run.spans("hysteretic"):
@@ -46,7 +46,7 @@ def transients(run: Run) -> list[Transient]:
     return found
 
 
-def first_transients(run: Run) -> Picture:
+def first_transients(run: ReportedRun) -> Picture:
     """Position of each run around its transient; and all of them divided by d - f, which gives one curve.
 
     Raises AbsentError without a hysteretic run.
@@ -96,7 +96,7 @@ def first_transients(run: Run) -> Picture:
     )  # fmt: skip
 
 
-def recursion(run: Run, fits: Mapping[str, Estimate]) -> Picture:
+def recursion(run: ReportedRun, fits: Mapping[str, Estimate]) -> Picture:
     """The friction after each sample of the recursion, its final interval, and the truth.
 
     Raises AbsentError without a recursion.

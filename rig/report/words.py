@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from rig.report.source import Run
+from rig.report.source import ReportedRun
 from rig.results import BreakawayResult, EstimateResult, known
 
 NOTHING_TO_IDENTIFY = "nothing to identify"  # begins the note of a run without an estimate
@@ -130,7 +130,7 @@ def quantity(parameter: Parameter, estimate: EstimateResult, truth: dict[str, fl
     return Quantity(parameter, exact, rounded(value, half), between, plus_minus, relative, error)
 
 
-def headline(run: Run) -> Headline:
+def headline(run: ReportedRun) -> Headline:
     """Headline of the run: verdict, the three parameters, why, and what to do next."""
     method, estimate = next(iter(run.estimates.items()), ("", EstimateResult()))
     if estimate == EstimateResult():
@@ -173,7 +173,7 @@ def headline(run: Run) -> Headline:
     return Headline(outcome, title, tuple(sentences), reasons, tuple(next_steps), method, quantities)
 
 
-def _plain_words(quantities: tuple[Quantity, ...], run: Run) -> list[str]:
+def _plain_words(quantities: tuple[Quantity, ...], run: ReportedRun) -> list[str]:
     tau, gain, friction = (q.exact for q in quantities)
     if tau is None or gain is None or friction is None:
         return []
@@ -195,7 +195,7 @@ def _command(*parts: str | Path) -> str:
     return shlex.join(["rig", *map(str, parts)])
 
 
-def _drive_with(run: Run) -> Step:
+def _drive_with(run: ReportedRun) -> Step:
     if not run.config.tracks:
         return Step("To drive the bench with this model, add a section `tracking` to the config and run it again.")
     if run.recording is None:
@@ -204,14 +204,14 @@ def _drive_with(run: Run) -> Step:
     return Step("Drive the bench with this model:", command)
 
 
-def _again(run: Run, text: str) -> Step:
+def _again(run: ReportedRun, text: str) -> Step:
     """The advice to run the whole experiment, with its command if the config is there."""
     if not run.config.is_there:
         return Step(f"{text}.")
     return Step(f"{text}:", _command("run", run.folder / "config.yaml"))
 
 
-def _nothing(run: Run) -> Headline:
+def _nothing(run: ReportedRun) -> Headline:
     """Headline of a run without an estimate: why it has none, or what else the run did."""
     script = run.meta.script
     jogged = script is not None and script.name == "jog"

@@ -36,7 +36,7 @@ from rig.backends.serial.frames import (
 from rig.backends.serial.relay_stream import FirmwareRelay
 from rig.calibration import DriveMap
 from rig.config import load
-from rig.config.schema import Experiment, RelayGains, RelaySection
+from rig.config.schema import Experiment, RelayGainsSection, RelaySection
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard, GuardSettings
 from rig.control.law import Constant
@@ -511,7 +511,7 @@ def board_of(experiment: Experiment) -> VirtualBoard:
 @pytest.mark.parametrize("where", ["host", "device"])
 def test_the_experiment_runs_either_way_by_one_key(where: Literal["host", "device"], tmp_path: Path) -> None:
     experiment = load(Path(__file__).parents[2] / "config" / "device-relay.yaml")
-    relay = RelaySection(where=where, gains=(RelayGains(h1_V=0.4, h2_V=0.85),), cycles=5)
+    relay = RelaySection(where=where, gains=(RelayGainsSection(h1_V=0.4, h2_V=0.85),), cycles=5)
     with on_device(board_of):
         outcome = rig.experiment.run_relay(experiment.model_copy(update={"relay": relay}), tmp_path)
     assert outcome.failure == ""

@@ -10,14 +10,14 @@ import pytest
 
 from rig.identify.estimate import Estimate
 from rig.report import fitted, transient
-from rig.report.source import Run
+from rig.report.source import ReportedRun
 from rig.report.style import AbsentError, style
 from rig.report.words import headline
 from rig.results import EstimateResult, RunMeta, RunResult
 
 
-def run_with(estimate: EstimateResult) -> Run:
-    return Run(Path("run"), None, RunMeta(backend="here"), RunResult(estimates={"least-squares": estimate}))
+def run_with(estimate: EstimateResult) -> ReportedRun:
+    return ReportedRun(Path("run"), None, RunMeta(backend="here"), RunResult(estimates={"least-squares": estimate}))
 
 
 def friction(**changes: Any) -> Estimate:
