@@ -53,7 +53,7 @@ def test_a_bench_that_is_told_otherwise_is_said_at_the_end_of_the_run_and_in_its
     result, shown = relay_run(tmp_path, {}, supply_V=10.0)
     estimate, truth = result["estimates"]["sampled-data"], result["truth"]
     assert estimate["K_rad_s_V"] == pytest.approx(truth["K_rad_s_V"] * 10.0 / 12.0, rel=0.03)
-    note = "the emulated bridge gives 10 V, the config believes 12 V: K and f_c will come out scaled"
+    note = "the emulated bridge gives 10 V, by the config it gives 12 V: K and f_c will come out scaled"
     assert result["config_notes"] == [note]
     assert f"note: {note}\n" in shown
     report = next((tmp_path / "runs").glob("*/report.html")).read_text(encoding="utf-8")

@@ -215,7 +215,7 @@ def test_units_wrong_by_a_thousand_either_way_are_refused_with_a_question(
         (lambda c: {"u_V": np.full_like(c["u_V"], 0.3)}, "the drive never changes"),
         (lambda c: {"y_rad": np.clip(c["y_rad"], -1.0, np.quantile(c["y_rad"], 0.9))}, "stays at exactly"),
         (lambda c: {"y_rad": np.round(c["y_rad"], 1)}, ""),
-        (lambda c: {"y_rad": c["y_rad"] + (np.arange(c["y_rad"].size) == 700) * 0.2}, "stands out"),
+        (lambda c: {"y_rad": c["y_rad"] + (np.arange(c["y_rad"].size) == 700) * 0.2}, "from the rows around it"),
         (lambda c: {"t_u_s": c["t_u_s"] * 1e3}, "one clock"),
         (lambda c: {"t_u_s": c["t_u_s"] - 5.0}, "one clock"),
         (lambda c: {"u_V": np.roll(c["u_V"], 1)}, "t_u_s"),

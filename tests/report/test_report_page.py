@@ -320,7 +320,7 @@ def test_the_nested_friction_laws_are_a_table_with_its_reason(run: Path) -> None
 
 def test_the_notes_of_rig_check_stand_above_the_result(run: Path) -> None:
     (run / "samples.csv").unlink()
-    note = "the emulated bridge gives 8 V, the config believes <12> V: K and f_c will come out scaled"
+    note = "the emulated bridge gives 8 V, by the config it gives <12> V: K and f_c will come out scaled"
     edit(run / "result.json", lambda r: r.update(config_notes=[note]))
     words = page_of(run).words
     assert words.index("Notes of rig check on this config") < words.index(note[1:]) < words.index("The motor is")
