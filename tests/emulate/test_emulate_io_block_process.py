@@ -213,7 +213,7 @@ def test_stopping_it_cuts_the_drive_and_removes_its_link(tmp_path: Path) -> None
         client.write_registers(WATCHDOG, list(LONG_WATCHDOG), device_id=1)
         client.write_register(CONTROL, 1, device_id=1)
         client.write_register(DRIVE, 200, device_id=1)
-    with pytest.raises(EmulationError, match="runs already"):
+    with pytest.raises(EmulationError, match="already runs"):
         start(board, tcp=False)
     with pytest.raises(EmulationError, match="is the link of a device that exists"):
         start(ModbusBoard(), tcp=False, link=link)
@@ -231,7 +231,7 @@ def test_what_cannot_start_says_why(tmp_path: Path) -> None:
         start(ModbusBoard(), tcp=True, trace=tmp_path / "none" / "trace.csv")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         number = taken.getsockname()[1]
-        with pytest.raises(EmulationError, match=f"port {number} of this machine: another program has it; end what"):
+        with pytest.raises(EmulationError, match=f"port {number} of this machine: another program has it; end that program"):
             ModbusBoard().start(modbus(), emulated(), 1, tcp_port=number)
     with pytest.raises(EmulationError, match="cannot have a symbolic link"):
         start(ModbusBoard(), tcp=True, link=tmp_path / "other")
