@@ -231,7 +231,9 @@ def test_what_cannot_start_says_why(tmp_path: Path) -> None:
         start(ModbusBoard(), tcp=True, trace=tmp_path / "none" / "trace.csv")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         number = taken.getsockname()[1]
-        with pytest.raises(EmulationError, match=f"port {number} of this machine: another program has it; end that program"):
+        with pytest.raises(
+            EmulationError, match=f"port {number} of this machine: another program has it; end that program"
+        ):
             ModbusBoard().start(modbus(), emulated(), 1, tcp_port=number)
     with pytest.raises(EmulationError, match="cannot have a symbolic link"):
         start(ModbusBoard(), tcp=True, link=tmp_path / "other")
