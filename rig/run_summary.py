@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import platform
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
+from operator import index
 from pathlib import Path
 
 from rig.backends.registry import Bench, backend_of
@@ -106,6 +108,7 @@ def run_result(
 ) -> RunResult:
     """result.json of a run that has come to its end or to a fault."""
     own = found.of_this_run
+    link, not_counts = _link_counts(bench.driver.link_statistics)
     return RunResult(
         version=VERSION,
         backend=bench.driver.backend,
@@ -113,10 +116,10 @@ def run_result(
         estimates=_estimates(found),
         tracking=dict(found.tracking),
         loop=_loop(statistics, found.real_time),
-        link=dict(bench.driver.link_statistics),
+        link=link,
         faults=_faults(fault),
         config_notes=tuple(notes(experiment)),
-        notes=_notes(found),
+        notes=(*_notes(found), *not_counts),
         hysteretic=None if own is None else _hysteretic(own, experiment),
         models_from=None if found.models_from is None else str(found.models_from),
         breakaway=None if found.breakaway is None else _breakaway(found.breakaway, own),
@@ -184,6 +187,17 @@ def _faults(fault: Fault | None) -> tuple[FaultReport, ...]:
     if fault is None:
         return ()
     return (FaultReport(code=fault.code, cause=fault.cause, cure=fault.cure, detail=fault.detail),)
+
+
+def _link_counts(told: Mapping[str, object]) -> tuple[dict[str, int], list[str]]:
+    """The driver's counts, and a note on each that is no whole number: other packages may give any value."""
+    counts, notes = {}, []
+    for name, value in told.items():
+        try:
+            counts[str(name)] = index(int(value) if isinstance(value, float) and value.is_integer() else value)  # type: ignore[arg-type]  # refused below
+        except TypeError:
+            notes.append(f"the driver counts {name!r} as {value!r}, which is no whole number: left out of `link`")
+    return counts, notes
 
 
 def _notes(found: Findings) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from operator import index
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from rig.calibration import Calibration, DriveMap
@@ -45,6 +46,11 @@ class DeviceInfo:
         # these texts come from the device and go to terminals
         for name in ("build", "board", "reset_cause"):
             object.__setattr__(self, name, plain(getattr(self, name)))
+        # a driver of another package may hold numpy's numbers
+        for name in ("clock_ratio", "round_trip_s", "supply_V"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+        if self.drive_units is not None:
+            object.__setattr__(self, "drive_units", index(self.drive_units))
 
 
 @dataclass(frozen=True)

@@ -80,14 +80,14 @@ class Timed:
     law         it; its first sample is that of its first tick
     duration_s  after which it ends, s, > 0; it ends before where it says ``finished``
     name        what the record calls it
-    Raises ValueError where the time is not > 0, or ``law`` has no ``step``.
+    Raises ValueError where the time is not > 0 or has no end, or ``law`` has no ``step``.
     """
 
     def __init__(self, law: OwnLaw, duration_s: float, name: str) -> None:
         if not callable(getattr(law, "step", None)):
             raise ValueError(f"{name} is no law: it has no method step(sample) that returns volts")
-        if not duration_s > 0.0:
-            raise ValueError(f"the law {name} needs a duration > 0 s, not {duration_s}")
+        if not 0.0 < duration_s < math.inf:
+            raise ValueError(f"the law {name} needs a duration > 0 s that ends, not {duration_s}")
         self.law = law
         self.duration_s = duration_s
         self.name = name
