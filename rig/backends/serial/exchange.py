@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from rig.backends.driver import Transport
 from rig.backends.serial import frames
 from rig.backends.serial.frames import Kind, Packet
@@ -56,9 +58,12 @@ class Exchange:
         transport = self.transport
         self.exchanges += 1
         bad_frames = self.reader.bad_frames
-        while (left_s := until_s - transport.now_s()) > 0.0:
+        left_s = math.inf
+        while left_s > 0.0:
+            # also after the time-out: a process that was stopped meanwhile has not seen yet what has arrived
+            left_s = until_s - transport.now_s()
             reply = None
-            for packet in self.reader.feed(transport.read(left_s)):
+            for packet in self.reader.feed(transport.read(max(left_s, 0.0))):
                 if (
                     reply is None
                     and packet.seq in seqs
