@@ -19,9 +19,9 @@ from numba import njit
 from numba.core.caching import FunctionCache
 from numba.extending import register_jitable
 
-from rig.model import step, stribeck
+from rig.model import real_step, step, stribeck
 
-PARTS: tuple[ModuleType, ...] = (stribeck, step)  # whose functions the loops may call
+PARTS: tuple[ModuleType, ...] = (stribeck, step, real_step)  # whose functions the loops may call
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -1,0 +1,164 @@
+"""Real motors: what their sensor reads under a recorded drive, and its derivatives by a chosen part of their numbers.
+
+``RealMotor`` names the numbers and ``PARTS`` the parts that they make up (docs/theory.md 12).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.model.motor import Motor
+from rig.model.real_step import Frame as Frame
+from rig.model.real_step import Numbers
+from rig.model.real_step import RealMotor as RealMotor
+
+Array = NDArray[np.float64]
+
+# The parts by their names in a result, each with its numbers.
+PARTS: dict[str, tuple[str, ...]] = {
+    "dead_band": ("dead_band_V",),
+    "gain_by_sign": ("gain_by_sign",),
+    "sag": ("sag_per_V",),
+    "lag": ("lag_s",),
+    "viscous_by_direction": ("viscous_by_direction_V_s_rad",),
+    "static": ("static_V",),
+    "stribeck": ("stribeck_V", "stribeck_rad_s"),
+    "drag": ("drag_V_s2_rad2",),
+    "bristle": ("bristle_V_rad",),
+    "force_over_position": ("force_sin_V", "force_cos_V"),
+    "friction_over_position": ("friction_sin_V", "friction_cos_V"),
+    "cogging": ("cogging_sin_V", "cogging_cos_V", "cogging_per_rad"),
+    "backlash": ("backlash_rad",),
+    "linearity": ("linearity_sin1_rad", "linearity_cos1_rad", "linearity_sin2_rad", "linearity_cos2_rad"),
+    "drift": ("drift",),
+}
+AT_LEAST_ZERO = ("fc_V", "dead_band_V", "lag_s", "static_V", "stribeck_rad_s", "bristle_V_rad", "backlash_rad")
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """A record in p pieces, each with its own start. The drive before a piece decides how its lag starts.
+
+    first_row     first sample of each piece, (p,), increasing from 0 on
+    v0_rad_per_s  velocity there, (p,)
+    y0_rad        position there, (p,), behind the backlash and before the sensor's linearity
+    side          where the play stands, (p,), -1 to 1: 1 after a motion towards +y; default: in its middle
+    bent          how far the bristles are bent, (p,), -1 to 1: 1 in a motion towards +y; 0 (default): they balance the
+                  drive, as in a motor at rest
+    Raises ValueError on arrays of other shapes.
+    """
+
+    first_row: NDArray[np.int64]
+    v0_rad_per_s: Array
+    y0_rad: Array
+    side: Array | None = None
+    bent: Array | None = None
+
+    def __post_init__(self) -> None:
+        given = (self.v0_rad_per_s, self.y0_rad, self.side, self.bent)
+        if any(a is not None and a.shape != self.first_row.shape for a in given) or self.first_row.ndim != 1:
+            raise ValueError("all arrays of the pieces need one entry for each piece")
+        if self.first_row.size == 0 or self.first_row[0] != 0 or np.any(np.diff(self.first_row) <= 0):
+            raise ValueError("first_row must increase from 0 on")
+
+    @classmethod
+    def one(cls, v0_rad_per_s: float = 0.0, y0_rad: float = 0.0) -> Pieces:
+        """The whole record as one piece. Velocity, rad/s, and position, rad, are those at its first sample."""
+        sign = float(np.sign(v0_rad_per_s))
+        v0, y0, side = np.array([v0_rad_per_s]), np.array([y0_rad]), np.array([sign])
+        return cls(np.zeros(1, dtype=np.int64), v0.astype(float), y0.astype(float), side, side)
+
+
+class Readings(NamedTuple):
+    """Readings of the sensor, rad, and their derivatives in bordered form.
+
+    y_rad      (n,)
+    by_number  (n, m), by the m free numbers, in the order in which they were asked for
+    by_start   (n, 2), by v0, rad/s, and y0, rad, of the piece that the row is in; 0 by those of other pieces
+    """
+
+    y_rad: Array
+    by_number: Array
+    by_start: Array
+
+
+def index(name: str) -> int:
+    """Place of a number in the vector, and in a Jacobian of all numbers. Raises ValueError on an unknown name."""
+    return RealMotor._fields.index(name)
+
+
+def plain(motor: Motor) -> RealMotor:
+    """A motor without parts, apart from a static level and the Stribeck effect, as a real one.
+
+    Raises ValueError where the Stribeck effect or the static level differ by direction.
+    """
+    f = motor.friction
+    step = f.static_plus_V - f.plus_V
+    if abs(step - (f.static_minus_V - f.minus_V)) > 1e-12:
+        raise ValueError("static friction must be above Coulomb friction by the same voltage in both directions")
+    real = RealMotor(motor.tau_eff_s, motor.K_eff_rad_s_V, f.fc_V, motor.asym_V)
+    if f.falls_with_speed:
+        return real._replace(stribeck_V=step, stribeck_rad_s=f.stribeck_rad_s)
+    return real._replace(static_V=step)
+
+
+def response(motor: RealMotor, frame: Frame, drive: tuple[Array, Array], t_s: Array, pieces: Pieces) -> Array:
+    """Readings of the sensor at the times ``t_s`` (n, s, increasing, n >= 1), (n,), rad; compiled.
+
+    drive   m edges, s, non-decreasing, and m drives, V, each from its edge on, m >= 1. Before the first edge the drive
+            is the first one.
+    Raises ValueError on numbers out of range.
+    """
+    return _readings(motor, frame, drive, t_s, pieces, None).y_rad
+
+
+def response_and_jacobian(
+    motor: RealMotor, frame: Frame, drive: tuple[Array, Array], t_s: Array, pieces: Pieces, free: Sequence[int]
+) -> Readings:
+    """``response``, with derivatives by the numbers at the places ``free`` (see ``index``), and by each piece's start.
+
+    Derivatives are exact, except where a number decides *whether* the motor sticks. A part may be at 0 and free, except
+    the bristles; the Stribeck effect and cogging then need their velocity and order.
+    """
+    return _readings(motor, frame, drive, t_s, pieces, free)
+
+
+def _readings(
+    motor: RealMotor, frame: Frame, drive: tuple[Array, Array], t_s: Array, pieces: Pieces, free: Sequence[int] | None
+) -> Readings:
+    """Both; no derivatives where ``free`` is None."""
+    from rig.model.compiled import real_motion
+
+    numbers = _checked(motor, frame)
+    p, n = pieces.first_row.size, t_s.size
+    columns = 0 if free is None else len(free) + 2
+    y, jacobian = np.empty(n), np.empty((n, columns))
+    starts = np.zeros((p, 4))
+    starts[:, 0], starts[:, 1] = pieces.v0_rad_per_s, pieces.y0_rad
+    if pieces.side is not None:
+        starts[:, 2] = pieces.side
+    if pieces.bent is not None:
+        starts[:, 3] = pieces.bent
+    which = np.array(free if free is not None else (), dtype=np.int64)
+    edges, drives = drive
+    real_motion.readings(numbers, (edges, drives), t_s, (pieces.first_row, starts), which, (y, jacobian))
+    return Readings(y, jacobian[:, : max(columns - 2, 0)], jacobian[:, max(columns - 2, 0) :])
+
+
+def _checked(motor: RealMotor, frame: Frame) -> tuple[Numbers, Numbers]:
+    """Both as plain numbers. Raises ValueError on numbers out of range."""
+    numbers, constants = tuple(map(float, motor)), tuple(map(float, frame))
+    if not all(map(math.isfinite, numbers + constants)):
+        raise ValueError(f"all numbers of a motor and its frame must be finite, not {motor} in {frame}")
+    if not (motor.tau_s > 0.0 and motor.K_rad_s_V > 0.0 and frame.half_travel_rad > 0.0 and frame.duration_s > 0.0):
+        raise ValueError("tau_s, K_rad_s_V, the travel and the duration must be > 0")
+    below = [name for name in AT_LEAST_ZERO if getattr(motor, name) < 0.0]
+    if below:
+        raise ValueError(f"{', '.join(below)} must be at least 0")
+    return numbers, constants
