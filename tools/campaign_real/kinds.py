@@ -156,21 +156,21 @@ def case(campaign: Campaign, number: int, kinds: Sequence[Kind]) -> Case:
     rows = math.ceil((SETTLING + CYCLES + 1) * LONGEST_CYCLE * one.period_s / bench.period_s)
     span = rows * bench.period_s
     first, second = (
-        _recorded(relay_test(motor, departures, bench, gain, rows, (k * span, 2.0 * span), seed))
+        _recorded(relay_test(motor, departures, bench, gain, rows, (k * span, 2.0 * span), seed), k * span)
         for k, (gain, seed) in enumerate(zip(gains, seeds.spawn(2), strict=True))
     )
     return Case(number, tuple(kinds), departures, motor, bench, _truth(motor, departures, (first, second)), (first, second))
 
 
-def _recorded(record: Record) -> Record:
-    """The rows of the wanted cycles, after the settling ones. Times begin at 0."""
+def _recorded(record: Record, begin_s: float) -> Record:
+    """The rows of the wanted cycles, after the settling ones. Times are those of the run, which began the test then."""
     z = record.z_rad_s
     falls = np.flatnonzero((z[1:] < 0.0) & (z[:-1] >= 0.0))
     first = int(falls[SETTLING]) if falls.size > SETTLING else 0
     stop = int(falls[SETTLING + CYCLES]) + 2 if falls.size > SETTLING + CYCLES else z.size
     cut = slice(first, stop)
     return Record(
-        record.t_s[cut] - record.t_s[first],
+        begin_s + record.t_s[cut],
         record.y_rad[cut],
         record.u_V[cut],
         record.true_y_rad[cut],

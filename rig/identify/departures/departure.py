@@ -1,21 +1,22 @@
 """A departure of a real motor from the plain law, as identification sees it. Each is one file, and one line in a list.
 
-A departure is a part of ``rig.model.real_step.RealMotor`` whose numbers are 0 for the plain motor. Its effect on the
-recorded position is linear in its numbers while they are small. What is not linear, a speed or an order, is its
-``shape``: it starts from a few values, and is fitted with the rest.
+A departure is a part of ``rig.model.real_motor`` whose numbers are 0 for the plain motor. Its effect on the recorded
+position is linear in its numbers while they are small. What is not linear, a speed or an order, is its ``shape``: it
+starts from a few values, and is fitted with the rest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 NOTHING: Mapping[str, float] = {}
 
 
 @dataclass(frozen=True)
 class Bench:
-    """What the prior ranges of departures are measured in: sizes of one motor and its record.
+    """What the ranges of departures are measured in: sizes of one motor and its record.
 
     K_rad_s_V, fc_V     of the plain motor, (rad/s)/V and V
     largest_V           largest drive of the record, V
@@ -32,19 +33,17 @@ class Bench:
     linearity_rad: float
 
 
-@dataclass(frozen=True)
-class Departure:
+class Departure(ABC):
     """One law that a real motor may have beyond tau, K and Coulomb friction.
 
-    name            in results and configs
-    title           in sentences
-    cause           what it may come from, as a question to the user
-    unit            of its size
-    numbers         fields of ``RealMotor`` that are 0 without it
-    shape           its further fields, which are fitted with it but have no effect while ``numbers`` are 0
-    one_sided       whether its numbers are never below 0
-    confounded_with laws and parameters that look nearly alike in a relay test
-    told_by         what to record to tell it from these
+    name             in results
+    title            in sentences
+    cause            what it may come from, as a question to the user
+    unit             of its size
+    numbers          fields of ``RealMotor`` that are 0 without it; its size is their root sum of squares
+    shape            its further fields, fitted with it; they have no effect while ``numbers`` are 0
+    one_sided        whether its numbers are never below 0
+    told_by          what to record to tell it from laws that look alike
     """
 
     name: str
@@ -54,18 +53,16 @@ class Departure:
     numbers: tuple[str, ...]
     shape: tuple[str, ...] = ()
     one_sided: bool = False
-    confounded_with: tuple[str, ...] = ()
     told_by: str = "a relay test of another amplitude"
-    _: None = field(default=None, repr=False)
 
+    @abstractmethod
     def range_of(self, bench: Bench) -> float:
-        """Largest size of each of ``numbers`` that a bench may well have without anybody knowing. Always > 0."""
-        raise NotImplementedError
+        """Largest size that a bench may well have without anybody knowing, in ``unit``, > 0."""
 
-    def trials(self, bench: Bench) -> list[Mapping[str, float]]:
-        """Starts of ``shape``, and of ``numbers`` where no derivative at 0 is known. One empty entry if none is needed."""
-        return [NOTHING]
+    def trials(self, bench: Bench) -> Sequence[Mapping[str, float]]:
+        """Starts of ``shape``, and of ``numbers`` where the motion has no derivative at 0. At least one entry."""
+        return (NOTHING,)
 
     def limits(self, bench: Bench) -> Mapping[str, tuple[float, float]]:
-        """Bounds of ``shape`` in a fit."""
+        """Bounds of its fields in a fit; default: none, or 0 and up for a law of one side."""
         return {}

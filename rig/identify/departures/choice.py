@@ -1,0 +1,273 @@
+"""Which laws a motor has: forward and backward over all departures, on pieces that grow.
+
+On short pieces the plain motor's fit is near enough for the effect of every departure to be linear. So one Jacobian
+shows what each would gain. The best few are fitted, the best of these is taken, and so on; what loses its worth is
+dropped again. Then the pieces grow, and the choice is made again where it starts (docs/theory.md 12.6).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.identify.departures.departure import Bench, Departure
+from rig.identify.departures.fit import Fit, Normal, Problem, Rows, limits_of, refitted, solve, start
+from rig.identify.departures.pieces import Cut
+from rig.identify.noise import WHITE, noise_of
+from rig.model.real_motor import RealMotor, index
+
+Array = NDArray[np.float64]
+
+CYCLES = (0.9, 2.5, 6.0)  # lengths of the pieces, in cycles; then the whole tests
+ENTRY = 14.0  # gain beyond Schwarz's criterion that a law needs to enter, in units of 2 log likelihood
+STAY = 7.0  # and to stay
+TRIED = 3  # laws that are fitted, of those that promise most
+TRIAL_ITERATIONS = 12
+MOST = 4  # laws of one motor
+ROBUST = 3.0  # residuals beyond so many standard deviations count by their size
+GROWN = 1.3  # growth of the residual from one length of pieces to the next that ends the growth
+FIRST_STEP = 1.0  # first size of a law, at most so many times its range
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What a law would gain, by the linear model.
+
+    gain      fall of the sum of squares
+    law       the law
+    first     numbers and shape to start a fit from
+    """
+
+    gain: float
+    law: Departure
+    first: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The chosen laws and the fit with them.
+
+    laws      in the order in which they were found
+    fit       of the longest pieces that the motor bears
+    growth    length of the pieces, s, and the RMS residual on them, rad
+    """
+
+    laws: tuple[Departure, ...]
+    fit: Fit
+    growth: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Chooser:
+    """How laws are chosen.
+
+    candidates  the laws
+    bench       sizes that their ranges are measured in
+    core        plain numbers that are fitted
+    delay_s     bounds of the delay, s
+    sigma_rad   the sensor's noise, rad
+    """
+
+    candidates: Sequence[Departure]
+    bench: Bench
+    core: tuple[str, ...]
+    delay_s: tuple[float, float]
+    sigma_rad: float
+
+    def choose(self, whole: Cut, motor: RealMotor, cycle_s: float) -> Choice:
+        """From a plain motor near the true one."""
+        laws: tuple[Departure, ...] = ()
+        growth: list[tuple[float, float]] = []
+        fit: Fit | None = None
+        for length_s in (*(cycles * cycle_s for cycles in CYCLES), math.inf):
+            cut = whole if math.isinf(length_s) else whole.every(length_s)
+            if fit is not None and len(cut.begins) == len(fit.problem.cut.begins):
+                continue
+            problem = self.problem(cut, laws, ROBUST * self.sigma_rad)
+            longer = solve(start(problem, motor))
+            longer, found = self._settle(longer, laws)
+            if fit is not None and longer.scatter_rad > GROWN * max(fit.scatter_rad, self.sigma_rad):
+                growth.append((cut.longest_s, longer.rms_rad))
+                break
+            fit, laws, motor = longer, found, longer.motor
+            growth.append((cut.longest_s, fit.rms_rad))
+        assert fit is not None
+        fit, laws = self._last(fit, laws)
+        return Choice(laws, fit, tuple(growth))
+
+    def problem(self, cut: Cut, laws: Sequence[Departure], robust_rad: float) -> Problem:
+        """The problem of these laws on this cut."""
+        free = self.core + tuple(name for law in laws for name in (*law.numbers, *law.shape))
+        limits = limits_of(free, cut, self.delay_s)
+        for law in laws:
+            limits |= {name: (0.0, math.inf) for name in law.numbers if law.one_sided}
+            limits |= law.limits(self.bench)
+        return Problem(cut, free, limits, self.sigma_rad, robust_rad)
+
+    def _settle(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
+        """Add and drop laws until none gains and none is without worth."""
+        dropped: set[str] = set()
+        while True:
+            seen = _with_own_noise(fit)
+            worst = self._worst(seen, laws)
+            if worst is not None and worst[0] < self.price(worst[1], fit, STAY):
+                law = worst[1]
+                dropped.add(law.name)
+                laws = tuple(one for one in laws if one is not law)
+                fit = solve(self._with(fit, laws, without(fit.motor, law)))
+                continue
+            if len(laws) >= MOST:
+                return fit, laws
+            best: tuple[float, Fit, Departure] | None = None
+            for promise in self.promises(seen, laws)[:TRIED]:
+                law = promise.law
+                if law.name in dropped or promise.gain < self.price(law, fit, ENTRY):
+                    continue
+                motor = fit.motor._replace(**promise.first)
+                trial = solve(self._with(fit, (*laws, law), motor), TRIAL_ITERATIONS)
+                worth = _gain(fit, trial) - self.price(law, fit, ENTRY)
+                if worth > 0.0 and (best is None or worth > best[0]):
+                    best = worth, trial, law
+            if best is None:
+                return fit, laws
+            _, fit, law = best
+            laws = (*laws, law)
+
+    def _last(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
+        """The least-squares fit with the noise of its own residual, without the laws that are not worth it then."""
+        while True:
+            problem = self.problem(fit.problem.cut, laws, math.inf)
+            noise = WHITE
+            fit = solve(refitted(fit, problem))
+            for _ in range(2):
+                noise = noise_of(fit.residual_rad, problem.cut.t_s, problem.cut.lengths)
+                if noise.white:
+                    break
+                fit = solve(refitted(fit, replace(problem, noise=noise)))
+            worst = self._worst(fit, laws)
+            if worst is None or worst[0] >= self.price(worst[1], fit, STAY):
+                return fit, laws
+            laws = tuple(one for one in laws if one is not worst[1])
+            fit = refitted(fit, problem, without(fit.motor, worst[1]))
+
+    def _with(self, fit: Fit, laws: tuple[Departure, ...], motor: RealMotor) -> Fit:
+        return refitted(fit, self.problem(fit.problem.cut, laws, fit.problem.robust_rad), motor)
+
+    def price(self, law: Departure, fit: Fit, beyond: float) -> float:
+        """Gain in twice the log likelihood that a law must reach: Schwarz's criterion and ``beyond``."""
+        count = fit.residual_rad.size - 2 * fit.starts.shape[0]
+        return len(law.numbers + law.shape) * math.log(max(count, 2)) + beyond
+
+    def promises(self, fit: Fit, laws: Sequence[Departure]) -> list[Promise]:
+        """What each absent law would gain, the best first."""
+        rows = fit.problem.rows(fit.motor, fit.starts)
+        columns = Columns(fit, rows)
+        found = []
+        for law in self.candidates:
+            if law in laws:
+                continue
+            best: Promise | None = None
+            for trial in law.trials(self.bench):
+                added, scale = columns.of(law, trial)
+                gain, sizes = columns.gain(added)
+                if not math.isfinite(gain) or (law.one_sided and sizes[0] <= 0.0):
+                    continue
+                most = FIRST_STEP * law.range_of(self.bench)
+                clipped = np.clip(sizes * scale, -most, most).tolist()
+                first = dict(zip(law.numbers, clipped, strict=True)) if scale != 0.0 else {}
+                if best is None or gain > best.gain:
+                    best = Promise(gain, law, {**first, **trial})
+            if best is not None:
+                found.append(replace(best, gain=best.gain / unit(fit)))
+        return sorted(found, key=lambda promise: -promise.gain)
+
+    def _worst(self, fit: Fit, laws: Sequence[Departure]) -> tuple[float, Departure] | None:
+        """The law whose loss would cost least, and that cost, by the linear model; None without laws."""
+        if not laws:
+            return None
+        normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
+        return min(((loss(normal, fit, law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
+
+
+def unit(fit: Fit) -> float:
+    """Variance of a least-squares fit's whitened residual."""
+    freedom = fit.residual_rad.size - 2 * fit.starts.shape[0] - len(fit.problem.free)
+    return max(fit.cost / max(freedom, 1), 1e-12)
+
+
+def _with_own_noise(fit: Fit) -> Fit:
+    """The same solution, seen as least squares with the noise of its residual, large residuals as they are."""
+    cut = fit.problem.cut
+    noise = noise_of(fit.residual_rad, cut.t_s, cut.lengths)
+    problem = replace(fit.problem, robust_rad=math.inf, noise=noise)
+    return replace(fit, problem=problem, cost=problem.cost(fit.residual_rad))
+
+
+def _gain(fit: Fit, richer: Fit) -> float:
+    """Twice the gain in log likelihood, with the noise of the richer fit's residual."""
+    seen = _with_own_noise(richer)
+    return (seen.problem.cost(fit.residual_rad) - seen.cost) / unit(seen)
+
+
+def without(motor: RealMotor, law: Departure) -> RealMotor:
+    """The motor without a law."""
+    return motor._replace(**dict.fromkeys((*law.numbers, *law.shape), 0.0))
+
+
+def loss(normal: Normal, fit: Fit, law: Departure) -> float:
+    """Rise of the sum of squares if a law's numbers were 0, by the linear model."""
+    free = fit.problem.free
+    own = [free.index(name) for name in law.numbers]
+    shape = [free.index(name) for name in law.shape]
+    rest = [k for k in range(len(free)) if k not in own and k not in shape]
+    size = np.array([getattr(fit.motor, name) for name in law.numbers])
+    matrix = normal.matrix
+    cross = np.linalg.lstsq(matrix[np.ix_(rest, rest)], matrix[np.ix_(rest, own)], rcond=1e-14)[0]
+    left = matrix[np.ix_(own, own)] - matrix[np.ix_(own, rest)] @ cross
+    return float(size @ left @ size)
+
+
+class Columns:
+    """Further columns beside those of a fit, for laws that it has not."""
+
+    def __init__(self, fit: Fit, rows: Rows) -> None:
+        self._fit, self._rows = fit, rows
+        self._known: dict[str, Array] = {}
+        self._base = Normal.of(rows, fit.problem.cut)
+
+    def of(self, law: Departure, trial: Mapping[str, float]) -> tuple[Array, float]:
+        """Derivatives by the law's numbers at 0, (n, k), whitened as the residual, and 1.0.
+
+        Where the trial gives the numbers themselves, the column is the whole change that they make, and the second
+        value is 0.
+        """
+        fit = self._fit
+        cut, motor = fit.problem.cut, fit.motor._replace(**trial)
+        if any(name in trial for name in law.numbers):
+            change = cut.readings(motor, fit.starts) - cut.readings(fit.motor, fit.starts)
+            return self._white(change[:, None]), 0.0
+        found = cut.derivatives(motor, fit.starts, [index(name) for name in law.numbers])
+        return self._white(found.by_number), 1.0
+
+    def gain(self, added: Array) -> tuple[float, Array]:
+        """Fall of the sum of squares with these columns, and their coefficients."""
+        rows, cut = self._rows, self._fit.problem.cut
+        both = Rows(rows.residual_rad, rows.residual, np.column_stack((rows.by_number, added)), rows.by_start)
+        normal = Normal.of(both, cut)
+        scale = np.sqrt(np.maximum(np.diag(normal.raw), 1e-300))
+        matrix, gradient = normal.matrix / np.outer(scale, scale), normal.gradient / scale
+        m = rows.by_number.shape[1]
+        with_it = np.linalg.lstsq(matrix, gradient, rcond=1e-11)[0]
+        alone = np.linalg.lstsq(matrix[:m, :m], gradient[:m], rcond=1e-11)[0]
+        return float(gradient @ with_it - gradient[:m] @ alone), -(with_it / scale)[m:]
+
+    def _white(self, columns: Array) -> Array:
+        problem = self._fit.problem
+        if math.isinf(problem.robust_rad):
+            return problem.whitened(columns)
+        weight = (1.0 + (self._rows.residual_rad / problem.robust_rad) ** 2) ** -0.25 / problem.sigma_rad
+        return weight[:, None] * columns

@@ -1,0 +1,21 @@
+"""Dead band: a bridge that passes nothing below a small drive, and loses that much above it"""
+
+from __future__ import annotations
+
+from rig.identify.departures.departure import Bench, Departure
+
+
+class DeadBand(Departure):
+    """Dead band: a bridge that passes nothing below a small drive, and loses that much above it."""
+
+    name = "dead_band"
+    title = "dead band of the drive"
+    cause = "a bridge whose transistors need a least pulse?"
+    unit = "V"
+    numbers = ("dead_band_V",)
+    one_sided = True
+    told_by = "a relay test with drives against the motion: h1 nearly as large as h2"
+
+    def range_of(self, bench: Bench) -> float:
+        """0.1 V: a duty of 1 % at 12 V."""
+        return 0.1

@@ -1,0 +1,20 @@
+"""Friction that drifts over the run"""
+
+from __future__ import annotations
+
+from rig.identify.departures.departure import Bench, Departure
+
+
+class Drift(Departure):
+    """Friction that drifts over the run."""
+
+    name = "drift"
+    title = "drift of the friction"
+    cause = "a bench that warms up?"
+    unit = "1"
+    numbers = ("drift",)
+    told_by = "the same relay test again, after the bench has warmed up"
+
+    def range_of(self, bench: Bench) -> float:
+        """15 % in a run."""
+        return 0.15

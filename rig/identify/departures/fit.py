@@ -1,0 +1,244 @@
+"""Least squares over pieces: a motor with some of its parts, and the start of each piece (Levenberg and Marquardt)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.identify.departures.pieces import Cut
+from rig.identify.noise import WHITE, Noise
+from rig.model.real_motor import RealMotor, index
+
+Array = NDArray[np.float64]
+
+CORE = ("tau_s", "K_rad_s_V", "fc_V", "bias_V")
+DELAY = "delay_s"
+POSITIVE = ("tau_s", "K_rad_s_V")  # fitted by their logarithms
+LARGEST_STEP = 1.0  # of a logarithm, in one iteration
+ITERATIONS = 40
+TRIES = 12  # of the damping, in one iteration
+DAMPING = 1e-3
+ENOUGH = 0.01  # gain of the whitened sum of squares below which a fit has arrived
+BOUNDLESS: tuple[float, float] = (-math.inf, math.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is fitted to what.
+
+    cut        the tests in pieces
+    free       fields of ``RealMotor`` that are fitted
+    limits     their bounds; without an entry: none
+    sigma_rad  standard deviation of the white noise, rad
+    robust_rad residuals beyond it count by their size, not by its square (soft L1); inf: least squares
+    noise      coloured noise; without robust_rad only
+    """
+
+    cut: Cut
+    free: tuple[str, ...]
+    limits: Mapping[str, tuple[float, float]]
+    sigma_rad: float
+    robust_rad: float = math.inf
+    noise: Noise = WHITE
+
+    def whitened(self, rows: Array) -> Array:
+        """``rows``, (n,) or (n, k), rad, filtered to unit white noise; each piece has noise of its own."""
+        return self.noise.whiten(rows, self.cut.t_s, self.cut.lengths) / self.sigma_rad
+
+    def cost(self, residual: Array) -> float:
+        """Sum of squares of the whitened residual, large ones by their size."""
+        if math.isinf(self.robust_rad):
+            white = self.whitened(residual)
+            return float(white @ white)
+        share = (residual / self.robust_rad) ** 2
+        return 2.0 * (self.robust_rad / self.sigma_rad) ** 2 * float(np.sum(np.sqrt(1.0 + share) - 1.0))
+
+    def rows(self, motor: RealMotor, starts: Array) -> Rows:
+        """Residual and Jacobian there, whitened; by the logarithms of ``POSITIVE``."""
+        found = self.cut.derivatives(motor, starts, [index(name) for name in self.free])
+        residual = found.y_rad - self.cut.y_rad
+        by_number = found.by_number * [getattr(motor, name) if name in POSITIVE else 1.0 for name in self.free]
+        if math.isinf(self.robust_rad):
+            return Rows(
+                residual, self.whitened(residual), self.whitened(by_number), self._starts_whitened(found.by_start)
+            )
+        weight = (1.0 + (residual / self.robust_rad) ** 2) ** -0.25 / self.sigma_rad
+        by = weight[:, None]
+        return Rows(residual, weight * residual, by * by_number, by * found.by_start)
+
+    def _starts_whitened(self, by_start: Array) -> Array:
+        return self.whitened(by_start)
+
+    def moved(self, motor: RealMotor, change: Array) -> RealMotor:
+        """The motor after a step, within its limits."""
+        new = {}
+        for name, step in zip(self.free, change.tolist(), strict=True):
+            value = getattr(motor, name)
+            if name in POSITIVE:
+                value *= math.exp(max(-LARGEST_STEP, min(LARGEST_STEP, step)))
+            else:
+                value += step
+            low, high = self.limits.get(name, BOUNDLESS)
+            new[name] = max(low, min(high, value))
+        return motor._replace(**new)
+
+    def held(self, motor: RealMotor, gradient: Array) -> NDArray[np.bool_]:
+        """Which numbers stand at a bound that the descent would pass."""
+        out = np.zeros(len(self.free), dtype=bool)
+        for k, name in enumerate(self.free):
+            low, high = self.limits.get(name, BOUNDLESS)
+            value = getattr(motor, name)
+            out[k] = (value <= low and gradient[k] > 0.0) or (value >= high and gradient[k] < 0.0)
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Whitened rows: the residual in rad, and whitened; its derivatives by the numbers and by the own piece's start."""
+
+    residual_rad: Array
+    residual: Array
+    by_number: Array
+    by_start: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A local solution.
+
+    motor, starts   the numbers, and (p, 2) velocity and position at each piece's start
+    problem         what was fitted
+    residual_rad    predicted less recorded, rad
+    cost            its whitened sum of squares
+    arrived         whether the iterations came to an end
+    iterates        tau, K, fc after each
+    """
+
+    problem: Problem
+    motor: RealMotor
+    starts: Array
+    residual_rad: Array
+    cost: float
+    arrived: bool
+    iterates: Array = field(default_factory=lambda: np.empty((0, 3)))
+
+    @property
+    def rms_rad(self) -> float:
+        """RMS residual, rad."""
+        return float(np.sqrt(np.mean(self.residual_rad**2)))
+
+    @property
+    def scatter_rad(self) -> float:
+        """Standard deviation of the residual by its median, which outliers do not move, rad."""
+        return float(np.median(np.abs(self.residual_rad))) / 0.6745
+
+
+def start(problem: Problem, motor: RealMotor) -> Fit:
+    """The motor with starts as the record shows them, not yet fitted."""
+    starts = problem.cut.guessed()
+    residual = problem.cut.readings(motor, starts) - problem.cut.y_rad
+    return Fit(problem, motor, starts, residual, problem.cost(residual), False)
+
+
+def refitted(fit: Fit, problem: Problem | None = None, motor: RealMotor | None = None) -> Fit:
+    """``fit`` with another problem, or from another motor, ready for ``solve``. The pieces stay the same."""
+    given = replace(fit, problem=problem or fit.problem, motor=motor or fit.motor)
+    residual = given.problem.cut.readings(given.motor, given.starts) - given.problem.cut.y_rad
+    return replace(given, residual_rad=residual, cost=given.problem.cost(residual), arrived=False)
+
+
+def solve(fit: Fit, iterations: int = ITERATIONS) -> Fit:
+    """The local solution from there."""
+    problem, damping = fit.problem, DAMPING
+    iterates = [fit.iterates]
+    for _ in range(iterations):
+        rows = problem.rows(fit.motor, fit.starts)
+        normal = Normal.of(rows, problem.cut)
+        held = problem.held(fit.motor, normal.gradient)
+        better = None
+        for _ in range(TRIES):
+            change, starts = normal.step(held, damping)
+            motor = problem.moved(fit.motor, change)
+            trial = fit.starts + starts
+            residual = problem.cut.readings(motor, trial) - problem.cut.y_rad
+            cost = problem.cost(residual)
+            if cost < fit.cost:  # false for nan
+                better = Fit(problem, motor, trial, residual, cost, False)
+                break
+            damping *= 8.0
+        if better is None:
+            return replace(fit, arrived=True, iterates=np.concatenate(iterates))
+        iterates.append(np.array([[motor.tau_s, motor.K_rad_s_V, motor.fc_V]]))
+        gain, fit, damping = fit.cost - better.cost, better, max(1e-9, 0.2 * damping)
+        if gain < ENOUGH:
+            return replace(fit, arrived=True, iterates=np.concatenate(iterates))
+    return replace(fit, iterates=np.concatenate(iterates))
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Normal equations with the starts of the pieces taken out: each piece has a 2 x 2 block of its own.
+
+    matrix, gradient, squares   (m, m), (m,) and the sum of squares, of the numbers alone, at the best starts for each
+    """
+
+    matrix: Array
+    gradient: Array
+    squares: float
+    own: Array  # (p, 2, 2)
+    border: Array  # (p, 2, m)
+    pull: Array  # (p, 2)
+    raw: Array  # (m, m), before the starts are taken out
+    raw_gradient: Array
+
+    @classmethod
+    def of(cls, rows: Rows, cut: Cut) -> Normal:
+        """From whitened rows."""
+        begins, b, j, r = cut.begins, rows.by_start, rows.by_number, rows.residual
+        own = np.add.reduceat(b[:, :, None] * b[:, None, :], begins, axis=0)
+        border = np.add.reduceat(b[:, :, None] * j[:, None, :], begins, axis=0)
+        pull = np.add.reduceat(b * r[:, None], begins, axis=0)
+        raw, raw_gradient = j.T @ j, j.T @ r
+        solved = np.linalg.solve(_regular(own), np.concatenate((border, pull[:, :, None]), axis=2))
+        matrix = raw - np.einsum("pki,pkj->ij", border, solved[:, :, :-1])
+        gradient = raw_gradient - np.einsum("pki,pk->i", border, solved[:, :, -1])
+        squares = float(r @ r - np.einsum("pk,pk", pull, solved[:, :, -1]))
+        return cls(matrix, gradient, squares, own, border, pull, raw, raw_gradient)
+
+    def step(self, held: NDArray[np.bool_], damping: float) -> tuple[Array, Array]:
+        """Change of the numbers and of the starts, damped by so much of the diagonal."""
+        own = self.own + damping * np.einsum("pii->pi", self.own)[:, :, None] * np.eye(2)
+        solved = np.linalg.solve(_regular(own), np.concatenate((self.border, self.pull[:, :, None]), axis=2))
+        diagonal = np.diag(self.raw)
+        matrix = self.raw + np.diag(damping * np.where(diagonal > 0.0, diagonal, 1.0))
+        matrix = matrix - np.einsum("pki,pkj->ij", self.border, solved[:, :, :-1])
+        gradient = self.raw_gradient - np.einsum("pki,pk->i", self.border, solved[:, :, -1])
+        change = np.zeros(gradient.size)
+        free = np.flatnonzero(~held)
+        if free.size:
+            change[free] = -np.linalg.lstsq(matrix[np.ix_(free, free)], gradient[free], rcond=1e-14)[0]
+        return change, -(solved[:, :, -1] + solved[:, :, :-1] @ change)
+
+
+def _regular(own: Array) -> Array:
+    """2 x 2 blocks that can be solved, also where a piece does not show its start."""
+    diagonal = np.einsum("pii->pi", own)
+    return np.asarray(own + (1e-12 * diagonal + 1e-300)[:, :, None] * np.eye(2))
+
+
+def limits_of(free: Sequence[str], cut: Cut, delay_s: tuple[float, float]) -> dict[str, tuple[float, float]]:
+    """Bounds of the plain motor's numbers among ``free``."""
+    largest = max(float(np.abs(window.steps.u_V).max()) for window in cut.windows)
+    period = min(window.period_s for window in cut.windows)
+    longest = max(window.duration_s for window in cut.windows)
+    bounds = {
+        "tau_s": (0.2 * period, 10.0 * longest),
+        "fc_V": (0.0, largest),
+        "bias_V": (-largest, largest),
+        DELAY: delay_s,
+    }
+    return {name: bounds[name] for name in free if name in bounds}

@@ -1,0 +1,20 @@
+"""A force that depends on the position, once a turn"""
+
+from __future__ import annotations
+
+from rig.identify.departures.departure import Bench, Departure
+
+
+class ForceOverPosition(Departure):
+    """A force that depends on the position, once a turn."""
+
+    name = "force_over_position"
+    title = "force over position"
+    cause = "an unbalanced load, or a cable?"
+    unit = "V"
+    numbers = ("force_sin_V", "force_cos_V")
+    told_by = "slow sweeps over the travel both ways"
+
+    def range_of(self, bench: Bench) -> float:
+        """0.1 V."""
+        return 0.1

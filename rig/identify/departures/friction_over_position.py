@@ -1,0 +1,20 @@
+"""Friction that depends on the position, once a turn"""
+
+from __future__ import annotations
+
+from rig.identify.departures.departure import Bench, Departure
+
+
+class FrictionOverPosition(Departure):
+    """Friction that depends on the position, once a turn."""
+
+    name = "friction_over_position"
+    title = "friction over position"
+    cause = "a shaft or a gear that is not true?"
+    unit = "V"
+    numbers = ("friction_sin_V", "friction_cos_V")
+    told_by = "slow sweeps over the travel both ways"
+
+    def range_of(self, bench: Bench) -> float:
+        """A fifth of the friction."""
+        return max(0.2 * bench.fc_V, 0.01)

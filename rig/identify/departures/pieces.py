@@ -1,0 +1,150 @@
+"""Tests in pieces: each with a start of its own, so that what the model leaves out cannot add up over the whole record.
+
+Over a long test a departure that is left out moves the model's motion away from the recorded one, and a fit falls into
+false minima. Over a piece of a cycle or so it cannot. A random force (process noise) adds up in the same way: so the
+pieces that a motor bears say how random it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.identify.departures.departure import Bench
+from rig.model.real_motor import Frame, Pieces, Readings, RealMotor, response, response_and_jacobian
+from rig.recording.series import TimeSeries, Window
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+FEWEST_ROWS = 12  # of a piece
+NEAR_ROWS = 4  # rows on either side that show a piece's start
+TAIL = 1e-3  # share of the samples on either side that may lie beyond the driven travel: noise
+BENT_WITHIN = 0.02  # of the largest speed: bristles of a faster shaft are bent fully
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """Tests cut into pieces.
+
+    windows   the tests' rows with a known drive
+    frames    for each, what parts over position and time refer to
+    rows      for each, the first rows of its pieces; the first one is 0
+    """
+
+    windows: tuple[Window, ...]
+    frames: tuple[Frame, ...]
+    rows: tuple[Rows, ...]
+
+    @classmethod
+    def whole(cls, tests: Sequence[TimeSeries], longest_delay_s: float) -> Cut:
+        """Each test as one piece. Raises IdentifyError if a test is too short."""
+        windows = tuple(test.predictable(longest_delay_s) for test in tests)
+        y = np.concatenate([window.y_rad for window in windows])
+        low, high = np.quantile(y, [TAIL, 1.0 - TAIL])
+        half = max(0.5 * float(high - low), 1e-9)
+        begins = [float(window.t_s[0]) for window in windows]
+        ends = [float(window.t_s[-1]) for window in windows]
+        in_one_run = all(b >= e for b, e in zip(begins[1:], ends, strict=False))
+        span = ends[-1] - begins[0] if in_one_run else sum(e - b for b, e in zip(begins, ends, strict=True))
+        before = 0.0
+        frames = []
+        for begin, end in zip(begins, ends, strict=True):
+            start = begins[0] if in_one_run else begin - before
+            before += end - begin
+            frames.append(Frame(0.5 * float(low + high), half, start, max(span, 1e-9)))
+        return cls(windows, tuple(frames), tuple(np.zeros(1, dtype=np.int64) for _ in windows))
+
+    def every(self, length_s: float) -> Cut:
+        """The same tests in pieces of about ``length_s``, each of at least 12 rows."""
+        rows = []
+        for window in self.windows:
+            n = window.t_s.size
+            count = max(1, min(round(window.duration_s / length_s), n // FEWEST_ROWS))
+            rows.append(np.round(np.linspace(0, n, count + 1)[:-1]).astype(np.int64))
+        return replace(self, rows=tuple(rows))
+
+    @cached_property
+    def t_s(self) -> Array:
+        """Times of all rows, s."""
+        return np.concatenate([window.t_s for window in self.windows])
+
+    @cached_property
+    def y_rad(self) -> Array:
+        """Positions of all rows, rad."""
+        return np.concatenate([window.y_rad for window in self.windows])
+
+    @cached_property
+    def begins(self) -> Rows:
+        """First row of each piece among all rows."""
+        offset = np.cumsum([0, *(window.t_s.size for window in self.windows[:-1])])
+        return np.concatenate([rows + at for rows, at in zip(self.rows, offset, strict=True)]).astype(np.int64)
+
+    @cached_property
+    def lengths(self) -> list[int]:
+        """Number of rows of each piece."""
+        return np.diff(np.append(self.begins, self.t_s.size)).tolist()
+
+    @cached_property
+    def piece(self) -> Rows:
+        """For each row the number of its piece."""
+        return np.repeat(np.arange(self.begins.size), self.lengths)
+
+    @property
+    def longest_s(self) -> float:
+        """Length of the longest piece, s."""
+        last = np.append(self.begins[1:], self.t_s.size) - 1
+        return float(np.max(self.t_s[last] - self.t_s[self.begins]))
+
+    def bench(self, motor: RealMotor, linearity_rad: float) -> Bench:
+        """Sizes of this motor and record."""
+        speeds = np.abs(self.guessed()[:, 0])
+        return Bench(
+            motor.K_rad_s_V,
+            motor.fc_V,
+            max(float(np.abs(window.steps.u_V).max()) for window in self.windows),
+            max(float(np.quantile(speeds, 0.95)), 1e-9),
+            self.frames[0].half_travel_rad,
+            linearity_rad,
+        )
+
+    def guessed(self) -> Array:
+        """(p, 2) velocity, rad/s, and position, rad, at each start, by a parabola through the rows around it."""
+        found = []
+        for window, rows in zip(self.windows, self.rows, strict=True):
+            for row in rows.tolist():
+                near = slice(max(0, row - NEAR_ROWS), row + NEAR_ROWS + 1)
+                t, y = window.t_s[near] - window.t_s[row], window.y_rad[near]
+                _, slope, offset = np.polyfit(t, y, 2)
+                found.append((float(slope), float(offset)))
+        return np.array(found)
+
+    def readings(self, motor: RealMotor, starts: Array) -> Array:
+        """Predicted readings of all rows, rad; ``starts`` is (p, 2) as ``guessed``."""
+        found = []
+        for window, frame, pieces in self._with(starts):
+            found.append(response(motor, frame, window.steps, window.t_s, pieces))
+        return np.concatenate(found)
+
+    def derivatives(self, motor: RealMotor, starts: Array, free: Sequence[int]) -> Readings:
+        """Predicted readings of all rows, rad, with their derivatives by the numbers ``free`` and the starts."""
+        found = [
+            response_and_jacobian(motor, frame, window.steps, window.t_s, pieces, free)
+            for window, frame, pieces in self._with(starts)
+        ]
+        return Readings(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
+
+    def _with(self, starts: Array) -> list[tuple[Window, Frame, Pieces]]:
+        top = max(float(np.abs(starts[:, 0]).max()), 1e-9)
+        out = []
+        at = 0
+        for window, frame, rows in zip(self.windows, self.frames, self.rows, strict=True):
+            v0, y0 = (np.ascontiguousarray(c) for c in starts[at : at + rows.size].T)
+            bent = np.where(np.abs(v0) > BENT_WITHIN * top, np.sign(v0), 0.0)
+            out.append((window, frame, Pieces(rows, v0, y0, np.sign(v0), bent)))
+            at += rows.size
+        return out

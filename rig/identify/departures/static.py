@@ -1,0 +1,21 @@
+"""Static friction above the moving one, at rest only"""
+
+from __future__ import annotations
+
+from rig.identify.departures.departure import Bench, Departure
+
+
+class Static(Departure):
+    """Static friction above the moving one, at rest only."""
+
+    name = "static"
+    title = "static friction"
+    cause = "a motor that has to be broken away?"
+    unit = "V"
+    numbers = ("static_V",)
+    one_sided = True
+    told_by = "slow breakaway ramps both ways (`rig relay` with breakaway)"
+
+    def range_of(self, bench: Bench) -> float:
+        """Half the friction in motion."""
+        return max(0.5 * bench.fc_V, 0.02)
