@@ -152,14 +152,23 @@ def case(campaign: Campaign, number: int, kinds: Sequence[Kind]) -> Case:
     bench = Bench(
         campaign.sampling.period_s, one.delay_s, campaign.sensor.noise_rad, campaign.sensor.lsb_rad, one.offset_rad
     )
-    gains = ((one.h1_V, one.h2_V), one.second_gains(SECOND))
+    h2_V = one.fc_V + SECOND * (one.h2_V - one.fc_V)
+    gains = ((one.h1_V, one.h2_V), (0.95 * h2_V, h2_V))
     rows = math.ceil((SETTLING + CYCLES + 1) * LONGEST_CYCLE * one.period_s / bench.period_s)
     span = rows * bench.period_s
     first, second = (
         _recorded(relay_test(motor, departures, bench, gain, rows, (k * span, 2.0 * span), seed), k * span)
         for k, (gain, seed) in enumerate(zip(gains, seeds.spawn(2), strict=True))
     )
-    return Case(number, tuple(kinds), departures, motor, bench, _truth(motor, departures, (first, second)), (first, second))
+    return Case(
+        number,
+        tuple(kinds),
+        departures,
+        motor,
+        bench,
+        _truth(motor, departures, (first, second), 2.0 * span),
+        (first, second),
+    )
 
 
 def _recorded(record: Record, begin_s: float) -> Record:
@@ -186,10 +195,12 @@ def _joined(a: Departures, b: Departures) -> Departures:
     return replace(a, **changed)
 
 
-def _truth(motor: PlainMotor, d: Departures, records: Sequence[Record]) -> Truth:
+def _truth(motor: PlainMotor, d: Departures, records: Sequence[Record], whole_s: float) -> Truth:
     """tau, K and f_c as they are defined for a bench with departures (docs/theory.md 9)."""
     travel = np.concatenate([record.true_y_rad for record in records])
     even = np.linspace(float(travel.min()), float(travel.max()), 2001)
     slope = float(np.polyfit(even, reading(even, d), 1)[0])
     friction = motor.fc_V * (1.0 + d.friction_share * float(np.mean(np.sin(even + d.friction_phase_rad))))
+    course = float(np.mean(np.concatenate([record.t_s for record in records]))) / whole_s - 0.5
+    friction *= 1.0 + d.drift * course
     return Truth(motor.tau_s, motor.K_rad_s_V * slope, friction)

@@ -112,7 +112,7 @@ class Chooser:
         """Add and drop laws until none gains and none is without worth."""
         dropped: set[str] = set()
         while True:
-            seen = _with_own_noise(fit)
+            seen = with_own_noise(fit)
             worst = self._worst(seen, laws)
             if worst is not None and worst[0] < self.price(worst[1], fit, STAY):
                 law = worst[1]
@@ -199,7 +199,7 @@ def unit(fit: Fit) -> float:
     return max(fit.cost / max(freedom, 1), 1e-12)
 
 
-def _with_own_noise(fit: Fit) -> Fit:
+def with_own_noise(fit: Fit) -> Fit:
     """The same solution, seen as least squares with the noise of its residual, large residuals as they are."""
     cut = fit.problem.cut
     noise = noise_of(fit.residual_rad, cut.t_s, cut.lengths)
@@ -209,7 +209,7 @@ def _with_own_noise(fit: Fit) -> Fit:
 
 def _gain(fit: Fit, richer: Fit) -> float:
     """Twice the gain in log likelihood, with the noise of the richer fit's residual."""
-    seen = _with_own_noise(richer)
+    seen = with_own_noise(richer)
     return (seen.problem.cost(fit.residual_rad) - seen.cost) / unit(seen)
 
 
@@ -237,7 +237,7 @@ class Columns:
     def __init__(self, fit: Fit, rows: Rows) -> None:
         self._fit, self._rows = fit, rows
         self._known: dict[str, Array] = {}
-        self._base = Normal.of(rows, fit.problem.cut)
+        self.base = Normal.of(rows, fit.problem.cut)
 
     def of(self, law: Departure, trial: Mapping[str, float]) -> tuple[Array, float]:
         """Derivatives by the law's numbers at 0, (n, k), whitened as the residual, and 1.0.
@@ -255,15 +255,19 @@ class Columns:
 
     def gain(self, added: Array) -> tuple[float, Array]:
         """Fall of the sum of squares with these columns, and their coefficients."""
-        rows, cut = self._rows, self._fit.problem.cut
-        both = Rows(rows.residual_rad, rows.residual, np.column_stack((rows.by_number, added)), rows.by_start)
-        normal = Normal.of(both, cut)
+        rows, normal = self._rows, self.normal(added)
         scale = np.sqrt(np.maximum(np.diag(normal.raw), 1e-300))
         matrix, gradient = normal.matrix / np.outer(scale, scale), normal.gradient / scale
         m = rows.by_number.shape[1]
         with_it = np.linalg.lstsq(matrix, gradient, rcond=1e-11)[0]
         alone = np.linalg.lstsq(matrix[:m, :m], gradient[:m], rcond=1e-11)[0]
         return float(gradient @ with_it - gradient[:m] @ alone), -(with_it / scale)[m:]
+
+    def normal(self, added: Array) -> Normal:
+        """The normal equations with these columns behind the fit's own."""
+        rows = self._rows
+        both = Rows(rows.residual_rad, rows.residual, np.column_stack((rows.by_number, added)), rows.by_start)
+        return Normal.of(both, self._fit.problem.cut)
 
     def _white(self, columns: Array) -> Array:
         problem = self._fit.problem
