@@ -21,6 +21,7 @@ from rich.console import Console
 
 from rig import config, preflight
 from rig.backends.emulated.errors import EmulationError
+from rig.estimators import ESTIMATORS
 from rig.faults import Fault
 from rig.package import VERSION
 from rig.recording.errors import CannotWriteError, RecordingError
@@ -278,7 +279,7 @@ def check(config_path: Path, as_json: bool) -> None:
     "--method",
     "methods",
     multiple=True,
-    type=click.Choice(["sampled-data", "triple-relay", "describing-function", "least-squares"]),
+    type=click.Choice([entry.name for entry in ESTIMATORS]),
     help="Repeat for several. Default: all that the data allows. "
     "least-squares takes two CSV files, each of a hysteretic relay.",
 )

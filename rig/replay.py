@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 from rig import config
 from rig.backends.driver import DeviceInfo
@@ -300,7 +300,7 @@ def _models(recording: Recording) -> dict[Method, Motor]:
             try:
                 model = parsed(DrivenModel, event.detail)
                 motor = Motor(model.tau_s, model.K_rad_s_V, coulomb(model.fc_V), model.bias_V)
-                models[cast(Method, model.method)] = motor
+                models[model.method] = motor
             except (DamagedError, ValueError) as error:
                 raise RecordingError(
                     recording.source / EVENTS, f"event model is broken ({error})", _RECORD_AGAIN

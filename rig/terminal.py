@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from rig.estimators import LEADING
 from rig.results import EstimateResult, LoopResult, RunResult, TrackingResult, TrueMotor, known
 
 if TYPE_CHECKING:  # each loads slowly
@@ -220,9 +221,9 @@ def show_campaign(found: Summary, folder: Path) -> None:
 
 def show_scatter(results: Sequence[RunResult]) -> None:
     """Show the scatter between runs beside the intervals that each run gave; ``results``: the result.json of each."""
-    estimates = [r.estimates["sampled-data"] for r in results if "sampled-data" in r.estimates]
+    estimates = [r.estimates[LEADING] for r in results if LEADING in r.estimates]
     if len(estimates) < 2:
-        click.echo(f"no scatter: it takes two sampled-data estimates, and {len(results)} runs gave {len(estimates)}")
+        click.echo(f"no scatter: it takes two {LEADING} estimates, and {len(results)} runs gave {len(estimates)}")
         return
     headings = ("", "mean", "scatter between runs (1.96 s)", "mean half-width of the 95 % intervals")
     rows: list[list[str]] = []
@@ -231,4 +232,4 @@ def show_scatter(results: Sequence[RunResult]) -> None:
         widths = [0.5 * (b[1] - b[0]) for e in estimates if (b := e.interval(name)) is not None]
         if len(values) >= 2 and widths:
             rows.append([name, f"{fmean(values):.5f}", f"{1.96 * stdev(values):.5f}", f"{fmean(widths):.5f}"])
-    show_table(f"sampled-data estimates of {len(estimates)} of {len(results)} runs", headings, rows)
+    show_table(f"{LEADING} estimates of {len(estimates)} of {len(results)} runs", headings, rows)
