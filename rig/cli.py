@@ -33,6 +33,7 @@ from rig.terminal import (
     show_campaign,
     show_estimates,
     show_finding,
+    show_friction_law,
     show_prediction,
     show_replay,
     show_run,
@@ -315,6 +316,7 @@ def identify(
         for note in result.notes:
             click.echo(note)
         show_estimates(result.estimates, None)
+        show_friction_law(result.friction_law)
     sys.exit(0 if ok else EXIT_FAILED)
 
 

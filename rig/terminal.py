@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rig.estimators import LEADING
-from rig.results import EstimateResult, LoopResult, RunResult, TrackingResult, TrueMotor, known
+from rig.results import EstimateResult, FrictionLawResult, LoopResult, RunResult, TrackingResult, TrueMotor, known
 
 if TYPE_CHECKING:  # each loads slowly
     from rig.campaign.summary import Summary
@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # each loads slowly
     from rig.session import Outcome
 
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")  # the parameters that a table shows
+LAW_HEADINGS = ("parameter", "value", "unit", "meaning")
 RECORD_AGAIN = (
     "to record again: `rig relay CONFIG`; more cycles: relay.cycles; slower, larger or other cycles: relay.target or "
     "relay.gains; part of a recording: --rows FIRST:LAST"
@@ -95,6 +96,7 @@ def show_run(outcome: Outcome) -> None:
         )
     if result.estimates:
         show_estimates(result.estimates, result.truth, result.tracking)
+        show_friction_law(result.friction_law)
     if result.loop is not None:
         _show_loop(result.loop)
     for note in result.config_notes:
@@ -192,6 +194,26 @@ def show_estimates(
     for method, check_run in (tracking or {}).items():
         if check_run.not_run is not None:
             click.echo(f"tracking with {method}: not run: {check_run.not_run}")
+
+
+def show_friction_law(found: FrictionLawResult | None) -> None:
+    """Show the numbers that the chosen friction law adds; nothing if it adds none."""
+    rows = law_rows(found)
+    if found is not None and rows:
+        show_table(f"friction law: {found.chosen}", LAW_HEADINGS, rows)
+
+
+def law_rows(found: FrictionLawResult | None) -> list[list[str]]:
+    """The numbers that the chosen friction law adds, a row of ``LAW_HEADINGS`` each."""
+    rows = []
+    chosen = () if found is None else (fit for fit in found.rungs if fit.law == found.chosen)
+    for number in (number for fit in chosen for number in fit.own):
+        text = "-" if number.value is None else f"{number.value:.4g}"
+        bounds = number.interval
+        if bounds is not None:
+            text += f" ±{0.5 * (bounds[1] - bounds[0]):.2g}"
+        rows.append([number.name, text, number.unit, number.meaning])
+    return rows
 
 
 def _interval(estimate: EstimateResult, name: str, truth: TrueMotor | None) -> str:
