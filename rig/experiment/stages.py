@@ -32,7 +32,8 @@ from rig.loop.pre_run import PreRunBench, pre_run
 from rig.loop.real_time import RealTime, real_time
 from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
-from rig.preflight.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
+from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
+from rig.preflight.room_to_stop import reach_rad
 from rig.recording.folder import write_meta
 from rig.recording.stage import Stage, StageKind
 from rig.results import JogResult, RealTimeReport, TrackingResult

@@ -9,10 +9,9 @@ from rig.backends.registry import backend_of
 from rig.config.problems import bracketed
 from rig.config.schema import Experiment
 from rig.config.sensor import range_rad
+from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
 from rig.preflight.differences import differences
 from rig.preflight.room_to_stop import (
-    FRICTION_DIFFERS,
-    breakaway_strokes,
     overshoot_terms,
     peak_speed_rad_s,
     room_rad,
