@@ -21,6 +21,7 @@ from rich.console import Console
 
 from rig import config, preflight
 from rig.backends.emulated.errors import EmulationError
+from rig.estimators import ESTIMATORS
 from rig.faults import Fault
 from rig.package import VERSION
 from rig.recording.errors import CannotWriteError, RecordingError
@@ -32,6 +33,7 @@ from rig.terminal import (
     show_campaign,
     show_estimates,
     show_finding,
+    show_friction_law,
     show_prediction,
     show_replay,
     show_run,
@@ -278,7 +280,7 @@ def check(config_path: Path, as_json: bool) -> None:
     "--method",
     "methods",
     multiple=True,
-    type=click.Choice(["sampled-data", "triple-relay", "describing-function", "least-squares"]),
+    type=click.Choice([entry.name for entry in ESTIMATORS]),
     help="Repeat for several. Default: all that the data allows. "
     "least-squares takes two CSV files, each of a hysteretic relay.",
 )
@@ -314,6 +316,7 @@ def identify(
         for note in result.notes:
             click.echo(note)
         show_estimates(result.estimates, None)
+        show_friction_law(result.friction_law)
     sys.exit(0 if ok else EXIT_FAILED)
 
 

@@ -7,7 +7,7 @@ Strict: an unknown key is an error, numbers are finite, objects are frozen. The 
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -16,9 +16,14 @@ from rig.backends.modbus.section import Modbus
 from rig.backends.section import Interval, NonNegative, Positive
 from rig.backends.section import Section as _Section
 from rig.calibration import Calibration, DriveMap, TachometerScale
+from rig.estimators import ESTIMATORS
 from rig.signals import Limits
 
-Method = Literal["sampled-data", "triple-relay", "describing-function"]
+if TYPE_CHECKING:
+    Method = str
+else:
+    Method = Literal[tuple(entry.name for entry in ESTIMATORS if entry.finds_motor)]
+"""An estimator whose model can track."""
 Bridge = Literal["pwm-dir", "in1-in2"]
 BRIDGES: tuple[Bridge, ...] = get_args(Bridge)
 
@@ -315,7 +320,7 @@ class TrackingSection(_Section):
         description="the reference: a sum of sines about the centre of travel"
     )
     methods: tuple[Method, ...] = Field(
-        ("sampled-data", "triple-relay", "describing-function"),
+        tuple(entry.name for entry in ESTIMATORS if entry.finds_motor),
         description="estimators whose models are compared, each on the same trajectory",
     )
 

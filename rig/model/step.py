@@ -110,13 +110,18 @@ def reversal_time(v: float, target: float, tau_s: float) -> float:
     return math.inf
 
 
+def decay_after(h_s: float, tau_s: float) -> float:
+    """1 - exp(-h / tau): the share of its way to the target that a velocity has gone after ``h_s``."""
+    return -math.expm1(-h_s / tau_s)
+
+
 def glide(state: State, target: float, tau_s: float, h_s: float) -> State:
     """State ``h_s`` seconds later of a motion whose velocity tends to ``target`` (docs/theory.md 1.3)."""
-    return glide_by(state, target, tau_s, h_s, -math.expm1(-h_s / tau_s))
+    return glide_by(state, target, tau_s, h_s, decay_after(h_s, tau_s))
 
 
 def glide_by(state: State, target: float, tau_s: float, h_s: float, decay: float) -> State:
-    """``glide`` towards ``target``, rad/s, for a caller that already has ``decay`` = 1 - exp(-h / tau)."""
+    """``glide`` towards ``target``, rad/s, for a caller that already has ``decay_after``."""
     v, y, z = state
     excess = v - target
     return State(
@@ -228,7 +233,7 @@ def advance_exponentially(plant: Plant, state: State, u_V: float, dt_s: float) -
     left_s = dt_s
     while left_s > 0.0:
         _, target, h_s, reverses = exponential(plant, state.v, drive_V, left_s)
-        state = glide_by(state, target, tau_s, h_s, -math.expm1(-h_s / tau_s))
+        state = glide(state, target, tau_s, h_s)
         if reverses:
             state = State(0.0, state.y, state.z)
         left_s -= h_s

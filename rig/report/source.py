@@ -13,6 +13,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from rig.estimators import ESTIMATORS
 from rig.faults import FAULTS
 from rig.recording.reader import Recording, RecordingError, printable, read_csv, whole_content
 from rig.report.style import AbsentError, stage_kind
@@ -23,7 +24,7 @@ from rig.results.reading import remarks, salvaged
 Array = NDArray[np.float64]
 _P = TypeVar("_P", bound=Part)
 
-PREFERRED = ("sampled-data", "triple-relay", "describing-function", "least-squares")
+PREFERRED = tuple(entry.name for entry in ESTIMATORS)
 
 
 class Span(NamedTuple):

@@ -12,6 +12,7 @@ from rig.model.step import (
     Numbers,
     Plant,
     State,
+    decay_after,
     direction,
     exponential,
     glide,
@@ -107,7 +108,7 @@ def position_and_jacobian(
             excess = state.v - target
             while k < n and t_s[k] < until:
                 h = t_s[k] - now
-                decay = -math.expm1(-h / tau)
+                decay = decay_after(h, tau)
                 glide = tau * decay
                 drift = h - glide
                 at = glide_by(state, target, tau, h, decay).y
@@ -124,7 +125,7 @@ def position_and_jacobian(
             if k == n:
                 return
             h = until - now
-            decay = -math.expm1(-h / tau)
+            decay = decay_after(h, tau)
             keep = 1.0 - decay
             glide = tau * decay
             drift = h - glide

@@ -223,6 +223,10 @@ ROOM = of(
         "",
         _preflight("test_the_guard_reckons_with_every_term_of_the_stopping_sum"),
     ),
+)
+
+STROKES = of(
+    "rig/preflight/breakaway_strokes.py",
     (
         "unseen travel in the breakaway check has no bound",
         "_strokes_up_to",
@@ -355,6 +359,7 @@ MUTANTS = (
     *SIGNALS,
     *BENCH,
     *ROOM,
+    *STROKES,
     *PREFLIGHT,
     *SERIAL_RULES,
 )
