@@ -15,10 +15,14 @@ from rig.identify.friction_law import FrictionLawChoice, friction_law
 from rig.identify.least_squares import Transient
 from rig.identify.mean_cycle import Cycle
 from rig.identify.measurements import Measurements, measurements
+from rig.identify.motor_law import NO_LAW, MotorLaw, motor_law
 from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.preprocessing import from_recording
+from rig.identify.sampled_data_verdict import judge_with_laws
+from rig.identify.verdict import settled
 from rig.recording.errors import IdentifyError
 from rig.recording.reader import Recording
+from rig.recording.series import TimeSeries
 from rig.recording.stage import StageKind, kind_of
 from rig.results import HystereticResult, IdentificationResult, RelayTestResult, StaticFrictionResult
 
@@ -35,6 +39,7 @@ class Identification:
     cycles      stage -> averaged cycle
     breakaway   drives at break-away in both directions; None without breakaway ramps
     friction_law    the choice of a friction law; None if not asked for, or without a sampled-data estimate
+    motor_law       what the tests show beyond the plain motor; None if not asked for, or without that estimate
     notes       rows used, how the gains were found, what was left out and why
     """
 
@@ -44,6 +49,7 @@ class Identification:
     cycles: dict[str, Cycle] = field(default_factory=dict)
     breakaway: StaticFrictionResult | None = None
     friction_law: FrictionLawChoice | None = None
+    motor_law: MotorLaw | None = None
     notes: list[str] = field(default_factory=list)
 
     def as_result(self) -> IdentificationResult:
@@ -55,6 +61,7 @@ class Identification:
             hysteretic=tuple(self.hysteretic) or None,
             breakaway=self.breakaway,
             friction_law=None if self.friction_law is None else self.friction_law.as_result(),
+            **(NO_LAW if self.motor_law is None else self.motor_law.as_keys()),
         )
 
     @property
@@ -93,6 +100,8 @@ def identify(
         objections = objections if odd is None else [odd, *objections]
     if objections:
         found.estimates = {method: e.judged("doubtful", *objections) for method, e in found.estimates.items()}
+    if choose_law:
+        _add_motor_law(data, found, objections)
     static = _add_breakaway(recordings, found)
     if choose_law:
         _add_friction_law(data, static, found)
@@ -136,9 +145,12 @@ def _estimate(estimator: Estimator, data: Measurements, earlier: dict[str, Estim
     lacking = estimator.applies(data)
     if lacking is not None:
         raise lacking
-    judged = estimator.judge(estimator.fit(data), data, earlier)
-    consequences, estimate = judged.reasons, replace(judged, reasons=())  # the cause comes first
-    read = estimator.series(data)
+    return _with_causes(estimator.judge(estimator.fit(data), data, earlier), estimator.series(data))
+
+
+def _with_causes(judged: Estimate, read: Sequence[TimeSeries]) -> Estimate:
+    """The judged estimate with what is wrong in columns and units, which comes first: it is the cause."""
+    consequences, estimate = judged.reasons, replace(judged, reasons=())
     for severity, reason in [*judge_records(read), *judge_motor(estimate, read)]:
         estimate = estimate.judged(severity, reason)
     return estimate.judged("ok", *consequences)
@@ -190,6 +202,25 @@ def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> St
     return None
 
 
+def _add_motor_law(data: Measurements, found: Identification, objections: Sequence[str]) -> None:
+    """What the motor has beyond the plain law. The leading estimate becomes the one with these laws."""
+    plain = found.estimates.get(LEADING)
+    if plain is None or not plain.is_motor:
+        return
+    try:
+        law = motor_law(data.tests, plain, data.periods_s)
+    except IdentifyError as error:
+        found.notes.append(f"law of the motor: {error.cause}")
+        return
+    found.motor_law = law
+    found.notes += law.notes()
+    if law.estimate is not None:
+        judged = settled(judge_with_laws(law.estimate, data.tests, data.settled), data)
+        found.estimates[LEADING] = _with_causes(judged, data.tests).judged(
+            "doubtful" if objections else "ok", *objections
+        )
+
+
 def _add_friction_law(data: Measurements, static: StaticFriction | None, found: Identification) -> None:
     """Choose a law. The sampled-data estimate becomes doubtful if a richer law predicts better."""
     estimate = found.estimates.get(LEADING)
@@ -203,5 +234,6 @@ def _add_friction_law(data: Measurements, static: StaticFriction | None, found: 
     found.friction_law = choice
     found.notes += choice.notes()
     richer = choice.beyond_coulomb
-    if richer is not None:
+    has_law = found.motor_law is not None and bool(found.motor_law.found)
+    if richer is not None and not has_law:
         found.estimates[LEADING] = estimate.judged("doubtful", richer)

@@ -38,6 +38,18 @@ def judge(estimate: Estimate, tests: Sequence[TimeSeries], cycles: Sequence[Cycl
     return _transfer(estimate, tests)
 
 
+def judge_with_laws(estimate: Estimate, tests: Sequence[TimeSeries], cycles: Sequence[Cycle]) -> Estimate:
+    """An estimate with laws beyond the plain one, with its verdict: intervals, bounds, residual, asymmetry.
+
+    Tests that a plain motor alone can be held to, as whether one test predicts another, are part of the choice of laws.
+    """
+    estimate = intervals(estimate, tests)
+    estimate = _bounds(estimate, tests)
+    estimate = _residual(estimate, tests)
+    estimate = enough_cycles(estimate, cycles)
+    return _asymmetry(estimate)
+
+
 def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     period = max(test.period_s for test in tests)
     duration = max(float(test.t_s[-1] - test.t_s[0]) for test in tests)

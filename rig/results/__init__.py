@@ -4,12 +4,15 @@
 
 from rig.results.estimates import (
     BreakawayResult,
+    BudgetEntry,
     EstimateResult,
+    FoundLawResult,
     FrictionLawResult,
     HystereticResult,
     IdentificationResult,
     LawFit,
     LawNumberResult,
+    PieceResult,
     RelayTestResult,
     ResidualResult,
     StaticFrictionResult,
@@ -31,11 +34,13 @@ from rig.results.result import (
 
 __all__ = [
     "BreakawayResult",
+    "BudgetEntry",
     "DeviceLoop",
     "DeviceSeen",
     "DrivenModel",
     "EstimateResult",
     "FaultReport",
+    "FoundLawResult",
     "FrictionLawResult",
     "HystereticResult",
     "IdentificationResult",
@@ -45,6 +50,7 @@ __all__ = [
     "LawNumberResult",
     "LoopResult",
     "Part",
+    "PieceResult",
     "Quantiles",
     "RealTimeReport",
     "RelayTestResult",

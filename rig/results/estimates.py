@@ -153,6 +153,35 @@ class FrictionLawResult(Part):
     rungs: tuple[LawFit, ...] = Field((), description="the nested models: each law contains the one before it")
 
 
+class FoundLawResult(Part):
+    """A law that the tests show beyond tau, K and Coulomb friction."""
+
+    name: Text = Field(description="dead_band, gain_by_sign, sag, lag, ... (docs/results.md)")
+    value: Number = Field(None, description="its size: its number, or the root sum of squares of its numbers")
+    unit: Text = Field("", description="of the value; 1: none")
+    ci95: Interval | None = Field(None, description="its 95 % interval: low, high")
+    bic: Number = Field(None, description="by how much BIC would rise without it")
+    numbers: dict[str, Number] = Field({}, description="all its numbers, with the unit in the name")
+
+
+class BudgetEntry(Part):
+    """One line of the uncertainty budget: half widths at 95 %."""
+
+    source: Text = Field(description="`scatter`: of the fit; else a law that the tests neither show nor exclude")
+    tau_s: Number = Field(None, description="what it adds to the uncertainty of tau, s")
+    K_rad_s_V: Number = Field(None, description="of K, (rad/s)/V")
+    fc_V: Number = Field(None, description="of the friction, V")
+
+
+class PieceResult(Part):
+    """The residual of one length of pieces."""
+
+    length_s: Number = Field(None, description="length of the longest piece, s; each piece has a start of its own")
+    rms_rad: Number = Field(
+        None, description="RMS of the residual, rad: it grows with the length if the motor is random"
+    )
+
+
 class IdentificationResult(Part):
     """The identification of recordings: `rig identify --json`."""
 
@@ -162,6 +191,15 @@ class IdentificationResult(Part):
     hysteretic: Sometimes[tuple[HystereticResult, ...]] = Field(None, description="runs of hysteretic relays")
     breakaway: Sometimes[StaticFrictionResult] = Field(None, description="static friction")
     friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law describes the tests")
+    law: Sometimes[tuple[FoundLawResult, ...]] = Field(None, description="what the tests show beyond the plain motor")
+    not_told_apart: Sometimes[tuple[tuple[Text, ...], ...]] = Field(
+        None, description="groups of laws that explain the tests equally well"
+    )
+    u95: Sometimes[dict[str, Number]] = Field(
+        None, description="expanded uncertainty, half width at 95 %, by parameter"
+    )
+    budget: Sometimes[tuple[BudgetEntry, ...]] = Field(None, description="what u95 is made of, the largest first")
+    pieces: Sometimes[tuple[PieceResult, ...]] = Field(None, description="residual by the length of the fitted pieces")
 
 
 def _finite(interval: Interval | None) -> tuple[float, float] | None:

@@ -15,7 +15,6 @@ from rig.model.real_step import (
     behind_play,
     direction,
     force,
-    level,
     level_of_bristles,
     mean_cosine,
     next_step,
