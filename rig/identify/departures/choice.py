@@ -109,33 +109,63 @@ class Chooser:
         return Problem(cut, free, limits, self.sigma_rad, robust_rad)
 
     def _settle(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
-        """Add and drop laws until none gains and none is without worth."""
-        dropped: set[str] = set()
+        """Add and drop laws until none gains and none is without worth.
+
+        The law that gains most at first need not be a right one: two wrong laws can stand in for a third. So each of
+        the most promising laws is followed to its end, and the best end is taken.
+        """
+        fit, laws = self._dropped(fit, laws)
+        first = self._steps(fit, laws, set())
+        if not first:
+            return fit, laws
+        ends = [self._greedy(*step) for step in first]
+        finest = with_own_noise(min((end for end, _ in ends), key=lambda end: end.scatter_rad))
+
+        def worth(end: tuple[Fit, tuple[Departure, ...]]) -> float:
+            of, found = end
+            return finest.problem.cost(of.residual_rad) / unit(finest) + sum(
+                self.price(law, of, ENTRY) for law in found
+            )
+
+        return min(ends, key=worth)
+
+    def _greedy(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
+        """One law after the other, the best each time."""
+        left: set[str] = set()
         while True:
-            seen = with_own_noise(fit)
-            worst = self._worst(seen, laws)
-            if worst is not None and worst[0] < self.price(worst[1], fit, STAY):
-                law = worst[1]
-                dropped.add(law.name)
-                laws = tuple(one for one in laws if one is not law)
-                fit = solve(self._with(fit, laws, without(fit.motor, law)))
+            before = {law.name for law in laws}
+            fit, laws = self._dropped(fit, laws)
+            left |= before - {law.name for law in laws}
+            steps = self._steps(fit, laws, left)
+            if not steps:
+                return fit, laws
+            fit, laws = steps[0]
+
+    def _dropped(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
+        """Without laws that are not worth their numbers."""
+        while True:
+            worst = self._worst(with_own_noise(fit), laws)
+            if worst is None or worst[0] >= self.price(worst[1], fit, STAY):
+                return fit, laws
+            laws = tuple(one for one in laws if one is not worst[1])
+            fit = solve(self._with(fit, laws, without(fit.motor, worst[1])))
+
+    def _steps(self, fit: Fit, laws: tuple[Departure, ...], left: set[str]) -> list[tuple[Fit, tuple[Departure, ...]]]:
+        """Fits with one more law that is worth it, the best first. ``left``: names of laws that were dropped before."""
+        if len(laws) >= MOST:
+            return []
+        found = []
+        for promise in self.promises(with_own_noise(fit), laws)[:TRIED]:
+            law = promise.law
+            if law.name in left or promise.gain < self.price(law, fit, ENTRY):
                 continue
-            if len(laws) >= MOST:
-                return fit, laws
-            best: tuple[float, Fit, Departure] | None = None
-            for promise in self.promises(seen, laws)[:TRIED]:
-                law = promise.law
-                if law.name in dropped or promise.gain < self.price(law, fit, ENTRY):
-                    continue
-                motor = fit.motor._replace(**promise.first)
-                trial = solve(self._with(fit, (*laws, law), motor), TRIAL_ITERATIONS)
-                worth = _gain(fit, trial) - self.price(law, fit, ENTRY)
-                if worth > 0.0 and (best is None or worth > best[0]):
-                    best = worth, trial, law
-            if best is None:
-                return fit, laws
-            _, fit, law = best
-            laws = (*laws, law)
+            motor = fit.motor._replace(**promise.first)
+            trial = solve(self._with(fit, (*laws, law), motor), TRIAL_ITERATIONS)
+            worth = _gain(fit, trial) - self.price(law, fit, ENTRY)
+            if worth > 0.0:
+                found.append((worth, trial, (*laws, law)))
+        found.sort(key=lambda entry: -entry[0])
+        return [(trial, more) for _, trial, more in found]
 
     def _last(self, fit: Fit, laws: tuple[Departure, ...]) -> tuple[Fit, tuple[Departure, ...]]:
         """The least-squares fit with the noise of its own residual, without the laws that are not worth it then."""

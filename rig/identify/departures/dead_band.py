@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from rig.identify.departures.departure import Bench, Departure
 
 
@@ -19,3 +21,7 @@ class DeadBand(Departure):
     def range_of(self, bench: Bench) -> float:
         """0.1 V: a duty of 1 % at 12 V."""
         return 0.1
+
+    def trials(self, bench: Bench) -> Sequence[Mapping[str, float]]:
+        """From 0, and from sizes that swallow a small drive whole: that is no longer linear."""
+        return [{}, *({"dead_band_V": share * bench.largest_V} for share in (0.02, 0.05))]
