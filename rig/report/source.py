@@ -155,6 +155,13 @@ class ReportedRun:
         spans = [Span(str(stage[a]), a, b - 1) for a, b in pairwise(starts)]
         return [s for s in spans if s.stage and kind in ("", stage_kind(s.stage))]
 
+    def spans_of(self, kind: str, absent: str) -> list[Span]:
+        """``spans`` of a kind. Raises AbsentError, with the sentence ``absent``, if there are none."""
+        spans = self.spans(kind)
+        if not spans:
+            raise AbsentError(absent)
+        return spans
+
 
 def load(folder: Path, known: Recording | None = None) -> ReportedRun:
     """Read a run folder.
