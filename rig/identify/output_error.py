@@ -117,8 +117,9 @@ class OutputErrorProblem:
 def by_full_vector(jacobian: Array, tau_K: tuple[float, float], size: int, at: int) -> Array:
     """The derivatives of a window by the full vector, (n, ``size``), from those by ``Theta``, (n, 7).
 
-    tau_K  of the motor: the full vector has their logarithms
-    at     place of the window's v0 in the full vector
+    jacobian  rad per unit of the parameter
+    tau_K     of the motor, s and (rad/s)/V: the full vector has their logarithms
+    at        place of the window's v0 in the full vector
     """
     block = np.zeros((jacobian.shape[0], size))
     block[:, :SHARED] = jacobian[:, :SHARED]

@@ -121,7 +121,7 @@ def glide(state: State, target: float, tau_s: float, h_s: float) -> State:
 
 
 def glide_by(state: State, target: float, tau_s: float, h_s: float, decay: float) -> State:
-    """``glide`` towards ``target``, rad/s, for a caller that already has ``decay_after``."""
+    """``glide`` towards ``target``, rad/s, for a caller that already has ``decay`` = 1 - exp(-h / tau)."""
     v, y, z = state
     excess = v - target
     return State(
