@@ -165,8 +165,9 @@ def next_segment(plant: Plant, v: float, drive_V: float, longest_s: float, c: Ro
     tau, gain = plant.tau_s, plant.K_rad_s_V
     moving_V, static_V = friction_levels(plant, sign)
     b = gain * (static_V - moving_V) / unit
-    x, target, far = abs(v) / unit, gain * (sign * drive_V - moving_V) / unit, far_speed(b)
+    x, target = abs(v) / unit, gain * (sign * drive_V - moving_V) / unit
     if is_exponential(x, target, b):
+        far = far_speed(b)
         # down to the speed at which the Stribeck effect begins, or to rest if this direction has no Stribeck effect
         leaves_s = tau * math.log1p((x - far) / (far - target)) if target < far < x else math.inf
         if leaves_s <= longest_s:
