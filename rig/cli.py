@@ -67,7 +67,8 @@ OUT = click.option(
 )  # fmt: skip
 ROWS = click.option(
     "--rows", metavar="FIRST:LAST", type=_Rows(), default=None,
-    help="Only these rows, both included. They count from 0, as in messages and result.json. Leave out either.",
+    help="Only these rows, both included. They count from 0, as in messages and result.json. "
+    "You may leave out FIRST or LAST.",
 )  # fmt: skip
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout, and nothing else.")
 

@@ -84,7 +84,7 @@ def show_run(outcome: Outcome) -> None:
     for test in result.relays:
         click.echo(
             f"{test.stage}: h1 {test.h1_V:.3f} V, h2 {test.h2_V:.3f} V -> "
-            f"{test.amplitude_rad:.3f} rad, {test.period_s:.3f} s, {test.cycles} cycles"
+            f"amplitude {test.amplitude_rad:.3f} rad, period {test.period_s:.3f} s, {test.cycles} cycles"
         )
     for run in result.hysteretic or ():
         switched = "no switching" if run.switched_s is None else f"switches after {run.switched_s:.3f} s"

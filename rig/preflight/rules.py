@@ -347,7 +347,7 @@ def _hysteretic(e: Experiment) -> Iterator[Problem]:
                 "widen it: the method sees only the transient up to it",
             )
         elif limits_are_ordered(e) and run.eps_rad + overshoot > reach_rad(e):
-            written = " + ".join(f"{rad:.3f} {words}" for words, rad in overshoot_terms(e))
+            written = " + ".join(f"{rad:.3f} ({words})" for words, rad in overshoot_terms(e))
             room = reach_rad(e) - overshoot
             yield Problem(
                 (*path, "eps_rad"),

@@ -173,7 +173,7 @@ def test_a_config_may_be_a_mapping_and_names_its_keys(tmp_path: Path) -> None:
     config["drive"]["max_V"] = "much"
     with pytest.raises(rig.RigError, match=r"^config: drive\.max_V: "):
         rig.run(config, out=tmp_path)
-    with pytest.raises(rig.RigError, match="holds what no file can"):
+    with pytest.raises(rig.RigError, match="holds a value that no file can hold"):
         rig.run(config | {"name": Path()}, out=tmp_path)
 
 

@@ -67,7 +67,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "no room to stop": (
         {"limits__max_speed_rad_s": 6.0},
         "limits.max_speed_rad_s",
-        "no room to stop: at 6 rad/s: 0.180 3 periods + 0.360 reply time-out + 0.600 watchdog + 1.200 coasting "
+        "no room to stop: at 6 rad/s: 0.180 (3 periods) + 0.360 (reply time-out) + 0.600 (watchdog) + 1.200 (coasting) "
         "= 2.340 rad, but from the centre of travel (0 rad) the nearer hard limit is 1.950 rad away",
     ),
     "no room on one side": (
@@ -75,7 +75,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "limits.max_speed_rad_s",
         "from the centre of travel (0 rad) the nearer hard limit is 1.800 rad away",
     ),
-    "coasts too far": ({"limits__coast_tau_s": 0.21}, "limits.max_speed_rad_s", "1.029 coasting"),
+    "coasts too far": ({"limits__coast_tau_s": 0.21}, "limits.max_speed_rad_s", "1.029 (coasting)"),
     "more than the supply": (
         {"drive__bridge_drop_V": 9.5},
         "drive.max_V",
@@ -174,14 +174,14 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "link too slow": (
         {"daq__baud": 9600},
         "daq.baud",
-        "READ 8 + STATE 32 + DRIVE 10 = 50 bytes x 11 bits / 9600 baud = 57.29 ms, + 1 ms turnaround = 58.29 ms; "
+        "READ 8 + STATE 32 + DRIVE 10 = 50 bytes x 11 bits / 9600 baud = 57.29 ms, + 1 ms (turnaround) = 58.29 ms; "
         "80% of the period is 8.00 ms",
     ),
     "time-out too short for a reading": (
         {"daq__timeout_s": 0.006},
         "daq.timeout_s",
         "6 ms is too short for a reading: READ 8 + STATE 32 = 40 bytes x 11 bits / 115200 baud = 3.82 ms, + 1 ms "
-        "turnaround = 4.82 ms; after two thirds of the time-out it is asked for again",
+        "(turnaround) = 4.82 ms; after two thirds of the time-out it is asked for again",
     ),
     "serial without port": ({"daq__port": None}, "daq.port", "`driver: serial` needs a port"),
     "a real port, and no bridge": (
@@ -248,7 +248,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "the device's samples are older": (
         {"relay__where": "device"},
         "limits.max_speed_rad_s",
-        "0.245 5 periods + 0.294 reply time-out",
+        "0.245 (5 periods) + 0.294 (reply time-out)",
     ),
     "spinning for most of the period": (
         {

@@ -215,7 +215,7 @@ def test_an_ftdi_at_16_ms_is_refused_at_10_ms_with_what_to_type(tmp_path: Path) 
     code, text = checked(tmp_path, port="/dev/ttyUSB3", adapter="ftdi")
     assert code == 2
     assert "daq.adapter: too slow for the period" in text
-    assert "+ 2 ms USB frames + 16 ms ftdi adapter" in text
+    assert "+ 2 ms (USB frames) + 16 ms (ftdi adapter)" in text
     cure = "`echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB3/latency_timer`, and daq.adapter: ftdi-1ms"
     assert f"{cure}, and daq.baud 230400" in text
     assert "daq.timeout_s" not in text
@@ -223,7 +223,7 @@ def test_an_ftdi_at_16_ms_is_refused_at_10_ms_with_what_to_type(tmp_path: Path) 
     assert code == 2 and f"{cure}, or period_s" in text
     code, text = checked(tmp_path, port="/dev/ttyUSB3", adapter="ftdi-1ms", baud=230400)
     assert code == 0
-    assert "+ 1 ms ftdi-1ms adapter" in text
+    assert "+ 1 ms (ftdi-1ms adapter)" in text
 
 
 def test_without_the_key_the_slowest_by_the_ports_name_is_reckoned_with(tmp_path: Path) -> None:

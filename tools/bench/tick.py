@@ -1,11 +1,11 @@
-"""A whole tick, from the wake-up to the row in the record, split: over a serial device, Modbus and the simulator.
+"""A whole tick, from the wake-up to the recorded row, split: over a serial device, Modbus and the simulator.
 
 PYTHONPATH=tools python -m bench.tick [--json] [--seconds 8]
 
 The emulated devices run in real time: processes on this machine, behind a pseudo-terminal or on loopback, so that the
 wire is that of this machine and not of a cable. A relay test runs, recorded to disk, with the config's loop settings.
-A second loop takes turns with it, half a second each: the same driver with a relay of one line, no guard and no record.
-What ours computes beyond it is what guard, cycle detector and checks cost.
+A second loop takes turns with it, half a second each: the same driver with a relay of one line, no guard and no
+recorder. What ours computes beyond it is what guard, cycle detector and checks cost.
 """
 
 from __future__ import annotations

@@ -168,7 +168,7 @@ def _states(log: bytes) -> list[int]:
 
 
 def _rtu_replies(log: bytes) -> list[int]:
-    """Of an I/O block: its replies to FC23 are counted from 1, as in the record."""
+    """Of an I/O block: its replies to FC23 are counted from 1, as in the recording."""
     length, found, at = 13, 0, 0
     while (at := log.find(bytes((1, 23, 8)), at)) >= 0:
         whole = log[at : at + length]
@@ -405,7 +405,7 @@ def _device_late_s(
 def _lost(
     told: list[int], apart: int, rows: list[dict[str, str]], fault: Mapping[str, Any] | None, *, killed: bool
 ) -> int:
-    """Samples that the host received and the record has not.
+    """Samples that the host received and the recording lacks.
 
     apart  least distance between the keys of two samples; what is nearer was asked for again, and answered twice
 
