@@ -142,9 +142,9 @@ _STAGES_HEAD = """\
 
 When the fault comes in the gain search, at rest (armed, 0 V, after the relay tests), in the pause (disarmed, while the
 recording is identified), while the device is armed again, in tracking. At rest, in the pause and at re-arming the drive
-is 0: there *0* means that nothing drove any more, and a time counts from the first drive after the fault. A cell has the
-fault's code, how long the drive was on, and the bound; *runs on*: the longest time that one drive acted without a new
-word.
+is 0: there *0* means that nothing drove any more, and a time counts from the first drive after the fault. A cell has
+the fault's code, how long the drive was on, and the bound; *runs on*: the longest time that one drive acted without a
+new word.
 
 Each row is tried in each stage on the host-board device; on the others what is other there: the contacts, resets and
 hangs of the Uno's chip, all that may happen to a Modbus I/O block while it is disarmed or armed again (it is asked
