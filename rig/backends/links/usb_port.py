@@ -66,7 +66,6 @@ def check_adapter(device: str, assumed: Adapter, key: str = "daq.adapter", root:
     """Compare the adapter of an open port with the one that rig computes its times for.
 
     A quicker or an unknown adapter passes.
-
     Raises Fault CONFIG_MISMATCH, which says what ``key`` is to be.
     """
     found = usb_port(device, root)
@@ -75,6 +74,6 @@ def check_adapter(device: str, assumed: Adapter, key: str = "daq.adapter", root:
     timer = f", or its timer to {LATENCY_MS} ms (`rig doctor` has the line)" if found.adapter == "ftdi" else ""
     raise Fault(
         "CONFIG_MISMATCH",
-        f"{found.words}, which is slower than the adapter that rig counts with, {assumed}: set {key} to "
+        f"{found.words}, which is slower than the adapter that rig assumes ({assumed}): set {key} to "
         f"{found.adapter}{timer}, then see what `rig check` says",
     )
