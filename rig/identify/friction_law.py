@@ -111,7 +111,7 @@ class FrictionLawChoice:
         """Why viscous friction is not a candidate, as a sentence."""
         own = self.chosen.parameters
         return (
-            "viscous friction is within tau and K, no motion can show it apart; "
+            "viscous friction is part of tau and K, and no motion can tell it from them; "
             f"tau / K = {own['tau_s'] / own['K_rad_s_V']:.4g} V s^2/rad is the same with and without it"
         )
 
