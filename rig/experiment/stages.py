@@ -171,8 +171,8 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
     if differ > FRICTION_DIFFERS:
         session.found.notes.append(
             f"the shaft broke away at {check.plus_V:.2f} V in one direction and at {check.minus_V:.2f} V in the other, "
-            f"{differ:.0%} from their mean; `rig check` bounds unseen travel for at most {FRICTION_DIFFERS:.0%}. With a "
-            "stuck or uncoupled sensor this shaft could turn farther than `rig check` says: lower breakaway.max_V"
+            f"{differ:.0%} from their mean; `rig check` bounds unseen travel for at most {FRICTION_DIFFERS:.0%}. With "
+            "a stuck or uncoupled sensor this shaft could turn farther than `rig check` says: lower breakaway.max_V"
         )
     session.note("breakaway", plus_V=check.plus_V, minus_V=check.minus_V, noise_rad=check.noise_rad)
 
