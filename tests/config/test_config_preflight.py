@@ -298,7 +298,7 @@ def test_the_ready_configs_pass_and_say_what_would_happen(name: str) -> None:
     assert loaded.name == name
     assert found.problems == ()
     text = "\n".join(found.lines)
-    for word in ("backend:", "breakaway", "excite", "relay", "verify", "limits:", "stopping", "failsafe"):
+    for word in ("backend:", "breakaway", "stage search", "relay", "verify", "limits:", "stopping", "failsafe"):
         assert word in text
     assert ("REAL MOTOR" in text) == (name == "uno")
     assert ("emulated chip" in text) == (name == "demo-chip")
