@@ -28,6 +28,7 @@ from rig.model.prediction import predict_cycle
 from rig.notebook import Found, Run
 from rig.recording import reader
 from rig.recording.errors import RecordingError
+from rig.recording.recording import MIN_ROWS, Recording, from_columns
 from rig.replay import Replay
 from rig.replay import replay as replay_folder
 from rig.results import JsonObject
@@ -67,7 +68,7 @@ def read(path: AnyPath) -> Run:
 
 @overload
 def identify(
-    data: reader.Recording | AnyPath | Sequence[reader.Recording | AnyPath], *, methods: Sequence[str] | None = None
+    data: Recording | AnyPath | Sequence[Recording | AnyPath], *, methods: Sequence[str] | None = None
 ) -> Found: ...
 @overload
 def identify(
@@ -93,16 +94,16 @@ def identify(
     arguments that are none of these.
     """
     if u is not None and y is not None:
-        recordings: list[reader.Recording] = [_from_arrays(data, u, y, t_u)]
+        recordings: list[Recording] = [_from_arrays(data, u, y, t_u)]
     elif u is None and y is None and t_u is None:
-        given = [data] if isinstance(data, reader.Recording | str | PathLike) else list(data)
-        recordings = [one if isinstance(one, reader.Recording) else reader.read(Path(one)) for one in given]
+        given = [data] if isinstance(data, Recording | str | PathLike) else list(data)
+        recordings = [one if isinstance(one, Recording) else reader.read(Path(one)) for one in given]
     else:
         raise TypeError("rig.identify takes one run, a path, a list of them, or t, u and y")
     return Found.of(identify_recordings(recordings, methods))
 
 
-def _from_arrays(t: ArrayLike, u: ArrayLike, y: ArrayLike, t_u: ArrayLike | None) -> reader.Recording:
+def _from_arrays(t: ArrayLike, u: ArrayLike, y: ArrayLike, t_u: ArrayLike | None) -> Recording:
     """Columns as a recording. Raises IdentifyError where they are no columns of one length and of numbers."""
     given = {"t": t, "u": u, "y": y} | ({} if t_u is None else {"t_u": t_u})
     columns = {name: np.asarray(values, dtype=np.float64) for name, values in given.items()}
@@ -114,9 +115,9 @@ def _from_arrays(t: ArrayLike, u: ArrayLike, y: ArrayLike, t_u: ArrayLike | None
         bad = np.flatnonzero(~np.isfinite(column))
         if bad.size:
             raise IdentifyError(f"{name}[{bad[0]}] is {column[bad[0]]}", "leave such samples out, in every column")
-    if columns["t"].size < reader.MIN_ROWS:
+    if columns["t"].size < MIN_ROWS:
         raise IdentifyError(f"there are {columns['t'].size} samples", "record ten cycles: some hundred samples")
-    return reader.from_columns(ARRAYS, columns["t"], columns["u"], columns["y"], columns.get("t_u"))
+    return from_columns(ARRAYS, columns["t"], columns["u"], columns["y"], columns.get("t_u"))
 
 
 def simulate(motor: Motor, drive: Drive, duration_s: float, sampling: Sampling | None = None) -> Run:

@@ -32,7 +32,8 @@ from rig.recording.columns import COLUMNS, KINDS, UNITS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import RESULT, json_text, write_whole
 from rig.recording.path_kind import is_file_of_a_run
-from rig.recording.reader import Recording, read_result, read_run
+from rig.recording.reader import read_result, read_run
+from rig.recording.recording import Recording
 from rig.results import JsonObject, RunResult
 from rig.results.reading import remarks
 

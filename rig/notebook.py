@@ -15,7 +15,7 @@ from rig.optional import needed
 from rig.recording.columns import COLUMNS, UNITS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import META
-from rig.recording.reader import Recording
+from rig.recording.recording import Recording
 from rig.report import source
 from rig.report.fitted import forest_figure
 from rig.report.measured import whole_run_figure

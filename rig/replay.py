@@ -31,7 +31,8 @@ from rig.model.motor import Motor
 from rig.plug_ins import PlugInError
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META
-from rig.recording.reader import Recording, read_run
+from rig.recording.reader import read_run
+from rig.recording.recording import Recording
 from rig.recording.writer import EVENTS
 from rig.results import DrivenModel, JsonObject, RealTimeReport, RunMeta, ScriptCall
 from rig.results.reading import DamagedError, parsed

@@ -22,8 +22,9 @@ from rig.loop.stop_request import StopRequest, stop_on_signals
 from rig.model.supply import SupplyReading
 from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
-from rig.recording.reader import Recording, read_run
+from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
+from rig.recording.recording import Recording
 from rig.recording.sink import RowSink
 from rig.recording.stage import Stage, StageKind
 from rig.report import write_report

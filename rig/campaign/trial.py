@@ -22,7 +22,8 @@ from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.output_error import refit
 from rig.model.sampled_relay import SimulatedRelayTest
 from rig.model.sensitivity import Theta
-from rig.recording.reader import Recording, RecordingError, from_columns
+from rig.recording.errors import RecordingError
+from rig.recording.recording import Recording, from_columns
 from rig.recording.series import LEAST_DELAY_S, TimeSeries, steps_of
 from rig.results import RunMeta
 

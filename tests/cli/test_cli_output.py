@@ -16,7 +16,7 @@ from command_line import rig
 from rich.console import Console
 
 from rig import terminal
-from rig.recording.reader import read_csv
+from rig.recording.csv_file import read_csv
 from rig.results import EstimateResult, TrackingResult, TrueMotor
 from rig.terminal import plain_table, show_estimates
 
