@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, overload
@@ -61,7 +62,8 @@ ARRAYS = Path("t, u, y")  # what messages call columns that are in no file
 def read(path: AnyPath) -> Run:
     """Read a run folder, or a CSV file with the columns t_s, u_V and y_rad. Raises RecordingError."""
     recording = reader.read(Path(path))
-    result = reader.read_result(recording.source) if recording.config_text is not None else None
+    result, notes = reader.read_result(recording.source) if recording.config_text is not None else (None, [])
+    recording = replace(recording, notes=(*recording.notes, *notes))
     faults = () if result is None else result.faults
     return Run.of(recording, result, "; ".join(str(Fault(fault.code, fault.detail)) for fault in faults))
 

@@ -99,7 +99,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
     own          a new object of the user's law that ran; None: the law that the config names, if it names one
     Raises RecordingError if the folder cannot be read, or lacks what a replay needs; ConfigError for its config.
     """
-    recording = read_run(folder)
+    recording = read_run(folder, strict=True)
     fault, is_whole = _ending(recording)
     if recording.config_text is None:
         raise RecordingError(folder / CONFIG, "is missing", "a run cannot be replayed without its config")

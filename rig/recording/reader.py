@@ -18,10 +18,11 @@ from rig.recording.recording import Recording
 from rig.recording.text_file import content_of, is_folder, text_of, whole_content, without_torn_line
 from rig.recording.writer import EVENTS, SAMPLES
 from rig.results import Part, RunEvent, RunMeta, RunResult
-from rig.results.reading import DamagedError, parsed, remarks
+from rig.results.reading import remarks, salvaged
 from rig.signals import plain
 
 _P = TypeVar("_P", bound=Part)
+_File = TypeVar("_File", RunMeta, RunResult)
 
 
 def read(path: Path) -> Recording:
@@ -32,10 +33,11 @@ def read(path: Path) -> Recording:
     return read_run(path) if is_folder(path) else read_csv(path)
 
 
-def read_run(folder: Path, known: Recording | None = None) -> Recording:
-    """Read a run folder. ``notes`` say what a killed run did not write.
+def read_run(folder: Path, known: Recording | None = None, *, strict: bool = False) -> Recording:
+    """Read a run folder. ``notes`` say what a killed run did not write, and which wrong values are left out.
 
-    known  this run as read earlier: its rows are not parsed again
+    known   this run as read earlier: its rows are not parsed again
+    strict  whether a wrong value in meta.json or events.jsonl is an error
 
     Raises RecordingError if this is not a run (see `no_run`), if samples.csv is unusable, or if another file of the
     folder is broken.
@@ -43,49 +45,58 @@ def read_run(folder: Path, known: Recording | None = None) -> Recording:
     if not is_folder(folder) or not (folder / SAMPLES).exists():
         raise no_run(folder)
     recording = read_csv(folder / SAMPLES, own=True, known=known)
-    notes = list(recording.notes)
-
-    meta = _read_part(folder / META, RunMeta)
-    if meta is not None:
-        notes.extend(f"{META}: {remark}" for remark in remarks(meta))
-    else:
-        meta = RunMeta()
-        notes.append(f"{META} is missing")
+    meta, meta_notes = _read_part(folder / META, RunMeta, strict=strict)
     config = folder / CONFIG
     config_text = text_of(config, content_of(config)) if config.exists() else None
-    events: list[RunEvent] = []
-    if (folder / EVENTS).exists():
-        events = _read_events(folder / EVENTS, notes)
+    events, event_notes = _read_events(folder / EVENTS, strict=strict)
+    notes = (*recording.notes, *([f"{META} is missing"] if meta is None else meta_notes), *event_notes)
     return replace(
-        recording, source=folder, meta=meta, config_text=config_text, events=tuple(events), notes=tuple(notes)
+        recording, source=folder, meta=meta or RunMeta(), config_text=config_text, events=events, notes=notes
     )
 
 
-def read_result(folder: Path) -> RunResult | None:
-    """The content of a run folder's result.json; None without that file. Raises RecordingError if it is broken."""
-    return _read_part(folder / RESULT, RunResult)
+def read_result(folder: Path) -> tuple[RunResult | None, list[str]]:
+    """The content of a run folder's result.json, without wrong values; and notes on it. None without that file.
+
+    Raises RecordingError if the file is no JSON object.
+    """
+    return _read_part(folder / RESULT, RunResult, strict=False)
 
 
-def _read_events(path: Path, notes: list[str]) -> list[RunEvent]:
-    content, moved = whole_content(path)
+def _read_events(path: Path, *, strict: bool) -> tuple[tuple[RunEvent, ...], list[str]]:
+    """The events, none without the file; and notes on the file."""
+    content, notes = whole_content(path) if path.exists() else (b"", [])
     if not content:
-        return []
+        return (), []
     whole, torn = without_torn_line(path, content)
-    notes.extend(f"{EVENTS}: {note}" for note in [*moved, *torn])
-    lines = text_of(path, whole).split("\n")
-    return [_typed(path, RunEvent, line, number) for number, line in enumerate(lines, 1) if line.strip()]
+    events: list[RunEvent] = []
+    wrong: list[str] = []
+    for number, line in enumerate(text_of(path, whole).split("\n"), 1):
+        if line.strip():
+            event, left_out = _typed(path, RunEvent, line, number, strict=strict)
+            events.append(event)
+            wrong += [f"line {number}: {words}" for words in left_out]
+    if wrong:
+        others = "" if len(wrong) == 1 else f", and {len(wrong) - 1} more"
+        torn.append(f"{wrong[0]}; rig leaves it out{others}")
+    return tuple(events), [f"{EVENTS}: {note}" for note in [*notes, *torn]]
 
 
-def _read_part(path: Path, kind: type[_P]) -> _P | None:
-    """The content of a JSON file; None without the file."""
-    return _typed(path, kind, text_of(path, content_of(path)), None) if path.exists() else None
+def _read_part(path: Path, kind: type[_File], *, strict: bool) -> tuple[_File | None, list[str]]:
+    """The content of a JSON file, None without the file; and notes on it."""
+    if not path.exists():
+        return None, []
+    part, left_out = _typed(path, kind, text_of(path, content_of(path)), None, strict=strict)
+    notes = [f"{words}; rig leaves it out" for words in left_out] + remarks(part)
+    return part, [f"{path.name}: {note}" for note in notes]
 
 
-def _typed(path: Path, kind: type[_P], text: str, line: int | None) -> _P:
-    try:
-        return parsed(kind, _parse_object(path, text, line))
-    except DamagedError as error:
-        raise RecordingError(path, error.cause, "correct it, or take that key out of the file", line) from error
+def _typed(path: Path, kind: type[_P], text: str, line: int | None, *, strict: bool) -> tuple[_P, list[str]]:
+    """A JSON object as a part, and a sentence on each wrong value, which is left out. ``strict``: it is an error."""
+    part, left_out = salvaged(kind, _parse_object(path, text, line))
+    if strict and left_out:
+        raise RecordingError(path, left_out[0], "correct it, or take that key out of the file", line)
+    return part, left_out
 
 
 def _parse_object(path: Path, text: str, line: int | None) -> dict[str, Any]:
