@@ -150,7 +150,7 @@ def predict(
     fc_V, fs_V        Coulomb and static friction, V; static by default as Coulomb friction
     Raises ValueError on parameters out of range.
     """
-    return predict_cycle(tau_s, K_rad_s_V, fc_V, fc_V if fs_V is None else fs_V, h1_V, h2_V)
+    return predict_cycle(tau_s, K_rad_s_V, fc_V, fc_V if fs_V is None else fs_V, h1_V, h2_V).as_json()
 
 
 def run(config: Given, law: OwnLaw | None = None, *, duration_s: float = 10.0, out: AnyPath = "runs") -> Run:

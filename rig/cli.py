@@ -337,10 +337,10 @@ def predict(tau: float, K: float, fc: float, fs: float | None, h1: float, h2: fl
     except ValueError as error:
         _fail(EXIT_BAD_INPUT, str(error), "--tau and --K must be > 0, friction and gains >= 0, --fs at least --fc")
     if as_json:
-        click.echo(json.dumps(prediction))
+        click.echo(json.dumps(prediction.as_json()))
     else:
         show_prediction(prediction)
-    sys.exit(0 if prediction["oscillates"] else EXIT_FAILED)
+    sys.exit(EXIT_FAILED if prediction.exact is None else 0)
 
 
 @main.command()

@@ -194,7 +194,7 @@ def as_mat(run: ExportedRun) -> bytes:
     """A MATLAB 5 file: columns n x 1, numbers doubles, texts char, lists of texts cells, null []."""
     from scipy.io import savemat
 
-    columns: dict[str, Any] = {
+    columns: dict[str, NDArray[Any]] = {
         name: _cell(column.tolist()) if KINDS[name] == "name" else column.astype(np.float64).reshape(-1, 1)
         for name, column in run.columns().items()
     }

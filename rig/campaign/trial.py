@@ -28,7 +28,7 @@ from rig.recording.series import LEAST_DELAY_S, TimeSeries, steps_of
 from rig.results import RunMeta
 
 Array = NDArray[np.float64]
-Row = dict[str, Any]
+Row = dict[str, Any]  # COLUMNS says of which kind each is
 FAILED = "failed"  # verdict of an experiment that raised an exception
 
 TRUTHS = ("h1_V", "h2_V", "period_s", "offset_rad", "start_rad", "clock_ratio")

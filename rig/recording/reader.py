@@ -8,7 +8,9 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
+
+from pydantic import JsonValue
 
 from rig.recording.csv_file import read_csv
 from rig.recording.errors import RecordingError
@@ -17,7 +19,7 @@ from rig.recording.path_kind import no_recording, no_run
 from rig.recording.recording import Recording
 from rig.recording.text_file import content_of, is_folder, text_of, whole_content, without_torn_line
 from rig.recording.writer import EVENTS, SAMPLES
-from rig.results import Part, RunEvent, RunMeta, RunResult
+from rig.results import JsonObject, Part, RunEvent, RunMeta, RunResult
 from rig.results.reading import remarks, salvaged
 from rig.signals import plain
 
@@ -99,7 +101,7 @@ def _typed(path: Path, kind: type[_P], text: str, line: int | None, *, strict: b
     return part, left_out
 
 
-def _parse_object(path: Path, text: str, line: int | None) -> dict[str, Any]:
+def _parse_object(path: Path, text: str, line: int | None) -> JsonObject:
     try:
         value = json.loads(text, parse_constant=_no_such_number)
     except (ValueError, RecursionError) as error:
@@ -111,7 +113,7 @@ def _parse_object(path: Path, text: str, line: int | None) -> dict[str, Any]:
     return {plain(key): printable(item) for key, item in value.items()}
 
 
-def printable(value: Any) -> Any:
+def printable(value: JsonValue) -> JsonValue:
     """A JSON value with its texts made safe for a terminal. A traceback keeps its lines."""
     if isinstance(value, str):
         return "\n".join(plain(line) for line in value.split("\n"))
