@@ -15,7 +15,6 @@ from typing import Literal, cast
 from rig import config
 from rig.backends.driver import DeviceInfo
 from rig.backends.registry import Bench
-from rig.bench import guard_settings_of
 from rig.config.schema import Experiment, Method
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
@@ -29,6 +28,7 @@ from rig.loop.stop_request import StopRequest
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.plug_ins import PlugInError
+from rig.preflight.loop_settings import guard_settings_of
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META
 from rig.recording.reader import read_run

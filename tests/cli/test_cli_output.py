@@ -121,7 +121,7 @@ def test_a_missing_port_is_said_before_anything_is_loaded_opened_or_waited_for(t
         "scipy",
         "numba",
         "serial",
-        "rig.bench",
+        "rig.preflight.loop_settings",
         "rig.backends.links.serial_port",
         "rig.experiment",
         "rig.loop.runner",
