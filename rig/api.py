@@ -86,7 +86,7 @@ def identify(
 ) -> Found:
     """Identify gain, time constant and friction of one motor.
 
-    data     a run, or the path of a run folder or a CSV file; several in a list are records of one motor. Or, with
+    data     a run, or the path of a run folder or a CSV file; several in a list are recordings of one motor. Or, with
              ``u`` and ``y``, the times of n samples, s, rising
     u        n drives, V: each acts from its time in ``t_u`` until the next
     y        n positions, rad
@@ -160,7 +160,7 @@ def run(config: Given, law: OwnLaw | None = None, *, duration_s: float = 10.0, o
     law         any object with ``step(sample)`` that gives volts; the guard and the limits of the config hold for it
     duration_s  after which the law ends, s; it ends before where it says ``finished``
     out         the folder that the run folder is made in
-    Returns the run. Whatever ends it, the drive is stopped and the record is kept: ``failure`` says what went wrong.
+    Returns the run. Whatever ends it, the drive is stopped and the recording is kept: ``failure`` says what went wrong.
     Raises ConfigError for a config that must not be run, Fault where the bench cannot be opened, RecordingError where
     there can be no run folder.
     """
@@ -178,7 +178,7 @@ def _without_law(e: Experiment) -> Experiment:
 
 
 def _as_run(outcome: Outcome) -> Run:
-    """The run as it was recorded. A law's traceback goes to stderr. Raises its fault where there is no record."""
+    """The run as it was recorded. A law's traceback goes to stderr. Raises its fault where there is no recording."""
     sys.stderr.write(outcome.traceback)
     try:
         recording = reader.read_run(outcome.folder)
@@ -188,7 +188,7 @@ def _as_run(outcome: Outcome) -> Run:
 
 
 def replay(run: Run | AnyPath, law: OwnLaw | None = None) -> Replay:
-    """Feed a run's record through laws and guard again: ``is_same``, or the first ``difference``.
+    """Feed a run's recording through laws and guard again: ``is_same``, or the first ``difference``.
 
     run  a run, or the path of its folder
     law  of ``rig.run(config, law=...)``: made anew, since a law remembers; a law that the config names is found
