@@ -16,7 +16,7 @@ def is_folder(path: Path) -> bool:
     try:
         return path.is_dir()
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise RecordingError(path, *_unreadable(error)) from error
 
 
 def content_of(path: Path) -> bytes:
@@ -27,15 +27,16 @@ def content_of(path: Path) -> bytes:
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:  # ValueError: an impossible path
-        raise _unreadable(path, error) from error
+        raise RecordingError(path, *_unreadable(error)) from error
     if len(content) > MAX_BYTES:
         raise RecordingError(path, f"is larger than {MAX_BYTES // 2**20} MiB", "cut it to the rows of the experiment")
     return content
 
 
-def _unreadable(path: Path, error: Exception) -> RecordingError:
+def _unreadable(error: Exception) -> tuple[str, str]:
+    """Cause and cure."""
     reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    return RecordingError(path, f"cannot be read: {reason}", "check the path and its permissions")
+    return f"cannot be read: {reason}", "check the path and its permissions"
 
 
 def whole_content(path: Path) -> tuple[bytes, list[str]]:
