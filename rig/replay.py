@@ -15,7 +15,6 @@ from typing import Literal, cast
 from rig import config
 from rig.backends.driver import DeviceInfo
 from rig.backends.registry import Bench
-from rig.bench import guard_settings_of
 from rig.config.schema import Experiment, Method
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
@@ -29,9 +28,11 @@ from rig.loop.stop_request import StopRequest
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.plug_ins import PlugInError
+from rig.preflight.loop_settings import guard_settings_of
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META
-from rig.recording.reader import Recording, read_run
+from rig.recording.reader import read_run
+from rig.recording.recording import Recording
 from rig.recording.writer import EVENTS
 from rig.results import DrivenModel, JsonObject, RealTimeReport, RunMeta, ScriptCall
 from rig.results.reading import DamagedError, parsed
@@ -98,7 +99,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
     own          a new object of the user's law that ran; None: the law that the config names, if it names one
     Raises RecordingError if the folder cannot be read, or lacks what a replay needs; ConfigError for its config.
     """
-    recording = read_run(folder)
+    recording = read_run(folder, strict=True)
     fault, is_whole = _ending(recording)
     if recording.config_text is None:
         raise RecordingError(folder / CONFIG, "is missing", "a run cannot be replayed without its config")

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 from rig.backends.clock import MonotonicClock
 from rig.backends.driver import RelayDriver
-from rig.bench import guard_settings_of, real_time_of
 from rig.config import Experiment
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck, BreakawayFound, BreakawayLaw, StrokePlan
@@ -31,6 +30,7 @@ from rig.loop.pre_run import PreRunBench, pre_run
 from rig.loop.real_time import RealTime, real_time
 from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
+from rig.preflight.loop_settings import guard_settings_of, real_time_of
 from rig.preflight.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
 from rig.recording.folder import write_meta
 from rig.recording.stage import Stage, StageKind

@@ -11,7 +11,7 @@ from rig.faults import Fault
 from rig.loop.device_relay import STOPPING
 from rig.loop.stop_request import StopRequest
 from rig.recording.columns import SampleRow
-from rig.recording.reader import Recording
+from rig.recording.recording import Recording
 
 By = Literal["law", "guard", "record"]
 

@@ -23,9 +23,9 @@ from rig.backends.link_budget import LinkBudget
 from rig.backends.modbus.link_budget import transactions
 from rig.backends.modbus.section import tcp_address
 from rig.backends.registry import backend_of
-from rig.bench import guard_settings_of
 from rig.config import Experiment, load
 from rig.preflight import notes, preflight
+from rig.preflight.loop_settings import guard_settings_of
 from rig.preflight.plan import plan
 from rig.preflight.room_to_stop import device_watchdog_s, reaction_periods, stopping_terms
 

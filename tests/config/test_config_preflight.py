@@ -15,12 +15,12 @@ from pydantic import ValidationError
 from rig.backends.serial import driver as serial_link
 from rig.backends.serial import frames
 from rig.backends.serial.link_budget import REPLY_SHARE
-from rig.bench import guard_settings_of
 from rig.calibration import Calibration
 from rig.config import ConfigError, Experiment, load
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.preflight import check, preflight
+from rig.preflight.loop_settings import guard_settings_of
 from rig.preflight.room_to_stop import stopping_terms
 
 CONFIGS = Path(__file__).parents[2] / "config"

@@ -26,7 +26,8 @@ from rig.control.law import Constant
 from rig.experiment import script, stages
 from rig.faults import Fault
 from rig.identify import Identification, identify
-from rig.recording.reader import Recording, read_run
+from rig.recording.reader import read_run
+from rig.recording.recording import Recording
 from rig.signals import Sample
 
 ROOT = Path(__file__).resolve().parents[2]

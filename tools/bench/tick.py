@@ -26,7 +26,6 @@ from rig.backends.backend import truth_of
 from rig.backends.clock import MonotonicClock
 from rig.backends.registry import Bench, connect
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
-from rig.bench import guard_settings_of, real_time_of
 from rig.config import Experiment, load
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
@@ -37,6 +36,7 @@ from rig.loop.real_time import RealTime, real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
+from rig.preflight.loop_settings import guard_settings_of, real_time_of
 from rig.recording.recorder import Recorder
 from rig.recording.sink import NullSink
 from rig.results.result import LoopResult

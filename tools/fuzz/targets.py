@@ -24,7 +24,10 @@ from rig.calibration import Calibration, DriveMap
 from rig.faults import Fault
 from rig.identify import IdentifyError, identify
 from rig.preflight import check
-from rig.recording.reader import Recording, RecordingError, read_csv, read_run
+from rig.recording.csv_file import read_csv
+from rig.recording.errors import RecordingError
+from rig.recording.reader import read_run
+from rig.recording.recording import Recording
 from rig.replay import replay
 from rig.report.source import load as load_report
 from rig.signals import Limits
