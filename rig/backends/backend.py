@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeVar
 from rig.backends.clock import MonotonicClock
 from rig.backends.driver import Clock, Driver, Transport
 from rig.backends.link_budget import LinkBudget
-from rig.backends.section import Section
 from rig.config.problems import Problem
 from rig.config.schema import Experiment
+from rig.section import Section
 
 if TYPE_CHECKING:  # these load slowly
     from rig.backends.emulated.board_process import BoardProcess

@@ -13,9 +13,9 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from rig.backends.links.usb_adapters import Adapter
 from rig.backends.modbus.section import Modbus
-from rig.backends.section import Interval, NonNegative, Positive
-from rig.backends.section import Section as _Section
 from rig.calibration import Calibration, DriveMap, TachometerScale
+from rig.section import Interval, NonNegative, Positive
+from rig.section import Section as _Section
 from rig.signals import Limits
 
 Method = Literal["sampled-data", "triple-relay", "describing-function"]

@@ -19,11 +19,11 @@ from rig.backends.backend import Backend, Unopened, Watchdog
 from rig.backends.clock import VirtualClock
 from rig.backends.link_budget import LinkBudget
 from rig.backends.registry import PlugInError, backend_of
-from rig.backends.section import Positive, Section
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.config import load
 from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
+from rig.section import Positive, Section
 from rig.testing import conformance
 
 CARD = Path(__file__).parents[1] / "conformance" / "virtual-card.yaml"
