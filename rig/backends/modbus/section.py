@@ -180,6 +180,12 @@ class Modbus(Section):
         return self
 
 
+class ModbusKeys(Section):
+    """The keys of section ``daq`` that only a Modbus device has."""
+
+    modbus: Modbus | None = Field(None, description="driver modbus: how the device is asked, and its register map")
+
+
 class KeySpan(NamedTuple):
     """Registers of one key below ``registers``: where they begin, how many they are."""
 
