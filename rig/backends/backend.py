@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeVar
 from rig.backends.clock import MonotonicClock
 from rig.backends.driver import Clock, Driver, Transport
 from rig.backends.link_budget import LinkBudget
-from rig.config.problems import Problem
+from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
 from rig.section import Section
 
@@ -70,6 +70,8 @@ class Backend(ABC):
 
     name           value of ``daq.driver``
     section        schema of ``daq.options``; None: there are no options, or the driver checks them
+    own_keys       the keys of ``daq`` that only this device has; for devices of rig itself
+    shared_keys    which of the keys ``port`` and ``options`` of ``daq`` it has
     has_chip       whether `rig emulate --chip` works with it
 
     The defaults fit a device of which nothing more is known.
@@ -77,6 +79,8 @@ class Backend(ABC):
 
     name: ClassVar[str] = ""
     section: ClassVar[type[Section] | None] = None
+    own_keys: ClassVar[type[Section] | None] = None
+    shared_keys: ClassVar[frozenset[str]] = frozenset({"port", "options"})
     has_chip: ClassVar[bool] = True
 
     # ------------------------------------------------------------------ what may be run
@@ -87,6 +91,21 @@ class Backend(ABC):
         If there is a ``section``, ``daq.options`` already fits it.
         """
         yield from ()
+
+    def foreign_key(self, e: Experiment, key: str, owner: str = "") -> Problem:
+        """The problem of a key of ``daq`` that is given, and that this device does not have.
+
+        owner  the driver whose key it is; "" for ``port`` and ``options``
+        """
+        driver = f"`driver: {e.daq.driver}`"
+        if key == "port":
+            return wrong("daq.port", f"{driver} has no port", "remove it, or set daq.driver to serial")
+        whose = f"`driver: {owner}`" if owner else "plug-in drivers"
+        return wrong(f"daq.{key}", f"is a key of {whose}, not of {driver}", "remove it")
+
+    def owns_port(self, port: str) -> bool:
+        """Whether a port of this name can only be one of this device."""
+        return False
 
     def watchdog(self, e: Experiment) -> Watchdog:
         """The watchdog that sets 0 V when the host is silent."""

@@ -19,7 +19,6 @@ from types import MappingProxyType
 from rig import plug_ins
 from rig.backends.backend import Backend, Unopened, host_clock, truth_of
 from rig.backends.driver import DeviceWatchdog, Driver, DriverSettings, RelayDriver
-from rig.backends.keys import keys_of_built_in
 from rig.config.problems import ConfigError, Problem, wrong
 from rig.config.schema import Experiment
 from rig.plug_ins import PlugInError
@@ -109,6 +108,8 @@ class PlugIn(Backend):
     refusal       why it cannot be used; None where it can
     """
 
+    shared_keys = frozenset({"options"})
+
     def __init__(
         self, entry: EntryPoint | None = None, driver_class: type[Driver] | None = None, refusal: Problem | None = None
     ) -> None:
@@ -122,9 +123,12 @@ class PlugIn(Backend):
             raise ConfigError([] if self.refusal is None else [self.refusal])
         return constructed(self.entry, self.driver_class, settings)
 
+    def foreign_key(self, e: Experiment, key: str, owner: str = "") -> Problem:
+        """As of ``Backend``: what the driver asks for stands under ``daq.options``."""
+        return wrong(f"daq.{key}", f"is a key of built-in drivers, not of `{e.daq.driver}`", "see daq.options")
+
     def rules(self, e: Experiment) -> Iterator[Problem]:
         """As of ``Backend``. Constructs the driver, so that it refuses wrong options here, not in front of a motor."""
-        yield from keys_of_built_in(e)
         driver = self._tried(e)
         if isinstance(driver, Problem):
             yield driver

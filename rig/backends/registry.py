@@ -110,6 +110,24 @@ def unknown_driver(name: str) -> Problem:
     )
 
 
+def rules(e: Experiment) -> Iterator[Problem]:
+    """The problems that keep the experiment from running on its device: keys of other devices, then its own rules."""
+    own = backend_of(e)
+    given = {key: value for key, value in e.daq if value is not None}
+    yield from (own.foreign_key(e, key) for key in ("port", "options") if key in given.keys() - own.shared_keys)
+    others = [other for other in map(backend_named, BUILT_IN) if other.own_keys is not own.own_keys]
+    for other in others:
+        keys = other.own_keys.model_fields if other.own_keys is not None else ()
+        yield from (own.foreign_key(e, key, other.name) for key in keys if key in given)
+    port = e.daq.port
+    if own.name in BUILT_IN and "port" in own.shared_keys and port is not None:  # a package's ports have any name
+        owner = next((other.name for other in others if other.owns_port(port)), None)
+        if owner is not None:
+            yield wrong("daq.port", f"{port} is a port of `driver: {owner}`", "/dev/ttyACM0, or port: emulated")
+            return  # rules about this link say nothing of that port
+    yield from own.rules(e)
+
+
 def unopened(e: Experiment) -> AbstractContextManager[Unopened]:
     """The driver of the config, not opened yet. An emulated device lives for the block.
 

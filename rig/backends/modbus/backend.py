@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.backends.backend import Line, LineBackend, Watchdog
 from rig.backends.driver import Driver
-from rig.backends.keys import foreign_keys
 from rig.backends.link_budget import LinkBudget
 from rig.backends.modbus import link_budget
 from rig.backends.modbus.rules import modbus_notes, modbus_rules
-from rig.backends.modbus.section import EMULATED_PORTS, is_tcp
+from rig.backends.modbus.section import EMULATED_PORTS, ModbusKeys, is_tcp
 from rig.config.problems import Problem
 from rig.config.schema import Experiment
 
@@ -27,12 +27,22 @@ class ModbusBackend(LineBackend):
     """A Modbus device on RTU or TCP; or an emulated I/O block on either."""
 
     name = "modbus"
+    own_keys = ModbusKeys
+    shared_keys = frozenset({"port"})
     has_chip = False
 
     def rules(self, e: Experiment) -> Iterator[Problem]:
         """As of ``Backend``."""
-        yield from foreign_keys(e, "port", "modbus", instead="add its delay to daq.modbus.turnaround_s")
         yield from modbus_rules(e)
+
+    def foreign_key(self, e: Experiment, key: str, owner: str = "") -> Problem:
+        """As of ``Backend``: the delay of a USB adapter has another key here."""
+        problem = super().foreign_key(e, key, owner)
+        return replace(problem, hint="add its delay to daq.modbus.turnaround_s") if key == "adapter" else problem
+
+    def owns_port(self, port: str) -> bool:
+        """As of ``Backend``."""
+        return is_tcp(port) or (port in EMULATED_PORTS and port != "emulated")
 
     def watchdog(self, e: Experiment) -> Watchdog:
         """As of ``Backend``: that of its register; or the one that was set on the device itself."""

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 from rig.backends.backend import Line, LineBackend, Watchdog
 from rig.backends.driver import Driver
-from rig.backends.keys import foreign_keys
 from rig.backends.link_budget import LinkBudget
 from rig.backends.links.usb_adapters import CHIPS, Adapter
 from rig.backends.serial import link_budget
 from rig.backends.serial.ports import adapter_of, is_emulated
 from rig.backends.serial.rules import serial_rules
+from rig.backends.serial.section import SerialKeys
 from rig.config.problems import Problem
 from rig.config.schema import Experiment
 
@@ -28,10 +28,11 @@ class SerialBackend(LineBackend):
     """A board with rig's firmware behind a serial port; or emulated, as firmware on this machine or on its chip."""
 
     name = "serial"
+    own_keys = SerialKeys
+    shared_keys = frozenset({"port"})
 
     def rules(self, e: Experiment) -> Iterator[Problem]:
         """As of ``Backend``."""
-        yield from foreign_keys(e, "port", "adapter")
         yield from serial_rules(e)
 
     def watchdog(self, e: Experiment) -> Watchdog:

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 from rig.backends.backend import Backend, Unopened, Watchdog, truth_of
 from rig.backends.clock import VirtualClock
-from rig.backends.keys import foreign_keys
 from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
 
@@ -19,10 +18,10 @@ class SimulatedBackend(Backend):
     """No device: a model of the motor, and a driver with its own clock."""
 
     name = "simulated"
+    shared_keys = frozenset()
 
     def rules(self, e: Experiment) -> Iterator[Problem]:
         """As of ``Backend``."""
-        yield from foreign_keys(e)
         if e.emulated is None:
             yield wrong(
                 "emulated", "`driver: simulated` needs this section", "describe the bench: see config/demo.yaml"
