@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeVar
 
 from rig.backends.clock import MonotonicClock
-from rig.backends.driver import Clock, Driver, Transport
+from rig.backends.driver import Clock, Driver, RelayRules, Transport
 from rig.backends.link_budget import LinkBudget
 from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
@@ -24,6 +24,7 @@ from rig.section import Section
 if TYPE_CHECKING:  # these load slowly
     from rig.backends.emulated.board_process import BoardProcess
     from rig.backends.links.usb_adapters import Adapter
+    from rig.calibration import DriveMap
     from rig.model.bench import BenchParameters
 
 OwnSection = TypeVar("OwnSection", bound=Section)
@@ -191,6 +192,16 @@ class Backend(ABC):
     def emulated_hint(self, e: Experiment, port: str) -> str:
         """A command to try on the emulated device at ``port``, for people; "" for none."""
         return ""
+
+    # ------------------------------------------------------------------ a recording of it
+
+    def relay_rules(self, e: Experiment, drive_map: DriveMap, clock_ratio: float) -> RelayRules | None:
+        """What the device makes of the gains of a relay that it runs itself; None: it has no relay, or does not say.
+
+        drive_map    with the units of the device that was recorded
+        clock_ratio  its seconds in a second of the host
+        """
+        return None
 
     # ------------------------------------------------------------------ for those who write one
 

@@ -12,8 +12,8 @@ from difflib import get_close_matches
 
 from pydantic import ValidationError
 
-from rig.backends import registry
 from rig.backends.registry import backend_of
+from rig.backends.registry import rules as device_rules
 from rig.config.messages import unplaced
 from rig.config.problems import Path, Problem, bracketed, printable, wrong
 from rig.config.schema import Experiment, RelayGainsSection, RelayTarget
@@ -436,7 +436,7 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
 
 
 _RULES: tuple[Rule, ...] = (
-    registry.rules,
+    device_rules,
     _spin,
     _watchdog,
     _limits,

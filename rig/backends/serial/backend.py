@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.backends.backend import Line, LineBackend, Watchdog
-from rig.backends.driver import Driver
+from rig.backends.driver import Driver, RelayRules
 from rig.backends.link_budget import LinkBudget
 from rig.backends.links.usb_adapters import CHIPS, Adapter
 from rig.backends.serial import link_budget
@@ -20,6 +20,7 @@ from rig.config.schema import Experiment
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.emulated.board_process import BoardProcess
+    from rig.calibration import DriveMap
 
 _DRIVE_UNITS = 799  # of the firmware at full duty
 
@@ -127,6 +128,12 @@ class SerialBackend(LineBackend):
         from rig.backends.serial.opening import emulated_board
 
         return emulated_board(e, link, trace, chip=chip)
+
+    def relay_rules(self, e: Experiment, drive_map: DriveMap, clock_ratio: float) -> RelayRules:
+        """As of ``Backend``: the firmware's."""
+        from rig.backends.serial.relay_stream import FirmwareRelayRules
+
+        return FirmwareRelayRules(e.sensor.curve, drive_map, clock_ratio)
 
 
 def _device_drives(e: Experiment) -> Iterator[str]:

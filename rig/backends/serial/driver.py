@@ -20,7 +20,7 @@ from rig.backends.serial.exchange import ATTEMPTS, Exchange
 from rig.backends.serial.fit import PLAIN_BOARD, Board, Expected, check_fit, measured_supply_V
 from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Packet, Setup
 from rig.backends.serial.introduction import await_introduction, refusal
-from rig.backends.serial.relay_stream import TICK_S, FirmwareRelay, RelayStream, relay_command
+from rig.backends.serial.relay_stream import FirmwareRelay, FirmwareRelayRules, RelayStream
 from rig.calibration import (
     Calibration,
     DriveMap,
@@ -355,11 +355,15 @@ class SerialDriver:
     @property
     def tick_s(self) -> float:
         """The device's tick in host time, s."""
-        return TICK_S / self._clock.ratio
+        return self._relay_rules.tick_s
 
     def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
-        """The command for these gains; raises as ``relay_stream.relay_command``."""
-        return relay_command(h1_V, h2_V, z_bound_rad_s, self.calibration, self.drive_map, self.tick_s)
+        """The command for these gains; raises as ``FirmwareRelayRules.relay_command``."""
+        return self._relay_rules.relay_command(h1_V, h2_V, z_bound_rad_s)
+
+    @property
+    def _relay_rules(self) -> FirmwareRelayRules:
+        return FirmwareRelayRules(self.calibration, self.drive_map, self._clock.ratio)
 
     def start_relay(self, command: RelayCommand) -> None:
         """Let the device's relay drive from its next tick on, from 0 V. Call ``keep`` regularly from then on.
