@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import lru_cache
 from importlib.metadata import EntryPoint
 from types import MappingProxyType
 
@@ -116,6 +117,7 @@ class PlugIn(Backend):
         self.entry = entry
         self.driver_class = driver_class
         self.refusal = refusal
+        self._checked: tuple[Experiment, Driver | Problem] | None = None
 
     def construct(self, settings: DriverSettings) -> Driver:
         """A driver, not opened. Raises as ``constructed``; ConfigError where there is none."""
@@ -130,6 +132,7 @@ class PlugIn(Backend):
     def rules(self, e: Experiment) -> Iterator[Problem]:
         """As of ``Backend``. Constructs the driver, so that it refuses wrong options here, not in front of a motor."""
         driver = self._tried(e)
+        self._checked = (e, driver)
         if isinstance(driver, Problem):
             yield driver
         elif e.relay.where == "device" and not isinstance(driver, RelayDriver):
@@ -155,7 +158,9 @@ class PlugIn(Backend):
         yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
         if e.relay.where == "device":
             yield "relay in the device: as the plug-in driver runs it; the gain search runs in the host"
-        driver = self._tried(e)
+        # `rig check` asks for the rules first: once constructed is enough
+        driver = self._checked[1] if self._checked is not None and self._checked[0] is e else self._tried(e)
+        self._checked = None
         if self.entry is not None and not isinstance(driver, Problem):
             failsafe = "none"
             if driver.failsafe is not None:
@@ -178,6 +183,12 @@ class PlugIn(Backend):
         if isinstance(driver, Problem):
             raise ConfigError([driver])
         yield Unopened(driver, getattr(driver, "clock", None) or host_clock(e), truth_of(e))
+
+
+@lru_cache(maxsize=8)
+def plug_in(entry: EntryPoint, driver_class: type[Driver]) -> PlugIn:
+    """The backend of a driver class: one object, so that it knows what it has checked already."""
+    return PlugIn(entry, driver_class)
 
 
 def refused(error: PlugInError) -> Problem:

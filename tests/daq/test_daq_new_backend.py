@@ -18,11 +18,12 @@ from rig.backends import registry
 from rig.backends.backend import Backend, Unopened, Watchdog
 from rig.backends.clock import VirtualClock
 from rig.backends.link_budget import LinkBudget
-from rig.backends.registry import PlugInError, backend_of
+from rig.backends.registry import backend_of
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.config import load
 from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
+from rig.plug_ins import PlugInError
 from rig.section import Positive, Section
 from rig.testing import conformance
 
