@@ -108,11 +108,11 @@ def test_a_package_that_is_installed_while_a_program_runs_is_found(
         folder.mkdir()
         (folder / "METADATA").write_text(f"Name: {name}\nVersion: 1.0\n", encoding="utf-8")
         (folder / "entry_points.txt").write_text(f"[{registry.GROUP}]\n{name} = plug_in_cards:VirtualCard\n")
-        os.utime(tmp_path, (len(name), len(name)))  # a file system may count too coarsely for a test
+        os.utime(tmp_path, (len(name),) * 2)  # a file system may count too coarsely for a test
 
     monkeypatch.syspath_prepend(tmp_path)
-    assert {"early", "later"}.isdisjoint(registry.registered())
-    install("early")
-    assert "early" in registry.registered() and "later" not in registry.registered()
-    install("later")
-    assert registry.load("later") is VirtualCard
+    assert {"first", "second"}.isdisjoint(registry.registered())
+    install("first")
+    assert "first" in registry.registered() and "second" not in registry.registered()
+    install("second")
+    assert registry.load("second") is VirtualCard
