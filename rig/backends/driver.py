@@ -113,6 +113,17 @@ class RelayCommand:
     direction: int
 
 
+class Timeouts(NamedTuple):
+    """How long a driver waits for its device.
+
+    reply_s  longest wait for one reply, s
+    open_s   longest wait for the device to introduce itself, its restart on opening included, s
+    """
+
+    reply_s: float = 0.03
+    open_s: float = 5.0
+
+
 class DeviceWatchdog(NamedTuple):
     """After ``time_s`` seconds without the host the device sets 0 V by itself and latches a fault."""
 

@@ -13,7 +13,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from rig.backends.modbus.section import ModbusKeys
 from rig.backends.serial.section import SerialKeys
-from rig.calibration import Calibration, DriveMap, TachometerScale
+from rig.calibration import Calibration, DriveMap, Scaling, TachometerScale
 from rig.section import Interval, NonNegative, Positive
 from rig.section import Section as _Section
 from rig.signals import Limits
@@ -446,6 +446,13 @@ class Experiment(_Section):
     def device_limits(self) -> Limits:
         """What the device is armed with."""
         return Limits(self.limits.soft_rad, self.limits.hard_rad, self.drive.max_V, self.daq.watchdog_s)
+
+    @property
+    def scaling(self) -> Scaling:
+        """What the device's raw numbers mean."""
+        tachometer = None if self.tachometer is None else self.tachometer.scale
+        s = self.sensor
+        return Scaling(s.curve, self.drive.map, s.rail_counts, s.counts_max, tachometer)
 
     @model_validator(mode="after")
     def _emulated_as_believed(self) -> Self:

@@ -74,7 +74,7 @@ class Scope(Backend):
     def unopened(self, e: Experiment) -> Iterator[Unopened]:
         clock = VirtualClock()
         latency = SimulatedLatency(self.options(e, ScopeOptions).conversion_s, 0.0)
-        driver = SimulatedDriver(clock, DEMO, e.sensor.curve, e.drive.map, e.sensor.rail_counts, latency, e.seed)
+        driver = SimulatedDriver(clock, DEMO, e.scaling, latency, e.seed)
         yield Unopened(driver, clock, DEMO)
 
 

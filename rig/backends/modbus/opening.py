@@ -8,7 +8,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from rig.backends.backend import Line, host_clock
-from rig.backends.driver import Transport
+from rig.backends.driver import Timeouts, Transport
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.tcp_link import TcpTransport
@@ -62,12 +62,8 @@ def modbus_driver(e: Experiment, transport: Transport, name: str = "modbus", *, 
         transport,
         asked,
         RegisterMap.of(modbus),
-        e.sensor.curve,
-        e.drive.map,
-        e.sensor.rail_counts,
-        daq.timeout_s,
-        daq.open_timeout_s,
-        counts_max=e.sensor.counts_max,
+        e.scaling,
+        Timeouts(daq.timeout_s, daq.open_timeout_s),
         name=name,
         emulated=emulated,
     )

@@ -8,6 +8,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from rig.backends.backend import Line, host_clock
+from rig.backends.driver import Timeouts
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.links.serial_port import SerialPort
@@ -58,13 +59,9 @@ def serial_driver(e: Experiment, line: Line) -> SerialDriver:
     """As of ``LineBackend.driver``."""
     return SerialDriver(
         line.transport,
-        e.sensor.curve,
-        e.drive.map,
-        e.sensor.rail_counts,
-        e.daq.timeout_s,
-        e.daq.open_timeout_s,
-        None if e.tachometer is None else e.tachometer.scale,
-        board=Board(e.sensor.counts_max, e.drive.bridge, flash_line(e)),
+        e.scaling,
+        Timeouts(e.daq.timeout_s, e.daq.open_timeout_s),
+        board=Board(e.drive.bridge, flash_line(e)),
         # a chip takes longer over some numbers than over others: an emulated run is the same by its seed
         session=random.Random(e.seed).randrange(1, 2**32) if line.emulated else None,
         name=line.name,

@@ -66,12 +66,11 @@ class SimulatedBackend(Backend):
         if truth is None or e.emulated is None:
             raise ValueError("a simulated driver needs the section `emulated`")
         clock = VirtualClock()
+        as_it_says = replace(e.drive.map, full_units=truth.drive_counts)  # as a real device says of itself
         driver = SimulatedDriver(
             clock,
             truth,
-            e.sensor.curve,
-            replace(e.drive.map, full_units=truth.drive_counts),  # as a real device says of itself
-            e.sensor.rail_counts,
+            replace(e.scaling, drive_map=as_it_says),
             SimulatedLatency(e.emulated.latency_s, e.emulated.latency_jitter_s),
             e.seed,
         )
