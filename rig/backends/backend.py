@@ -14,6 +14,8 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeVar
 
+from typing_extensions import override
+
 from rig.backends.clock import MonotonicClock
 from rig.backends.driver import Clock, Driver, RelayRules, Transport
 from rig.backends.link_budget import LinkBudget
@@ -221,9 +223,10 @@ class LineBackend(Backend):
     def driver(self, e: Experiment, line: Line) -> Driver:
         """The driver on that line, not opened yet."""
 
+    @override
     @contextmanager
     def unopened(self, e: Experiment) -> Iterator[Unopened]:
-        """As of ``Backend``, on the line of the config, or on a test's own line (``rig.testing.line``)."""
+        """On the line of the config, or on a test's own line (``rig.testing.line``)."""
         with own_line.opened(self, e) as line:
             yield Unopened(self.driver(e, line), line.clock, truth_of(e))
 

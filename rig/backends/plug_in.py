@@ -17,6 +17,8 @@ from functools import lru_cache
 from importlib.metadata import EntryPoint
 from types import MappingProxyType
 
+from typing_extensions import override
+
 from rig import plug_ins
 from rig.backends.backend import Backend, Unopened, host_clock, truth_of
 from rig.backends.driver import DeviceWatchdog, Driver, DriverSettings, RelayDriver
@@ -125,12 +127,14 @@ class PlugIn(Backend):
             raise ConfigError([] if self.refusal is None else [self.refusal])
         return constructed(self.entry, self.driver_class, settings)
 
+    @override
     def foreign_key(self, e: Experiment, key: str, owner: str = "") -> Problem:
-        """As of ``Backend``: what the driver asks for stands under ``daq.options``."""
+        """What the driver asks for stands under ``daq.options``."""
         return wrong(f"daq.{key}", f"is a key of built-in drivers, not of `{e.daq.driver}`", "see daq.options")
 
+    @override
     def rules(self, e: Experiment) -> Iterator[Problem]:
-        """As of ``Backend``. Constructs the driver, so that it refuses wrong options here, not in front of a motor."""
+        """Constructs the driver, so that it refuses wrong options here, not in front of a motor."""
         driver = self._tried(e)
         self._checked = (e, driver)
         if isinstance(driver, Problem):
@@ -149,12 +153,12 @@ class PlugIn(Backend):
         except ValueError as error:
             return wrong("daq.options", f"driver {e.daq.driver!r}: {error}")
 
+    @override
     def words(self, e: Experiment) -> str:
-        """As of ``Backend``."""
         return f"plug-in driver {e.daq.driver}: assume a REAL MOTOR"
 
+    @override
     def plan(self, e: Experiment) -> Iterator[str]:
-        """As of ``Backend``."""
         yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
         if e.relay.where == "device":
             yield "relay in the device: as the plug-in driver runs it; the gain search runs in the host"
@@ -168,17 +172,18 @@ class PlugIn(Backend):
             order = driver.order.replace("_", " ")
             yield f"{described(self.entry)}: {order}; failsafe before it is opened: {failsafe}"
 
+    @override
     def failsafe_words(self, e: Experiment) -> str:
-        """As of ``Backend``."""
         return "failsafe: the plug-in driver's; if its device has none, a run " + (
             "drives all the same (daq.accept_no_watchdog: true): keep the motor's supply switch in reach"
             if e.daq.accept_no_watchdog
             else "is refused"
         )
 
+    @override
     @contextmanager
     def unopened(self, e: Experiment) -> Iterator[Unopened]:
-        """As of ``Backend``. Raises ConfigError where there is no such driver, or it refuses its options."""
+        """Raises ConfigError where there is no such driver, or it refuses its options."""
         driver = self._tried(e)
         if isinstance(driver, Problem):
             raise ConfigError([driver])

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
+from typing_extensions import override
+
 from rig.backends.backend import Backend, Unopened, Watchdog, truth_of
 from rig.backends.clock import VirtualClock
 from rig.config.problems import Problem, wrong
@@ -20,8 +22,8 @@ class SimulatedBackend(Backend):
     name = "simulated"
     shared_keys = frozenset()
 
+    @override
     def rules(self, e: Experiment) -> Iterator[Problem]:
-        """As of ``Backend``."""
         if e.emulated is None:
             yield wrong(
                 "emulated", "`driver: simulated` needs this section", "describe the bench: see config/demo.yaml"
@@ -33,33 +35,35 @@ class SimulatedBackend(Backend):
                 "set it to host, or daq.driver to serial with a port",
             )
 
+    @override
     def watchdog(self, e: Experiment) -> Watchdog:
-        """As of ``Backend``."""
         return Watchdog(e.daq.watchdog_s)
 
+    @override
     def writes_first(self, e: Experiment) -> bool:
-        """As of ``Backend``."""
         return False
 
+    @override
     def times_error_s(self, e: Experiment) -> float:
-        """As of ``Backend``: exact, but for the digits in samples.csv."""
+        """Exact, but for the digits in samples.csv."""
         return _ROUNDED_S
 
+    @override
     def words(self, e: Experiment) -> str:
-        """As of ``Backend``."""
         return "a simulation in virtual time, no device, nothing moves"
 
+    @override
     def is_emulated(self, e: Experiment) -> bool:
-        """As of ``Backend``."""
         return True
 
+    @override
     def seconds_words(self, e: Experiment) -> str:
-        """As of ``Backend``."""
         return " of virtual time"
 
+    @override
     @contextmanager
     def unopened(self, e: Experiment) -> Iterator[Unopened]:
-        """As of ``Backend``. Raises ValueError without section ``emulated``."""
+        """Raises ValueError without section ``emulated``."""
         from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 
         truth = truth_of(e)
