@@ -138,7 +138,6 @@ class SerialBackend(LineBackend):
 
     @override
     def relay_rules(self, e: Experiment, drive_map: DriveMap, clock_ratio: float) -> RelayRules:
-        """As the firmware runs it."""
         from rig.backends.serial.relay_stream import FirmwareRelayRules
 
         return FirmwareRelayRules(e.sensor.curve, drive_map, clock_ratio)
