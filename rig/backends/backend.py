@@ -20,7 +20,7 @@ from rig.backends.clock import MonotonicClock
 from rig.backends.driver import Clock, Driver, RelayRules, Transport
 from rig.backends.link_budget import LinkBudget
 from rig.config.problems import Problem, wrong
-from rig.config.schema import Experiment
+from rig.config.schema import Emulated, Experiment
 from rig.section import Section
 
 if TYPE_CHECKING:  # these load slowly
@@ -251,6 +251,13 @@ own_line = _OwnLine()
 def host_clock(e: Experiment) -> MonotonicClock:
     """The clock of this machine, with the config's way of waiting."""
     return MonotonicClock(1e-6 * e.loop.spin_us)
+
+
+def emulated_of(e: Experiment) -> Emulated:
+    """Section ``emulated``. Raises ValueError without it."""
+    if e.emulated is None:
+        raise ValueError("the config has no section `emulated`")
+    return e.emulated
 
 
 def truth_of(e: Experiment) -> BenchParameters | None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from rig.backends.backend import Line, host_clock
+from rig.backends.backend import Line, emulated_of, host_clock
 from rig.backends.driver import Timeouts
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
@@ -74,13 +74,12 @@ def emulated_chip(e: Experiment) -> VirtualChip:
 
     Raises EmulationError where it cannot be built, ValueError without section ``emulated``.
     """
-    if e.emulated is None:
-        raise ValueError("the config has no section `emulated`")
-    bench = bench_parameters(e.emulated, e.tachometer)
+    emulated = emulated_of(e)
+    bench = bench_parameters(emulated, e.tachometer)
     return VirtualChip(
         bench,
         e.seed,
-        clock_error_ppm=e.emulated.clock_error_ppm,
+        clock_error_ppm=emulated.clock_error_ppm,
         options=uno_options(bench, e.daq.baud, e.drive.bridge),
     )
 
@@ -97,18 +96,17 @@ def emulated_board(
            else the firmware's core on this machine
     Raises EmulationError where it cannot be built or started, ValueError without section ``emulated``.
     """
-    if e.emulated is None:
-        raise ValueError("the config has no section `emulated`")
+    emulated = emulated_of(e)
     adapter = e.daq.adapter or "none"
     own_link = link if adapter == "none" else None
     with ExitStack() as stack:
         board: ChipBoard | HostBoard
         if chip or e.daq.port in CHIP_PORTS:
             board = stack.enter_context(ChipBoard())
-            board.start(e.emulated, e.seed, own_link, trace, e.tachometer, baud=e.daq.baud, bridge=e.drive.bridge)
+            board.start(emulated, e.seed, own_link, trace, e.tachometer, baud=e.daq.baud, bridge=e.drive.bridge)
         else:
             board = stack.enter_context(HostBoard())
-            board.start(e.emulated, e.seed, own_link, trace, e.tachometer)
+            board.start(emulated, e.seed, own_link, trace, e.tachometer)
         if adapter == "none":
             yield board
             return

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from typing_extensions import override
 
-from rig.backends.backend import Backend, Unopened, Watchdog, truth_of
+from rig.backends.backend import Backend, Unopened, Watchdog, emulated_of
 from rig.backends.clock import VirtualClock
 from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
@@ -64,18 +64,18 @@ class SimulatedBackend(Backend):
     @contextmanager
     def unopened(self, e: Experiment) -> Iterator[Unopened]:
         """Raises ValueError without section ``emulated``."""
+        from rig.backends.emulated.bench import bench_parameters
         from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 
-        truth = truth_of(e)
-        if truth is None or e.emulated is None:
-            raise ValueError("a simulated driver needs the section `emulated`")
+        emulated = emulated_of(e)
+        truth = bench_parameters(emulated, e.tachometer)
         clock = VirtualClock()
         as_it_says = replace(e.drive.map, full_units=truth.drive_counts)  # as a real device says of itself
         driver = SimulatedDriver(
             clock,
             truth,
             replace(e.scaling, drive_map=as_it_says),
-            SimulatedLatency(e.emulated.latency_s, e.emulated.latency_jitter_s),
+            SimulatedLatency(emulated.latency_s, emulated.latency_jitter_s),
             e.seed,
         )
         yield Unopened(driver, clock, truth)
