@@ -107,6 +107,15 @@ def test_check_asks_it_and_says_what_it_says(tmp_path: Path) -> None:
     assert "failsafe: the device sets 0 V after 100 ms of silence" in done.stdout
 
 
+def test_its_port_has_any_name_and_keys_of_other_devices_are_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, {"channel": 1})
+    config = path.read_text(encoding="utf-8")
+    path.write_text(config.replace("driver: scope", "driver: scope\n  port: tcp://scope.local"), encoding="utf-8")
+    assert rig("check", path).exit_code == 0
+    path.write_text(config.replace("driver: scope", "driver: scope\n  adapter: ftdi"), encoding="utf-8")
+    assert "daq.adapter: is a key of `driver: serial`, not of `driver: scope`; remove it" in rig("check", path).stderr
+
+
 TACHOMETER = {"tachometer": {"rad_s_per_count": 0.1}}
 
 
