@@ -14,7 +14,7 @@ from typing import Literal, cast
 
 from rig import config
 from rig.backends.driver import DeviceInfo
-from rig.backends.registry import Bench
+from rig.backends.registry import Bench, backend_of
 from rig.config.schema import Experiment, Method
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
@@ -116,7 +116,14 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
     stop = StopRequest()
     replayed = ReplayedRows(recording, e.period_s, fault, is_whole, stop, on_progress)
     drive_map = e.drive.map if units is None else replace(e.drive.map, full_units=units)
-    driver = RecordedDriver(replayed, order, e.sensor.curve, drive_map, clock_ratio)
+    relay = backend_of(e).relay_rules(e, drive_map, clock_ratio)
+    if relay is None and replayed.holds_device_relay:
+        raise RecordingError(
+            folder / CONFIG,
+            f"driver {e.daq.driver!r} does not say what its device makes of the gains of a relay in it",
+            "its package must offer a backend with `relay_rules` (docs/plug-in-driver.md)",
+        )
+    driver = RecordedDriver(replayed, order, drive_map, clock_ratio, relay)
     clock, comparison = RecordedClock(replayed), RowComparison(replayed, None if units is None else drive_map.quantised)
     loop = ReplayLoop(driver, clock, Guard(guard_settings_of(e)), comparison, e.period_s, stop)
     loop.replayed = replayed

@@ -119,6 +119,11 @@ class ReplayedRows:
         return self._rows[row]
 
     @property
+    def holds_device_relay(self) -> bool:
+        """Whether a relay in the device made some of the rows."""
+        return any(row.in_device for row in self._rows)
+
+    @property
     def is_over(self) -> bool:
         """Whether every row has been replayed."""
         return self.next >= len(self)

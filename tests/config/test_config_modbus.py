@@ -165,6 +165,7 @@ def test_the_input_table_is_another_place() -> None:
         ({"port": "192.168.0.5:1502"}, "daq.port", "an address, not a serial port"),
         ({"modbus": None}, "daq.modbus", "needs this section"),
         ({"driver": "serial"}, "daq.modbus", "is a key of `driver: modbus`"),
+        ({"adapter": "ftdi"}, "daq.adapter", "is a key of `driver: serial`, not of `driver: modbus`"),
     ],
 )
 def test_what_else_is_refused(daq: dict[str, Any], key: str, words: str) -> None:

@@ -190,6 +190,16 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "is missing, and a real motor may be behind /dev/ttyACM0",
     ),
     "simulated with port": ({"daq__driver": "simulated"}, "daq.port", "`driver: simulated` has no port"),
+    "serial with a port of Modbus": (
+        {"daq__port": "tcp://10.0.0.1", "daq__adapter": "none"},
+        "daq.port",
+        "tcp://10.0.0.1 is a port of `driver: modbus`",
+    ),
+    "simulated with adapter": (
+        {"daq__driver": "simulated", "daq__port": None, "daq__adapter": "ftdi"},
+        "daq.adapter",
+        "is a key of `driver: serial`, not of `driver: simulated`",
+    ),
     "emulated without section": ({"emulated": None}, "emulated", "`port: emulated` needs this section"),
     "simulated without section": (
         {"emulated": None, "daq__driver": "simulated", "daq__port": None},

@@ -117,9 +117,7 @@ def in_real_time(experiment: Experiment) -> Iterator[Bench]:
     driver = SimulatedDriver(
         clock,
         truth,
-        experiment.sensor.curve,
-        experiment.drive.map,
-        experiment.sensor.rail_counts,
+        experiment.scaling,
         SimulatedLatency(0.001, 0.0),
         experiment.seed,
     )
