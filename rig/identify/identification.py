@@ -18,7 +18,7 @@ from rig.identify.measurements import Measurements, measurements
 from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.preprocessing import from_recording
 from rig.recording.errors import IdentifyError
-from rig.recording.reader import Recording
+from rig.recording.recording import Recording
 from rig.recording.stage import StageKind, kind_of
 from rig.results import HystereticResult, IdentificationResult, RelayTestResult, StaticFrictionResult
 
