@@ -35,8 +35,8 @@ How rig reads these files:
 | lacks a key | reads on. `rig replay` names the key that it needs |
 | has a key that this version does not know | reads on, and names the key |
 | has a larger `schema` | reads on, and says that a newer version wrote it |
-| has a wrong value (a text for a number) | names file, key and value, and stops with exit status 2 |
-| the same, in `rig report` | leaves that key out, says so on the page, and draws the rest |
+| has a wrong value (a text for a number) | leaves that key out, says so, and uses the rest |
+| the same, in `rig replay` | names file, key and value, and stops with exit status 2 |
 
 This page is made from the models in `rig/results` by `python tools/results_page.py`.
 """

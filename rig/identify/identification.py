@@ -21,7 +21,7 @@ from rig.identify.preprocessing import from_recording
 from rig.identify.sampled_data_verdict import judge_with_laws
 from rig.identify.verdict import settled
 from rig.recording.errors import IdentifyError
-from rig.recording.reader import Recording
+from rig.recording.recording import Recording
 from rig.recording.series import TimeSeries
 from rig.recording.stage import StageKind, kind_of
 from rig.results import HystereticResult, IdentificationResult, RelayTestResult, StaticFrictionResult

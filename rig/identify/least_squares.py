@@ -28,15 +28,15 @@ from scipy.linalg import null_space
 from scipy.special import stdtrit
 
 from rig.identify import sampled_data
-from rig.identify.estimate import Estimate, Verdict
+from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.measurements import Measurements
+from rig.identify.plausibility import Objection
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries
 from rig.results import HystereticResult
 
 Array = NDArray[np.float64]
-Objection = tuple[Verdict, str]  # how severe it is, and why
 
 METHOD = "least-squares"
 FEWEST_SAMPLES = 8  # from the first drive to the first switching
@@ -427,14 +427,14 @@ def _starts_in_motion(runs: Sequence[Transient]) -> Iterator[Objection]:
     """Runs that do not start from rest, and runs whose start no row shows."""
     for run in runs:
         if abs(run.start_v_rad_s) > 4.0 * run.start_v_error_rad_s:
-            yield (
+            yield Objection(
                 "refused",
                 f"{run.name}: the shaft turns at {1e3 * run.start_v_rad_s:+.2g} mrad/s before the drive: the "
                 "method needs a start from rest; let it come to rest",
             )
     unseen = [run.name for run in runs if math.isinf(run.start_v_error_rad_s)]
     if unseen:
-        yield (
+        yield Objection(
             "doubtful",
             f"{', '.join(unseen)}: too few rows before the drive to see that the shaft rests: record "
             f"{START_S:g} s at 0 V before each run",
@@ -451,13 +451,13 @@ def _starts_off_zero(estimate: Estimate, found: Sequence[OneWay], runs: Sequence
     seen = any(abs(run.start_rad) > 3.0 * run.start_error_rad for run in runs)
     off = abs(estimate.fc_V - corrected)
     if seen and any(abs(way.by_starts_V) > START_MATTERS * _size_V(estimate, runs) for way in found):
-        yield (
+        yield Objection(
             "refused",
             f"the runs do not start from zero but from {starts}: this changes the value by "
             f"{by_starts:+.2g} V; bring the shaft to zero before each run",
         )
     elif off > 0.5 * reach:
-        yield (
+        yield Objection(
             "doubtful" if off > reach else "ok",
             f"the method's value lies {'outside' if off > reach else 'off the middle of'} its interval: starts of "
             f"{starts} move it by {1e3 * by_starts:+.2g} mV and noise in both sides of the equation by "
@@ -468,7 +468,7 @@ def _starts_off_zero(estimate: Estimate, found: Sequence[OneWay], runs: Sequence
 def _wide_interval(estimate: Estimate, runs: Sequence[Transient]) -> Iterator[Objection]:
     share = _interval(estimate)[1] / _size_V(estimate, runs)
     if share > WIDE:
-        yield (
+        yield Objection(
             "refused" if share > TOO_WIDE else "doubtful",
             f"fc_V is only known to {100 * share:.0f} % (95 % interval): record drives that differ more, with "
             "a wider hysteresis, or sample faster",
@@ -481,7 +481,7 @@ def _several_shapes(estimate: Estimate, found: Sequence[OneWay], runs: Sequence[
     noise = math.sqrt(sum(run.noise_rad**2 for run in runs) / len(runs))
     spread = max(float(np.ptp(run.y_rad)) for run in runs)
     if estimate.rms_rad > NEGLIGIBLE * spread and (estimate.rms_rad > NOISY * noise or neighbours > CORRELATED):
-        yield (
+        yield Objection(
             "doubtful",
             f"the runs are not multiples of one curve: the residual, {1e3 * estimate.rms_rad:.2g} mrad, is "
             f"{estimate.rms_rad / noise if noise > 0.0 else math.inf:.1f} times the sensor's noise, and its neighbours "
@@ -493,7 +493,7 @@ def _several_shapes(estimate: Estimate, found: Sequence[OneWay], runs: Sequence[
 def _unknown_delays(found: Sequence[OneWay], ways: Sequence[Sequence[Transient]]) -> Iterator[Objection]:
     untimed = [way.by_timing_V_s for way, runs in zip(found, ways, strict=True) if not all(r.timed for r in runs)]
     if untimed:
-        yield (
+        yield Objection(
             "ok",
             "without t_u_s rig assumes that the drives of all runs act equally late: a difference of 1 ms would change "
             f"the value by {max(untimed):.2g} mV",
@@ -504,7 +504,7 @@ def _one_direction(runs: Sequence[Transient]) -> Iterator[Objection]:
     rising = [run.d_V > 0.0 for run in runs]
     if all(rising) or not any(rising):
         side, sign = ("rising", "-") if rising[0] else ("falling", "+")
-        yield (
+        yield Objection(
             "doubtful",
             f"this is the friction towards {side} positions alone, fc {sign} asym: the interval does not show the "
             "asymmetry; record two more runs with d_V of the other sign",

@@ -121,7 +121,7 @@ def glide(state: State, target: float, tau_s: float, h_s: float) -> State:
 
 
 def glide_by(state: State, target: float, tau_s: float, h_s: float, decay: float) -> State:
-    """``glide`` towards ``target``, rad/s, for a caller that already has ``decay_after``."""
+    """``glide`` towards ``target``, rad/s, for a caller that already has ``decay`` = 1 - exp(-h / tau)."""
     v, y, z = state
     excess = v - target
     return State(
@@ -165,8 +165,9 @@ def next_segment(plant: Plant, v: float, drive_V: float, longest_s: float, c: Ro
     tau, gain = plant.tau_s, plant.K_rad_s_V
     moving_V, static_V = friction_levels(plant, sign)
     b = gain * (static_V - moving_V) / unit
-    x, target, far = abs(v) / unit, gain * (sign * drive_V - moving_V) / unit, far_speed(b)
+    x, target = abs(v) / unit, gain * (sign * drive_V - moving_V) / unit
     if is_exponential(x, target, b):
+        far = far_speed(b)
         # down to the speed at which the Stribeck effect begins, or to rest if this direction has no Stribeck effect
         leaves_s = tau * math.log1p((x - far) / (far - target)) if target < far < x else math.inf
         if leaves_s <= longest_s:

@@ -29,7 +29,8 @@ from rig.model.motor import Motor
 from rig.model.sensitivity import Theta, position
 from rig.notebook import Found
 from rig.recording.errors import IdentifyError
-from rig.recording.reader import Recording, from_columns, read_run
+from rig.recording.reader import read_run
+from rig.recording.recording import Recording, from_columns
 from rig.recording.series import Window
 from rig.report import write_report
 from rig.results import RunResult

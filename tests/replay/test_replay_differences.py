@@ -11,7 +11,7 @@ import yaml
 from run_copy import GOLDEN, RunCopy
 
 from rig import config
-from rig.bench import guard_settings_of
+from rig.preflight.loop_settings import guard_settings_of
 from rig.replay import replay
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_SATURATED, FLAG_SKIPPED
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from campaign_real.departing_motor import Bench, Departures, PlainMotor, Record, reading, relay_test
 from rig.campaign.grid import Draw, draw
 from rig.config.campaign import Campaign
-from rig.recording.reader import Recording, from_columns
+from rig.recording.recording import Recording, from_columns
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator

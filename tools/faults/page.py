@@ -18,9 +18,9 @@ _SUMMARY_HEAD = """\
 # What goes wrong, and what the bench does
 
 Made by `make faults`, {made}, which puts each fault on each emulated device. It fails if a bound is broken, a sample is
-lost, a code is another than expected, a record with a whole relay test cannot be identified, `result.json` is missing,
-or the next run does what it should not. It warns where a drive was on for 1.5 times the longest time on record, in
-[fault-worst.json](fault-worst.json). `make test` runs a part of it.
+lost, a code is another than expected, a recording with a whole relay test cannot be identified, `result.json` is
+missing, or the next run does what it should not. It warns where a drive was on for more than 1.5 times the longest time
+that [fault-worst.json](fault-worst.json) holds. `make test` runs a part of it.
 
 This page is the summary. **[fault-rows.md](fault-rows.md) has every row**: on each device, in each stage of the
 experiment, in real time, with its bound and how it is done. The tool is [tools/faults](../tools/faults).
@@ -28,7 +28,7 @@ experiment, in real time, with its bound and how it is done. The tool is [tools/
 {summary}
 
 * *Host silent*: the worst of the rows that only the device's own watchdog can end.
-* *Lost*: samples that the device told of, and that reached the host intact and in time, but are not in the record.
+* *Lost*: samples that the device told of, and that reached the host intact and in time, but are not in the recording.
 * *Wrong*: cases with anything that should not be.
 
 ## Each fault at its worst
@@ -59,7 +59,7 @@ and limits are those of
 * *Within*: the bound of that row, from the config; what it is made of is below the table.
 * *Beyond*: farthest that the shaft went beyond a hard limit (they are at {low:g} and {high:g} rad, the stops at 2.6).
 * *Shown*: the fault's code, and `rig`'s exit status.
-* *Lost*: samples that the device told of, and that reached the host intact and in time, but are not in the record. A
+* *Lost*: samples that the device told of, and that reached the host intact and in time, but are not in the recording. A
   reading that came with the fault is in the fault's event, with its counts or its bytes. Of a host that was killed the
   recorder, which lives on, writes what there is. Of a relay in the device each row of a block counts, up to the first
   block that is missing: that one ends the run.
@@ -141,10 +141,10 @@ _STAGES_HEAD = """\
 ## In the other stages
 
 When the fault comes in the gain search, at rest (armed, 0 V, after the relay tests), in the pause (disarmed, while the
-record is identified), while the device is armed again, in tracking. At rest, in the pause and at re-arming the drive is
-0: there *0* means that nothing drove any more, and a time counts from the first drive after the fault. A cell has the
-fault's code, how long the drive was on, and the bound; *runs on*: the longest time that one drive acted without a new
-word.
+recording is identified), while the device is armed again, in tracking. At rest, in the pause and at re-arming the drive
+is 0: there *0* means that nothing drove any more, and a time counts from the first drive after the fault. A cell has
+the fault's code, how long the drive was on, and the bound; *runs on*: the longest time that one drive acted without a
+new word.
 
 Each row is tried in each stage on the host-board device; on the others what is other there: the contacts, resets and
 hangs of the Uno's chip, all that may happen to a Modbus I/O block while it is disarmed or armed again (it is asked

@@ -27,7 +27,7 @@ FREEZE_S = 1.0
 FOR_TICKS = 50  # that a disturbance lasts which the run survives
 STALL_S = 0.03  # of an overloaded host, at most
 SMALL_DISK = 2 << 20
-_SHORTEST_ROW = 60  # bytes, in the record
+_SHORTEST_ROW = 60  # bytes, in samples.csv
 _TICK_S = 0.005  # less than any period
 
 
@@ -47,7 +47,7 @@ class Row:
     prepare  done before the run, in a process of its own; gets the folder that holds the config and `runs`
     alone    runs in a process of its own
     status   exit status where it is not that of the code: one of these
-    same     the record must be that of a run in which nothing happens, to the last bit
+    same     the recording must equal that of a run in which nothing happens, to the last bit
     only     it is of devices with one of these traits (``backends.Backend``); empty: of all
     absent   traits of devices, or of stages (``stages.Stage.traits``), to which it does not apply, and why
     only_seen  the motor is driven on, whatever the device puts out
@@ -349,7 +349,7 @@ def _overload(injector: FaultInjector) -> None:
 
 
 def _fill_disk(injector: FaultInjector) -> None:
-    """Nothing more fits, in the last page of the record either: it is put off until that page has no room for a row."""
+    """Nothing more fits, not even into the last page of samples.csv: it happens when no row fits into that page."""
     injector.written()
     samples = next((injector.folder / "runs").glob("*/samples.csv"))
     if -samples.stat().st_size % os.sysconf("SC_PAGE_SIZE") >= _SHORTEST_ROW:
@@ -631,7 +631,7 @@ ROWS = (
         bound("no drive is older", period=3, exchange=1),
         (RUNS_ON,),
         status=(0, 1),
-        remark="the loop skips the ticks that it cannot hold, and goes on; such a record may be refused",
+        remark="the loop skips the ticks that it cannot hold, and goes on; such a recording may be refused",
     ),
     Row(
         "replies too late",
@@ -1056,8 +1056,8 @@ ROWS = (
         alone=True,
         status=(-signal.SIGKILL,),
         other={"separate": {"may_lose": 1}},
-        remark="the record ends with `loop_died`. Where drives are confirmed (FC16) the sample of a tick is recorded "
-        "once its drive is: a host that is killed in between takes it along",
+        remark="the recording ends with `loop_died`. Where drives are confirmed (FC16) the sample of a tick is "
+        "recorded after its drive was confirmed: if the host is killed in between, that sample is lost",
     ),
     Row(
         "host SIGSTOP, 1 s",
@@ -1086,7 +1086,7 @@ ROWS = (
         remark="what is later than the watchdog's time ends as SIGSTOP does",
     ),
     Row("clock stepped", "the wall clock jumps an hour back", host.step_clock, RUNNING, (RUNS_ON,), same=True),
-    # the record
+    # the recording
     Row(
         "disk full",
         "nothing more fits on the run folder's disk",
@@ -1096,7 +1096,7 @@ ROWS = (
         True,
         ("RECORDER_DEAD", NO_SPACE),
         other={name: {"bound": LOOKED} for name in AT_ZERO},
-        remark="the disk is full once the page that the record ends in is, too: up to half a second later, and in "
+        remark="rows still fit into the last page of samples.csv: the disk is full up to half a second later, and in "
         "another stage",
         prepare=_small,
         alone=True,

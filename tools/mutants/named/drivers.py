@@ -192,7 +192,7 @@ FIT = of(
     (
         "the tables of config and device are not compared",
         "check_fit",
-        "if expected.board.counts_max is not None and hello.counts_max != expected.board.counts_max:",
+        "if scaling.counts_max is not None and hello.counts_max != scaling.counts_max:",
         "if False:",
         _serial("test_a_config_that_does_not_fit_the_device"),
     ),

@@ -197,7 +197,7 @@ SIGNALS = of(
 )
 
 BENCH = of(
-    "rig/bench.py",
+    "rig/preflight/loop_settings.py",
     (
         "the guard does not know the reaction time",
         "guard_settings_of",

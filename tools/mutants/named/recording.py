@@ -194,7 +194,7 @@ RECORDER = of(
 )
 
 READER = of(
-    "rig/recording/reader.py",
+    "rig/recording/recording.py",
     (
         "time that goes back is accepted",
         "_check_time",
@@ -202,9 +202,13 @@ READER = of(
         "    if False:\n",
         _reader("test_a_broken_file_is_an_error_with_line_and_cure"),
     ),
+)
+
+FILES = of(
+    "rig/recording/text_file.py",
     (
         "a torn last line is read",
-        "_without_torn_line",
+        "without_torn_line",
         'end = written.rfind(b"\\n") + 1',
         "end = len(written)",
         _reader("test_a_torn_last_line_is_left_out_and_noted_wherever_it_tears"),
@@ -212,10 +216,10 @@ READER = of(
     (
         "what the recorder wrote beside the file is not read",
         "whole_content",
-        "        content = content[:number] + _bytes(part)\n",
+        "        content = content[:number] + content_of(part)\n",
         "",
         _disk("test_a_write_error_costs_no_row_and_no_event"),
     ),
 )
 
-MUTANTS = (*WRITER, *RECORDER, *READER)
+MUTANTS = (*WRITER, *RECORDER, *READER, *FILES)
