@@ -1,9 +1,9 @@
 """The uncertainty budget of tau, K and friction (GUM; docs/theory.md 12.7).
 
 Type A is the scatter of the fit. To it comes every law that the record neither shows nor excludes. Such a law is kept
-as a nuisance: its size has the range that a bench may well have (``Departure.range_of``), taken as uniform, and the
-record narrows that. What it moves tau, K and friction by is its entry. Two laws that hide each other have an entry
-together, weighted by how rarely two come at once.
+as a nuisance: a bench has it with a probability of ``PRESENT``, in a size up to ``Departure.range_of``. The record
+changes both, by Bayes' rule. What the law then moves tau, K and friction by, weighted by how probable it still is, is
+its line. Two laws that hide each other have a line together: each alone may be excluded, while both are not.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ Array = NDArray[np.float64]
 OF = ("tau_s", "K_rad_s_V", "fc_V")
 COVERAGE = 2.0  # of an expanded uncertainty: 95 %
 UNIFORM = math.sqrt(3.0)  # half width of a uniform distribution over its standard deviation
-TWO_AT_ONCE = 0.05  # weight of what two laws hide together
+PRESENT = 0.1  # probability of a law before the record is looked at
+LARGEST_GAIN = 60.0  # of twice the log likelihood: it keeps its exponential finite
 TYPE_A = "scatter"
 TWO_LAWS = "two laws that hide each other"
 
@@ -82,33 +83,52 @@ Owner = tuple[Departure, int, int]  # a law, its first column, and how many it h
 def _entries(
     matrix: Array, gradient: Array, owners: Sequence[Owner], spread: Array, plain: tuple[int, Sequence[int], Array]
 ) -> tuple[Entry, ...]:
+    """The lines, from the normal equations in units of the noise.
+
+    matrix, gradient   of the fit's own numbers, then of all nuisances
+    spread             standard deviation of each nuisance before the record is looked at
+    plain              how many numbers are the fit's own, where tau, K and fc stand among them, and their units
+    """
     core, of, size = plain
+    own = matrix[:core, :core]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
+    inverse = np.linalg.pinv(own * np.outer(scale, scale), rcond=1e-13, hermitian=True) * np.outer(scale, scale)
+    border = matrix[core:, :core]
+    # each nuisance in its own spread: what the record says of it when the fit's numbers are free
+    inside = (matrix[core:, core:] - border @ inverse @ border.T) * np.outer(spread, spread)
+    pull = (gradient[core:] - border @ inverse @ gradient[:core]) * spread
+    moves = -(inverse @ border.T)[list(of)] * size[:, None] * spread  # of tau, K, fc by each
+    alone = np.diag(inverse)[list(of)] * size**2
 
-    def posterior(columns: Sequence[int]) -> tuple[Array, Array]:
-        """Variances of tau, K and fc, and how far they move, with these nuisances."""
-        at = [*range(core), *columns]
-        own = matrix[np.ix_(at, at)].copy()
-        for k, column in enumerate(columns):
-            own[core + k, core + k] += 1.0 / spread[column - core] ** 2
-        scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
-        inverse = np.linalg.pinv(own / np.outer(scale, scale), rcond=1e-13, hermitian=True) / np.outer(scale, scale)
-        return np.diag(inverse)[list(of)] * size**2, -(inverse @ gradient[at])[list(of)] * size
+    def hidden(at: list[int]) -> tuple[float, Array]:
+        """Odds of these nuisances against none, but for those before the record, and the squares of what they move."""
+        precision = np.eye(len(at)) + inside[np.ix_(at, at)]
+        covariance = np.linalg.inv(precision)
+        mean = -covariance @ pull[at]
+        gain = min(float(-pull[at] @ mean), LARGEST_GAIN)
+        odds = math.exp(0.5 * gain) / math.sqrt(max(float(np.linalg.det(precision)), 1e-300))
+        by = moves[:, at]
+        return odds, np.einsum("ij,jk,ik->i", by, covariance, by) + (by @ mean) ** 2
 
-    alone, moved = posterior([])
-    lines: dict[str, Array] = {TYPE_A: COVERAGE**2 * alone}
-    extra: dict[int, Array] = {}
-    for k, (law, first, count) in enumerate(owners):
-        variance, shift = posterior(range(first, first + count))
-        extra[k] = np.maximum(variance - alone, 0.0)
-        line = COVERAGE**2 * extra[k] + (shift - moved) ** 2
-        lines[law.name] = np.maximum(line, lines.get(law.name, np.zeros(3)))
+    before = PRESENT / (1.0 - PRESENT)
+    lines: dict[str, Array] = {}
+    total = 1.0
+    trials = {law.name: sum(1 for other, _, _ in owners if other is law) for law, _, _ in owners}
+    for law, first, count in owners:
+        odds, squares = hidden([*range(first - core, first - core + count)])
+        weight = before / trials[law.name] * odds
+        total += weight
+        lines[law.name] = lines.get(law.name, np.zeros(3)) + weight * squares
     pairs = np.zeros(3)
-    for a, b in combinations(range(len(owners)), 2):
-        if owners[a][0] is owners[b][0]:
-            continue
-        both = [c for _, first, count in (owners[a], owners[b]) for c in range(first, first + count)]
-        pairs += np.maximum(posterior(both)[0] - alone - extra[a] - extra[b], 0.0)
-    lines[TWO_LAWS] = COVERAGE**2 * TWO_AT_ONCE * pairs
-    found = [Entry(name, *np.sqrt(line).tolist()) for name, line in lines.items()]
-    weight = np.maximum(size, 1e-12)
-    return tuple(sorted(found, key=lambda e: -max(e.tau_s / weight[0], e.K_rad_s_V / weight[1], e.fc_V)))
+    for (a, first_a, count_a), (b, first_b, count_b) in combinations(owners, 2):
+        if a is not b:
+            at = [*range(first_a - core, first_a - core + count_a), *range(first_b - core, first_b - core + count_b)]
+            odds, squares = hidden(at)
+            weight = before**2 / (trials[a.name] * trials[b.name]) * odds
+            total += weight
+            pairs += weight * squares
+    lines[TWO_LAWS] = pairs
+    found = [Entry(TYPE_A, *(COVERAGE * np.sqrt(alone)).tolist())]
+    found += [Entry(name, *(COVERAGE * np.sqrt(line / total)).tolist()) for name, line in lines.items()]
+    weight_of = np.maximum(size, 1e-12)
+    return tuple(sorted(found, key=lambda e: -max(e.tau_s / weight_of[0], e.K_rad_s_V / weight_of[1], e.fc_V)))
