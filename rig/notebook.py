@@ -24,7 +24,15 @@ from rig.report.style import AbsentError, laid_out, style
 from rig.report.tables import estimates as estimate_rows
 from rig.report.words import PARAMETERS, quantity
 from rig.results import RunMeta, RunResult
-from rig.terminal import LAW_HEADINGS, law_rows, plain_table
+from rig.terminal import (
+    BUDGET_HEADINGS,
+    LAW_HEADINGS,
+    MOTOR_LAW_HEADINGS,
+    budget_rows,
+    law_rows,
+    motor_law_rows,
+    plain_table,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -170,8 +178,13 @@ class Found(Identification):
     def summary(self) -> str:
         """Tables of the estimates and of what the friction law adds, then the reasons of the verdicts and the notes."""
         reasons = [f"{name}: {reason}" for name, e in self.estimates.items() for reason in e.reasons]
-        law = law_rows(self.as_result().friction_law)
-        added = plain_table(LAW_HEADINGS, law) if law else []
+        result = self.as_result()
+        tables = (
+            (LAW_HEADINGS, law_rows(result.friction_law)),
+            (MOTOR_LAW_HEADINGS, motor_law_rows(result)),
+            (BUDGET_HEADINGS, budget_rows(result)),
+        )
+        added = [line for headings, rows in tables if rows for line in plain_table(headings, rows)]
         return "\n".join([*plain_table(_HEADINGS, _table(self._result())), *added, *reasons, *self.notes])
 
     def plot(self) -> Figure:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,7 +16,16 @@ from rich.table import Table
 from rich.text import Text
 
 from rig.estimators import LEADING
-from rig.results import EstimateResult, FrictionLawResult, LoopResult, RunResult, TrackingResult, TrueMotor, known
+from rig.results import (
+    EstimateResult,
+    FrictionLawResult,
+    IdentificationResult,
+    LoopResult,
+    RunResult,
+    TrackingResult,
+    TrueMotor,
+    known,
+)
 
 if TYPE_CHECKING:  # each loads slowly
     from rig.campaign.summary import Summary
@@ -26,6 +36,9 @@ if TYPE_CHECKING:  # each loads slowly
 
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")  # the parameters that a table shows
 LAW_HEADINGS = ("parameter", "value", "unit", "meaning")
+MOTOR_LAW_HEADINGS = ("law", "size", "unit", "or, as likely")
+BUDGET_HEADINGS = ("from", "tau_s", "K_rad_s_V", "fc_V")
+SMALL_SHARE = 0.2  # of the whole uncertainty: smaller lines are left out
 RECORD_AGAIN = (
     "to record again: `rig relay CONFIG`; more cycles: relay.cycles; slower, larger or other cycles: relay.target or "
     "relay.gains; part of a recording: --rows FIRST:LAST"
@@ -98,6 +111,7 @@ def show_run(outcome: Outcome) -> None:
     if result.estimates:
         show_estimates(result.estimates, result.truth, result.tracking)
         show_friction_law(result.friction_law)
+        show_motor_law(result)
     if result.loop is not None:
         _show_loop(result.loop)
     for note in result.config_notes:
@@ -203,6 +217,46 @@ def show_friction_law(found: FrictionLawResult | None) -> None:
     rows = law_rows(found)
     if found is not None and rows:
         show_table(f"friction law: {found.chosen}", LAW_HEADINGS, rows)
+
+
+def show_motor_law(result: RunResult | IdentificationResult) -> None:
+    """Show the laws that the motor has beyond the plain one, and what the uncertainty of the estimate is made of."""
+    if result.law:
+        show_table(
+            "law of the motor: what it has beyond tau, K and friction", MOTOR_LAW_HEADINGS, motor_law_rows(result)
+        )
+    rows = budget_rows(result)
+    if rows:
+        show_table("uncertainty (u95), % of the estimate: what it is made of", BUDGET_HEADINGS, rows)
+
+
+def motor_law_rows(result: RunResult | IdentificationResult) -> list[list[str]]:
+    """The laws beyond the plain one, a row of ``MOTOR_LAW_HEADINGS`` each."""
+    rows = []
+    for law in result.law or ():
+        text = "-" if law.value is None else f"{law.value:.3g}"
+        if law.ci95 is not None and law.ci95[0] is not None and law.ci95[1] is not None:
+            text += f" ±{0.5 * (law.ci95[1] - law.ci95[0]):.2g}"
+        alike = next((group[1:] for group in result.not_told_apart or () if group and group[0] == law.name), ())
+        or_else = ", ".join(name.replace("_", " ") for name in alike)
+        rows.append([law.name.replace("_", " "), text, "" if law.unit == "1" else law.unit, or_else])
+    return rows
+
+
+def budget_rows(result: RunResult | IdentificationResult) -> list[list[str]]:
+    """The lines of the budget that matter, a row of ``BUDGET_HEADINGS`` each; the whole first; empty without one."""
+    estimate = result.estimates.get(LEADING)
+    values = [] if estimate is None else [known(estimate.value(name)) for name in MAIN]
+    if not result.u95 or not values or not all(math.isfinite(v) and v > 0.0 for v in values):
+        return []
+    sums = [100.0 * known(result.u95.get(name)) / value for name, value in zip(MAIN, values, strict=True)]
+    rows = [["together", *(f"{share:.2g}" for share in sums)]]
+    for entry in result.budget or ():
+        parts = (entry.tau_s, entry.K_rad_s_V, entry.fc_V)
+        shares = [100.0 * known(part) / value for part, value in zip(parts, values, strict=True)]
+        if any(share > SMALL_SHARE * whole for share, whole in zip(shares, sums, strict=True)):
+            rows.append([entry.source.replace("_", " "), *(f"{share:.2g}" for share in shares)])
+    return rows
 
 
 def law_rows(found: FrictionLawResult | None) -> list[list[str]]:

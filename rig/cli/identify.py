@@ -13,7 +13,7 @@ from rig.cli.options import JSON, ROWS
 from rig.estimators import ESTIMATORS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
-from rig.terminal import patience, show_estimates, show_friction_law
+from rig.terminal import patience, show_estimates, show_friction_law, show_motor_law
 
 
 @click.command()
@@ -59,4 +59,5 @@ def identify(
             click.echo(note)
         show_estimates(result.estimates, None)
         show_friction_law(result.friction_law)
+        show_motor_law(result)
     sys.exit(0 if ok else EXIT_FAILED)

@@ -150,7 +150,7 @@ def motor_law(tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[
     lines = budget(fit, choice.laws, DEPARTURES, bench)
     if not choice.laws:
         return MotorLaw((), (), None, lines, choice.growth)
-    covariance = np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit)
+    covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
     found = tuple(_found(law, fit, normal, covariance) for law in choice.laws)
     return MotorLaw(
         found,
@@ -165,7 +165,7 @@ SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record
 
 
 def _freedom(fit: Fit) -> int:
-    return max(1, fit.residual_rad.size - 2 * fit.starts.shape[0] - len(fit.problem.free))
+    return max(1, int(fit.residual_rad.size) - 2 * int(fit.starts.shape[0]) - len(fit.problem.free))
 
 
 def _found(law: Departure, fit: Fit, normal: Normal, covariance: Array) -> FoundLaw:

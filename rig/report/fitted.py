@@ -10,6 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rig.identify.estimate import Estimate
+from rig.identify.verdict import PROMISE, SURE
+from rig.report.budget import budget_shares
 from rig.report.fit import PARAMETERS, average, cycles_of, motor_of, predict_cycles
 from rig.report.source import Array, ReportedRun, Span
 from rig.report.style import (
@@ -32,6 +34,8 @@ from rig.results import known
 LABELS = {"tau_s": "τ, s", "K_rad_s_V": "K, (rad/s)/V", "fc_V": r"$\mathbf{f_c}$, V"}
 LONGEST_LAG = 60
 FEWEST_RESIDUALS = 20
+SMALLEST_BAR = 0.05  # %
+ASKED_PERCENT = 100.0 * PROMISE / SURE
 
 
 def averaged_cycle(run: ReportedRun, span: Span) -> Picture:
@@ -158,6 +162,28 @@ def autocorrelation(pieces: list[Array], longest: int) -> tuple[Array, Array]:
         return lags.astype(float), np.zeros(lags.size)
     values = [sum(float((p[k:] - mean) @ (p[: p.size - k] - mean)) for p in pieces if p.size > k) / power for k in lags]
     return lags.astype(float), np.array(values)
+
+
+def budget(run: ReportedRun) -> Picture:
+    """What the uncertainty of tau, K and f_c is made of, as bars. Raises AbsentError without a budget."""
+    lines = [(source, shares) for source, shares in budget_shares(run) if max(shares) > SMALLEST_BAR]
+    if not lines:
+        raise AbsentError("There is no uncertainty budget.")
+    figure = new_figure(0.9 + 0.3 * len(lines))
+    panels = figure.subplots(1, 3, sharey=True, sharex=True)
+    for k, (axes, key) in enumerate(zip(panels, PARAMETERS, strict=True)):
+        colours = [INK if row == 0 else MEASURED for row in range(len(lines))]
+        axes.barh(range(len(lines)), [shares[k] for _, shares in lines], height=0.6, color=colours)
+        axes.axvline(ASKED_PERCENT, color=MUTED, lw=1.0, ls=":")
+        axes.set_title(LABELS[key].split(",")[0])
+        axes.set_xlabel("%")
+    panels[0].set_yticks(range(len(lines)), [source for source, _ in lines])
+    panels[0].set_ylim(len(lines) - 0.4, -0.6)
+    return render(
+        figure, run.backend, "Uncertainty budget of tau, K and friction.",
+        "Half widths at 95 %. Scatter: of the fit. A law has a bar where the tests do not exclude it, as long as it is "
+        "likely and as far as it would move the estimate. Dotted: 2.5 %, which ok asks for.",
+    )  # fmt: skip
 
 
 def forest(run: ReportedRun) -> Picture:

@@ -68,6 +68,11 @@ def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification 
         relays=identified.relays,
         hysteretic=identified.hysteretic,
         friction_law=identified.friction_law,
+        law=identified.law,
+        not_told_apart=identified.not_told_apart,
+        u95=identified.u95,
+        budget=identified.budget,
+        pieces=identified.pieces,
     )
     run.notes.append("The run ended before it had a result. For this page its recording was identified.")
     return replace(run, result=result), found
@@ -92,6 +97,8 @@ def render_page(run: ReportedRun, identification: Identification | None = None) 
         estimates=tables.estimates(run),
         relays=tables.relays(run),
         friction_law=tables.friction_law(run),
+        motor_law=tables.motor_law(run),
+        budget=tables.budget(run),
         hysteretic=tables.hysteretic(run),
         tracking=tables.tracking(run),
         loop_cells=tables.loop(run),
@@ -122,6 +129,7 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
             "relays": [_figure(lambda: measured.relay_tests(run))],
             "portraits": [_figure(lambda: measured.portraits(run))],
             "forest": [_figure(lambda: fitted.forest(run))],
+            "budget": [_figure(lambda: fitted.budget(run))],
             "transients": transients(),
             "cycles": cycles or [Figure(None, "There was no relay test, so there is no averaged cycle.")],
             "evidence": [Figure(None, trouble) if trouble else _figure(lambda: fitted.residuals(run, best, fits))],

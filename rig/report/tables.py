@@ -10,6 +10,8 @@ from datetime import datetime
 from pydantic import JsonValue
 
 from rig.identify import laws
+from rig.identify.departures import DEPARTURES
+from rig.report.budget import budget_shares
 from rig.report.source import PREFERRED, ReportedRun
 from rig.report.style import short
 from rig.report.words import PARAMETERS, Quantity, quantity, rounded
@@ -72,6 +74,26 @@ class LawTable:
 
 
 @dataclass(frozen=True)
+class MotorLawRow:
+    """One law that the motor has beyond the plain one: its size, what it may come from, and what looks alike."""
+
+    law: str
+    size: Cell
+    interval: str
+    unit: str
+    cause: str
+    alike: str
+
+
+@dataclass(frozen=True)
+class BudgetRow:
+    """One line of the uncertainty budget, % of tau, K and fc."""
+
+    source: str
+    cells: list[Cell]
+
+
+@dataclass(frozen=True)
 class TrackingRow:
     """The tracking check of one model, or why there was none."""
 
@@ -128,6 +150,33 @@ def friction_law(run: ReportedRun) -> LawTable | None:
         lines.append(LawRow(names.get(fit.law, fit.law), levels, own, compared, fit.standing))
     words = [sentence for sentence in (found.reason, found.viscous) if sentence]
     return LawTable(lines, [*words, *found.record], (found.held_out or "").replace("-", " "))
+
+
+def motor_law(run: ReportedRun) -> list[MotorLawRow]:
+    """The laws that the motor has beyond the plain one."""
+    causes = {law.name: (law.title, law.cause) for law in DEPARTURES}
+    groups = {group[0]: group[1:] for group in run.result.not_told_apart or () if group}
+    rows = []
+    for law in run.result.law or ():
+        title, cause = causes.get(law.name, (law.name.replace("_", " "), ""))
+        bounds = law.ci95 or (None, None)
+        low, high = known(bounds[0]), known(bounds[1])
+        half = 0.5 * (high - low)
+        interval = f"{rounded(low, half)} to {rounded(high, half)}" if math.isfinite(half) else ""
+        size = (known(law.value), rounded(known(law.value), half)) if math.isfinite(half) else _cell(law.value)
+        alike = ", ".join(causes.get(name, (name, ""))[0] for name in groups.get(law.name, ()))
+        rows.append(MotorLawRow(title, size, interval, "" if law.unit == "1" else law.unit, cause, alike))
+    return rows
+
+
+def budget(run: ReportedRun) -> list[BudgetRow]:
+    """The uncertainty budget, % of the leading estimate: the whole first; lines below a tenth of it are left out."""
+    shares = budget_shares(run)
+    if not shares:
+        return []
+    whole = shares[0][1]
+    kept = [shares[0], *(line for line in shares[1:] if any(a > 0.1 * b for a, b in zip(line[1], whole, strict=True)))]
+    return [BudgetRow(source, [(share, f"{share:.2g}") for share in line]) for source, line in kept]
 
 
 def _own(fit: LawFit) -> Sequence[LawNumberResult]:

@@ -1,4 +1,4 @@
-"""`make campaign-real`: thousands of motors with departures; goes on where it was interrupted; docs/real-motors-table.md."""
+"""`make campaign-real`: thousands of motors with departures. It goes on where it was interrupted."""
 
 from __future__ import annotations
 
@@ -94,8 +94,8 @@ def page(config: Config, found: dict[bool, dict[int, Row]], commit: str, took_s:
     lines = [
         "# Motors that are not what the plain model says",
         "",
-        f"Made by `make campaign-real`: seed {config.seed}, commit {commit}, {took_s:.0f} s for {new} motors. Two relay",
-        "tests of each motor (10 ms, 3 mrad of noise, 10 bits, unknown delay), simulated by a program of their own",
+        f"Made by `make campaign-real`: seed {config.seed}, commit {commit}, {took_s:.0f} s for {new} motors.",
+        "Two relay tests of each motor (10 ms, 3 mrad of noise, 10 bits, unknown delay), simulated by a program of their own",
         "(tools/campaign_real), identified as `rig identify` does two CSV files.",
         "",
         "*wrong*: called ok, and tau, K or f_c more than 5 % off. *inside*: share of u95 that hold the truth, of those",
@@ -142,8 +142,8 @@ def is_named(one: Row) -> bool:
 def _cells(name: str, some: list[Row]) -> list[str]:
     ok = [one for one in some if one.verdict == "ok" and one.error is not None and one.inside is not None]
     seen = [one for one in some if one.plain_gain > SEEN]
-    inside = np.mean([one.inside for one in ok], axis=0) if ok else np.full(3, np.nan)
-    errors = 100.0 * np.median(np.abs([one.error for one in ok]), axis=0) if ok else np.full(3, np.nan)
+    inside = np.mean([one.inside or () for one in ok], axis=0) if ok else np.full(3, np.nan)
+    errors = 100.0 * np.median(np.abs([one.error or () for one in ok]), axis=0) if ok else np.full(3, np.nan)
     named = f"{sum(map(is_named, seen))} of {len(seen)}" if name != "plain" else ""
     if name == "plain":
         named = f"{sum(bool(one.found) for one in some)} falsely"

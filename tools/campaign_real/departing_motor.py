@@ -126,7 +126,7 @@ def relay_test(
     seed                of noise and random force
     """
     rng = np.random.default_rng(seed)
-    noise = bench.offset_rad + bench.noise_rad * rng.standard_normal(rows)
+    noise: Array = bench.offset_rad + bench.noise_rad * rng.standard_normal(rows)
     force = np.zeros(rows)
     if departures.random_V > 0.0:
         keep = np.exp(-bench.period_s / 0.1)
@@ -143,7 +143,7 @@ def relay_test(
         departures.random_V * force,
         out,
     )
-    columns = [np.ascontiguousarray(column) for column in out.T]
+    columns = [np.ascontiguousarray(column, dtype=np.float64) for column in out.T]
     return Record(bench.period_s * np.arange(rows), columns[0], columns[1], columns[2], columns[3], columns[4])
 
 
@@ -153,7 +153,7 @@ def reading(y_rad: Array, departures: Departures) -> Array:
     return y_rad + d.linearity_rad * np.sin(d.linearity_per_rad * y_rad + d.linearity_phase_rad)
 
 
-@njit(cache=True, fastmath=False)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _run(motor, departures, timing, gains, noise, force, out):  # type: ignore[no-untyped-def]
     tau, K, fc, bias = motor
     (dead, by_sign, sag, lag, beta, static, strib, vs, drag, sigma, fA, fphi, qA, qphi, cA, cn, cphi,

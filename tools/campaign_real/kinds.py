@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ class Kind:
     """One kind of departure in one size.
 
     name    in the table
-    law     of issue's names: what `rig identify` should name
+    law     what `rig identify` should name
     size    as a user would say it
     make    departures for a motor (K_rad_s_V, fc_V), random signs and phases
     """
@@ -48,14 +49,16 @@ def _phase(rng: Rng) -> float:
     return float(rng.uniform(0.0, TURN))
 
 
+def _sized(make: Callable[[Rng, Draw, float], Departures], size: float, rng: Rng, one: Draw) -> Departures:
+    return make(rng, one, size)
+
+
 def _kinds() -> list[Kind]:
     found = [Kind("plain", "", "", lambda rng, one: Departures())]
 
     def add(law: str, sizes: Sequence[float], unit: str, make: Callable[[Rng, Draw, float], Departures]) -> None:
         for size in sizes:
-            found.append(
-                Kind(f"{law} {size:g}", law, f"{size:g} {unit}", lambda rng, one, size=size: make(rng, one, size))
-            )
+            found.append(Kind(f"{law} {size:g}", law, f"{size:g} {unit}", partial(_sized, make, size)))
 
     add("dead_band", (0.02, 0.05, 0.1), "V", lambda r, o, s: Departures(dead_band_V=s))
     add("gain_by_sign", (1.0, 3.0, 10.0), "%", lambda r, o, s: Departures(gain_by_sign=0.005 * s * _sign(r)))

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from campaign_real.kinds import KINDS, Kind, case
+from campaign_real.kinds import KINDS, Case, Kind, case
 from rig.config.campaign import Campaign
 from rig.estimators import LEADING
 from rig.identify import IdentifyError, identify
@@ -72,7 +72,7 @@ def row(number: int, pair: bool, seed: int) -> Row:
         return _without(number, names, "failed", f"{type(error).__name__}: {error}", began)
 
 
-def _identified(one, number: int, names: tuple[str, ...], began: float) -> Row:  # type: ignore[no-untyped-def]
+def _identified(one: Case, number: int, names: tuple[str, ...], began: float) -> Row:
     recordings = one.recordings()
     plain = identify(recordings, (LEADING,), choose_law=False).estimates[LEADING]
     found = identify(recordings, (LEADING,))

@@ -33,7 +33,7 @@ TWO_LAWS = "two laws that hide each other"
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the budget: what may be wrong, and by how much it moves tau_s, K_rad_s_V, fc_V: half widths at 95 %."""
+    """One line of the budget: what may be wrong, and the half widths at 95 % that it gives tau_s, K_rad_s_V, fc_V."""
 
     source: str
     tau_s: float
@@ -61,7 +61,9 @@ def budget(fit: Fit, laws: Sequence[Departure], candidates: Sequence[Departure],
     of = [fit.problem.free.index(name) for name in OF]
     size = np.array([getattr(fit.motor, name) if name in POSITIVE else 1.0 for name in OF])
     core = len(fit.problem.free)
-    added, owners, spreads = [], [], []
+    added: list[Array] = []
+    owners: list[Owner] = []
+    spreads: list[float] = []
     for law in candidates:
         if law in laws:
             continue

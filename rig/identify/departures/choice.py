@@ -123,9 +123,8 @@ class Chooser:
 
         def worth(end: tuple[Fit, tuple[Departure, ...]]) -> float:
             of, found = end
-            return finest.problem.cost(of.residual_rad) / unit(finest) + sum(
-                self.price(law, of, ENTRY) for law in found
-            )
+            squares = finest.problem.cost(of.residual_rad) / unit(finest)
+            return squares + sum(self.price(law, of, ENTRY) for law in found)
 
         return min(ends, key=worth)
 

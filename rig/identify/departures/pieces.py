@@ -87,7 +87,7 @@ class Cut:
     @cached_property
     def lengths(self) -> list[int]:
         """Number of rows of each piece."""
-        return np.diff(np.append(self.begins, self.t_s.size)).tolist()
+        return [int(n) for n in np.diff(np.append(self.begins, self.t_s.size))]
 
     @cached_property
     def piece(self) -> Rows:
