@@ -38,6 +38,12 @@ PARTS: dict[str, tuple[str, ...]] = {
     "linearity": ("linearity_sin1_rad", "linearity_cos1_rad", "linearity_sin2_rad", "linearity_cos2_rad"),
     "drift": ("drift",),
 }
+# A part that is free and at 0 gets this size, in its own unit: so it is integrated as finely as it needs.
+TRACE = 1e-12
+TRACED = (
+    "viscous_by_direction_V_s_rad", "stribeck_V", "drag_V_s2_rad2", "force_sin_V", "force_cos_V", "friction_sin_V",
+    "friction_cos_V", "cogging_sin_V", "cogging_cos_V",
+)  # fmt: skip
 AT_LEAST_ZERO = ("fc_V", "dead_band_V", "lag_s", "static_V", "stribeck_rad_s", "bristle_V_rad", "backlash_rad")
 
 
@@ -135,6 +141,9 @@ def _readings(
     """Both; no derivatives where ``free`` is None."""
     from rig.model.compiled import real_motion
 
+    if free is not None:
+        traced = {name: TRACE for name in TRACED if index(name) in free and getattr(motor, name) == 0.0}
+        motor = motor._replace(**traced)
     numbers = _checked(motor, frame)
     p, n = pieces.first_row.size, t_s.size
     columns = 0 if free is None else len(free) + 2

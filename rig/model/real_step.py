@@ -149,10 +149,10 @@ EVENT_S = 1e-14  # the search for an event ends at a step of this size, s
 
 # Largest steps, so that a relay test of 20 s stays within 1e-6 rad of its exact motion.
 STEP_OF_TAU = 0.05  # s/s; any part that changes the right side
-STEP_OF_LAG = 0.25  # s/s, at 1 V from the end; longer as the lag fades out
+STEP_OF_LAG = 0.15  # s/s, at 1 V from the end; longer as the lag fades out
 STEP_OF_TURN = 0.15  # rad of the phase of a force over position
-STEP_OF_BRISTLE = 0.4  # of the length over which bristles bend
-STEP_OF_SWING = 0.15  # rad of the swing of a motor on a spring
+STEP_OF_BRISTLE = 0.2  # of the length over which bristles bend
+STEP_OF_SWING = 0.1  # rad of the swing of a motor on a spring
 STEP_OF_STRIBECK = 0.2  # of the Stribeck velocity; longer beyond its range
 
 

@@ -15,7 +15,7 @@ from rig.model.real_step import (
     behind_play,
     direction,
     force,
-    level,
+    level_at_rest,
     level_of_bristles,
     mean_cosine,
     next_step,
@@ -167,8 +167,8 @@ def readings(
 
     numbers   of the motor and of its frame
     drive     edges, s, and drives that act from them on, V; before the first edge the drive is that edge's
-    pieces    first rows (p,), increasing from 0 on, and (p, 4): v0, rad/s, y0, rad, side of the play in -1 .. 1, and the
-              way in which the bristles are bent fully: +1 or -1; 0: they balance the drive
+    pieces    first rows (p,), increasing from 0 on, and starts (p, 4): v0, rad/s, y0, rad, side of the play, -1 to 1,
+              and how far the bristles are bent, -1 to 1; 0: they balance the drive
     out       readings, rad, and Jacobian. One of no columns: it is left out
     """
     motor, frame = RealMotor(*numbers[0]), Frame(*numbers[1])
@@ -185,13 +185,9 @@ def readings(
         or motor.force_cos_V != 0.0
     )
     cogging = motor.cogging_sin_V != 0.0 or motor.cogging_cos_V != 0.0
-    stribeck = motor.stribeck_V != 0.0
     for i in range(columns):
         which[i] = free[i] if i < columns - 2 else NUMBERS + i - (columns - 2)
-        position = position or FORCE <= which[i] <= FRICTION + 1
-        cogging = cogging or COGGING <= which[i] <= ORDER
-        stribeck = stribeck or which[i] == STRIBECK or which[i] == UNIT
-    use = (position, cogging, stribeck)
+    use = (position, cogging, motor.stribeck_V != 0.0)
     # derivatives of v, y, f and x by each column, of the drive before and behind the lag, and of the inner stages
     dv, dy, df, dx = np.zeros(columns), np.zeros(columns), np.zeros(columns), np.zeros(columns)
     dw, ds = np.zeros(NUMBERS + 2), np.zeros(NUMBERS + 2)
@@ -251,7 +247,7 @@ def readings(
             at = State(at.v, at.y, pull if balance else bend * floor, at.w, at.x)
             if columns:
                 aim = target(motor, frame, 1.0, at, now)
-                by_v, by_y, _, _, _ = _slopes(motor, frame, use, 1.0, at, (now, aim), slopes[0])
+                _, by_y, _, _, _ = _slopes(motor, frame, use, 1.0, at, (now, aim), slopes[0])
                 bent[:] = 0.0
                 by_speed, by_place = _level_slopes(motor, frame, use, (abs(v0), at.y, now), bent)
                 for i in range(columns):
@@ -377,7 +373,7 @@ def readings(
                         rate = sign * rate - motor.fc_V * motor.drift / frame.duration_s
                         aim = target(motor, frame, sign, at_end, now)
                         slopes[0, 0, STATIC] = -gain * sign
-                        by_v, by_y, _, _, _ = _slopes(motor, frame, use, sign, at_end, (now, aim), slopes[0])
+                        _, by_y, _, _, _ = _slopes(motor, frame, use, sign, at_end, (now, aim), slopes[0])
                         for i in range(columns):
                             p = which[i]
                             by_p = by_y * dy[i] / gain + dw[p]
@@ -402,7 +398,16 @@ def readings(
                 for i in range(NUMBERS):
                     dw[i] = ds[i]
                 if columns:
-                    jump = before - _acceleration(motor, frame, at, staged_V, now)
+                    after = _acceleration(motor, frame, at, staged_V, now)
+                    later = before - after
+                    slower = later  # a short lag acts as a delay, except where it lets go of a motor at rest
+                    if before == 0.0 and at.v == 0.0 and after != 0.0 and motor.bristle_V_rad <= 0.0:
+                        pull = abs(staged_V + motor.bias_V - force(motor, frame, at.y))
+                        beyond = pull - level_at_rest(motor, frame, at.y, now)
+                        slower = -after * math.log(abs(staged_V - earlier) / beyond)
+                        slower -= math.copysign(gain / tau * beyond, after)
                     for i in range(columns):
-                        if which[i] == DELAY or which[i] == LAG:
-                            dv[i] += jump
+                        if which[i] == DELAY:
+                            dv[i] += later
+                        elif which[i] == LAG:
+                            dv[i] += slower
