@@ -174,15 +174,17 @@ class Reference:
             while now < end:
                 sign = self.direction(now, at, D)
                 if sign == 0.0:
-                    now, at = self.held(now, end, at, D, (t_s, out, side))
+                    now, at = self.held((now, end), at, D, (t_s, out, side))
                     continue
-                now, at, side = self.moving(now, end, at, D, sign, (t_s, out, side))
+                now, at, side = self.moving((now, end), at, D, sign, (t_s, out, side))
         return self.sensed(out)
 
-    def held(self, now, end, at, D, record):  # type: ignore[no-untyped-def]
-        t_s, out, side = record
+    def held(
+        self, span: tuple[float, float], at: np.ndarray, D: float, record: tuple[np.ndarray, np.ndarray, float]
+    ) -> tuple[float, np.ndarray]:
+        (now, end), (t_s, out, side) = span, record
         m = self.m
-        until, after = end, at.copy()
+        until = end
 
         def at_time(t: float) -> np.ndarray:
             w = D + (at[3] - D) * math.exp(-(t - now) / m.lag_s) if m.lag_s else D
@@ -202,8 +204,11 @@ class Reference:
         out[rows] = side
         return until, after
 
-    def moving(self, now, end, at, D, sign, record):  # type: ignore[no-untyped-def]
-        t_s, out, side = record
+    def moving(
+        self, span: tuple[float, float], at: np.ndarray, D: float, sign: float,
+        record: tuple[np.ndarray, np.ndarray, float],
+    ) -> tuple[float, np.ndarray, float]:  # fmt: skip
+        (now, end), (t_s, out, side) = span, record
 
         def stops(t: float, x: np.ndarray) -> float:
             return float(x[0]) if t > now + 1e-9 else sign
@@ -219,6 +224,7 @@ class Reference:
         rows = (t_s >= now) & (t_s < until)
         half = 0.5 * self.m.backlash_rad
         if rows.any():
+            assert solved.sol is not None
             y = solved.sol(t_s[rows])[1]
             out[rows] = np.maximum(side, y - half) if sign > 0.0 else np.minimum(side, y + half)
         side = max(side, after[1] - half) if sign > 0.0 else min(side, after[1] + half)
@@ -252,8 +258,8 @@ def difference(motor: RealMotor, place: int, record: Record) -> np.ndarray:
         return response(RealMotor(*numbers), FRAME, *record)
 
     if motor[place] < size and RealMotor._fields[place] in AT_LEAST_ZERO:
-        return (4.0 * at(1.0) - 3.0 * at(0.0) - at(2.0)) / (2.0 * size)
-    return (at(1.0) - at(-1.0)) / (2.0 * size)
+        return np.asarray((4.0 * at(1.0) - 3.0 * at(0.0) - at(2.0)) / (2.0 * size))
+    return np.asarray((at(1.0) - at(-1.0)) / (2.0 * size))
 
 
 ABSENT = PLAIN._replace(stribeck_rad_s=0.3, cogging_per_rad=12.0)
