@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.model import real_step
 from rig.model.motor import Motor
 from rig.model.real_step import Frame as Frame
-from rig.model.real_step import Numbers
+from rig.model.real_step import Numbers, State
 from rig.model.real_step import RealMotor as RealMotor
 
 Array = NDArray[np.float64]
@@ -133,6 +134,37 @@ def response_and_jacobian(
     the bristles; the Stribeck effect and cogging then need their velocity and order.
     """
     return _readings(motor, frame, drive, t_s, pieces, free)
+
+
+class MovingMotor:
+    """A real motor in motion, for simulators: it starts at rest under 0 V, and each ``advance`` takes it on.
+
+    ``delay_s`` of the motor is left out: who drives it knows when a drive acts.
+    """
+
+    def __init__(self, motor: RealMotor, frame: Frame, y0_rad: float) -> None:
+        _checked(motor, frame)
+        self.motor, self.frame = motor, frame
+        self.state = State(0.0, y0_rad, 0.0, real_step.staged(motor, 0.0), y0_rad)
+        if motor.bristle_V_rad > 0.0:
+            level = real_step.level_of_bristles(motor, frame, 0.0, y0_rad, frame.start_s)
+            pull = self.state.w + motor.bias_V - real_step.force(motor, frame, y0_rad)
+            self.state = self.state._replace(f=min(max(pull, -level), level))
+
+    def put(self, v_rad_per_s: float, y_rad: float) -> None:
+        """Set velocity and position of the motor's side; the sensor's side follows as far as the play makes it."""
+        half = 0.5 * self.motor.backlash_rad
+        x = min(max(self.state.x, y_rad - half), y_rad + half)
+        self.state = self.state._replace(v=v_rad_per_s, y=y_rad, x=x)
+
+    def advance(self, u_V: float, t_s: float, dt_s: float) -> None:
+        """Let ``dt_s`` (>= 0) pass from ``t_s``, s, on, under the constant drive ``u_V``."""
+        self.state = real_step.advance(self.motor, self.frame, self.state, u_V, t_s, dt_s)
+
+    @property
+    def reading_rad(self) -> float:
+        """What the sensor shows, rad."""
+        return real_step.reading(self.motor, self.frame, self.state.x)
 
 
 def _readings(

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 from rig.model.bench import BenchParameters
 from rig.model.friction import Friction
 from rig.model.motor import Motor
+from rig.model.real_motor import Frame, RealMotor, plain
 
 if TYPE_CHECKING:  # the process of an emulated device starts without the config
-    from rig.config.schema import Emulated, Tachometer
+    from rig.config.schema import Emulated, EmulatedParts, Tachometer
 
 
 def bench_parameters(emulated: Emulated, tachometer: Tachometer | None = None) -> BenchParameters:
@@ -24,20 +25,17 @@ def bench_parameters(emulated: Emulated, tachometer: Tachometer | None = None) -
         "bridge_drop_V": emulated.bridge_drop_V,
         "reversed": emulated.reversed,
     }
+    friction = Friction(
+        m.fc_plus_V,
+        m.fc_minus_V,
+        m.fc_plus_V if m.fs_plus_V is None else m.fs_plus_V,
+        m.fc_minus_V if m.fs_minus_V is None else m.fs_minus_V,
+        m.stribeck_rad_s,
+        m.viscous_V_s_rad,
+    )
+    motor = Motor(m.tau_s, m.K_rad_s_V, friction, m.bias_V)
     parameters = BenchParameters(
-        motor=Motor(
-            m.tau_s,
-            m.K_rad_s_V,
-            Friction(
-                m.fc_plus_V,
-                m.fc_minus_V,
-                m.fc_plus_V if m.fs_plus_V is None else m.fs_plus_V,
-                m.fc_minus_V if m.fs_minus_V is None else m.fs_minus_V,
-                m.stribeck_rad_s,
-                m.viscous_V_s_rad,
-            ),
-            m.bias_V,
-        ),
+        motor=motor,
         start_rad=m.start_rad,
         stop_rad=m.stop_rad,
         noise_rad=emulated.potentiometer.noise_rad,
@@ -48,6 +46,7 @@ def bench_parameters(emulated: Emulated, tachometer: Tachometer | None = None) -
         drive=w.drive,
         sensor=w.sensor,
         fault_after_s=w.fault_after_s,
+        **_with_parts(motor, m.parts),
     )
     if emulated.tachometer and tachometer is not None:
         believed |= {
@@ -56,3 +55,12 @@ def bench_parameters(emulated: Emulated, tachometer: Tachometer | None = None) -
             "gear_ratio": tachometer.gear_ratio,
         }
     return replace(parameters, **{name: value for name, value in believed.items() if value is not None})
+
+
+def _with_parts(motor: Motor, parts: EmulatedParts | None) -> dict[str, Any]:
+    """The motor with its parts, and what they refer to, as fields of ``BenchParameters``; none without parts."""
+    if parts is None:
+        return {}
+    numbers = {name: value for name, value in parts.model_dump().items() if name in RealMotor._fields}
+    frame = Frame(parts.centre_rad, parts.half_travel_rad, 0.0, parts.drift_over_s)
+    return {"real": plain(motor)._replace(**numbers), "frame": frame}
