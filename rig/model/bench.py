@@ -126,6 +126,8 @@ class BenchModel:
         low, high = self.parameters.stop_rad
         if not low < state.y < high:
             state = State(0.0, min(max(state.y, low), high), state.z)
+            if self._real is not None:
+                self._real.stop_at(state.y)
         self.state = state
         if self.armed_for_s >= 0.0:
             self.armed_for_s += dt_s

@@ -157,6 +157,13 @@ class MovingMotor:
         x = min(max(self.state.x, y_rad - half), y_rad + half)
         self.state = self.state._replace(v=v_rad_per_s, y=y_rad, x=x)
 
+    def stop_at(self, y_rad: float) -> None:
+        """End a motion that has gone beyond the stop at ``y_rad``: there it is at rest, and has pushed no farther."""
+        half = math.copysign(0.5 * self.motor.backlash_rad, self.state.y - y_rad)
+        pushed = self.state.x == self.state.y - half
+        x = y_rad - half if pushed else self.state.x
+        self.state = self.state._replace(v=0.0, y=y_rad, x=x)
+
     def advance(self, u_V: float, t_s: float, dt_s: float) -> None:
         """Let ``dt_s`` (>= 0) pass from ``t_s``, s, on, under the constant drive ``u_V``."""
         self.state = real_step.advance(self.motor, self.frame, self.state, u_V, t_s, dt_s)

@@ -12,6 +12,8 @@ from command_line import rig
 from rig.backends.backend import truth_of
 from rig.config import Experiment, load
 from rig.config.schema import Emulated, EmulatedPotentiometer
+from rig.model.bench import BenchModel
+from rig.model.real_motor import Frame, MovingMotor, plain
 from rig.preflight.differences import differences
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -117,3 +119,37 @@ def test_rig_check_notes_a_missing_velocity_channel_and_a_bent_calibration() -> 
 def test_a_potentiometer_that_never_moves_is_refused() -> None:
     with pytest.raises(ValueError, match="must not be 0"):
         experiment({"potentiometer": {"rad_per_count": 0.0}})
+
+
+PARTS = {"backlash_rad": 0.02, "lag_s": 0.005, "drift": 0.1, "drift_over_s": 40.0, "centre_rad": 0.1}
+
+
+def with_parts(**motor: Any) -> Experiment:
+    """An experiment whose true motor has parts."""
+    return experiment({"motor": changed()["emulated"]["motor"] | {"parts": PARTS} | motor})
+
+
+def test_a_motor_with_parts_is_the_given_one_and_its_parts() -> None:
+    bench = truth_of(with_parts())
+    assert bench is not None and bench.real is not None
+    assert bench.real == plain(bench.motor)._replace(backlash_rad=0.02, lag_s=0.005, drift=0.1)
+    assert bench.frame == Frame(0.1, 1.0, 0.0, 40.0)
+    without = truth_of(experiment())
+    assert without is not None and without.real is None
+
+
+def test_a_bench_with_parts_moves_as_its_motor() -> None:
+    bench = truth_of(with_parts())
+    assert bench is not None and bench.real is not None
+    model, moving = BenchModel(bench, 1), MovingMotor(bench.real, bench.frame, bench.start_rad)
+    model.arm()
+    for tick in range(100):
+        model.pin_counts = 120.0 if tick % 20 < 12 else -90.0
+        moving.advance(model.motor_V, tick * 0.01, 0.01)
+        model.advance(0.01)
+        assert model.sensed_rad == pytest.approx(moving.reading_rad, abs=1e-12)
+    model.pin_counts = 400.0
+    for _ in range(200):
+        model.advance(0.01)
+    assert model.state.y == bench.stop_rad[1] and model.state.v == 0.0
+    assert model.sensed_rad == pytest.approx(bench.stop_rad[1] - 0.01)

@@ -201,6 +201,11 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "emulated.motor.fs_plus_V",
         "static friction 0.4 V is less than the moving friction fc_plus_V 0.5 V",
     ),
+    "static friction by direction of a motor with parts": (
+        {"emulated__motor__fs_plus_V": 0.9, "emulated__motor__parts": {"backlash_rad": 0.01}},
+        "emulated.motor.parts",
+        "static friction is above moving friction by 0.4 V one way and",
+    ),
     "Stribeck velocity without static friction": (
         {
             "emulated__motor__stribeck_rad_s": 0.1,

@@ -19,6 +19,7 @@ from rig.model.real_motor import (
     AT_LEAST_ZERO,
     PARTS,
     Frame,
+    MovingMotor,
     Pieces,
     RealMotor,
     index,
@@ -374,3 +375,27 @@ def test_numbers_out_of_range_are_refused() -> None:
         Pieces(np.array([1]), np.zeros(1), np.zeros(1))
     with pytest.raises(ValueError, match="one entry for each piece"):
         Pieces(np.array([0]), np.zeros(2), np.zeros(1))
+
+
+@pytest.mark.parametrize("names", CASES.values(), ids=CASES)
+def test_a_moving_motor_reads_as_its_response(names: tuple[str, ...]) -> None:
+    motor = with_parts(*names)._replace(delay_s=0.0)
+    edges, levels = relay(2.0)
+    t_s = np.arange(0.0, 2.0, 0.01)
+    expected = response(motor, FRAME, (edges, levels), t_s, Pieces.one(0.0, 0.1))
+    moving, read = MovingMotor(motor, FRAME, 0.1), []
+    for now, after in pairwise([*t_s, 2.0]):
+        read.append(moving.reading_rad)
+        inside = edges[(edges > now) & (edges < after)]
+        for begin, end in pairwise([now, *inside, after]):
+            u_V = levels[np.searchsorted(edges, begin, side="right") - 1]
+            moving.advance(float(u_V), float(begin), float(end - begin))
+    assert read == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_motor_that_is_put_elsewhere_takes_its_sensor_along() -> None:
+    moving = MovingMotor(with_parts("backlash"), FRAME, 0.0)
+    moving.put(0.0, 0.5)
+    assert moving.reading_rad == pytest.approx(0.49)
+    moving.put(0.0, 0.485)
+    assert moving.reading_rad == pytest.approx(0.49)
