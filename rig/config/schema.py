@@ -331,7 +331,7 @@ class LawSection(_Section):
 
 
 class EmulatedParts(_Section):
-    """What a real motor has beyond tau, K and friction by direction (docs/theory.md 12); 0: it has not."""
+    """What a real motor has beyond tau, K and friction by direction (docs/theory.md 12.1); 0: it has not."""
 
     dead_band_V: NonNegative = Field(0.0, description="drive up to which the stage passes nothing, unknown to `drive`")
     gain_by_sign: Annotated[float, Field(gt=-1.0, lt=1.0)] = Field(

@@ -1,6 +1,6 @@
 """Real motors: what their sensor reads under a recorded drive, and its derivatives by a chosen part of their numbers.
 
-``RealMotor`` names the numbers and ``PARTS`` the parts that they make up (docs/theory.md 12).
+``RealMotor`` names the numbers and ``PARTS`` the parts that they make up (docs/theory.md 12.1 and 12.6).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""One step of a real motor: its parts, and its motion from one event to the next (docs/theory.md 12).
+"""One step of a real motor: its parts, and its motion from one event to the next (docs/theory.md 12.1, 12.2 and 12.3).
 
     tau dv/dt + v = K (w + bias - G(y) - F - beta |v| - c v |v|),    dy/dt = v,    reading = S(x)
 
