@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from real_motors import CASES, FRAME, relay, with_parts
 
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
@@ -21,6 +22,7 @@ from rig.calibration import DriveMap
 from rig.model.bench import BenchModel, BenchParameters, DriveWiring, SensorWiring
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Motor, State
+from rig.model.real_motor import Frame, MovingMotor, RealMotor
 from rig.model.step import next_segment
 from rig.model.stribeck import ORDER
 
@@ -124,6 +126,48 @@ def test_a_stop_is_met_at_the_exact_instant_and_left_at_once() -> None:
     # a shaft that arrives against inward drive is stopped dead, then driven off, within one call
     v, y = board.motion(20.0, 0.9, -1.0, 0.5)
     assert y < 1.0 and v < 0.0
+
+
+def board_with(real: RealMotor, frame: Frame, **bench: Any) -> VirtualBoard:
+    """A board whose motor has the parts of ``real``."""
+    friction = Friction(real.fc_V, real.fc_V, *(2 * [real.fc_V + real.static_V + real.stribeck_V]), real.stribeck_rad_s)
+    plain_motor = Motor(real.tau_s, real.K_rad_s_V, friction, real.bias_V)
+    return VirtualBoard(BenchParameters(plain_motor, real=real, frame=frame, **bench))
+
+
+@pytest.mark.parametrize("names", CASES.values(), ids=CASES)
+def test_a_motor_with_parts_in_c_is_the_one_of_the_model(names: tuple[str, ...]) -> None:
+    real, frame = with_parts(*names)._replace(delay_s=0.0), FRAME._replace(start_s=0.0)
+    if "stribeck" in names:  # the bench has one level at rest
+        real = real._replace(static_V=0.0)
+    board, moving = board_with(real, frame, start_rad=0.1, stop_rad=NO_STOPS), MovingMotor(real, frame, 0.1)
+    edges, levels = relay(2.0)
+    state: tuple[float, ...] | None = None
+    for (begin, end), u_V in zip(itertools.pairwise([*edges, 2.5]), levels, strict=True):
+        for now, after in itertools.pairwise([begin, begin + 0.3 * (end - begin), end]):
+            state, reading = board.real_motion(state, float(u_V), float(now), float(after - now))
+            moving.advance(float(u_V), float(now), float(after - now))
+            assert state == pytest.approx(tuple(moving.state), rel=1e-9, abs=1e-9)
+            assert reading == pytest.approx(moving.reading_rad, rel=1e-9, abs=1e-9)
+
+
+def test_a_motor_with_parts_is_stopped_at_a_stop_and_driven_off_it() -> None:
+    real = with_parts("backlash", "lag", "force_over_position")
+    board = board_with(real, FRAME, stop_rad=(-1.0, 1.0))
+    state, reading = board.real_motion(None, 3.0, 0.0, 1.0)
+    assert state[:2] == (0.0, 1.0)
+    assert reading == pytest.approx(1.0 - 0.5 * real.backlash_rad, abs=1e-12)
+    state, reading = board.real_motion(state, -3.0, 1.0, 0.1)
+    assert state[0] < 0.0 and state[1] < 1.0
+    assert reading == pytest.approx(state[1] + 0.5 * real.backlash_rad, abs=1e-12)
+
+
+def test_a_board_reads_the_sensors_side_of_the_backlash() -> None:
+    real = with_parts("backlash")
+    board = board_with(real, FRAME, rad_per_count=1e-4, counts_max=65535, centre_counts=30000.0)
+    assert board.position_counts() == 30000
+    board.place(0.5, 0.0)
+    assert board.position_counts() == 30000 + 5000 - 100
 
 
 def _board_at(y_rad: float, **parameters: Any) -> VirtualBoard:

@@ -1,4 +1,4 @@
-"""The motion of a real motor under a recorded drive: readings of its sensor, and their derivatives (docs/theory.md 12.4)."""
+"""A real motor under a recorded drive: what its sensor reads, and the derivatives (docs/theory.md 12.4)."""
 
 from __future__ import annotations
 
