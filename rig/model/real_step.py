@@ -177,7 +177,7 @@ def mean_cosine(frame: Frame) -> float:
 
 
 def force(m: RealMotor, frame: Frame, y: float) -> float:
-    """Force over position, V: what it takes from the drive, whichever way the motor moves."""
+    """Force over position at ``y``, rad: what it takes from the drive, whichever way the motor moves, V."""
     total = 0.0
     if m.force_sin_V != 0.0 or m.force_cos_V != 0.0:
         q = y - frame.centre_rad
@@ -189,7 +189,7 @@ def force(m: RealMotor, frame: Frame, y: float) -> float:
 
 
 def level(m: RealMotor, frame: Frame, speed: float, y: float, t_s: float) -> float:
-    """Level of the friction in motion at ``speed`` = abs(v), V."""
+    """Level of the friction in motion at ``speed`` = abs(v), rad/s, and ``y``, rad; in V."""
     total = m.fc_V
     if m.drift != 0.0:
         total += m.fc_V * m.drift * ((t_s - frame.start_s) / frame.duration_s - 0.5)
@@ -202,12 +202,12 @@ def level(m: RealMotor, frame: Frame, speed: float, y: float, t_s: float) -> flo
 
 
 def level_at_rest(m: RealMotor, frame: Frame, y: float, t_s: float) -> float:
-    """Level that the drive must pass to move the motor from rest, V."""
+    """Level that the drive must pass to move the motor from rest at ``y``, rad; in V."""
     return level(m, frame, 0.0, y, t_s) + m.static_V
 
 
 def level_of_bristles(m: RealMotor, frame: Frame, speed: float, y: float, t_s: float) -> float:
-    """Level that the bristles tend to, V, > 0."""
+    """Level that the bristles tend to at ``speed``, rad/s, and ``y``, rad; in V, > 0."""
     return max(level(m, frame, speed, y, t_s), LEAST_LEVEL_V)
 
 
@@ -223,7 +223,7 @@ def target(m: RealMotor, frame: Frame, sign: float, at: State, t_s: float) -> fl
 
 
 def bending(m: RealMotor, frame: Frame, sign: float, at: State, t_s: float) -> float:
-    """Rate of the bristles' friction, V/s: sigma_0 (v - |v| f / level); 0 without bristles."""
+    """Rate of the bristles' friction in the direction ``sign`` (+1 or -1), V/s; 0 without bristles."""
     if m.bristle_V_rad <= 0.0:
         return 0.0
     speed = sign * at.v
@@ -299,7 +299,7 @@ def moved(
 
 
 def longest_step(m: RealMotor, frame: Frame, sign: float, at: State, staged_V: float, t_s: float) -> float:
-    """Largest step that keeps the error small, s; inf for a motor without parts."""
+    """Largest step in the direction ``sign`` (+1 or -1) with a small error, s; inf for a motor without parts."""
     longest = math.inf
     tau, K, speed = m.tau_s, m.K_rad_s_V, abs(at.v)
     pull = abs(target(m, frame, sign, at, t_s) - at.v) / tau  # acceleration, rad/s2

@@ -130,7 +130,8 @@ def test_a_stop_is_met_at_the_exact_instant_and_left_at_once() -> None:
 
 def board_with(real: RealMotor, frame: Frame, **bench: Any) -> VirtualBoard:
     """A board whose motor has the parts of ``real``."""
-    friction = Friction(real.fc_V, real.fc_V, *(2 * [real.fc_V + real.static_V + real.stribeck_V]), real.stribeck_rad_s)
+    at_rest_V = real.fc_V + real.static_V + real.stribeck_V
+    friction = tustin(real.fc_V, at_rest_V, real.stribeck_rad_s)
     plain_motor = Motor(real.tau_s, real.K_rad_s_V, friction, real.bias_V)
     return VirtualBoard(BenchParameters(plain_motor, real=real, frame=frame, **bench))
 
