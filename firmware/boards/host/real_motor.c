@@ -10,8 +10,8 @@ static const double EVENT_S = 1e-14;
 static const double STEP_OF_TAU = 0.05;
 static const double STEP_OF_LAG = 0.15;
 static const double STEP_OF_TURN = 0.15;
-static const double STEP_OF_BRISTLE = 0.2;
-static const double STEP_OF_SWING = 0.1;
+static const double STEP_OF_BRISTLE = 0.5;
+static const double STEP_OF_SWING = 0.07;
 static const double STEP_OF_STRIBECK = 0.2;
 static const double PRESSED_S = 1e-3; /* a motor pressed against a stop looks this often whether it still is */
 enum { ROUNDS = 60 };
@@ -139,45 +139,68 @@ static double phi4(double c)
     return ((((1.0 - exp(-c)) / c - 1.0) / -c - 0.5) / -c - 1.0 / 6.0) / -c;
 }
 
-/* State after `h` s in the direction `sign`. */
-static real_state moved(const real_motor *m, double sign, const real_state *at, double staged_V, double t, double h)
+typedef struct {
+    double keep, half, mean, b1, b2, b4;
+} weights;
+
+static weights weights_of(double c)
 {
-    const double tau = m->tau_s;
-    const double c = h / tau;
     const double p3 = 1.0 / 6.0 - c * phi4(c);
     const double p2 = 0.5 - c * p3;
     const double p1 = 1.0 - c * p2;
     const double keep = 1.0 - c * p1;
     const double half = sqrt(keep);
-    const double b1 = c * (p1 - 3.0 * p2 + 4.0 * p3);
-    const double b2 = c * (2.0 * p2 - 4.0 * p3);
-    const double b4 = c * (4.0 * p3 - p2);
+    const weights w = {keep, half, 2.0 * p1 / (1.0 + half), p1 - 3.0 * p2 + 4.0 * p3, 2.0 * p2 - 4.0 * p3, 4.0 * p3 - p2};
+    return w;
+}
+
+/* Rate at which the friction of bristles nears its level in the middle of a step. */
+static double sliding(const real_motor *m, double sign, const real_state *at, double a1, double t, double h)
+{
+    if (m->bristle_V_rad <= 0.0) {
+        return 0.0;
+    }
+    const double speed = fmax(sign * (at->v + 0.5 * h * (a1 - at->v) / m->tau_s), 0.0);
+    return m->bristle_V_rad * speed / level_of_bristles(m, speed, at->y, t);
+}
+
+/* State after `h` s in the direction `sign`. */
+static real_state moved(const real_motor *m, double sign, const real_state *at, double staged_V, double t, double h)
+{
+    const double tau = m->tau_s;
+    const double c = h / tau;
+    const weights k = weights_of(c);
+    const double near = 0.5 * c * k.mean;
     const double middle = t + 0.5 * h;
     const double p = at->y + tau * at->v;
     real_state in = *at;
     const double a1 = target(m, sign, &in, t);
-    const double r1 = bending(m, sign, &in, t);
-    const double v2 = half * at->v + (1.0 - half) * a1;
+    const double slide = sliding(m, sign, at, a1, t, h);
+    const weights b = weights_of(h * slide);
+    const double near_f = 0.5 * h * b.mean;
+    const double n1 = bending(m, sign, &in, t) + slide * in.f;
+    const double v2 = k.half * at->v + near * a1;
+    const double f2 = b.half * at->f + near_f * n1;
     in.v = v2;
     in.y = p + 0.5 * h * a1 - tau * in.v;
-    in.f = at->f + 0.5 * h * r1;
+    in.f = f2;
     in.w = lagged(m, staged_V, at->w, 0.5 * h);
     const double a2 = target(m, sign, &in, middle);
-    const double r2 = bending(m, sign, &in, middle);
-    in.v = half * at->v + (1.0 - half) * a2;
+    const double n2 = bending(m, sign, &in, middle) + slide * in.f;
+    in.v = k.half * at->v + near * a2;
     in.y = p + 0.5 * h * a2 - tau * in.v;
-    in.f = at->f + 0.5 * h * r2;
+    in.f = b.half * at->f + near_f * n2;
     const double a3 = target(m, sign, &in, middle);
-    const double r3 = bending(m, sign, &in, middle);
-    in.v = half * v2 + (1.0 - half) * (2.0 * a3 - a1);
+    const double n3 = bending(m, sign, &in, middle) + slide * in.f;
+    in.v = k.half * v2 + near * (2.0 * a3 - a1);
     in.y = p + h * a3 - tau * in.v;
-    in.f = at->f + h * r3;
+    in.f = b.half * f2 + near_f * (2.0 * n3 - n1);
     in.w = lagged(m, staged_V, at->w, h);
     const double a4 = target(m, sign, &in, t + h);
-    const double r4 = bending(m, sign, &in, t + h);
-    in.v = keep * at->v + b1 * a1 + b2 * (a2 + a3) + b4 * a4;
+    const double n4 = bending(m, sign, &in, t + h) + slide * in.f;
+    in.v = k.keep * at->v + c * (k.b1 * a1 + k.b2 * (a2 + a3) + k.b4 * a4);
     in.y = p + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4) - tau * in.v;
-    in.f = at->f + h / 6.0 * (r1 + 2.0 * (r2 + r3) + r4);
+    in.f = b.keep * at->f + h * (b.b1 * n1 + b.b2 * (n2 + n3) + b.b4 * n4);
     return in;
 }
 

@@ -254,13 +254,18 @@ def _through(motor: RealMotor, frame: Frame, used: Used, d: Slopes, at: State, n
     p3 = 1.0 / 6.0 - c * p4
     p2 = 0.5 - c * p3
     p1 = 1.0 - c * p2
-    e, e2, b1, b2, b4 = weights(c)
+    e, e2, _, b1, b2, b4 = weights(c)
+    b1, b2, b4 = c * b1, c * b2, c * b4
     q1, q2, q3 = p1 - p2, p2 - 2.0 * p3, p3 - 3.0 * p4  # derivatives of p1, p2, p3 by -c
     rate = -c / tau
     e_tau, e2_tau = -rate * e, -0.5 * rate * e2
     b1_tau = rate * (b1 / c - c * (q1 - 3.0 * q2 + 4.0 * q3))
     b2_tau = rate * (b2 / c - c * (2.0 * q2 - 4.0 * q3))
     b4_tau = rate * (b4 / c - c * (4.0 * q3 - q2))
+    # those of the bristles; how they change shows only in what the step leaves off
+    slide = s.slide
+    g, g2, mean, g_b1, g_b2, g_b4 = weights(h * slide)
+    near = 0.5 * h * mean
     middle = staged_V + faded * half
     at2, at3 = State(s.v2, s.y2, s.f2, middle, 0.0), State(s.v3, s.y3, s.f3, middle, 0.0)
     at4 = State(s.v4, s.y4, s.f4, step.end.w, 0.0)
@@ -286,27 +291,27 @@ def _through(motor: RealMotor, frame: Frame, used: Used, d: Slopes, at: State, n
         r1 = r2 = r3 = r4 = 0.0
         f2 = f3 = f4 = f
         if bristles:
-            r1 = rv1 * v + ry1 * y + rf1 * f + room[STAGE + 1, p]
-            f2 = f + 0.5 * h * r1
-            r2 = rv2 * v2 + ry2 * y2 + rf2 * f2 + room[STAGE + 3, p]
-            f3 = f + 0.5 * h * r2
+            r1 = rv1 * v + ry1 * y + (rf1 + slide) * f + room[STAGE + 1, p]
+            f2 = g2 * f + near * r1
+            r2 = rv2 * v2 + ry2 * y2 + (rf2 + slide) * f2 + room[STAGE + 3, p]
+            f3 = g2 * f + near * r2
         a2 = av2 * v2 + ay2 * y2 + af * f2 + gain * mid + room[STAGE + 2, p]
         v3 = e2 * v + (1.0 - e2) * a2 + by_tau * e2_tau * (at.v - s.a2)
         y3 = along + 0.5 * h * a2 - tau * v3 - by_tau * s.v3
         if bristles:
-            r3 = rv3 * v3 + ry3 * y3 + rf3 * f3 + room[STAGE + 5, p]
-            f4 = f + h * r3
+            r3 = rv3 * v3 + ry3 * y3 + (rf3 + slide) * f3 + room[STAGE + 5, p]
+            f4 = g2 * f2 + near * (2.0 * r3 - r1)
         a3 = av3 * v3 + ay3 * y3 + af * f3 + gain * mid + room[STAGE + 4, p]
         v4 = e2 * v2 + (1.0 - e2) * (2.0 * a3 - a1) + by_tau * e2_tau * (s.v2 - 2.0 * s.a3 + s.a1)
         y4 = along + h * a3 - tau * v4 - by_tau * s.v4
         if bristles:
-            r4 = rv4 * v4 + ry4 * y4 + rf4 * f4 + room[STAGE + 7, p]
+            r4 = rv4 * v4 + ry4 * y4 + (rf4 + slide) * f4 + room[STAGE + 7, p]
         a4 = av4 * v4 + ay4 * y4 + af * f4 + gain * far + room[STAGE + 6, p]
         v_end = e * v + b1 * a1 + b2 * (a2 + a3) + b4 * a4
         v_end += by_tau * (e_tau * at.v + b1_tau * s.a1 + b2_tau * (s.a2 + s.a3) + b4_tau * s.a4)
         state[V, i] = v_end
         state[Y, i] = along + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4) - tau * v_end - by_tau * step.end.v
-        state[F, i] = f + h / 6.0 * (r1 + 2.0 * (r2 + r3) + r4)
+        state[F, i] = g * f + h * (g_b1 * r1 + g_b2 * (r2 + r3) + g_b4 * r4)
 
 
 @kernel
