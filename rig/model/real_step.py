@@ -144,6 +144,9 @@ class Step(NamedTuple):
 
 NO_STAGES = Stages(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 LEAST_LEVEL_V = 1e-4  # of bristles: their friction is divided by the level
+LEAST_BEND_RAD = 1e-4  # bristles slide after at least this travel: stiffer ones nobody sees, and they take long
+SLIDING = 1e-8  # share of the level that bristles which slide may still lack
+LEVEL_CHANGES = 60.0  # what a level that changes along the way costs, as a multiple of its change within a bend
 BALANCED = 1e-12  # of K times 1 V: bristles that pull less than this rest
 ROUNDS = 60  # of the search for an event, which needs about five
 EVENT_S = 1e-14  # the search for an event ends at a step of this size, s
@@ -152,8 +155,8 @@ EVENT_S = 1e-14  # the search for an event ends at a step of this size, s
 STEP_OF_TAU = 0.05  # s/s; any part that changes the right side
 STEP_OF_LAG = 0.15  # s/s, at 1 V from the end; longer as the lag fades out
 STEP_OF_TURN = 0.15  # rad of the phase of a force over position
-STEP_OF_BRISTLE = 0.5  # of the length over which bristles bend
-STEP_OF_SWING = 0.07  # rad of the swing of a motor on a spring
+STEP_OF_BRISTLE = 0.25  # of the length over which bristles bend
+STEP_OF_SWING = 0.04  # rad of the swing of a motor on a spring
 STEP_OF_STRIBECK = 0.2  # of the Stribeck velocity; longer beyond its range
 
 
@@ -212,6 +215,11 @@ def level_of_bristles(m: RealMotor, frame: Frame, speed: float, y: float, t_s: f
     return max(level(m, frame, speed, y, t_s), LEAST_LEVEL_V)
 
 
+def stiffness(m: RealMotor, level_V: float) -> float:
+    """Stiffness of bristles that slide at ``level_V``, V/rad."""
+    return min(m.bristle_V_rad, level_V / LEAST_BEND_RAD)
+
+
 def target(m: RealMotor, frame: Frame, sign: float, at: State, t_s: float) -> float:
     """Velocity that the motor would tend to if all forces stayed as they are, rad/s: tau dv/dt + v.
 
@@ -228,7 +236,8 @@ def bending(m: RealMotor, frame: Frame, sign: float, at: State, t_s: float) -> f
     if m.bristle_V_rad <= 0.0:
         return 0.0
     speed = sign * at.v
-    return m.bristle_V_rad * (at.v - speed * at.f / level_of_bristles(m, frame, speed, at.y, t_s))
+    floor = level_of_bristles(m, frame, speed, at.y, t_s)
+    return stiffness(m, floor) * (at.v - speed * at.f / floor)
 
 
 def direction(m: RealMotor, frame: Frame, at: State, staged_V: float, t_s: float) -> float:
@@ -296,7 +305,8 @@ def sliding(m: RealMotor, frame: Frame, sign: float, at: State, a1: float, when:
         return 0.0
     t, h = when
     speed = max(sign * (at.v + 0.5 * h * (a1 - at.v) / m.tau_s), 0.0)
-    return m.bristle_V_rad * speed / level_of_bristles(m, frame, speed, at.y, t)
+    floor = level_of_bristles(m, frame, speed, at.y, t)
+    return stiffness(m, floor) * speed / floor
 
 
 def moved(
@@ -345,24 +355,29 @@ def longest_step(m: RealMotor, frame: Frame, sign: float, at: State, staged_V: f
         longest = min(longest, STEP_OF_LAG * m.lag_s * abs(at.w - staged_V) ** -0.2)
     turns = m.force_sin_V != 0.0 or m.force_cos_V != 0.0 or m.friction_sin_V != 0.0 or m.friction_cos_V != 0.0
     distance = STEP_OF_TURN if turns else math.inf
-    stiffness = 0.0
+    spring = 0.0
     if m.cogging_sin_V != 0.0 or m.cogging_cos_V != 0.0:
         distance = min(distance, STEP_OF_TURN / abs(m.cogging_per_rad)) if m.cogging_per_rad != 0.0 else distance
-        stiffness += abs(m.cogging_per_rad) * (abs(m.cogging_sin_V) + abs(m.cogging_cos_V))
-    if m.bristle_V_rad > 0.0:
-        bend = level_of_bristles(m, frame, speed, at.y, t_s) / m.bristle_V_rad
-        distance = min(distance, STEP_OF_BRISTLE * bend)
-        stiffness += m.bristle_V_rad
+        spring += abs(m.cogging_per_rad) * (abs(m.cogging_sin_V) + abs(m.cogging_cos_V))
+    if m.bristle_V_rad > 0.0:  # the nearer they are to sliding, the less they matter
+        floor = level_of_bristles(m, frame, speed, at.y, t_s)
+        stiff = stiffness(m, floor)
+        left = max(abs(1.0 - sign * at.f / floor), SLIDING)
+        left += LEVEL_CHANGES * (abs(m.friction_sin_V) + abs(m.friction_cos_V)) / stiff
+        if m.stribeck_V != 0.0 and m.stribeck_rad_s > 0.0:
+            left += abs(m.stribeck_V) * math.exp(-speed / m.stribeck_rad_s) / floor
+        distance = min(distance, STEP_OF_BRISTLE * floor / stiff * left**-0.25)
+        spring += stiff * left
     if distance < math.inf:
         longest = min(longest, 2.0 * distance / (speed + math.sqrt(speed * speed + 2.0 * pull * distance) + 1e-9))
-    if stiffness > 0.0:
-        longest = min(longest, STEP_OF_SWING * math.sqrt(tau / (K * stiffness)))
+    if spring > 0.0:
+        longest = min(longest, STEP_OF_SWING * math.sqrt(tau / (K * spring)))
     falls = m.stribeck_V != 0.0 and m.stribeck_rad_s > 0.0
     if falls:
         unit = m.stribeck_rad_s
         fade = math.exp(min(speed / (5.0 * unit), 50.0))
         longest = min(longest, STEP_OF_STRIBECK * fade * unit / (pull + K * abs(m.stribeck_V) / tau + 1e-9))
-    if falls or turns or stiffness > 0.0 or m.viscous_by_direction_V_s_rad != 0.0 or m.drag_V_s2_rad2 != 0.0:
+    if falls or turns or spring > 0.0 or m.viscous_by_direction_V_s_rad != 0.0 or m.drag_V_s2_rad2 != 0.0:
         longest = min(longest, STEP_OF_TAU * tau)
     return longest
 

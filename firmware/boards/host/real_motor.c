@@ -5,13 +5,16 @@
 
 /* As in rig/model/real_step.py, where they are explained. */
 static const double LEAST_LEVEL_V = 1e-4;
+static const double LEAST_BEND_RAD = 1e-4;
+static const double SLIDING = 1e-8;
+static const double LEVEL_CHANGES = 60.0;
 static const double BALANCED = 1e-12;
 static const double EVENT_S = 1e-14;
 static const double STEP_OF_TAU = 0.05;
 static const double STEP_OF_LAG = 0.15;
 static const double STEP_OF_TURN = 0.15;
-static const double STEP_OF_BRISTLE = 0.5;
-static const double STEP_OF_SWING = 0.07;
+static const double STEP_OF_BRISTLE = 0.25;
+static const double STEP_OF_SWING = 0.04;
 static const double STEP_OF_STRIBECK = 0.2;
 static const double PRESSED_S = 1e-3; /* a motor pressed against a stop looks this often whether it still is */
 enum { ROUNDS = 60 };
@@ -90,6 +93,11 @@ static double level_of_bristles(const real_motor *m, double speed, double y, dou
     return fmax(level(m, speed, y, t_s), LEAST_LEVEL_V);
 }
 
+static double stiffness(const real_motor *m, double level_V)
+{
+    return fmin(m->bristle_V_rad, level_V / LEAST_BEND_RAD);
+}
+
 static double target(const real_motor *m, double sign, const real_state *at, double t_s)
 {
     const double speed = sign * at->v;
@@ -104,7 +112,8 @@ static double bending(const real_motor *m, double sign, const real_state *at, do
         return 0.0;
     }
     const double speed = sign * at->v;
-    return m->bristle_V_rad * (at->v - speed * at->f / level_of_bristles(m, speed, at->y, t_s));
+    const double top = level_of_bristles(m, speed, at->y, t_s);
+    return stiffness(m, top) * (at->v - speed * at->f / top);
 }
 
 static double direction(const real_motor *m, const real_state *at, double staged_V, double t_s)
@@ -161,7 +170,8 @@ static double sliding(const real_motor *m, double sign, const real_state *at, do
         return 0.0;
     }
     const double speed = fmax(sign * (at->v + 0.5 * h * (a1 - at->v) / m->tau_s), 0.0);
-    return m->bristle_V_rad * speed / level_of_bristles(m, speed, at->y, t);
+    const double top = level_of_bristles(m, speed, at->y, t);
+    return stiffness(m, top) * speed / top;
 }
 
 /* State after `h` s in the direction `sign`. */
@@ -211,7 +221,7 @@ static double longest_step(const real_motor *m, double sign, const real_state *a
     const double speed = fabs(at->v);
     const double pull = fabs(target(m, sign, at, t_s) - at->v) / tau;
     double distance = turns(m) ? STEP_OF_TURN : INFINITY;
-    double stiffness = 0.0;
+    double spring = 0.0;
     if (m->lag_s > 0.0 && at->w != staged_V) {
         longest = STEP_OF_LAG * m->lag_s * pow(fabs(at->w - staged_V), -0.2);
     }
@@ -219,18 +229,24 @@ static double longest_step(const real_motor *m, double sign, const real_state *a
         if (m->cogging_per_rad != 0.0) {
             distance = fmin(distance, STEP_OF_TURN / fabs(m->cogging_per_rad));
         }
-        stiffness += fabs(m->cogging_per_rad) * (fabs(m->cogging_sin_V) + fabs(m->cogging_cos_V));
+        spring += fabs(m->cogging_per_rad) * (fabs(m->cogging_sin_V) + fabs(m->cogging_cos_V));
     }
     if (m->bristle_V_rad > 0.0) {
-        const double bend = level_of_bristles(m, speed, at->y, t_s) / m->bristle_V_rad;
-        distance = fmin(distance, STEP_OF_BRISTLE * bend);
-        stiffness += m->bristle_V_rad;
+        const double top = level_of_bristles(m, speed, at->y, t_s);
+        const double stiff = stiffness(m, top);
+        double left = fmax(fabs(1.0 - sign * at->f / top), SLIDING);
+        left += LEVEL_CHANGES * (fabs(m->friction_sin_V) + fabs(m->friction_cos_V)) / stiff;
+        if (falls(m)) {
+            left += fabs(m->stribeck_V) * exp(-speed / m->stribeck_rad_s) / top;
+        }
+        distance = fmin(distance, STEP_OF_BRISTLE * top / stiff * pow(left, -0.25));
+        spring += stiff * left;
     }
     if (distance < INFINITY) {
         longest = fmin(longest, 2.0 * distance / (speed + sqrt(speed * speed + 2.0 * pull * distance) + 1e-9));
     }
-    if (stiffness > 0.0) {
-        longest = fmin(longest, STEP_OF_SWING * sqrt(tau / (m->K_rad_s_V * stiffness)));
+    if (spring > 0.0) {
+        longest = fmin(longest, STEP_OF_SWING * sqrt(tau / (m->K_rad_s_V * spring)));
     }
     if (falls(m)) {
         const double unit = m->stribeck_rad_s;
@@ -238,7 +254,7 @@ static double longest_step(const real_motor *m, double sign, const real_state *a
         const double rate = pull + m->K_rad_s_V * fabs(m->stribeck_V) / tau + 1e-9;
         longest = fmin(longest, STEP_OF_STRIBECK * fade * unit / rate);
     }
-    if (falls(m) || turns(m) || stiffness > 0.0 || m->viscous_by_direction_V_s_rad != 0.0 || m->drag_V_s2_rad2 != 0.0) {
+    if (falls(m) || turns(m) || spring > 0.0 || m->viscous_by_direction_V_s_rad != 0.0 || m->drag_V_s2_rad2 != 0.0) {
         longest = fmin(longest, STEP_OF_TAU * tau);
     }
     return longest;

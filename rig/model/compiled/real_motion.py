@@ -26,6 +26,7 @@ from rig.model.real_step import (
     phi4,
     reading,
     staged,
+    stiffness,
     target,
     weights,
 )
@@ -129,18 +130,19 @@ def _slopes(
         for k in (FC, DRIFT, FRICTION, FRICTION + 1, STRIBECK, UNIT):
             room[row, k] = -gain * sign * room[row + 1, k]
         return by_v - gain * by_speed, by_y - gain * sign * by_place, 0.0, 0.0, 0.0
-    stiffness, floor = motor.bristle_V_rad, level_of_bristles(motor, frame, speed, y, t)
-    share = at.f / floor
-    by_level = stiffness * speed * share / floor
+    floor = level_of_bristles(motor, frame, speed, y, t)
+    stiff, share = stiffness(motor, floor), at.f / floor
+    limited = stiff < motor.bristle_V_rad
+    by_level = v * stiff / floor if limited else stiff * speed * share / floor
     for k in (FC, DRIFT, FRICTION, FRICTION + 1, STRIBECK, UNIT):
         room[row + 1, k] *= by_level
-    room[row + 1, BRISTLE] = v - speed * share
+    room[row + 1, BRISTLE] = 0.0 if limited else v - speed * share
     return (
         by_v,
         by_y,
-        stiffness * (1.0 - sign * share) + by_level * sign * by_speed,
+        stiff * (1.0 - sign * share) + by_level * sign * by_speed,
         by_level * by_place,
-        -stiffness * speed / floor,
+        -stiff * speed / floor,
     )
 
 
