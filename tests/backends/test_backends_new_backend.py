@@ -26,7 +26,7 @@ from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
 from rig.testing import conformance
 
-CARD = Path(__file__).parents[1] / "conformance" / "virtual-card.yaml"
+CARD = Path(__file__).parents[1] / "testing" / "virtual-card.yaml"
 
 
 # ---------------------------------------------------------------------- the one file

@@ -17,7 +17,7 @@ from rig.config.load import json_schema
 from rig.faults import Fault
 from rig.preflight import check
 
-SOURCE = Path(__file__).parent.parent / "conformance/virtual-card.yaml"
+SOURCE = Path(__file__).parent.parent / "testing/virtual-card.yaml"
 
 
 @pytest.fixture

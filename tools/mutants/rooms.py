@@ -7,7 +7,7 @@ from mutants.sampled import Room
 SEED = "rig 11"
 
 _REPLAY = ("tests/replay",)
-_MODBUS = ("tests/daq/test_daq_modbus.py", "tests/daq/test_daq_modbus_tcp.py")
+_MODBUS = ("tests/backends/modbus/test_modbus_driver.py", "tests/backends/modbus/test_modbus_tcp.py")
 _CLOCK = ("tests/loop/test_loop_real_time.py", "tests/loop/test_loop_runner.py")
 _FILES = ("tests/recording/test_recording_recorder.py", "tests/recording/test_recording_failing_disk.py")
 
@@ -25,21 +25,26 @@ ROOMS = (
             "stop_request": ("tests/loop/test_loop_runner.py",),
         },
     ),
-    Room("rig/backends", 2, ("tests/daq",), {"driver": ("tests/daq/test_daq_plugin.py",), "clock": _CLOCK}),
+    Room(
+        "rig/backends",
+        2,
+        ("tests/backends",),
+        {"driver": ("tests/backends/test_backends_plug_in.py",), "clock": _CLOCK},
+    ),
     Room(
         "rig/backends/serial",
         7,
-        ("tests/daq", "tests/hil/test_hil_device_relay.py", "tests/hil/test_hil_driver.py"),
+        ("tests/backends/serial", "tests/hil/test_hil_device_relay.py", "tests/hil/test_hil_driver.py"),
         {
             "relay_stream": ("tests/hil/test_hil_device_relay.py",),
             "device_relay": ("tests/hil/test_hil_device_relay.py",),
-            **dict.fromkeys(("introduction", "exchange", "fit"), ("tests/daq/test_daq_serial_link.py",)),
+            **dict.fromkeys(("introduction", "exchange", "fit"), ("tests/backends/serial/test_serial_driver.py",)),
         },
     ),
     Room(
         "rig/backends/modbus",
         5,
-        ("tests/daq", "tests/config/test_config_modbus.py"),
+        ("tests/backends/modbus", "tests/config/test_config_modbus.py"),
         dict.fromkeys(("driver", "client", "requests", "frames"), _MODBUS),
     ),
     Room(

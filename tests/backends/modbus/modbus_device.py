@@ -16,7 +16,7 @@ from rig.backends.modbus.section import Modbus
 from rig.config import load
 from rig.config.schema import Emulated, EmulatedMotor, EmulatedPotentiometer, EmulatedWiring
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
+CONFIG = Path(__file__).resolve().parents[3] / "config"
 DRIVE, SEQUENCE, CONTROL, WATCHDOG, POSITION, ECHO, APPLIED, STATUS = 0, 1, 8, 9, 16, 17, 18, 19
 LOW, HIGH, MAX_DRIVE, RAIL_LOW, RAIL_HIGH = 10, 11, 12, 13, 14
 SETTINGS = (100, 49, 975, 2500, 5, 1018)  # from WATCHDOG on

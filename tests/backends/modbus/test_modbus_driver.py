@@ -27,7 +27,7 @@ from rig.config.schema import Experiment
 from rig.faults import Fault
 from rig.signals import Sample
 
-CONFIG = Path(__file__).resolve().parents[2] / "config" / "modbus-rtu.yaml"
+CONFIG = Path(__file__).resolve().parents[3] / "config" / "modbus-rtu.yaml"
 STYLES = ["read-write", "separate"]
 
 

@@ -21,7 +21,7 @@ from rig.control.relay import DualChannelRelay
 from rig.faults import Fault
 from rig.signals import Sample
 
-CONFIG = Path(__file__).resolve().parents[2] / "config" / "modbus-rtu.yaml"
+CONFIG = Path(__file__).resolve().parents[3] / "config" / "modbus-rtu.yaml"
 SUPPLY_V = 12.0
 LINKS = [(kind, requests) for kind in ("rtu", "tcp") for requests in ("read-write", "separate")]
 ONE_OF_EACH = [("rtu", "read-write"), ("tcp", "separate")]

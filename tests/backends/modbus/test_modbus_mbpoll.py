@@ -19,7 +19,7 @@ import pytest
 from rig.config import dump, load
 from rig.config.schema import Experiment
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
+CONFIG = Path(__file__).resolve().parents[3] / "config"
 WATCHDOG_MS = 800
 
 

@@ -17,7 +17,7 @@ from rig.backends.modbus.registers import Register, RegisterMap, RegisterSpan
 from rig.config import load
 from rig.config.schema import Experiment
 
-CONFIG = Path(__file__).resolve().parents[2] / "config" / "modbus-rtu.yaml"
+CONFIG = Path(__file__).resolve().parents[3] / "config" / "modbus-rtu.yaml"
 FORMATS = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}
 VALUES = {
     "int16": st.integers(-(2**15), 2**15 - 1),

@@ -17,7 +17,7 @@ from rig.backends.modbus.opening import modbus_driver
 from rig.config import load
 from rig.faults import Fault
 
-CONFIG = Path(__file__).resolve().parents[2] / "config" / "modbus-tcp.yaml"
+CONFIG = Path(__file__).resolve().parents[3] / "config" / "modbus-tcp.yaml"
 EXPERIMENT = load(CONFIG)
 Answer = Callable[[bytes, bytes], list[tuple[float, bytes]]]  # header and reply -> frames with their delays, s
 

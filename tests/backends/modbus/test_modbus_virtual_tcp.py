@@ -13,7 +13,7 @@ from rig.backends.modbus.emulated.virtual_tcp_block import SENT_AGAIN_S, To, Vir
 from rig.backends.modbus.opening import modbus_driver
 from rig.faults import Fault
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 EXPERIMENT = config.load(ROOT / "config" / "modbus-tcp.yaml").model_copy(
     update={"daq": config.load(ROOT / "config" / "modbus-tcp.yaml").daq.model_copy(update={"port": "tcp://virtual"})}
 )

@@ -244,7 +244,7 @@ def test_another_version_names_both(version: int) -> None:
     assert f"version {version}" in fault.detail and f"version {frames.VERSION}" in fault.detail
 
 
-UNO = load(Path(__file__).parents[2] / "config/uno.yaml").model_dump(mode="json", exclude_none=True)
+UNO = load(Path(__file__).parents[3] / "config/uno.yaml").model_dump(mode="json", exclude_none=True)
 AT = "rig flash --port /dev/ttyACM0 --bridge"
 
 

@@ -23,7 +23,7 @@ from rig.calibration import DriveMap
 from rig.config import Experiment
 from rig.faults import Fault
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 CLOCK_PPM = 4000.0
 
 

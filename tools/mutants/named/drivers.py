@@ -6,19 +6,19 @@ from mutants.named.writing import in_file, of
 
 
 def _serial(*names: str) -> tuple[str, ...]:
-    return in_file("tests/daq/test_daq_serial_link.py", *names)
+    return in_file("tests/backends/serial/test_serial_driver.py", *names)
 
 
 def _frames(*names: str) -> tuple[str, ...]:
-    return in_file("tests/daq/test_daq_frames.py", *names)
+    return in_file("tests/backends/serial/test_serial_frames.py", *names)
 
 
 def _modbus(*names: str) -> tuple[str, ...]:
-    return in_file("tests/daq/test_daq_modbus.py", *names)
+    return in_file("tests/backends/modbus/test_modbus_driver.py", *names)
 
 
 def _calibration(*names: str) -> tuple[str, ...]:
-    return in_file("tests/daq/test_daq_calibration.py", *names)
+    return in_file("tests/calibration/test_calibration_units.py", *names)
 
 
 def _in_device(*names: str) -> tuple[str, ...]:
@@ -313,7 +313,7 @@ OPENING = of(
         " if not _reads_program_page(frames.encode(Kind.HELLO, seq))",
         "",
         in_file(
-            "tests/daq/test_daq_boot_loader.py",
+            "tests/backends/serial/test_serial_boot_loader.py",
             "test_numbers_whose_frame_can_be_read_so_at_its_own_baud_rate_are_left_out",
         ),
     ),
@@ -322,7 +322,10 @@ OPENING = of(
         "_spell",
         "    for byte in frame:\n        transport.write(bytes((byte,)))\n",
         "    for byte in (frame,):\n        transport.write(byte)\n",
-        in_file("tests/daq/test_daq_boot_loader.py", "test_no_boot_loader_reads_program_page_in_the_whole_opening"),
+        in_file(
+            "tests/backends/serial/test_serial_boot_loader.py",
+            "test_no_boot_loader_reads_program_page_in_the_whole_opening",
+        ),
     ),
 )
 
@@ -333,7 +336,7 @@ CLOCK = of(
         "fit_device_clock",
         "if exchange is not first and not least_s <= step_us * 1e-6 <= most_s:",
         "if False:",
-        in_file("tests/daq/test_daq_device_clock.py", "test_a_restart_is_no_clock"),
+        in_file("tests/backends/serial/test_serial_device_clock.py", "test_a_restart_is_no_clock"),
     ),
 )
 
@@ -385,7 +388,7 @@ CALIBRATION = of(
 
 _MISFITS = _modbus("test_a_reply_that_is_not_the_reply_is_a_fault_and_the_motor_stops")
 _TCP_MISFITS = in_file(
-    "tests/daq/test_daq_modbus_tcp.py", "test_a_reply_that_is_not_the_reply_is_a_fault_and_the_motor_stops"
+    "tests/backends/modbus/test_modbus_tcp.py", "test_a_reply_that_is_not_the_reply_is_a_fault_and_the_motor_stops"
 )
 
 MODBUS = of(
@@ -542,7 +545,7 @@ MODBUS_FRAMES = of(
         "RtuFraming.take",
         'if FramerRTU.compute_CRC(body) != int.from_bytes(data[length - 2 : length], "big"):',
         "if False:",
-        in_file("tests/daq/test_daq_modbus_registers.py", "test_rtu_takes_a_reply_only_whole_and_undamaged"),
+        in_file("tests/backends/modbus/test_modbus_registers.py", "test_rtu_takes_a_reply_only_whole_and_undamaged"),
     ),
 )
 

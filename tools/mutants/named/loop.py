@@ -14,7 +14,7 @@ def _pause(*names: str) -> tuple[str, ...]:
 
 
 def _preflight(*names: str) -> tuple[str, ...]:
-    return in_file("tests/config/test_config_preflight.py", *names)
+    return in_file("tests/preflight/test_preflight_rules.py", *names)
 
 
 def _breakaway(*names: str) -> tuple[str, ...]:
