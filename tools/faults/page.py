@@ -240,7 +240,7 @@ def at_worst(lines: Sequence[Line]) -> str:
 
 
 def _device_cells(backend: Backend, own: Sequence[Line]) -> tuple[object, ...]:
-    silent = [one for one in own if one.row.bound is SILENCE and one.stage is CYCLE]
+    silent = [one for one in own if one.row.bound == SILENCE and one.stage is CYCLE]
     silent_s = max((f.off_s for one in silent for f in one.found), default=math.nan)
     within_s = max((one.row.bound.seconds(one.times) for one in silent), default=math.nan)
     share, name = max(
