@@ -1,12 +1,17 @@
 """Third-party drivers by entry point: what is found, and what is refused before it meets a motor."""
 
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 
 import pytest
 from plug_in_cards import BareCard, VirtualCard, settings
 
+from rig import ready
 from rig.backends import registry
 from rig.backends.registry import PlugInError
+from rig.backends.simulated.driver import SimulatedDriver
+from rig.config import load
+from rig.faults import Fault
 
 
 def offer(monkeypatch: pytest.MonkeyPatch, *pairs: tuple[str, str]) -> None:
@@ -88,3 +93,28 @@ def test_refused_options_stay_a_value_error_and_anything_else_names_package_and_
         registry.construct("bare", settings(channel=9))
     with pytest.raises(PlugInError, match=r"cannot be constructed: KeyError: 'range' at plug_in_cards.py:\d+"):
         registry.construct("bare", settings(mode="wide"))
+
+
+def test_a_bench_is_stopped_before_it_is_closed_and_closed_though_the_stop_fails(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    done: list[str] = []
+
+    def fails(driver: SimulatedDriver) -> bool:
+        done.append("stop")
+        raise Fault("LINK_LOST", "the plug was pulled")
+
+    monkeypatch.setattr(SimulatedDriver, "safe_stop", fails)
+    monkeypatch.setattr(SimulatedDriver, "close", lambda driver: done.append("close"))
+    with pytest.raises(Fault, match="LINK_LOST"), registry.connect(load(ready("simulated"))):
+        pass
+    assert done == ["stop", "close"]
+
+
+def test_only_a_device_that_says_so_is_emulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    with registry.connect(load(ready("simulated"))) as bench:
+        assert bench.truth is not None
+    opened = SimulatedDriver.open
+    monkeypatch.setattr(SimulatedDriver, "open", lambda driver: replace(opened(driver), emulated=False))
+    with registry.connect(load(ready("simulated"))) as bench:
+        assert bench.truth is None
