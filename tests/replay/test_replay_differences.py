@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from pathlib import Path
 
@@ -9,9 +10,15 @@ import numpy as np
 import pytest
 import yaml
 from run_copy import GOLDEN, RunCopy
+from simulated_bench import CALIBRATION
 
 from rig import config
 from rig.bench import guard_settings_of
+from rig.calibration import DriveMap
+from rig.loop.recorded import RecordedDriver
+from rig.loop.replayed_rows import ReplayedRows
+from rig.loop.stop_request import StopRequest
+from rig.recording.reader import read_run
 from rig.replay import replay
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_SATURATED, FLAG_SKIPPED
 
@@ -24,6 +31,18 @@ def copy_of(name: str, tmp_path: Path) -> RunCopy:
 
 def unit_V(run: RunCopy) -> float:
     return 12.0 / int(run.meta["drive_units"])
+
+
+def test_each_sample_tells_the_drive_of_the_row_before_it_from_the_second_row_on() -> None:
+    recording = read_run(GOLDEN / "simulated-jog")
+    rows = recording.rows()
+    replayed = ReplayedRows(recording, 0.01, None, True, StopRequest())
+    driver = RecordedDriver(replayed, "sample_first", CALIBRATION, DriveMap(12.0), 1.0)
+    assert math.isnan(driver.read().t_u_s)
+    for replayed.next in (1, 2, len(rows) - 1):
+        sample, before = driver.read(), rows[replayed.next - 1]
+        assert sample.y_counts == rows[replayed.next].y_counts
+        assert (sample.t_u_s, sample.u_V) == (before.t_u_s, before.u_V)
 
 
 def test_a_drive_that_is_a_unit_off_is_named_wherever_it_is(tmp_path: Path) -> None:

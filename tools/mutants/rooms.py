@@ -12,7 +12,12 @@ _CLOCK = ("tests/loop/test_loop_real_time.py", "tests/loop/test_loop_runner.py")
 _FILES = ("tests/recording/test_recording_recorder.py", "tests/recording/test_recording_failing_disk.py")
 
 ROOMS = (
-    Room("rig/control", 24, ("tests/control", "tests/loop"), {"breakaway_one_way": _REPLAY}),
+    Room(
+        "rig/control",
+        24,
+        ("tests/control", "tests/loop"),
+        {"breakaway_one_way": _REPLAY, "laws": ("tests/api/test_api_law.py",)},
+    ),
     Room(
         "rig/loop",
         12,
@@ -30,6 +35,17 @@ ROOMS = (
         2,
         ("tests/backends",),
         {"driver": ("tests/backends/test_backends_plug_in.py",), "clock": _CLOCK},
+    ),
+    Room(
+        "rig/backends/links",
+        3,
+        ("tests/backends", "tests/backends/modbus/test_modbus_tcp.py", "tests/backends/serial/test_serial_usb.py"),
+        {
+            "serial_port": ("tests/backends/test_backends_serial_port.py",),
+            "usb_port": ("tests/backends/test_backends_serial_port.py",),
+            "tcp_link": ("tests/backends/modbus/test_modbus_tcp.py",),
+            "usb_adapters": ("tests/backends/serial/test_serial_usb.py",),
+        },
     ),
     Room(
         "rig/backends/serial",

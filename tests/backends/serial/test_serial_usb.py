@@ -124,6 +124,12 @@ def test_by_the_ports_name_the_slowest_that_it_can_be(port: str, adapter: Adapte
     assert adapter_by_name(port) == adapter
 
 
+def test_a_leonardo_and_a_micro_of_either_vendor_have_usb_of_their_own() -> None:
+    assert {adapter_by_id(vendor, product) for vendor in (0x2341, 0x2A03) for product in (0x8036, 0x8037)} == {
+        "native-usb"
+    }
+
+
 def test_usb_ids_that_say_nothing() -> None:
     assert adapter_by_id(None, None) is None
     assert adapter_by_id(0x1D50, 0x6001) is None
