@@ -80,7 +80,10 @@ def test_from_yaml_at_the_command_line(tmp_path: Path) -> None:
             {"name": "spring", "options": {"stiffness_V_rad": -1.0}},
             "law.options: law 'spring' (own_laws:Spring): stiffness_V_rad must be > 0, not -1",
         ),
-        ({"name": "holds"}, "law.options: law 'holds' (own_laws:Holds): missing a required argument: 'to_rad'"),
+        (
+            {"name": "holds", "options": {}},
+            "law.options: law 'holds' (own_laws:Holds): missing a required argument: 'to_rad'",
+        ),
         ({"name": "spring", "duration_s": 0.0}, "law.duration_s: "),
     ],
 )
