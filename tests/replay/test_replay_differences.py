@@ -15,6 +15,7 @@ from simulated_bench import CALIBRATION
 from rig import config
 from rig.bench import guard_settings_of
 from rig.calibration import DriveMap
+from rig.faults import Fault
 from rig.loop.recorded import RecordedDriver
 from rig.loop.replayed_rows import ReplayedRows
 from rig.loop.stop_request import StopRequest
@@ -43,6 +44,17 @@ def test_each_sample_tells_the_drive_of_the_row_before_it_from_the_second_row_on
         sample, before = driver.read(), rows[replayed.next - 1]
         assert sample.y_counts == rows[replayed.next].y_counts
         assert (sample.t_u_s, sample.u_V) == (before.t_u_s, before.u_V)
+
+
+def test_a_guards_fault_must_come_again_unless_the_last_drive_had_gone_out_and_no_reading_followed(
+    tmp_path: Path,
+) -> None:
+    run = copy_of("simulated-jog", tmp_path)
+    fault = Fault("SENSOR_STUCK", "")
+    for told, must in ((run.rows[-1]["t_u_s"], True), ("", False)):
+        run.rows[-1] |= {"t_u_s": told, "u_V": "1.0"}
+        rows = ReplayedRows(read_run(run.write()), 0.01, fault, True, StopRequest())
+        assert rows.must_come_again is must
 
 
 def test_a_drive_that_is_a_unit_off_is_named_wherever_it_is(tmp_path: Path) -> None:

@@ -917,6 +917,22 @@ def test_close_stops_what_is_armed() -> None:
 # ---------------------------------------------------------------------- clocks
 
 
+@pytest.mark.parametrize(("slower_s", "least_s", "most_s"), [((0.0,), 1.0, 2.0), ((0.0, 0.004, 0.004), 3.0, 4.0)])
+def test_the_clock_is_measured_for_a_second_and_for_three_where_exchanges_differ(
+    slower_s: tuple[float, ...], least_s: float, most_s: float
+) -> None:
+    port, asked_s = ScriptedPort(), [0.0]
+    reply = port.reply
+
+    def uneven(delay_s: float, data: bytes) -> None:
+        asked_s.append(port.t_s)
+        reply(delay_s + slower_s[len(asked_s) % len(slower_s)], data)
+
+    port.reply = uneven  # type: ignore[method-assign]  # a USB adapter
+    make(port).open()
+    assert least_s < asked_s[-1] - asked_s[1] < most_s
+
+
 @pytest.mark.parametrize("ppm", [-20000, -5000, 0, 5000, 20000])
 def test_device_time_becomes_host_time(ppm: int) -> None:
     """Over five minutes, a wrap of the 32 bits in between, whatever the device's rate."""

@@ -124,6 +124,12 @@ def test_by_the_ports_name_the_slowest_that_it_can_be(port: str, adapter: Adapte
     assert adapter_by_name(port) == adapter
 
 
+def test_an_ftdi_chip_packs_what_usb_takes_less_its_two_bytes_of_status_whatever_its_timer() -> None:
+    slow, quick = CHIPS["ftdi"], CHIPS["ftdi-1ms"]
+    assert slow.packet_bytes == 64 - 2
+    assert quick == slow._replace(words=quick.words, wait_s=0.001)
+
+
 def test_a_leonardo_and_a_micro_of_either_vendor_have_usb_of_their_own() -> None:
     assert {adapter_by_id(vendor, product) for vendor in (0x2341, 0x2A03) for product in (0x8036, 0x8037)} == {
         "native-usb"
