@@ -74,6 +74,8 @@ ROOMS = (
 
 # name of a mutant: why what it does is what the code does
 EQUIVALENT: dict[str, str] = {
+    "backends/modbus/driver.py: _INTRODUCTIONS = 20 # reads that measure the round trip -> _INTRODUCTIONS = 21 # reads "
+    "that measure the round trip": "the fastest of the reads counts; nobody is promised how many there are",
     "control/motion.py Standstill.restart: self.high_rad = -math.inf -> self.high_rad = not math.inf": (
         "the first step sets both ends of the span to its reading, whatever they were, and the stand that it may end "
         "is of a time that is no number"

@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pymodbus.constants import ExcCodes
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest
 
 from rig.backends.modbus.frames import Damaged, RtuFraming, TcpFraming
 from rig.backends.modbus.opening import emulated_io_block, modbus_driver
 from rig.backends.modbus.registers import Register, RegisterMap, RegisterSpan
+from rig.backends.modbus.requests import _EXCEPTIONS
 from rig.config import load
 from rig.config.schema import Experiment
 
@@ -166,3 +168,11 @@ def test_driver_and_device_agree_on_every_type_and_word_order(
         assert sample.y_rad == pytest.approx(block.truth().y_rad, abs=0.02)
     assert driver.safe_stop()
     assert block.truth().output_V == 0.0
+
+
+def test_each_exception_of_modbus_has_its_name() -> None:
+    """By pymodbus's list; 7, the negative acknowledge, is of old controllers only."""
+    known = {
+        code.value: code.name.split("_")[0].lower() for code in ExcCodes if code is not ExcCodes.NEGATIVE_ACKNOWLEDGE
+    }
+    assert {number: words.split()[0] for number, words in _EXCEPTIONS.items()} == known
