@@ -14,8 +14,7 @@ from typing import Literal, cast
 
 from rig import config
 from rig.backends.driver import DeviceInfo
-from rig.backends.registry import Bench
-from rig.bench import guard_settings_of
+from rig.backends.registry import Bench, backend_of
 from rig.config.schema import Experiment, Method
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
@@ -29,9 +28,11 @@ from rig.loop.stop_request import StopRequest
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.plug_ins import PlugInError
+from rig.preflight.loop_settings import guard_settings_of
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META
-from rig.recording.reader import Recording, read_run
+from rig.recording.reader import read_run
+from rig.recording.recording import Recording
 from rig.recording.writer import EVENTS
 from rig.results import DrivenModel, JsonObject, RealTimeReport, RunMeta, ScriptCall
 from rig.results.reading import DamagedError, parsed
@@ -98,7 +99,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
     own          a new object of the user's law that ran; None: the law that the config names, if it names one
     Raises RecordingError if the folder cannot be read, or lacks what a replay needs; ConfigError for its config.
     """
-    recording = read_run(folder)
+    recording = read_run(folder, strict=True)
     fault, is_whole = _ending(recording)
     if recording.config_text is None:
         raise RecordingError(folder / CONFIG, "is missing", "a run cannot be replayed without its config")
@@ -115,7 +116,14 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
     stop = StopRequest()
     replayed = ReplayedRows(recording, e.period_s, fault, is_whole, stop, on_progress)
     drive_map = e.drive.map if units is None else replace(e.drive.map, full_units=units)
-    driver = RecordedDriver(replayed, order, e.sensor.curve, drive_map, clock_ratio)
+    relay = backend_of(e).relay_rules(e, drive_map, clock_ratio)
+    if relay is None and replayed.holds_device_relay:
+        raise RecordingError(
+            folder / CONFIG,
+            f"driver {e.daq.driver!r} does not say what its device makes of the gains of a relay in it",
+            "its package must offer a backend with `relay_rules` (docs/plug-in-driver.md)",
+        )
+    driver = RecordedDriver(replayed, order, drive_map, clock_ratio, relay)
     clock, comparison = RecordedClock(replayed), RowComparison(replayed, None if units is None else drive_map.quantised)
     loop = ReplayLoop(driver, clock, Guard(guard_settings_of(e)), comparison, e.period_s, stop)
     loop.replayed = replayed

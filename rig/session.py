@@ -10,7 +10,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from rig.backends.registry import Bench, connect
-from rig.bench import guard_settings_of
 from rig.config import Experiment, dump
 from rig.control.guard import Guard
 from rig.control.tracking import tracking_error
@@ -20,10 +19,12 @@ from rig.loop.device_relay import STOPPING
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest, stop_on_signals
 from rig.model.supply import SupplyReading
+from rig.preflight.loop_settings import guard_settings_of
 from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
-from rig.recording.reader import Recording, read_run
+from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
+from rig.recording.recording import Recording
 from rig.recording.sink import RowSink
 from rig.recording.stage import Stage, StageKind
 from rig.report import write_report

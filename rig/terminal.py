@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import fmean, stdev
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 from rich.console import Console
@@ -19,6 +19,7 @@ from rig.results import EstimateResult, LoopResult, RunResult, TrackingResult, T
 if TYPE_CHECKING:  # each loads slowly
     from rig.campaign.summary import Summary
     from rig.doctor.finding import Finding
+    from rig.model.prediction import PredictedCycle
     from rig.replay import Replay
     from rig.session import Outcome
 
@@ -84,7 +85,7 @@ def show_run(outcome: Outcome) -> None:
     for test in result.relays:
         click.echo(
             f"{test.stage}: h1 {test.h1_V:.3f} V, h2 {test.h2_V:.3f} V -> "
-            f"{test.amplitude_rad:.3f} rad, {test.period_s:.3f} s, {test.cycles} cycles"
+            f"amplitude {test.amplitude_rad:.3f} rad, period {test.period_s:.3f} s, {test.cycles} cycles"
         )
     for run in result.hysteretic or ():
         switched = "no switching" if run.switched_s is None else f"switches after {run.switched_s:.3f} s"
@@ -147,20 +148,21 @@ def show_finding(finding: Finding) -> None:
         click.echo(f"       -> {finding.cure}")
 
 
-def show_prediction(prediction: dict[str, Any]) -> None:
-    """Show a limit cycle and its stability, or why there is none; ``prediction``: from ``rig predict --json``."""
-    if prediction["oscillates"]:
-        t1, t2, t3 = prediction["durations_s"]
-        stable = "locally stable" if prediction["stable"] else "not locally stable"
-        eigenvalues = ", ".join(f"{re:.6f}" + (f"{im:+.6f}j" if im else "") for re, im in prediction["eigenvalues"])
-        click.echo(f"limit cycle (Theorem 2.1): period {prediction['period_s']:.6f} s, amplitude ", nl=False)
-        click.echo(f"{prediction['amplitude_rad']:.6f} rad; t1 {t1:.6f}, t2 {t2:.6f}, t3 {t3:.6f} s")
-        click.echo(f"stability (Theorem 2.2): {stable}; eigenvalues of J: {eigenvalues}")
+def show_prediction(prediction: PredictedCycle) -> None:
+    """Show a limit cycle and its stability, or why there is none."""
+    cycle, sine = prediction.exact, prediction.sine
+    if cycle is None:
+        click.echo(f"no simple oscillation: {prediction.reason}")
     else:
-        click.echo(f"no simple oscillation: {prediction['reason']}")
-    sine = prediction["describing_function"]
+        t1, t2, t3 = cycle.durations_s
+        stable = "locally stable" if cycle.stable else "not locally stable"
+        pairs = [(value.real, value.imag) for value in cycle.eigenvalues().tolist()]
+        eigenvalues = ", ".join(f"{re:.6f}" + (f"{im:+.6f}j" if im else "") for re, im in pairs)
+        click.echo(f"limit cycle (Theorem 2.1): period {cycle.period_s:.6f} s, amplitude ", nl=False)
+        click.echo(f"{cycle.amplitude_rad:.6f} rad; t1 {t1:.6f}, t2 {t2:.6f}, t3 {t3:.6f} s")
+        click.echo(f"stability (Theorem 2.2): {stable}; eigenvalues of J: {eigenvalues}")
     if sine is not None:
-        click.echo(f"describing function: period {sine['period_s']:.6f} s, amplitude {sine['amplitude_rad']:.6f} rad")
+        click.echo(f"describing function: period {sine.period_s:.6f} s, amplitude {sine.amplitude_rad:.6f} rad")
 
 
 def show_estimates(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +98,7 @@ class Estimate:
         control = needed("control", "to_control()")
         return control.tf([motor.K_rad_s_V], [motor.tau_s, 1.0, 0.0], inputs="u_V", outputs="y_rad", name=self.method)
 
-    def judged(self, verdict: Verdict, *reasons: str) -> Estimate:
+    def judged(self, verdict: Verdict, *reasons: str) -> Self:
         """The estimate with a verdict at least as severe as ``verdict``, and further ``reasons``."""
         order: tuple[Verdict, ...] = ("ok", "doubtful", "refused")
         worst = max(self.verdict, verdict, key=order.index)

@@ -111,7 +111,7 @@ class FrictionLawChoice:
         """Why viscous friction is not a candidate, as a sentence."""
         own = self.chosen.parameters
         return (
-            "viscous friction is within tau and K, no motion can show it apart; "
+            "viscous friction is part of tau and K, and no motion can tell it from them; "
             f"tau / K = {own['tau_s'] / own['K_rad_s_V']:.4g} V s^2/rad is the same with and without it"
         )
 
@@ -297,7 +297,7 @@ def _judge(one: RankedLaw, chosen: RankedLaw, held_out: str | None, ramps: Ramps
     gain = chosen.criterion - one.criterion
     better = _better(one, chosen)
     title, simpler = one.candidate.title, chosen.candidate.title
-    gained = f"the criterion gains {gain:.0f} over {simpler}"
+    gained = f"its BIC is {gain:.0f} lower than that of {simpler}"
     against = LawComparison(title, gained, gain, one.seen, ramps)
     first = one.candidate.needs(against)
     if first is not None:
@@ -312,5 +312,5 @@ def _judge(one: RankedLaw, chosen: RankedLaw, held_out: str | None, ramps: Ramps
     if gain > 0.0:
         return Doubt(f"{gained}, too little to decide", SLOW)
     if better > MUCH_BETTER:
-        return Doubt(f"{predicted}, but the criterion gains nothing over {simpler}", SLOW)
+        return Doubt(f"{predicted}, but its BIC is no lower than that of {simpler}", SLOW)
     return None

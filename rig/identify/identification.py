@@ -19,7 +19,7 @@ from rig.identify.preprocessing import from_recording
 from rig.identify.sampled_data import SampledData
 from rig.identify.triple_relay import TripleRelay
 from rig.recording.errors import IdentifyError
-from rig.recording.reader import Recording
+from rig.recording.recording import Recording
 from rig.recording.stage import StageKind, kind_of
 from rig.results import HystereticResult, IdentificationResult, RelayTestResult, StaticFrictionResult
 

@@ -51,14 +51,14 @@ def notes(e: Experiment) -> Iterator[str]:
 
 
 def _check_ends_by(watchdog_s: float, e: Experiment) -> str:
-    """The worst case of a breakaway stroke that the sum counts, in words."""
+    """The worst case for which the bound on unseen travel holds, in words."""
     time = f"{1e3 * watchdog_s:.3g} ms"
     watchdog = backend_of(e).watchdog(e)
     if watchdog.time_s is None or (not watchdog.certain and e.daq.accept_no_watchdog):
-        return f"a tick that comes {time} late, but not a host that dies: without a watchdog nothing bounds that"
+        return f"even if a tick comes {time} late; but if the host dies nothing bounds it: the device has no watchdog"
     if watchdog.unit_s is None:
-        return f"a host that dies in a stroke: the device's own watchdog ends the stroke after {time}"
-    return f"a host that dies in a stroke: this check arms the device's watchdog with {time}"
+        return f"even if the host dies in a stroke: the device's own watchdog ends it after {time}"
+    return f"even if the host dies in a stroke: in this check the device's watchdog ends it after {time}"
 
 
 def _stage_lines(e: Experiment) -> Iterator[str]:
@@ -77,7 +77,7 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
         yield (
             f"stage breakaway, with a stuck or uncoupled sensor: the shaft turns at most {strokes.unseen_rad:.2f} rad, "
             f"if motor.no_load_speed_rad_s is true and friction each way is within {FRICTION_DIFFERS:.0%} of the mean "
-            f"of both ways; that counts {_check_ends_by(strokes.watchdog_s, e)}"
+            f"of both ways. That holds {_check_ends_by(strokes.watchdog_s, e)}"
         )
     if e.law is not None:
         yield (
@@ -90,7 +90,7 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
         tests_s = 2.0 * r.cycles * r.target.period_s
         speed = peak_speed_rad_s(max(amplitudes), r.target.period_s)
         yield (
-            f"stage excite: searches gains for {r.target.amplitude_rad:g} rad every {r.target.period_s:g} s, "
+            f"stage search: searches gains for {r.target.amplitude_rad:g} rad every {r.target.period_s:g} s, "
             f"+-{r.target.tolerance:.0%}; at most {r.search.timeout_s:g} s"
         )
         yield (
@@ -124,4 +124,4 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
         )
     unknown = "" if r.target is not None and r.hysteretic is None else ", and the relay tests"
     clock = backend_of(e).seconds_words(e)
-    yield f"together: at most about {total_s:.0f} s{clock}{unknown}, and settling and rests"
+    yield f"together at most about {total_s:.0f} s{clock}{unknown}, plus settling and rests"

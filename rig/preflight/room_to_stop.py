@@ -93,7 +93,7 @@ def stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
 def stopping_sum(e: Experiment) -> str:
     """``stopping_terms`` and what they add up to, for people."""
     terms = stopping_terms(e)
-    written = " + ".join(f"{rad:.3f} {words}" for words, rad in terms)
+    written = " + ".join(f"{rad:.3f} ({words})" for words, rad in terms)
     total = f"at {e.limits.max_speed_rad_s:g} rad/s: {written} = {sum(rad for _, rad in terms):.3f} rad"
     if device_watchdog_s(e) is None:
         return f"{total} while the host lives; if the host dies nothing bounds it: the device has no watchdog"

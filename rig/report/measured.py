@@ -298,7 +298,8 @@ def breakaway(run: ReportedRun) -> Picture:
     if any(math.isfinite(known(level)) for level in (found.static_plus_V, found.static_minus_V)):
         words += (
             " Dashed, with its interval: the drive at which the identified model must break away to reproduce the "
-            "motion best. It is static friction minus bias towards rising positions, plus bias towards falling ones."
+            "motion best. Towards rising positions it is static friction minus bias; towards falling ones, static "
+            "friction plus bias."
         )
     return render(
         figure, run.backend, "Breakaway strokes: drive and position, with static friction.",

@@ -12,7 +12,7 @@ from rig.identify import Identification, IdentifyError, identify
 from rig.package import VERSION
 from rig.recording.errors import RecordingError
 from rig.recording.folder import write_whole
-from rig.recording.reader import Recording
+from rig.recording.recording import Recording
 from rig.report import checked, fitted, measured, tables, transient
 from rig.report.fit import fits_of
 from rig.report.source import ReportedRun, load

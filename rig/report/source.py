@@ -14,7 +14,11 @@ import yaml
 from numpy.typing import NDArray
 
 from rig.faults import FAULTS
-from rig.recording.reader import Recording, RecordingError, printable, read_csv, whole_content
+from rig.recording.csv_file import read_csv
+from rig.recording.errors import RecordingError
+from rig.recording.reader import printable
+from rig.recording.recording import Recording
+from rig.recording.text_file import whole_content
 from rig.report.style import AbsentError, stage_kind
 from rig.results import EstimateResult, FaultReport, Part, RunEvent, RunMeta, RunResult, known
 from rig.results.estimates import LARGEST

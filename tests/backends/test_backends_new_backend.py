@@ -18,12 +18,13 @@ from rig.backends import registry
 from rig.backends.backend import Backend, Unopened, Watchdog
 from rig.backends.clock import VirtualClock
 from rig.backends.link_budget import LinkBudget
-from rig.backends.registry import PlugInError, backend_of
-from rig.backends.section import Positive, Section
+from rig.backends.registry import backend_of
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.config import load
 from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
+from rig.plug_ins import PlugInError
+from rig.section import Positive, Section
 from rig.testing import conformance
 
 CARD = Path(__file__).parents[1] / "testing" / "virtual-card.yaml"
@@ -73,7 +74,7 @@ class Scope(Backend):
     def unopened(self, e: Experiment) -> Iterator[Unopened]:
         clock = VirtualClock()
         latency = SimulatedLatency(self.options(e, ScopeOptions).conversion_s, 0.0)
-        driver = SimulatedDriver(clock, DEMO, e.sensor.curve, e.drive.map, e.sensor.rail_counts, latency, e.seed)
+        driver = SimulatedDriver(clock, DEMO, e.scaling, latency, e.seed)
         yield Unopened(driver, clock, DEMO)
 
 
@@ -104,6 +105,15 @@ def test_check_asks_it_and_says_what_it_says(tmp_path: Path) -> None:
     assert "backend: channel 1 of an oscilloscope, nothing moves, every 10 ms" in done.stdout
     assert "link: 2 conversions = 1.00 ms; 80% of the period is 8.00 ms" in done.stdout
     assert "failsafe: the device sets 0 V after 100 ms of silence" in done.stdout
+
+
+def test_its_port_has_any_name_and_keys_of_other_devices_are_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, {"channel": 1})
+    config = path.read_text(encoding="utf-8")
+    path.write_text(config.replace("driver: scope", "driver: scope\n  port: tcp://scope.local"), encoding="utf-8")
+    assert rig("check", path).exit_code == 0
+    path.write_text(config.replace("driver: scope", "driver: scope\n  adapter: ftdi"), encoding="utf-8")
+    assert "daq.adapter: is a key of `driver: serial`, not of `driver: scope`; remove it" in rig("check", path).stderr
 
 
 TACHOMETER = {"tachometer": {"rad_s_per_count": 0.1}}

@@ -11,7 +11,9 @@ from plug_in_cards import VirtualCard
 from rig import config
 from rig.backends import registry
 from rig.backends.clock import MonotonicClock, VirtualClock
-from rig.backends.registry import connect, driver_settings_of
+from rig.backends.driver import DriverSettings
+from rig.backends.plug_in import driver_settings_of
+from rig.backends.registry import connect
 from rig.cli import main
 from rig.config.load import json_schema
 from rig.faults import Fault
@@ -115,6 +117,24 @@ def test_keys_that_do_not_go_with_a_plug_in(
     installed: None, tmp_path: Path, changes: dict[str, str], words: str
 ) -> None:
     assert refused(tmp_path, **changes)[1] == words
+
+
+def test_check_constructs_the_driver_once_and_a_changed_config_anew(
+    installed: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[object] = []
+
+    class Counted(VirtualCard):
+        def __init__(self, settings: DriverSettings) -> None:
+            made.append(settings.options)
+            super().__init__(settings)
+
+    monkeypatch.setattr("plug_in_cards.VirtualCard", Counted)
+    path = written(tmp_path, options={"seed": 3})
+    check(path)
+    assert made == [{"seed": 3}]
+    check(written(tmp_path, options={"seed": 4}))
+    assert made == [{"seed": 3}, {"seed": 4}]
 
 
 def test_options_are_of_plug_ins_only(tmp_path: Path) -> None:

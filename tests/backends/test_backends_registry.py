@@ -1,17 +1,21 @@
 """Third-party drivers by entry point: what is found, and what is refused before it meets a motor."""
 
+import os
 from dataclasses import replace
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import pytest
 from plug_in_cards import BareCard, VirtualCard, settings
 
 from rig import ready
 from rig.backends import registry
-from rig.backends.registry import PlugInError
+from rig.backends.driver import Driver, DriverSettings
+from rig.backends.plug_in import PlugIn
 from rig.backends.simulated.driver import SimulatedDriver
 from rig.config import load
 from rig.faults import Fault
+from rig.plug_ins import PlugInError
 
 
 def offer(monkeypatch: pytest.MonkeyPatch, *pairs: tuple[str, str]) -> None:
@@ -19,11 +23,17 @@ def offer(monkeypatch: pytest.MonkeyPatch, *pairs: tuple[str, str]) -> None:
     monkeypatch.setattr(registry, "entry_points", lambda group: [e for e in entries if e.group == group])
 
 
+def construct(name: str, settings: DriverSettings) -> Driver:
+    backend = registry.backend_named(name)
+    assert isinstance(backend, PlugIn)
+    return backend.construct(settings)
+
+
 def test_a_driver_is_found_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, ("mycard", "plug_in_cards:VirtualCard"))
     assert list(registry.registered()) == ["mycard"]
     assert registry.load("mycard") is VirtualCard
-    assert type(registry.construct("mycard", settings())) is VirtualCard
+    assert type(construct("mycard", settings())) is VirtualCard
 
 
 def test_an_unknown_name_lists_what_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -72,17 +82,17 @@ def test_what_a_driver_says_of_itself_is_held_to_its_type(
     monkeypatch: pytest.MonkeyPatch, attribute: str, value: object, why: str
 ) -> None:
     offer(monkeypatch, ("bare", "plug_in_cards:BareCard"))
-    assert registry.construct("bare", settings()).backend == "bare"
+    assert construct("bare", settings()).backend == "bare"
     monkeypatch.setattr(BareCard, attribute, value, raising=False)
     with pytest.raises(PlugInError, match=why):
-        registry.construct("bare", settings())
+        construct("bare", settings())
 
 
 def test_a_missing_attribute_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, ("bare", "plug_in_cards:BareCard"))
     monkeypatch.delattr(BareCard, "backend")
     with pytest.raises(PlugInError, match="lacks backend"):
-        registry.construct("bare", settings())
+        construct("bare", settings())
 
 
 def test_refused_options_stay_a_value_error_and_anything_else_names_package_and_line(
@@ -90,9 +100,27 @@ def test_refused_options_stay_a_value_error_and_anything_else_names_package_and_
 ) -> None:
     offer(monkeypatch, ("bare", "plug_in_cards:BareCard"))
     with pytest.raises(ValueError, match="channel 9: this card has 0 to 7"):
-        registry.construct("bare", settings(channel=9))
+        construct("bare", settings(channel=9))
     with pytest.raises(PlugInError, match=r"cannot be constructed: KeyError: 'range' at plug_in_cards.py:\d+"):
-        registry.construct("bare", settings(mode="wide"))
+        construct("bare", settings(mode="wide"))
+
+
+def test_a_package_that_is_installed_while_a_program_runs_is_found(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def install(name: str) -> None:
+        folder = tmp_path / f"{name}-1.0.dist-info"
+        folder.mkdir()
+        (folder / "METADATA").write_text(f"Name: {name}\nVersion: 1.0\n", encoding="utf-8")
+        (folder / "entry_points.txt").write_text(f"[{registry.GROUP}]\n{name} = plug_in_cards:VirtualCard\n")
+        os.utime(tmp_path, (len(name),) * 2)  # a file system may count too coarsely for a test
+
+    monkeypatch.syspath_prepend(tmp_path)
+    assert {"first", "second"}.isdisjoint(registry.registered())
+    install("first")
+    assert "first" in registry.registered() and "second" not in registry.registered()
+    install("second")
+    assert registry.load("second") is VirtualCard
 
 
 def test_a_bench_is_stopped_before_it_is_closed_and_closed_though_the_stop_fails(

@@ -19,7 +19,8 @@ from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.sensitivity import Theta, position
 from rig.recording.errors import IdentifyError
-from rig.recording.reader import Recording, from_columns, read_run
+from rig.recording.reader import read_run
+from rig.recording.recording import Recording, from_columns
 from rig.recording.series import Window
 
 GOLDEN = Path(__file__).parents[1] / "golden"

@@ -15,12 +15,12 @@ from pydantic import ValidationError
 from rig.backends.serial import driver as serial_link
 from rig.backends.serial import frames
 from rig.backends.serial.link_budget import REPLY_SHARE
-from rig.bench import guard_settings_of
 from rig.calibration import Calibration
 from rig.config import ConfigError, Experiment, load
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.preflight import check, preflight
+from rig.preflight.loop_settings import guard_settings_of
 from rig.preflight.room_to_stop import stopping_terms
 
 CONFIGS = Path(__file__).parents[2] / "config"
@@ -67,7 +67,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "no room to stop": (
         {"limits__max_speed_rad_s": 6.0},
         "limits.max_speed_rad_s",
-        "no room to stop: at 6 rad/s: 0.180 3 periods + 0.360 reply time-out + 0.600 watchdog + 1.200 coasting "
+        "no room to stop: at 6 rad/s: 0.180 (3 periods) + 0.360 (reply time-out) + 0.600 (watchdog) + 1.200 (coasting) "
         "= 2.340 rad, but from the centre of travel (0 rad) the nearer hard limit is 1.950 rad away",
     ),
     "no room on one side": (
@@ -75,7 +75,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "limits.max_speed_rad_s",
         "from the centre of travel (0 rad) the nearer hard limit is 1.800 rad away",
     ),
-    "coasts too far": ({"limits__coast_tau_s": 0.21}, "limits.max_speed_rad_s", "1.029 coasting"),
+    "coasts too far": ({"limits__coast_tau_s": 0.21}, "limits.max_speed_rad_s", "1.029 (coasting)"),
     "more than the supply": (
         {"drive__bridge_drop_V": 9.5},
         "drive.max_V",
@@ -174,14 +174,14 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "link too slow": (
         {"daq__baud": 9600},
         "daq.baud",
-        "READ 8 + STATE 32 + DRIVE 10 = 50 bytes x 11 bits / 9600 baud = 57.29 ms, + 1 ms turnaround = 58.29 ms; "
+        "READ 8 + STATE 32 + DRIVE 10 = 50 bytes x 11 bits / 9600 baud = 57.29 ms, + 1 ms (turnaround) = 58.29 ms; "
         "80% of the period is 8.00 ms",
     ),
     "time-out too short for a reading": (
         {"daq__timeout_s": 0.006},
         "daq.timeout_s",
         "6 ms is too short for a reading: READ 8 + STATE 32 = 40 bytes x 11 bits / 115200 baud = 3.82 ms, + 1 ms "
-        "turnaround = 4.82 ms; after two thirds of the time-out it is asked for again",
+        "(turnaround) = 4.82 ms; after two thirds of the time-out it is asked for again",
     ),
     "serial without port": ({"daq__port": None}, "daq.port", "`driver: serial` needs a port"),
     "a real port, and no bridge": (
@@ -190,6 +190,16 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "is missing, and a real motor may be behind /dev/ttyACM0",
     ),
     "simulated with port": ({"daq__driver": "simulated"}, "daq.port", "`driver: simulated` has no port"),
+    "serial with a port of Modbus": (
+        {"daq__port": "tcp://10.0.0.1", "daq__adapter": "none"},
+        "daq.port",
+        "tcp://10.0.0.1 is a port of `driver: modbus`",
+    ),
+    "simulated with adapter": (
+        {"daq__driver": "simulated", "daq__port": None, "daq__adapter": "ftdi"},
+        "daq.adapter",
+        "is a key of `driver: serial`, not of `driver: simulated`",
+    ),
     "emulated without section": ({"emulated": None}, "emulated", "`port: emulated` needs this section"),
     "simulated without section": (
         {"emulated": None, "daq__driver": "simulated", "daq__port": None},
@@ -248,7 +258,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "the device's samples are older": (
         {"relay__where": "device"},
         "limits.max_speed_rad_s",
-        "0.245 5 periods + 0.294 reply time-out",
+        "0.245 (5 periods) + 0.294 (reply time-out)",
     ),
     "spinning for most of the period": (
         {
@@ -298,7 +308,7 @@ def test_the_ready_configs_pass_and_say_what_would_happen(name: str) -> None:
     assert loaded.name == name
     assert found.problems == ()
     text = "\n".join(found.lines)
-    for word in ("backend:", "breakaway", "excite", "relay", "verify", "limits:", "stopping", "failsafe"):
+    for word in ("backend:", "breakaway", "stage search", "relay", "verify", "limits:", "stopping", "failsafe"):
         assert word in text
     assert ("REAL MOTOR" in text) == (name == "uno")
     assert ("emulated chip" in text) == (name == "demo-chip")

@@ -13,10 +13,13 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from rig.recording import reader
+from rig.recording import csv_file as csv_files
 from rig.recording.columns import COLUMNS, HEADER, SampleRow, format_row
+from rig.recording.csv_file import read_csv
 from rig.recording.errors import RecordingError
-from rig.recording.reader import MAX_BYTES, Recording, from_columns, read, read_csv, read_run
+from rig.recording.reader import read, read_run
+from rig.recording.recording import Recording, from_columns
+from rig.recording.text_file import MAX_BYTES
 from rig.results import RunMeta
 
 PLAIN = "t_s,u_V,y_rad\n0.00,1.8,0.1\n0.01,-0.2,0.2\n0.02,-0.2,0.3\n"
@@ -416,7 +419,7 @@ def test_rows_that_were_read_before_are_not_parsed_again(
     path.write_text("".join(lines))
     whole = read_csv(path)
     parsed: list[int] = []
-    parse_rows = reader._parse_rows
+    parse_rows = csv_files._parse_rows
 
     def counted(
         path: Path, header: tuple[str, ...], delimiter: str, lines: Sequence[str], numbers: Sequence[int]
@@ -424,7 +427,7 @@ def test_rows_that_were_read_before_are_not_parsed_again(
         parsed.extend(numbers)
         return parse_rows(path, header, delimiter, lines, numbers)
 
-    monkeypatch.setattr(reader, "_parse_rows", counted)
+    monkeypatch.setattr(csv_files, "_parse_rows", counted)
     again = read_csv(path, known=known)
     assert len(parsed) == after - before
     for name in COLUMNS:

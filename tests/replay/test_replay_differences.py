@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 import yaml
 from run_copy import GOLDEN, RunCopy
-from simulated_bench import CALIBRATION
 
 from rig import config
-from rig.bench import guard_settings_of
 from rig.calibration import DriveMap
 from rig.faults import Fault
 from rig.loop.recorded import RecordedDriver
 from rig.loop.replayed_rows import ReplayedRows
 from rig.loop.stop_request import StopRequest
+from rig.preflight.loop_settings import guard_settings_of
 from rig.recording.reader import read_run
 from rig.replay import replay
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_SATURATED, FLAG_SKIPPED
@@ -38,7 +37,7 @@ def test_each_sample_tells_the_drive_of_the_row_before_it_from_the_second_row_on
     recording = read_run(GOLDEN / "simulated-jog")
     rows = recording.rows()
     replayed = ReplayedRows(recording, 0.01, None, True, StopRequest())
-    driver = RecordedDriver(replayed, "sample_first", CALIBRATION, DriveMap(12.0), 1.0)
+    driver = RecordedDriver(replayed, "sample_first", DriveMap(12.0), 1.0, None)
     assert math.isnan(driver.read().t_u_s)
     for replayed.next in (1, 2, len(rows) - 1):
         sample, before = driver.read(), rows[replayed.next - 1]

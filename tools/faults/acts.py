@@ -20,7 +20,7 @@ FREEZE_S = 1.0
 FOR_TICKS = 50  # that a disturbance lasts which the run survives
 STALL_S = 0.03  # of an overloaded host, at most
 SMALL_DISK = 2 << 20
-_SHORTEST_ROW = 60  # bytes, in the recording
+_SHORTEST_ROW = 60  # bytes, in samples.csv
 _TICK_S = 0.005  # less than any period
 THROWN_RAD_S = 5.0
 PUSH_RAD_S = 1.0
@@ -173,7 +173,7 @@ def _overload(injector: FaultInjector) -> None:
 
 
 def _fill_disk(injector: FaultInjector) -> None:
-    """Nothing more fits, in the last page of the record either: it is put off until that page has no room for a row."""
+    """Nothing more fits, not even into the last page of samples.csv: it happens when no row fits into that page."""
     injector.written()
     samples = next((injector.folder / "runs").glob("*/samples.csv"))
     if -samples.stat().st_size % os.sysconf("SC_PAGE_SIZE") >= _SHORTEST_ROW:

@@ -35,7 +35,7 @@ class Row:
     prepare  done before the run, in a process of its own; gets the folder that holds the config and `runs`
     alone    runs in a process of its own
     status   exit status where it is not that of the code: one of these
-    same     the record must be that of a run in which nothing happens, to the last bit
+    same     the recording must equal that of a run in which nothing happens, to the last bit
     only     it is of devices with one of these traits (``backends.Backend``); empty: of all
     absent   traits of devices, or of stages (``stages.Stage.traits``), to which it does not apply, and why
     only_seen  the motor is driven on, whatever the device puts out

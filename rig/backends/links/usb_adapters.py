@@ -79,7 +79,7 @@ def adapter_by_id(vendor: int | None, product: int | None) -> Adapter | None:
 
 
 def adapter_by_name(port: str) -> Adapter:
-    """What to reckon with behind a port of that name: what its name gives away, else the slowest there is."""
+    """The adapter that rig assumes behind a port of that name: the one that the name tells, else the slowest."""
     path = PurePosixPath(port)
     names = _ID_NAMES if str(path.parent) == _BY_ID else _KERNEL_NAMES
     return next((adapter for name, adapter in names if re.fullmatch(name, path.name)), _SLOWEST)

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
@@ -10,12 +11,13 @@ import pytest
 from raised import fault_of
 
 from rig.backends.clock import MonotonicClock
+from rig.backends.driver import Timeouts
 from rig.backends.registry import unopened
 from rig.backends.serial import frames
 from rig.backends.serial.driver import SerialDriver, setup_for
 from rig.backends.serial.fit import Board
 from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Nack, Setup, encode
-from rig.calibration import Calibration, DriveMap, TachometerScale
+from rig.calibration import Calibration, DriveMap, Scaling, TachometerScale
 from rig.cli import main
 from rig.config import Experiment, load
 from rig.faults import Fault
@@ -25,6 +27,7 @@ from rig.testing.line import on_device
 CALIBRATION = Calibration([(24, -2.0015625), (1000, 2.0015625)])
 DRIVE = DriveMap(supply_V=12.0)
 RAILS = (5, 1018)
+SCALING = Scaling(CALIBRATION, DRIVE, RAILS)
 LIMITS = Limits(soft_rad=(-1.1, 1.1), hard_rad=(-1.9, 1.9), max_u_V=3.0, watchdog_s=0.1)
 SESSION = 0x89ABCDEF
 SETUP = Setup(SESSION, 49, 975, 5, 1018, 512, 200, 100, 1)
@@ -48,7 +51,6 @@ class DriverOptions(TypedDict, total=False):
     """What a driver is told of its device."""
 
     board: Board
-    tachometer: TachometerScale
     name: str
     emulated: bool
 
@@ -151,8 +153,8 @@ class ScriptedPort:
         return base._replace(**fields).pack()
 
 
-def make(port: ScriptedPort, **options: Unpack[DriverOptions]) -> SerialDriver:
-    return SerialDriver(port, CALIBRATION, DRIVE, RAILS, TIMEOUT_S, 5.0, session=SESSION, **options)
+def make(port: ScriptedPort, scaling: Scaling = SCALING, **options: Unpack[DriverOptions]) -> SerialDriver:
+    return SerialDriver(port, scaling, Timeouts(TIMEOUT_S), session=SESSION, **options)
 
 
 def opened(**hello: Unpack[HelloFields]) -> tuple[ScriptedPort, SerialDriver]:
@@ -304,15 +306,15 @@ def test_the_device_restarts_while_its_clock_is_measured() -> None:
 
 
 @pytest.mark.parametrize(
-    ("hello", "options", "words"),
+    ("hello", "scaling", "words"),
     [
-        ({"counts_max": 4095}, {"board": Board(counts_max=1023)}, "reads 0 to 4095"),
-        ({"counts_max": 1000}, {}, "rail_counts"),
-        ({"features": 0}, {"tachometer": TachometerScale(1.0)}, "tachometer"),
+        ({"counts_max": 4095}, replace(SCALING, counts_max=1023), "reads 0 to 4095"),
+        ({"counts_max": 1000}, SCALING, "rail_counts"),
+        ({"features": 0}, replace(SCALING, tachometer=TachometerScale(1.0)), "tachometer"),
     ],
 )
-def test_a_config_that_does_not_fit_the_device(hello: HelloFields, options: DriverOptions, words: str) -> None:
-    fault = fault_of(make(ScriptedPort(**hello), **options).open)
+def test_a_config_that_does_not_fit_the_device(hello: HelloFields, scaling: Scaling, words: str) -> None:
+    fault = fault_of(make(ScriptedPort(**hello), scaling).open)
     assert fault.code == "CONFIG_MISMATCH"
     assert words in fault.detail
 
@@ -409,7 +411,7 @@ def test_a_device_that_takes_long_to_answer_is_opened_all_the_same() -> None:
     port = ScriptedPort()
     reply = port.reply
     port.reply = lambda delay_s, data: reply(delay_s + 0.7, data)  # type: ignore[method-assign]  # slower
-    driver = SerialDriver(port, CALIBRATION, DRIVE, RAILS, 1.0, 5.0, session=SESSION)
+    driver = SerialDriver(port, SCALING, Timeouts(1.0), session=SESSION)
     assert driver.open().round_trip_s == pytest.approx(0.7, abs=0.01)
 
 
@@ -494,7 +496,7 @@ def test_an_e_stop_in_a_pause_is_told() -> None:
 
 
 def test_each_driver_has_a_session_of_its_own() -> None:
-    drivers = [SerialDriver(ScriptedPort(), CALIBRATION, DRIVE, RAILS) for _ in range(50)]
+    drivers = [SerialDriver(ScriptedPort(), SCALING) for _ in range(50)]
     sessions = {driver._session for driver in drivers}
     assert len(sessions) == 50 and all(1 <= session < 2**32 for session in sessions)
 
@@ -654,7 +656,7 @@ def test_the_first_drive_lost_leaves_its_time_unknown() -> None:
 
 def test_tachometer() -> None:
     port = ScriptedPort(features=1)
-    driver = make(port, tachometer=TachometerScale(0.09, 512.0, 9.0))
+    driver = make(port, replace(SCALING, tachometer=TachometerScale(0.09, 512.0, 9.0)))
     driver.open()
     port.expect_read(tach=612)
     assert driver.read().v_rad_per_s == pytest.approx(1.0)

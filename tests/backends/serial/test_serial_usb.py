@@ -8,8 +8,9 @@ from typing import Any, NamedTuple, get_args
 import pytest
 import yaml
 from command_line import rig
-from simulated_bench import CALIBRATION, DEMO, LIMITS, RAILS
+from simulated_bench import DEMO, LIMITS, SCALING
 
+from rig.backends.driver import Timeouts
 from rig.backends.links.usb_adapters import CHIPS, FRAME_S, Adapter, adapter_by_id, adapter_by_name
 from rig.backends.registry import connect, emulated_board
 from rig.backends.serial.driver import SerialDriver
@@ -19,7 +20,6 @@ from rig.backends.serial.emulated.usb_chip import UsbChip
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.link_budget import reading_budget, sample_to_drive_s, tick_budget
-from rig.calibration import DriveMap
 from rig.config import Experiment
 from rig.faults import Fault
 
@@ -159,7 +159,7 @@ def seen_behind(adapter: Adapter, baud: int, period_s: float, ticks: int = 150, 
     board = VirtualBoard(DEMO, 1, clock_error_ppm=CLOCK_PPM, baud=baud)
     link = board if adapter == "none" else BehindUsb(board, adapter)
     link.sleep_until(start_s)
-    driver = SerialDriver(link, CALIBRATION, DriveMap(12.0), RAILS, timeout_s=0.06)
+    driver = SerialDriver(link, SCALING, Timeouts(0.06))
     ratio = driver.open().clock_ratio
     now_s = board.now_s()
     offset_s = driver._clock.to_host_s(round(1e6 * now_s * (1.0 + 1e-6 * CLOCK_PPM)), now_s) - now_s
@@ -227,7 +227,7 @@ def test_an_ftdi_at_16_ms_is_refused_at_10_ms_with_what_to_type(tmp_path: Path) 
     code, text = checked(tmp_path, port="/dev/ttyUSB3", adapter="ftdi")
     assert code == 2
     assert "daq.adapter: too slow for the period" in text
-    assert "+ 2 ms USB frames + 16 ms ftdi adapter" in text
+    assert "+ 2 ms (USB frames) + 16 ms (ftdi adapter)" in text
     cure = "`echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB3/latency_timer`, and daq.adapter: ftdi-1ms"
     assert f"{cure}, and daq.baud 230400" in text
     assert "daq.timeout_s" not in text
@@ -235,7 +235,7 @@ def test_an_ftdi_at_16_ms_is_refused_at_10_ms_with_what_to_type(tmp_path: Path) 
     assert code == 2 and f"{cure}, or period_s" in text
     code, text = checked(tmp_path, port="/dev/ttyUSB3", adapter="ftdi-1ms", baud=230400)
     assert code == 0
-    assert "+ 1 ms ftdi-1ms adapter" in text
+    assert "+ 1 ms (ftdi-1ms adapter)" in text
 
 
 def test_without_the_key_the_slowest_by_the_ports_name_is_reckoned_with(tmp_path: Path) -> None:

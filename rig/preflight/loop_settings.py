@@ -1,4 +1,4 @@
-"""What a loop on the bench of a config is told: the guard's knowledge, and what the machine is asked for."""
+"""What a config tells the loop: what the guard knows, as in `rig check`, and what the machine is asked for."""
 
 from __future__ import annotations
 
