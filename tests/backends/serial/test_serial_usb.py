@@ -130,10 +130,12 @@ def test_an_ftdi_chip_packs_what_usb_takes_less_its_two_bytes_of_status_whatever
     assert quick == slow._replace(words=quick.words, wait_s=0.001)
 
 
-def test_a_leonardo_and_a_micro_of_either_vendor_have_usb_of_their_own() -> None:
-    assert {adapter_by_id(vendor, product) for vendor in (0x2341, 0x2A03) for product in (0x8036, 0x8037)} == {
-        "native-usb"
-    }
+@pytest.mark.parametrize(
+    ("vendor", "product"),
+    [(0x2341, 0x8036), (0x2341, 0x8037), (0x2A03, 0x8036), (0x2A03, 0x8037), (0x16C0, 0x0483), (0x2E8A, 0x000A)],
+)
+def test_a_leonardo_a_micro_a_teensy_and_a_pico_have_usb_of_their_own(vendor: int, product: int) -> None:
+    assert adapter_by_id(vendor, product) == "native-usb"
 
 
 def test_usb_ids_that_say_nothing() -> None:
