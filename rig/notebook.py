@@ -24,7 +24,7 @@ from rig.report.style import AbsentError, laid_out, style
 from rig.report.tables import estimates as estimate_rows
 from rig.report.words import PARAMETERS, quantity
 from rig.results import RunMeta, RunResult
-from rig.terminal import plain_table
+from rig.terminal import LAW_HEADINGS, law_rows, plain_table
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -168,9 +168,11 @@ class Found(Identification):
         return self.best.to_control()
 
     def summary(self) -> str:
-        """The estimates as a table with their 95 % intervals, then the reasons of their verdicts and the notes."""
+        """Tables of the estimates and of what the friction law adds, then the reasons of the verdicts and the notes."""
         reasons = [f"{name}: {reason}" for name, e in self.estimates.items() for reason in e.reasons]
-        return "\n".join([*plain_table(_HEADINGS, _table(self._result())), *reasons, *self.notes])
+        law = law_rows(self.as_result().friction_law)
+        added = plain_table(LAW_HEADINGS, law) if law else []
+        return "\n".join([*plain_table(_HEADINGS, _table(self._result())), *added, *reasons, *self.notes])
 
     def plot(self) -> Figure:
         """The estimates side by side with their 95 % intervals; a figure of matplotlib, which is not shown.

@@ -13,6 +13,7 @@ from rig.backends.registry import Bench, connect
 from rig.config import Experiment, dump
 from rig.control.guard import Guard
 from rig.control.tracking import tracking_error
+from rig.estimators import ESTIMATORS, LEADING
 from rig.faults import Fault, since_the_last_run
 from rig.identify import IdentifyError, identify
 from rig.loop.device_relay import STOPPING
@@ -54,8 +55,9 @@ class Outcome:
     def failure(self) -> str:
         """Why the run failed, in words; empty if it did not."""
         why = ([] if self.fault is None else [str(self.fault)]) + self.failures
-        # without another relay test the run was for least squares
-        for method in ("sampled-data", *(() if self.result.relays else ("least-squares",))):
+        # without another relay test the run was for friction alone
+        friction_alone = () if self.result.relays else [e.name for e in ESTIMATORS if not e.finds_motor]
+        for method in (LEADING, *friction_alone):
             estimate = self.result.estimates.get(method)
             if not why and estimate is not None and estimate.is_refused:
                 why.append(f"the {method} estimate was refused: " + "; ".join(estimate.reasons))

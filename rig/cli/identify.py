@@ -10,9 +10,10 @@ import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
 from rig.cli.options import JSON, ROWS
+from rig.estimators import ESTIMATORS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
-from rig.terminal import patience, show_estimates
+from rig.terminal import patience, show_estimates, show_friction_law
 
 
 @click.command()
@@ -21,7 +22,7 @@ from rig.terminal import patience, show_estimates
     "--method",
     "methods",
     multiple=True,
-    type=click.Choice(["sampled-data", "triple-relay", "describing-function", "least-squares"]),
+    type=click.Choice([entry.name for entry in ESTIMATORS]),
     help="Repeat for several. Default: all that the data allows. "
     "least-squares takes two CSV files, each of a hysteretic relay.",
 )
@@ -57,4 +58,5 @@ def identify(
         for note in result.notes:
             click.echo(note)
         show_estimates(result.estimates, None)
+        show_friction_law(result.friction_law)
     sys.exit(0 if ok else EXIT_FAILED)

@@ -7,18 +7,23 @@ Strict: an unknown key is an error, numbers are finite, objects are frozen. The 
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from rig.backends.modbus.section import ModbusKeys
 from rig.backends.serial.section import SerialKeys
 from rig.calibration import Calibration, DriveMap, Scaling, TachometerScale
+from rig.estimators import ESTIMATORS
 from rig.section import Interval, NonNegative, Positive
 from rig.section import Section as _Section
 from rig.signals import Limits
 
-Method = Literal["sampled-data", "triple-relay", "describing-function"]
+if TYPE_CHECKING:
+    Method = str
+else:
+    Method = Literal[tuple(entry.name for entry in ESTIMATORS if entry.finds_motor)]
+"""An estimator whose model can track."""
 Bridge = Literal["pwm-dir", "in1-in2"]
 BRIDGES: tuple[Bridge, ...] = get_args(Bridge)
 
@@ -319,7 +324,7 @@ class TrackingSection(_Section):
         description="the reference: a sum of sines about the centre of travel"
     )
     methods: tuple[Method, ...] = Field(
-        ("sampled-data", "triple-relay", "describing-function"),
+        tuple(entry.name for entry in ESTIMATORS if entry.finds_motor),
         description="estimators whose models are compared, each on the same trajectory",
     )
 

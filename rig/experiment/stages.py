@@ -24,14 +24,16 @@ from rig.control.observer import MotorObserver
 from rig.control.relay import DualChannelRelay, HystereticRelay, RelayOnCounts
 from rig.control.tracking import Tracking
 from rig.control.trajectory import SumOfSines
+from rig.estimators import LEADING
 from rig.faults import Fault
 from rig.identify import Identification, identify
 from rig.loop.pre_run import PreRunBench, pre_run
 from rig.loop.real_time import RealTime, real_time
 from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
+from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
 from rig.preflight.loop_settings import guard_settings_of, real_time_of
-from rig.preflight.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
+from rig.preflight.room_to_stop import reach_rad
 from rig.recording.folder import write_meta
 from rig.recording.stage import Stage, StageKind
 from rig.results import JogResult, RealTimeReport, TrackingResult
@@ -362,7 +364,7 @@ def verify_models(session: Session) -> None:
 
 def _why_not(session: Session, identification: Identification, method: Method) -> str | None:
     """Why a method's model must not drive the bench, in words; None if it may."""
-    best, first_choice = identification.best, identification.estimates.get("sampled-data")
+    best, first_choice = identification.best, identification.estimates.get(LEADING)
     if best is None or (first_choice is not None and first_choice.verdict == "refused"):
         # if the best estimator refuses the recording, a reference method's model must not drive the bench either
         return "no estimate is good enough for the simulation before the run"

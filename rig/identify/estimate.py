@@ -27,7 +27,7 @@ PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V", "asym_V", "delay_s")
 class Estimate:
     """One estimator's result, an entry of ``estimates`` in result.json (docs/results.md).
 
-    method          "sampled-data", "triple-relay", "describing-function" or "least-squares"
+    method          its name: one of rig/estimators.py
     tau_s, K_rad_s_V    time constant, s, and gain, (rad/s)/V; nan from least squares, which gives friction alone
     fc_V, asym_V    friction and its asymmetry, V; asym_V is 0 if the method does not estimate it
     delay_s         of the drive, s; nan if the method does not estimate it

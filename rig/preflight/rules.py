@@ -20,10 +20,9 @@ from rig.config.schema import Experiment, RelayGainsSection, RelayTarget
 from rig.config.sensor import count_rad, range_rad
 from rig.control.laws import OptionError, construct, registered
 from rig.plug_ins import PlugInError
+from rig.preflight.breakaway_strokes import UNSEEN_RAD, breakaway_strokes
 from rig.preflight.plan import plan
 from rig.preflight.room_to_stop import (
-    UNSEEN_RAD,
-    breakaway_strokes,
     device_watchdog_s,
     limits_are_ordered,
     overshoot_terms,

@@ -36,8 +36,8 @@ from rig.control.tracking import linearising_drive
 from rig.control.trajectory import SumOfSines
 from rig.model.bench import BenchParameters
 from rig.model.motor import State
+from rig.preflight.breakaway_strokes import breakaway_strokes
 from rig.preflight.loop_settings import guard_settings_of
-from rig.preflight.room_to_stop import breakaway_strokes
 from rig.session import FADE_S
 from rig.signals import Sample
 
