@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, overload
@@ -29,6 +30,7 @@ from rig.model.real_motor import RealMotor
 from rig.notebook import Found, Run
 from rig.recording import reader
 from rig.recording.errors import RecordingError
+from rig.recording.recording import MIN_ROWS, Recording, from_columns
 from rig.replay import Replay
 from rig.replay import replay as replay_folder
 from rig.results import JsonObject
@@ -62,14 +64,15 @@ ARRAYS = Path("t, u, y")  # what messages call columns that are in no file
 def read(path: AnyPath) -> Run:
     """Read a run folder, or a CSV file with the columns t_s, u_V and y_rad. Raises RecordingError."""
     recording = reader.read(Path(path))
-    result = reader.read_result(recording.source) if recording.config_text is not None else None
+    result, notes = reader.read_result(recording.source) if recording.config_text is not None else (None, [])
+    recording = replace(recording, notes=(*recording.notes, *notes))
     faults = () if result is None else result.faults
     return Run.of(recording, result, "; ".join(str(Fault(fault.code, fault.detail)) for fault in faults))
 
 
 @overload
 def identify(
-    data: reader.Recording | AnyPath | Sequence[reader.Recording | AnyPath], *, methods: Sequence[str] | None = None
+    data: Recording | AnyPath | Sequence[Recording | AnyPath], *, methods: Sequence[str] | None = None
 ) -> Found: ...
 @overload
 def identify(
@@ -85,7 +88,7 @@ def identify(
 ) -> Found:
     """Identify gain, time constant and friction of one motor.
 
-    data     a run, or the path of a run folder or a CSV file; several in a list are records of one motor. Or, with
+    data     a run, or the path of a run folder or a CSV file; several in a list are recordings of one motor. Or, with
              ``u`` and ``y``, the times of n samples, s, rising
     u        n drives, V: each acts from its time in ``t_u`` until the next
     y        n positions, rad
@@ -95,16 +98,16 @@ def identify(
     arguments that are none of these.
     """
     if u is not None and y is not None:
-        recordings: list[reader.Recording] = [_from_arrays(data, u, y, t_u)]
+        recordings: list[Recording] = [_from_arrays(data, u, y, t_u)]
     elif u is None and y is None and t_u is None:
-        given = [data] if isinstance(data, reader.Recording | str | PathLike) else list(data)
-        recordings = [one if isinstance(one, reader.Recording) else reader.read(Path(one)) for one in given]
+        given = [data] if isinstance(data, Recording | str | PathLike) else list(data)
+        recordings = [one if isinstance(one, Recording) else reader.read(Path(one)) for one in given]
     else:
         raise TypeError("rig.identify takes one run, a path, a list of them, or t, u and y")
     return Found.of(identify_recordings(recordings, methods))
 
 
-def _from_arrays(t: ArrayLike, u: ArrayLike, y: ArrayLike, t_u: ArrayLike | None) -> reader.Recording:
+def _from_arrays(t: ArrayLike, u: ArrayLike, y: ArrayLike, t_u: ArrayLike | None) -> Recording:
     """Columns as a recording. Raises IdentifyError where they are no columns of one length and of numbers."""
     given = {"t": t, "u": u, "y": y} | ({} if t_u is None else {"t_u": t_u})
     columns = {name: np.asarray(values, dtype=np.float64) for name, values in given.items()}
@@ -116,9 +119,9 @@ def _from_arrays(t: ArrayLike, u: ArrayLike, y: ArrayLike, t_u: ArrayLike | None
         bad = np.flatnonzero(~np.isfinite(column))
         if bad.size:
             raise IdentifyError(f"{name}[{bad[0]}] is {column[bad[0]]}", "leave such samples out, in every column")
-    if columns["t"].size < reader.MIN_ROWS:
+    if columns["t"].size < MIN_ROWS:
         raise IdentifyError(f"there are {columns['t'].size} samples", "record ten cycles: some hundred samples")
-    return reader.from_columns(ARRAYS, columns["t"], columns["u"], columns["y"], columns.get("t_u"))
+    return from_columns(ARRAYS, columns["t"], columns["u"], columns["y"], columns.get("t_u"))
 
 
 def simulate(motor: Motor | RealMotor, drive: Drive, duration_s: float, sampling: Sampling | None = None) -> Run:
@@ -150,7 +153,7 @@ def predict(
     fc_V, fs_V        Coulomb and static friction, V; static by default as Coulomb friction
     Raises ValueError on parameters out of range.
     """
-    return predict_cycle(tau_s, K_rad_s_V, fc_V, fc_V if fs_V is None else fs_V, h1_V, h2_V)
+    return predict_cycle(tau_s, K_rad_s_V, fc_V, fc_V if fs_V is None else fs_V, h1_V, h2_V).as_json()
 
 
 def run(config: Given, law: OwnLaw | None = None, *, duration_s: float = 10.0, out: AnyPath = "runs") -> Run:
@@ -160,7 +163,7 @@ def run(config: Given, law: OwnLaw | None = None, *, duration_s: float = 10.0, o
     law         any object with ``step(sample)`` that gives volts; the guard and the limits of the config hold for it
     duration_s  after which the law ends, s; it ends before where it says ``finished``
     out         the folder that the run folder is made in
-    Returns the run. Whatever ends it, the drive is stopped and the record is kept: ``failure`` says what went wrong.
+    Returns the run. Whatever ends it, the drive is stopped and the recording is kept: ``failure`` says what went wrong.
     Raises ConfigError for a config that must not be run, Fault where the bench cannot be opened, RecordingError where
     there can be no run folder.
     """
@@ -178,7 +181,7 @@ def _without_law(e: Experiment) -> Experiment:
 
 
 def _as_run(outcome: Outcome) -> Run:
-    """The run as it was recorded. A law's traceback goes to stderr. Raises its fault where there is no record."""
+    """The run as it was recorded. A law's traceback goes to stderr. Raises its fault where there is no recording."""
     sys.stderr.write(outcome.traceback)
     try:
         recording = reader.read_run(outcome.folder)
@@ -188,7 +191,7 @@ def _as_run(outcome: Outcome) -> Run:
 
 
 def replay(run: Run | AnyPath, law: OwnLaw | None = None) -> Replay:
-    """Feed a run's record through laws and guard again: ``is_same``, or the first ``difference``.
+    """Feed a run's recording through laws and guard again: ``is_same``, or the first ``difference``.
 
     run  a run, or the path of its folder
     law  of ``rig.run(config, law=...)``: made anew, since a law remembers; a law that the config names is found

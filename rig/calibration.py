@@ -160,6 +160,24 @@ class DriveMap:
         return self.to_volts(self.to_units(u_V))
 
 
+@dataclass(frozen=True)
+class Scaling:
+    """What the raw numbers of a device mean.
+
+    calibration  readings of the position sensor, counts, to rad
+    drive_map    V at the motor to units of the drive
+    rail_counts  (low, high): readings at or beyond are a broken sensor
+    counts_max   largest reading of the converter that the calibration was made for; None: not checked
+    tachometer   readings of the velocity channel to rad/s; None: there is none, or it is not used
+    """
+
+    calibration: Calibration
+    drive_map: DriveMap
+    rail_counts: tuple[int, int]
+    counts_max: int | None = None
+    tachometer: TachometerScale | None = None
+
+
 def hard_limits_in_counts(
     limits: Limits, calibration: Calibration, drive_map: DriveMap, rail_counts: tuple[int, int]
 ) -> tuple[int, int]:

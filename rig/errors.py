@@ -1,9 +1,9 @@
-"""The one class above every error that rig raises on purpose. Any room may import this module; it imports none."""
+"""The one class above every error that rig raises on purpose. Any room may import it; it imports nothing of rig."""
 
 
 class RigError(Exception):
-    """Something that rig has to say to a person: what happened, where, and what to do.
+    """An error with a message for people: what happened, where, and what to do.
 
-    Below it stand ``Fault``, ``ConfigError``, ``RecordingError``, ``IdentifyError``, ``PlugInError`` and the others.
-    A value that no function can mean, such as a negative time constant, stays a ValueError.
+    Its subclasses are ``Fault``, ``ConfigError``, ``RecordingError``, ``IdentifyError``, ``PlugInError`` and others.
+    A call that makes no sense, such as one with a negative time constant, raises ValueError instead.
     """

@@ -32,9 +32,9 @@ from rig.recording.columns import COLUMNS, KINDS, UNITS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import RESULT, json_text, write_whole
 from rig.recording.path_kind import is_file_of_a_run
-from rig.recording.reader import Recording, read_result, read_run
+from rig.recording.reader import read_result, read_run
+from rig.recording.recording import Recording
 from rig.results import JsonObject, RunResult
-from rig.results.reading import remarks
 
 LONGEST_NAME: Final = 63  # of a MATLAB variable or field: namelengthmax
 # Words that MATLAB (iskeyword) or Octave do not take as a field's name.
@@ -134,11 +134,8 @@ def load(run_folder: Path, stage: str | None = None, rows: tuple[int | None, int
     """Read a run; only the rows of ``stage``, and of these only ``rows``, if given. Raises RecordingError."""
     recording = read_run(run_folder)
     notes = list(recording.notes)
-    result = read_result(run_folder)
-    if result is None:
-        notes.append(f"{RESULT} is missing: the run ended before it had a result")
-    else:
-        notes.extend(f"{RESULT}: {remark}" for remark in remarks(result))
+    result, result_notes = read_result(run_folder)
+    notes += [f"{RESULT} is missing: the run ended before it had a result"] if result is None else result_notes
     if any(event.kind == "loop_died" for event in recording.events):
         notes.append("the run was killed: its recording is complete to its last tick")
     config: JsonObject = {}
@@ -197,7 +194,7 @@ def as_mat(run: ExportedRun) -> bytes:
     """A MATLAB 5 file: columns n x 1, numbers doubles, texts char, lists of texts cells, null []."""
     from scipy.io import savemat
 
-    columns: dict[str, Any] = {
+    columns: dict[str, NDArray[Any]] = {
         name: _cell(column.tolist()) if KINDS[name] == "name" else column.astype(np.float64).reshape(-1, 1)
         for name, column in run.columns().items()
     }

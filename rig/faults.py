@@ -79,7 +79,7 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LATCHES_NOTHING": FaultEntry(
         "this device does not latch its e-stop, so rig would not see it between two runs of one command",
-        "give `rig run` once for each run, without --repeat",
+        "type `rig run` once for each run, without --repeat",
     ),
     "ARM_READBACK": FaultEntry(
         "the device reads back other limits than rig sent",
@@ -199,9 +199,9 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "LAW_FAILED": FaultEntry(
         "the law failed, or asked for a drive that is no number",
-        "of a law of your own, mend the line that is named here, or that events.jsonl names in its traceback; of rig's "
-        "own this is a defect: please report it with the run folder, which `rig export RUN --to run.json` makes one "
-        "file",
+        "if the law is your own, mend the line that is named here, or in the traceback in events.jsonl. If it is "
+        "rig's, this is a defect: please report it with the run folder (`rig export RUN --to run.json` makes it one "
+        "file)",
     ),
     "INTERNAL": FaultEntry(
         "the program failed",

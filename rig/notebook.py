@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 
 from matplotlib.figure import Figure
 
@@ -15,18 +16,20 @@ from rig.optional import needed
 from rig.recording.columns import COLUMNS, UNITS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import META
-from rig.recording.reader import Recording
+from rig.recording.recording import Recording
 from rig.report import source
-from rig.report.fitted import forest_figure
+from rig.report.fitted import forest_figure, residual_figure
 from rig.report.measured import whole_run_figure
 from rig.report.style import AbsentError, laid_out, style
 from rig.report.tables import estimates as estimate_rows
+from rig.report.words import PARAMETERS, quantity
 from rig.results import RunMeta, RunResult
-from rig.terminal import plain_table
+from rig.terminal import LAW_HEADINGS, law_rows, plain_table
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+_PARAMETER_HEADINGS = ("parameter", "value", "95 % interval")
 _HEADINGS = ("method", "tau, s", "K, (rad/s)/V", "f_c, V", "verdict")
 
 
@@ -93,6 +96,46 @@ class Run(Recording):
         return [(name, text) for name, text in said if text]
 
 
+@dataclass(frozen=True, repr=False)
+class FoundEstimate(Estimate):
+    """One estimator's result: ``tau_s``, ``K_rad_s_V``, ``fc_V``, ``ci95``, ``verdict``, ...: see ``Estimate``."""
+
+    @classmethod
+    def of(cls, estimate: Estimate) -> Self:
+        """An estimate that shows itself."""
+        return cls(**{field.name: getattr(estimate, field.name) for field in fields(Estimate)})
+
+    def summary(self) -> str:
+        """The verdict, the parameters with their 95 % intervals, the reasons; a refused estimate shows no number."""
+        rows = self._rows()
+        table = plain_table(_PARAMETER_HEADINGS, rows) if rows else []
+        return "\n".join([f"{self.method}: {self.verdict}", *table, *self.reasons])
+
+    def plot(self) -> Figure:
+        """The residual: over time, its histogram, its autocorrelation; a figure of matplotlib, which is not shown.
+
+        Raises ValueError for an estimate without a residual.
+        """
+        with _drawing():
+            return laid_out(residual_figure(self))
+
+    def __repr__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        facts = [(self.method, self.verdict), *(("", reason) for reason in self.reasons)]
+        rows = self._rows()
+        return _html_table(None, facts) + (_html_table(_PARAMETER_HEADINGS, rows) if rows else "")
+
+    def _rows(self) -> list[list[str]]:
+        """The parameters that it has, a row each: meaning and unit, value, interval."""
+        if self.verdict == "refused":
+            return []
+        all_of_them = [quantity(parameter, self.as_result(), {}) for parameter in PARAMETERS]
+        known = [one for one in all_of_them if one.exact is not None]
+        return [[f"{one.parameter.meaning}, {one.parameter.unit}", one.text, one.interval] for one in known]
+
+
 @dataclass(repr=False)
 class Found(Identification):
     """What was identified: ``best``, ``found["sampled-data"]``, ``estimates``, ``notes``: see ``Identification``."""
@@ -100,18 +143,36 @@ class Found(Identification):
     @classmethod
     def of(cls, identification: Identification) -> Self:
         """An identification that shows itself."""
-        return cls(**{field.name: getattr(identification, field.name) for field in fields(Identification)})
+        parts = {field.name: getattr(identification, field.name) for field in fields(Identification)}
+        return cls(**parts | {"estimates": {name: FoundEstimate.of(e) for name, e in identification.estimates.items()}})
 
-    def __getitem__(self, method: str) -> Estimate:
+    def __getitem__(self, method: str) -> FoundEstimate:
         """The estimate of one method. Raises KeyError, which names those there are."""
         if method not in self.estimates:
             raise KeyError(f"no estimate {method!r}; there are: {', '.join(self.estimates) or 'none'}")
-        return self.estimates[method]
+        return cast(FoundEstimate, self.estimates[method])  # as ``of`` made it
+
+    @property
+    def best(self) -> FoundEstimate | None:
+        """The first estimate that is not refused and has tau and K; None without one."""
+        best = super().best
+        return None if best is None else self[best.method]
+
+    def to_control(self) -> Any:
+        """The linear part of the best estimate, as a transfer function of python-control: see ``Estimate.to_control``.
+
+        Raises ValueError where no estimate gives a motor; ImportError where the package control is not installed.
+        """
+        if self.best is None:
+            raise ValueError("no estimate gives a motor; summary() says why")
+        return self.best.to_control()
 
     def summary(self) -> str:
-        """The estimates as a table with their 95 % intervals, then the reasons of their verdicts and the notes."""
+        """Tables of the estimates and of what the friction law adds, then the reasons of the verdicts and the notes."""
         reasons = [f"{name}: {reason}" for name, e in self.estimates.items() for reason in e.reasons]
-        return "\n".join([*plain_table(_HEADINGS, _table(self._result())), *reasons, *self.notes])
+        law = law_rows(self.as_result().friction_law)
+        added = plain_table(LAW_HEADINGS, law) if law else []
+        return "\n".join([*plain_table(_HEADINGS, _table(self._result())), *added, *reasons, *self.notes])
 
     def plot(self) -> Figure:
         """The estimates side by side with their 95 % intervals; a figure of matplotlib, which is not shown.
@@ -119,11 +180,8 @@ class Found(Identification):
         A hollow mark is an estimate whose verdict is not ok. Raises ValueError where there is no estimate.
         """
         run = source.ReportedRun(Path(), None, RunMeta(), self._result())
-        try:
-            with style():
-                return laid_out(forest_figure(run))
-        except AbsentError as error:
-            raise ValueError(str(error)) from error
+        with _drawing():
+            return laid_out(forest_figure(run))
 
     def _result(self) -> RunResult:
         return RunResult(estimates=self.as_result().estimates)
@@ -134,6 +192,16 @@ class Found(Identification):
     def _repr_html_(self) -> str:
         notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
         return _estimates_html(self._result(), RunMeta()) + (f"<ul>{notes}</ul>" if notes else "")
+
+
+@contextmanager
+def _drawing() -> Iterator[None]:
+    """The style of figures in the block. Raises ValueError where there is nothing to draw."""
+    try:
+        with style():
+            yield
+    except AbsentError as error:
+        raise ValueError(str(error)) from error
 
 
 def _table(result: RunResult, meta: RunMeta | None = None) -> list[list[str]]:

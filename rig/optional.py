@@ -1,4 +1,4 @@
-"""Packages that rig uses where they are installed, and does not ask for. Any room may import this module."""
+"""Packages that rig can use, but does not require. Any room may import this module."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def needed(package: str, purpose: str) -> Any:
-    """A package that ``purpose`` needs. Raises ImportError, which says what to install, where it is not there."""
+    """The package that ``purpose`` needs. Raises ImportError, which says what to install, if it is missing."""
     try:
         return import_module(package)
     except ModuleNotFoundError as error:

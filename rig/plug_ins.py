@@ -27,7 +27,7 @@ def offered(group: str, kind: str, finder: Finder) -> dict[str, EntryPoint]:
     Raises PlugInError if two packages offer the same name.
     """
     found: dict[str, EntryPoint] = {}
-    for entry in _installed(finder, group, tuple(sys.path)):
+    for entry in _installed(finder, group, tuple(map(_place, sys.path))):
         if entry.name in found and found[entry.name].value != entry.value:
             raise PlugInError(
                 f"two {kind}s are called {entry.name!r}: {found[entry.name].value} and {entry.value}; "
@@ -37,9 +37,17 @@ def offered(group: str, kind: str, finder: Finder) -> dict[str, EntryPoint]:
     return found
 
 
+def _place(folder: str) -> tuple[str, int]:
+    """A folder that packages are in, and when it changed last: installing a package changes it."""
+    try:
+        return folder, Path(folder).stat().st_mtime_ns
+    except OSError:
+        return folder, 0
+
+
 @lru_cache(maxsize=8)
-def _installed(finder: Finder, group: str, places: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """What is offered. Looking through all packages takes milliseconds: once for each finder and list of places."""
+def _installed(finder: Finder, group: str, places: tuple[tuple[str, int], ...]) -> tuple[EntryPoint, ...]:
+    """What is offered. Looking through all packages takes milliseconds: once for each state of the places."""
     return tuple(finder(group=group))
 
 

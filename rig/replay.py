@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 from rig import config
 from rig.backends.driver import DeviceInfo
-from rig.backends.registry import Bench
-from rig.bench import guard_settings_of
+from rig.backends.registry import Bench, backend_of
 from rig.config.schema import Experiment, Method
 from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
@@ -29,9 +29,11 @@ from rig.loop.stop_request import StopRequest
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.plug_ins import PlugInError
+from rig.preflight.loop_settings import guard_settings_of
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META
-from rig.recording.reader import Recording, read_run
+from rig.recording.reader import read_run
+from rig.recording.recording import Recording
 from rig.recording.writer import EVENTS
 from rig.results import DrivenModel, JsonObject, RealTimeReport, RunMeta, ScriptCall
 from rig.results.reading import DamagedError, parsed
@@ -98,7 +100,7 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
     own          a new object of the user's law that ran; None: the law that the config names, if it names one
     Raises RecordingError if the folder cannot be read, or lacks what a replay needs; ConfigError for its config.
     """
-    recording = read_run(folder)
+    recording = read_run(folder, strict=True)
     fault, is_whole = _ending(recording)
     if recording.config_text is None:
         raise RecordingError(folder / CONFIG, "is missing", "a run cannot be replayed without its config")
@@ -115,7 +117,14 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
     stop = StopRequest()
     replayed = ReplayedRows(recording, e.period_s, fault, is_whole, stop, on_progress)
     drive_map = e.drive.map if units is None else replace(e.drive.map, full_units=units)
-    driver = RecordedDriver(replayed, order, e.sensor.curve, drive_map, clock_ratio)
+    relay = backend_of(e).relay_rules(e, drive_map, clock_ratio)
+    if relay is None and replayed.holds_device_relay:
+        raise RecordingError(
+            folder / CONFIG,
+            f"driver {e.daq.driver!r} does not say what its device makes of the gains of a relay in it",
+            "its package must offer a backend with `relay_rules` (docs/plug-in-driver.md)",
+        )
+    driver = RecordedDriver(replayed, order, drive_map, clock_ratio, relay)
     clock, comparison = RecordedClock(replayed), RowComparison(replayed, None if units is None else drive_map.quantised)
     loop = ReplayLoop(driver, clock, Guard(guard_settings_of(e)), comparison, e.period_s, stop)
     loop.replayed = replayed
@@ -205,42 +214,30 @@ def _ending(recording: Recording) -> tuple[Fault | None, bool]:
 def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
     """The stages of the run that drive; a replay leaves out those that only read the recording."""
     what = _meta_with(recording, "script").script
-    name = None if what is None else what.name
     models = _models(recording)
+    if what is None:
+        raise _unknown(recording, "script", None)
+    drive: Script
+    match what.name:
+        case "run" | "relay":
+            drive = partial(stages.drive_tests, check=_breakaway_law(recording, what, e))
+        case "breakaway" | "track":
+            drive = partial(stages.drive_check, check=_breakaway_law(recording, what, e))
+        case "jog":
+            if what.u_V is None or what.duration_s is None:
+                raise _broken(recording, "script", what.as_json())
+            drive = partial(stages.drive_by_hand, u_V=what.u_V, duration_s=what.duration_s)
+        case "law":
+            check = _breakaway_law(recording, what, e)
+            drive = partial(stages.drive_law, law=_users_law(recording, what, e, own), check=check)
+        case _:
+            raise _unknown(recording, "script", what.name)
 
-    def then_track(session: Session) -> None:
+    def script(session: Session) -> None:
+        drive(session)
         if models:
             stages.track(session, models)
 
-    def tests(session: Session) -> None:
-        stages.drive_tests(session, law(session.experiment))
-        then_track(session)
-
-    def check(session: Session) -> None:
-        stages.drive_check(session, law(session.experiment))
-        then_track(session)
-
-    def by_hand(session: Session) -> None:
-        stages.drive_by_hand(session, *jogged)
-
-    def own_law(session: Session) -> None:
-        stages.drive_law(session, users[0], law(session.experiment))
-
-    scripts = {"run": tests, "relay": tests, "breakaway": check, "track": check, "jog": by_hand, "law": own_law}
-    script = scripts.get(name or "")
-    if script is None or what is None:
-        raise RecordingError(
-            recording.source / META,
-            f"this version does not know the script {name!r}",
-            "use the version that recorded the run",
-        )
-    law = _breakaway_law(recording, what)
-    jogged = (0.0, 0.0)
-    if script is by_hand:
-        if what.u_V is None or what.duration_s is None:
-            raise _broken(recording, "script", what.as_json())
-        jogged = (what.u_V, what.duration_s)
-    users = [_users_law(recording, what, e, own)] if script is own_law else []
     return script
 
 
@@ -262,18 +259,20 @@ def _users_law(recording: Recording, what: ScriptCall, e: Experiment, own: OwnLa
         ) from error
 
 
-def _breakaway_law(recording: Recording, what: ScriptCall) -> Callable[[Experiment], BreakawayLaw]:
-    """The breakaway law that ran: this version's, or an older one's."""
-    law = what.breakaway
-    if law == BREAKAWAY_LAW:
-        return stages.breakaway_check
-    if law is None:
-        return lambda e: OneWayCheck(
-            e.breakaway.ramp_V_s, e.breakaway.max_V, e.breakaway.motion_rad, e.breakaway.rest_s
-        )
-    raise RecordingError(
+def _breakaway_law(recording: Recording, what: ScriptCall, e: Experiment) -> BreakawayLaw | None:
+    """The breakaway law that ran, if an older version's; None: this version's."""
+    if what.breakaway == BREAKAWAY_LAW:
+        return None
+    if what.breakaway is None:
+        b = e.breakaway
+        return OneWayCheck(b.ramp_V_s, b.max_V, b.motion_rad, b.rest_s)
+    raise _unknown(recording, "breakaway law", what.breakaway)
+
+
+def _unknown(recording: Recording, what: str, name: str | None) -> RecordingError:
+    return RecordingError(
         recording.source / META,
-        f"this version does not know the breakaway law {law!r}",
+        f"this version does not know the {what} {name!r}",
         "use the version that recorded the run",
     )
 
@@ -300,7 +299,7 @@ def _models(recording: Recording) -> dict[Method, Motor]:
             try:
                 model = parsed(DrivenModel, event.detail)
                 motor = Motor(model.tau_s, model.K_rad_s_V, coulomb(model.fc_V), model.bias_V)
-                models[cast(Method, model.method)] = motor
+                models[model.method] = motor
             except (DamagedError, ValueError) as error:
                 raise RecordingError(
                     recording.source / EVENTS, f"event model is broken ({error})", _RECORD_AGAIN

@@ -10,20 +10,22 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from rig.backends.registry import Bench, connect
-from rig.bench import guard_settings_of
 from rig.config import Experiment, dump
 from rig.control.guard import Guard
 from rig.control.tracking import tracking_error
+from rig.estimators import ESTIMATORS, LEADING
 from rig.faults import Fault, since_the_last_run
 from rig.identify import IdentifyError, identify
 from rig.loop.device_relay import STOPPING
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest, stop_on_signals
 from rig.model.supply import SupplyReading
+from rig.preflight.loop_settings import guard_settings_of
 from rig.recording.errors import RecordingError
 from rig.recording.folder import create_run, write_config, write_meta, write_result
-from rig.recording.reader import Recording, read_run
+from rig.recording.reader import read_run
 from rig.recording.recorder import Recorder
+from rig.recording.recording import Recording
 from rig.recording.sink import RowSink
 from rig.recording.stage import Stage, StageKind
 from rig.report import write_report
@@ -53,8 +55,9 @@ class Outcome:
     def failure(self) -> str:
         """Why the run failed, in words; empty if it did not."""
         why = ([] if self.fault is None else [str(self.fault)]) + self.failures
-        # without another relay test the run was for least squares
-        for method in ("sampled-data", *(() if self.result.relays else ("least-squares",))):
+        # without another relay test the run was for friction alone
+        friction_alone = () if self.result.relays else [e.name for e in ESTIMATORS if not e.finds_motor]
+        for method in (LEADING, *friction_alone):
             estimate = self.result.estimates.get(method)
             if not why and estimate is not None and estimate.is_refused:
                 why.append(f"the {method} estimate was refused: " + "; ".join(estimate.reasons))

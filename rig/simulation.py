@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rig.control.law import OwnLaw
 from rig.model.motor import Motor, State
 from rig.model.real_motor import Frame, MovingMotor, RealMotor
-from rig.recording.reader import MIN_ROWS, Recording, from_columns
+from rig.recording.recording import MIN_ROWS, Recording, from_columns
 from rig.signals import Sample
 
 # A drive: a law; volts over time, as a function of s; volts, one a sample; or constant volts.

@@ -7,22 +7,25 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import fmean, stdev
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from rig.results import EstimateResult, LoopResult, RunResult, TrackingResult, TrueMotor, known
+from rig.estimators import LEADING
+from rig.results import EstimateResult, FrictionLawResult, LoopResult, RunResult, TrackingResult, TrueMotor, known
 
 if TYPE_CHECKING:  # each loads slowly
     from rig.campaign.summary import Summary
     from rig.doctor.finding import Finding
+    from rig.model.prediction import PredictedCycle
     from rig.replay import Replay
     from rig.session import Outcome
 
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")  # the parameters that a table shows
+LAW_HEADINGS = ("parameter", "value", "unit", "meaning")
 RECORD_AGAIN = (
     "to record again: `rig relay CONFIG`; more cycles: relay.cycles; slower, larger or other cycles: relay.target or "
     "relay.gains; part of a recording: --rows FIRST:LAST"
@@ -84,7 +87,7 @@ def show_run(outcome: Outcome) -> None:
     for test in result.relays:
         click.echo(
             f"{test.stage}: h1 {test.h1_V:.3f} V, h2 {test.h2_V:.3f} V -> "
-            f"{test.amplitude_rad:.3f} rad, {test.period_s:.3f} s, {test.cycles} cycles"
+            f"amplitude {test.amplitude_rad:.3f} rad, period {test.period_s:.3f} s, {test.cycles} cycles"
         )
     for run in result.hysteretic or ():
         switched = "no switching" if run.switched_s is None else f"switches after {run.switched_s:.3f} s"
@@ -94,6 +97,7 @@ def show_run(outcome: Outcome) -> None:
         )
     if result.estimates:
         show_estimates(result.estimates, result.truth, result.tracking)
+        show_friction_law(result.friction_law)
     if result.loop is not None:
         _show_loop(result.loop)
     for note in result.config_notes:
@@ -147,20 +151,21 @@ def show_finding(finding: Finding) -> None:
         click.echo(f"       -> {finding.cure}")
 
 
-def show_prediction(prediction: dict[str, Any]) -> None:
-    """Show a limit cycle and its stability, or why there is none; ``prediction``: from ``rig predict --json``."""
-    if prediction["oscillates"]:
-        t1, t2, t3 = prediction["durations_s"]
-        stable = "locally stable" if prediction["stable"] else "not locally stable"
-        eigenvalues = ", ".join(f"{re:.6f}" + (f"{im:+.6f}j" if im else "") for re, im in prediction["eigenvalues"])
-        click.echo(f"limit cycle (Theorem 2.1): period {prediction['period_s']:.6f} s, amplitude ", nl=False)
-        click.echo(f"{prediction['amplitude_rad']:.6f} rad; t1 {t1:.6f}, t2 {t2:.6f}, t3 {t3:.6f} s")
-        click.echo(f"stability (Theorem 2.2): {stable}; eigenvalues of J: {eigenvalues}")
+def show_prediction(prediction: PredictedCycle) -> None:
+    """Show a limit cycle and its stability, or why there is none."""
+    cycle, sine = prediction.exact, prediction.sine
+    if cycle is None:
+        click.echo(f"no simple oscillation: {prediction.reason}")
     else:
-        click.echo(f"no simple oscillation: {prediction['reason']}")
-    sine = prediction["describing_function"]
+        t1, t2, t3 = cycle.durations_s
+        stable = "locally stable" if cycle.stable else "not locally stable"
+        pairs = [(value.real, value.imag) for value in cycle.eigenvalues().tolist()]
+        eigenvalues = ", ".join(f"{re:.6f}" + (f"{im:+.6f}j" if im else "") for re, im in pairs)
+        click.echo(f"limit cycle (Theorem 2.1): period {cycle.period_s:.6f} s, amplitude ", nl=False)
+        click.echo(f"{cycle.amplitude_rad:.6f} rad; t1 {t1:.6f}, t2 {t2:.6f}, t3 {t3:.6f} s")
+        click.echo(f"stability (Theorem 2.2): {stable}; eigenvalues of J: {eigenvalues}")
     if sine is not None:
-        click.echo(f"describing function: period {sine['period_s']:.6f} s, amplitude {sine['amplitude_rad']:.6f} rad")
+        click.echo(f"describing function: period {sine.period_s:.6f} s, amplitude {sine.amplitude_rad:.6f} rad")
 
 
 def show_estimates(
@@ -193,6 +198,26 @@ def show_estimates(
             click.echo(f"tracking with {method}: not run: {check_run.not_run}")
 
 
+def show_friction_law(found: FrictionLawResult | None) -> None:
+    """Show the numbers that the chosen friction law adds; nothing if it adds none."""
+    rows = law_rows(found)
+    if found is not None and rows:
+        show_table(f"friction law: {found.chosen}", LAW_HEADINGS, rows)
+
+
+def law_rows(found: FrictionLawResult | None) -> list[list[str]]:
+    """The numbers that the chosen friction law adds, a row of ``LAW_HEADINGS`` each."""
+    rows = []
+    chosen = () if found is None else (fit for fit in found.rungs if fit.law == found.chosen)
+    for number in (number for fit in chosen for number in fit.own):
+        text = "-" if number.value is None else f"{number.value:.4g}"
+        bounds = number.interval
+        if bounds is not None:
+            text += f" ±{0.5 * (bounds[1] - bounds[0]):.2g}"
+        rows.append([number.name, text, number.unit, number.meaning])
+    return rows
+
+
 def _interval(estimate: EstimateResult, name: str, truth: TrueMotor | None) -> str:
     value = estimate.value(name)
     if value is None:
@@ -220,9 +245,9 @@ def show_campaign(found: Summary, folder: Path) -> None:
 
 def show_scatter(results: Sequence[RunResult]) -> None:
     """Show the scatter between runs beside the intervals that each run gave; ``results``: the result.json of each."""
-    estimates = [r.estimates["sampled-data"] for r in results if "sampled-data" in r.estimates]
+    estimates = [r.estimates[LEADING] for r in results if LEADING in r.estimates]
     if len(estimates) < 2:
-        click.echo(f"no scatter: it takes two sampled-data estimates, and {len(results)} runs gave {len(estimates)}")
+        click.echo(f"no scatter: it takes two {LEADING} estimates, and {len(results)} runs gave {len(estimates)}")
         return
     headings = ("", "mean", "scatter between runs (1.96 s)", "mean half-width of the 95 % intervals")
     rows: list[list[str]] = []
@@ -231,4 +256,4 @@ def show_scatter(results: Sequence[RunResult]) -> None:
         widths = [0.5 * (b[1] - b[0]) for e in estimates if (b := e.interval(name)) is not None]
         if len(values) >= 2 and widths:
             rows.append([name, f"{fmean(values):.5f}", f"{1.96 * stdev(values):.5f}", f"{fmean(widths):.5f}"])
-    show_table(f"sampled-data estimates of {len(estimates)} of {len(results)} runs", headings, rows)
+    show_table(f"{LEADING} estimates of {len(estimates)} of {len(results)} runs", headings, rows)

@@ -9,7 +9,7 @@ from simulated_bench import CALIBRATION, DEMO, RAILS
 from rig.backends.clock import VirtualClock
 from rig.backends.driver import DeviceInfo, DriverSettings
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
-from rig.calibration import DriveMap
+from rig.calibration import DriveMap, Scaling
 from rig.faults import Fault
 from rig.signals import Order, Sample
 
@@ -33,9 +33,7 @@ class VirtualCard(SimulatedDriver):
         super().__init__(
             self.clock,
             DEMO,
-            settings.calibration,
-            settings.drive_map,
-            settings.rail_counts,
+            Scaling(settings.calibration, settings.drive_map, settings.rail_counts),
             SimulatedLatency(0.0012, 0.0003),
             settings.options.get("seed", 1),
             order=self.acts,

@@ -7,7 +7,7 @@ from typing import Any
 
 from rig.backends.clock import VirtualClock
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
-from rig.calibration import Calibration, DriveMap
+from rig.calibration import Calibration, DriveMap, Scaling
 from rig.control.breakaway import BreakawayCheck, StrokePlan
 from rig.control.guard import Guard, GuardSettings
 from rig.loop.runner import Loop
@@ -23,6 +23,7 @@ LIMITS = Limits(soft_rad=(-1.1, 1.1), hard_rad=(-1.9, 1.9), max_u_V=3.0, watchdo
 RAD_PER_COUNT = 4.2 / 1024
 CALIBRATION = Calibration([(24, -488 * RAD_PER_COUNT), (1000, 488 * RAD_PER_COUNT)])
 RAILS = (5, 1018)
+SCALING = Scaling(CALIBRATION, DriveMap(12.0), RAILS)
 DEMO_MOTOR = Motor(0.17, 6.5, Friction(0.50, 0.46, 0.54, 0.50), 0.01)
 DEMO = BenchParameters(motor=DEMO_MOTOR, noise_rad=0.003, offset_rad=0.02)
 GUARD = GuardSettings(
@@ -78,9 +79,7 @@ def simulated_bench(
     driver = SimulatedDriver(
         clock,
         replace(parameters, **changes),
-        CALIBRATION,
-        DriveMap(12.0),
-        RAILS,
+        SCALING,
         SimulatedLatency(0.0012, 0.0003),
         seed,
     )

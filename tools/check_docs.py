@@ -23,6 +23,10 @@ CODE = re.compile(r"```\w*\n(.*?)```|`([^`\n]+)`", re.DOTALL)
 
 # a path of the project in a line of code, such as `rig/control/guard.py`
 PATH = re.compile(r"`((?:rig|tests|tools|firmware|config|docs)/[\w./-]*)`")
+# a Python file by its name alone, perhaps with a test in it: `test_cli_run.py::test_a_run`
+FILE = re.compile(r"`([\w-]+\.py)(?:::(\w+))?`")
+# something in a file: `Loop.armed` in `rig/loop/runner.py`
+PLACE = re.compile(r"`(?:\w+\.)*(\w+)` in `((?:rig|tests|tools|firmware)/[\w./-]+\.\w+)`")
 # these tell of the project as it was when they were written
 HISTORY = ("docs/decisions/", "docs/mutant-table.md", "CHANGELOG.md")
 
@@ -66,12 +70,26 @@ def broken_links(path: Path, text: str) -> Iterator[str]:
             yield f"link to #{anchor} of {file.name}, which has no such heading"
 
 
+def lost_places(text: str) -> Iterator[str]:
+    """Python files that a document names and that are nowhere, and things that are not in the file it names."""
+    for name, inside in FILE.findall(text):
+        files = [ROOT / file for file in listed(f"*{name}") if Path(file).name == name]
+        if not files:
+            yield f"names {name}, which is nowhere"
+        elif inside and not any(inside in file.read_text(encoding="utf-8") for file in files):
+            yield f"names {name}::{inside}, which is not there"
+    for inside, name in PLACE.findall(text):
+        if (ROOT / name).is_file() and inside not in (ROOT / name).read_text(encoding="utf-8"):
+            yield f"names {inside} in {name}, which is not there"
+
+
 def problems(path: Path) -> list[str]:
     """What does not hold in one document."""
     text = path.read_text(encoding="utf-8")
     found = list(broken_links(path, text))
     if not path.as_posix().startswith(tuple((ROOT / name).as_posix() for name in HISTORY)):
         found += [f"names {name}, which is not there" for name in PATH.findall(text) if not (ROOT / name).exists()]
+        found += lost_places(text)
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     for words in commands(text):
         if words[0] == "make":

@@ -10,7 +10,8 @@ python tools/check_docstrings.py
 
 Held here, for what is public in the rooms listed below (that there is a docstring, ruff holds everywhere):
 a name in such a table is a parameter, a field or an attribute; a float or an array whose name ends in no unit stands in
-the docstring; an error that a function raises is named in its docstring, or in that of its class.
+the docstring; an error that a function raises is named in its docstring, or in that of its class. A method marked
+`override` may go without one: the class above says what it is.
 """
 
 from __future__ import annotations
@@ -86,6 +87,8 @@ def problems(path: Path) -> list[str]:
             continue  # a function inside a function
         about = f"{function.lineno}: `{name}`"
         text = ast.get_docstring(function) or ""
+        if not text and any(ast.unparse(one) == "override" for one in function.decorator_list):
+            continue
         of_class = (ast.get_docstring(owner_class) or "") if owner_class is not None else ""
         text = text + of_class if built else text
         given = {one.arg for one in _given(function.args)}

@@ -30,7 +30,7 @@ from rig.experiment.stages import breakaway_check
 from rig.faults import Fault
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
-from rig.preflight.room_to_stop import FRICTION_DIFFERS, UNSEEN_RAD, breakaway_strokes
+from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, UNSEEN_RAD, breakaway_strokes
 from rig.signals import Sample
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -14,16 +14,19 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeVar
 
+from typing_extensions import override
+
 from rig.backends.clock import MonotonicClock
-from rig.backends.driver import Clock, Driver, Transport
+from rig.backends.driver import Clock, Driver, RelayRules, Transport
 from rig.backends.link_budget import LinkBudget
-from rig.backends.section import Section
-from rig.config.problems import Problem
-from rig.config.schema import Experiment
+from rig.config.problems import Problem, wrong
+from rig.config.schema import Emulated, Experiment
+from rig.section import Section
 
 if TYPE_CHECKING:  # these load slowly
     from rig.backends.emulated.board_process import BoardProcess
     from rig.backends.links.usb_adapters import Adapter
+    from rig.calibration import DriveMap
     from rig.model.bench import BenchParameters
 
 OwnSection = TypeVar("OwnSection", bound=Section)
@@ -70,6 +73,8 @@ class Backend(ABC):
 
     name           value of ``daq.driver``
     section        schema of ``daq.options``; None: there are no options, or the driver checks them
+    own_keys       the keys of ``daq`` that only this device has; for devices of rig itself
+    shared_keys    which of the keys ``port`` and ``options`` of ``daq`` it has
     has_chip       whether `rig emulate --chip` works with it
 
     The defaults fit a device of which nothing more is known.
@@ -77,6 +82,8 @@ class Backend(ABC):
 
     name: ClassVar[str] = ""
     section: ClassVar[type[Section] | None] = None
+    own_keys: ClassVar[type[Section] | None] = None
+    shared_keys: ClassVar[frozenset[str]] = frozenset({"port", "options"})
     has_chip: ClassVar[bool] = True
 
     # ------------------------------------------------------------------ what may be run
@@ -87,6 +94,21 @@ class Backend(ABC):
         If there is a ``section``, ``daq.options`` already fits it.
         """
         yield from ()
+
+    def foreign_key(self, e: Experiment, key: str, owner: str = "") -> Problem:
+        """The problem of a key of ``daq`` that is given, and that this device does not have.
+
+        owner  the driver whose key it is; "" for ``port`` and ``options``
+        """
+        driver = f"`driver: {e.daq.driver}`"
+        if key == "port":
+            return wrong("daq.port", f"{driver} has no port", "remove it, or set daq.driver to serial")
+        whose = f"`driver: {owner}`" if owner else "plug-in drivers"
+        return wrong(f"daq.{key}", f"is a key of {whose}, not of {driver}", "remove it")
+
+    def owns_port(self, port: str) -> bool:
+        """Whether a port of this name can only be one of this device."""
+        return False
 
     def watchdog(self, e: Experiment) -> Watchdog:
         """The watchdog that sets 0 V when the host is silent."""
@@ -173,6 +195,16 @@ class Backend(ABC):
         """A command to try on the emulated device at ``port``, for people; "" for none."""
         return ""
 
+    # ------------------------------------------------------------------ a recording of it
+
+    def relay_rules(self, e: Experiment, drive_map: DriveMap, clock_ratio: float) -> RelayRules | None:
+        """What the device makes of the gains of a relay that it runs itself; None: it has no relay, or does not say.
+
+        drive_map    with the units of the device that was recorded
+        clock_ratio  its seconds in a second of the host
+        """
+        return None
+
     # ------------------------------------------------------------------ for those who write one
 
     def options(self, e: Experiment, section: type[OwnSection]) -> OwnSection:
@@ -191,9 +223,10 @@ class LineBackend(Backend):
     def driver(self, e: Experiment, line: Line) -> Driver:
         """The driver on that line, not opened yet."""
 
+    @override
     @contextmanager
     def unopened(self, e: Experiment) -> Iterator[Unopened]:
-        """As of ``Backend``, on the line of the config, or on a test's own line (``rig.testing.line``)."""
+        """On the line of the config, or on a test's own line (``rig.testing.line``)."""
         with own_line.opened(self, e) as line:
             yield Unopened(self.driver(e, line), line.clock, truth_of(e))
 
@@ -218,6 +251,13 @@ own_line = _OwnLine()
 def host_clock(e: Experiment) -> MonotonicClock:
     """The clock of this machine, with the config's way of waiting."""
     return MonotonicClock(1e-6 * e.loop.spin_us)
+
+
+def emulated_of(e: Experiment) -> Emulated:
+    """Section ``emulated``. Raises ValueError without it."""
+    if e.emulated is None:
+        raise ValueError("the config has no section `emulated`")
+    return e.emulated
 
 
 def truth_of(e: Experiment) -> BenchParameters | None:

@@ -113,6 +113,17 @@ class RelayCommand:
     direction: int
 
 
+class Timeouts(NamedTuple):
+    """How long a driver waits for its device.
+
+    reply_s  longest wait for one reply, s
+    open_s   longest wait for the device to introduce itself, its restart on opening included, s
+    """
+
+    reply_s: float = 0.03
+    open_s: float = 5.0
+
+
 class DeviceWatchdog(NamedTuple):
     """After ``time_s`` seconds without the host the device sets 0 V by itself and latches a fault."""
 
@@ -220,8 +231,8 @@ class Driver(Protocol):
 
 
 @runtime_checkable
-class RelayDriver(Driver, Protocol):
-    """A driver whose device can run the dual-channel relay by itself, at each of its ticks."""
+class RelayRules(Protocol):
+    """What a device that runs the dual-channel relay by itself makes of gains: a replay asks it again."""
 
     @property
     def tick_s(self) -> float:
@@ -231,6 +242,11 @@ class RelayDriver(Driver, Protocol):
     def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
         """The command for these gains. Raises Fault or ValueError where the device cannot run them."""
         ...
+
+
+@runtime_checkable
+class RelayDriver(Driver, RelayRules, Protocol):
+    """A driver whose device can run the dual-channel relay by itself, at each of its ticks."""
 
     def start_relay(self, command: RelayCommand) -> None:
         """Let the relay drive. Raises Fault where the device refuses, or on any fault of the link."""

@@ -36,7 +36,7 @@ class LinkBudget(NamedTuple):
         (_, wire_s), *others = self.terms
         if not others:
             return f"{self.wire} = {wire_s * 1e3:.2f} ms"
-        rest = " ".join(f"+ {_milliseconds(s)} ms {words}" for words, s in others)
+        rest = " ".join(f"+ {_milliseconds(s)} ms ({words})" for words, s in others)
         return f"{self.wire} = {wire_s * 1e3:.2f} ms, {rest} = {self.total_s * 1e3:.2f} ms"
 
     def fits(self, period_s: float) -> bool:

@@ -13,13 +13,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import lru_cache
 from importlib.metadata import EntryPoint
 from types import MappingProxyType
+
+from typing_extensions import override
 
 from rig import plug_ins
 from rig.backends.backend import Backend, Unopened, host_clock, truth_of
 from rig.backends.driver import DeviceWatchdog, Driver, DriverSettings, RelayDriver
-from rig.backends.keys import keys_of_built_in
 from rig.config.problems import ConfigError, Problem, wrong
 from rig.config.schema import Experiment
 from rig.plug_ins import PlugInError
@@ -109,12 +111,15 @@ class PlugIn(Backend):
     refusal       why it cannot be used; None where it can
     """
 
+    shared_keys = frozenset({"options"})
+
     def __init__(
         self, entry: EntryPoint | None = None, driver_class: type[Driver] | None = None, refusal: Problem | None = None
     ) -> None:
         self.entry = entry
         self.driver_class = driver_class
         self.refusal = refusal
+        self._checked: tuple[Experiment, Driver | Problem] | None = None
 
     def construct(self, settings: DriverSettings) -> Driver:
         """A driver, not opened. Raises as ``constructed``; ConfigError where there is none."""
@@ -122,10 +127,16 @@ class PlugIn(Backend):
             raise ConfigError([] if self.refusal is None else [self.refusal])
         return constructed(self.entry, self.driver_class, settings)
 
+    @override
+    def foreign_key(self, e: Experiment, key: str, owner: str = "") -> Problem:
+        """What the driver asks for stands under ``daq.options``."""
+        return wrong(f"daq.{key}", f"is a key of built-in drivers, not of `{e.daq.driver}`", "see daq.options")
+
+    @override
     def rules(self, e: Experiment) -> Iterator[Problem]:
-        """As of ``Backend``. Constructs the driver, so that it refuses wrong options here, not in front of a motor."""
-        yield from keys_of_built_in(e)
+        """Constructs the driver, so that it refuses wrong options here, not in front of a motor."""
         driver = self._tried(e)
+        self._checked = (e, driver)
         if isinstance(driver, Problem):
             yield driver
         elif e.relay.where == "device" and not isinstance(driver, RelayDriver):
@@ -142,16 +153,18 @@ class PlugIn(Backend):
         except ValueError as error:
             return wrong("daq.options", f"driver {e.daq.driver!r}: {error}")
 
+    @override
     def words(self, e: Experiment) -> str:
-        """As of ``Backend``."""
         return f"plug-in driver {e.daq.driver}: assume a REAL MOTOR"
 
+    @override
     def plan(self, e: Experiment) -> Iterator[str]:
-        """As of ``Backend``."""
         yield "link: the budget of a plug-in driver is not known; `rig doctor` measures it"
         if e.relay.where == "device":
             yield "relay in the device: as the plug-in driver runs it; the gain search runs in the host"
-        driver = self._tried(e)
+        # `rig check` asks for the rules first: once constructed is enough
+        driver = self._checked[1] if self._checked is not None and self._checked[0] is e else self._tried(e)
+        self._checked = None
         if self.entry is not None and not isinstance(driver, Problem):
             failsafe = "none"
             if driver.failsafe is not None:
@@ -159,21 +172,28 @@ class PlugIn(Backend):
             order = driver.order.replace("_", " ")
             yield f"{described(self.entry)}: {order}; failsafe before it is opened: {failsafe}"
 
+    @override
     def failsafe_words(self, e: Experiment) -> str:
-        """As of ``Backend``."""
         return "failsafe: the plug-in driver's; if its device has none, a run " + (
             "drives all the same (daq.accept_no_watchdog: true): keep the motor's supply switch in reach"
             if e.daq.accept_no_watchdog
             else "is refused"
         )
 
+    @override
     @contextmanager
     def unopened(self, e: Experiment) -> Iterator[Unopened]:
-        """As of ``Backend``. Raises ConfigError where there is no such driver, or it refuses its options."""
+        """Raises ConfigError where there is no such driver, or it refuses its options."""
         driver = self._tried(e)
         if isinstance(driver, Problem):
             raise ConfigError([driver])
         yield Unopened(driver, getattr(driver, "clock", None) or host_clock(e), truth_of(e))
+
+
+@lru_cache(maxsize=8)
+def plug_in(entry: EntryPoint, driver_class: type[Driver]) -> PlugIn:
+    """The backend of a driver class: one object, so that it knows what it has checked already."""
+    return PlugIn(entry, driver_class)
 
 
 def refused(error: PlugInError) -> Problem:

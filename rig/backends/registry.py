@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.backends.backend import Backend, Unopened
-from rig.backends.driver import Clock, DeviceInfo, Driver, DriverSettings
-from rig.backends.plug_in import PlugIn, driver_settings_of, loaded, refused
+from rig.backends.driver import Clock, DeviceInfo, Driver
+from rig.backends.plug_in import PlugIn, loaded, plug_in, refused
 from rig.config.problems import Problem, printable, wrong
 from rig.config.schema import Experiment
 from rig.faults import Fault
@@ -65,18 +65,6 @@ def load(name: str) -> type[Driver] | Backend:
     return loaded(known[name])
 
 
-def construct(name: str, settings: DriverSettings) -> Driver:
-    """The driver of another package, not opened yet.
-
-    Raises LookupError where there is none, or where a backend has that name; PlugInError as ``load``, and with
-    ValueError as ``plug_in.constructed``.
-    """
-    found = load(name)
-    if isinstance(found, Backend):
-        raise LookupError(f"{name!r} is a backend: its driver comes from its own ``unopened``")
-    return PlugIn(registered()[name], found).construct(settings)
-
-
 def backend_of(e: Experiment) -> Backend:
     """The device that the config names. If there is none: a backend whose rules refuse every config."""
     return backend_named(e.daq.driver)
@@ -89,13 +77,12 @@ def backend_named(name: str) -> Backend:
         assert isinstance(found, Backend)
         return found
     try:
-        entries = registered()
-        if name not in entries:
-            return PlugIn(refusal=unknown_driver(name))
-        offered = loaded(entries[name])
+        found = load(name)
+    except LookupError:
+        return PlugIn(refusal=unknown_driver(name))
     except PlugInError as error:
         return PlugIn(refusal=refused(error))
-    return offered if isinstance(offered, Backend) else PlugIn(entries[name], offered)
+    return found if isinstance(found, Backend) else plug_in(registered()[name], found)
 
 
 def unknown_driver(name: str) -> Problem:
@@ -108,6 +95,24 @@ def unknown_driver(name: str) -> Problem:
         f"plug-ins installed: {', '.join(installed) or 'none'}",
         f"did you mean '{close[0]}'?" if close else "install the package that offers it (docs/plug-in-driver.md)",
     )
+
+
+def rules(e: Experiment) -> Iterator[Problem]:
+    """The problems that keep the experiment from running on its device: keys of other devices, then its own rules."""
+    own = backend_of(e)
+    given = {key: value for key, value in e.daq if value is not None}
+    yield from (own.foreign_key(e, key) for key in ("port", "options") if key in given.keys() - own.shared_keys)
+    others = [other for other in map(backend_named, BUILT_IN) if other.own_keys is not own.own_keys]
+    for other in others:
+        keys = other.own_keys.model_fields if other.own_keys is not None else ()
+        yield from (own.foreign_key(e, key, other.name) for key in keys if key in given)
+    port = e.daq.port
+    if own.name in BUILT_IN and "port" in own.shared_keys and port is not None:  # a package's ports have any name
+        owner = next((other.name for other in others if other.owns_port(port)), None)
+        if owner is not None:
+            yield wrong("daq.port", f"{port} is a port of `driver: {owner}`", "/dev/ttyACM0, or port: emulated")
+            return  # rules about this link say nothing of that port
+    yield from own.rules(e)
 
 
 def unopened(e: Experiment) -> AbstractContextManager[Unopened]:
@@ -155,19 +160,3 @@ def emulated_board(
         if found is not None:
             return found
     raise LookupError("no device is emulated")
-
-
-__all__ = [
-    "BUILT_IN",
-    "GROUP",
-    "Bench",
-    "PlugInError",
-    "backend_of",
-    "connect",
-    "construct",
-    "driver_settings_of",
-    "emulated_board",
-    "load",
-    "registered",
-    "unopened",
-]

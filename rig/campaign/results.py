@@ -16,16 +16,18 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import JsonValue
 
 from rig.campaign.grid import CampaignError
 from rig.campaign.trial import COLUMNS, Row
 from rig.config import Campaign, dump
 from rig.package import FOLDER, VERSION
 from rig.recording.folder import CONFIG, META, write_config, write_meta
+from rig.results import JsonObject
 
 RESULTS: Final = "results.csv"
 FREE: Final = ("name", "experiments")  # keys that change no row
@@ -216,20 +218,20 @@ def _same_campaign(folder: Path, campaign: Campaign) -> None:
         )
 
 
-def _keys(campaign: Campaign) -> dict[str, Any]:
-    return campaign.model_dump(mode="json", exclude=set(FREE))
+def _keys(campaign: Campaign) -> JsonObject:
+    return cast(JsonObject, campaign.model_dump(mode="json", exclude=set(FREE)))
 
 
-def _difference(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
+def _difference(there: JsonObject, here: JsonObject) -> str:
     """The first key that differs, as a sentence."""
     old, new = dict(_flat(there)), dict(_flat(here))
     key = next((k for k in (*new, *old) if old.get(k) != new.get(k)), "its meta.json")
     return f"{key} is {json.dumps(old.get(key))} there and {json.dumps(new.get(key))} here"
 
 
-def _flat(section: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+def _flat(section: JsonObject, above: str = "") -> Iterator[tuple[str, JsonValue]]:
     for key, value in section.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, dict):
             yield from _flat(value, f"{above}{key}.")
         else:
             yield f"{above}{key}", value

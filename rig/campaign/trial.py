@@ -22,12 +22,13 @@ from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.output_error import refit
 from rig.model.sampled_relay import SimulatedRelayTest
 from rig.model.sensitivity import Theta
-from rig.recording.reader import Recording, RecordingError, from_columns
+from rig.recording.errors import RecordingError
+from rig.recording.recording import Recording, from_columns
 from rig.recording.series import LEAST_DELAY_S, TimeSeries, steps_of
 from rig.results import RunMeta
 
 Array = NDArray[np.float64]
-Row = dict[str, Any]
+Row = dict[str, Any]  # COLUMNS says of which kind each is
 FAILED = "failed"  # verdict of an experiment that raised an exception
 
 TRUTHS = ("h1_V", "h2_V", "period_s", "offset_rad", "start_rad", "clock_ratio")

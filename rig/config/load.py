@@ -77,7 +77,7 @@ def _read(path: str | PathLike[str]) -> Document:
     except IsADirectoryError as error:
         raise ConfigError([Problem((), "is a directory", "name a YAML file in it", file)]) from error
     except FileNotFoundError as error:
-        raise ConfigError([Problem((), "no such file", "see config/ for ready experiments", file)]) from error
+        raise ConfigError([Problem((), "no such file", "`rig config list` names the ready ones", file)]) from error
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
         raise ConfigError([Problem((), f"cannot be read: {error}", "", file)]) from error
     try:
@@ -106,7 +106,7 @@ def _validated(document: Document, schema: type[_Schema]) -> _Schema:
     try:
         text = json.dumps(document.data)
     except (TypeError, ValueError) as error:  # only a program can give such a value
-        raise ConfigError([Problem((), f"holds what no file can: {error}", "", document.file)]) from error
+        raise ConfigError([Problem((), f"holds a value that no file can hold: {error}", "", document.file)]) from error
     try:
         return schema.model_validate_json(text, strict=True)
     except ValidationError as error:

@@ -7,24 +7,29 @@ Strict: an unknown key is an error, numbers are finite, objects are frozen. The 
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from rig.backends.links.usb_adapters import Adapter
-from rig.backends.modbus.section import Modbus
-from rig.backends.section import Interval, NonNegative, Positive
-from rig.backends.section import Section as _Section
-from rig.calibration import Calibration, DriveMap, TachometerScale
+from rig.backends.modbus.section import ModbusKeys
+from rig.backends.serial.section import SerialKeys
+from rig.calibration import Calibration, DriveMap, Scaling, TachometerScale
+from rig.estimators import ESTIMATORS
+from rig.section import Interval, NonNegative, Positive
+from rig.section import Section as _Section
 from rig.signals import Limits
 
-Method = Literal["sampled-data", "triple-relay", "describing-function"]
+if TYPE_CHECKING:
+    Method = str
+else:
+    Method = Literal[tuple(entry.name for entry in ESTIMATORS if entry.finds_motor)]
+"""An estimator whose model can track."""
 Bridge = Literal["pwm-dir", "in1-in2"]
 BRIDGES: tuple[Bridge, ...] = get_args(Bridge)
 
 
-class Daq(_Section):
-    """The link to the bench."""
+class Link(_Section):
+    """Which device, and where it is."""
 
     driver: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=40)] = Field(
         description="which driver: `simulated`, in virtual time; `serial`, a device with rig's firmware on a serial "
@@ -41,19 +46,23 @@ class Daq(_Section):
     baud: Annotated[int, Field(ge=9600, le=4_000_000)] = Field(
         115200, description="bits per second of the serial link, as the firmware was built"
     )
-    adapter: Adapter | None = Field(
-        None,
-        description="driver serial: what sits between USB and the line, and delays every reply (docs/timing.md); "
-        "`rig doctor` finds it. Default: what the port's name gives away, else `ftdi`, the slowest; an emulated port "
-        "has none, unless it is given here: then it delays like that one",
-    )
+
+
+class LinkTimes(_Section):
+    """How long host and device wait for each other."""
+
     timeout_s: Positive = Field(0.03, description="longest wait for one reply")
     open_timeout_s: Positive = Field(5.0, description="longest wait for the device to introduce itself")
     watchdog_s: Annotated[float, Field(gt=0, le=1.0)] = Field(
         0.1, description="host silence before the device sets 0 V; 3 to 10 periods"
     )
     accept_no_watchdog: bool = Field(False, description="drive a device that has no watchdog")
-    modbus: Modbus | None = Field(None, description="driver modbus: how the device is asked, and its register map")
+
+
+class Daq(ModbusKeys, LinkTimes, SerialKeys, Link):
+    """The link to the bench."""
+
+    # Its parts are read from right to left: a dumped config and the JSON Schema keep that order of keys.
     options: dict[str, Any] | None = Field(
         None, description="of a plug-in driver: whatever it asks for, see its own documentation"
     )
@@ -315,7 +324,7 @@ class TrackingSection(_Section):
         description="the reference: a sum of sines about the centre of travel"
     )
     methods: tuple[Method, ...] = Field(
-        ("sampled-data", "triple-relay", "describing-function"),
+        tuple(entry.name for entry in ESTIMATORS if entry.finds_motor),
         description="estimators whose models are compared, each on the same trajectory",
     )
 
@@ -477,6 +486,13 @@ class Experiment(_Section):
     def device_limits(self) -> Limits:
         """What the device is armed with."""
         return Limits(self.limits.soft_rad, self.limits.hard_rad, self.drive.max_V, self.daq.watchdog_s)
+
+    @property
+    def scaling(self) -> Scaling:
+        """What the device's raw numbers mean."""
+        tachometer = None if self.tachometer is None else self.tachometer.scale
+        s = self.sensor
+        return Scaling(s.curve, self.drive.map, s.rail_counts, s.counts_max, tachometer)
 
     @model_validator(mode="after")
     def _emulated_as_believed(self) -> Self:

@@ -123,7 +123,7 @@ class BreakawayCheck(RestingCheck):
     With a stuck or uncoupled sensor the shaft turns unseen. So an equal stroke in the other direction takes each stroke
     back, and every other pair begins in the other direction. The shaft then moves only as far as friction differs
     between the directions. Strokes go on in both directions until both were seen, so that this holds whenever the
-    sensor fails. ``rig.preflight.room_to_stop`` bounds that travel and chooses the strokes (docs/theory.md 10.1).
+    sensor fails. ``rig.preflight.breakaway_strokes`` bounds that travel and chooses the strokes (docs/theory.md 10.1).
 
     A late tick makes its stroke longer. The stroke back lasts as long as that stroke really acted. If the stroke back
     is itself too long, one more stroke in each direction makes them equal again. All strokes together may be longer

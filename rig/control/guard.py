@@ -255,9 +255,8 @@ class Guard:
             return
         given_rad_s = self._gain.step(sample.t_s, self.velocity_rad_s, u_V)
         if given_rad_s > self._clear_rad_s and self.velocity_rad_s * sign < 0.25 * given_rad_s:
-            turns_back = (
-                self.velocity_rad_s * sign < -0.1 * given_rad_s
-            )  # a reading that freezes slows down, but does not turn back
+            # a reading that freezes slows down, but does not turn back
+            turns_back = self.velocity_rad_s * sign < -0.1 * given_rad_s
             raise Fault(
                 "SENSOR_STUCK",
                 f"{u_V:+.2f} V had made the shaft {given_rad_s:.1f} rad/s faster, but the reading now moves at "

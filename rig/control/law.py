@@ -28,8 +28,8 @@ class Law(Protocol):
 class OwnLaw(Protocol):
     """A law of a user's own: all that it must have is ``step``.
 
-    Where it has them, ``finished`` ends it, and ``z_rad_s`` and ``yd_rad`` go into the record: an integral of its own,
-    rad s, and the reference, rad.
+    It may have three attributes more. ``finished``: true ends it. ``z_rad_s`` (an integral of its own, rad s) and
+    ``yd_rad`` (the reference, rad) are recorded.
     """
 
     def step(self, sample: Sample) -> float:
@@ -77,10 +77,10 @@ class Constant:
 class Timed:
     """A law of a user's own, for a given time at most; 0 V once it has ended.
 
-    law         it; its first sample is that of its first tick
-    duration_s  after which it ends, s, > 0; it ends before where it says ``finished``
-    name        what the record calls it
-    Raises ValueError where the time is not > 0 or has no end, or ``law`` has no ``step``.
+    law         the user's object; it gets each sample from its first tick on
+    duration_s  longest time, s, > 0; ``finished`` of the law can end it sooner
+    name        its name in the recording
+    Raises ValueError if the time is not > 0 or is infinite, or if ``law`` has no ``step``.
     """
 
     def __init__(self, law: OwnLaw, duration_s: float, name: str) -> None:

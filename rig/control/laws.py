@@ -23,7 +23,7 @@ GROUP = "rig.laws"
 class OptionError(ValueError):
     """Options that a law does not take.
 
-    key  the option that is wrong; "" where it cannot be told
+    key  the option that is wrong; "" if nobody can tell
     """
 
     def __init__(self, message: str, key: str = "") -> None:
@@ -39,8 +39,8 @@ def registered() -> dict[str, EntryPoint]:
 def construct(name: str, options: Mapping[str, object]) -> OwnLaw:
     """A law by its name, made with these options.
 
-    Raises LookupError if there is none of that name, and names those there are; OptionError where it does not take the
-    options; PlugInError where it cannot be imported, fails otherwise, or is no law.
+    Raises LookupError, which lists the known laws, if none has that name; OptionError if it does not take the options;
+    PlugInError if it cannot be imported, fails in another way, or is no law.
     """
     known = registered()
     if name not in known:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
+from rig.model.linear import input_vector, transition
 from rig.model.motor import Motor, State
 from rig.signals import Sample
 
@@ -38,9 +39,8 @@ class MotorObserver:
         self._last_t_s = math.nan
         self._acting_V = 0.0
         self._asked_V = 0.0
-        decay = math.exp(-period_s / motor.tau_eff_s)
-        A = np.array([[decay, 0.0], [motor.tau_eff_s * (1.0 - decay), 1.0]])
-        B = motor.K_eff_rad_s_V * np.array([[1.0 - decay], [period_s - motor.tau_eff_s * (1.0 - decay)]])
+        A = transition(motor.tau_eff_s, period_s)[:2, :2]
+        B = input_vector(motor.tau_eff_s, motor.K_eff_rad_s_V, period_s)[:2, np.newaxis]
         if tachometer_noise_rad_s is None:
             C, R = np.array([[0.0, 1.0]]), np.array([[noise_rad**2]])
         else:

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from rig.backends.clock import MonotonicClock
 from rig.backends.registry import backend_of, connect
-from rig.bench import real_time_of
 from rig.config.schema import Experiment
 from rig.doctor import machine, measured
 from rig.doctor.finding import Finding
 from rig.faults import Fault, since_the_last_run
 from rig.loop.real_time import real_time
+from rig.preflight.loop_settings import real_time_of
 
 SECONDS = 3.0  # of ticks
 _PERIOD_S, _SPIN_S = 0.01, 200e-6  # without a config

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 from rig.backends.clock import MonotonicClock
 from rig.backends.driver import RelayDriver
-from rig.bench import guard_settings_of, real_time_of
 from rig.config import Experiment
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck, BreakawayFound, BreakawayLaw, StrokePlan
@@ -25,13 +24,16 @@ from rig.control.observer import MotorObserver
 from rig.control.relay import DualChannelRelay, HystereticRelay, RelayOnCounts
 from rig.control.tracking import Tracking
 from rig.control.trajectory import SumOfSines
+from rig.estimators import LEADING
 from rig.faults import Fault
 from rig.identify import Identification, identify
 from rig.loop.pre_run import PreRunBench, pre_run
 from rig.loop.real_time import RealTime, real_time
 from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
-from rig.preflight.room_to_stop import FRICTION_DIFFERS, breakaway_strokes, reach_rad
+from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
+from rig.preflight.loop_settings import guard_settings_of, real_time_of
+from rig.preflight.room_to_stop import reach_rad
 from rig.recording.folder import write_meta
 from rig.recording.stage import Stage, StageKind
 from rig.results import JogResult, RealTimeReport, TrackingResult
@@ -170,10 +172,9 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
     differ = abs(check.plus_V - check.minus_V) / (check.plus_V + check.minus_V)
     if differ > FRICTION_DIFFERS:
         session.found.notes.append(
-            f"friction differs by {differ:.0%} from its mean between the directions (the shaft broke away at "
-            f"{check.plus_V:.2f} V and {check.minus_V:.2f} V): unseen travel in the breakaway check was bounded for at "
-            f"most {FRICTION_DIFFERS:.0%}, so with a stuck or uncoupled sensor this shaft could turn farther than "
-            "`rig check` says; to shorten that, lower breakaway.max_V"
+            f"the shaft broke away at {check.plus_V:.2f} V in one direction and at {check.minus_V:.2f} V in the other, "
+            f"{differ:.0%} from their mean; `rig check` bounds unseen travel for at most {FRICTION_DIFFERS:.0%}. With "
+            "a stuck or uncoupled sensor this shaft could turn farther than `rig check` says: lower breakaway.max_V"
         )
     session.note("breakaway", plus_V=check.plus_V, minus_V=check.minus_V, noise_rad=check.noise_rad)
 
@@ -363,7 +364,7 @@ def verify_models(session: Session) -> None:
 
 def _why_not(session: Session, identification: Identification, method: Method) -> str | None:
     """Why a method's model must not drive the bench, in words; None if it may."""
-    best, first_choice = identification.best, identification.estimates.get("sampled-data")
+    best, first_choice = identification.best, identification.estimates.get(LEADING)
     if best is None or (first_choice is not None and first_choice.verdict == "refused"):
         # if the best estimator refuses the recording, a reference method's model must not drive the bench either
         return "no estimate is good enough for the simulation before the run"

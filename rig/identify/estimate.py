@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V", "asym_V", "delay_s")
 class Estimate:
     """One estimator's result, an entry of ``estimates`` in result.json (docs/results.md).
 
-    method          "sampled-data", "triple-relay", "describing-function" or "least-squares"
+    method          its name: one of rig/estimators.py
     tau_s, K_rad_s_V    time constant, s, and gain, (rad/s)/V; nan from least squares, which gives friction alone
     fc_V, asym_V    friction and its asymmetry, V; asym_V is 0 if the method does not estimate it
     delay_s         of the drive, s; nan if the method does not estimate it
@@ -98,7 +98,7 @@ class Estimate:
         control = needed("control", "to_control()")
         return control.tf([motor.K_rad_s_V], [motor.tau_s, 1.0, 0.0], inputs="u_V", outputs="y_rad", name=self.method)
 
-    def judged(self, verdict: Verdict, *reasons: str) -> Estimate:
+    def judged(self, verdict: Verdict, *reasons: str) -> Self:
         """The estimate with a verdict at least as severe as ``verdict``, and further ``reasons``."""
         order: tuple[Verdict, ...] = ("ok", "doubtful", "refused")
         worst = max(self.verdict, verdict, key=order.index)

@@ -1,4 +1,4 @@
-"""The interface of an estimator. Each estimator is one file, and one entry of ``ESTIMATORS`` in identification.py."""
+"""The interface of an estimator. Each estimator is one file, and one line in rig/estimators.py."""
 
 from __future__ import annotations
 

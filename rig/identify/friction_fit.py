@@ -14,14 +14,21 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from rig.identify import laws
 from rig.identify.breakaway import Ramps
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.laws.asymmetric import Asymmetric
 from rig.identify.laws.law import CandidateLaw, Plain
-from rig.identify.output_error import SHARED, OutputErrorProblem, covariance_of, initial_state
+from rig.identify.output_error import (
+    SHARED,
+    Accuracy,
+    OutputErrorProblem,
+    bounded_least_squares,
+    by_full_vector,
+    covariance_of,
+    initial_state,
+)
 from rig.model.sensitivity import Theta
 from rig.recording.series import Window, spread_rad
 
@@ -33,7 +40,7 @@ STEPS = (1e-5, 1e-5, 1e-5, 1e-6, 1e-6)  # of forward differences of the first fi
 STATE_STEP = 1e-5  # of forward differences of an initial velocity, rad/s
 STARTS = 2  # number of a law's trials that are iterated
 SCANNED = 4  # number of scanned trials that are iterated
-MAX_ITERATIONS = 40
+ACCURACY = Accuracy(1e-6, 1e-6, 40)
 VISIBLE = 1.0  # smallest visible change of the sum of squares, over the noise's variance
 PLAIN = Asymmetric()  # every law starts from this one, and is compared with it
 
@@ -196,12 +203,12 @@ class LawProblem:
         residuals, blocks = [], []
         count = _count(law)
         for k, window in enumerate(self.windows):
-            block = np.zeros((window.t_s.size, x.size))
             at = count + 2 * k
             theta = _theta(x, count, k)
             exact = law.position_and_jacobian(theta, x[SHARED:count].tolist(), window)
             if exact is None:
                 y = _position(x, law, k, window)
+                block = np.zeros((window.t_s.size, x.size))
                 steps = [*STEPS, *(parameter.step for parameter in law.parameters)]
                 for i, step in [*((i, step) for i, step in enumerate(steps) if free[i]), (at, STATE_STEP)]:
                     moved = x.copy()
@@ -210,10 +217,7 @@ class LawProblem:
                 block[:, at + 1] = 1.0
             else:
                 y, jacobian = exact
-                block[:, :SHARED] = jacobian[:, :SHARED]
-                block[:, 0] *= theta.tau_s
-                block[:, 1] *= theta.K_rad_s_V
-                block[:, at : at + 2] = jacobian[:, SHARED:]
+                block = by_full_vector(jacobian, (theta.tau_s, theta.K_rad_s_V), x.size, at)
             residuals.append(y - window.y_rad)
             blocks.append(block)
         return np.concatenate(residuals), np.concatenate(blocks)
@@ -229,7 +233,6 @@ class LawProblem:
         free, mask = self._free(law, given), self._mask(law, given)
         anywhere = [(-math.inf, math.inf)] * len(law.parameters)
         low, high = (bound[mask] for bound in self._bounds(law, anywhere if ranges is None else ranges))
-        margin = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
         full = x0.copy()
 
         def residual(part: Array) -> Array:
@@ -240,17 +243,7 @@ class LawProblem:
             full[mask] = part
             return self.problem.whiten(self._residual_and_jacobian(full, law, free)[1][:, mask])
 
-        found = least_squares(
-            residual,
-            np.clip(x0[mask], low + margin, high - margin),
-            jac=jacobian,
-            bounds=(low, high),
-            x_scale="jac",
-            xtol=1e-6,
-            ftol=1e-6,
-            gtol=1e-14,
-            max_nfev=MAX_ITERATIONS,
-        )
+        found = bounded_least_squares(residual, jacobian, x0[mask], (low, high), ACCURACY)
         full[mask] = found.x
         logarithms = _logarithms(law)
         scale = np.array([math.exp(value) if i in logarithms else 1.0 for i, value in enumerate(full)])[mask]

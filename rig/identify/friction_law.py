@@ -21,18 +21,19 @@ from rig.identify import laws
 from rig.identify.breakaway import Ramps, StaticFriction
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.friction_fit import PLAIN, LawProblem, LawSolution
-from rig.identify.laws.law import CLEAR, CandidateLaw, Doubt, LawComparison
+from rig.identify.laws.law import CLEAR, CandidateLaw, Doubt, LawComparison, LawNumber
 from rig.identify.noise import noise_of
 from rig.identify.output_error import OutputErrorProblem
 from rig.identify.repetition import repeated_share, repetitions
 from rig.recording.series import TimeSeries, joined_times_s
-from rig.results import FrictionLawResult, LawFit
+from rig.results import FrictionLawResult, LawFit, LawNumberResult
 
 Standing = Literal["chosen", "too simple", "not needed", "open"]
 
 BETTER = 1.1  # ratio of prediction errors of the held-out test that decides
 MUCH_BETTER = 1.2  # ratio that keeps a law open although the criterion does not ask for it
 OTHER_AMPLITUDE = 0.05  # relative difference of position or drive from which on two tests differ in amplitude
+NORMAL_95 = 1.959964  # half of the 95 % interval over the standard error
 ROUNDING = 1e-7  # residual over the spread of positions that is only rounding
 SLOW = "record longer tests, and smaller and slower ones"
 
@@ -73,10 +74,17 @@ class RankedLaw:
             standing=self.standing,
             parameters=dict(self.parameters),
             standard_errors=dict(self.errors),
+            own=tuple(self._own(number) for number in self.candidate.reports if number.name in self.parameters),
             rms_rad=self.rms_rad,
             criterion=self.criterion,
             held_out_rms_rad=self.held_out_rms_rad,
         )
+
+    def _own(self, number: LawNumber) -> LawNumberResult:
+        """A number that the law adds, with its interval."""
+        value, half = self.parameters[number.name], NORMAL_95 * self.errors[number.name]
+        ci95 = (value - half, value + half) if math.isfinite(half) else None
+        return LawNumberResult(name=number.name, meaning=number.meaning, unit=number.unit, value=value, ci95=ci95)
 
 
 @dataclass(frozen=True)
@@ -111,7 +119,7 @@ class FrictionLawChoice:
         """Why viscous friction is not a candidate, as a sentence."""
         own = self.chosen.parameters
         return (
-            "viscous friction is within tau and K, no motion can show it apart; "
+            "viscous friction is part of tau and K, and no motion can tell it from them; "
             f"tau / K = {own['tau_s'] / own['K_rad_s_V']:.4g} V s^2/rad is the same with and without it"
         )
 
@@ -297,7 +305,7 @@ def _judge(one: RankedLaw, chosen: RankedLaw, held_out: str | None, ramps: Ramps
     gain = chosen.criterion - one.criterion
     better = _better(one, chosen)
     title, simpler = one.candidate.title, chosen.candidate.title
-    gained = f"the criterion gains {gain:.0f} over {simpler}"
+    gained = f"its BIC is {gain:.0f} lower than that of {simpler}"
     against = LawComparison(title, gained, gain, one.seen, ramps)
     first = one.candidate.needs(against)
     if first is not None:
@@ -312,5 +320,5 @@ def _judge(one: RankedLaw, chosen: RankedLaw, held_out: str | None, ramps: Ramps
     if gain > 0.0:
         return Doubt(f"{gained}, too little to decide", SLOW)
     if better > MUCH_BETTER:
-        return Doubt(f"{predicted}, but the criterion gains nothing over {simpler}", SLOW)
+        return Doubt(f"{predicted}, but its BIC is no lower than that of {simpler}", SLOW)
     return None

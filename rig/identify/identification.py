@@ -4,34 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 
+from rig.estimators import ESTIMATORS, LEADING, EstimatorEntry
 from rig.identify.agreement import disagreement, estimates_of_each
 from rig.identify.breakaway import StaticFriction, breakaway
-from rig.identify.describing_function import DescribingFunction
 from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.friction_law import FrictionLawChoice, friction_law
-from rig.identify.least_squares import LeastSquares, Transient
+from rig.identify.least_squares import Transient
 from rig.identify.mean_cycle import Cycle
 from rig.identify.measurements import Measurements, measurements
 from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.preprocessing import from_recording
-from rig.identify.sampled_data import SampledData
-from rig.identify.triple_relay import TripleRelay
 from rig.recording.errors import IdentifyError
-from rig.recording.reader import Recording
+from rig.recording.recording import Recording
 from rig.recording.stage import StageKind, kind_of
 from rig.results import HystereticResult, IdentificationResult, RelayTestResult, StaticFrictionResult
 
-# The estimators; the most trusted one is first. To add one, write one file, and one line here.
-ESTIMATORS: list[Estimator] = [
-    SampledData(),
-    TripleRelay(),
-    DescribingFunction(),
-    LeastSquares(),
-]
-METHODS = tuple(estimator.name for estimator in ESTIMATORS)
-LEADING = ESTIMATORS[0].name  # it needs the least data, and friction laws extend its model
+METHODS = tuple(entry.name for entry in ESTIMATORS)
 
 
 @dataclass
@@ -91,27 +82,17 @@ def identify(
     reads_runs = bool(methods) and not all(estimator.reads_relay_tests for estimator in wanted)
     data = measurements(recordings, with_cycles=reads_tests, plain_is_hysteretic=reads_runs)
     found = _found(data)
-    complaints: dict[str, IdentifyError] = {}
-    for estimator in wanted:
-        if not methods and not estimator.series(data):
-            continue
-        try:
-            estimate = _estimate(estimator, data, found.estimates)
-        except IdentifyError as error:
-            if len(wanted) == 1:
-                raise
-            complaints[estimator.name] = error
-            found.notes.append(f"{estimator.name}: {error.cause}")
-            continue
-        found.estimates[estimator.name] = estimate
-        found.notes += estimator.notes(estimate, data)
+    errors = _add_estimates([e for e in wanted if methods or e.series(data)], data, found)
     if not found.estimates:
-        # the estimator that needs the least data: what it misses, the recording lacks
-        leading = complaints.pop(LEADING, None)
-        raise leading or [*data.complaints, *complaints.values()][0]
-    odd = disagreement(estimates_of_each(data.sources)) if len(recordings) > 1 and reads_tests else None
-    for objection in [*([] if odd is None else [odd]), *data.supplies]:
-        found.estimates = {method: e.judged("doubtful", objection) for method, e in found.estimates.items()}
+        # the leading estimator needs the least data: what it misses, the recording lacks
+        decisive = wanted[0].name if len(wanted) == 1 else LEADING
+        raise errors.get(decisive) or [*data.complaints, *errors.values()][0]
+    objections = list(data.supplies)
+    if len(recordings) > 1 and reads_tests:
+        odd = disagreement(estimates_of_each(data.sources))
+        objections = objections if odd is None else [odd, *objections]
+    if objections:
+        found.estimates = {method: e.judged("doubtful", *objections) for method, e in found.estimates.items()}
     static = _add_breakaway(recordings, found)
     if choose_law:
         _add_friction_law(data, static, found)
@@ -120,11 +101,34 @@ def identify(
 
 def _wanted(methods: Sequence[str] | None) -> list[Estimator]:
     """The estimators of these names, in the order of the list; all if ``methods`` is None. Raises IdentifyError."""
-    known = [estimator.name for estimator in ESTIMATORS]
+    known = [entry.name for entry in ESTIMATORS]
     unknown = [method for method in methods or () if method not in known]
     if unknown:
         raise IdentifyError(f"there is no method {unknown[0]!r}", f"the methods are {', '.join(known)}")
-    return [estimator for estimator in ESTIMATORS if not methods or estimator.name in methods]
+    return [_made(entry) for entry in ESTIMATORS if not methods or entry.name in methods]
+
+
+def _made(entry: EstimatorEntry) -> Estimator:
+    module, name = entry.place.split(":")
+    estimator: Estimator = getattr(import_module(module), name)()
+    return estimator
+
+
+def _add_estimates(
+    estimators: Sequence[Estimator], data: Measurements, found: Identification
+) -> dict[str, IdentifyError]:
+    """Add what each estimator finds, and its notes. Returns why the others cannot work on the data, by name."""
+    errors: dict[str, IdentifyError] = {}
+    for estimator in estimators:
+        try:
+            estimate = _estimate(estimator, data, found.estimates)
+        except IdentifyError as error:
+            errors[estimator.name] = error
+            found.notes.append(f"{estimator.name}: {error.cause}")
+        else:
+            found.estimates[estimator.name] = estimate
+            found.notes += estimator.notes(estimate, data)
+    return errors
 
 
 def _estimate(estimator: Estimator, data: Measurements, earlier: dict[str, Estimate]) -> Estimate:

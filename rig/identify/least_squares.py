@@ -17,7 +17,7 @@ like multiples of one curve. ``compared_with`` compares it with an estimate that
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -31,6 +31,7 @@ from rig.identify import sampled_data
 from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.measurements import Measurements
+from rig.identify.plausibility import Objection
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries
 from rig.results import HystereticResult
@@ -396,81 +397,118 @@ def _combined(found: Sequence[OneWay], rows: tuple[int, int]) -> Estimate:
 
 
 def _judged(estimate: Estimate, found: Sequence[OneWay], ways: Sequence[Sequence[Transient]]) -> Estimate:
-    share = 1.0 / len(found)
-    low, high = estimate.ci95["fc_V"]
-    reach, corrected = 0.5 * (high - low), 0.5 * (high + low)
-    by_starts = share * sum(way.by_starts_V for way in found)
-    by_noise = share * sum(way.by_noise_V for way in found)
+    """The estimate with its verdict. ``found`` and ``ways``: each direction's fit, and its runs."""
     runs = [run for way in ways for run in way]
-    size = max(abs(corrected), 0.03 * max(abs(run.d_V) for run in runs))
+    for objections in (
+        _starts_in_motion(runs),
+        _starts_off_zero(estimate, found, runs),
+        _wide_interval(estimate, runs),
+        _several_shapes(estimate, found, runs),
+        _unknown_delays(found, ways),
+        _one_direction(runs),
+    ):
+        for verdict, reason in objections:
+            estimate = estimate.judged(verdict, reason)
+    return estimate
+
+
+def _interval(estimate: Estimate) -> tuple[float, float]:
+    """Middle and half width of the friction's interval, V. The middle is the friction without the method's bias."""
+    low, high = estimate.ci95["fc_V"]
+    return 0.5 * (high + low), 0.5 * (high - low)
+
+
+def _size_V(estimate: Estimate, runs: Sequence[Transient]) -> float:
+    """Friction that errors are relative to, V; a small part of the drives where friction is almost zero."""
+    return max(abs(_interval(estimate)[0]), 0.03 * max(abs(run.d_V) for run in runs))
+
+
+def _starts_in_motion(runs: Sequence[Transient]) -> Iterator[Objection]:
+    """Runs that do not start from rest, and runs whose start no row shows."""
     for run in runs:
         if abs(run.start_v_rad_s) > 4.0 * run.start_v_error_rad_s:
-            estimate = estimate.judged(
+            yield Objection(
                 "refused",
                 f"{run.name}: the shaft turns at {1e3 * run.start_v_rad_s:+.2g} mrad/s before the drive: the "
                 "method needs a start from rest; let it come to rest",
             )
     unseen = [run.name for run in runs if math.isinf(run.start_v_error_rad_s)]
     if unseen:
-        estimate = estimate.judged(
+        yield Objection(
             "doubtful",
             f"{', '.join(unseen)}: too few rows before the drive to see that the shaft rests: record "
             f"{START_S:g} s at 0 V before each run",
         )
+
+
+def _starts_off_zero(estimate: Estimate, found: Sequence[OneWay], runs: Sequence[Transient]) -> Iterator[Objection]:
+    """Starts that change the value, or a value off the middle of its interval."""
+    corrected, reach = _interval(estimate)
+    by_starts, by_noise = (
+        sum(shifts) / len(found) for shifts in ([w.by_starts_V for w in found], [w.by_noise_V for w in found])
+    )
     starts = ", ".join(f"{1e3 * run.start_rad:+.1f} mrad ({run.name})" for run in runs)
     seen = any(abs(run.start_rad) > 3.0 * run.start_error_rad for run in runs)
-    if seen and any(abs(way.by_starts_V) > START_MATTERS * size for way in found):
-        estimate = estimate.judged(
+    off = abs(estimate.fc_V - corrected)
+    if seen and any(abs(way.by_starts_V) > START_MATTERS * _size_V(estimate, runs) for way in found):
+        yield Objection(
             "refused",
             f"the runs do not start from zero but from {starts}: this changes the value by "
             f"{by_starts:+.2g} V; bring the shaft to zero before each run",
         )
-    elif abs(estimate.fc_V - corrected) > 0.5 * reach:
-        outside = abs(estimate.fc_V - corrected) > reach
-        estimate = estimate.judged(
-            "doubtful" if outside else "ok",
-            f"the method's value lies {'outside' if outside else 'off the middle of'} its interval: starts of {starts} "
-            f"move it by {1e3 * by_starts:+.2g} mV and noise in both sides of the equation by {1e3 * by_noise:+.2g} "
-            f"mV; without both it is {corrected:.4f} V",
+    elif off > 0.5 * reach:
+        yield Objection(
+            "doubtful" if off > reach else "ok",
+            f"the method's value lies {'outside' if off > reach else 'off the middle of'} its interval: starts of "
+            f"{starts} move it by {1e3 * by_starts:+.2g} mV and noise in both sides of the equation by "
+            f"{1e3 * by_noise:+.2g} mV; without both it is {corrected:.4f} V",
         )
-    if reach > WIDE * size:
-        estimate = estimate.judged(
-            "refused" if reach > TOO_WIDE * size else "doubtful",
-            f"fc_V is only known to {100 * reach / size:.0f} % (95 % interval): record drives that differ more, with "
+
+
+def _wide_interval(estimate: Estimate, runs: Sequence[Transient]) -> Iterator[Objection]:
+    share = _interval(estimate)[1] / _size_V(estimate, runs)
+    if share > WIDE:
+        yield Objection(
+            "refused" if share > TOO_WIDE else "doubtful",
+            f"fc_V is only known to {100 * share:.0f} % (95 % interval): record drives that differ more, with "
             "a wider hysteresis, or sample faster",
         )
-    estimate = _one_shape(estimate, found, runs)
-    untimed = [way.by_timing_V_s for way, group in zip(found, ways, strict=True) if not all(r.timed for r in group)]
-    if untimed:
-        estimate = estimate.judged(
-            "ok",
-            "without t_u_s rig assumes that the drives of all runs act equally late: a difference of 1 ms would change "
-            f"the value by {max(untimed):.2g} mV",
-        )
-    if len(found) == 1:
-        side, sign = ("rising", "-") if runs[0].d_V > 0.0 else ("falling", "+")
-        estimate = estimate.judged(
-            "doubtful",
-            f"this is the friction towards {side} positions alone, fc {sign} asym: the interval does not show the "
-            "asymmetry; record two more runs with d_V of the other sign",
-        )
-    return estimate
 
 
-def _one_shape(estimate: Estimate, found: Sequence[OneWay], runs: Sequence[Transient]) -> Estimate:
-    """Doubtful unless the runs are multiples of one curve plus white noise."""
+def _several_shapes(estimate: Estimate, found: Sequence[OneWay], runs: Sequence[Transient]) -> Iterator[Objection]:
+    """Runs that are not multiples of one curve plus white noise."""
     neighbours = max(_neighbours(way.residual_rad) for way in found)
     noise = math.sqrt(sum(run.noise_rad**2 for run in runs) / len(runs))
     spread = max(float(np.ptp(run.y_rad)) for run in runs)
     if estimate.rms_rad > NEGLIGIBLE * spread and (estimate.rms_rad > NOISY * noise or neighbours > CORRELATED):
-        return estimate.judged(
+        yield Objection(
             "doubtful",
             f"the runs are not multiples of one curve: the residual, {1e3 * estimate.rms_rad:.2g} mrad, is "
             f"{estimate.rms_rad / noise if noise > 0.0 else math.inf:.1f} times the sensor's noise, and its neighbours "
             f"correlate by {neighbours:.1f} standard deviations: the motor changed between the runs, friction is "
             "more than Coulomb friction, the runs do not start from rest, or their times are wrong",
         )
-    return estimate
+
+
+def _unknown_delays(found: Sequence[OneWay], ways: Sequence[Sequence[Transient]]) -> Iterator[Objection]:
+    untimed = [way.by_timing_V_s for way, runs in zip(found, ways, strict=True) if not all(r.timed for r in runs)]
+    if untimed:
+        yield Objection(
+            "ok",
+            "without t_u_s rig assumes that the drives of all runs act equally late: a difference of 1 ms would change "
+            f"the value by {max(untimed):.2g} mV",
+        )
+
+
+def _one_direction(runs: Sequence[Transient]) -> Iterator[Objection]:
+    rising = [run.d_V > 0.0 for run in runs]
+    if all(rising) or not any(rising):
+        side, sign = ("rising", "-") if rising[0] else ("falling", "+")
+        yield Objection(
+            "doubtful",
+            f"this is the friction towards {side} positions alone, fc {sign} asym: the interval does not show the "
+            "asymmetry; record two more runs with d_V of the other sign",
+        )
 
 
 def _neighbours(residual: Array) -> float:

@@ -12,7 +12,7 @@ from rig.identify.mean_cycle import Cycle
 from rig.identify.preprocessing import from_recording
 from rig.model.supply import SupplyReading
 from rig.recording.errors import IdentifyError
-from rig.recording.reader import Recording
+from rig.recording.recording import Recording
 from rig.recording.series import TimeSeries
 from rig.recording.stage import Stage, StageKind, kind_of
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from rig.identify.estimate import PARAMETERS
 from rig.identify.noise import WHITE, Noise
@@ -18,9 +19,19 @@ from rig.recording.series import TimeSeries, Window, joined_times_s
 Array = NDArray[np.float64]
 
 SHARED = 5  # number of parameters that all windows share: tau, K, fc, asym, delay
-MAX_ITERATIONS = 100
 LARGEST_LOG_K = 40.0  # keeps exp(log K) finite
 SINGULAR = 1e10  # condition of the scaled Jacobian beyond which parameters cannot be separated
+
+
+class Accuracy(NamedTuple):
+    """When a fit ends: relative changes of the vector and of the squares, and the most iterations."""
+
+    step: float
+    squares: float
+    iterations: int
+
+
+ACCURACY = Accuracy(1e-11, 1e-13, 100)
 
 
 @dataclass(frozen=True)
@@ -68,19 +79,13 @@ class OutputErrorProblem:
             v0, y0 = x[SHARED + 2 * k], x[SHARED + 2 * k + 1]
             y, jacobian = position_and_jacobian(Theta(tau, K, x[2], x[3], x[4], v0, y0), *window.steps, window.t_s)
             residuals.append(y - window.y_rad)
-            block = np.zeros((y.size, x.size))
-            block[:, :SHARED] = jacobian[:, :SHARED]
-            block[:, 0] *= tau
-            block[:, 1] *= K
-            block[:, SHARED + 2 * k : SHARED + 2 * k + 2] = jacobian[:, SHARED:]
-            blocks.append(block)
+            blocks.append(by_full_vector(jacobian, (tau, K), x.size, SHARED + 2 * k))
         return np.concatenate(residuals), np.concatenate(blocks)
 
     def solve(self, x0: Array) -> Solution:
         """Local least-squares solution from the full vector ``x0`` (trust region, analytic Jacobian)."""
         mask = self.mask()
         low, high = (bound[mask] for bound in self.bounds())
-        margin = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
         full = x0.copy()
         cached: dict[bytes, tuple[Array, Array]] = {}
         iterates: list[Array] = []
@@ -102,21 +107,48 @@ class OutputErrorProblem:
         def residual(part: Array) -> Array:
             return evaluate(part)[0]
 
-        found = least_squares(
-            residual,
-            np.clip(x0[mask], low + margin, high - margin),
-            jac=jacobian,
-            bounds=(low, high),
-            x_scale="jac",
-            xtol=1e-11,
-            ftol=1e-13,
-            gtol=1e-14,
-            max_nfev=MAX_ITERATIONS,
-        )
+        found = bounded_least_squares(residual, jacobian, x0[mask], (low, high), ACCURACY)
         full[mask] = found.x
         left, full_jacobian = self.residual_and_jacobian(full)
         arrived = found.status > 0 or _arrived(np.asarray(found.jac), found.fun)
         return Solution(full.copy(), left, full_jacobian, np.array(iterates), arrived)
+
+
+def by_full_vector(jacobian: Array, tau_K: tuple[float, float], size: int, at: int) -> Array:
+    """The derivatives of a window by the full vector, (n, ``size``), from those by ``Theta``, (n, 7).
+
+    jacobian  rad per unit of the parameter
+    tau_K     of the motor, s and (rad/s)/V: the full vector has their logarithms
+    at        place of the window's v0 in the full vector
+    """
+    block = np.zeros((jacobian.shape[0], size))
+    block[:, :SHARED] = jacobian[:, :SHARED]
+    block[:, :2] *= tau_K
+    block[:, at : at + 2] = jacobian[:, SHARED:]
+    return block
+
+
+def bounded_least_squares(
+    residual: Callable[[Array], Array],
+    jacobian: Callable[[Array], Array],
+    x0: Array,
+    bounds: tuple[Array, Array],
+    accuracy: Accuracy,
+) -> OptimizeResult:
+    """The solution by scipy's trust region from ``x0``, which is moved inside ``bounds``: low and high, (p,) each."""
+    low, high = bounds
+    margin = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
+    return least_squares(
+        residual,
+        np.clip(x0, low + margin, high - margin),
+        jac=jacobian,
+        bounds=bounds,
+        x_scale="jac",
+        xtol=accuracy.step,
+        ftol=accuracy.squares,
+        gtol=1e-14,
+        max_nfev=accuracy.iterations,
+    )
 
 
 def _arrived(jacobian: Array, residual: Array) -> bool:

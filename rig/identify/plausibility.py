@@ -132,7 +132,7 @@ def _units(test: TimeSeries) -> list[Objection]:
         cure = "is t_s in seconds? If it is, keep every tenth row"
         object_to("refused", f"samples are {period:.3g} s apart: {cure}")
     elif duration < SHORTEST_RECORD_S:
-        object_to("doubtful", f"the whole record lasts {duration:.3g} s: is t_s in seconds?")
+        object_to("doubtful", f"the whole recording lasts {duration:.3g} s: is t_s in seconds?")
 
     step = test.resolution_rad()
     if span > 2.0 and bool(np.all(y == np.round(y))):

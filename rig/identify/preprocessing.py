@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.recording.errors import IdentifyError
-from rig.recording.reader import Recording
+from rig.recording.recording import Recording
 from rig.recording.series import FEWEST_ROWS, TIMES_ERROR_S, TimeSeries
 from rig.recording.stage import Stage
 

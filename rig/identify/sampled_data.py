@@ -79,44 +79,59 @@ def fit(
     Raises IdentifyError if there is nothing to fit.
     """
     free = any(test.t_u_s is None for test in tests) if free_delay is None else free_delay
+    problem = _problem(tests, free)
+    guesses = list(starts) if starts else grid_starts(problem.windows)
+    given = periods_s or [None] * len(tests)
+    periods = [test.drive_period_s() if p is None else p for test, p in zip(tests, given, strict=True)]
+    best = _extended(problem, _candidates(problem, guesses), [period for period in periods if period is not None])
+    problem, best = _with_noise(problem, best)
+    return _estimate(problem, best, tests, periods)
+
+
+def _problem(tests: Sequence[TimeSeries], free_delay: bool) -> OutputErrorProblem:
+    """The fit as a problem of least squares with white noise. Raises IdentifyError if nothing changes in a test."""
     # A delay of 0 must not lie at a bound, and a column that is off by a row shows as a negative delay.
     earliest = -max(test.period_s for test in tests)
-    bounds = (earliest, max(test.longest_delay_s for test in tests)) if free else (0.0, 0.0)
+    bounds = (earliest, max(test.longest_delay_s for test in tests)) if free_delay else (0.0, 0.0)
     windows = tuple(test.predictable(bounds[1]) for test in tests)
     for test, window in zip(tests, windows, strict=True):
-        if np.ptp(window.y_rad) == 0.0 or window.steps.u_V.size < 2:
-            still = "the position never changes" if np.ptp(window.y_rad) == 0.0 else "the drive never changes"
+        still = "position" if np.ptp(window.y_rad) == 0.0 else "drive" if window.steps.u_V.size < 2 else None
+        if still is not None:
             raise IdentifyError(
-                f"{test.name}: {still}",
+                f"{test.name}: the {still} never changes",
                 "record a relay test (`rig relay CONFIG`), or any drive that moves the motor both ways",
             )
-    problem = OutputErrorProblem(windows, bounds, (True, True, True, True, free))
-    guesses = list(starts) if starts else grid_starts(windows)
-    candidates = sorted((_score(windows, guess, 0.5 * bounds[1]) for guess in guesses), key=lambda c: c[0])
-    durations = [window.duration_s for window in windows]
-    given = periods_s or [None] * len(windows)
-    periods = [test.drive_period_s() if p is None else p for test, p in zip(tests, given, strict=True)]
-    first_s = FIRST_CYCLES * max((period for period in periods if period is not None), default=0.1 * max(durations))
-    best = _extended(problem, [x0 for _, x0 in candidates], first_s, max(durations))
+    return OutputErrorProblem(windows, bounds, (True, True, True, True, free_delay))
+
+
+def _candidates(problem: OutputErrorProblem, starts: Sequence[Start]) -> list[Array]:
+    """The full vectors of the starts, the best first."""
+    scored = [_score(problem.windows, start, 0.5 * problem.delay_bounds_s[1]) for start in starts]
+    return [x0 for _, x0 in sorted(scored, key=lambda candidate: candidate[0])]
+
+
+def _with_noise(problem: OutputErrorProblem, best: Solution) -> tuple[OutputErrorProblem, Solution]:
+    """The problem with the noise that the residual shows, and its solution; both as they are if the noise is white."""
     for _ in range(NOISE_ROUNDS):
-        if _exact(best, windows):
+        if _exact(best, problem.windows):
             break
-        noise = noise_of(best.residual, joined_times_s(windows), problem.lengths())
+        noise = noise_of(best.residual, joined_times_s(problem.windows), problem.lengths())
         if noise.white:
             break
         problem = replace(problem, noise=noise)
         again = problem.solve(best.x)
         best = replace(again, iterates=np.concatenate((best.iterates, again.iterates)))
-    return _estimate(problem, best, tests, periods)
+    return problem, best
 
 
-def _extended(problem: OutputErrorProblem, candidates: Sequence[Array], first_s: float, last_s: float) -> Solution:
-    """Solution on the whole recording, by way of ever longer parts of it.
+def _extended(problem: OutputErrorProblem, candidates: Sequence[Array], periods_s: Sequence[float]) -> Solution:
+    """Solution on the whole recording, by way of ever longer parts of it; ``periods_s``: of the cycles, if any.
 
     Over a long test a small error of asymmetry or friction grows, and makes false minima. Over a few cycles it does
     not. So the starts are compared there, and the best one stays near the minimum while the part grows.
     """
-    horizon_s = first_s
+    last_s = max(window.duration_s for window in problem.windows)
+    horizon_s = FIRST_CYCLES * max(periods_s, default=0.1 * last_s)
     best: Solution | None = None
     while True:
         whole = horizon_s >= last_s

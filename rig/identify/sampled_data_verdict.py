@@ -47,7 +47,7 @@ def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
         )
     if estimate.tau_s > 2.0 * duration:
         return estimate.judged(
-            "refused", f"tau = {estimate.tau_s:.3g} s is longer than the record of {duration:.3g} s: record longer"
+            "refused", f"tau = {estimate.tau_s:.3g} s is longer than the recording, {duration:.3g} s: record longer"
         )
     longest = max(test.longest_delay_s for test in tests)
     if all(test.t_u_s is not None for test in tests):

@@ -78,9 +78,9 @@ def sampling_bias(cycles: Sequence[Cycle], tick_s: float) -> str | None:
     if shortest_s >= FINE_SAMPLING * tick_s:
         return None
     return (
-        f"the relay decides every {1e3 * tick_s:.3g} ms, only {shortest_s / tick_s:.0f} times a cycle: its cycles "
-        "differ by that, and their average is off by more than the interval shows: below "
-        f"{FINE_SAMPLING:.0f} times trust the sampled-data estimate"
+        f"the relay decides every {1e3 * tick_s:.3g} ms, only {shortest_s / tick_s:.0f} times a cycle, so its "
+        "cycles differ, and their average is off by more than the interval shows; "
+        f"below {FINE_SAMPLING:.0f} times a cycle trust the sampled-data estimate"
     )
 
 

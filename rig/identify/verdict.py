@@ -88,10 +88,12 @@ def intervals(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
                 f"the recording cannot separate {name} from the others: record a drive that moves the motor both ways",
             )
         if SURE * share > PROMISE:
+            asked = f"{100 * PROMISE / SURE:.2g}"
+            known = (f"{100 * share:.{digits}g}" for digits in range(2, 18))
             estimate = estimate.judged(
                 "refused" if share > TOO_WIDE else "doubtful",
-                f"{name} is only known to {100 * share:.2g} % (95 % interval); ok asks for "
-                f"{100 * PROMISE / SURE:.2g} %: record more cycles, or slower and larger ones",
+                f"{name} is only known to {next((text for text in known if text != asked), asked)} % (95 % interval); "
+                f"ok asks for {asked} %: record more cycles, or slower and larger ones",
             )
     return estimate
 

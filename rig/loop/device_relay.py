@@ -36,11 +36,9 @@ class DeviceRelay:
         self._tick_s = math.nan
         self._last_row_s = math.nan
         self._untaken: deque[RelayRow] = deque()  # rows that have come and are not recorded yet
-        self.last_y_rad = math.nan  # position at the last tick
 
-    def start(self, driver: RelayDriver, command: RelayCommand, y_rad: float) -> None:
-        """Start the relay, with the shaft at ``y_rad``."""
-        self.last_y_rad = y_rad
+    def start(self, driver: RelayDriver, command: RelayCommand) -> None:
+        """Start the relay."""
         self._tick_s = driver.tick_s
         self._last_row_s = math.nan
         driver.start_relay(command)
@@ -54,31 +52,32 @@ class DeviceRelay:
 
     def take(
         self, rows: list[RelayRow], tick: int, law: Law, stage: str, watch: Callable[[float], None] | None
-    ) -> None:
-        """Record each row under the loop's ``tick``, then check it.
+    ) -> list[Sample]:
+        """Record each row under the loop's ``tick``, then check it. Returns what was read at each tick of the device.
 
         law    takes each tick of the device; it must decide the drive that the device drove
         watch  called after each tick with its time, s
         Raises Fault DEVICE_RELAY, RELAY_STOPPED, and the law's and the guard's.
         """
         self._untaken.extend(rows)
+        samples: list[Sample] = []
         while self._untaken:
             sample = self._take_row(self._untaken.popleft(), tick, law, stage)
+            samples.append(sample)
             if watch is not None:
                 watch(sample.t_s)
+        return samples
 
     def _take_row(self, row: RelayRow, tick: int, law: Law, stage: str) -> Sample:
         sample = self._sample(row)
-        self.last_y_rad = sample.y_rad
         try:
             decided_V = law.step(sample)
         finally:
             self._record_row(row, sample, tick, stage, law.z_rad_s, law.yd_rad)
         if row.u_V != decided_V:
             if self._driver is not None:
-                self._untaken.extend(
-                    self._driver.read_rows()
-                )  # if the device stopped by itself, this raises its reason
+                # if the device stopped by itself, this raises its reason
+                self._untaken.extend(self._driver.read_rows())
             raise Fault("DEVICE_RELAY", f"{row.u_V:+.3f} V at {row.y_counts} counts, not {decided_V:+.3f} V")
         passed_V, _ = self._guard.allow(sample, row.u_V)
         if passed_V != row.u_V:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rig.backends.clock import VirtualClock
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
-from rig.calibration import Calibration, DriveMap
+from rig.calibration import Calibration, DriveMap, Scaling
 from rig.control.guard import Guard, GuardSettings
 from rig.control.tracking import Tracking
 from rig.faults import Fault
@@ -55,9 +55,7 @@ def pre_run(tracking: Tracking, bench: PreRunBench, guard: GuardSettings, seed: 
     driver = SimulatedDriver(
         clock,
         parameters,
-        calibration,
-        plain,
-        bench.rail_counts,
+        Scaling(calibration, plain, bench.rail_counts),
         SimulatedLatency(bench.latency_s, 0.0),
         seed,
         bench.order,

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow
-from rig.backends.serial.relay_stream import TICK_S, relay_command
-from rig.calibration import Calibration, DriveMap
+from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow, RelayRules
+from rig.calibration import DriveMap
 from rig.control.law import Law
+from rig.faults import Fault
 from rig.loop.replayed_rows import AFTER_DRIVING, OF_LAW_OR_GUARD, By, ReplayedRows
 from rig.loop.runner import Loop
 from rig.recording.sink import NullSink, Row
@@ -44,8 +44,9 @@ class RecordedDriver:
     """The samples of a recording behind the driver interface, with the relay in a device. It drives nothing.
 
     order        order of a tick in the run
-    calibration, drive_map   of the run, with the drive's units
+    drive_map    of the run, with the drive's units
     clock_ratio  device seconds in a second of the host
+    relay        what its device made of the gains of a relay in it; None: unknown
     """
 
     failsafe: DeviceWatchdog | None = DeviceWatchdog(1.0)
@@ -53,13 +54,13 @@ class RecordedDriver:
     link_statistics: Mapping[str, int] = {}
 
     def __init__(
-        self, replayed: ReplayedRows, order: Order, calibration: Calibration, drive_map: DriveMap, clock_ratio: float
+        self, replayed: ReplayedRows, order: Order, drive_map: DriveMap, clock_ratio: float, relay: RelayRules | None
     ) -> None:
         self.order = order
         self._replayed = replayed
-        self._calibration = calibration
         self._drive_map = drive_map
         self._clock_ratio = clock_ratio
+        self._rules = relay
         self._is_armed_anew = False
         self._stops = 0
         self._device_stage = ""
@@ -118,11 +119,17 @@ class RecordedDriver:
     @property
     def tick_s(self) -> float:
         """The device's tick in host time, s."""
-        return TICK_S / self._clock_ratio
+        return self._relay.tick_s
 
     def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
-        """The command that the device got; raises as ``relay_stream.relay_command``."""
-        return relay_command(h1_V, h2_V, z_bound_rad_s, self._calibration, self._drive_map, self.tick_s)
+        """The command that the device got; raises as ``RelayRules.relay_command``."""
+        return self._relay.relay_command(h1_V, h2_V, z_bound_rad_s)
+
+    @property
+    def _relay(self) -> RelayRules:
+        if self._rules is None:
+            raise Fault("CONFIG_MISMATCH", "relay.where is device, but its driver does not say how a relay runs there")
+        return self._rules
 
     def start_relay(self, command: RelayCommand) -> None:
         """Go on at the relay's first row.

@@ -11,7 +11,7 @@ from rig.faults import Fault
 from rig.loop.device_relay import STOPPING
 from rig.loop.stop_request import StopRequest
 from rig.recording.columns import SampleRow
-from rig.recording.reader import Recording
+from rig.recording.recording import Recording
 
 By = Literal["law", "guard", "record"]
 
@@ -117,6 +117,11 @@ class ReplayedRows:
 
     def __getitem__(self, row: int) -> SampleRow:
         return self._rows[row]
+
+    @property
+    def holds_device_relay(self) -> bool:
+        """Whether a relay in the device made some of the rows."""
+        return any(row.in_device for row in self._rows)
 
     @property
     def is_over(self) -> bool:

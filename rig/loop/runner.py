@@ -54,7 +54,7 @@ class Loop:
         self._row_open = False
         self._asked_V = 0.0
         self._skipped = 0  # ticks skipped just before the next one
-        self.last_y_rad = math.nan  # position at the last tick
+        self.last_y_rad = math.nan  # position at the last tick, of the loop or of a relay in the device
         self._last_t_s = math.nan
         self._newest_t_s = -math.inf  # of any row
         self._relay = DeviceRelay(guard, record, self.statistics, self._since_start_s)
@@ -147,7 +147,7 @@ class Loop:
         self._record.event(self.now_s, "stage", name=stage)
         self._finish_row()
         self.guard.pace(driver.tick_s, max(4.0 * self._period_s, WINDOW_S))
-        self._relay.start(driver, command, self.last_y_rad)
+        self._relay.start(driver, command)
         self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
         while not law.finished:
             due_s, woke_s = self._await_tick()
@@ -161,10 +161,9 @@ class Loop:
         self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
 
     def _take_rows(self, rows: list[RelayRow], law: Law, stage: str, watch: Callable[[float], None] | None) -> None:
-        try:
-            self._relay.take(rows, self._tick, law, stage, watch)
-        finally:
-            self.last_y_rad = self._relay.last_y_rad
+        samples = self._relay.take(rows, self._tick, law, stage, watch)
+        if samples:
+            self.last_y_rad = samples[-1].y_rad
 
     def _record_last_rows(self) -> None:
         """Record the last rows of a relay in the device, if the run ends while it drives."""
@@ -204,6 +203,7 @@ class Loop:
         """Once the drive is out: complete the row before, by what this sample reports, and open this tick's row."""
         self._complete_row(sample)
         self._measure_latency(sample)
+        self._last_t_s, self.last_y_rad = sample.t_s, sample.y_rad
         if self._skipped:
             flags |= FLAG_SKIPPED
         self._record.sample(self._tick, sample, stage, law.z_rad_s, law.yd_rad, u_V, late_us, io_us, flags)
@@ -242,8 +242,6 @@ class Loop:
         latency_s = sample.t_u_s - self._last_t_s
         if 0.0 <= latency_s < self._longest_latency_s:  # false for nan, and after a skipped tick
             self.latency_s += (latency_s - self.latency_s) * (0.05 if self.latency_s else 1.0)
-        self._last_t_s = sample.t_s
-        self.last_y_rad = sample.y_rad
 
     def _finish_row(self) -> None:
         """One last exchange, to complete the last row with the effect of its drive."""

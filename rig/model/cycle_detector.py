@@ -28,11 +28,11 @@ class CycleDetector:
 
     min_period_s        30 sampling periods
     min_amplitude_rad   20 LSB
-    spread              largest relative difference among three periods in a row (twice that among their amplitudes)
-                        for them to be settled
+    spread              how far three periods in a row may differ, as a share of a period, and still be settled
 
-    ``settled`` becomes true after three such periods. It becomes false at a period that is not accepted, or that
-    differs from the one before by more than six times the spread.
+    ``settled`` becomes true after three accepted periods in a row that differ by at most ``spread``, and whose
+    amplitudes differ by at most twice that share. It becomes false at a period that is not accepted, or whose length or
+    amplitude differs from the one before by more than six times ``spread``.
 
     A period starts where z crosses zero upwards. There y is large, so noise on y cannot make z chatter.
     Three events must follow in this order: RA (largest y), RB (y falls through zero), RC (z falls through zero).

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import root
 
+from rig.model.linear import input_vector, transition
+
 Array = NDArray[np.float64]
 
 # The plane that ends each stage: RA (velocity), RB (position), RC (integral).
@@ -81,20 +83,6 @@ class LimitCycle:
     def stable(self) -> bool:
         """Locally stable: every eigenvalue of J inside the unit circle (Theorem 2.2)."""
         return bool(np.abs(self.eigenvalues()).max() < 1.0)
-
-
-def transition(tau_s: float, h_s: float) -> Array:
-    """Phi(h): [v, y, z] after h seconds without input."""
-    decay = -math.expm1(-h_s / tau_s)
-    glide = tau_s * decay
-    return np.array([[1.0 - decay, 0.0, 0.0], [glide, 1.0, 0.0], [tau_s * (h_s - glide), h_s, 1.0]])
-
-
-def input_vector(tau_s: float, K_rad_s_V: float, h_s: float) -> Array:
-    """Gamma(h): [v, y, z] after h seconds of one volt from zero."""
-    decay = -math.expm1(-h_s / tau_s)
-    drift = h_s - tau_s * decay
-    return K_rad_s_V * np.array([decay, drift, 0.5 * h_s * h_s - tau_s * drift])
 
 
 def effective_inputs(fc_V: float, h1_V: float, h2_V: float) -> tuple[float, float, float]:

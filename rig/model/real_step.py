@@ -362,7 +362,7 @@ def longest_step(m: RealMotor, frame: Frame, sign: float, at: State, staged_V: f
     if m.bristle_V_rad > 0.0:  # the nearer they are to sliding, the less they matter
         floor = level_of_bristles(m, frame, speed, at.y, t_s)
         stiff = stiffness(m, floor)
-        left = max(abs(1.0 - sign * at.f / floor), SLIDING)
+        left = min(max(abs(1.0 - sign * at.f / floor), SLIDING), 2.0)
         left += LEVEL_CHANGES * (abs(m.friction_sin_V) + abs(m.friction_cos_V)) / stiff
         if m.stribeck_V != 0.0 and m.stribeck_rad_s > 0.0:
             left += abs(m.stribeck_V) * math.exp(-speed / m.stribeck_rad_s) / floor

@@ -8,7 +8,7 @@ rest, or a speed below which the Stribeck effect begins.
 
 Each part of the model is one function here, in plain Python. ``Motor`` calls these functions directly. numba compiles
 the same functions into the loops of ``rig.model.compiled``. The emulated boards have them in C
-(firmware/boards/host/bench.c); tests/emulate compares the C with the Python.
+(firmware/boards/host/bench.c); tests/backends/serial compares the C with the Python.
 
 Velocities are in rad/s, positions in rad, drives and friction in V, times in s.
 """
@@ -110,9 +110,14 @@ def reversal_time(v: float, target: float, tau_s: float) -> float:
     return math.inf
 
 
+def decay_after(h_s: float, tau_s: float) -> float:
+    """1 - exp(-h / tau): the share of its way to the target that a velocity has gone after ``h_s``."""
+    return -math.expm1(-h_s / tau_s)
+
+
 def glide(state: State, target: float, tau_s: float, h_s: float) -> State:
     """State ``h_s`` seconds later of a motion whose velocity tends to ``target`` (docs/theory.md 1.3)."""
-    return glide_by(state, target, tau_s, h_s, -math.expm1(-h_s / tau_s))
+    return glide_by(state, target, tau_s, h_s, decay_after(h_s, tau_s))
 
 
 def glide_by(state: State, target: float, tau_s: float, h_s: float, decay: float) -> State:
@@ -160,8 +165,9 @@ def next_segment(plant: Plant, v: float, drive_V: float, longest_s: float, c: Ro
     tau, gain = plant.tau_s, plant.K_rad_s_V
     moving_V, static_V = friction_levels(plant, sign)
     b = gain * (static_V - moving_V) / unit
-    x, target, far = abs(v) / unit, gain * (sign * drive_V - moving_V) / unit, far_speed(b)
+    x, target = abs(v) / unit, gain * (sign * drive_V - moving_V) / unit
     if is_exponential(x, target, b):
+        far = far_speed(b)
         # down to the speed at which the Stribeck effect begins, or to rest if this direction has no Stribeck effect
         leaves_s = tau * math.log1p((x - far) / (far - target)) if target < far < x else math.inf
         if leaves_s <= longest_s:
@@ -228,7 +234,7 @@ def advance_exponentially(plant: Plant, state: State, u_V: float, dt_s: float) -
     left_s = dt_s
     while left_s > 0.0:
         _, target, h_s, reverses = exponential(plant, state.v, drive_V, left_s)
-        state = glide_by(state, target, tau_s, h_s, -math.expm1(-h_s / tau_s))
+        state = glide(state, target, tau_s, h_s)
         if reverses:
             state = State(0.0, state.y, state.z)
         left_s -= h_s

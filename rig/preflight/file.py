@@ -1,4 +1,4 @@
-"""A config that may be run: loaded, and held to the rules, with errors that name file, line and key."""
+"""Reads a config and checks it against the rules. Errors name file, line and key."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from rig.preflight.rules import Preflight, preflight
 def check(path: Given, passing: Collection[str] = ()) -> tuple[Experiment, Preflight]:
     """``load``, and ``preflight`` on it: the experiment, and what it would do.
 
-    passing  keys, with dots, whose problems do not count: of what drives nothing
-    Raises ConfigError as ``load`` does, and, with the places of the keys, where the experiment must not be run.
+    passing  keys, written with dots, whose problems do not count; for commands that drive nothing
+    Raises ConfigError as ``load`` does, and also if the experiment must not be run: with line and key of each problem.
     """
     experiment, document = load_with_places(path)
     found = preflight(experiment)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 from rig.backends.registry import backend_of
 from rig.config.problems import bracketed
 from rig.config.schema import Experiment
 from rig.config.sensor import range_rad
+from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
 from rig.preflight.differences import differences
 from rig.preflight.room_to_stop import (
-    FRICTION_DIFFERS,
-    breakaway_strokes,
     overshoot_terms,
     peak_speed_rad_s,
     room_rad,
@@ -51,77 +51,106 @@ def notes(e: Experiment) -> Iterator[str]:
 
 
 def _check_ends_by(watchdog_s: float, e: Experiment) -> str:
-    """The worst case of a breakaway stroke that the sum counts, in words."""
+    """The worst case for which the bound on unseen travel holds, in words."""
     time = f"{1e3 * watchdog_s:.3g} ms"
     watchdog = backend_of(e).watchdog(e)
     if watchdog.time_s is None or (not watchdog.certain and e.daq.accept_no_watchdog):
-        return f"a tick that comes {time} late, but not a host that dies: without a watchdog nothing bounds that"
+        return f"even if a tick comes {time} late; but if the host dies nothing bounds it: the device has no watchdog"
     if watchdog.unit_s is None:
-        return f"a host that dies in a stroke: the device's own watchdog ends the stroke after {time}"
-    return f"a host that dies in a stroke: this check arms the device's watchdog with {time}"
+        return f"even if the host dies in a stroke: the device's own watchdog ends it after {time}"
+    return f"even if the host dies in a stroke: in this check the device's watchdog ends it after {time}"
+
+
+class _Stage(NamedTuple):
+    """The lines of a stage, and its longest time, s, as far as it is known."""
+
+    lines: Sequence[str]
+    longest_s: float = 0.0
 
 
 def _stage_lines(e: Experiment) -> Iterator[str]:
     """The stages with the longest times to expect."""
-    b, r = e.breakaway, e.relay
-    breakaway_s = 2.0 * b.rest_s + 2.0 * b.max_V / b.ramp_V_s
-    total_s = breakaway_s
-    strokes = None if e.motor is None else breakaway_strokes(e)
-    if strokes is not None:
-        longest, shortest = (1e3 * f(strokes.strokes_s) for f in (max, min))
-        lengths = f"{longest:.3g} ms" if longest == shortest else f"{longest:.3g} to {shortest:.3g} ms"
-        yield (
-            f"stage breakaway: strokes of {lengths} to and fro, {1e3 * strokes.step_V:.3g} mV "
-            f"stronger each time, up to {b.max_V:g} V; at most about {breakaway_s:.0f} s"
-        )
-        yield (
-            f"stage breakaway, with a stuck or uncoupled sensor: the shaft turns at most {strokes.unseen_rad:.2f} rad, "
-            f"if motor.no_load_speed_rad_s is true and friction each way is within {FRICTION_DIFFERS:.0%} of the mean "
-            f"of both ways; that counts {_check_ends_by(strokes.watchdog_s, e)}"
-        )
     if e.law is not None:
+        yield from _breakaway(e).lines
         yield (
             f"stage law: {e.law.name}, a law of your own, for at most {e.law.duration_s:g} s, within the limits; "
             "no relay test, nothing is identified"
         )
         return
+    stages = (_breakaway(e), _relay_tests(e), _hysteretic_runs(e), _IDENTIFY, _verify(e))
+    for stage in stages:
+        yield from stage.lines
+    unknown = "" if e.relay.target is not None and e.relay.hysteretic is None else ", and the relay tests"
+    clock = backend_of(e).seconds_words(e)
+    total_s = sum(stage.longest_s for stage in stages)
+    yield f"together at most about {total_s:.0f} s{clock}{unknown}, plus settling and rests"
+
+
+def _breakaway(e: Experiment) -> _Stage:
+    b = e.breakaway
+    longest_s = 2.0 * b.rest_s + 2.0 * b.max_V / b.ramp_V_s
+    strokes = None if e.motor is None else breakaway_strokes(e)
+    if strokes is None:
+        return _Stage((), longest_s)
+    longest, shortest = (1e3 * f(strokes.strokes_s) for f in (max, min))
+    lengths = f"{longest:.3g} ms" if longest == shortest else f"{longest:.3g} to {shortest:.3g} ms"
+    lines = (
+        f"stage breakaway: strokes of {lengths} to and fro, {1e3 * strokes.step_V:.3g} mV "
+        f"stronger each time, up to {b.max_V:g} V; at most about {longest_s:.0f} s",
+        f"stage breakaway, with a stuck or uncoupled sensor: the shaft turns at most {strokes.unseen_rad:.2f} rad, "
+        f"if motor.no_load_speed_rad_s is true and friction each way is within {FRICTION_DIFFERS:.0%} of the mean "
+        f"of both ways. That holds {_check_ends_by(strokes.watchdog_s, e)}",
+    )
+    return _Stage(lines, longest_s)
+
+
+def _relay_tests(e: Experiment) -> _Stage:
+    """The search for the target's gains and the tests with them, or the tests with the given gains."""
+    r = e.relay
     if r.target is not None:
         amplitudes = r.target.amplitude_rad, r.target.amplitude_rad * r.second_ratio
         tests_s = 2.0 * r.cycles * r.target.period_s
         speed = peak_speed_rad_s(max(amplitudes), r.target.period_s)
-        yield (
-            f"stage excite: searches gains for {r.target.amplitude_rad:g} rad every {r.target.period_s:g} s, "
-            f"+-{r.target.tolerance:.0%}; at most {r.search.timeout_s:g} s"
-        )
-        yield (
+        lines = (
+            f"stage search: searches gains for {r.target.amplitude_rad:g} rad every {r.target.period_s:g} s, "
+            f"+-{r.target.tolerance:.0%}; at most {r.search.timeout_s:g} s",
             f"stage relay: {r.cycles} settled cycles at {amplitudes[0]:.3g} and at {amplitudes[1]:.3g} rad, "
-            f"up to about {speed:.2g} rad/s; about {tests_s:.0f} s and the settling"
+            f"up to about {speed:.2g} rad/s; about {tests_s:.0f} s and the settling",
         )
-        total_s += r.search.timeout_s + tests_s
-    elif r.gains is not None:
+        return _Stage(lines, r.search.timeout_s + tests_s)
+    if r.gains is not None:
         pairs = ", ".join(f"({g.h1_V:g}, {g.h2_V:g})" for g in r.gains)
-        yield f"stage relay: {r.cycles} settled cycles at each of (h1, h2) = {pairs} V; their period is not known yet"
-    if r.hysteretic is not None:
-        pairs = ", ".join(f"({h.d_V:+g}, {h.eps_rad:g})" for h in r.hysteretic)
-        widest_rad = max(h.eps_rad for h in r.hysteretic)
-        overshoot = sum(rad for _, rad in overshoot_terms(e))
-        horizon_s = sum(rad for _, rad in stopping_terms(e)) / e.limits.max_speed_rad_s
-        yield (
-            f"stage hysteretic: each run starts from rest at zero, (d, eps) = {pairs} V, rad; "
-            f"at most to {widest_rad + overshoot:.3g} rad; the guard would brake above "
-            f"{(room_rad(e) - widest_rad) / horizon_s:.3g} rad/s; every d must exceed the breakaway level, which the "
-            "breakaway stage measures"
+        return _Stage(
+            (f"stage relay: {r.cycles} settled cycles at each of (h1, h2) = {pairs} V; their period is not known yet",)
         )
-    yield "stage identify: every method, no motion"
+    return _Stage(())
+
+
+def _hysteretic_runs(e: Experiment) -> _Stage:
+    if e.relay.hysteretic is None:
+        return _Stage(())
+    pairs = ", ".join(f"({h.d_V:+g}, {h.eps_rad:g})" for h in e.relay.hysteretic)
+    widest_rad = max(h.eps_rad for h in e.relay.hysteretic)
+    overshoot = sum(rad for _, rad in overshoot_terms(e))
+    horizon_s = sum(rad for _, rad in stopping_terms(e)) / e.limits.max_speed_rad_s
+    line = (
+        f"stage hysteretic: each run starts from rest at zero, (d, eps) = {pairs} V, rad; "
+        f"at most to {widest_rad + overshoot:.3g} rad; the guard would brake above "
+        f"{(room_rad(e) - widest_rad) / horizon_s:.3g} rad/s; every d must exceed the breakaway level, which the "
+        "breakaway stage measures"
+    )
+    return _Stage((line,))
+
+
+_IDENTIFY = _Stage(("stage identify: every method, no motion",))
+
+
+def _verify(e: Experiment) -> _Stage:
     if e.tracking is None:
-        yield "stage verify: left out, since the config has no section `tracking`"
-    else:
-        verify_s = len(e.tracking.methods) * e.tracking.duration_s
-        total_s += verify_s
-        yield (
-            f"stage verify: tracking with the models of {', '.join(e.tracking.methods)}, "
-            f"{e.tracking.duration_s:g} s each; {verify_s:.0f} s"
-        )
-    unknown = "" if r.target is not None and r.hysteretic is None else ", and the relay tests"
-    clock = backend_of(e).seconds_words(e)
-    yield f"together: at most about {total_s:.0f} s{clock}{unknown}, and settling and rests"
+        return _Stage(("stage verify: left out, since the config has no section `tracking`",))
+    longest_s = len(e.tracking.methods) * e.tracking.duration_s
+    line = (
+        f"stage verify: tracking with the models of {', '.join(e.tracking.methods)}, "
+        f"{e.tracking.duration_s:g} s each; {longest_s:.0f} s"
+    )
+    return _Stage((line,), longest_s)

@@ -13,16 +13,16 @@ from difflib import get_close_matches
 from pydantic import ValidationError
 
 from rig.backends.registry import backend_of
+from rig.backends.registry import rules as device_rules
 from rig.config.messages import unplaced
 from rig.config.problems import Path, Problem, bracketed, printable, wrong
 from rig.config.schema import Experiment, RelayGainsSection, RelayTarget
 from rig.config.sensor import count_rad, range_rad
 from rig.control.laws import OptionError, construct, registered
 from rig.plug_ins import PlugInError
+from rig.preflight.breakaway_strokes import UNSEEN_RAD, breakaway_strokes
 from rig.preflight.plan import plan
 from rig.preflight.room_to_stop import (
-    UNSEEN_RAD,
-    breakaway_strokes,
     device_watchdog_s,
     limits_are_ordered,
     overshoot_terms,
@@ -73,11 +73,6 @@ def _own_section(e: Experiment) -> Iterator[Problem]:
             backend.options(e, backend.section)
         except ValidationError as error:
             yield from unplaced(error.errors(include_url=False), backend.section, ("daq", "options"))
-
-
-def _device(e: Experiment) -> Iterator[Problem]:
-    """The device's own rules: its keys, its link."""
-    yield from backend_of(e).rules(e)
 
 
 def _spin(e: Experiment) -> Iterator[Problem]:
@@ -347,7 +342,7 @@ def _hysteretic(e: Experiment) -> Iterator[Problem]:
                 "widen it: the method sees only the transient up to it",
             )
         elif limits_are_ordered(e) and run.eps_rad + overshoot > reach_rad(e):
-            written = " + ".join(f"{rad:.3f} {words}" for words, rad in overshoot_terms(e))
+            written = " + ".join(f"{rad:.3f} ({words})" for words, rad in overshoot_terms(e))
             room = reach_rad(e) - overshoot
             yield Problem(
                 (*path, "eps_rad"),
@@ -450,7 +445,7 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
 
 
 _RULES: tuple[Rule, ...] = (
-    _device,
+    device_rules,
     _spin,
     _watchdog,
     _limits,

@@ -7,7 +7,10 @@ layout     the memory that recorder and writer share
 columns    the columns of samples.csv and their text
 folder     the run folder and its small files
 follow     live progress of a run
-reader     run folders and plain CSV files as a ``Recording``
+recording  ``Recording``: the rows of a run folder or a CSV file as arrays
+reader     reads run folders and CSV files
+csv_file   reads the rows of a CSV file
+text_file  files as text, whatever is in them
 series     ``TimeSeries``: the numbers of one stretch of a recording
 stage      the stages of a run
 path_kind  when a path is not a recording: what it is, and what to type

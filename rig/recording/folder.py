@@ -13,7 +13,7 @@ import secrets
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rig.recording.errors import CannotWriteError, RecordingError
 from rig.results.part import Part
@@ -54,7 +54,7 @@ def write_config(folder: Path, text: str) -> None:
     write_whole(folder / CONFIG, text.encode("utf-8"))
 
 
-def write_meta(folder: Path, meta: Part | Mapping[str, Any]) -> None:
+def write_meta(folder: Path, meta: Part | Mapping[str, object]) -> None:
     """Write meta.json as strict JSON: nan and infinities become null; numpy values become plain ones.
 
     Raises RecordingError if the file cannot be written, TypeError for a value that JSON does not have.
@@ -62,7 +62,7 @@ def write_meta(folder: Path, meta: Part | Mapping[str, Any]) -> None:
     write_whole(folder / META, json_text(meta).encode("utf-8"))
 
 
-def write_result(folder: Path, result: Part | Mapping[str, Any]) -> None:
+def write_result(folder: Path, result: Part | Mapping[str, object]) -> None:
     """Write result.json, in the way of ``write_meta``."""
     write_whole(folder / RESULT, json_text(result).encode("utf-8"))
 
@@ -91,13 +91,13 @@ def write_whole(path: Path, content: bytes) -> None:
         raise CannotWriteError(path, *_cannot_write(error)) from error
 
 
-def json_text(value: Part | Mapping[str, Any]) -> str:
+def json_text(value: Part | Mapping[str, object]) -> str:
     """Strict JSON: numbers that are not finite become null. Raises TypeError for a value that JSON does not have."""
     plain = value.as_json() if isinstance(value, Part) else value
     return json.dumps(_strict(plain), indent=2, allow_nan=False) + "\n"
 
 
-def _strict(value: Any) -> Any:
+def _strict(value: object) -> object:
     if hasattr(value, "tolist"):  # a numpy scalar or array
         value = value.tolist()
     if isinstance(value, float):

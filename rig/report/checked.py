@@ -17,9 +17,7 @@ def tracking(run: ReportedRun) -> Picture:
 
     Raises AbsentError if no model tracked.
     """
-    spans = run.spans("track")
-    if not spans:
-        raise AbsentError("No model was driven along the trajectory in this run.")
+    spans = run.spans_of("track", "No model was driven along the trajectory in this run.")
     last = {s.stage: s for s in spans}  # a stage visited twice counts once, with its last visit
     t, y, yd = run.rows.t_s, run.rows.y_rad, run.rows.yd_rad
     figure = new_figure(4.3)

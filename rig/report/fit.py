@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import least_squares
 
+from rig.estimators import LEADING
 from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, identify
@@ -120,7 +121,7 @@ def predict_cycles(run: ReportedRun, estimate: EstimateResult | None, cycles: Cy
     series = cycles.series
     edges = series.edge_s
     if series.t_u_s is None:  # the drive acts later, by the delay that a method estimated
-        delays = (known(e.delay_s) for e in (estimate, run.estimates.get("sampled-data")) if e is not None)
+        delays = (known(e.delay_s) for e in (estimate, run.estimates.get(LEADING)) if e is not None)
         edges = edges + next((d for d in delays if math.isfinite(d)), 0.0)
     found = []
     for first, last in cycles.rows:

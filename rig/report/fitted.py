@@ -31,6 +31,7 @@ from rig.results import known
 
 LABELS = {"tau_s": "τ, s", "K_rad_s_V": "K, (rad/s)/V", "fc_V": r"$\mathbf{f_c}$, V"}
 LONGEST_LAG = 60
+FEWEST_RESIDUALS = 20
 
 
 def averaged_cycle(run: ReportedRun, span: Span) -> Picture:
@@ -85,14 +86,28 @@ def averaged_cycle(run: ReportedRun, span: Span) -> Picture:
 
 
 def residuals(run: ReportedRun, method: str, fits: Mapping[str, Estimate]) -> Picture:
-    """Residual of one estimator over time, its histogram, and its autocorrelation with the band of white noise.
-
-    Raises AbsentError without a residual.
-    """
+    """Residual of one estimator, as ``residual_figure`` draws it. Raises AbsentError without a residual."""
     fit = fits.get(method)
-    if fit is None or fit.residual_rad.size < 20:
+    if fit is None or fit.residual_rad.size < FEWEST_RESIDUALS:
         raise AbsentError("The residual series could not be computed from this recording.")
-    t, r = fit.residual_t_s, 1e3 * fit.residual_rad
+    spread = float(np.std(1e3 * fit.residual_rad))
+    return render(
+        residual_figure(fit), run.backend,
+        f"Residual of the {method} estimate: over time, histogram, autocorrelation.",
+        f"Residual of the {method.replace('-', ' ')} estimate (RMS {spread:.3g} mrad about its mean, "
+        f"{fit.residual_rad.size} samples). If the model explains the data, the residual is white noise: a bell-shaped "
+        "histogram, and about 5 % of lags outside the band.",
+    )  # fmt: skip
+
+
+def residual_figure(fit: Estimate) -> Figure:
+    """The residual over time, its histogram, and its autocorrelation with the band of white noise.
+
+    Raises AbsentError with fewer than FEWEST_RESIDUALS values.
+    """
+    if fit.residual_rad.size < FEWEST_RESIDUALS:
+        raise AbsentError(f"The {fit.method} estimate has no residual of {FEWEST_RESIDUALS} samples to draw.")
+    method, t, r = fit.method, fit.residual_t_s, 1e3 * fit.residual_rad
     figure = new_figure(2.9)
     series, histogram, correlation = figure.subplots(1, 3, width_ratios=(1.7, 0.8, 1.2))
     pieces = _pieces(t)
@@ -123,12 +138,7 @@ def residuals(run: ReportedRun, method: str, fits: Mapping[str, Estimate]) -> Pi
     correlation.set_xlabel("lag, samples")
     correlation.set_title("autocorrelation")
     note(correlation, f"{100 * outside:.0f} % of lags outside the 95 % band", loc="upper right")
-    return render(
-        figure, run.backend, f"Residual of the {method} estimate: over time, histogram, autocorrelation.",
-        f"Residual of the {method.replace('-', ' ')} estimate (RMS {spread:.3g} mrad about its mean, {r.size} "
-        "samples). If the model explains the data, the residual is white noise: a bell-shaped histogram, and about 5 % "
-        "of lags outside the band.",
-    )  # fmt: skip
+    return figure
 
 
 def _pieces(t: Array) -> list[slice]:

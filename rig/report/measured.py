@@ -114,9 +114,7 @@ def relay_tests(run: ReportedRun) -> Picture:
 
     Raises AbsentError without a relay test.
     """
-    spans = run.spans("relay")
-    if not spans:
-        raise AbsentError("There was no relay test, so there is no limit cycle to show.")
+    spans = run.spans_of("relay", "There was no relay test, so there is no limit cycle to show.")
     t, y, z, u = run.rows.t_s, run.rows.y_rad, run.rows.z_rad_s, run.rows.u_V
     v = velocity(run)
     figure = new_figure(5.0)
@@ -197,9 +195,7 @@ def portraits(run: ReportedRun) -> Picture:
 
     Raises AbsentError without a relay test.
     """
-    spans = run.spans("relay")
-    if not spans:
-        raise AbsentError("There was no relay test, so there is no phase portrait.")
+    spans = run.spans_of("relay", "There was no relay test, so there is no phase portrait.")
     y, z, v = run.rows.y_rad, run.rows.z_rad_s, velocity(run)
     figure = new_figure(4.5)
     left, right = figure.subplots(1, 2, sharex=True)
@@ -256,9 +252,7 @@ def breakaway(run: ReportedRun) -> Picture:
 
     Raises AbsentError without a breakaway check.
     """
-    spans = run.spans("breakaway")
-    if not spans:
-        raise AbsentError("There was no breakaway check in this run.")
+    spans = run.spans_of("breakaway", "There was no breakaway check in this run.")
     rows = slice(spans[0].first, spans[-1].last + 1)
     t, y, u = run.rows.t_s[rows], run.rows.y_rad[rows], run.rows.u_V[rows]
     figure = new_figure(3.0)
@@ -298,7 +292,8 @@ def breakaway(run: ReportedRun) -> Picture:
     if any(math.isfinite(known(level)) for level in (found.static_plus_V, found.static_minus_V)):
         words += (
             " Dashed, with its interval: the drive at which the identified model must break away to reproduce the "
-            "motion best. It is static friction minus bias towards rising positions, plus bias towards falling ones."
+            "motion best. Towards rising positions it is static friction minus bias; towards falling ones, static "
+            "friction plus bias."
         )
     return render(
         figure, run.backend, "Breakaway strokes: drive and position, with static friction.",

@@ -8,15 +8,16 @@ from pathlib import Path
 
 import jinja2
 
+from rig.estimators import ESTIMATORS, LEADING
 from rig.identify import Identification, IdentifyError, identify
 from rig.package import VERSION
 from rig.recording.errors import RecordingError
 from rig.recording.folder import write_whole
-from rig.recording.reader import Recording
+from rig.recording.recording import Recording
 from rig.report import checked, fitted, measured, tables, transient
 from rig.report.fit import fits_of
 from rig.report.source import ReportedRun, load
-from rig.report.style import AbsentError, Picture, style
+from rig.report.style import AbsentError, Picture, colour, style
 from rig.report.words import headline, rounded
 from rig.results import RunResult
 
@@ -84,6 +85,7 @@ def render_page(run: ReportedRun, identification: Identification | None = None) 
     environment.filters["rounded"] = rounded
     return environment.get_template(TEMPLATE).render(
         run=run,
+        swatches={entry.short: colour(entry.name).lower() for entry in ESTIMATORS},
         version=VERSION,
         headline=headline(run),
         figures=draw(run, identification),
@@ -104,7 +106,7 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
     """All figures by section. For a missing one: the sentence that says why."""
     with style():
         fits, trouble = fits_of(run, identification)
-        best = next(iter(run.estimates), "sampled-data")
+        best = next(iter(run.estimates), LEADING)
         relays = run.spans("relay")
 
         def transients() -> list[Figure]:

@@ -13,8 +13,13 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from rig.estimators import ESTIMATORS
 from rig.faults import FAULTS
-from rig.recording.reader import Recording, RecordingError, printable, read_csv, whole_content
+from rig.recording.csv_file import read_csv
+from rig.recording.errors import RecordingError
+from rig.recording.reader import printable
+from rig.recording.recording import Recording
+from rig.recording.text_file import whole_content
 from rig.report.style import AbsentError, stage_kind
 from rig.results import EstimateResult, FaultReport, Part, RunEvent, RunMeta, RunResult, known
 from rig.results.estimates import LARGEST
@@ -23,7 +28,7 @@ from rig.results.reading import remarks, salvaged
 Array = NDArray[np.float64]
 _P = TypeVar("_P", bound=Part)
 
-PREFERRED = ("sampled-data", "triple-relay", "describing-function", "least-squares")
+PREFERRED = tuple(entry.name for entry in ESTIMATORS)
 
 
 class Span(NamedTuple):
@@ -153,6 +158,13 @@ class ReportedRun:
         starts = [0, *(np.flatnonzero(stage[1:] != stage[:-1]) + 1).tolist(), len(stage)]
         spans = [Span(str(stage[a]), a, b - 1) for a, b in pairwise(starts)]
         return [s for s in spans if s.stage and kind in ("", stage_kind(s.stage))]
+
+    def spans_of(self, kind: str, absent: str) -> list[Span]:
+        """``spans`` of a kind. Raises AbsentError, with the sentence ``absent``, if there are none."""
+        spans = self.spans(kind)
+        if not spans:
+            raise AbsentError(absent)
+        return spans
 
 
 def load(folder: Path, known: Recording | None = None) -> ReportedRun:

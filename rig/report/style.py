@@ -19,6 +19,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from rig.estimators import ESTIMATORS
 from rig.recording.stage import kind_of
 
 WIDTH_IN = 10.0
@@ -31,12 +32,9 @@ DRIVE = "#b35900"
 # With this many points or more, a curve becomes pixels inside the vector figure: all points, in a smaller file.
 RASTER_FROM = 20_000
 
-METHODS: dict[str, tuple[str, str, str]] = {  # colour, line style, short name
-    "sampled-data": ("#0072B2", "-", "SD"),
-    "triple-relay": ("#D55E00", "--", "TR"),
-    "describing-function": ("#009E73", "-.", "DF"),
-    "least-squares": ("#CC79A7", ":", "LS"),
-}
+# of the estimators, in the order of their list
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C510A")
+LINES = ("-", "--", "-.", ":")
 RELAY_STAGES = ("#0072B2", "#E69F00", "#CC79A7", "#56B4E9")
 BANDS = {
     "breakaway": "#eceef1",
@@ -112,18 +110,26 @@ class Drawing(Figure):
 
 
 def colour(method: str) -> str:
-    """Colour of an estimator."""
-    return METHODS.get(method, (INK, "-", ""))[0]
+    """Colour of an estimator; ink if it is unknown."""
+    at = _place(method)
+    return INK if at is None else COLOURS[at % len(COLOURS)]
 
 
 def line(method: str) -> str:
-    """Line style of an estimator."""
-    return METHODS.get(method, (INK, "-", ""))[1]
+    """Line style of an estimator; solid if it is unknown."""
+    at = _place(method)
+    return LINES[0] if at is None else LINES[at % len(LINES)]
 
 
 def short(method: str) -> str:
-    """Short name of an estimator."""
-    return METHODS.get(method, (INK, "-", method))[2]
+    """Short name of an estimator; its name if it is unknown."""
+    at = _place(method)
+    return method if at is None else ESTIMATORS[at].short
+
+
+def _place(method: str) -> int | None:
+    """Place of an estimator in the list; None if it is unknown."""
+    return next((k for k, entry in enumerate(ESTIMATORS) if entry.name == method), None)
 
 
 def plain(text: str) -> str:

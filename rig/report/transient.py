@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from rig.estimators import LEADING
 from rig.identify import least_squares
 from rig.identify.estimate import Estimate
 from rig.identify.least_squares import Transient
@@ -114,12 +115,12 @@ def recursion(run: ReportedRun, fits: Mapping[str, Estimate]) -> Picture:
     half = 0.5 * (bounds[1] - bounds[0]) if bounds else 0.0
     if bounds:
         axes.axhspan(*bounds, color=colour(method), alpha=0.15, lw=0, label="95 % interval, all samples")
-    other = run.estimates.get("sampled-data", EstimateResult())
+    other = run.estimates.get(LEADING, EstimateResult())
     if math.isfinite(known(other.fc_V)):
-        axes.axhline(known(other.fc_V), color=colour("sampled-data"), lw=1.2, label=short("sampled-data"))
+        axes.axhline(known(other.fc_V), color=colour(LEADING), lw=1.2, label=short(LEADING))
         extent = other.interval("fc_V")
         if extent is not None:
-            axes.axhspan(*extent, color=colour("sampled-data"), alpha=0.15, lw=0)
+            axes.axhspan(*extent, color=colour(LEADING), alpha=0.15, lw=0)
     if "fc_V" in run.truth:
         axes.axhline(run.truth["fc_V"], color=INK, lw=0.9, ls=":", label="truth")
     reach = max(4.0 * half, 0.25 * abs(fit.fc_V))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from rig.estimators import LEADING
 from rig.report.source import ReportedRun
 from rig.results import BreakawayResult, EstimateResult, known
 
@@ -167,8 +168,8 @@ def headline(run: ReportedRun) -> Headline:
             next_steps.append(_drive_with(run))
         else:
             next_steps.append(Step("Treat the values as a first guess. Do what each reason says, then run again."))
-    if method != "sampled-data":
-        text = f"These values come from the {name} method. A sampled-data estimate is more exact; this run has none."
+    if method != LEADING:
+        text = f"These values come from the {name} method. A {LEADING} estimate is more exact; this run has none."
         next_steps.append(Step(text))
     return Headline(outcome, title, tuple(sentences), reasons, tuple(next_steps), method, quantities)
 

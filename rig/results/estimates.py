@@ -77,8 +77,7 @@ class EstimateResult(Part):
 
     def interval(self, name: str) -> tuple[float, float] | None:
         """The 95 % interval of one parameter; None if it has none."""
-        low, high = map(known, (self.ci95 or {}).get(name, (None, None)))
-        return (low, high) if math.isfinite(low) and math.isfinite(high) else None
+        return _finite((self.ci95 or {}).get(name))
 
     @property
     def is_refused(self) -> bool:
@@ -111,13 +110,31 @@ class BreakawayResult(Part):
     reason: Annotated[Text, _IfIdentified] = Field("", description="why something is null, or what was assumed")
 
 
+class LawNumberResult(Part):
+    """A number that a friction law adds to tau, K, fc, asymmetry and delay."""
+
+    name: Text = Field(description="with its unit, as in `parameters`")
+    meaning: Text = Field("", description="in words")
+    unit: Text = Field("", description="for people")
+    value: Number = Field(None, description="in that unit")
+    ci95: Interval | None = Field(None, description="its 95 % interval: low, high; null: not known")
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """The 95 % interval; None if it has none."""
+        return _finite(self.ci95)
+
+
 class LawFit(Part):
     """One friction law, fitted to all tests but the one that it has to predict."""
 
-    law: Text = Field(description="coulomb, asymmetric, static or stribeck")
+    law: Text = Field(description="its name: coulomb, asymmetric, static, stribeck, ...")
     standing: Text = Field("", description="chosen, too simple, not needed or open")
     parameters: dict[str, Number] = Field({}, description="by name, with the unit in the name")
     standard_errors: dict[str, Number] = Field({}, description="of the parameters")
+    own: Annotated[tuple[LawNumberResult, ...], NOT_IN_EACH_FILE] = Field(
+        (), description="those of the parameters that this law adds"
+    )
     rms_rad: Number = Field(None, description="RMS of the residual, rad")
     criterion: Number = Field(None, description="BIC minus the chosen law's BIC; larger is worse")
     held_out_rms_rad: Number = Field(None, description="RMS error of the predicted test, rad; null: there is none")
@@ -145,6 +162,12 @@ class IdentificationResult(Part):
     hysteretic: Sometimes[tuple[HystereticResult, ...]] = Field(None, description="runs of hysteretic relays")
     breakaway: Sometimes[StaticFrictionResult] = Field(None, description="static friction")
     friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law describes the tests")
+
+
+def _finite(interval: Interval | None) -> tuple[float, float] | None:
+    """An interval with both its ends; None without one of them."""
+    low, high = map(known, interval or (None, None))
+    return (low, high) if math.isfinite(low) and math.isfinite(high) else None
 
 
 def known(value: float | None) -> float:

@@ -79,7 +79,7 @@ class RunMeta(Part):
     drive_units: Annotated[Count, Field(gt=0)] | None = Field(
         None, description="steps of the drive at full duty; null: the drive has no steps"
     )
-    times_error_s: Number = Field(None, description="what the times may be wrong by, s")
+    times_error_s: Number = Field(None, description="largest error of t_u_s against t_s, s")
     firmware: DeviceSeen | None = Field(None, description="the device as it introduced itself")
     drive: SupplyBelieved | None = Field(None, description="the motor supply by the config")
     failsafe: Text = Field("", description="what stops the drive if the host is silent")

@@ -53,13 +53,15 @@ def parsed(kind: type[_P], data: Mapping[str, Any]) -> _P:
 
 def salvaged(kind: type[_P], data: Mapping[str, Any]) -> tuple[_P, list[str]]:
     """The part that a JSON object describes, without what is wrong; and a sentence for each piece left out."""
-    kept: Any = json.loads(json.dumps(data))
+    kept: Any = data
     left_out: list[str] = []
     while True:
         try:
             return kind.model_validate(kept), left_out
         except ValidationError as error:
             found = error.errors(include_url=False)
+        if not left_out:
+            kept = json.loads(json.dumps(data))  # pieces are taken out of a copy
         wrong: dict[_Path, str] = {}  # each piece to leave out, and the first thing that is wrong with it
         for one in found:
             wrong.setdefault(_innermost(kept, one["loc"]), _in_words(one))

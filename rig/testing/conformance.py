@@ -21,12 +21,11 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 from rig import config
-from rig.backends import registry
 from rig.backends.backend import Unopened
 from rig.backends.driver import Clock, DeviceInfo, DeviceWatchdog, Driver
 from rig.backends.link_budget import LINK_SHARE
 from rig.backends.plug_in import PlugIn
-from rig.backends.registry import backend_of, driver_settings_of, unopened
+from rig.backends.registry import backend_of, unopened
 from rig.faults import Fault
 from rig.preflight import check
 from rig.signals import Limits, Sample
@@ -455,8 +454,8 @@ class _Constructed(Suite):
         """Constructing another driver, as `rig check` does, changes nothing while this one drives."""
         with self._armed():
             self._ticks([self.drive_V])
-            registry.construct(self.experiment.daq.driver, driver_settings_of(self.experiment))
-            (tick,) = self._ticks([self.drive_V])
+            with unopened(self.experiment):
+                (tick,) = self._ticks([self.drive_V])
             require(tick.sample.u_V > 0.0, f"a second driver was constructed, and this one drives {tick.sample.u_V} V")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +118,31 @@ def test_figures_need_no_display_and_are_not_shown(swing: rig.Run, found: rig.Fo
     assert "matplotlib.pyplot" not in sys.modules or not sys.modules["matplotlib.pyplot"].get_fignums()
 
 
+def test_one_estimate_shows_itself(found: rig.Found) -> None:
+    best = found.best
+    assert best is not None and best is found.estimates["sampled-data"]
+    lines = best.summary().splitlines()
+    assert lines[0] == "sampled-data: ok" and lines[1].split("  ")[0] == "parameter"
+    assert any(line.startswith("Coulomb friction") and " to " in line for line in lines)
+    assert repr(best) == best.summary() and "velocity time constant, s" in best._repr_html_()
+    figure = best.plot()
+    assert len(figure.axes) == 3
+    assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
+    assert best.judged("refused", "why").summary() == "sampled-data: refused\nwhy"
+    silent = replace(best, residual_rad=np.empty(0), residual_t_s=np.empty(0))
+    with pytest.raises(ValueError, match="sampled-data estimate has no residual"):
+        silent.plot()
+
+
+def test_what_was_found_goes_to_python_control_by_its_best_estimate(found: rig.Found) -> None:
+    best = found.best
+    assert best is not None
+    assert found.to_control()(3j) == best.to_control()(3j)
+    nothing = replace(found, estimates={})
+    with pytest.raises(ValueError, match="no estimate gives a motor"):
+        nothing.to_control()
+
+
 def test_what_a_notebook_shows_is_escaped_html(tmp_path: Path, swing: rig.Run, found: rig.Found) -> None:
     path = tmp_path / "<b>.csv"
     path.write_text("t_s,u_V,y_rad\n0,0,0\n1,0,0\n2,0,0\n", encoding="utf-8")
@@ -173,7 +199,7 @@ def test_a_config_may_be_a_mapping_and_names_its_keys(tmp_path: Path) -> None:
     config["drive"]["max_V"] = "much"
     with pytest.raises(rig.RigError, match=r"^config: drive\.max_V: "):
         rig.run(config, out=tmp_path)
-    with pytest.raises(rig.RigError, match="holds what no file can"):
+    with pytest.raises(rig.RigError, match="holds a value that no file can hold"):
         rig.run(config | {"name": Path()}, out=tmp_path)
 
 

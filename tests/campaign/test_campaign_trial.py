@@ -13,7 +13,7 @@ from rig.campaign import grid
 from rig.campaign.trial import COLUMNS, run_trial
 from rig.identify import identify, sampled_data
 from rig.identify.estimate import PARAMETERS
-from rig.recording.reader import read_csv
+from rig.recording.csv_file import read_csv
 
 
 def test_a_row_has_the_columns_in_their_order_and_kinds() -> None:

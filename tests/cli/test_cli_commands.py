@@ -101,6 +101,20 @@ def test_schema_is_the_one_in_config() -> None:
     assert json.loads(result.stdout) == json.loads((ROOT / "config/schema.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.parametrize("of", ["meta", "result"])
+def test_two_schemas_at_once_are_refused(tmp_path: Path, of: str) -> None:
+    to = tmp_path / "schema.json"
+    result = rig("schema", "--of", of, "--campaign", "--to", to)
+    assert result.exit_code == 2 and result.stdout == "" and not to.exists()
+    assert result.stderr == f"rig: --campaign and --of {of} name two schemas\n     leave one of them out\n"
+    assert rig("schema", "--of", "campaign", "--campaign").stdout == rig("schema", "--campaign").stdout
+
+
+def test_each_command_stands_in_the_file_of_its_name() -> None:
+    for name in main.commands:
+        assert (ROOT / f"rig/cli/{name}.py").is_file()
+
+
 def test_help_of_every_command_fits_a_screen() -> None:
     for name in main.commands:
         result = rig(name, "--help")

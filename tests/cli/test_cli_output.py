@@ -16,7 +16,7 @@ from command_line import rig
 from rich.console import Console
 
 from rig import terminal
-from rig.recording.reader import read_csv
+from rig.recording.csv_file import read_csv
 from rig.results import EstimateResult, TrackingResult, TrueMotor
 from rig.terminal import plain_table, show_estimates
 
@@ -121,7 +121,7 @@ def test_a_missing_port_is_said_before_anything_is_loaded_opened_or_waited_for(t
         "scipy",
         "numba",
         "serial",
-        "rig.bench",
+        "rig.preflight.loop_settings",
         "rig.backends.links.serial_port",
         "rig.experiment",
         "rig.loop.runner",

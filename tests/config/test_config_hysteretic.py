@@ -32,7 +32,7 @@ def test_the_papers_runs_pass_alone_and_beside_a_relay_test() -> None:
         assert "(+0.8, 0.5), (+1, 0.3) V, rad" in line
         assert "at most to 0.899 rad" in line  # 0.5 + 4.9 (2 * 0.01 + 0.2 (1 - ln 2))
         assert any(line.startswith("stage relay") for line in checked.lines) == ("gains" in more or "target" in more)
-        assert any(line.startswith("stage excite") for line in checked.lines) == ("target" in more)
+        assert any(line.startswith("stage search") for line in checked.lines) == ("target" in more)
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_what_one_section_says_wrong_is_refused(relay: dict[str, Any], words: st
         (
             {"d_V": 1.0, "eps_rad": 0.8},
             ("relay", "hysteretic", 1, "eps_rad"),
-            "0.098 2 periods + 0.301 reversing = 0.399 rad at 4.9 rad/s",
+            "0.098 (2 periods) + 0.301 (reversing) = 0.399 rad at 4.9 rad/s",
         ),
     ],
 )

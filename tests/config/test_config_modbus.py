@@ -23,9 +23,9 @@ from rig.backends.link_budget import LinkBudget
 from rig.backends.modbus.link_budget import transactions
 from rig.backends.modbus.section import tcp_address
 from rig.backends.registry import backend_of
-from rig.bench import guard_settings_of
 from rig.config import Experiment, load
 from rig.preflight import notes, preflight
+from rig.preflight.loop_settings import guard_settings_of
 from rig.preflight.plan import plan
 from rig.preflight.room_to_stop import device_watchdog_s, reaction_periods, stopping_terms
 
@@ -165,6 +165,7 @@ def test_the_input_table_is_another_place() -> None:
         ({"port": "192.168.0.5:1502"}, "daq.port", "an address, not a serial port"),
         ({"modbus": None}, "daq.modbus", "needs this section"),
         ({"driver": "serial"}, "daq.modbus", "is a key of `driver: modbus`"),
+        ({"adapter": "ftdi"}, "daq.adapter", "is a key of `driver: serial`, not of `driver: modbus`"),
     ],
 )
 def test_what_else_is_refused(daq: dict[str, Any], key: str, words: str) -> None:

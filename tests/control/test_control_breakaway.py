@@ -20,7 +20,7 @@ from rig.experiment.stages import breakaway_check as check_of
 from rig.faults import Fault
 from rig.model.friction import Friction, coulomb
 from rig.model.motor import Motor
-from rig.preflight.room_to_stop import UNSEEN_RAD, breakaway_strokes
+from rig.preflight.breakaway_strokes import UNSEEN_RAD, breakaway_strokes
 from rig.recording.reader import read_run
 from rig.signals import Limits, Sample
 from unseen_travel import check, trials, with_late_tick

@@ -26,7 +26,7 @@ from rig.cli import main
 from rig.recording.reader import read_run
 
 ROOT = Path(__file__).resolve().parents[2]
-RIG = [sys.executable, "-m", "rig.cli"]
+RIG = [sys.executable, "-m", "rig"]
 
 
 @pytest.mark.realtime

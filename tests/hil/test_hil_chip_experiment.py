@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, RAILS, ListSink, break_away
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, SCALING, ListSink, break_away
 
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import UnoOptions
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
-from rig.calibration import DriveMap
 from rig.cli import main
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
@@ -87,7 +86,7 @@ def test_behind_an_unos_usb_chip_it_identifies_as_ever(tmp_path: Path) -> None:
 
 def cycle(board: VirtualBoard | VirtualChip, period_s: float) -> tuple[float, float]:
     """Mean period and amplitude of twenty cycles of the host's relay."""
-    driver = SerialDriver(board, CALIBRATION, DriveMap(12.0), RAILS, emulated=True)
+    driver = SerialDriver(board, SCALING, emulated=True)
     driver.open()
     record = ListSink()
     loop = Loop(driver, board, Guard(GUARD), record, period_s, StopRequest())

@@ -19,7 +19,7 @@ from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import UnoOptions
 from rig.backends.serial.emulated.virtual_chip import VirtualChip
 from rig.backends.serial.frames import STATUS_ARMED, Code, FrameReader, Kind, Nack, encode
-from rig.calibration import DriveMap, TachometerScale
+from rig.calibration import DriveMap, Scaling, TachometerScale
 from rig.faults import Fault
 
 FULL = 400
@@ -30,7 +30,8 @@ WIRED = UnoOptions(tachometer=True, supply=True, end_switches=True)
 
 
 def driver_on(board: Transport, tachometer: TachometerScale | None = None) -> SerialDriver:
-    return SerialDriver(board, CALIBRATION, DriveMap(SUPPLY_V), RAILS, emulated=True, tachometer=tachometer)
+    scaling = Scaling(CALIBRATION, DriveMap(SUPPLY_V), RAILS, tachometer=tachometer)
+    return SerialDriver(board, scaling, emulated=True)
 
 
 @pytest.mark.parametrize(("options", "bridge"), [*zip(BRIDGES, (1, 2), strict=True)], ids=("pwm-dir", "in1-in2"))
@@ -230,7 +231,7 @@ def test_the_motor_supply_where_it_is_wired() -> None:
 def test_a_motor_supply_at_the_end_of_its_reading_may_be_more() -> None:
     """20 V are full scale: of 24 V nothing more can be said."""
     board = VirtualChip(replace(QUIET, supply_V=24.0), options=WIRED)
-    told = SerialDriver(board, CALIBRATION, DriveMap(24.0), RAILS, emulated=True).open()
+    told = SerialDriver(board, Scaling(CALIBRATION, DriveMap(24.0), RAILS), emulated=True).open()
     assert told.supply_V == pytest.approx(20.0) and told.supply_at_least
     with pytest.raises(Fault, match=r"at least 20\.0 V, drive\.supply_V is 12 V"):
         driver_on(VirtualChip(replace(QUIET, supply_V=24.0), options=WIRED)).open()

@@ -13,6 +13,7 @@ import pytest
 import yaml
 from processes import PATIENCE_S, rows, wait_until
 
+from rig.backends.driver import Timeouts
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.driver import SerialDriver
@@ -26,9 +27,8 @@ CONFIG = Path(__file__).resolve().parents[2] / "config"
 def drive_until_it_moves(port: str, experiment: Experiment) -> float:
     """Through the driver that a run uses; how far it says that the shaft has moved, rad."""
     transport = SerialPort(port)
-    rails = experiment.sensor.rail_counts
     # a shared machine may hold a process up for long
-    driver = SerialDriver(transport, experiment.sensor.curve, experiment.drive.map, rails, timeout_s=2.0, emulated=True)
+    driver = SerialDriver(transport, experiment.scaling, Timeouts(2.0), emulated=True)
     info = driver.open()
     assert (info.board, info.emulated, info.reset_cause) == ("uno", True, "power-on")
     driver.arm(replace(experiment.device_limits, watchdog_s=1.0))

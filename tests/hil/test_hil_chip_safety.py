@@ -13,7 +13,6 @@ from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import UnoOptions
 from rig.backends.serial.emulated.virtual_chip import Contact, Hang, VirtualChip
 from rig.backends.serial.frames import STATUS_FAULT, STATUS_RECOVERING, Code, Kind, encode, pack_ack, pack_drive
-from rig.calibration import DriveMap
 from rig.faults import Fault
 from rig.model.bench import SensorWiring
 
@@ -212,10 +211,10 @@ def test_an_end_switch_means_0_V_within_two_ticks_and_only_inward_from_there(con
 
 @pytest.mark.parametrize(("contact", "code"), [("e_stop", "DEVICE_ESTOP"), ("end_high", "DEVICE_END_SWITCH")])
 def test_the_driver_says_which_contact_it_was(contact: Contact, code: str) -> None:
-    from simulated_bench import CALIBRATION, LIMITS, RAILS
+    from simulated_bench import LIMITS, SCALING
 
     board = VirtualChip(QUIET, options=ENDS)
-    driver = SerialDriver(board, CALIBRATION, DriveMap(12.0), RAILS, emulated=True)
+    driver = SerialDriver(board, SCALING, emulated=True)
     driver.open()
     driver.arm(LIMITS)
     driver.write(1.0)

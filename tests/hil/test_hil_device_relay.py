@@ -12,7 +12,7 @@ from typing import Any, Literal, Unpack
 import numpy as np
 import pytest
 from raised import fault_of
-from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListSink
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, SCALING, ListSink
 from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, BoardOptions, VirtualHost, armed_host
 
 import rig.experiment
@@ -34,7 +34,6 @@ from rig.backends.serial.frames import (
     encode,
 )
 from rig.backends.serial.relay_stream import FirmwareRelay
-from rig.calibration import DriveMap
 from rig.config import load
 from rig.config.schema import Experiment, RelayGainsSection, RelaySection
 from rig.control.excitation import RelayTest
@@ -212,7 +211,7 @@ def test_the_pin_does_what_the_rows_say() -> None:
 
 def armed_driver(**bench: Any) -> tuple[VirtualBoard, SerialDriver]:
     board = VirtualBoard(replace(DEMO, **bench), clock_error_ppm=4000)
-    driver = SerialDriver(board, CALIBRATION, DriveMap(12.0), RAILS)
+    driver = SerialDriver(board, SCALING)
     driver.open()
     driver.arm(LIMITS)
     return board, driver
@@ -386,7 +385,7 @@ class DeviceBench:
         self, cycles: int = 3, gains_V: tuple[float, float] = GAINS_V, guard: GuardSettings = GUARD, **bench: Any
     ) -> None:
         self.board = VirtualBoard(replace(DEMO, **bench), clock_error_ppm=4000)
-        self.driver = SerialDriver(self.board, CALIBRATION, DriveMap(12.0), RAILS)
+        self.driver = SerialDriver(self.board, SCALING)
         self.driver.open()
         self.guard, self.record, self.stop = Guard(guard), ListSink(), StopRequest()
         self.guard.sign_proven = True

@@ -9,7 +9,7 @@ from virtual_host import BoardOptions
 
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import Truth, VirtualBoard
-from rig.calibration import Calibration, DriveMap, TachometerScale
+from rig.calibration import Calibration, DriveMap, Scaling, TachometerScale
 from rig.faults import Fault
 from rig.model.bench import BenchParameters, SensorWiring
 from rig.model.friction import Friction
@@ -32,7 +32,7 @@ def make(
     drive_map: DriveMap = DRIVE,
     tachometer: TachometerScale | None = None,
 ) -> SerialDriver:
-    return SerialDriver(board, calibration, drive_map, (5, 1018), tachometer=tachometer)
+    return SerialDriver(board, Scaling(calibration, drive_map, (5, 1018), tachometer=tachometer))
 
 
 def armed(

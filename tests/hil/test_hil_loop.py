@@ -9,11 +9,10 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListSink, break_away
+from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, SCALING, ListSink, break_away
 
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
-from rig.calibration import DriveMap
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
 from rig.control.guard import Guard
 from rig.control.law import Constant, Rest
@@ -38,7 +37,7 @@ class ChipBench:
 
 def chip_bench(seed: int = 1, **changes: Any) -> ChipBench:
     board = VirtualBoard(replace(DEMO, **changes), seed, clock_error_ppm=4000)
-    driver = SerialDriver(board, CALIBRATION, DriveMap(12.0), RAILS)
+    driver = SerialDriver(board, SCALING)
     driver.open()
     guard, record, stop = Guard(GUARD), ListSink(), StopRequest()
     return ChipBench(board, guard, Loop(driver, board, guard, record, PERIOD_S, stop), record, stop)

@@ -6,12 +6,13 @@ from itertools import pairwise
 
 import pytest
 
+from rig.backends.driver import Timeouts
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.backends.serial.emulated.host_board import HostBoard
 from rig.backends.serial.fit import Board
-from rig.calibration import Calibration, DriveMap
+from rig.calibration import Calibration, DriveMap, Scaling
 from rig.config.schema import Emulated
 from rig.faults import Fault
 from rig.signals import Limits
@@ -26,11 +27,9 @@ LIMITS = Limits(soft_rad=(-1.1, 1.1), hard_rad=(-1.9, 1.9), max_u_V=3.0, watchdo
 
 
 def connect(port: str) -> SerialDriver:
+    scaling = Scaling(CALIBRATION, DriveMap(supply_V=12.0), (5, 1018), 1023)
     # a shared machine may hold a process up for long
-    transport, drive_map = SerialPort(port), DriveMap(supply_V=12.0)
-    return SerialDriver(
-        transport, CALIBRATION, drive_map, (5, 1018), 2.0, board=Board(1023, "pwm-dir"), name=f"serial:{port}"
-    )
+    return SerialDriver(SerialPort(port), scaling, Timeouts(2.0), board=Board("pwm-dir"), name=f"serial:{port}")
 
 
 def test_a_run_and_another_on_the_same_port() -> None:

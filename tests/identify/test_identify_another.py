@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +17,24 @@ import numpy as np
 import pytest
 from synthetic import Bench, dcr, record, simulate
 
+from rig.estimators import ESTIMATORS, EstimatorEntry
+from rig.export import export
 from rig.identify import identification, identify, laws
 from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
-from rig.identify.laws.law import Array, CandidateLaw, LawParameter, Plain, Range
+from rig.identify.laws.law import Array, CandidateLaw, LawNumber, LawParameter, Plain, Range
 from rig.identify.measurements import Measurements
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.sensitivity import Theta, position
+from rig.notebook import Found
 from rig.recording.errors import IdentifyError
-from rig.recording.reader import Recording, from_columns, read_run
+from rig.recording.reader import read_run
+from rig.recording.recording import Recording, from_columns
 from rig.recording.series import Window
+from rig.report import write_report
+from rig.results import RunResult
+from rig.terminal import show_friction_law
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 
@@ -51,6 +65,7 @@ class BentSensor(CandidateLaw):
     name = "bent sensor"
     title = "a bent sensor"
     parameters = (LawParameter("bend_per_rad", 1e-6),)
+    reports = (LawNumber("bend_per_rad", "1/rad", "bend of the sensor"),)
 
     def position(self, theta: Theta, own: Sequence[float], window: Window) -> Array:
         y_rad = position(theta, *window.steps, window.t_s)
@@ -60,9 +75,12 @@ class BentSensor(CandidateLaw):
         return [(-1.0, 1.0)]
 
 
+LINE = EstimatorEntry("largest-speed", "VM", f"{__name__}:LargestSpeed")
+
+
 @pytest.fixture
 def with_largest_speed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(identification, "ESTIMATORS", [*identification.ESTIMATORS, LargestSpeed()])
+    monkeypatch.setattr(identification, "ESTIMATORS", [*ESTIMATORS, LINE])
 
 
 @pytest.mark.usefixtures("with_largest_speed")
@@ -89,6 +107,44 @@ def test_it_can_be_asked_for_and_says_where_it_does_not_apply() -> None:
     assert "largest-speed: there is no cycle" in others.notes
 
 
+def test_its_line_alone_puts_it_on_the_command_line_into_configs_and_into_the_report(tmp_path: Path) -> None:
+    """The line is there before rig is loaded, as it is for those in the file."""
+    script = f"""
+import sys
+from rig.estimators import ESTIMATORS, EstimatorEntry
+ESTIMATORS.append(EstimatorEntry(*{tuple(LINE)!r}))
+from rig.cli import main
+main(sys.argv[1:])
+"""
+    run = tmp_path / "run"
+    shutil.copytree(GOLDEN / "simulated", run)
+
+    def rig(*arguments: str | Path) -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", script, *map(str, arguments)],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return done.stdout
+
+    assert "|largest-speed]" in "".join(rig("identify", "--help").split())
+    assert "\nlargest-speed  0.2000" in rig("identify", run, "--method", "largest-speed")
+    assert '"largest-speed"' in rig("schema")
+    rig("report", run)
+    page = (run / "report.html").read_text()
+    assert ".VM {" in page
+    assert '<span class="swatch VM"></span>largest speed' in page
+    assert "largest speed is doubtful" in page
+
+
+def test_every_line_of_the_list_names_its_estimator() -> None:
+    for entry in ESTIMATORS:
+        module, name = entry.place.split(":")
+        assert getattr(import_module(module), name).name == entry.name
+
+
 def bent(bend_per_rad: float, h2_V: float, seed: int) -> Recording:
     """A relay test read through a bent sensor."""
     samples = simulate(Motor(0.17, 6.5, coulomb(0.5)), dcr(0.8, h2_V), 1000, Bench(noise_rad=0.003, seed=seed))
@@ -97,11 +153,14 @@ def bent(bend_per_rad: float, h2_V: float, seed: int) -> Recording:
     return from_columns(Path(f"{h2_V:g} V"), test.t_s, test.u_V, y_rad, test.t_u_s)
 
 
-@pytest.mark.parametrize("bend_per_rad", [0.15, -0.15])
-def test_a_law_in_the_list_is_tried_chosen_and_in_the_result(
-    monkeypatch: pytest.MonkeyPatch, bend_per_rad: float
-) -> None:
+@pytest.fixture
+def with_bent_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(laws, "LAWS", [*laws.LAWS, BentSensor()])
+
+
+@pytest.mark.usefixtures("with_bent_sensor")
+@pytest.mark.parametrize("bend_per_rad", [0.15, -0.15])
+def test_a_law_in_the_list_is_tried_chosen_and_in_the_result(bend_per_rad: float) -> None:
     tests = [bent(bend_per_rad, h2_V, seed) for h2_V, seed in ((1.0, 1), (1.3, 2))]
     found = identify(tests, ["sampled-data"]).friction_law
     assert found is not None
@@ -111,3 +170,26 @@ def test_a_law_in_the_list_is_tried_chosen_and_in_the_result(
     written: dict[str, Any] = found.as_result().as_json()
     assert written["rungs"][-1]["law"] == "bent sensor"
     assert found.notes()[0].startswith("friction law: a bent sensor")
+    (own,) = written["rungs"][-1]["own"]
+    assert (own["name"], own["unit"], own["meaning"]) == ("bend_per_rad", "1/rad", "bend of the sensor")
+    assert own["value"] == value
+    assert own["ci95"] == pytest.approx([value - 1.96 * error, value + 1.96 * error], rel=1e-4)
+
+
+@pytest.mark.usefixtures("with_bent_sensor")
+def test_its_number_is_in_terminal_summary_report_and_export(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = identify([bent(0.15, 1.0, 1), bent(0.15, 1.3, 2)], ["sampled-data"])
+    show_friction_law(found.as_result().friction_law)
+    assert re.search(r"^bend_per_rad +0\.1\d+ ±0\.0\d+ +1/rad +bend of the sensor$", capsys.readouterr().out, re.M)
+    assert "bend of the sensor" in Found.of(found).summary()
+    run = tmp_path / "run"
+    shutil.copytree(GOLDEN / "simulated", run)
+    result = RunResult(estimates=found.as_result().estimates, friction_law=found.as_result().friction_law)
+    (run / "result.json").write_text(json.dumps(result.as_json()))
+    page = write_report(run).read_text()
+    assert re.search(r'<th>a bent sensor</th>.*bend of the sensor <data value="0\.1\d+">0\.1\d+</data> 1/rad', page)
+    export(run, tmp_path / "run.json")
+    exported = json.loads((tmp_path / "run.json").read_text())["result"]["friction_law"]
+    assert exported["rungs"][-1]["own"][0]["name"] == "bend_per_rad"

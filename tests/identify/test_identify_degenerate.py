@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 
 from rig.identify import identify
 from rig.identify.identification import METHODS
-from rig.recording.errors import IdentifyError
-from rig.recording.reader import RecordingError, read
+from rig.recording.errors import IdentifyError, RecordingError
+from rig.recording.reader import read
 
 ROWS = (2, 3, 19, 20, 40, 76, 150, 300, 600)
 REAL = sampled(motor(**PAPER), relay(PAPER["fc_V"]), ticks(max(ROWS)), 0.004)

@@ -32,8 +32,8 @@ from hypothesis import strategies as st
 
 from rig.identify import identify
 from rig.identify.estimate import Estimate
-from rig.recording.errors import IdentifyError
-from rig.recording.reader import RecordingError, read
+from rig.recording.errors import IdentifyError, RecordingError
+from rig.recording.reader import read
 
 WITH_DRIVE_TIMES = ("t_s", "u_V", "y_rad", "t_u_s")
 PLAIN = WITH_DRIVE_TIMES[:3]

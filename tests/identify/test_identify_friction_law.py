@@ -20,7 +20,7 @@ from rig.identify.estimate import Estimate
 from rig.identify.friction_law import FrictionLawChoice, RankedLaw, effective_samples, friction_law, schwarz
 from rig.model.friction import Friction, coulomb, tustin
 from rig.model.motor import Motor
-from rig.recording.reader import Recording, from_columns
+from rig.recording.recording import Recording, from_columns
 from rig.recording.series import TimeSeries
 
 TAU, K, FC = 0.17, 6.5, 0.5

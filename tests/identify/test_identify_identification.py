@@ -12,7 +12,7 @@ import pytest
 from synthetic import LSB_RAD, Bench, Samples, dcr, motor, simulate, write_csv
 
 from rig.identify import METHODS, IdentifyError, identify
-from rig.recording.reader import read_csv
+from rig.recording.csv_file import read_csv
 
 NOISY: dict[str, Any] = {"noise_rad": 0.003, "lsb_rad": LSB_RAD}
 KEYS = {

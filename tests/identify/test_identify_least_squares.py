@@ -17,7 +17,7 @@ from rig.identify import IdentifyError, identify
 from rig.identify.estimate import Estimate
 from rig.identify.least_squares import Transient, batch, compared_with, fit, recursive, total
 from rig.model.motor import Motor, State
-from rig.recording.reader import read_csv
+from rig.recording.csv_file import read_csv
 from rig.recording.series import TimeSeries
 from rig.signals import Sample
 

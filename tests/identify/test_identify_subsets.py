@@ -13,7 +13,8 @@ from rig.identify import identify
 from rig.identify.estimate import Estimate
 from rig.recording.columns import COLUMNS
 from rig.recording.errors import IdentifyError
-from rig.recording.reader import Recording, read
+from rig.recording.reader import read
+from rig.recording.recording import Recording
 
 PLAIN = ("t_s", "u_V", "y_rad")
 ROWS = 1500

@@ -23,8 +23,8 @@ from rig.model.describing_function import predict
 from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import State
 from rig.model.sampled_relay import Disturbance, relay_test
+from rig.recording.csv_file import read_csv
 from rig.recording.errors import IdentifyError
-from rig.recording.reader import read_csv
 from rig.recording.series import TimeSeries
 
 TRUTH = (0.17, 6.5, 0.5)

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, ListSink
+from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, SCALING, ListSink
 
 from rig.backends.clock import VirtualClock
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
-from rig.calibration import DriveMap
 from rig.control.guard import Guard
 from rig.control.law import Law
 from rig.control.relay import DualChannelRelay
@@ -43,9 +42,7 @@ class Ended:
 def relay_test(order: Order, latency_s: float) -> tuple[list[dict[str, Any]], Loop]:
     """Twelve cycles on the demo's motor; rows of a bench with this order and latency."""
     clock = VirtualClock()
-    driver = SimulatedDriver(
-        clock, DEMO, CALIBRATION, DriveMap(12.0), RAILS, SimulatedLatency(latency_s, 0.0), 1, order
-    )
+    driver = SimulatedDriver(clock, DEMO, SCALING, SimulatedLatency(latency_s, 0.0), 1, order)
     guard = Guard(GUARD)
     guard.sign_proven = True
     record = ListSink()
@@ -59,7 +56,7 @@ def test_a_drive_that_goes_out_with_the_next_exchange_may_act_late_in_that() -> 
     """Later than a period, as an exchange takes its time: the loop measures it, for the observer."""
     clock = VirtualClock()
     latency = SimulatedLatency(0.0, 0.0)
-    driver = SimulatedDriver(clock, DEMO, CALIBRATION, DriveMap(12.0), RAILS, latency, 1, "write_first")
+    driver = SimulatedDriver(clock, DEMO, SCALING, latency, 1, "write_first")
     read = driver.read
     driver.read = lambda: (sample := read())._replace(t_u_s=sample.t_u_s + 0.003)  # type: ignore[method-assign]  # for this test
     loop = Loop(driver, clock, Guard(GUARD), ListSink(), PERIOD_S, StopRequest())

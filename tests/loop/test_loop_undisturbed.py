@@ -18,11 +18,10 @@ from pathlib import Path
 
 import pytest
 import yaml
-from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, RAILS, simulated_bench
+from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, SCALING, simulated_bench
 
 from rig.backends.clock import MonotonicClock
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
-from rig.calibration import DriveMap
 from rig.control.guard import Guard
 from rig.control.law import Constant, Rest
 from rig.faults import Fault
@@ -193,7 +192,7 @@ class Lateness(NullSink):
 
 def real_time_bench(recorder: Recorder) -> tuple[SimulatedDriver, Loop, Lateness]:
     clock = MonotonicClock(200e-6)
-    driver = SimulatedDriver(clock, DEMO, CALIBRATION, DriveMap(12.0), RAILS, SimulatedLatency(0.001, 0.0), 1)
+    driver = SimulatedDriver(clock, DEMO, SCALING, SimulatedLatency(0.001, 0.0), 1)
     record = Lateness(recorder)
     return driver, Loop(driver, clock, Guard(GUARD), record, PERIOD_S, StopRequest()), record
 

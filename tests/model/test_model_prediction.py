@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from decimal import Decimal, localcontext
+from typing import Any
 
 import numpy as np
 import pytest
@@ -120,7 +121,7 @@ def test_prediction_is_exact_to_1e_9(row: tuple[str, ...]) -> None:
         for duration, six_digits in zip(exact.durations, row[5:], strict=True):
             assert abs(duration - Decimal(six_digits)) <= Decimal("0.5e-6")
     tau, K, fc, h1, h2 = map(float, row[:5])
-    found = predict_cycle(tau, K, fc, fc, h1, h2)
+    found: Any = predict_cycle(tau, K, fc, fc, h1, h2).as_json()
     assert found["oscillates"] and found["reason"] is None and found["stable"]
     assert found["durations_s"] == pytest.approx([float(t) for t in exact.durations], abs=1e-9)
     assert found["y_switch_rad"] == pytest.approx([float(x[1]) for x in exact.states[:2]], abs=1e-9)
@@ -145,7 +146,7 @@ def test_prediction_is_exact_to_1e_9(row: tuple[str, ...]) -> None:
 def test_where_there_is_no_simple_oscillation_it_says_why(
     fc: float, fs: float, h1: float, h2: float, words: str
 ) -> None:
-    found = predict_cycle(0.17, 6.5, fc, fs, h1, h2)
+    found: Any = predict_cycle(0.17, 6.5, fc, fs, h1, h2).as_json()
     assert not found["oscillates"] and "durations_s" not in found
     with pytest.raises(NoLimitCycle, match=words):
         raise NoLimitCycle(found["reason"])

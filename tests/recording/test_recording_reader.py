@@ -13,10 +13,13 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from rig.recording import reader
+from rig.recording import csv_file as csv_files
 from rig.recording.columns import COLUMNS, HEADER, SampleRow, format_row
+from rig.recording.csv_file import read_csv
 from rig.recording.errors import RecordingError
-from rig.recording.reader import MAX_BYTES, Recording, read, read_csv, read_run
+from rig.recording.reader import read, read_run
+from rig.recording.recording import Recording, from_columns
+from rig.recording.text_file import MAX_BYTES
 from rig.results import RunMeta
 
 PLAIN = "t_s,u_V,y_rad\n0.00,1.8,0.1\n0.01,-0.2,0.2\n0.02,-0.2,0.3\n"
@@ -72,6 +75,15 @@ def test_a_plain_csv_has_what_it_has_and_says_so(tmp_path: Path) -> None:
     assert recording.stages() == []
     assert (recording.meta, recording.config_text, recording.events, recording.notes) == (RunMeta(), None, (), ())
     assert recording.source == tmp_path / "log.csv"
+
+
+def test_arrays_are_a_recording_with_the_columns_that_are_given() -> None:
+    t_s, u_V, y_rad = (np.array(values) for values in ([0.0, 0.01, 0.02], [1.8, -0.2, -0.2], [0.1, 0.2, 0.3]))
+    plain = from_columns(Path("arrays"), t_s, u_V, y_rad)
+    assert plain.columns_present == ("t_s", "u_V", "y_rad") and np.isnan(plain.late_us).all()
+    timed = from_columns(Path("arrays"), t_s, u_V, y_rad, late_us=1e6 * t_s)
+    assert timed.columns_present == ("t_s", "u_V", "y_rad", "late_us")
+    assert timed.late_us.tolist() == (1e6 * t_s).tolist()
 
 
 @pytest.mark.parametrize(
@@ -407,7 +419,7 @@ def test_rows_that_were_read_before_are_not_parsed_again(
     path.write_text("".join(lines))
     whole = read_csv(path)
     parsed: list[int] = []
-    parse_rows = reader._parse_rows
+    parse_rows = csv_files._parse_rows
 
     def counted(
         path: Path, header: tuple[str, ...], delimiter: str, lines: Sequence[str], numbers: Sequence[int]
@@ -415,7 +427,7 @@ def test_rows_that_were_read_before_are_not_parsed_again(
         parsed.extend(numbers)
         return parse_rows(path, header, delimiter, lines, numbers)
 
-    monkeypatch.setattr(reader, "_parse_rows", counted)
+    monkeypatch.setattr(csv_files, "_parse_rows", counted)
     again = read_csv(path, known=known)
     assert len(parsed) == after - before
     for name in COLUMNS:

@@ -12,8 +12,9 @@ import pytest
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate, write_csv
 
 from rig.identify.preprocessing import clock_ratio, from_recording
+from rig.recording.csv_file import read_csv
 from rig.recording.errors import IdentifyError
-from rig.recording.reader import Recording, read_csv
+from rig.recording.recording import Recording
 from rig.recording.series import TIMES_ERROR_S, TimeSeries, steps_of
 from rig.results import RunMeta
 

@@ -53,7 +53,7 @@ def test_what_a_run_writes_is_what_the_schemas_say(runs: list[Path]) -> None:
 
 def test_what_is_read_is_written_again_to_the_byte(runs: list[Path]) -> None:
     for folder in runs:
-        recording, result = read_run(folder), read_result(folder)
+        recording, (result, _) = read_run(folder), read_result(folder)
         assert result is not None
         for name, part in (("meta.json", recording.meta), ("result.json", result)):
             assert json_text(part) == (folder / name).read_text(encoding="utf-8")

@@ -12,11 +12,12 @@ from command_line import rig
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rig import read as read_by_api
 from rig.recording.errors import RecordingError
 from rig.recording.reader import read_result, read_run
 from rig.report.source import load
 from rig.results import RunEvent, RunMeta, RunResult
-from rig.results.reading import DamagedError, parsed, remarks, salvaged
+from rig.results.reading import DamagedError, parsed, salvaged
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden/simulated-jog"
 
@@ -48,26 +49,57 @@ def change(path: Path, **keys: Any) -> None:
         ({"schema": None}, "schema must be a whole number, not null"),
     ],
 )
-def test_a_damaged_meta_is_refused_with_file_key_and_what_to_do(folder: Path, keys: dict[str, Any], words: str) -> None:
+def test_a_wrong_value_in_meta_is_left_out_and_named_but_a_replay_refuses_it(
+    folder: Path, keys: dict[str, Any], words: str
+) -> None:
     change(folder / "meta.json", **keys)
+    said = f"meta.json: {words}; rig leaves it out"
+    recording = read_run(folder)
+    assert recording.notes[0] == said
+    assert recording.meta == salvaged(RunMeta, json.loads((folder / "meta.json").read_text(encoding="utf-8")))[0]
     with pytest.raises(RecordingError) as caught:
-        read_run(folder)
+        read_run(folder, strict=True)
     assert (caught.value.path, caught.value.cause) == (folder / "meta.json", words)
     assert "take that key out" in caught.value.cure
-    refused = rig("identify", folder)
+    refused = rig("replay", folder)
     assert refused.exit_code == 2 and f"{folder / 'meta.json'}: {words}" in refused.stderr
+    to = folder.parent / "run.json"
+    assert said in rig("export", folder, "--to", to).stdout
+    assert said in json.loads(to.read_text(encoding="utf-8"))["notes"]
 
 
-def test_a_damaged_result_is_refused_where_it_is_needed_and_left_out_of_the_report(folder: Path) -> None:
+def test_identify_reads_a_run_with_a_wrong_value_and_says_so(tmp_path: Path) -> None:
+    """The value that is wrong is one that no estimator reads: the numbers are those of the whole folder."""
+    run = Path(shutil.copytree(GOLDEN.parent / "simulated", tmp_path / "run"))
+    change(run / "meta.json", host=3)
+    events = (run / "events.jsonl").read_text(encoding="utf-8")
+    (run / "events.jsonl").write_text('{"t_s": "soon", "kind": 7}\n' + events, encoding="utf-8")
+    method = ("--method", "triple-relay")
+    sound = json.loads(rig("identify", GOLDEN.parent / "simulated", *method, "--json").stdout)
+    found = json.loads(rig("identify", run, *method, "--json").stdout)
+    assert found["estimates"] == sound["estimates"]
+    assert found["notes"][:2] == [
+        "run: meta.json: host must be an object with keys, not 3; rig leaves it out",
+        "run: events.jsonl: line 1: t_s must be a number, not the text 'soon'; rig leaves it out, and 1 more",
+    ]
+    assert found["notes"][1] in rig("identify", run, *method).stdout
+    refused = rig("replay", run)
+    assert refused.exit_code == 2 and "meta.json: host must be an object with keys" in refused.stderr
+    assert "meta.json: host must be" in read_by_api(run).notes[0]
+
+
+def test_a_wrong_value_in_result_is_left_out_and_named(folder: Path) -> None:
     estimates = {"sampled-data": {"tau_s": 0.17, "fc_V": "0.48", "rows": [1]}, "own": 7}
     change(
         folder / "result.json", backend="here", estimates=estimates, relays=[{"stage": "relay-1"}, 2], notes=["a", 1]
     )
-    with pytest.raises(RecordingError) as caught:
-        read_result(folder)
-    assert (caught.value.path, caught.value.cause[:10]) == (folder / "result.json", "relays[0].")
-    refused = rig("export", folder, "--to", folder / "a.json")
-    assert refused.exit_code == 2 and "result.json: relays[0].h1_V is missing" in refused.stderr
+    result, notes = read_result(folder)
+    assert result is not None and result.estimates["sampled-data"].tau_s == 0.17
+    assert notes[0] == "result.json: relays[0].h1_V is missing; rig leaves it out"
+    to = folder.parent / "a.json"
+    assert notes[0] in rig("export", folder, "--to", to).stdout
+    assert json.loads(to.read_text(encoding="utf-8"))["result"]["estimates"] == {"sampled-data": {"tau_s": 0.17}}
+    assert set(notes) <= set(read_by_api(folder).notes)
 
     run = load(folder)
     assert run.result.estimates["sampled-data"].tau_s == 0.17
@@ -86,8 +118,7 @@ def test_what_a_newer_version_wrote_is_read_and_named(folder: Path) -> None:
         "meta.json: a newer version of rig wrote it (schema 2; this one knows 1)",
         "meta.json: not known to this version of rig, and not used: colour, firmware.temperature_C",
     )
-    result = read_result(folder)
-    assert result is not None and remarks(result)[1].endswith("not used: estimates.sampled-data.mood")
+    assert read_result(folder)[1][1].endswith("not used: estimates.sampled-data.mood")
     to = folder.parent / "a.json"
     assert [line.split(":")[0] for line in rig("export", folder, "--to", to).stdout.splitlines()[:-1]] == [
         *("meta.json", "meta.json", "result.json", "result.json")

@@ -50,3 +50,12 @@ def test_fields_of_a_class_and_the_errors_of_its_making_are_held(tmp_path: Path)
         "`Motor`: no such field: gone_V",
         "`Motor.__init__`: raises ValueError, and does not say so",
     ]
+
+
+@pytest.mark.parametrize(("decorator", "found"), [("", 1), ("    @override\n", 0)])
+def test_an_override_may_leave_the_words_to_the_class_above(decorator: str, found: int, tmp_path: Path) -> None:
+    file = tmp_path / "motor.py"
+    file.write_text(
+        f'class Fast(Motor):\n    """A motor."""\n\n{decorator}    def run(self, level: float) -> None: ...\n'
+    )
+    assert len(check_docstrings.problems(file)) == found

@@ -34,6 +34,19 @@ def test_citations_are_found_in_sentences_lists_and_across_lines() -> None:
     assert citations("docs/theory.md alone") == set()
 
 
+def test_what_a_page_names_must_be_where_it_says() -> None:
+    place = "tools/check_docs.py"
+    there = f"`check_docs.py`, `test_tools_docs.py::{test_sections_are_what_their_headings_number.__name__}`"
+    assert list(check_docs.lost_places(f"{there}, `problems` in `{place}`")) == []
+    gone = ("no_" + "such", "sections" + "_of")  # apart, else this file would name them
+    lost = f"`{gone[0]}.py`, `test_tools_docs.py::{gone[1]}`, `{gone[1]}` in `{place}`"
+    assert [line.split(",")[0] for line in check_docs.lost_places(lost)] == [
+        f"names {gone[0]}.py",
+        f"names test_tools_docs.py::{gone[1]}",
+        f"names {gone[1]} in {place}",
+    ]
+
+
 def test_sections_are_what_their_headings_number() -> None:
     assert list(sections(THEORY)) == ["1", "1.1", "1.2"]
     assert "v = K u" in sections(THEORY)["1.1"]

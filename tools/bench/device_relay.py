@@ -2,8 +2,8 @@
 
 PYTHONPATH=tools python -m bench.device_relay [--json] [--motors N]
 
-Motors, gains, offset and noise are those of config/campaign.yaml (10-bit counts, 3 mrad); both records are equally
-long. The host's drive acts 0.5 to 9.5 ms after its sample, the device's 0.1 ms; both are recorded.
+Motors, gains, offset and noise are those of config/campaign.yaml (10-bit counts, 3 mrad); both recordings are
+equally long. The host's drive acts 0.5 to 9.5 ms after its sample, the device's 0.1 ms; both are recorded.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
 
 
 class Found(NamedTuple):
-    """Of one record: largest relative error of tau, K, fc by method; widest relative half of the 95 % intervals."""
+    """Of one recording: largest relative error of tau, K, fc by method; widest relative half of the 95 % intervals."""
 
     five_equations: float
     triple_relay: float

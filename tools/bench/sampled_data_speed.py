@@ -1,6 +1,6 @@
 """One sampled-data fit of ten cycles, all starts included, against the same fit by `solve_ivp` and `least_squares`.
 
-The peer has the same record, starts and unknowns; it predicts with a solver that is restarted at every
+The peer has the same recording, starts and unknowns; it predicts with a solver that is restarted at every
 event, and has its Jacobian by differences. Both must come to the same motor.
 
     PYTHONPATH=tools python -m bench.sampled_data_speed [--motors 40] [--peers 1] [--json]

@@ -1,11 +1,11 @@
-"""A whole tick, from the wake-up to the row in the record, split: over a serial device, Modbus and the simulator.
+"""A whole tick, from the wake-up to the recorded row, split: over a serial device, Modbus and the simulator.
 
 PYTHONPATH=tools python -m bench.tick [--json] [--seconds 8]
 
 The emulated devices run in real time: processes on this machine, behind a pseudo-terminal or on loopback, so that the
 wire is that of this machine and not of a cable. A relay test runs, recorded to disk, with the config's loop settings.
-A second loop takes turns with it, half a second each: the same driver with a relay of one line, no guard and no record.
-What ours computes beyond it is what guard, cycle detector and checks cost.
+A second loop takes turns with it, half a second each: the same driver with a relay of one line, no guard and no
+recorder. What ours computes beyond it is what guard, cycle detector and checks cost.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from rig.backends.backend import truth_of
 from rig.backends.clock import MonotonicClock
 from rig.backends.registry import Bench, connect
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
-from rig.bench import guard_settings_of, real_time_of
 from rig.config import Experiment, load
 from rig.control.excitation import RelayTest
 from rig.control.guard import Guard
@@ -37,6 +36,7 @@ from rig.loop.real_time import RealTime, real_time
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.cycle_detector import CycleDetector
+from rig.preflight.loop_settings import guard_settings_of, real_time_of
 from rig.recording.recorder import Recorder
 from rig.recording.sink import NullSink
 from rig.results.result import LoopResult
@@ -117,9 +117,7 @@ def in_real_time(experiment: Experiment) -> Iterator[Bench]:
     driver = SimulatedDriver(
         clock,
         truth,
-        experiment.sensor.curve,
-        experiment.drive.map,
-        experiment.sensor.rail_counts,
+        experiment.scaling,
         SimulatedLatency(0.001, 0.0),
         experiment.seed,
     )

@@ -28,7 +28,6 @@ from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.emulated.virtual_chip import Contact, VirtualChip
 from rig.backends.serial.frames import BLOCK_ROWS, Kind
 from rig.backends.serial.link_budget import block_share
-from rig.bench import guard_settings_of
 from rig.config.schema import Experiment
 from rig.control.guard import WINDOW_S, GuardSettings
 from rig.control.motion import CycleWatch
@@ -37,7 +36,8 @@ from rig.control.tracking import linearising_drive
 from rig.control.trajectory import SumOfSines
 from rig.model.bench import BenchParameters
 from rig.model.motor import State
-from rig.preflight.room_to_stop import breakaway_strokes
+from rig.preflight.breakaway_strokes import breakaway_strokes
+from rig.preflight.loop_settings import guard_settings_of
 from rig.session import FADE_S
 from rig.signals import Sample
 

@@ -139,7 +139,7 @@ class ModbusLanguage:
         self._pdu = _tcp_pdu if tcp else _rtu_pdu
         self._tcp = tcp
         self._separate = separate
-        self._asked = 0  # readings in the tick, which the record counts, too
+        self._asked = 0  # readings in the tick, which the recording counts, too
         self._sequence = 0
         self._armed = False
         self._in_a_tick = not separate  # FC23 is only asked in one

@@ -24,9 +24,10 @@ from typing import Any
 
 import yaml
 
+from faults.acts import FREEZE_S
 from faults.backends import BOARD, CHIP, MODBUS, ROOT, TCP, Backend
 from faults.bounds import Bound, bound
-from faults.rows import AT_ONCE, FREEZE_S, SEEN, SILENCE
+from faults.rows import AT_ONCE, SEEN, SILENCE
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.modbus.emulated.modbus_board import ModbusBoard
 from rig.backends.modbus.emulated.rtu_slave import check_sum
@@ -168,7 +169,7 @@ def _states(log: bytes) -> list[int]:
 
 
 def _rtu_replies(log: bytes) -> list[int]:
-    """Of an I/O block: its replies to FC23 are counted from 1, as in the record."""
+    """Of an I/O block: its replies to FC23 are counted from 1, as in the recording."""
     length, found, at = 13, 0, 0
     while (at := log.find(bytes((1, 23, 8)), at)) >= 0:
         whole = log[at : at + length]
@@ -265,7 +266,17 @@ def _measure(row: RealRow, device: RealDevice, phase: float, restarts: bool) -> 
             trace = _trace(folder)
             (folder / "link-fault").unlink(missing_ok=True)
             restart = _restart(folder) if restarts else ""
-        return _judged(row, device, phase, folder, experiment, (host.returncode, output), happened_s, trace, restart)
+        run = _Ended(
+            host.returncode,
+            output,
+            happened_s,
+            trace,
+            _events_at_end(folder, killed=host.returncode == -signal.SIGKILL),
+            _rows(folder),
+            device.told((folder / "relay.log").read_bytes()),
+            restart,
+        )
+        return _judged(row, device, phase, experiment, run)
 
 
 @contextlib.contextmanager
@@ -298,6 +309,21 @@ def _events(folder: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines]
 
 
+def _events_at_end(folder: Path, *, killed: bool) -> list[dict[str, Any]]:
+    """The events, once the recorder of a killed host has said that the loop died. Raises RuntimeError."""
+    deadline_s = time.monotonic() + _WAIT_S
+    while killed and not any(event["kind"] == "loop_died" for event in _events(folder)):
+        if time.monotonic() > deadline_s:
+            raise RuntimeError("the recorder does not say that the loop died")
+        time.sleep(0.01)
+    return _events(folder)
+
+
+def _rows(folder: Path) -> list[dict[str, str]]:
+    with next((folder / "relay-runs").glob("*/samples.csv")).open(encoding="ascii") as file:
+        return list(csv.DictReader(file))
+
+
 def _await_cycle(folder: Path, host: subprocess.Popen[str]) -> float:
     """Until FIRST_CYCLE is over; its length, s. Raises EndedBefore."""
     deadline_s = time.monotonic() + _WAIT_S
@@ -317,95 +343,108 @@ def _trace(folder: Path) -> list[tuple[float, float, float]]:
     return [(float(r["t_s"]), float(r["drive_V"]), float(r["y_rad"])) for r in csv.DictReader(lines)]
 
 
-def _judged(
-    row: RealRow,
-    device: RealDevice,
-    phase: float,
-    folder: Path,
-    experiment: Experiment,
-    ended: tuple[int, str],
-    happened_s: float,
-    trace: list[tuple[float, float, float]],
-    restart: str,
-) -> RealFound:
-    status, output = ended
-    deadline_s = time.monotonic() + _WAIT_S
-    while status == -signal.SIGKILL and not any(e["kind"] == "loop_died" for e in _events(folder)):
-        if time.monotonic() > deadline_s:
-            raise RuntimeError("the recorder does not say that the loop died")
-        time.sleep(0.01)
-    events = _events(folder)
-    fault = next((event for event in events if event["kind"] == "fault"), None)
-    code = "" if fault is None else str(fault["code"])
-    with next((folder / "relay-runs").glob("*/samples.csv")).open(encoding="ascii") as file:
-        rows = list(csv.DictReader(file))
+@dataclass(frozen=True)
+class _Ended:
+    """What one run has left behind.
 
+    status, output  how the host's process ended, and what it said
+    happened_s      when the act began, on the clock of the trace
+    trace           of the device: time, drive, position
+    events, rows    of the run folder
+    told            keys of the samples that the host received
+    restart         what became of the next run; "" where there was none
+    """
+
+    status: int
+    output: str
+    happened_s: float
+    trace: list[tuple[float, float, float]]
+    events: list[dict[str, Any]]
+    rows: list[dict[str, str]]
+    told: list[int]
+    restart: str
+
+    @property
+    def killed(self) -> bool:
+        return self.status == -signal.SIGKILL
+
+    @property
+    def fault(self) -> dict[str, Any] | None:
+        return next((event for event in self.events if event["kind"] == "fault"), None)
+
+    @property
+    def code(self) -> str:
+        return "" if self.fault is None else str(self.fault["code"])
+
+
+def _judged(row: RealRow, device: RealDevice, phase: float, experiment: Experiment, run: _Ended) -> RealFound:
     times = device.backend.times(experiment, 1.0)
-    late_s = _device_late_s(device, trace, happened_s, rows, times.exchange)
-    # the loop's own lateness is part of what a signal waits for; while it is stopped it is what is measured
-    counted = [r for r in rows if code in ("INTERRUPTED", "")]
-    late_s += max((1e-6 * float(r["late_us"]) for r in counted), default=0.0)
-    if code == "" and status >= 0:
-        acted_s = [float(r["t_u_s"]) for r in rows if r["t_u_s"] and kind_of(r["stage"]) is StageKind.RELAY]
-        off_s = max(b - a for a, b in itertools.pairwise(acted_s))
-    else:
-        began_s = happened_s
-        if row.alone:  # the run went on until a fault ended it: since the last drive
-            acted_s = [float(r["t_u_s"]) for r in rows if r["t_u_s"]]
-            driven_s = next(float(r["t_u_s"]) for r in rows if r["t_u_s"] and float(r["u_V"]) != 0.0)
-            began_s = next(t_s for t_s, u_V, _ in trace if u_V != 0.0) + acted_s[-1] - driven_s
-        last = max((k for k, one in enumerate(trace) if one[1] != 0.0), default=0)
-        off_s = max(trace[last + 1][0] - began_s, 0.0) if last + 1 < len(trace) else float("inf")
-    low, high = experiment.limits.hard_rad
+    off_s, late_s = _off_s(row, run), _late_s(device, run, times.exchange)
     bound_s = row.bound.seconds(times) + late_s
-    told = device.told((folder / "relay.log").read_bytes())
-    lost = _lost(told, device.apart, rows, fault, killed=status == -signal.SIGKILL) - device.between
-    skipped = sum(int(b["tick"]) - int(a["tick"]) - 1 for a, b in itertools.pairwise(rows))
+    lost = _lost(run.told, device.apart, run.rows, run.fault, killed=run.killed) - device.between
+    low, high = experiment.limits.hard_rad
     trouble = []
     if not off_s <= bound_s:
         trouble.append(f"drive on for {1e3 * off_s:.1f} ms, bound {1e3 * bound_s:.1f} ms")
-    if code not in row.codes.get(device.key, row.codes[""]) or status not in row.status:
-        trouble.append(f"{code or 'no fault'}, exit status {status}: {output[-300:]}")
+    if run.code not in row.codes.get(device.key, row.codes[""]) or run.status not in row.status:
+        trouble.append(f"{run.code or 'no fault'}, exit status {run.status}: {run.output[-300:]}")
     if lost:
         trouble.append(f"{lost} samples lost")
-    if restart not in ("", "moves"):
-        trouble.append(f"the next run: {restart}")
-    beyond_rad = max(0.0, *(max(y - high, low - y) for _, _, y in trace))
+    if run.restart not in ("", "moves"):
+        trouble.append(f"the next run: {run.restart}")
     return RealFound(
-        row.name,
-        device.key,
-        phase,
-        off_s,
-        bound_s,
-        late_s,
-        beyond_rad,
-        code,
-        status,
-        lost,
-        skipped,
-        restart,
-        tuple(trouble),
+        row=row.name,
+        device=device.key,
+        phase=phase,
+        off_s=off_s,
+        bound_s=bound_s,
+        late_s=late_s,
+        beyond_rad=max(0.0, *(max(y - high, low - y) for _, _, y in run.trace)),
+        code=run.code,
+        status=run.status,
+        lost=lost,
+        skipped=sum(int(b["tick"]) - int(a["tick"]) - 1 for a, b in itertools.pairwise(run.rows)),
+        restart=run.restart,
+        trouble=tuple(trouble),
     )
 
 
-def _device_late_s(
-    device: RealDevice,
-    trace: list[tuple[float, float, float]],
-    happened_s: float,
-    rows: list[dict[str, str]],
-    exchange_s: float,
-) -> float:
+def _off_s(row: RealRow, run: _Ended) -> float:
+    """For how long the drive stayed on after what happened; of a run that goes on, the longest gap between drives."""
+    acted_s = [float(r["t_u_s"]) for r in run.rows if r["t_u_s"]]
+    if run.code == "" and run.status >= 0:
+        relay = [float(r["t_u_s"]) for r in run.rows if r["t_u_s"] and kind_of(r["stage"]) is StageKind.RELAY]
+        return max(b - a for a, b in itertools.pairwise(relay))
+    began_s = run.happened_s
+    if row.alone:  # the run went on until a fault ended it: since the last drive, which the trace has in its own time
+        driven_s = next(float(r["t_u_s"]) for r in run.rows if r["t_u_s"] and float(r["u_V"]) != 0.0)
+        began_s = next(t_s for t_s, u_V, _ in run.trace if u_V != 0.0) + acted_s[-1] - driven_s
+    last = max((k for k, one in enumerate(run.trace) if one[1] != 0.0), default=0)
+    return max(run.trace[last + 1][0] - began_s, 0.0) if last + 1 < len(run.trace) else float("inf")
+
+
+def _late_s(device: RealDevice, run: _Ended, exchange_s: float) -> float:
+    """By how much this machine made the run late: the device, and the loop where that does not end with a fault.
+
+    The loop's own lateness is part of what a signal waits for. While the loop is stopped, it is what is measured.
+    """
+    counted = run.rows if run.code in ("INTERRUPTED", "") else []
+    loop_s = max((1e-6 * float(r["late_us"]) for r in counted), default=0.0)
+    return _device_late_s(device, run, exchange_s) + loop_s
+
+
+def _device_late_s(device: RealDevice, run: _Ended, exchange_s: float) -> float:
     """By how much this machine let the device wait in that run, s. Not in its last row: what happened may be in it."""
     if device.is_kept:
-        seen = [one for one in trace if one[0] >= happened_s - 0.1]
+        seen = [one for one in run.trace if one[0] >= run.happened_s - 0.1]
         return max(max(b[0] - a[0] for a, b in itertools.pairwise(seen)) - _DEVICE_PERIOD_S, 0.0)
-    return max(max(1e-6 * float(r["io_us"]) for r in rows[:-1]) - exchange_s, 0.0)
+    return max(max(1e-6 * float(r["io_us"]) for r in run.rows[:-1]) - exchange_s, 0.0)
 
 
 def _lost(
     told: list[int], apart: int, rows: list[dict[str, str]], fault: Mapping[str, Any] | None, *, killed: bool
 ) -> int:
-    """Samples that the host received and the record has not.
+    """Samples that the host received and the recording lacks.
 
     apart  least distance between the keys of two samples; what is nearer was asked for again, and answered twice
 

@@ -16,15 +16,18 @@ import numpy as np
 from pymodbus.framer import FramerRTU
 
 from rig import config
-from rig.backends.driver import Driver
+from rig.backends.driver import Driver, Timeouts
 from rig.backends.modbus.opening import modbus_driver
 from rig.backends.serial import frames
 from rig.backends.serial.driver import SerialDriver
-from rig.calibration import Calibration, DriveMap
+from rig.calibration import Calibration, DriveMap, Scaling
 from rig.faults import Fault
 from rig.identify import IdentifyError, identify
 from rig.preflight import check
-from rig.recording.reader import Recording, RecordingError, read_csv, read_run
+from rig.recording.csv_file import read_csv
+from rig.recording.errors import RecordingError
+from rig.recording.reader import read_run
+from rig.recording.recording import Recording
 from rig.replay import replay
 from rig.report.source import load as load_report
 from rig.signals import Limits
@@ -139,7 +142,7 @@ _LIMITS = Limits((-1.2, 1.2), (-1.5, 1.5), 4.0, 0.1)
 def serial_driver(data: bytes) -> None:
     """A device that answers anything: only faults come out, a stop never fails, and 0 V is always taken."""
     calibration = Calibration([(0.0, -2.1), (1023.0, 2.1)])
-    _drive(SerialDriver(_Scripted(data), calibration, DriveMap(12.0), (5, 1018), 0.03, 0.5))
+    _drive(SerialDriver(_Scripted(data), Scaling(calibration, DriveMap(12.0), (5, 1018)), Timeouts(open_s=0.5)))
 
 
 def _drive(driver: Driver) -> None:

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from paper.page import BACKEND
-from rig.model.limit_cycle import LimitCycle, input_vector, transition
+from rig.model.limit_cycle import LimitCycle
+from rig.model.linear import input_vector, transition
 from rig.report.style import INK, MUTED, Picture, new_figure, note, render, style
 
 Array = NDArray[np.float64]

@@ -312,7 +312,7 @@ def _starts_table(result: Result) -> Table:
         tuple(rows),
         f"Estimate of f<sub>c</sub> = {surviving.FC_V} V from different initial positions, and the program's "
         "estimator on noisy "
-        "records of the same runs. (One direction alone can show no asymmetry: that makes the first doubtful.)",
+        "recordings of the same runs. (One direction alone can show no asymmetry: that makes the first doubtful.)",
     )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from rig.model.limit_cycle import limit_cycle
 from rig.model.motor import Motor, State
 from rig.model.sampled_relay import Disturbance, relay_test
 from rig.recording.series import TimeSeries
-from rig.report.style import METHODS, Picture
+from rig.report.style import Picture, colour, line
 from shared.table import Cell, Table, number
 
 PERIODS_S = (0.0005, 0.001, 0.002, 0.005, 0.010)
@@ -147,8 +147,8 @@ def picture(result: Result) -> Picture:
     """Error of the worst parameter over the sampling period, by method."""
     figure = new_figure(3.2)
     axes = figure.subplots()
-    looks = {PLAIN: ("#8c510a", ":", "v"), DF: (*METHODS[DF][:2], "s"), TR: (*METHODS[TR][:2], "o"),
-             SD: (*METHODS[SD][:2], "D")}  # fmt: skip
+    looks = {PLAIN: ("#8c510a", ":", "v"), DF: (colour(DF), line(DF), "s"), TR: (colour(TR), line(TR), "o"),
+             SD: (colour(SD), line(SD), "D")}  # fmt: skip
     ms = 1e3 * np.array(result.period_s)
     for method, (ink, dash, mark) in looks.items():
         errors = 100.0 * result.worst[method]

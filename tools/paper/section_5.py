@@ -86,8 +86,8 @@ class Trial:
 class Result:
     """Numbers of section V.
 
-    trials   the same experiment with several seeds: every number below is a median over them, as one record may suit
-             any of the models by chance; figures show the first
+    trials   the same experiment with several seeds: every number below is a median over them, as one recording may
+             suit any of the models by chance; figures show the first
     """
 
     config: Experiment
@@ -218,8 +218,8 @@ def section(result: Result) -> Section:
             "tracking errors compare in order and ratio only.",
         ),
         Paragraph(
-            f"Where no seed is named the numbers are medians of {count} seeds (noise and delay): one record may suit "
-            "any of the models by chance. The figures show the first."
+            f"Where no seed is named the numbers are medians of {count} seeds (noise and delay): one recording may "
+            "suit any of the models by chance. The figures show the first."
         ),
         _cycle_figure(result),
         Heading("Estimates"),

@@ -18,7 +18,7 @@ EXACT = 1e-6  # relative error that counts as none
 
 @dataclass(frozen=True)
 class Row:
-    """One method: records needed; tau, K, fc (nan: not given); iterations to a relative error of ``EXACT``, if any."""
+    """One method: recordings needed; tau, K, fc (nan: not given); iterations to an error of ``EXACT``, if any."""
 
     name: str
     needs: str

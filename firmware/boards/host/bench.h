@@ -1,6 +1,6 @@
 /* The physical bench around the board, in C doubles: motor, mechanical stops, potentiometer, tachometer, drive
- * stage, and the faults it can be wired with. The same bench stands in Python in rig/model/bench.py; tests/emulate
- * holds the two together.
+ * stage, and the faults it can be wired with. The same bench stands in Python in rig/model/bench.py;
+ * tests/backends/serial holds the two together.
  *
  *     tau dv/dt + v = K (u + b - f(v)),   dy/dt = v
  *

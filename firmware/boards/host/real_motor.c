@@ -234,7 +234,7 @@ static double longest_step(const real_motor *m, double sign, const real_state *a
     if (m->bristle_V_rad > 0.0) {
         const double top = level_of_bristles(m, speed, at->y, t_s);
         const double stiff = stiffness(m, top);
-        double left = fmax(fabs(1.0 - sign * at->f / top), SLIDING);
+        double left = fmin(fmax(fabs(1.0 - sign * at->f / top), SLIDING), 2.0);
         left += LEVEL_CHANGES * (fabs(m->friction_sin_V) + fabs(m->friction_cos_V)) / stiff;
         if (falls(m)) {
             left += fabs(m->stribeck_V) * exp(-speed / m->stribeck_rad_s) / top;

@@ -62,17 +62,18 @@ def usb_port(device: str, root: Path = _ROOT) -> UsbPort:
     return UsbPort(device, port.vid, port.pid, adapter, timer_ms)
 
 
-def check_adapter(device: str, reckoned: Adapter, key: str = "daq.adapter", root: Path = _ROOT) -> None:
-    """Hold a port that is open to what its delays were reckoned with; one that is quicker, or unknown, passes.
+def check_adapter(device: str, assumed: Adapter, key: str = "daq.adapter", root: Path = _ROOT) -> None:
+    """Compare the adapter of an open port with the one that rig computes its times for.
 
+    A quicker or an unknown adapter passes.
     Raises Fault CONFIG_MISMATCH, which says what ``key`` is to be.
     """
     found = usb_port(device, root)
-    if found.adapter is None or adapter_delay_s(found.adapter) <= adapter_delay_s(reckoned):
+    if found.adapter is None or adapter_delay_s(found.adapter) <= adapter_delay_s(assumed):
         return
     timer = f", or its timer to {LATENCY_MS} ms (`rig doctor` has the line)" if found.adapter == "ftdi" else ""
     raise Fault(
         "CONFIG_MISMATCH",
-        f"{found.words}, which is slower than what the times are reckoned with ({reckoned}): set {key} to "
+        f"{found.words}, which is slower than the adapter that rig assumes ({assumed}): set {key} to "
         f"{found.adapter}{timer}, then see what `rig check` says",
     )

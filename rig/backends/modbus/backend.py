@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from typing_extensions import override
+
 from rig.backends.backend import Line, LineBackend, Watchdog
 from rig.backends.driver import Driver
-from rig.backends.keys import foreign_keys
 from rig.backends.link_budget import LinkBudget
 from rig.backends.modbus import link_budget
 from rig.backends.modbus.rules import modbus_notes, modbus_rules
-from rig.backends.modbus.section import EMULATED_PORTS, is_tcp
+from rig.backends.modbus.section import EMULATED_PORTS, ModbusKeys, is_tcp
 from rig.config.problems import Problem
 from rig.config.schema import Experiment
 
@@ -27,15 +29,27 @@ class ModbusBackend(LineBackend):
     """A Modbus device on RTU or TCP; or an emulated I/O block on either."""
 
     name = "modbus"
+    own_keys = ModbusKeys
+    shared_keys = frozenset({"port"})
     has_chip = False
 
+    @override
     def rules(self, e: Experiment) -> Iterator[Problem]:
-        """As of ``Backend``."""
-        yield from foreign_keys(e, "port", "modbus", instead="add its delay to daq.modbus.turnaround_s")
         yield from modbus_rules(e)
 
+    @override
+    def foreign_key(self, e: Experiment, key: str, owner: str = "") -> Problem:
+        """The delay of a USB adapter has another key here."""
+        problem = super().foreign_key(e, key, owner)
+        return replace(problem, hint="add its delay to daq.modbus.turnaround_s") if key == "adapter" else problem
+
+    @override
+    def owns_port(self, port: str) -> bool:
+        return is_tcp(port) or (port in EMULATED_PORTS and port != "emulated")
+
+    @override
     def watchdog(self, e: Experiment) -> Watchdog:
-        """As of ``Backend``: that of its register; or the one that was set on the device itself."""
+        """The watchdog of its register; or the one that was set on the device itself."""
         modbus = e.daq.modbus
         if modbus is None:
             return Watchdog(e.daq.watchdog_s)
@@ -43,28 +57,29 @@ class ModbusBackend(LineBackend):
             return Watchdog(e.daq.watchdog_s, modbus.registers.watchdog.unit_s)
         return Watchdog(modbus.device_watchdog_s, None)
 
+    @override
     def writes_first(self, e: Experiment) -> bool:
-        """As of ``Backend``: asked by FC23."""
+        """With FC23 it does."""
         return e.daq.modbus is not None and e.daq.modbus.requests == "read-write"
 
+    @override
     def budget(self, e: Experiment) -> LinkBudget:
-        """As of ``Backend``."""
         return LinkBudget() if e.daq.modbus is None else link_budget.tick_budget(e.daq, e.daq.modbus)
 
+    @override
     def reading_budget(self, e: Experiment) -> LinkBudget:
-        """As of ``Backend``."""
         return LinkBudget() if e.daq.modbus is None else link_budget.reading_budget(e.daq, e.daq.modbus)
 
+    @override
     def times_error_s(self, e: Experiment) -> float:
-        """As of ``Backend``.
+        """The device reports no times: rig computes them.
 
-        The device reports no times: rig computes them. When within its turnaround the device samples and drives is not
-        known.
+        When within its turnaround the device samples and drives is not known.
         """
         return _STAMPS_S + (0.5 * e.daq.modbus.turnaround_s if e.daq.modbus is not None else 0.0)
 
+    @override
     def words(self, e: Experiment) -> str:
-        """As of ``Backend``."""
         unit = 1 if e.daq.modbus is None else e.daq.modbus.unit
         if e.daq.port == "emulated-tcp":
             return f"an emulated I/O block, Modbus TCP on this machine, unit {unit}, real time, nothing moves"
@@ -76,18 +91,18 @@ class ModbusBackend(LineBackend):
         link = f"Modbus TCP, unit {unit}" if is_tcp(e.daq.port) else rtu
         return f"a REAL MOTOR behind {e.daq.port}, {link}"
 
+    @override
     def is_emulated(self, e: Experiment) -> bool:
-        """As of ``Backend``."""
         return e.daq.port in EMULATED_PORTS
 
+    @override
     def plan(self, e: Experiment) -> Iterator[str]:
-        """As of ``Backend``."""
         budget = self.budget(e)
         if budget.terms:
             yield f"link: {budget.beside(e.period_s)}"
 
+    @override
     def failsafe_words(self, e: Experiment) -> str:
-        """As of ``Backend``."""
         modbus = e.daq.modbus
         if modbus is None or modbus.registers.watchdog is not None:
             return super().failsafe_words(e)
@@ -98,36 +113,37 @@ class ModbusBackend(LineBackend):
             "(daq.modbus.device_watchdog_s): test that, pull the plug at 0.3 V"
         )
 
+    @override
     def notes(self, e: Experiment) -> Iterator[str]:
-        """As of ``Backend``."""
         yield from modbus_notes(e)
 
+    @override
     def not_emulated_words(self, e: Experiment) -> str:
-        """As of ``Backend``."""
         return f"section `emulated` is not used with port {e.daq.port}"
 
+    @override
     def line(self, e: Experiment) -> AbstractContextManager[Line]:
-        """As of ``LineBackend``."""
         from rig.backends.modbus.opening import modbus_line
 
         return modbus_line(e)
 
+    @override
     def driver(self, e: Experiment, line: Line) -> Driver:
-        """As of ``LineBackend``."""
         from rig.backends.modbus.opening import modbus_driver
 
         return modbus_driver(e, line.transport, line.name, emulated=line.emulated)
 
+    @override
     def emulated(
         self, e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
     ) -> AbstractContextManager[BoardProcess]:
-        """As of ``Backend``; it has no ``chip``."""
+        """There is no ``chip``."""
         from rig.backends.modbus.opening import emulated_board
 
         return emulated_board(e, link, trace)
 
+    @override
     def emulated_hint(self, e: Experiment, port: str) -> str:
-        """As of ``Backend``."""
         if e.daq.modbus is None:
             return ""
         from rig.backends.modbus.emulated.modbus_board import mbpoll_line

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from rig.backends.driver import DeviceInfo, DeviceWatchdog, Transport
+from rig.backends.driver import DeviceInfo, DeviceWatchdog, Timeouts, Transport
 from rig.backends.modbus.client import ATTEMPTS, ModbusClient, ModbusLine, Reply
 from rig.backends.modbus.registers import ARMED, OFF, Register, RegisterMap, RegisterSpan
 from rig.backends.modbus.requests import (
@@ -24,7 +24,7 @@ from rig.backends.modbus.requests import (
     registers_of,
     writing,
 )
-from rig.calibration import Calibration, DriveMap, hard_limits_in_counts, largest_drive_in_units
+from rig.calibration import Scaling, hard_limits_in_counts, largest_drive_in_units
 from rig.faults import Fault
 from rig.signals import Limits, Order, Sample
 
@@ -39,16 +39,13 @@ _EMULATED = ("rig", "emulated I/O block")  # vendor and product of the emulated 
 class ModbusDriver:
     """A Modbus device behind a transport. Times of samples are in the transport's clock, s.
 
-    transport         an open port; closed by ``close``, never reopened
-    line              how the device is reached
-    registers         what is at which address
-    calibration, drive_map   sensor and H-bridge; the map's ``full_units`` are replaced by the drive register's
-    rail_counts       (low, high): readings at or beyond are a broken sensor
-    timeout_s         longest wait for the reply in a tick
-    open_timeout_s    longest wait for the first reply
-    counts_max        largest reading of the sensor; None: unknown
-    name              of the port, for ``backend``
-    emulated          True where it is known that no real motor is behind the port
+    transport  an open port; closed by ``close``, never reopened
+    line       how the device is reached
+    registers  what is at which address
+    scaling    what its numbers mean; the drive map's ``full_units`` are replaced by the drive register's
+    timeouts   how long to wait for the reply in a tick, and for the first reply
+    name       of the port, for ``backend``
+    emulated   True where it is known that no real motor is behind the port
     """
 
     def __init__(
@@ -56,18 +53,14 @@ class ModbusDriver:
         transport: Transport,
         line: ModbusLine,
         registers: RegisterMap,
-        calibration: Calibration,
-        drive_map: DriveMap,
-        rail_counts: tuple[int, int],
-        timeout_s: float = 0.0095,
-        open_timeout_s: float = 5.0,
+        scaling: Scaling,
+        timeouts: Timeouts,
         *,
-        counts_max: int | None = None,
         name: str = "modbus",
         emulated: bool = False,
     ) -> None:
-        self.calibration = calibration
-        self.drive_map = replace(drive_map, full_units=registers.full_units)
+        self.calibration = scaling.calibration
+        self.drive_map = replace(scaling.drive_map, full_units=registers.full_units)
         self.backend = name
         self.failsafe: DeviceWatchdog | None = None
         if registers.watchdog is not None:
@@ -79,10 +72,10 @@ class ModbusDriver:
         self._line = line
         self._map = registers
         self._read_span, self._written_span = registers.read, registers.written
-        self._rail_counts = rail_counts
-        self._counts_max = counts_max
-        self._timeout_s = timeout_s
-        self._open_timeout_s = open_timeout_s
+        self._rail_counts = scaling.rail_counts
+        self._counts_max = scaling.counts_max
+        self._timeout_s = timeouts.reply_s
+        self._open_timeout_s = timeouts.open_s
         self._name = name
         self._emulated = emulated
         self._met = False
@@ -365,7 +358,7 @@ class ModbusDriver:
         self._client.unheard(stop, _LATE_TIMEOUTS * self._timeout_s)
 
     def _until_answered(self) -> None:
-        """Read until the device answers or ``open_timeout_s`` is over; raises the last fault then."""
+        """Read until the device answers or ``timeouts.open_s`` is over; raises the last fault then."""
         until_s = self._transport.now_s() + self._open_timeout_s
         while True:
             try:

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from rig.backends.backend import Line, host_clock
-from rig.backends.driver import Transport
+from rig.backends.backend import Line, emulated_of, host_clock
+from rig.backends.driver import Timeouts, Transport
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.tcp_link import TcpTransport
@@ -20,7 +20,7 @@ from rig.backends.modbus.link_budget import bits_per_byte, silence_s
 from rig.backends.modbus.registers import RegisterMap
 from rig.backends.modbus.section import EMULATED_PORTS, Modbus, is_tcp, tcp_address
 from rig.calibration import polarity
-from rig.config.schema import Emulated, Experiment
+from rig.config.schema import Experiment
 
 
 @contextmanager
@@ -62,12 +62,8 @@ def modbus_driver(e: Experiment, transport: Transport, name: str = "modbus", *, 
         transport,
         asked,
         RegisterMap.of(modbus),
-        e.sensor.curve,
-        e.drive.map,
-        e.sensor.rail_counts,
-        daq.timeout_s,
-        daq.open_timeout_s,
-        counts_max=e.sensor.counts_max,
+        e.scaling,
+        Timeouts(daq.timeout_s, daq.open_timeout_s),
         name=name,
         emulated=emulated,
     )
@@ -78,7 +74,7 @@ def emulated_io_block(e: Experiment) -> VirtualIoBlock:
 
     Raises EmulationError where a register cannot hold what it is for.
     """
-    modbus, emulated = _modbus_of(e), _emulated_of(e)
+    modbus, emulated = _modbus_of(e), emulated_of(e)
     return VirtualIoBlock(modbus, emulated, e.seed, baud=e.daq.baud, polarity=_register_polarity(e))
 
 
@@ -91,7 +87,7 @@ def emulated_board(e: Experiment, link: Path | None = None, trace: Path | None =
     with ModbusBoard() as io_block:
         io_block.start(
             _modbus_of(e),
-            _emulated_of(e),
+            emulated_of(e),
             e.seed,
             link,
             trace,
@@ -122,9 +118,3 @@ def _modbus_of(e: Experiment) -> Modbus:
     if e.daq.modbus is None:
         raise ValueError("the config has no section `daq.modbus`")
     return e.daq.modbus
-
-
-def _emulated_of(e: Experiment) -> Emulated:
-    if e.emulated is None:
-        raise ValueError("the config has no section `emulated`")
-    return e.emulated

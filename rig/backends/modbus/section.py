@@ -11,8 +11,8 @@ from urllib.parse import urlsplit
 
 from pydantic import Field, field_validator, model_validator
 
-from rig.backends.section import NonNegative, Positive, Section
 from rig.faults import FAULTS
+from rig.section import NonNegative, Positive, Section
 
 Address = Annotated[int, Field(ge=0, le=65535)]
 Word = Annotated[int, Field(ge=0, le=65535)]
@@ -178,6 +178,12 @@ class Modbus(Section):
         if self.device_watchdog_s is not None and self.registers.watchdog is not None:
             raise ValueError("give `device_watchdog_s` or `registers.watchdog`, not both")
         return self
+
+
+class ModbusKeys(Section):
+    """The keys of section ``daq`` that only a Modbus device has."""
+
+    modbus: Modbus | None = Field(None, description="driver modbus: how the device is asked, and its register map")
 
 
 class KeySpan(NamedTuple):

@@ -7,19 +7,22 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from typing_extensions import override
+
 from rig.backends.backend import Line, LineBackend, Watchdog
-from rig.backends.driver import Driver
-from rig.backends.keys import foreign_keys
+from rig.backends.driver import Driver, RelayRules
 from rig.backends.link_budget import LinkBudget
 from rig.backends.links.usb_adapters import CHIPS, Adapter
 from rig.backends.serial import link_budget
 from rig.backends.serial.ports import adapter_of, is_emulated
 from rig.backends.serial.rules import serial_rules
+from rig.backends.serial.section import SerialKeys
 from rig.config.problems import Problem
 from rig.config.schema import Experiment
 
 if TYPE_CHECKING:  # it loads slowly
     from rig.backends.emulated.board_process import BoardProcess
+    from rig.calibration import DriveMap
 
 _DRIVE_UNITS = 799  # of the firmware at full duty
 
@@ -28,38 +31,43 @@ class SerialBackend(LineBackend):
     """A board with rig's firmware behind a serial port; or emulated, as firmware on this machine or on its chip."""
 
     name = "serial"
+    own_keys = SerialKeys
+    shared_keys = frozenset({"port"})
 
+    @override
     def rules(self, e: Experiment) -> Iterator[Problem]:
-        """As of ``Backend``."""
-        yield from foreign_keys(e, "port", "adapter")
         yield from serial_rules(e)
 
+    @override
     def watchdog(self, e: Experiment) -> Watchdog:
-        """As of ``Backend``: the firmware's, in milliseconds."""
+        """The firmware's watchdog, in milliseconds."""
         return Watchdog(e.daq.watchdog_s)
 
+    @override
     def writes_first(self, e: Experiment) -> bool:
-        """As of ``Backend``: a drive goes out at once."""
+        """A drive goes out at once."""
         return False
 
+    @override
     def budget(self, e: Experiment) -> LinkBudget:
-        """As of ``Backend``."""
         return link_budget.tick_budget(e)
 
+    @override
     def reading_budget(self, e: Experiment) -> LinkBudget:
-        """As of ``Backend``."""
         return link_budget.reading_budget(e)
 
+    @override
     def reply_delay_s(self, e: Experiment) -> float:
-        """As of ``Backend``: the adapter's."""
+        """The delay of the USB adapter."""
         return link_budget.reply_delay_s(e)
 
+    @override
     def times_error_s(self, e: Experiment) -> float:
-        """As of ``Backend``: the device stamps both times itself."""
+        """The device stamps both times itself."""
         return link_budget.STAMPS_S
 
+    @override
     def words(self, e: Experiment) -> str:
-        """As of ``Backend``."""
         emulated = {
             "emulated-chip": "the Uno's emulated chip with its firmware, {} baud, virtual time, nothing moves",
             "emulated-chip-realtime": "the Uno's emulated chip with its firmware, {} baud, real time, nothing moves",
@@ -70,12 +78,12 @@ class SerialBackend(LineBackend):
             return found.format(e.daq.baud)
         return f"a REAL MOTOR behind the serial port {e.daq.port}, {e.daq.baud} baud"
 
+    @override
     def is_emulated(self, e: Experiment) -> bool:
-        """As of ``Backend``."""
         return is_emulated(e)
 
+    @override
     def plan(self, e: Experiment) -> Iterator[str]:
-        """As of ``Backend``."""
         yield f"link: {self.budget(e).beside(e.period_s)}"
         delay_ms = 1e3 * link_budget.sample_to_drive_s(e)
         yield f"delay: a drive acts up to {delay_ms:.2f} ms after its sample, plus the host's own time"
@@ -84,8 +92,9 @@ class SerialBackend(LineBackend):
             yield f"relay in the device: decides every ms; {block}; the gain search runs in the host"
             yield from _device_drives(e)
 
+    @override
     def notes(self, e: Experiment) -> Iterator[str]:
-        """As of ``Backend``: which USB adapter rig assumes, where it is not certain."""
+        """Which USB adapter rig assumes, where it is not certain."""
         adapter = adapter_of(e)
         chip = CHIPS.get(adapter)
         if chip is not None and e.daq.adapter is None:
@@ -99,33 +108,39 @@ class SerialBackend(LineBackend):
                 "with `rig doctor` on this config"
             )
 
+    @override
     def not_emulated_words(self, e: Experiment) -> str:
-        """As of ``Backend``."""
         return f"section `emulated` is not used with port {e.daq.port}"
 
+    @override
     def adapter_behind(self, e: Experiment) -> Adapter | None:
-        """As of ``Backend``."""
         return None if is_emulated(e) else adapter_of(e)
 
+    @override
     def line(self, e: Experiment) -> AbstractContextManager[Line]:
-        """As of ``LineBackend``."""
         from rig.backends.serial.opening import serial_line
 
         return serial_line(e)
 
+    @override
     def driver(self, e: Experiment, line: Line) -> Driver:
-        """As of ``LineBackend``."""
         from rig.backends.serial.opening import serial_driver
 
         return serial_driver(e, line)
 
+    @override
     def emulated(
         self, e: Experiment, link: Path | None = None, trace: Path | None = None, *, chip: bool = False
     ) -> AbstractContextManager[BoardProcess]:
-        """As of ``Backend``."""
         from rig.backends.serial.opening import emulated_board
 
         return emulated_board(e, link, trace, chip=chip)
+
+    @override
+    def relay_rules(self, e: Experiment, drive_map: DriveMap, clock_ratio: float) -> RelayRules:
+        from rig.backends.serial.relay_stream import FirmwareRelayRules
+
+        return FirmwareRelayRules(e.sensor.curve, drive_map, clock_ratio)
 
 
 def _device_drives(e: Experiment) -> Iterator[str]:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from statistics import median
 
-from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow, Transport
+from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow, Timeouts, Transport
 from rig.backends.serial import frames
 from rig.backends.serial.device_clock import DeviceClock, TimedExchange, fit_device_clock
 from rig.backends.serial.device_relay import RelayRun
@@ -20,11 +20,11 @@ from rig.backends.serial.exchange import ATTEMPTS, Exchange
 from rig.backends.serial.fit import PLAIN_BOARD, Board, Expected, check_fit, measured_supply_V
 from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Packet, Setup
 from rig.backends.serial.introduction import await_introduction, refusal
-from rig.backends.serial.relay_stream import TICK_S, FirmwareRelay, RelayStream, relay_command
+from rig.backends.serial.relay_stream import FirmwareRelay, FirmwareRelayRules, RelayStream
 from rig.calibration import (
     Calibration,
     DriveMap,
-    TachometerScale,
+    Scaling,
     hard_limits_in_counts,
     largest_drive_in_units,
     polarity,
@@ -32,6 +32,7 @@ from rig.calibration import (
 from rig.faults import Fault
 from rig.signals import Limits, Order, Sample
 
+_PATIENCE = Timeouts()
 LONGEST_WATCHDOG_S = 1.0  # that the device accepts
 _SYNCHRONISE_S = 1.0
 _SLOW_SYNCHRONISE_S = 3.0  # where exchanges are few, or differ
@@ -99,17 +100,13 @@ def setup_for(
 class SerialDriver:
     """The firmware behind a transport, as a ``Driver``. Times of samples are in the transport's clock, s.
 
-    transport       an open port; closed by ``close``, never reopened
-    calibration     position sensor
-    drive_map       H-bridge; its ``full_units`` are replaced by what the device says
-    rail_counts     (low, high): readings at or beyond are a broken sensor
-    timeout_s       longest wait for one reply
-    open_timeout_s  longest wait for the device to introduce itself, its restart on opening included
-    tachometer      scale of the velocity channel; None: not used
-    board           the board as the config describes it
-    session         number of this session, 1 to 2**32 - 1; None: a random one
-    name            of the port, for ``backend``
-    emulated        True where it is known that no real motor is behind the port
+    transport  an open port; closed by ``close``, never reopened
+    scaling    what the device's numbers mean; the drive map's ``full_units`` are replaced by what the device says
+    timeouts   how long to wait
+    board      the board as the config describes it
+    session    number of this session, 1 to 2**32 - 1; None: a random one
+    name       of the port, for ``backend``
+    emulated   True where it is known that no real motor is behind the port
     """
 
     order: Order = "sample_first"
@@ -118,28 +115,24 @@ class SerialDriver:
     def __init__(
         self,
         transport: Transport,
-        calibration: Calibration,
-        drive_map: DriveMap,
-        rail_counts: tuple[int, int],
-        timeout_s: float = 0.03,
-        open_timeout_s: float = 5.0,
-        tachometer: TachometerScale | None = None,
+        scaling: Scaling,
+        timeouts: Timeouts = _PATIENCE,
         *,
         board: Board = PLAIN_BOARD,
         session: int | None = None,
         name: str = "serial",
         emulated: bool = False,
     ) -> None:
-        self.calibration = calibration
-        self.drive_map = drive_map
-        self.tachometer = tachometer
+        self.calibration = scaling.calibration
+        self.drive_map = scaling.drive_map
+        self.tachometer = scaling.tachometer
         self.backend = name
         self.failsafe: DeviceWatchdog | None = DeviceWatchdog(LONGEST_WATCHDOG_S)  # until armed with less
-        self._exchange = Exchange(transport, timeout_s)
+        self._exchange = Exchange(transport, timeouts.reply_s)
         self._made_s = transport.now_s()  # just after the port was opened
-        self._expected = Expected(board, rail_counts, tachometer is not None, emulated)
-        self._timeout_s = timeout_s
-        self._open_timeout_s = open_timeout_s
+        self._expected = Expected(board, scaling, emulated)
+        self._timeout_s = timeouts.reply_s
+        self._open_timeout_s = timeouts.open_s
         self._name = name
         self._clock = DeviceClock(0.0, 0, 1.0)
         self._session = secrets.randbelow(2**32 - 1) + 1 if session is None else session
@@ -212,7 +205,7 @@ class SerialDriver:
         It refuses if the device has latched a fault since it was opened, or has lost this session: it was reset.
         Raises ValueError as ``setup_for``; Fault ARM_READBACK, LINK_TIMEOUT, or the refusal of the device.
         """
-        setup = setup_for(limits, self.calibration, self.drive_map, self._expected.rail_counts, self._session)
+        setup = setup_for(limits, self.calibration, self.drive_map, self._expected.scaling.rail_counts, self._session)
         self._armed = False
         state = DeviceState.unpack(self._exchange.request(Kind.STOP, b"", Kind.STOP_REPLY).body)
         self._check_pause(state)
@@ -355,11 +348,15 @@ class SerialDriver:
     @property
     def tick_s(self) -> float:
         """The device's tick in host time, s."""
-        return TICK_S / self._clock.ratio
+        return self._relay_rules.tick_s
 
     def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
-        """The command for these gains; raises as ``relay_stream.relay_command``."""
-        return relay_command(h1_V, h2_V, z_bound_rad_s, self.calibration, self.drive_map, self.tick_s)
+        """The command for these gains; raises as ``FirmwareRelayRules.relay_command``."""
+        return self._relay_rules.relay_command(h1_V, h2_V, z_bound_rad_s)
+
+    @property
+    def _relay_rules(self) -> FirmwareRelayRules:
+        return FirmwareRelayRules(self.calibration, self.drive_map, self._clock.ratio)
 
     def start_relay(self, command: RelayCommand) -> None:
         """Let the device's relay drive from its next tick on, from 0 V. Call ``keep`` regularly from then on.

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from rig.backends.serial import frames
 from rig.backends.serial.frames import Hello
+from rig.calibration import Scaling
 from rig.faults import Fault
 
 _LEAST_FULL_UNITS = 50  # with coarser steps no drive is near the commanded one
@@ -16,12 +17,10 @@ _SUPPLY_TOLERANCE = 0.15  # relative: the divider in front of the converter, and
 class Board:
     """The board of a config.
 
-    counts_max    the ADC's largest reading that the calibration was made for; None: not checked
     bridge        the bridge at the board's outputs, a value of ``frames.BRIDGES``; None: not given
     flashing      how to flash it, with the whole command, for people
     """
 
-    counts_max: int | None = None
     bridge: str | None = None
     flashing: str = "flash it with the options that its wiring asks for: docs/real-bench.md"
 
@@ -34,14 +33,12 @@ class Expected:
     """The device as the config describes it.
 
     board         the board
-    rail_counts   (low, high): readings at or beyond are a broken sensor
-    tachometer    whether its velocity channel is used
+    scaling       what its numbers are expected to mean
     emulated      no real motor can be behind it
     """
 
     board: Board
-    rail_counts: tuple[int, int]
-    tachometer: bool
+    scaling: Scaling
     emulated: bool
 
 
@@ -52,19 +49,20 @@ def check_fit(hello: Hello, expected: Expected) -> None:
             "LINK_HELLO",
             f"the device reports a full drive of {hello.drive_full} units; it must be {_LEAST_FULL_UNITS} to 32767",
         )
-    if expected.board.counts_max is not None and hello.counts_max != expected.board.counts_max:
+    scaling = expected.scaling
+    if scaling.counts_max is not None and hello.counts_max != scaling.counts_max:
         raise Fault(
             "CONFIG_MISMATCH",
-            f"sensor.counts_max is {expected.board.counts_max}, but the device reads 0 to {hello.counts_max}: "
+            f"sensor.counts_max is {scaling.counts_max}, but the device reads 0 to {hello.counts_max}: "
             "calibrate with this device",
         )
-    low, high = expected.rail_counts
+    low, high = scaling.rail_counts
     if not 0 <= low < high <= hello.counts_max:
         raise Fault(
             "CONFIG_MISMATCH",
             f"sensor.rail_counts {low}, {high} must lie within the device's 0 to {hello.counts_max}",
         )
-    if expected.tachometer and not hello.features & frames.FEATURE_TACHOMETER:
+    if scaling.tachometer is not None and not hello.features & frames.FEATURE_TACHOMETER:
         raise Fault("CONFIG_MISMATCH", "the config has a section `tachometer`, but the device has no such channel")
     _check_bridge(hello, expected)
 

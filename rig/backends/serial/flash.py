@@ -219,7 +219,7 @@ def meet(port: str, baud: int, timeout_s: float = ANSWER_S) -> Hello:
             heard = f"damaged frames ({reader.bad_frames})" if reader.bad_frames else "nothing"
             raise FlashError(
                 f"written, but the board does not answer: {heard} at {port} in {timeout_s:g} s at {baud} baud",
-                "with --hex, give the --baud that it was built for; press the board's reset; free D0 and D1",
+                "with --hex, give the --baud that it was built for; press the board's reset; wire nothing to D0 and D1",
             ) from fault
 
 

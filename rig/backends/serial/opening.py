@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from rig.backends.backend import Line, host_clock
+from rig.backends.backend import Line, emulated_of, host_clock
+from rig.backends.driver import Timeouts
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.links.serial_port import SerialPort
@@ -58,13 +59,9 @@ def serial_driver(e: Experiment, line: Line) -> SerialDriver:
     """As of ``LineBackend.driver``."""
     return SerialDriver(
         line.transport,
-        e.sensor.curve,
-        e.drive.map,
-        e.sensor.rail_counts,
-        e.daq.timeout_s,
-        e.daq.open_timeout_s,
-        None if e.tachometer is None else e.tachometer.scale,
-        board=Board(e.sensor.counts_max, e.drive.bridge, flash_line(e)),
+        e.scaling,
+        Timeouts(e.daq.timeout_s, e.daq.open_timeout_s),
+        board=Board(e.drive.bridge, flash_line(e)),
         # a chip takes longer over some numbers than over others: an emulated run is the same by its seed
         session=random.Random(e.seed).randrange(1, 2**32) if line.emulated else None,
         name=line.name,
@@ -77,13 +74,12 @@ def emulated_chip(e: Experiment) -> VirtualChip:
 
     Raises EmulationError where it cannot be built, ValueError without section ``emulated``.
     """
-    if e.emulated is None:
-        raise ValueError("the config has no section `emulated`")
-    bench = bench_parameters(e.emulated, e.tachometer)
+    emulated = emulated_of(e)
+    bench = bench_parameters(emulated, e.tachometer)
     return VirtualChip(
         bench,
         e.seed,
-        clock_error_ppm=e.emulated.clock_error_ppm,
+        clock_error_ppm=emulated.clock_error_ppm,
         options=uno_options(bench, e.daq.baud, e.drive.bridge),
     )
 
@@ -100,18 +96,17 @@ def emulated_board(
            else the firmware's core on this machine
     Raises EmulationError where it cannot be built or started, ValueError without section ``emulated``.
     """
-    if e.emulated is None:
-        raise ValueError("the config has no section `emulated`")
+    emulated = emulated_of(e)
     adapter = e.daq.adapter or "none"
     own_link = link if adapter == "none" else None
     with ExitStack() as stack:
         board: ChipBoard | HostBoard
         if chip or e.daq.port in CHIP_PORTS:
             board = stack.enter_context(ChipBoard())
-            board.start(e.emulated, e.seed, own_link, trace, e.tachometer, baud=e.daq.baud, bridge=e.drive.bridge)
+            board.start(emulated, e.seed, own_link, trace, e.tachometer, baud=e.daq.baud, bridge=e.drive.bridge)
         else:
             board = stack.enter_context(HostBoard())
-            board.start(e.emulated, e.seed, own_link, trace, e.tachometer)
+            board.start(emulated, e.seed, own_link, trace, e.tachometer)
         if adapter == "none":
             yield board
             return

@@ -24,37 +24,53 @@ class FirmwareRelay(RelayCommand):
     setup: RelaySetup
 
 
-def relay_command(
-    h1_V: float, h2_V: float, z_bound_rad_s: float, calibration: Calibration, drive_map: DriveMap, tick_s: float
-) -> FirmwareRelay:
-    """The command for these gains, drives rounded to whole units.
+@dataclass(frozen=True)
+class FirmwareRelayRules:
+    """What the firmware makes of the gains of a relay: drives in whole units, the integral in counts and ticks.
 
     calibration  a straight line
-    tick_s       the device's tick in host time, s
-    Raises ValueError for drives beyond the bridge's; Fault CONFIG_MISMATCH where the integral does not fit the device.
+    drive_map    with the device's units
+    clock_ratio  device seconds in a second of the host
     """
-    count_tick_rad_s = calibration.lsb_rad * tick_s
-    z_bound = round(_INTEGRAL_STEPS * z_bound_rad_s / count_tick_rad_s)
-    if not 1 <= z_bound <= _LARGEST_INTEGRAL:
-        raise Fault(
-            "CONFIG_MISMATCH",
-            f"the bound on the relay's integral, {z_bound_rad_s:g} rad s, is not within what the device can hold, "
-            f"{_LARGEST_INTEGRAL / _INTEGRAL_STEPS * count_tick_rad_s:g} rad s: use a shorter cycle, or "
-            "relay.where: host",
+
+    calibration: Calibration
+    drive_map: DriveMap
+    clock_ratio: float
+
+    @property
+    def tick_s(self) -> float:
+        """The device's tick in host time, s."""
+        return TICK_S / self.clock_ratio
+
+    def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> FirmwareRelay:
+        """The command for these gains.
+
+        Raises ValueError for drives beyond the bridge's; Fault CONFIG_MISMATCH where the integral does not fit the
+        device.
+        """
+        calibration, drive_map = self.calibration, self.drive_map
+        count_tick_rad_s = calibration.lsb_rad * self.tick_s
+        z_bound = round(_INTEGRAL_STEPS * z_bound_rad_s / count_tick_rad_s)
+        if not 1 <= z_bound <= _LARGEST_INTEGRAL:
+            raise Fault(
+                "CONFIG_MISMATCH",
+                f"the bound on the relay's integral, {z_bound_rad_s:g} rad s, is not within what the device can hold, "
+                f"{_LARGEST_INTEGRAL / _INTEGRAL_STEPS * count_tick_rad_s:g} rad s: use a shorter cycle, or "
+                "relay.where: host",
+            )
+        units = tuple(drive_map.to_units(-h1_V * y - h2_V * z) for y, z in ((1, 1), (1, -1), (-1, 1), (-1, -1)))
+        drive = (units[0], units[1], units[2], units[3])
+        volts = tuple(map(drive_map.to_volts, drive))
+        centre = round(_CENTRE_STEPS * calibration.to_counts(0.0))
+        setup = RelaySetup(drive, centre, z_bound, calibration.direction, BLOCK_ROWS)
+        return FirmwareRelay(
+            drives_V=(volts[0], volts[1], volts[2], volts[3]),
+            count_tick_rad_s=count_tick_rad_s,
+            centre_counts=setup.centre / _CENTRE_STEPS,
+            z_bound_count_ticks=setup.z_bound / _INTEGRAL_STEPS,
+            direction=calibration.direction,
+            setup=setup,
         )
-    units = tuple(drive_map.to_units(-h1_V * y - h2_V * z) for y, z in ((1, 1), (1, -1), (-1, 1), (-1, -1)))
-    drive = (units[0], units[1], units[2], units[3])
-    volts = tuple(map(drive_map.to_volts, drive))
-    centre = round(_CENTRE_STEPS * calibration.to_counts(0.0))
-    setup = RelaySetup(drive, centre, z_bound, calibration.direction, BLOCK_ROWS)
-    return FirmwareRelay(
-        drives_V=(volts[0], volts[1], volts[2], volts[3]),
-        count_tick_rad_s=count_tick_rad_s,
-        centre_counts=setup.centre / _CENTRE_STEPS,
-        z_bound_count_ticks=setup.z_bound / _INTEGRAL_STEPS,
-        direction=calibration.direction,
-        setup=setup,
-    )
 
 
 class RelayStream:

@@ -24,7 +24,6 @@ from rig.config.schema import Experiment
 from rig.config.sensor import count_rad
 
 _SLACK = 1e-9  # relative
-_PORTS_OF_MODBUS = ("emulated-tcp", "emulated-virtual")
 
 
 def serial_rules(e: Experiment) -> Iterator[Problem]:
@@ -45,18 +44,12 @@ def _keys(e: Experiment) -> Iterator[Problem]:
         yield wrong("emulated", f"`port: {d.port}` needs this section", "describe the bench: see config/demo.yaml")
     if d.port in CHIP_PORTS and d.baud not in CHIP_BAUDS:
         yield wrong("daq.baud", f"the Uno's firmware does not speak {d.baud} baud", "115200 or 1000000")
-    if _is_of_modbus(d.port):
-        yield wrong("daq.port", f"{d.port} is a port of `driver: modbus`", "/dev/ttyACM0, or port: emulated")
-
-
-def _is_of_modbus(port: str | None) -> bool:
-    return port is not None and (port.startswith("tcp://") or port in _PORTS_OF_MODBUS)
 
 
 def _bridge(e: Experiment) -> Iterator[Problem]:
     """Only the config knows the wiring. rig compares the firmware with it when it opens the port."""
     port = e.daq.port
-    if port is None or port.startswith("emulated") or _is_of_modbus(port):
+    if port is None or port.startswith("emulated"):
         return
     if e.drive.bridge is None:
         yield wrong(
@@ -87,7 +80,7 @@ def _quicker_adapter(e: Experiment, fits: Callable[[Adapter], bool]) -> str:
 
 
 def _link_budget(e: Experiment) -> Iterator[Problem]:
-    if _fits(e, e.daq.baud) or _is_of_modbus(e.daq.port):
+    if _fits(e, e.daq.baud):
         return
     bauds = CHIP_BAUDS if adapter_of(e) == "16u2" or e.daq.port in CHIP_PORTS else BAUD_RATES
     quicker = ""

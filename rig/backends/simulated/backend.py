@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
-from rig.backends.backend import Backend, Unopened, Watchdog, truth_of
+from typing_extensions import override
+
+from rig.backends.backend import Backend, Unopened, Watchdog, emulated_of
 from rig.backends.clock import VirtualClock
-from rig.backends.keys import foreign_keys
 from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
 
@@ -19,10 +20,10 @@ class SimulatedBackend(Backend):
     """No device: a model of the motor, and a driver with its own clock."""
 
     name = "simulated"
+    shared_keys = frozenset()
 
+    @override
     def rules(self, e: Experiment) -> Iterator[Problem]:
-        """As of ``Backend``."""
-        yield from foreign_keys(e)
         if e.emulated is None:
             yield wrong(
                 "emulated", "`driver: simulated` needs this section", "describe the bench: see config/demo.yaml"
@@ -34,46 +35,47 @@ class SimulatedBackend(Backend):
                 "set it to host, or daq.driver to serial with a port",
             )
 
+    @override
     def watchdog(self, e: Experiment) -> Watchdog:
-        """As of ``Backend``."""
         return Watchdog(e.daq.watchdog_s)
 
+    @override
     def writes_first(self, e: Experiment) -> bool:
-        """As of ``Backend``."""
         return False
 
+    @override
     def times_error_s(self, e: Experiment) -> float:
-        """As of ``Backend``: exact, but for the digits in samples.csv."""
+        """Exact, but for the digits in samples.csv."""
         return _ROUNDED_S
 
+    @override
     def words(self, e: Experiment) -> str:
-        """As of ``Backend``."""
         return "a simulation in virtual time, no device, nothing moves"
 
+    @override
     def is_emulated(self, e: Experiment) -> bool:
-        """As of ``Backend``."""
         return True
 
+    @override
     def seconds_words(self, e: Experiment) -> str:
-        """As of ``Backend``."""
         return " of virtual time"
 
+    @override
     @contextmanager
     def unopened(self, e: Experiment) -> Iterator[Unopened]:
-        """As of ``Backend``. Raises ValueError without section ``emulated``."""
+        """Raises ValueError without section ``emulated``."""
+        from rig.backends.emulated.bench import bench_parameters
         from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 
-        truth = truth_of(e)
-        if truth is None or e.emulated is None:
-            raise ValueError("a simulated driver needs the section `emulated`")
+        emulated = emulated_of(e)
+        truth = bench_parameters(emulated, e.tachometer)
         clock = VirtualClock()
+        as_it_says = replace(e.drive.map, full_units=truth.drive_counts)  # as a real device says of itself
         driver = SimulatedDriver(
             clock,
             truth,
-            e.sensor.curve,
-            replace(e.drive.map, full_units=truth.drive_counts),  # as a real device says of itself
-            e.sensor.rail_counts,
-            SimulatedLatency(e.emulated.latency_s, e.emulated.latency_jitter_s),
+            replace(e.scaling, drive_map=as_it_says),
+            SimulatedLatency(emulated.latency_s, emulated.latency_jitter_s),
             e.seed,
         )
         yield Unopened(driver, clock, truth)

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rig.backends.driver import Clock, DeviceInfo, DeviceWatchdog
-from rig.calibration import Calibration, DriveMap, hard_limits_in_counts
+from rig.calibration import Scaling, hard_limits_in_counts
 from rig.faults import Fault
 from rig.model.bench import BenchModel, BenchParameters
 from rig.signals import Limits, Order, Sample
@@ -28,8 +28,7 @@ class SimulatedDriver:
 
     clock         virtual time; ``read`` lets the bench catch up with it
     bench         what is really there
-    calibration, drive_map   sensor and drive as the config describes them
-    rail_counts   readings at or beyond these make the device stop
+    scaling       sensor and drive as the config describes them; readings at or beyond the rails make the device stop
     latency       from the write of a drive until it acts; may be longer than a period
     order         "write_first": a drive goes out with the next ``read``, just before its sample, and acts at once
     """
@@ -40,9 +39,7 @@ class SimulatedDriver:
         self,
         clock: Clock,
         bench: BenchParameters,
-        calibration: Calibration,
-        drive_map: DriveMap,
-        rail_counts: tuple[int, int],
+        scaling: Scaling,
         latency: SimulatedLatency,
         seed: int,
         order: Order = "sample_first",
@@ -52,9 +49,9 @@ class SimulatedDriver:
         self.failsafe: DeviceWatchdog | None = DeviceWatchdog(1.0)  # until armed with less
         self.link_statistics: Mapping[str, int] = {}
         self._clock = clock
-        self._calibration = calibration
-        self._drive_map = drive_map
-        self._rail_counts = rail_counts
+        self._calibration = scaling.calibration
+        self._drive_map = scaling.drive_map
+        self._rail_counts = scaling.rail_counts
         self._latency = latency
         self._jitter = random.Random(seed + 1)
         self._now_s = clock.now_s()

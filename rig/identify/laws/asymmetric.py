@@ -11,6 +11,7 @@ class Asymmetric(Coulomb):
 
     name = "asymmetric"
     title = "asymmetric Coulomb friction"
+    adds = "+ asymmetry"
     asymmetric = True
     confounded_with = ("bias_V",)
 

@@ -14,6 +14,7 @@ class Coulomb(CandidateLaw):
 
     name = "coulomb"
     title = "Coulomb friction"
+    adds = "Coulomb"
     asymmetric = False
 
     def static_V(self, theta: Theta, own: Sequence[float]) -> float:

@@ -42,6 +42,22 @@ class LawParameter(NamedTuple):
     fitted: bool = True
 
 
+class LawNumber(NamedTuple):
+    """A number that a law reports.
+
+    name     as in ``Values``, with its unit
+    unit     for people
+    meaning  in words
+    """
+
+    name: str
+    unit: str
+    meaning: str
+
+
+STATIC_LEVEL = LawNumber("fs_V", "V", "static friction")
+
+
 @dataclass(frozen=True)
 class Plain:
     """The fit of asymmetric Coulomb friction to the tests. A law starts from it.
@@ -112,16 +128,20 @@ class CandidateLaw(Protocol):
 
     name              its name in results
     title             its name in sentences
+    adds              its name in tables, below the simpler laws; default: the title
     asymmetric        whether the two directions may differ
     parameters        its further parameters; () for Coulomb friction
+    reports           the numbers of its ``report``: each has a row in terminal, report and result.json
     has_static_level  whether it holds the motor at rest more strongly than in motion
     confounded_with   parameters and laws that one kind of motion cannot separate from it
     """
 
     name: str
     title: str
+    adds: str = ""
     asymmetric: bool = True
     parameters: tuple[LawParameter, ...] = ()
+    reports: tuple[LawNumber, ...] = ()
     has_static_level: bool = False
     confounded_with: tuple[str, ...] = ()
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.identify.breakaway import Ramps
 from rig.identify.laws.coulomb import Coulomb
-from rig.identify.laws.law import CLEAR, Doubt, Fitted, LawComparison, LawParameter, Plain, Values
+from rig.identify.laws.law import CLEAR, STATIC_LEVEL, Doubt, Fitted, LawComparison, LawParameter, Plain, Values
 from rig.model.sensitivity import Theta
 
 LEVELS = 24  # number of tried levels
@@ -24,8 +24,10 @@ class Static(Coulomb):
 
     name = "static"
     title = "Coulomb friction with a static level"
+    adds = "+ static level"
     asymmetric = True
     parameters = (LawParameter("excess_V", 1e-5, fitted=False),)
+    reports = (STATIC_LEVEL,)
     has_static_level = True
     confounded_with = ("stribeck",)
 

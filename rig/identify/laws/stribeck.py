@@ -13,11 +13,13 @@ from rig.identify.breakaway import Ramps
 from rig.identify.laws.law import (
     CLEAR,
     SECOND_AMPLITUDE,
+    STATIC_LEVEL,
     Array,
     CandidateLaw,
     Doubt,
     Fitted,
     LawComparison,
+    LawNumber,
     LawParameter,
     Plain,
     Range,
@@ -35,7 +37,9 @@ class Stribeck(CandidateLaw):
 
     name = "stribeck"
     title = "Stribeck friction"
+    adds = "+ Stribeck effect"
     parameters = (LawParameter("excess_V", 1e-5), LawParameter("stribeck_rad_s", 1e-4, logarithmic=True))
+    reports = (STATIC_LEVEL, LawNumber("stribeck_rad_s", "rad/s", "Stribeck velocity"))
     has_static_level = True
     confounded_with = ("tau_s", "K_rad_s_V", "fc_V")
 

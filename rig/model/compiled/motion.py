@@ -11,7 +11,9 @@ from rig.model.compiled.kernel import kernel
 from rig.model.step import (
     Numbers,
     Plant,
+    Segment,
     State,
+    decay_after,
     direction,
     exponential,
     glide,
@@ -40,6 +42,7 @@ def response(motor: Numbers, start: Numbers, drive: Drive, t_s: Array, out: Arra
     edge_s, u_V, delay_s = drive
     n, edges = t_s.size, edge_s.size
     c, w = np.zeros(ORDER + 1), np.zeros(ORDER + 1)
+    falls = plant.stribeck_rad_s > 0.0
     now = t_s[0]
     j = 0
     while j + 1 < edges and edge_s[j + 1] + delay_s <= now:
@@ -49,7 +52,11 @@ def response(motor: Numbers, start: Numbers, drive: Drive, t_s: Array, out: Arra
         end = edge_s[j + 1] + delay_s if j + 1 < edges else math.inf
         drive_V = u_V[j] + plant.bias_V
         while now < end:
-            segment = next_segment(plant, state.v, drive_V, end - now, c, w)
+            if falls:
+                segment = next_segment(plant, state.v, drive_V, end - now, c, w)
+            else:  # as next_segment does; the call itself would cost a fifth of the loop
+                sign, target, duration_s, reverses = exponential(plant, state.v, drive_V, end - now)
+                segment = Segment(False, sign, duration_s, target, 0.0 if reverses else math.nan)
             until = now + segment.duration_s if segment.duration_s < end - now else end
             # numba drops the branches that the shape of `out` rules out, and computes nothing for them
             while segment.is_series and k < n and t_s[k] < until:
@@ -107,7 +114,7 @@ def position_and_jacobian(
             excess = state.v - target
             while k < n and t_s[k] < until:
                 h = t_s[k] - now
-                decay = -math.expm1(-h / tau)
+                decay = decay_after(h, tau)
                 glide = tau * decay
                 drift = h - glide
                 at = glide_by(state, target, tau, h, decay).y
@@ -124,7 +131,7 @@ def position_and_jacobian(
             if k == n:
                 return
             h = until - now
-            decay = -math.expm1(-h / tau)
+            decay = decay_after(h, tau)
             keep = 1.0 - decay
             glide = tau * decay
             drift = h - glide

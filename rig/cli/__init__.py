@@ -1,0 +1,73 @@
+"""The command `rig`. Each command stands in the file of its name; ``rig.terminal`` shows the results.
+
+options  arguments and options that several commands have
+failure  how a command that cannot be done ends
+driving  what commands share that open a device
+
+Exit status: 0 done, 1 the experiment failed or was refused, 2 bad input.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from rig.cli import (
+    campaign,
+    check,
+    config,
+    doctor,
+    emulate,
+    export,
+    flash,
+    identify,
+    jog,
+    predict,
+    relay,
+    replay,
+    report,
+    run,
+    schema,
+    track,
+)
+from rig.cli.failure import EXIT_FAILED
+from rig.package import VERSION
+
+
+class _Commands(click.Group):
+    """Commands that a Ctrl-C ends with one line, not a traceback, while no run's loop is going."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.echo("rig: interrupted; no drive is on", err=True)
+            ctx.exit(EXIT_FAILED)
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(VERSION, prog_name="rig")
+def main() -> None:
+    """Identify and control a friction-impeded DC motor by relay feedback."""
+
+
+for _command in (
+    campaign.campaign,
+    check.check,
+    config.ready_configs,
+    doctor.doctor,
+    emulate.emulate,
+    export.export,
+    flash.flash,
+    identify.identify,
+    jog.jog,
+    predict.predict,
+    relay.relay,
+    replay.replay,
+    report.report,
+    run.run,
+    schema.schema,
+    track.track,
+):
+    main.add_command(_command)

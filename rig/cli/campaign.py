@@ -1,0 +1,103 @@
+"""`rig campaign`: thousands of simulated experiments."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Literal
+
+import click
+
+from rig import config
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_config, fail_input
+from rig.cli.options import CONFIG, JSON
+from rig.recording.errors import RecordingError
+from rig.recording.folder import json_text
+from rig.terminal import progress, show_campaign
+
+
+@click.command()
+@CONFIG
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("runs"),
+    show_default=True,
+    help="Folder in which rig makes the campaign's folder. The same campaign goes on where it stopped.",
+)
+@click.option(
+    "--resume",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    default=None,
+    help="Go on in this campaign folder.",
+)
+@click.option("--number", type=click.IntRange(1), default=None, help="Number of experiments, instead of the config's.")
+@click.option(
+    "--experiment", "only", metavar="K", type=click.IntRange(0), default=None,
+    help="Run only experiment K, and print its row, or where it fails. No file is written.",
+)  # fmt: skip
+@click.option("--jobs", type=click.IntRange(1, 1024), default=None, help="Number of processes. Default: one per core.")
+@click.option("--backend", type=click.Choice(["joblib", "dask"]), default="joblib", show_default=True,
+    help="What runs the processes.",
+)  # fmt: skip
+@click.option("--scheduler", metavar="ADDRESS", default=None, help="Dask cluster to join. Default: start one here.")
+@JSON
+def campaign(
+    config_path: Path,
+    out: Path,
+    resume: Path | None,
+    number: int | None,
+    only: int | None,
+    jobs: int | None,
+    backend: Literal["joblib", "dask"],
+    scheduler: str | None,
+    as_json: bool,
+) -> None:
+    """Simulate and identify thousands of random experiments.
+
+    Prints the errors beside the smallest possible ones (Cramér-Rao), and how often the intervals hold the true value.
+    """
+    try:
+        asked = config.load_campaign(config_path)
+    except config.ConfigError as error:
+        fail_config(error)
+    if scheduler is not None and backend != "dask":
+        fail(EXIT_BAD_INPUT, "--scheduler needs Dask", "add --backend dask")
+    asked = asked if number is None else asked.model_copy(update={"experiments": number})
+    if only is not None and only >= asked.experiments:
+        fail(EXIT_BAD_INPUT, f"there is no experiment {only}", f"give --experiment 0 to {asked.experiments - 1}")
+    folder = resume or out
+    from rig.campaign.grid import BrokenOffError, CampaignError
+
+    try:
+        if only is not None:
+            from rig.campaign.trial import run_trial
+
+            click.echo(json_text(run_trial(asked, only)), nl=False)  # a defect ends here in its traceback
+            return
+        from rig.campaign import results, session
+
+        folder = resume or results.folder_for(out, asked)
+        jobs = jobs or os.cpu_count() or 1
+        with progress(f"campaign {asked.name}", as_json) as on_progress:
+            done = session.run(asked, folder, jobs=jobs, backend=backend, scheduler=scheduler, on_progress=on_progress)
+    except CampaignError as error:
+        fail(EXIT_FAILED if isinstance(error, BrokenOffError) else EXIT_BAD_INPUT, error.cause, error.cure)
+    except RecordingError as error:
+        fail_input(error)
+    except OSError as error:
+        fail(EXIT_FAILED, f"{folder}: {error.strerror}", "the rows so far are kept: the same command goes on there")
+    except KeyboardInterrupt:
+        fail(EXIT_FAILED, "interrupted; no experiment was going on", "the same command goes on")
+    if done.summary is None:
+        fail(
+            EXIT_FAILED,
+            f"interrupted: {done.done} of {asked.experiments} experiments are done in {folder}",
+            "the same command goes on from there",
+        )
+    if as_json:
+        click.echo(json_text(done.summary | {"folder": str(folder)}), nl=False)
+    else:
+        show_campaign(done.summary, folder)
+    sys.exit(EXIT_FAILED if done.summary["failed"] else 0)

@@ -1,0 +1,39 @@
+"""`rig check`: check a config."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from rig import config, preflight
+from rig.cli.failure import fail_config
+from rig.cli.options import CONFIG, JSON
+
+
+@click.command()
+@CONFIG
+@JSON
+def check(config_path: Path, as_json: bool) -> None:
+    """Check a config; no device is needed, nothing moves.
+
+    Checks keys, units, limits, stopping distance and link budget, and prints what a run would do.
+    """
+    try:
+        if config.is_campaign(config_path):
+            lines = list(config.campaign_lines(config.load_campaign(config_path)))
+        else:
+            lines = list(preflight.check(config_path)[1].lines)
+    except config.ConfigError as error:
+        fail_config(error, f"verdict: refused, {_counted(len(error.problems), 'problem')}; nothing would be run")
+    notes = sum(line.startswith("note: ") for line in lines)
+    verdict = f"ok with {_counted(notes, 'note')}" if notes else "ok"
+    if as_json:
+        click.echo(json.dumps({"ok": True, "verdict": verdict, "lines": lines}))
+    else:
+        click.echo("\n".join([*lines, f"verdict: {verdict}"]))
+
+
+def _counted(number: int, thing: str) -> str:
+    return f"{number} {thing}" + ("" if number == 1 else "s")

@@ -1,0 +1,67 @@
+"""What commands share that open a device: the checked config, the run with its progress, the end."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import click
+
+from rig import preflight
+from rig.cli.failure import EXIT_FAILED, fail_config, faults
+from rig.config import ConfigError, Experiment
+from rig.recording.folder import json_text
+from rig.terminal import show_run
+
+if TYPE_CHECKING:  # scipy comes with it
+    from rig.session import OnStart, Outcome
+
+
+def checked(path: Path, *, drives: bool = True) -> Experiment:
+    """The checked experiment of a config file. Exits with status 2 and the problems if the config is bad.
+
+    drives  False: no motor turns, so the config need not name the bridge; `rig doctor` reads it from the firmware
+    """
+    try:
+        experiment, _ = preflight.check(path, () if drives else ("drive.bridge",))
+    except ConfigError as error:
+        fail_config(error)
+    return experiment
+
+
+def checked_bench(path: Path) -> Experiment:
+    """``checked`` for a command that drives a motor. A missing port: exits with status 1, before slow imports."""
+    from rig.backends.links.device_file import require_device_file
+
+    experiment = checked(path)
+    with faults():
+        require_device_file(experiment.daq.port)
+    return experiment
+
+
+def perform(start: Callable[[OnStart], Outcome], as_json: bool) -> Outcome:
+    """Run with live progress (in a pipe: one line per stage), then show the result; with --json neither."""
+    from rig.recording.follow import following
+
+    with faults(), contextlib.ExitStack() as stack:
+
+        def on_start(folder: Path, notes: tuple[str, ...]) -> None:
+            for note in notes:
+                click.echo(f"rig: {note}", err=True)
+            if not as_json:
+                stack.enter_context(following(folder))
+
+        outcome = start(on_start)
+    if not as_json:
+        show_run(outcome)
+    return outcome
+
+
+def finish(outcome: Outcome, as_json: bool) -> NoReturn:
+    """End the command with the run: its result as JSON if that is asked for, and the exit status."""
+    if as_json:
+        click.echo(json_text(outcome.as_json()), nl=False)
+    sys.exit(EXIT_FAILED if outcome.failure else 0)

@@ -1,0 +1,48 @@
+"""`rig emulate`: run an emulated device."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+from rig.cli.driving import checked
+from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
+from rig.cli.options import CONFIG
+
+
+@click.command()
+@CONFIG
+@click.option(
+    "--link", type=click.Path(path_type=Path), default=None, help="Make a symbolic link to the port with this name."
+)
+@click.option(
+    "--trace",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Write the drive at the pin over time to this CSV file.",
+)
+@click.option("--chip", is_flag=True, help="Emulate the Uno's chip, and run its firmware on it at daq.baud.")
+def emulate(config_path: Path, link: Path | None, trace: Path | None, chip: bool) -> None:
+    """Run the emulated device of a config until Ctrl-C."""
+    from rig.backends.registry import backend_of, emulated_board
+
+    experiment = checked(config_path, drives=False)
+    if experiment.emulated is None:
+        fail(EXIT_BAD_INPUT, f"{config_path} has no section `emulated`", "add one, as in config/demo.yaml")
+    backend = backend_of(experiment)
+    if chip and not backend.has_chip:
+        fail(EXIT_BAD_INPUT, "--chip emulates the Uno, which does not speak Modbus", "leave --chip out")
+    from rig.loop.stop_request import stop_on_signals
+
+    with stop_on_signals() as stop, faults(), emulated_board(experiment, link, trace, chip=chip) as board:
+        port = board.port
+        click.echo(
+            f"emulated device on {link or port}; set daq.port to that, and run rig in another terminal. Ctrl-C ends it."
+        )
+        if hint := backend.emulated_hint(experiment, str(link or port)):
+            click.echo(hint)
+        while stop.reason is None:
+            board.check()
+            time.sleep(0.1)

@@ -1,0 +1,62 @@
+"""`rig identify`: identify a motor from recordings."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
+from rig.cli.options import JSON, ROWS
+from rig.estimators import ESTIMATORS
+from rig.recording.errors import RecordingError
+from rig.recording.folder import json_text
+from rig.terminal import patience, show_estimates, show_friction_law
+
+
+@click.command()
+@click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=click.Path(path_type=Path))
+@click.option(
+    "--method",
+    "methods",
+    multiple=True,
+    type=click.Choice([entry.name for entry in ESTIMATORS]),
+    help="Repeat for several. Default: all that the data allows. "
+    "least-squares takes two CSV files, each of a hysteretic relay.",
+)
+@ROWS
+@JSON
+def identify(
+    paths: Sequence[Path], methods: Sequence[str], rows: tuple[int | None, int | None] | None, as_json: bool
+) -> None:
+    """Identify gain, time constant and friction from recordings.
+
+    A recording is a run folder, or a CSV file with columns t_s,u_V,y_rad. Several recordings must be of one motor: rig
+    says so if they do not agree.
+    """
+    from rig.identify import IdentifyError
+    from rig.identify import identify as identify_recordings
+    from rig.recording.path_kind import require_distinct
+    from rig.recording.reader import read
+
+    if rows is not None and len(paths) > 1:
+        fail(EXIT_BAD_INPUT, f"--rows takes one recording, not {len(paths)}", "identify one at a time")
+    try:
+        require_distinct(paths)
+        with patience("reading and identifying"):
+            recordings = [read(path) if rows is None else read(path).only_rows(*rows) for path in paths]
+            found = identify_recordings(recordings, tuple(methods) or None)
+    except (RecordingError, IdentifyError) as error:
+        fail_input(error)
+    result = found.as_result()
+    ok = any(not estimate.is_refused for estimate in result.estimates.values())
+    if as_json:
+        click.echo(json_text({"ok": ok, "records": [str(path) for path in paths], **result.as_json()}), nl=False)
+    else:
+        for note in result.notes:
+            click.echo(note)
+        show_estimates(result.estimates, None)
+        show_friction_law(result.friction_law)
+    sys.exit(0 if ok else EXIT_FAILED)

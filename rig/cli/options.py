@@ -1,0 +1,35 @@
+"""Arguments and options that several commands have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+class Rows(click.ParamType):  # type: ignore[type-arg]
+    """``FIRST:LAST``; either may be left out."""
+
+    name = "rows"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The two numbers; None for one that is left out."""
+        first, colon, last = str(value).partition(":")
+        if not colon or not all(part == "" or part.isdecimal() for part in (first, last)):
+            self.fail(f"{value!r} must be FIRST:LAST: two row numbers, such as 120:899", param, ctx)
+        return int(first) if first else None, int(last) if last else None
+
+
+CONFIG = click.argument("config_path", metavar="CONFIG", type=click.Path(path_type=Path))
+# In every command --out is the folder in which rig makes run folders, and --to is the file that it writes.
+OUT = click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("runs"), show_default=True,
+    help="Folder in which rig makes the run folder.",
+)  # fmt: skip
+ROWS = click.option(
+    "--rows", metavar="FIRST:LAST", type=Rows(), default=None,
+    help="Only these rows, both included. They count from 0, as in messages and result.json. "
+    "You may leave out FIRST or LAST.",
+)  # fmt: skip
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout, and nothing else.")

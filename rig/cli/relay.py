@@ -1,0 +1,26 @@
+"""`rig relay`: the experiment without the tracking check."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import click
+
+from rig.cli.driving import checked_bench, finish, perform
+from rig.cli.options import CONFIG, JSON, OUT
+
+
+@click.command()
+@CONFIG
+@OUT
+@JSON
+def relay(config_path: Path, out: Path, as_json: bool) -> None:
+    """Run breakaway, gain search and relay tests, and identify.
+
+    No tracking check follows.
+    """
+    experiment = checked_bench(config_path)
+    from rig import experiment as script
+
+    finish(perform(partial(script.run_relay, experiment, out), as_json), as_json)

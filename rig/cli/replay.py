@@ -1,0 +1,40 @@
+"""`rig replay`: compute each drive of a run again."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from rig import config
+from rig.cli.failure import EXIT_FAILED, fail_config, fail_input
+from rig.cli.options import JSON
+from rig.recording.errors import RecordingError
+from rig.recording.folder import json_text
+from rig.terminal import progress, show_replay
+
+
+@click.command()
+@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+@JSON
+def replay(run_folder: Path, as_json: bool) -> None:
+    """Replay a run: compute each drive again and compare.
+
+    The recorded samples go through laws and guard again. Prints that each drive is the same, tick for tick, or the
+    first difference.
+    """
+    from rig.replay import replay as replay_run
+
+    try:
+        with progress(f"replaying {run_folder.name}", as_json) as on_progress:
+            done = replay_run(run_folder, on_progress)
+    except RecordingError as error:
+        fail_input(error)
+    except config.ConfigError as error:
+        fail_config(error)
+    if as_json:
+        click.echo(json_text(done.as_json()), nl=False)
+    else:
+        show_replay(done)
+    sys.exit(0 if done.is_same else EXIT_FAILED)

@@ -1,0 +1,29 @@
+"""`rig report`: write the report of a run again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from rig.cli.failure import EXIT_FAILED, fail, fail_input
+from rig.recording.errors import RecordingError
+from rig.terminal import patience
+
+
+@click.command()
+@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+def report(run_folder: Path) -> None:
+    """Write the report of a run again, and print its path."""
+    from rig.recording.path_kind import require_run
+    from rig.report import write_report
+
+    try:
+        require_run(run_folder)
+        with patience("drawing the report"):
+            path = write_report(run_folder)
+    except RecordingError as error:
+        fail_input(error)
+    except OSError as error:
+        fail(EXIT_FAILED, f"{run_folder}: cannot be read: {error.strerror}", "check the disk and its permissions")
+    click.echo(path)

@@ -1,0 +1,47 @@
+"""`rig run`: the whole experiment."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+from rig.cli.driving import checked_bench, perform
+from rig.cli.failure import EXIT_FAILED, faults
+from rig.cli.options import CONFIG, JSON, OUT
+from rig.recording.folder import json_text
+from rig.terminal import show_scatter
+
+
+@click.command()
+@CONFIG
+@OUT
+@click.option(
+    "--repeat",
+    type=click.IntRange(1, 1000),
+    default=1,
+    help="Run it N times and show the scatter between runs. An emulated bench takes seed, seed + 1, ...",
+)
+@JSON
+def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
+    """Run the whole experiment, identify the motor, write a report.
+
+    The stages: breakaway, search, relay, identify, verify, report.
+    """
+    experiment = checked_bench(config_path)
+    if Console(stderr=True).is_terminal and not as_json:
+        click.echo("opening the bench ...", err=True)
+    from rig import experiment as script
+
+    with faults():
+        outcomes = script.repeated(experiment, repeat, out, partial(perform, as_json=as_json))
+    if as_json:
+        results = [outcome.as_json() for outcome in outcomes]
+        ok = all(result["ok"] for result in results)
+        click.echo(json_text(results[0] if repeat == 1 else {"ok": ok, "runs": results}), nl=False)
+    elif repeat > 1:
+        show_scatter([outcome.result for outcome in outcomes])
+    sys.exit(EXIT_FAILED if any(outcome.failure for outcome in outcomes) else 0)

@@ -1,0 +1,44 @@
+"""`rig schema`: the JSON Schemas."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from rig import config
+from rig.cli.failure import EXIT_BAD_INPUT, fail
+from rig.results import RunMeta, RunResult
+
+
+@click.command()
+@click.option(
+    "--to", "file", type=click.Path(path_type=Path, dir_okay=False), default=None, metavar="FILE",
+    help="File to write. Default: stdout.",
+)  # fmt: skip
+@click.option("--out", "old_name", type=click.Path(path_type=Path, dir_okay=False), default=None, hidden=True)
+@click.option(
+    "--of", "of", type=click.Choice(["config", "campaign", "meta", "result"]), default="config", show_default=True,
+    help="What it describes: a config, a config of `rig campaign`, a run's meta.json, or its result.json.",
+)  # fmt: skip
+@click.option("--campaign", "of_campaign", is_flag=True, help="The same as --of campaign.")
+def schema(file: Path | None, old_name: Path | None, of: str, of_campaign: bool) -> None:
+    """Write a JSON Schema of a config, for editors, or of a run's files."""
+    if of_campaign and of not in ("config", "campaign"):
+        fail(EXIT_BAD_INPUT, f"--campaign and --of {of} name two schemas", "leave one of them out")
+    if of in ("meta", "result"):
+        from rig.results.json_schema import schema_text
+
+        text = schema_text(RunMeta if of == "meta" else RunResult)
+    else:
+        text = config.schema_text(config.Campaign if of_campaign or of == "campaign" else config.Experiment)
+    if old_name is not None:
+        click.echo(f"note: --out is now --to: `rig schema --to {old_name}`", err=True)
+    file = file or old_name
+    if file is None:
+        click.echo(text, nl=False)
+    else:
+        try:
+            file.write_text(text, encoding="utf-8")
+        except OSError as error:
+            fail(EXIT_BAD_INPUT, f"{file}: cannot be written: {error.strerror}", "name a file in an existing folder")

@@ -1,0 +1,40 @@
+"""`rig track`: the tracking check with the models of an earlier run."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import click
+
+from rig.cli.driving import checked_bench, finish, perform
+from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
+from rig.cli.options import CONFIG, JSON, OUT
+from rig.recording.errors import RecordingError
+
+
+@click.command()
+@CONFIG
+@click.option(
+    "--model",
+    "model_run",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Run folder from which the models come.",
+)
+@OUT
+@JSON
+def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
+    """Run the tracking check with the models of an earlier run."""
+    experiment = checked_bench(config_path)
+    from rig import experiment as script
+    from rig.identify import IdentifyError, identify
+    from rig.recording.reader import read_run
+
+    if experiment.tracking is None:
+        fail(EXIT_BAD_INPUT, f"{config_path} has no section `tracking`", "add one, as in config/demo.yaml")
+    try:
+        models = identify([read_run(model_run)])
+    except (RecordingError, IdentifyError) as error:
+        fail_input(error)
+    finish(perform(partial(script.run_tracking, experiment, models, model_run, out), as_json), as_json)

@@ -1,0 +1,197 @@
+"""The strokes of the breakaway check, short enough that a shaft which the sensor does not show hardly turns.
+
+Arithmetic on the config (docs/theory.md 10.1). ``e`` is the experiment throughout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import ceil
+from typing import NamedTuple
+
+from rig.backends.registry import backend_of
+from rig.config.schema import Experiment
+
+UNSEEN_RAD = 0.5  # farthest that a shaft may turn in the breakaway check while the sensor does not show it
+FRICTION_DIFFERS = 0.1  # friction of one way differs from the mean of both ways by this share of it, at most
+_LONGEST_STROKE_S = 0.08
+_CYCLE_S = 0.16  # the longest stroke and the pause after it: averages the noise, and keeps the pairs few
+_LEAST_PAUSE_PERIODS = 4
+_MOST_PAIRS = 1_000
+_CHECK_WATCHDOG_S = 0.04  # of the device in the breakaway check, unless that is less than two periods
+_SHORTER_S = 0.005  # step to the next shorter watchdog time to try, where no stroke is short enough
+_LEAST_WATCHDOG_PERIODS = 2
+_CLEARLY = 2.0  # times breakaway.motion_rad
+_FRICTION_STEPS = 24  # frictions at which the bound is computed
+_FINEST = 12  # halvings
+_ROUNDING = 1e-9
+
+
+class BreakawayStrokes(NamedTuple):
+    """The strokes of the breakaway check.
+
+    strokes_s   lengths, whole periods: that of each pair, the weakest first
+    pause_s     after each, whole periods
+    step_V      by how much the level rises from pair to pair
+    watchdog_s  watchdog time of the device in the check; where the device has none, or one that arming does not set,
+                the longest delay of a tick that the bound allows
+    unseen_rad  farthest that the shaft turns in the check if the sensor shows nothing
+    """
+
+    strokes_s: tuple[float, ...]
+    pause_s: float
+    step_V: float
+    watchdog_s: float
+    unseen_rad: float
+
+    @property
+    def pairs(self) -> int:
+        """Number of pairs until breakaway.max_V."""
+        return len(self.strokes_s)
+
+
+def breakaway_strokes(e: Experiment, max_V: float | None = None) -> BreakawayStrokes | None:
+    """Strokes whose unseen travel is within ``UNSEEN_RAD``; None where those of one period exceed it.
+
+    max_V  instead of the config's
+    Raises ValueError where the config does not tell the motor's speed.
+
+    A stroke of level u and length s moves a shaft of gain K from rest by at most K (u - f) s, whatever its time
+    constant. The stroke back reverses that. A pair leaves only what friction f (1 +- d) differs by: 2 d f K s. The
+    largest travel is the sum over the pairs so far, plus one stroke that lasts longer by the device's watchdog time:
+    its last tick comes late, or never because the host has died. The bound takes the worst friction from 0 to max_V,
+    and K (supply - f) as the no-load speed.
+
+    The strokes at low levels all have one length, the longest. At higher levels they are shorter: without friction none
+    travels farther than a given distance. Of the possible longest strokes, the function takes the one that moves a
+    reference motor farthest: friction half of max_V, time constant limits.coast_tau_s. A longer watchdog time tolerates
+    a busier host; a shorter one allows longer strokes. The function takes the longest watchdog time with which the
+    reference motor clearly moves, else the shortest.
+    """
+    if e.motor is None:
+        raise ValueError("the config does not say motor.no_load_speed_rad_s")
+    max_V = e.breakaway.max_V if max_V is None else max_V
+    best: BreakawayStrokes | None = None
+    farthest_rad = 0.0
+    for watchdog_s in _check_watchdogs_s(e):
+        for periods in _lengths(max(int(_LONGEST_STROKE_S / e.period_s + _ROUNDING), 1)):
+            strokes = _strokes_up_to(periods, e, max_V, watchdog_s)
+            if strokes is None:
+                continue
+            moved_rad = _moved_rad(e, strokes, max_V)
+            if best is None or moved_rad > farthest_rad:
+                best, farthest_rad = strokes, moved_rad
+        if farthest_rad > _CLEARLY * e.breakaway.motion_rad:
+            break
+    return best
+
+
+def _lengths(longest: int) -> Iterator[int]:
+    """Lengths to try, periods: each one, or steps of a fifth where they are many."""
+    periods = longest
+    while periods >= 1:
+        yield periods
+        periods = min(periods - 1, int(0.8 * periods) if periods > 10 else periods)
+
+
+def _moved_rad(e: Experiment, strokes: BreakawayStrokes, max_V: float) -> float:
+    """Rough travel of the slow reference motor by all strokes of one way, rad.
+
+    From rest it speeds up evenly by K (u - f) / tau, and slows down by K f / tau after the stroke.
+    """
+    assert e.motor is not None
+    levels = _levels(strokes.pairs, strokes.step_V, max_V)
+    driven = sum(
+        2.0 * (level - 0.5) * level * stroke_s**2
+        for level, stroke_s in zip(levels, strokes.strokes_s, strict=True)
+        if level > 0.5
+    )
+    return 0.5 * e.motor.no_load_speed_rad_s * max_V / e.drive.supply_V / e.limits.coast_tau_s * driven
+
+
+def _check_watchdogs_s(e: Experiment) -> tuple[float, ...]:
+    """Watchdog times to try for the breakaway check, s, the longest first.
+
+    A device whose watchdog cannot be set has one time. The host asks each period: less than two would end each check.
+    """
+    watchdog = backend_of(e).watchdog(e)
+    if watchdog.unit_s is None and watchdog.time_s is not None:
+        return (watchdog.time_s,)
+    unit_s = 0.001 if watchdog.unit_s is None else watchdog.unit_s
+    least_s = _LEAST_WATCHDOG_PERIODS * e.period_s
+    tried_s = min(max(_CHECK_WATCHDOG_S, least_s), e.daq.watchdog_s)
+    times_s: list[float] = []
+    while tried_s > least_s * (1.0 - _ROUNDING) or not times_s:
+        # whole units of its register: down, where the device would round, or up to the least
+        units = max(int(tried_s / unit_s + _ROUNDING), ceil(least_s / unit_s - _ROUNDING))
+        if units * unit_s <= e.daq.watchdog_s * (1.0 + _ROUNDING) and units * unit_s not in times_s:
+            times_s.append(units * unit_s)
+        tried_s -= _SHORTER_S
+        if tried_s <= 0.0:
+            break
+    return tuple(times_s) or (e.daq.watchdog_s,)
+
+
+def _levels(pairs: int, step_V: float, max_V: float) -> list[float]:
+    """Levels of the pairs, relative to max_V."""
+    return [min((k + 1) * step_V / max_V, 1.0) for k in range(pairs)]
+
+
+def _strokes_up_to(periods: int, e: Experiment, max_V: float, watchdog_s: float) -> BreakawayStrokes | None:
+    """Strokes of at most so many periods, shorter at higher levels; None where nothing is within the bound."""
+    cycle = max(2 * periods, periods + _LEAST_PAUSE_PERIODS, ceil(_CYCLE_S / e.period_s - _ROUNDING))
+    step_V = e.breakaway.ramp_V_s * cycle * e.period_s
+    if max_V > _MOST_PAIRS * step_V or min(max_V, step_V) <= 0.0:
+        return None  # it would take too long, or the voltage is too small to divide
+    pairs = max(ceil(max_V / step_V - _ROUNDING), 1)
+    levels = _levels(pairs, step_V, max_V)
+
+    def shaped_s(top_s: float) -> tuple[float, ...]:
+        wanted = (int((top_s / level - watchdog_s) / e.period_s + _ROUNDING) for level in levels)
+        return tuple(e.period_s * min(max(n, 1), periods) for n in wanted)
+
+    def strokes(strokes_s: tuple[float, ...]) -> BreakawayStrokes:
+        unseen_rad = _unseen_rad(e, max_V, levels, strokes_s, watchdog_s)
+        return BreakawayStrokes(strokes_s, (cycle - periods) * e.period_s, step_V, watchdog_s, unseen_rad)
+
+    low, high = 0.0, (periods * e.period_s + watchdog_s) * (1.0 + _ROUNDING)
+    longest = strokes(shaped_s(high))
+    if longest.unseen_rad <= UNSEEN_RAD:
+        return longest
+    shortest = strokes(shaped_s(low))
+    if not shortest.unseen_rad <= UNSEEN_RAD:
+        return None
+    for _ in range(_FINEST):
+        middle = 0.5 * (low + high)
+        tried = strokes(shaped_s(middle))
+        if tried.unseen_rad <= UNSEEN_RAD:
+            low, shortest = middle, tried
+        else:
+            high = middle
+    return shortest
+
+
+def _unseen_rad(e: Experiment, max_V: float, levels: list[float], strokes_s: tuple[float, ...], late_s: float) -> float:
+    """The largest unseen travel of these strokes, one of which is longer by ``late_s``, for any friction, rad.
+
+    Returns the first value above ``UNSEEN_RAD`` where there is one.
+
+    levels  of the pairs, relative to max_V
+    Lengthened strokes are reversed too, and the check ends when they add up to ``late_s``: what they leave is added.
+    """
+    assert e.motor is not None
+    worst_rad = 0.0
+    for step in reversed(range(_FRICTION_STEPS)):
+        friction = step / _FRICTION_STEPS
+        low, high = friction * (1.0 - FRICTION_DIFFERS), friction * (1.0 + FRICTION_DIFFERS)
+        top_rad_s = e.motor.no_load_speed_rad_s / max(e.drive.supply_V / max_V - friction, _ROUNDING)
+        left_s = 0.0
+        for level, stroke_s in zip(levels, strokes_s, strict=True):
+            if level <= low:
+                continue
+            difference = min(level, high) - low
+            worst_rad = max(worst_rad, top_rad_s * (left_s + (level - low) * (stroke_s + late_s) + difference * late_s))
+            left_s += difference * stroke_s
+        if worst_rad > UNSEEN_RAD:
+            break
+    return worst_rad

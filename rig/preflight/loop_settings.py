@@ -1,0 +1,29 @@
+"""What a config tells the loop: what the guard knows, as in `rig check`, and what the machine is asked for."""
+
+from __future__ import annotations
+
+from rig.config.schema import Experiment
+from rig.control.guard import GuardSettings
+from rig.loop.real_time import RealTimeSettings
+from rig.preflight.room_to_stop import known_reaction_s
+
+
+def guard_settings_of(experiment: Experiment, noise_rad: float | None = None) -> GuardSettings:
+    """The guard's knowledge; ``noise_rad`` once it was measured, before that two LSB are assumed."""
+    lsb_rad = experiment.sensor.curve.lsb_rad
+    t = experiment.limits
+    return GuardSettings(
+        limits=experiment.device_limits,
+        rail_counts=experiment.sensor.rail_counts,
+        max_speed_rad_s=t.max_speed_rad_s,
+        coast_tau_s=t.coast_tau_s,
+        reaction_s=known_reaction_s(experiment),  # as in `rig check`
+        noise_rad=2.0 * lsb_rad if noise_rad is None else max(noise_rad, lsb_rad),
+        motion_rad=experiment.breakaway.motion_rad,
+    )
+
+
+def real_time_of(experiment: Experiment) -> RealTimeSettings:
+    """What the loop's process asks the machine for."""
+    wanted = experiment.loop
+    return RealTimeSettings(wanted.priority, wanted.cpu, wanted.lock_memory, wanted.raise_workers)

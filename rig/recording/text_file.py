@@ -1,0 +1,82 @@
+"""The files of a run, or given by a user, as text: of a bounded size, with their torn ends and moved parts noted."""
+
+from __future__ import annotations
+
+from glob import escape
+from pathlib import Path
+from typing import Final
+
+from rig.recording.errors import RecordingError
+
+MAX_BYTES: Final = 256 * 2**20
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a path is a folder. Raises RecordingError if it cannot be looked at."""
+    try:
+        return path.is_dir()
+    except OSError as error:
+        raise RecordingError(path, *_unreadable(error)) from error
+
+
+def content_of(path: Path) -> bytes:
+    """The content of a regular file of at most MAX_BYTES. Raises RecordingError."""
+    try:
+        if path.exists() and not path.is_file():
+            raise RecordingError(path, "is not a file", "give a run folder or a CSV file")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:  # ValueError: an impossible path
+        raise RecordingError(path, *_unreadable(error)) from error
+    if len(content) > MAX_BYTES:
+        raise RecordingError(path, f"is larger than {MAX_BYTES // 2**20} MiB", "cut it to the rows of the experiment")
+    return content
+
+
+def _unreadable(error: Exception) -> tuple[str, str]:
+    """Cause and cure."""
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return f"cannot be read: {reason}", "check the path and its permissions"
+
+
+def whole_content(path: Path) -> tuple[bytes, list[str]]:
+    """The content of a file of a run, joined with the parts beside it (see ``writer``), and a note on each part.
+
+    Raises RecordingError if it cannot be read.
+    """
+    content, notes = content_of(path), []
+    beside = [(part, part.name.rpartition(".from-")[2]) for part in path.parent.glob(f"{escape(path.name)}.from-*")]
+    for part, number in sorted(((part, int(text)) for part, text in beside if text.isdecimal()), key=lambda p: p[1]):
+        missing = number - len(content)
+        notes.append(f"the disk failed: from byte {number} on it is {part.name}")
+        if missing > 0:
+            content = content[: content.rfind(b"\n") + 1]
+            notes.append(f"it is torn before that: {missing} bytes are lost")
+        content = content[:number] + content_of(part)
+    return content, notes
+
+
+def without_torn_line(path: Path, content: bytes) -> tuple[bytes, list[str]]:
+    """The complete lines, and a note about a last line without an end. Raises RecordingError for an empty file."""
+    if not content:
+        raise RecordingError(path, "is empty", "nothing was recorded: record again")
+    written = content.rstrip(b"\0")  # a power cut can leave zeros behind the last block
+    end = written.rfind(b"\n") + 1
+    if end == len(content):
+        return content, []
+    line = written.count(b"\n", 0, end) + 1
+    return written[:end], [f"line {line}, the last, is torn and was left out ({len(content) - end} bytes)"]
+
+
+def text_of(path: Path, content: bytes) -> str:
+    """The content of a file as text. Raises RecordingError with the line that is no UTF-8."""
+    zero = content.find(b"\0")
+    if zero >= 0:
+        raise RecordingError(
+            path, "is a binary file", "give a text file, saved as CSV in UTF-8", content.count(b"\n", 0, zero) + 1
+        )
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise RecordingError(path, "is not UTF-8 text", "save it as CSV in UTF-8", line) from error
