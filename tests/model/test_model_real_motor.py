@@ -303,6 +303,28 @@ def test_an_undriven_motor_comes_to_rest(name: str, v0: float) -> None:
     assert y[-1] == pytest.approx(y[-2], abs=1e-6)
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.dictionaries(st.sampled_from(sorted(EACH)), st.floats(-3.0, 1.0), max_size=8), st.integers(0, 1000))
+def test_any_mixture_of_parts_of_any_size_gives_numbers(sizes: dict[str, float], seed: int) -> None:
+    numbers = {key: value * 10.0**size for name, size in sizes.items() for key, value in EACH[name].items()}
+    motor, drive = PLAIN._replace(fc_V=1.0, **numbers), relay(2.0, seed)
+    free = [index(name) for name in numbers] + list(range(5))
+    t_s = np.arange(0.0, 2.0, 0.01)
+    readings = response_and_jacobian(motor, FRAME, drive, t_s, three_pieces(t_s.size), free)
+    assert all(np.isfinite(part).all() for part in readings)
+
+
+def test_stiff_bristles_are_nearly_rigid() -> None:
+    drive, t_s = relay(2.0), np.arange(0.0, 2.0, 0.01)
+    rigid = response(PLAIN, FRAME, drive, t_s, Pieces.one(0.0, 0.1))
+    away = [
+        np.abs(response(PLAIN._replace(bristle_V_rad=stiff), FRAME, drive, t_s, Pieces.one(0.0, 0.1)) - rigid).max()
+        for stiff in (100.0, 1e5, 1e6)
+    ]
+    assert away[0] > 2.0 * away[1]  # a shaft at rest swings on them, by some v (tau/(K sigma_0))^(1/2)
+    assert away[1] == away[2]  # from 0.1 mrad of bending on they are not stiffer
+
+
 def test_every_part_has_numbers_and_every_number_has_a_part() -> None:
     plain_numbers = ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s")
     assert plain_numbers + tuple(name for names in PARTS.values() for name in names) == RealMotor._fields

@@ -134,6 +134,8 @@ def test_a_motor_with_parts_is_the_given_one_and_its_parts() -> None:
     assert bench is not None and bench.real is not None
     assert bench.real == plain(bench.motor)._replace(backlash_rad=0.02, lag_s=0.005, drift=0.1)
     assert bench.frame == Frame(0.1, 1.0, 0.0, 40.0)
+    (said,) = differences(with_parts())
+    assert "emulated.motor.parts: lag_s 0.005, backlash_rad 0.02, drift 0.1" in said
     without = truth_of(experiment())
     assert without is not None and without.real is None
 
