@@ -26,6 +26,7 @@ from rig.identify import identify as identify_recordings
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.prediction import predict_cycle
+from rig.model.real_motor import RealMotor
 from rig.notebook import Found, Run
 from rig.recording import reader
 from rig.recording.errors import RecordingError
@@ -41,6 +42,7 @@ __all__ = [
     "Fault",
     "Found",
     "Motor",
+    "RealMotor",
     "Run",
     "Sample",
     "Sampling",
@@ -122,10 +124,11 @@ def _from_arrays(t: ArrayLike, u: ArrayLike, y: ArrayLike, t_u: ArrayLike | None
     return from_columns(ARRAYS, columns["t"], columns["u"], columns["y"], columns.get("t_u"))
 
 
-def simulate(motor: Motor, drive: Drive, duration_s: float, sampling: Sampling | None = None) -> Run:
+def simulate(motor: Motor | RealMotor, drive: Drive, duration_s: float, sampling: Sampling | None = None) -> Run:
     """Drive a motor on this machine; what it shows is as if it had been read: ``rig.identify`` takes it.
 
-    motor       ``rig.Motor(tau_s, K_rad_s_V, rig.coulomb(fc_V))``, or ``found.best.motor()``
+    motor       ``rig.Motor(tau_s, K_rad_s_V, rig.coulomb(fc_V))``, or ``found.best.motor()``, or one with parts:
+                ``rig.RealMotor(tau_s, K_rad_s_V, fc_V, backlash_rad=0.01)``
     drive       a law, such as ``rig.relay(h1_V, h2_V)``; a function of the time in s that gives volts; volts, one for
                 each sample; or constant volts
     duration_s  how long, s

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rig.control.law import OwnLaw
 from rig.model.motor import Motor, State
+from rig.model.real_motor import Frame, MovingMotor, RealMotor
 from rig.recording.recording import MIN_ROWS, Recording, from_columns
 from rig.signals import Sample
 
@@ -47,13 +48,21 @@ class Sampling:
             raise ValueError("noise_rad and resolution_rad must be at least 0, and start_rad finite")
 
 
-def simulate(motor: Motor, drive: Drive, duration_s: float, sampling: Sampling | None = None) -> Recording:
+def simulate(
+    motor: Motor | RealMotor,
+    drive: Drive,
+    duration_s: float,
+    sampling: Sampling | None = None,
+    frame: Frame | None = None,
+) -> Recording:
     """Drive a motor, and record it as a bench would.
 
+    motor       one with parts has a ``delay_s`` of 0: ``sampling`` says how late a drive acts
     drive       a law; a function of the time in s that gives volts; volts, one for each sample; or constant volts
     duration_s  how long, s, at least three samples; it ends before where the law says ``finished``, or with the
                 volts' last
     sampling    default: ``Sampling()``
+    frame       what the parts of a real motor refer to; default: pi to both sides of 0, and the duration
     Returns the rows t_s, y_rad, u_V, and t_u_s, from which u acts. What the law raises goes through. Raises ValueError
     where there would be fewer than three samples, or a drive is no number.
     """
@@ -63,28 +72,52 @@ def simulate(motor: Motor, drive: Drive, duration_s: float, sampling: Sampling |
         ticks = min(ticks, len(drive))
     if ticks < MIN_ROWS:
         raise ValueError(f"{duration_s} s of samples every {s.period_s} s are too few: {MIN_ROWS} at least")
+    shaft = _shaft(motor, s, Frame(duration_s=duration_s) if frame is None else frame)
     random = np.random.default_rng(s.seed)
-    state, acting_V = State(y=s.start_rad), 0.0
+    acting_V = 0.0
     rows: list[tuple[float, float, float]] = []
     for tick in range(ticks):
         t_s = tick * s.period_s
-        sample = _sampled(state, t_s, acting_V, s, random)
+        sample = _sampled(shaft.reading_rad, t_s, acting_V, s, random)
         u_V = _asked(drive, tick, sample)
         if not math.isfinite(u_V):
             raise ValueError(f"the drive at {t_s:g} s is {u_V}, which is no number of volts")
         rows.append((t_s, sample.y_rad, u_V))
-        state = motor.advance(state, acting_V, s.delay_s)
+        shaft.advance(acting_V, t_s, s.delay_s)
         acting_V = u_V
-        state = motor.advance(state, acting_V, s.period_s - s.delay_s)
+        shaft.advance(acting_V, t_s + s.delay_s, s.period_s - s.delay_s)
         if getattr(drive, "finished", False) and len(rows) >= MIN_ROWS:
             break
     t, y, u = np.array(rows).T
     return from_columns(SOURCE, t, u, y, t_u_s=t + s.delay_s)
 
 
-def _sampled(state: State, t_s: float, acting_V: float, s: Sampling, random: np.random.Generator) -> Sample:
+class _PlainMotor:
+    """A motor without parts in motion, as ``MovingMotor`` is one with parts."""
+
+    def __init__(self, motor: Motor, y0_rad: float) -> None:
+        self._motor, self._state = motor, State(y=y0_rad)
+
+    def advance(self, u_V: float, t_s: float, dt_s: float) -> None:
+        self._state = self._motor.advance(self._state, u_V, dt_s)
+
+    @property
+    def reading_rad(self) -> float:
+        return self._state.y
+
+
+def _shaft(motor: Motor | RealMotor, s: Sampling, frame: Frame) -> _PlainMotor | MovingMotor:
+    """The motor at its start, at rest."""
+    if isinstance(motor, Motor):
+        return _PlainMotor(motor, s.start_rad)
+    if motor.delay_s != 0.0:
+        raise ValueError("a simulated motor's delay_s must be 0: sampling.delay_s says how late its drive acts")
+    return MovingMotor(motor, frame, s.start_rad)
+
+
+def _sampled(shown_rad: float, t_s: float, acting_V: float, s: Sampling, random: np.random.Generator) -> Sample:
     """What the sensor shows."""
-    y_rad, counts = state.y + s.noise_rad * random.standard_normal(), 0
+    y_rad, counts = shown_rad + s.noise_rad * random.standard_normal(), 0
     if s.resolution_rad:
         counts = round(y_rad / s.resolution_rad)
         y_rad = counts * s.resolution_rad

@@ -1,4 +1,4 @@
-"""A slave on libmodbus (tests/daq/libmodbus_slave/slave.c), compiled where it is not up to date, as a process."""
+"""A slave on libmodbus (tests/backends/modbus/libmodbus_slave), compiled where it is not up to date, as a process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import NamedTuple, Self
 
 _ROOT = Path(__file__).resolve().parent.parent
-_SOURCE = Path(__file__).resolve().parent / "daq" / "libmodbus_slave" / "slave.c"
+_SOURCE = Path(__file__).resolve().parent / "backends" / "modbus" / "libmodbus_slave" / "slave.c"
 _FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-I/usr/include/modbus"]
 
 EXAMPLE_MAP = (

@@ -9,68 +9,44 @@ from typing import Any
 
 from rig.results import Part, RunMeta, RunResult
 from rig.results.json_schema import schema_text
+from shared import page
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGE = "results.md"
 ANYTHING = "JsonValue"  # how the schema calls any value of JSON
 SCHEMAS: dict[str, type[Part]] = {"meta-schema.json": RunMeta, "result-schema.json": RunResult}
 
-HEAD = """\
-# What a run folder says: meta.json and result.json
-
-rig writes `meta.json` when a run begins: what ran, on which device, with which times. It writes `result.json` when
-the run has ended: what came of it. `rig run --json` prints `result.json` with `ok` and `folder` before it
-([commands.md](commands.md)).
-
-* `schema` is the version of the file's form: 1. Every version of rig has written it.
-* A key that ends in a unit (`_s`, `_V`, `_rad`) is a number in that unit. `null` means: not known.
-* *Always* below means: this version always writes the key. An older version may not have known it.
-* The JSON Schemas, to check files with: [meta-schema.json](meta-schema.json), [result-schema.json](result-schema.json).
-  `rig schema --of result` prints the one of your version.
-
-How rig reads these files:
-
-| the file | rig |
-|---|---|
-| lacks a key | reads on. `rig replay` names the key that it needs |
-| has a key that this version does not know | reads on, and names the key |
-| has a larger `schema` | reads on, and says that a newer version wrote it |
-| has a wrong value (a text for a number) | leaves that key out, says so, and uses the rest |
-| the same, in `rig replay` | names file, key and value, and stops with exit status 2 |
-
-This page is made from the models in `rig/results` by `python tools/results_page.py`.
-"""
-
 
 def main() -> int:
     """Write the page and the schemas."""
-    (DOCS / PAGE).write_text(page_text(), encoding="utf-8")
+    page.write(DOCS / PAGE, page_text())
     for name, model in SCHEMAS.items():
-        (DOCS / name).write_text(schema_text(model), encoding="utf-8")
+        page.write(DOCS / name, schema_text(model))
     return 0
 
 
 def page_text() -> str:
     """The page: a table for each file, then one for each part, in the order in which they are met."""
-    sections = [HEAD]
+    sections: list[dict[str, object]] = []
     told: set[str] = set()
     for title, model in (("meta.json", RunMeta), ("result.json", RunResult)):
         schema = json.loads(schema_text(model))
         parts = schema.pop("$defs", {})
-        sections.append(f"## {title}\n\n{_table(schema)}")
+        sections.append({"title": f"## {title}", "rows": _rows(schema)})
         for name in _in_order(schema, parts):
             if name not in told:
                 told.add(name)
-                sections.append(f"### {name}\n\n{parts[name]['description']}\n\n{_table(parts[name])}")
-    return "\n".join(sections)
+                part = parts[name]
+                sections.append({"title": f"### {name}", "words": part["description"], "rows": _rows(part)})
+    return page.render(DOCS.parent / "tools" / f"{PAGE}.j2", sections=sections)
 
 
-def _table(schema: dict[str, Any]) -> str:
-    lines = ["| key | value | always | what |", "|---|---|---|---|"]
+def _rows(schema: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     required = schema.get("required", [])
-    for key, of in schema["properties"].items():
-        lines.append(f"| `{key}` | {_kind(of)} | {'yes' if key in required else ''} | {of.get('description', '')} |")
-    return "\n".join(lines) + "\n"
+    return [
+        (f"`{key}`", _kind(of), "yes" if key in required else "", of.get("description", ""))
+        for key, of in schema["properties"].items()
+    ]
 
 
 def _kind(of: dict[str, Any]) -> str:

@@ -339,6 +339,40 @@ class LawSection(_Section):
     options: dict[str, Any] = Field({}, description="whatever the law asks for, by name; see its own documentation")
 
 
+class EmulatedParts(_Section):
+    """What a real motor has beyond tau, K and friction by direction (docs/theory.md 12.1); 0: it has not."""
+
+    dead_band_V: NonNegative = Field(0.0, description="drive up to which the stage passes nothing, unknown to `drive`")
+    gain_by_sign: Annotated[float, Field(gt=-1.0, lt=1.0)] = Field(
+        0.0, description="the stage gives 1 + this of a positive drive, 1 - this of a negative one"
+    )
+    sag_per_V: NonNegative = Field(0.0, description="share that the supply sags by for each volt of drive")
+    lag_s: NonNegative = Field(0.0, description="time constant of stage and current")
+    viscous_by_direction_V_s_rad: float = Field(
+        0.0, description="half the difference of the viscous friction of both directions"
+    )
+    drag_V_s2_rad2: NonNegative = Field(0.0, description="drag that grows with the square of the speed")
+    bristle_V_rad: NonNegative = Field(0.0, description="stiffness of friction before it slides; 0: it is rigid")
+    force_sin_V: float = Field(0.0, description="force over position: of sin(y - centre_rad)")
+    force_cos_V: float = Field(0.0, description="force over position: of cos(y - centre_rad) less its mean")
+    friction_sin_V: float = Field(0.0, description="friction over position: of sin(y - centre_rad)")
+    friction_cos_V: float = Field(0.0, description="friction over position: of cos(y - centre_rad) less its mean")
+    cogging_sin_V: float = Field(0.0, description="cogging: of sin(cogging_per_rad y)")
+    cogging_cos_V: float = Field(0.0, description="cogging: of cos(cogging_per_rad y)")
+    cogging_per_rad: NonNegative = Field(0.0, description="cogs for each radian of the shaft")
+    backlash_rad: NonNegative = Field(0.0, description="whole play between motor and sensor")
+    linearity_sin1_rad: float = Field(0.0, description="sensor's curvature: of one sine over the travel, less its line")
+    linearity_cos1_rad: float = Field(0.0, description="sensor's curvature: of one cosine over the travel")
+    linearity_sin2_rad: float = Field(0.0, description="sensor's curvature: of two sines over the travel")
+    linearity_cos2_rad: float = Field(0.0, description="sensor's curvature: of two cosines over the travel")
+    drift: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(
+        0.0, description="relative change of friction over drift_over_s, with the given friction in its middle"
+    )
+    drift_over_s: Positive = Field(60.0, description="time from arming that `drift` refers to")
+    centre_rad: float = Field(0.0, description="middle of the travel that the parts over position refer to")
+    half_travel_rad: Positive = Field(1.0, description="half the width of that travel")
+
+
 class EmulatedMotor(_Section):
     """The true motor behind an emulated or simulated device."""
 
@@ -355,6 +389,7 @@ class EmulatedMotor(_Section):
     bias_V: float = Field(0.0, description="constant added to the drive")
     start_rad: float = Field(0.0, description="position at the start")
     stop_rad: Interval = Field((-2.6, 2.6), description="mechanical stops, where the shaft is stopped dead")
+    parts: EmulatedParts | None = Field(None, description="what else the motor has; without this section nothing")
 
 
 class EmulatedPotentiometer(_Section):

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 import random
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from rig.model.motor import Motor, State
+from rig.model.real_motor import Frame, MovingMotor, RealMotor
 
 DriveWiring = Literal["ok", "reversed", "dead", "stuck_on"]
 SensorWiring = Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy"]
@@ -33,6 +34,8 @@ class BenchParameters:
     tachometer_rad_s_per_count, tachometer_zero_counts, gear_ratio   velocity channel; None where there is none
     drive, sensor    their wiring: "ok" or a fault
     fault_after_s    time from the first arming until the wiring faults begin
+    real, frame      the motor with its parts, which moves instead of ``motor``, and what they refer to; drift runs from
+                     the first arming. None: it has no parts
     """
 
     motor: Motor
@@ -55,6 +58,8 @@ class BenchParameters:
     drive: DriveWiring = "ok"
     sensor: SensorWiring = "ok"
     fault_after_s: float = 0.0
+    real: RealMotor | None = None
+    frame: Frame = field(default=Frame())
 
 
 class BenchModel:
@@ -63,6 +68,8 @@ class BenchModel:
     def __init__(self, parameters: BenchParameters, seed: int) -> None:
         self.parameters = parameters
         self.state = State(y=parameters.start_rad)
+        real = parameters.real
+        self._real = None if real is None else MovingMotor(real, parameters.frame, parameters.start_rad)
         self.pin_counts = 0.0  # drive at the pin, counts of full duty; not whole behind a finer converter
         self.armed_for_s = -1.0  # time since the first arming; negative before it
         self._noise = random.Random(seed)
@@ -110,13 +117,28 @@ class BenchModel:
         self._move(dt_s)
 
     def _move(self, dt_s: float) -> None:
-        state = self.parameters.motor.advance(self.state, self.motor_V, dt_s)
+        if self._real is None:
+            state = self.parameters.motor.advance(self.state, self.motor_V, dt_s)
+        else:
+            self._real.put(self.state.v, self.state.y)
+            self._real.advance(self.motor_V, max(self.armed_for_s, 0.0), dt_s)
+            state = State(self._real.state.v, self._real.state.y, self.state.z)
         low, high = self.parameters.stop_rad
         if not low < state.y < high:
             state = State(0.0, min(max(state.y, low), high), state.z)
+            if self._real is not None:
+                self._real.stop_at(state.y)
         self.state = state
         if self.armed_for_s >= 0.0:
             self.armed_for_s += dt_s
+
+    @property
+    def sensed_rad(self) -> float:
+        """Position as an ideal sensor reads it: behind the backlash, and with its linearity, rad."""
+        if self._real is None:
+            return self.state.y
+        self._real.put(self.state.v, self.state.y)
+        return self._real.reading_rad
 
     def read_counts(self) -> int:
         """Reading of the position's ADC, 0 to counts_max."""
@@ -129,7 +151,7 @@ class BenchModel:
         if wiring == "stuck" and self._stuck_counts is not None:
             return self._stuck_counts
         noise_rad = p.noise_rad + (NOISY_COUNTS * abs(p.rad_per_count) if wiring == "noisy" else 0.0)
-        y = self.state.y + p.offset_rad + self._noise.gauss(0.0, 1.0) * noise_rad
+        y = self.sensed_rad + p.offset_rad + self._noise.gauss(0.0, 1.0) * noise_rad
         offset_counts = y / p.rad_per_count
         if wiring == "reversed":
             offset_counts = -offset_counts

@@ -1,6 +1,6 @@
 """Real motors: what their sensor reads under a recorded drive, and its derivatives by a chosen part of their numbers.
 
-``RealMotor`` names the numbers and ``PARTS`` the parts that they make up (docs/theory.md 12).
+``RealMotor`` names the numbers and ``PARTS`` the parts that they make up (docs/theory.md 12.1 and 12.6).
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.model import real_step
 from rig.model.motor import Motor
 from rig.model.real_step import Frame as Frame
-from rig.model.real_step import Numbers
+from rig.model.real_step import Numbers, State
 from rig.model.real_step import RealMotor as RealMotor
 
 Array = NDArray[np.float64]
@@ -38,6 +39,12 @@ PARTS: dict[str, tuple[str, ...]] = {
     "linearity": ("linearity_sin1_rad", "linearity_cos1_rad", "linearity_sin2_rad", "linearity_cos2_rad"),
     "drift": ("drift",),
 }
+# A part that is free and at 0 gets this size, in its own unit: so it is integrated as finely as it needs.
+TRACE = 1e-12
+TRACED = (
+    "viscous_by_direction_V_s_rad", "stribeck_V", "drag_V_s2_rad2", "force_sin_V", "force_cos_V", "friction_sin_V",
+    "friction_cos_V", "cogging_sin_V", "cogging_cos_V",
+)  # fmt: skip
 AT_LEAST_ZERO = ("fc_V", "dead_band_V", "lag_s", "static_V", "stribeck_rad_s", "bristle_V_rad", "backlash_rad")
 
 
@@ -129,12 +136,53 @@ def response_and_jacobian(
     return _readings(motor, frame, drive, t_s, pieces, free)
 
 
+class MovingMotor:
+    """A real motor in motion, for simulators: it starts at rest under 0 V, and each ``advance`` takes it on.
+
+    ``delay_s`` of the motor is left out: who drives it knows when a drive acts.
+    """
+
+    def __init__(self, motor: RealMotor, frame: Frame, y0_rad: float) -> None:
+        _checked(motor, frame)
+        self.motor, self.frame = motor, frame
+        self.state = State(0.0, y0_rad, 0.0, real_step.staged(motor, 0.0), y0_rad)
+        if motor.bristle_V_rad > 0.0:
+            level = real_step.level_of_bristles(motor, frame, 0.0, y0_rad, frame.start_s)
+            pull = self.state.w + motor.bias_V - real_step.force(motor, frame, y0_rad)
+            self.state = self.state._replace(f=min(max(pull, -level), level))
+
+    def put(self, v_rad_per_s: float, y_rad: float) -> None:
+        """Set velocity and position of the motor's side; the sensor's side follows as far as the play makes it."""
+        half = 0.5 * self.motor.backlash_rad
+        x = min(max(self.state.x, y_rad - half), y_rad + half)
+        self.state = self.state._replace(v=v_rad_per_s, y=y_rad, x=x)
+
+    def stop_at(self, y_rad: float) -> None:
+        """End a motion that has gone beyond the stop at ``y_rad``: there it is at rest, and has pushed no farther."""
+        half = math.copysign(0.5 * self.motor.backlash_rad, self.state.y - y_rad)
+        pushed = self.state.x == self.state.y - half
+        x = y_rad - half if pushed else self.state.x
+        self.state = self.state._replace(v=0.0, y=y_rad, x=x)
+
+    def advance(self, u_V: float, t_s: float, dt_s: float) -> None:
+        """Let ``dt_s`` (>= 0) pass from ``t_s``, s, on, under the constant drive ``u_V``."""
+        self.state = real_step.advance(self.motor, self.frame, self.state, u_V, t_s, dt_s)
+
+    @property
+    def reading_rad(self) -> float:
+        """What the sensor shows, rad."""
+        return real_step.reading(self.motor, self.frame, self.state.x)
+
+
 def _readings(
     motor: RealMotor, frame: Frame, drive: tuple[Array, Array], t_s: Array, pieces: Pieces, free: Sequence[int] | None
 ) -> Readings:
     """Both; no derivatives where ``free`` is None."""
     from rig.model.compiled import real_motion
 
+    if free is not None:
+        traced = {name: TRACE for name in TRACED if index(name) in free and getattr(motor, name) == 0.0}
+        motor = motor._replace(**traced)
     numbers = _checked(motor, frame)
     p, n = pieces.first_row.size, t_s.size
     columns = 0 if free is None else len(free) + 2

@@ -1,4 +1,4 @@
-"""One step of a real motor: its parts, and its motion from one event to the next (docs/theory.md 12).
+"""One step of a real motor: its parts, and its motion from one event to the next (docs/theory.md 12.1, 12.2 and 12.3).
 
     tau dv/dt + v = K (w + bias - G(y) - F - beta |v| - c v |v|),    dy/dt = v,    reading = S(x)
 
@@ -105,7 +105,7 @@ class State(NamedTuple):
 
 
 class Stages(NamedTuple):
-    """Inner stages of one step: target velocities, rad/s, and from the second on v, rad/s, y, rad, and f, V."""
+    """Inner stages of one step: target velocities, rad/s, from the second on v, rad/s, y, rad, and f, V; rate, 1/s."""
 
     a1: float
     a2: float
@@ -120,6 +120,7 @@ class Stages(NamedTuple):
     v4: float
     y4: float
     f4: float
+    slide: float
 
 
 class Step(NamedTuple):
@@ -141,18 +142,21 @@ class Step(NamedTuple):
     stages: Stages
 
 
-NO_STAGES = Stages(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_STAGES = Stages(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 LEAST_LEVEL_V = 1e-4  # of bristles: their friction is divided by the level
+LEAST_BEND_RAD = 1e-4  # bristles slide after at least this travel: stiffer ones nobody sees, and they take long
+SLIDING = 1e-8  # share of the level that bristles which slide may still lack
+LEVEL_CHANGES = 60.0  # what a level that changes along the way costs, as a multiple of its change within a bend
 BALANCED = 1e-12  # of K times 1 V: bristles that pull less than this rest
 ROUNDS = 60  # of the search for an event, which needs about five
 EVENT_S = 1e-14  # the search for an event ends at a step of this size, s
 
 # Largest steps, so that a relay test of 20 s stays within 1e-6 rad of its exact motion.
 STEP_OF_TAU = 0.05  # s/s; any part that changes the right side
-STEP_OF_LAG = 0.25  # s/s, at 1 V from the end; longer as the lag fades out
+STEP_OF_LAG = 0.065  # s/s, at 1 V s of fading drive times its time constant; longer the less there is
 STEP_OF_TURN = 0.15  # rad of the phase of a force over position
-STEP_OF_BRISTLE = 0.4  # of the length over which bristles bend
-STEP_OF_SWING = 0.15  # rad of the swing of a motor on a spring
+STEP_OF_BRISTLE = 0.25  # of the length over which bristles bend
+STEP_OF_SWING = 0.04  # rad of the swing of a motor on a spring
 STEP_OF_STRIBECK = 0.2  # of the Stribeck velocity; longer beyond its range
 
 
@@ -177,7 +181,7 @@ def mean_cosine(frame: Frame) -> float:
 
 
 def force(m: RealMotor, frame: Frame, y: float) -> float:
-    """Force over position, V: what it takes from the drive, whichever way the motor moves."""
+    """Force over position at ``y``, rad: what it takes from the drive, whichever way the motor moves, V."""
     total = 0.0
     if m.force_sin_V != 0.0 or m.force_cos_V != 0.0:
         q = y - frame.centre_rad
@@ -189,7 +193,7 @@ def force(m: RealMotor, frame: Frame, y: float) -> float:
 
 
 def level(m: RealMotor, frame: Frame, speed: float, y: float, t_s: float) -> float:
-    """Level of the friction in motion at ``speed`` = abs(v), V."""
+    """Level of the friction in motion at ``speed`` = abs(v), rad/s, and ``y``, rad; in V."""
     total = m.fc_V
     if m.drift != 0.0:
         total += m.fc_V * m.drift * ((t_s - frame.start_s) / frame.duration_s - 0.5)
@@ -202,13 +206,18 @@ def level(m: RealMotor, frame: Frame, speed: float, y: float, t_s: float) -> flo
 
 
 def level_at_rest(m: RealMotor, frame: Frame, y: float, t_s: float) -> float:
-    """Level that the drive must pass to move the motor from rest, V."""
+    """Level that the drive must pass to move the motor from rest at ``y``, rad; in V."""
     return level(m, frame, 0.0, y, t_s) + m.static_V
 
 
 def level_of_bristles(m: RealMotor, frame: Frame, speed: float, y: float, t_s: float) -> float:
-    """Level that the bristles tend to, V, > 0."""
+    """Level that the bristles tend to at ``speed``, rad/s, and ``y``, rad; in V, > 0."""
     return max(level(m, frame, speed, y, t_s), LEAST_LEVEL_V)
+
+
+def stiffness(m: RealMotor, level_V: float) -> float:
+    """Stiffness of bristles that slide at ``level_V``, V/rad."""
+    return min(m.bristle_V_rad, level_V / LEAST_BEND_RAD)
 
 
 def target(m: RealMotor, frame: Frame, sign: float, at: State, t_s: float) -> float:
@@ -223,11 +232,12 @@ def target(m: RealMotor, frame: Frame, sign: float, at: State, t_s: float) -> fl
 
 
 def bending(m: RealMotor, frame: Frame, sign: float, at: State, t_s: float) -> float:
-    """Rate of the bristles' friction, V/s: sigma_0 (v - |v| f / level); 0 without bristles."""
+    """Rate of the bristles' friction in the direction ``sign`` (+1 or -1), V/s; 0 without bristles."""
     if m.bristle_V_rad <= 0.0:
         return 0.0
     speed = sign * at.v
-    return m.bristle_V_rad * (at.v - speed * at.f / level_of_bristles(m, frame, speed, at.y, t_s))
+    floor = level_of_bristles(m, frame, speed, at.y, t_s)
+    return stiffness(m, floor) * (at.v - speed * at.f / floor)
 
 
 def direction(m: RealMotor, frame: Frame, at: State, staged_V: float, t_s: float) -> float:
@@ -258,13 +268,45 @@ def phi4(c: float) -> float:
     return ((((1.0 - math.exp(-c)) / c - 1.0) / -c - 0.5) / -c - 1.0 / 6.0) / -c
 
 
-def weights(c: float) -> tuple[float, float, float, float, float]:
-    """Weights of a step of ``c`` time constants: exp(-c), exp(-c/2), and those of stages 1, 2 and 3, and 4."""
+class Weights(NamedTuple):
+    """Weights of a step of ``c`` time constants.
+
+    keep, half   exp(-c) and exp(-c/2)
+    mean         of the right side over a half step: (1 - half) / (c/2)
+    b1, b2, b4   of the right side at the stages 1, 2 and 3, and 4, over the whole step
+    """
+
+    keep: float
+    half: float
+    mean: float
+    b1: float
+    b2: float
+    b4: float
+
+
+def weights(c: float) -> Weights:
+    """Weights of the method of Cox and Matthews for a step of ``c`` time constants (docs/theory.md 12.3)."""
     p3 = 1.0 / 6.0 - c * phi4(c)
     p2 = 0.5 - c * p3
     p1 = 1.0 - c * p2
     keep = 1.0 - c * p1
-    return keep, math.sqrt(keep), c * (p1 - 3.0 * p2 + 4.0 * p3), c * (2.0 * p2 - 4.0 * p3), c * (4.0 * p3 - p2)
+    half = math.sqrt(keep)
+    return Weights(keep, half, 2.0 * p1 / (1.0 + half), p1 - 3.0 * p2 + 4.0 * p3, 2.0 * p2 - 4.0 * p3, 4.0 * p3 - p2)
+
+
+def sliding(m: RealMotor, frame: Frame, sign: float, at: State, a1: float, when: tuple[float, float]) -> float:
+    """Rate at which the friction of bristles nears its level in the middle of a step, 1/s; 0 without bristles.
+
+    sign   direction of the motion, +1 or -1
+    a1     target velocity at the start, rad/s
+    when   time of the start of the step, s, and its size, s
+    """
+    if m.bristle_V_rad <= 0.0:
+        return 0.0
+    t, h = when
+    speed = max(sign * (at.v + 0.5 * h * (a1 - at.v) / m.tau_s), 0.0)
+    floor = level_of_bristles(m, frame, speed, at.y, t)
+    return stiffness(m, floor) * speed / floor
 
 
 def moved(
@@ -272,59 +314,70 @@ def moved(
 ) -> tuple[State, Stages]:
     """State after a step in the direction ``sign``, and its stages; ``when``: time of its start, s, and its size, s."""
     t, h = when
-    keep, half, b1, b2, b4 = weights(h / m.tau_s)
     tau, middle, end = m.tau_s, t + 0.5 * h, t + h
+    c = h / tau
+    k = weights(c)
     w2, w4 = lagged(m, staged_V, at.w, 0.5 * h), lagged(m, staged_V, at.w, h)
-    v, p, f = at.v, at.y + m.tau_s * at.v, at.f
-    a1, r1 = target(m, frame, sign, at, t), bending(m, frame, sign, at, t)
-    v2 = half * v + (1.0 - half) * a1
-    y2, f2 = p + 0.5 * h * a1 - tau * v2, f + 0.5 * h * r1
+    v, p, f = at.v, at.y + tau * at.v, at.f
+    near = 0.5 * c * k.mean
+    a1 = target(m, frame, sign, at, t)
+    slide = sliding(m, frame, sign, at, a1, when)
+    b = weights(h * slide)
+    near_f = 0.5 * h * b.mean
+    n1 = bending(m, frame, sign, at, t) + slide * f
+    v2 = k.half * v + near * a1
+    y2, f2 = p + 0.5 * h * a1 - tau * v2, b.half * f + near_f * n1
     at2 = State(v2, y2, f2, w2, 0.0)
-    a2, r2 = target(m, frame, sign, at2, middle), bending(m, frame, sign, at2, middle)
-    v3 = half * v + (1.0 - half) * a2
-    y3, f3 = p + 0.5 * h * a2 - tau * v3, f + 0.5 * h * r2
+    a2, n2 = target(m, frame, sign, at2, middle), bending(m, frame, sign, at2, middle) + slide * f2
+    v3 = k.half * v + near * a2
+    y3, f3 = p + 0.5 * h * a2 - tau * v3, b.half * f + near_f * n2
     at3 = State(v3, y3, f3, w2, 0.0)
-    a3, r3 = target(m, frame, sign, at3, middle), bending(m, frame, sign, at3, middle)
-    v4 = half * v2 + (1.0 - half) * (2.0 * a3 - a1)
-    y4, f4 = p + h * a3 - tau * v4, f + h * r3
+    a3, n3 = target(m, frame, sign, at3, middle), bending(m, frame, sign, at3, middle) + slide * f3
+    v4 = k.half * v2 + near * (2.0 * a3 - a1)
+    y4, f4 = p + h * a3 - tau * v4, b.half * f2 + near_f * (2.0 * n3 - n1)
     at4 = State(v4, y4, f4, w4, 0.0)
-    a4, r4 = target(m, frame, sign, at4, end), bending(m, frame, sign, at4, end)
-    v_end = keep * v + b1 * a1 + b2 * (a2 + a3) + b4 * a4
+    a4, n4 = target(m, frame, sign, at4, end), bending(m, frame, sign, at4, end) + slide * f4
+    v_end = k.keep * v + c * (k.b1 * a1 + k.b2 * (a2 + a3) + k.b4 * a4)
     p_end = p + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
-    f_end = f + h / 6.0 * (r1 + 2.0 * (r2 + r3) + r4)
+    f_end = b.keep * f + h * (b.b1 * n1 + b.b2 * (n2 + n3) + b.b4 * n4)
     return (
         State(v_end, p_end - tau * v_end, f_end, w4, at.x),
-        Stages(a1, a2, a3, a4, v2, y2, f2, v3, y3, f3, v4, y4, f4),
+        Stages(a1, a2, a3, a4, v2, y2, f2, v3, y3, f3, v4, y4, f4, slide),
     )
 
 
 def longest_step(m: RealMotor, frame: Frame, sign: float, at: State, staged_V: float, t_s: float) -> float:
-    """Largest step that keeps the error small, s; inf for a motor without parts."""
+    """Largest step in the direction ``sign`` (+1 or -1) with a small error, s; inf for a motor without parts."""
     longest = math.inf
     tau, K, speed = m.tau_s, m.K_rad_s_V, abs(at.v)
     pull = abs(target(m, frame, sign, at, t_s) - at.v) / tau  # acceleration, rad/s2
     if m.lag_s > 0.0 and at.w != staged_V:
-        longest = min(longest, STEP_OF_LAG * m.lag_s * abs(at.w - staged_V) ** -0.2)
+        longest = min(longest, STEP_OF_LAG * m.lag_s * (abs(at.w - staged_V) * m.lag_s) ** -0.2)
     turns = m.force_sin_V != 0.0 or m.force_cos_V != 0.0 or m.friction_sin_V != 0.0 or m.friction_cos_V != 0.0
     distance = STEP_OF_TURN if turns else math.inf
-    stiffness = 0.0
+    spring = 0.0
     if m.cogging_sin_V != 0.0 or m.cogging_cos_V != 0.0:
         distance = min(distance, STEP_OF_TURN / abs(m.cogging_per_rad)) if m.cogging_per_rad != 0.0 else distance
-        stiffness += abs(m.cogging_per_rad) * (abs(m.cogging_sin_V) + abs(m.cogging_cos_V))
-    if m.bristle_V_rad > 0.0:
-        bend = level_of_bristles(m, frame, speed, at.y, t_s) / m.bristle_V_rad
-        distance = min(distance, STEP_OF_BRISTLE * bend)
-        stiffness += m.bristle_V_rad
+        spring += abs(m.cogging_per_rad) * (abs(m.cogging_sin_V) + abs(m.cogging_cos_V))
+    if m.bristle_V_rad > 0.0:  # the nearer they are to sliding, the less they matter
+        floor = level_of_bristles(m, frame, speed, at.y, t_s)
+        stiff = stiffness(m, floor)
+        left = min(max(abs(1.0 - sign * at.f / floor), SLIDING), 2.0)
+        left += LEVEL_CHANGES * (abs(m.friction_sin_V) + abs(m.friction_cos_V)) / stiff
+        if m.stribeck_V != 0.0 and m.stribeck_rad_s > 0.0:
+            left += abs(m.stribeck_V) * math.exp(-speed / m.stribeck_rad_s) / floor
+        distance = min(distance, STEP_OF_BRISTLE * floor / stiff * left**-0.25)
+        spring += stiff * left
     if distance < math.inf:
         longest = min(longest, 2.0 * distance / (speed + math.sqrt(speed * speed + 2.0 * pull * distance) + 1e-9))
-    if stiffness > 0.0:
-        longest = min(longest, STEP_OF_SWING * math.sqrt(tau / (K * stiffness)))
+    if spring > 0.0:
+        longest = min(longest, STEP_OF_SWING * math.sqrt(tau / (K * spring)))
     falls = m.stribeck_V != 0.0 and m.stribeck_rad_s > 0.0
     if falls:
         unit = m.stribeck_rad_s
         fade = math.exp(min(speed / (5.0 * unit), 50.0))
         longest = min(longest, STEP_OF_STRIBECK * fade * unit / (pull + K * abs(m.stribeck_V) / tau + 1e-9))
-    if falls or turns or stiffness > 0.0 or m.viscous_by_direction_V_s_rad != 0.0 or m.drag_V_s2_rad2 != 0.0:
+    if falls or turns or spring > 0.0 or m.viscous_by_direction_V_s_rad != 0.0 or m.drag_V_s2_rad2 != 0.0:
         longest = min(longest, STEP_OF_TAU * tau)
     return longest
 

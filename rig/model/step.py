@@ -8,7 +8,7 @@ rest, or a speed below which the Stribeck effect begins.
 
 Each part of the model is one function here, in plain Python. ``Motor`` calls these functions directly. numba compiles
 the same functions into the loops of ``rig.model.compiled``. The emulated boards have them in C
-(firmware/boards/host/bench.c); tests/emulate compares the C with the Python.
+(firmware/boards/host/bench.c); tests/backends/serial compares the C with the Python.
 
 Velocities are in rad/s, positions in rad, drives and friction in V, times in s.
 """

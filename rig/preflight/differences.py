@@ -8,6 +8,7 @@ from math import isclose
 from rig.backends.registry import backend_of
 from rig.config.problems import bracketed
 from rig.config.schema import DeadBand, Experiment
+from rig.model.real_motor import RealMotor
 
 _SLACK = 1e-6  # relative: numbers closer than this are equal but for their digits
 _BENT_COUNTS = 1.0  # largest distance of a calibration table from a straight line that is left unsaid
@@ -22,6 +23,13 @@ def differences(e: Experiment) -> Iterator[str]:
     yield from _sensor(e)
     if e.tachometer is not None and e.emulated.tachometer is False:
         yield "the emulated bench has no velocity channel (emulated.tachometer); the config has a section tachometer"
+    parts = e.emulated.motor.parts
+    given = [] if parts is None else [(name, value) for name, value in parts if name in RealMotor._fields and value]
+    if given:
+        yield (
+            f"the emulated motor has parts that tau, K and f_c leave out (emulated.motor.parts: "
+            f"{', '.join(f'{name} {value:g}' for name, value in given)}): estimates may be off by them"
+        )
     stops, hard = e.emulated.motor.stop_rad, e.limits.hard_rad
     if not (stops[0] <= hard[0] and hard[1] <= stops[1]):
         yield (

@@ -422,6 +422,16 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
             "has no effect: static friction is nowhere above moving friction",
             "raise fs_plus_V and fs_minus_V, or leave it out",
         )
+    above = [
+        0.0 if static_V is None else static_V - moving_V
+        for static_V, moving_V in ((m.fs_plus_V, m.fc_plus_V), (m.fs_minus_V, m.fc_minus_V))
+    ]
+    if m.parts is not None and abs(above[0] - above[1]) > 1e-12:
+        yield wrong(
+            "emulated.motor.parts",
+            f"static friction is above moving friction by {above[0]:g} V one way and {above[1]:g} V the other",
+            "a motor with parts needs the same both ways: change fs_plus_V or fs_minus_V",
+        )
     for name, (low, high) in (("mechanical stops", m.stop_rad), ("hard limits", e.limits.hard_rad)):
         if not low <= m.start_rad <= high:
             yield wrong(

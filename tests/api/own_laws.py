@@ -35,4 +35,15 @@ class Stumbles:
         return 3.0 / self._left
 
 
+class Holds:
+    """A law that must be told where."""
+
+    def __init__(self, to_rad: float) -> None:
+        self.yd_rad = to_rad
+
+    def step(self, sample: Sample) -> float:
+        """Drive for this sample, V."""
+        return 4.0 * (self.yd_rad - sample.y_rad)
+
+
 NO_LAW = object

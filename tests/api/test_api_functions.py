@@ -231,3 +231,12 @@ def test_every_name_of_the_api_is_there() -> None:
     assert set(rig.__all__) <= set(dir(rig))
     with pytest.raises(AttributeError, match="no_such_name"):
         rig.no_such_name  # noqa: B018
+
+
+def test_a_motor_with_parts_is_simulated() -> None:
+    parts = rig.RealMotor(0.17, 6.5, 0.48, backlash_rad=0.05)
+    drive = [1.0] * 40 + [-1.0] * 40
+    plain, played = (rig.simulate(motor, drive, 0.8).to_dataframe()["y_rad"] for motor in (MOTOR, parts))
+    assert float(played.max()) == pytest.approx(float(plain.max()) - 0.025, abs=1e-3)
+    with pytest.raises(ValueError, match="delay_s must be 0"):
+        rig.simulate(parts._replace(delay_s=0.001), drive, 0.8)

@@ -20,7 +20,8 @@ from rig.signals import FLAG_GUARD_CLIPPED, Sample
 @pytest.fixture(autouse=True)
 def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The laws of own_laws.py, as a package would offer them."""
-    values = {"spring": "own_laws:Spring", "stumbles": "own_laws:Stumbles", "no-law": "own_laws:NO_LAW", "gone": "x:Y"}
+    values = {"spring": "own_laws:Spring", "stumbles": "own_laws:Stumbles", "holds": "own_laws:Holds"}
+    values |= {"no-law": "own_laws:NO_LAW", "gone": "x:Y"}
     entries = [EntryPoint(name, value, laws.GROUP) for name, value in values.items()]
     monkeypatch.setattr(laws, "entry_points", lambda group: [e for e in entries if e.group == group])
 
@@ -67,7 +68,7 @@ def test_from_yaml_at_the_command_line(tmp_path: Path) -> None:
     [
         (
             {"name": "sprung"},
-            "law.name: no law 'sprung'; installed: gone, no-law, spring, stumbles; did you mean 'spring'?",
+            "law.name: no law 'sprung'; installed: gone, holds, no-law, spring, stumbles; did you mean 'spring'?",
         ),
         ({"name": "no-law"}, "law.name: law 'no-law' (own_laws:NO_LAW) has no method step(sample) that returns volts"),
         ({"name": "gone"}, "law.name: law 'gone' (x:Y) cannot be imported: ModuleNotFoundError"),
@@ -78,6 +79,10 @@ def test_from_yaml_at_the_command_line(tmp_path: Path) -> None:
         (
             {"name": "spring", "options": {"stiffness_V_rad": -1.0}},
             "law.options: law 'spring' (own_laws:Spring): stiffness_V_rad must be > 0, not -1",
+        ),
+        (
+            {"name": "holds", "options": {}},
+            "law.options: law 'holds' (own_laws:Holds): missing a required argument: 'to_rad'",
         ),
         ({"name": "spring", "duration_s": 0.0}, "law.duration_s: "),
     ],

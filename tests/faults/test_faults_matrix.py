@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from faults import damage, logged_rig, realtime, worst
+from faults.acts import FREEZE_S
 from faults.backends import BACKENDS, BARE, BOARD, CHIP, CHIP_RELAY, OTHERS, PLAIN, SEPARATE, TCP, Backend
 from faults.bounds import Times, bound
 from faults.case import Found, measure, new_injector, restart, times, undisturbed
@@ -24,7 +25,7 @@ from faults.language import ModbusLanguage, Reading, SerialLanguage, is_drive
 from faults.matrix import phase_at, phases_of, stages_of
 from faults.page import Line, at_worst, cells, render_rows, render_summary, summary
 from faults.realtime import DEVICES, REAL_ROWS
-from faults.rows import FREEZE_S, ROWS, Row
+from faults.rows import ROWS, Row
 from faults.stages import ARMING, BY_KEY, CYCLE, OTHER_STAGES, PAUSE, REST, START, Stage
 from rig.backends.modbus.emulated.rtu_slave import frame
 from rig.backends.modbus.emulated.tcp_slave import Adu

@@ -18,7 +18,7 @@ from rig.recording.columns import COLUMNS, HEADER, SampleRow, format_row
 from rig.recording.csv_file import read_csv
 from rig.recording.errors import RecordingError
 from rig.recording.reader import read, read_run
-from rig.recording.recording import Recording
+from rig.recording.recording import Recording, from_columns
 from rig.recording.text_file import MAX_BYTES
 from rig.results import RunMeta
 
@@ -75,6 +75,15 @@ def test_a_plain_csv_has_what_it_has_and_says_so(tmp_path: Path) -> None:
     assert recording.stages() == []
     assert (recording.meta, recording.config_text, recording.events, recording.notes) == (RunMeta(), None, (), ())
     assert recording.source == tmp_path / "log.csv"
+
+
+def test_arrays_are_a_recording_with_the_columns_that_are_given() -> None:
+    t_s, u_V, y_rad = (np.array(values) for values in ([0.0, 0.01, 0.02], [1.8, -0.2, -0.2], [0.1, 0.2, 0.3]))
+    plain = from_columns(Path("arrays"), t_s, u_V, y_rad)
+    assert plain.columns_present == ("t_s", "u_V", "y_rad") and np.isnan(plain.late_us).all()
+    timed = from_columns(Path("arrays"), t_s, u_V, y_rad, late_us=1e6 * t_s)
+    assert timed.columns_present == ("t_s", "u_V", "y_rad", "late_us")
+    assert timed.late_us.tolist() == (1e6 * t_s).tolist()
 
 
 @pytest.mark.parametrize(

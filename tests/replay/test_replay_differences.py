@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from pathlib import Path
 
@@ -11,7 +12,13 @@ import yaml
 from run_copy import GOLDEN, RunCopy
 
 from rig import config
+from rig.calibration import DriveMap
+from rig.faults import Fault
+from rig.loop.recorded import RecordedDriver
+from rig.loop.replayed_rows import ReplayedRows
+from rig.loop.stop_request import StopRequest
 from rig.preflight.loop_settings import guard_settings_of
+from rig.recording.reader import read_run
 from rig.replay import replay
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_SATURATED, FLAG_SKIPPED
 
@@ -24,6 +31,29 @@ def copy_of(name: str, tmp_path: Path) -> RunCopy:
 
 def unit_V(run: RunCopy) -> float:
     return 12.0 / int(run.meta["drive_units"])
+
+
+def test_each_sample_tells_the_drive_of_the_row_before_it_from_the_second_row_on() -> None:
+    recording = read_run(GOLDEN / "simulated-jog")
+    rows = recording.rows()
+    replayed = ReplayedRows(recording, 0.01, None, True, StopRequest())
+    driver = RecordedDriver(replayed, "sample_first", DriveMap(12.0), 1.0, None)
+    assert math.isnan(driver.read().t_u_s)
+    for replayed.next in (1, 2, len(rows) - 1):
+        sample, before = driver.read(), rows[replayed.next - 1]
+        assert sample.y_counts == rows[replayed.next].y_counts
+        assert (sample.t_u_s, sample.u_V) == (before.t_u_s, before.u_V)
+
+
+def test_a_guards_fault_must_come_again_unless_the_last_drive_had_gone_out_and_no_reading_followed(
+    tmp_path: Path,
+) -> None:
+    run = copy_of("simulated-jog", tmp_path)
+    fault = Fault("SENSOR_STUCK", "")
+    for told, must in ((run.rows[-1]["t_u_s"], True), ("", False)):
+        run.rows[-1] |= {"t_u_s": told, "u_V": "1.0"}
+        rows = ReplayedRows(read_run(run.write()), 0.01, fault, True, StopRequest())
+        assert rows.must_come_again is must
 
 
 def test_a_drive_that_is_a_unit_off_is_named_wherever_it_is(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from faults.backends import BACKENDS
 from faults.rows import ROWS
+from mutants import named
 from mutants.__main__ import wrong
 from mutants.functions import name_at, spans
 from mutants.mutant import AnchorError, Mutant
@@ -20,6 +21,8 @@ from mutants.rooms import EQUIVALENT
 from mutants.sampled import Room, draw
 from mutants.session import Result, Session, State
 from mutants.workshop import Limits, Workshop
+from rig.config import ConfigError
+from shared.data import load
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -32,6 +35,29 @@ def test_each_named_mutant_changes_its_function_and_no_two_are_called_alike() ->
         assert mutant.applied_in(ROOT) != (ROOT / mutant.path).read_text(encoding="utf-8")
     assert [name for name, times in Counter(m.name for m in NAMED).items() if times > 1] == []
     assert len(NAMED) >= 40
+
+
+def test_a_data_file_is_refused_by_file_and_line_for_a_key_that_nobody_knows_and_a_value_that_is_no_text(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "a.yaml"
+    good = (
+        "room: a\nfiles:\n  - path: a.py\n    tests: b.py\n    mutants:\n"
+        "      - name: m\n        old: a\n        new: b\n"
+    )
+    file.write_text(good, encoding="utf-8")
+    (mutant,) = load(file, named.Room).files[0].all()
+    assert mutant == Mutant("m", "a.py", "", "a", "b", ("b.py",))
+    for old, new, line, key in (
+        ("old:", "odl:", 7, "odl"),
+        ("new: b", "new: 5", 8, "new"),
+        ("    tests", "    test", 4, "test"),
+    ):
+        file.write_text(good.replace(old, new), encoding="utf-8")
+        with pytest.raises(
+            ConfigError, match=rf"^{re.escape(str(file))}:{line}:\d+: files\[0\]\.(mutants\[0\]\.)?{key}: "
+        ):
+            load(file, named.Room)
 
 
 def test_each_mutant_of_the_firmware_compiles_without_a_warning(tmp_path: Path) -> None:

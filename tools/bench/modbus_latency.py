@@ -3,9 +3,9 @@
 PYTHONPATH=tools python -m bench.modbus_latency [--json] [--rounds N]
 
 All three write drive and sequence number and read four registers by one FC23. Each has a slave of its own, all the same
-program on libmodbus (tests/daq/libmodbus_slave), which answers at once; RTU behind a pseudo-terminal, which has no wire
-time, and TCP on loopback. They take turns, each exchange after a pause as a loop has it. The bare client writes a
-finished request and waits for as many bytes as the reply has: the wire and the slave, nothing else.
+program on libmodbus (tests/backends/modbus/libmodbus_slave), which answers at once; RTU behind a pseudo-terminal, which
+has no wire time, and TCP on loopback. They take turns, each exchange after a pause as a loop has it. The bare client
+writes a finished request and waits for as many bytes as the reply has: the wire and the slave, nothing else.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from faults.backends import Backend
 from faults.bounds import Times
@@ -12,74 +13,10 @@ from faults.case import Found
 from faults.realtime import RealFound
 from faults.rows import SILENCE, Row
 from faults.stages import CYCLE, OTHER_STAGES, START, Stage
+from shared import page
 from shared.table import markdown
 
-_SUMMARY_HEAD = """\
-# What goes wrong, and what the bench does
-
-Made by `make faults`, {made}, which puts each fault on each emulated device. It fails if a bound is broken, a sample is
-lost, a code is another than expected, a recording with a whole relay test cannot be identified, `result.json` is
-missing, or the next run does what it should not. It warns where a drive was on for more than 1.5 times the longest time
-that [fault-worst.json](fault-worst.json) holds. `make test` runs a part of it.
-
-This page is the summary. **[fault-rows.md](fault-rows.md) has every row**: on each device, in each stage of the
-experiment, in real time, with its bound and how it is done. The tool is [tools/faults](../tools/faults).
-
-{summary}
-
-* *Host silent*: the worst of the rows that only the device's own watchdog can end.
-* *Lost*: samples that the device told of, and that reached the host intact and in time, but are not in the recording.
-* *Wrong*: cases with anything that should not be.
-
-## Each fault at its worst
-
-In the breakaway check or the relay test, on the device where the drive was on for longest.
-
-"""
-
-_HEAD = """\
-# Every row of the fault matrix
-
-Made by `make faults`, {made}; the summary is [fault-table.md](fault-table.md). `make test` runs, at one of the phases,
-each row on the first three devices (on one where the device makes no difference), on the others those that are theirs
-or are other there, and each of the rest on one of them; in the other stages each row once, and all that may happen to
-a device in a pause.
-
-The real `rig relay` runs in each case of the first tables: the breakaway check, then a relay test whose limit cycle has
-settled to its amplitude when the fault comes, at several phases of the cycle, and at any time within the loop's tick.
-The [other stages](#in-the-other-stages) are those of a `rig run` with a short search or a short tracking check. The
-devices are in virtual time, which waits for the recorder's process, so each number is exact and the same again. Bench
-and limits are those of
-[config/demo.yaml](../config/demo.yaml) unless the device's section says otherwise; the loop's period is
-{period_ms:g} ms, the watchdog {watchdog_ms:g} ms.
-
-* *Drive 0*: from the fault until the drive is 0 for good, at the device's own output, the worst phase. Where the run
-  goes on: the longest time that one drive acted without a new word of the host, or that the output was not what the
-  host had said.
-* *Within*: the bound of that row, from the config; what it is made of is below the table.
-* *Beyond*: farthest that the shaft went beyond a hard limit (they are at {low:g} and {high:g} rad, the stops at 2.6).
-* *Shown*: the fault's code, and `rig`'s exit status.
-* *Lost*: samples that the device told of, and that reached the host intact and in time, but are not in the recording. A
-  reading that came with the fault is in the fault's event, with its counts or its bytes. Of a host that was killed the
-  recorder, which lives on, writes what there is. Of a relay in the device each row of a block counts, up to the first
-  block that is missing: that one ends the run.
-* *Next run*: tried, as far as the breakaway check: first with the cause still there, then *mended*.
-"""
-
-_COLUMNS = ("fault", "drive 0", "within", "beyond, rad", "shown", "lost", "next run")
-_REAL_COLUMNS = (
-    "fault", "device", "drive 0", "within", "late", "beyond, rad", "shown", "lost", "skipped", "next run",
-)  # fmt: skip
-
-_REAL_HEAD = """\
-## Host and link in real time
-
-`rig relay` as a process of its own, and the device as another, behind a pseudo-terminal or on a TCP port of this
-machine; the drive is that of the device's own trace. *Late* is by how much this machine let device and loop wait in
-that run, which the bound is longer by. *Skipped* are ticks of the loop. A Modbus run ends with the first reply that is
-late, by design: an overloaded host mostly ends it.
-
-"""
+_SUMMARY, _ROWS = (Path(__file__).with_name(f"{name}.md.j2") for name in ("summary", "rows"))
 
 
 @dataclass(frozen=True)
@@ -137,46 +74,20 @@ def _beyond(found: Iterable[Found | RealFound]) -> str:
     return f"{beyond_rad:.2f}" if beyond_rad > 0.0 else "-"
 
 
-_STAGES_HEAD = """\
-## In the other stages
-
-When the fault comes in the gain search, at rest (armed, 0 V, after the relay tests), in the pause (disarmed, while the
-recording is identified), while the device is armed again, in tracking. At rest, in the pause and at re-arming the drive
-is 0: there *0* means that nothing drove any more, and a time counts from the first drive after the fault. A cell has
-the fault's code, how long the drive was on, and the bound; *runs on*: the longest time that one drive acted without a
-new word.
-
-Each row is tried in each stage on the host-board device; on the others what is other there: the contacts, resets and
-hangs of the Uno's chip, all that may happen to a Modbus I/O block while it is disarmed or armed again (it is asked
-otherwise then), and what a block without limits of its own leaves to the loop. "From the start" is a stage of its own.
-A relay in the device is the cycle alone; whatever else such a run does, the host drives.
-"""
-
-
-def stage_tables(lines: Sequence[Line], rows: Sequence[Row], backends: Sequence[Backend]) -> str:
-    """What was measured in the stages besides the cycle, a table a device; why a row cannot occur in one of them."""
-    parts = [_STAGES_HEAD]
-    for backend in backends:
-        own = {(one.row.name, one.stage): one for one in lines if one.backend is backend}
-        shown = [row for row in rows if any((row.name, stage) in own for stage in OTHER_STAGES)]
-        if not shown:
-            continue
-        stages = [stage for stage in OTHER_STAGES if any((row.name, stage) in own for row in shown)]
-        table = markdown(
-            ["fault", *(stage.title for stage in stages)],
-            ([row.name, *(_cell(own.get((row.name, stage))) for stage in stages)] for row in shown),
-        )
-        title = backend.title[0].upper() + backend.title[1:]
-        parts.append(f"### {title}, by stage\n\n{table}\n")
-    absent = {
-        f"* {row.name}, {stage.title}: {row.absent[stage.key]}."
-        for row in rows
-        for stage in OTHER_STAGES
-        if stage.key in row.absent
-    }
-    if absent:
-        parts.append("\n".join(sorted(absent)) + "\n")
-    return "\n".join(parts)
+def _by_stage(backend: Backend, lines: Sequence[Line], rows: Sequence[Row]) -> dict[str, object] | None:
+    """A device's table of the stages besides the cycle; None where nothing was measured there."""
+    own = {(one.row.name, one.stage): one for one in lines if one.backend is backend}
+    shown = [row for row in rows if any((row.name, stage) in own for stage in OTHER_STAGES)]
+    stages = [stage for stage in OTHER_STAGES if any((row.name, stage) in own for row in shown)]
+    return (
+        None
+        if not shown
+        else {
+            "title": backend.title[0].upper() + backend.title[1:],
+            "head": ["fault", *(stage.title for stage in stages)],
+            "rows": [[row.name, *(_cell(own.get((row.name, stage))) for stage in stages)] for row in shown],
+        }
+    )
 
 
 def _cell(measured: Line | None) -> str:
@@ -191,11 +102,9 @@ def _cell(measured: Line | None) -> str:
     )
 
 
-def real_table(found: Sequence[RealFound]) -> str:
-    """The table of what was measured in real time."""
+def _real_rows(found: Sequence[RealFound]) -> list[tuple[object, ...]]:
     names = list(dict.fromkeys((one.row, one.device) for one in found))
-    rows = [_real_cells([one for one in found if (one.row, one.device) == name]) for name in names]
-    return f"{_REAL_HEAD}{markdown(_REAL_COLUMNS, rows)}\n"
+    return [_real_cells([one for one in found if (one.row, one.device) == name]) for name in names]
 
 
 def _real_cells(found: Sequence[RealFound]) -> tuple[object, ...]:
@@ -240,7 +149,7 @@ def at_worst(lines: Sequence[Line]) -> str:
 
 
 def _device_cells(backend: Backend, own: Sequence[Line]) -> tuple[object, ...]:
-    silent = [one for one in own if one.row.bound is SILENCE and one.stage is CYCLE]
+    silent = [one for one in own if one.row.bound == SILENCE and one.stage is CYCLE]
     silent_s = max((f.off_s for one in silent for f in one.found), default=math.nan)
     within_s = max((one.row.bound.seconds(one.times) for one in silent), default=math.nan)
     share, name = max(
@@ -257,7 +166,7 @@ def _device_cells(backend: Backend, own: Sequence[Line]) -> tuple[object, ...]:
 
 def render_summary(made: str, lines: Sequence[Line], backends: Sequence[Backend]) -> str:
     """The page that people read: docs/fault-table.md."""
-    return _SUMMARY_HEAD.format(made=made, summary=summary(lines, backends)) + at_worst(lines) + "\n"
+    return page.render(_SUMMARY, made=made, summary=summary(lines, backends), at_worst=at_worst(lines))
 
 
 def render_rows(
@@ -270,62 +179,61 @@ def render_rows(
     """The page with every row: docs/fault-rows.md."""
     first = lines[0]
     low, high = first.backend.config()["limits"]["hard_rad"]
-    parts = [
-        _HEAD.format(
-            made=made,
-            period_ms=1e3 * first.times.period,
-            watchdog_ms=1e3 * first.times.watchdog,
-            low=low,
-            high=high,
-        )
-    ]
-    for backend in backends:
-        own = [one for one in lines if one.backend is backend and one.stage in (START, CYCLE)]
-        if not own:
-            continue
-        remark = f"{backend.remark}\n\n" if backend.remark else ""
-        parts.append(f"## On {backend.title}\n\n{remark}{markdown(_COLUMNS, map(cells, own))}\n")
-        absent = [f"* {row.name}: does not apply: {why}." for row in rows if (why := row.why_absent(backend.traits))]
-        if absent:
-            parts.append("\n".join(absent) + "\n")
-    if any(one.stage in OTHER_STAGES for one in lines):
-        parts.append(stage_tables(lines, rows, backends))
-    if real:
-        parts.append(real_table(real))
-    parts.append("## The bounds\n\n" + _bounds(lines, backends))
-    parts.append("## How it is done, and what else is to be said\n\n" + _notes(rows))
-    return "\n".join(parts)
+    tried = [backend for backend in backends if any(one.backend is backend for one in lines)]
+    others = [stage for stage in OTHER_STAGES if any(one.stage in OTHER_STAGES for one in lines)]
+    return page.render(
+        _ROWS,
+        made=made,
+        period_ms=1e3 * first.times.period,
+        watchdog_ms=1e3 * first.times.watchdog,
+        low=low,
+        high=high,
+        devices=[device for backend in tried if (device := _in_cycle(backend, lines, rows))["rows"]],
+        stages=[table for backend in tried if (table := _by_stage(backend, lines, rows))],
+        absent=sorted(
+            {
+                f"* {row.name}, {stage.title}: {row.absent[stage.key]}."
+                for row in rows
+                for stage in others
+                if stage.key in row.absent
+            }
+        ),
+        real=_real_rows(real),
+        bounds=_bounds(lines),
+        times=[_times(backend, lines) for backend in tried],
+        notes=[f"* {row.name}: {'. '.join(filter(None, (row.how, row.remark, row.either)))}." for row in rows],
+    )
 
 
-def _bounds(lines: Sequence[Line], backends: Sequence[Backend]) -> str:
+def _in_cycle(backend: Backend, lines: Sequence[Line], rows: Sequence[Row]) -> dict[str, object]:
+    """A device's table of the breakaway check and the relay test."""
+    return {
+        "title": backend.title,
+        "remark": backend.remark,
+        "rows": [cells(one) for one in lines if one.backend is backend and one.stage in (START, CYCLE)],
+        "absent": [(row.name, why) for row in rows if (why := row.why_absent(backend.traits))],
+    }
+
+
+def _bounds(lines: Sequence[Line]) -> list[tuple[str, str, str]]:
+    """Each bound once: what it bounds, where it is not the same everywhere; the sum; why."""
     seen: dict[tuple[str, str, str], list[str]] = {}
     for one in lines:
         where = one.backend.key if one.stage in (START, CYCLE) else f"{one.backend.key} {one.stage.title}"
         seen.setdefault((one.row.name, one.row.bound.formula(), one.row.bound.why), []).append(where)
     keys = {one.row.name: {k[0:2] for k in seen if k[0] == one.row.name} for one in lines}
-    rows = [
+    return [
         (f"{name}{'' if len(keys[name]) == 1 else ' (' + ', '.join(where) + ')'}", formula, why)
         for (name, formula, why), where in seen.items()
         if formula != "0"
     ]
-    times = [
-        f"* {backend.title}: "
-        + ", ".join(
-            f"{name} {_time(value)}"
-            for name, value in _known(one.times for one in lines if one.backend is backend).items()
-        )
-        for backend in backends
-        if any(o.backend is backend for o in lines)
-    ]
-    return markdown(("fault", "within", "why"), rows) + "\n\n" + "\n".join(times) + "\n"
+
+
+def _times(backend: Backend, lines: Sequence[Line]) -> str:
+    known = _known(one.times for one in lines if one.backend is backend)
+    return f"* {backend.title}: " + ", ".join(f"{name} {_time(value)}" for name, value in known.items())
 
 
 def _known(times: Iterable[Times]) -> dict[str, float]:
     """Of several, the numbers that there are."""
     return {name: value for some in times for name, value in reversed(some._asdict().items()) if math.isfinite(value)}
-
-
-def _notes(rows: Sequence[Row]) -> str:
-    return (
-        "\n".join(f"* {row.name}: {'. '.join(filter(None, (row.how, row.remark, row.either)))}." for row in rows) + "\n"
-    )

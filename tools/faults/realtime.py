@@ -24,9 +24,10 @@ from typing import Any
 
 import yaml
 
+from faults.acts import FREEZE_S
 from faults.backends import BOARD, CHIP, MODBUS, ROOT, TCP, Backend
 from faults.bounds import Bound, bound
-from faults.rows import AT_ONCE, FREEZE_S, SEEN, SILENCE
+from faults.rows import AT_ONCE, SEEN, SILENCE
 from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.modbus.emulated.modbus_board import ModbusBoard
 from rig.backends.modbus.emulated.rtu_slave import check_sum

@@ -7,12 +7,17 @@ from mutants.sampled import Room
 SEED = "rig 11"
 
 _REPLAY = ("tests/replay",)
-_MODBUS = ("tests/daq/test_daq_modbus.py", "tests/daq/test_daq_modbus_tcp.py")
+_MODBUS = ("tests/backends/modbus/test_modbus_driver.py", "tests/backends/modbus/test_modbus_tcp.py")
 _CLOCK = ("tests/loop/test_loop_real_time.py", "tests/loop/test_loop_runner.py")
 _FILES = ("tests/recording/test_recording_recorder.py", "tests/recording/test_recording_failing_disk.py")
 
 ROOMS = (
-    Room("rig/control", 24, ("tests/control", "tests/loop"), {"breakaway_one_way": _REPLAY}),
+    Room(
+        "rig/control",
+        24,
+        ("tests/control", "tests/loop"),
+        {"breakaway_one_way": _REPLAY, "laws": ("tests/api/test_api_law.py",)},
+    ),
     Room(
         "rig/loop",
         12,
@@ -25,21 +30,37 @@ ROOMS = (
             "stop_request": ("tests/loop/test_loop_runner.py",),
         },
     ),
-    Room("rig/backends", 2, ("tests/daq",), {"driver": ("tests/daq/test_daq_plugin.py",), "clock": _CLOCK}),
+    Room(
+        "rig/backends",
+        2,
+        ("tests/backends",),
+        {"driver": ("tests/backends/test_backends_plug_in.py",), "clock": _CLOCK},
+    ),
+    Room(
+        "rig/backends/links",
+        3,
+        ("tests/backends", "tests/backends/modbus/test_modbus_tcp.py", "tests/backends/serial/test_serial_usb.py"),
+        {
+            "serial_port": ("tests/backends/test_backends_serial_port.py",),
+            "usb_port": ("tests/backends/test_backends_serial_port.py",),
+            "tcp_link": ("tests/backends/modbus/test_modbus_tcp.py",),
+            "usb_adapters": ("tests/backends/serial/test_serial_usb.py",),
+        },
+    ),
     Room(
         "rig/backends/serial",
         7,
-        ("tests/daq", "tests/hil/test_hil_device_relay.py", "tests/hil/test_hil_driver.py"),
+        ("tests/backends/serial", "tests/hil/test_hil_device_relay.py", "tests/hil/test_hil_driver.py"),
         {
             "relay_stream": ("tests/hil/test_hil_device_relay.py",),
             "device_relay": ("tests/hil/test_hil_device_relay.py",),
-            **dict.fromkeys(("introduction", "exchange", "fit"), ("tests/daq/test_daq_serial_link.py",)),
+            **dict.fromkeys(("introduction", "exchange", "fit"), ("tests/backends/serial/test_serial_driver.py",)),
         },
     ),
     Room(
         "rig/backends/modbus",
         5,
-        ("tests/daq", "tests/config/test_config_modbus.py"),
+        ("tests/backends/modbus", "tests/config/test_config_modbus.py"),
         dict.fromkeys(("driver", "client", "requests", "frames"), _MODBUS),
     ),
     Room(
@@ -53,6 +74,10 @@ ROOMS = (
 
 # name of a mutant: why what it does is what the code does
 EQUIVALENT: dict[str, str] = {
+    "recording/layout.py allocate: zeros = bytes(1 << 20) # setting the length alone would leave a hole -> zeros = "
+    "bytes(1 % 20) # setting the length alone would leave a hole": "the same zeros, in pieces of one byte",
+    "backends/modbus/driver.py: _INTRODUCTIONS = 20 # reads that measure the round trip -> _INTRODUCTIONS = 21 # reads "
+    "that measure the round trip": "the fastest of the reads counts; nobody is promised how many there are",
     "control/motion.py Standstill.restart: self.high_rad = -math.inf -> self.high_rad = not math.inf": (
         "the first step sets both ends of the span to its reading, whatever they were, and the stand that it may end "
         "is of a time that is no number"

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-import jinja2
-
 import rig
 from paper import literals
 from rig.report.style import Picture
+from shared import page
 from shared.table import Table
 
-TEMPLATE = "report.html.j2"
+TEMPLATE = Path(__file__).with_name("report.html.j2")
 BACKEND = "computed on the exact model of the motor, no device"
 
 Agreement = Literal["agrees", "differs", "not comparable"]
@@ -118,17 +117,7 @@ class Report:
 
 def render_page(report: Report) -> str:
     """The whole page as text, self-contained."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).resolve().parent),
-        autoescape=False,  # every text on the page is this package's own
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["kind"] = lambda block: type(block).__name__
-    return environment.get_template(TEMPLATE).render(
-        report=report, version=rig.__version__, provenance=provenance(report)
-    )
+    return page.render(TEMPLATE, report=report, version=rig.__version__, provenance=provenance(report))
 
 
 def provenance(report: Report) -> str:

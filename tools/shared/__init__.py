@@ -1,1 +1,1 @@
-"""What the tools that write pages share: one table, one way to write a page, one way to run many cases."""
+"""What the tools share: one table, one way to make a page, to read a data file, and to run many cases."""

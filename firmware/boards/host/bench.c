@@ -203,16 +203,30 @@ bool bench_is_faulty(const bench *b)
     return b->armed_t_s >= 0.0 && b->t_s >= b->armed_t_s + b->p.fault_after_s;
 }
 
+static void move_to(bench *b, double t_s)
+{
+    const double dt_s = t_s - b->t_s;
+    if (b->p.parts == 0) {
+        bench_motion(&b->p, &b->v_rad_per_s, &b->y_rad, bench_motor_V(b), dt_s);
+    } else {
+        const double when[2] = {b->armed_t_s >= 0.0 ? b->t_s - b->armed_t_s : 0.0, dt_s}; /* drift runs from arming */
+        const double stops[2] = {b->p.stop_low_rad, b->p.stop_high_rad};
+        real_put(&b->p.real, &b->real, b->v_rad_per_s, b->y_rad);
+        real_advance(&b->p.real, &b->real, bench_motor_V(b), when, stops);
+        b->v_rad_per_s = b->real.v;
+        b->y_rad = b->real.y;
+    }
+    b->t_s = t_s;
+}
+
 void bench_advance_to(bench *b, double t_s)
 {
     const double begins_s = b->armed_t_s + b->p.fault_after_s;
     if (b->armed_t_s >= 0.0 && b->t_s < begins_s && begins_s < t_s) {
-        bench_motion(&b->p, &b->v_rad_per_s, &b->y_rad, bench_motor_V(b), begins_s - b->t_s);
-        b->t_s = begins_s;
+        move_to(b, begins_s);
     }
     if (b->t_s < t_s) {
-        bench_motion(&b->p, &b->v_rad_per_s, &b->y_rad, bench_motor_V(b), t_s - b->t_s);
-        b->t_s = t_s;
+        move_to(b, t_s);
     }
 }
 
@@ -271,7 +285,12 @@ int32_t bench_position_counts(bench *b)
     const double added_rad = wiring == BENCH_SENSOR_NOISY ? NOISY_COUNTS * fabs(p->rad_per_count) : 0.0;
     const double deviation_rad = p->noise_rad + added_rad;
     const double noise_rad = deviation_rad > 0.0 ? deviation_rad * gauss(b) : 0.0;
-    const double from_centre = (b->y_rad + p->offset_rad + noise_rad) / p->rad_per_count;
+    double shown_rad = b->y_rad;
+    if (p->parts != 0) {
+        real_put(&p->real, &b->real, b->v_rad_per_s, b->y_rad);
+        shown_rad = real_reading(&p->real, b->real.x);
+    }
+    const double from_centre = (shown_rad + p->offset_rad + noise_rad) / p->rad_per_count;
     const double sign = wiring == BENCH_SENSOR_REVERSED ? -1.0 : 1.0;
     int32_t counts = quantise(p->centre_counts + sign * from_centre, p->counts_max);
     if (wiring == BENCH_SENSOR_JUMPED) {
@@ -325,10 +344,27 @@ double bench_motor_V(const bench *b)
 
 /* ---- what is done to the bench ---- */
 
+void bench_real(const bench_params *p, real_motor *m, real_state *at)
+{
+    const double share = viscous_share(p);
+    const double above_V = p->fs_plus_V - p->fc_plus_V;
+    const bool falls = p->stribeck_rad_s > 0.0 && above_V > 0.0;
+    *m = p->real;
+    m->tau_s = p->tau_s / share;
+    m->K_rad_s_V = p->K_rad_s_V / share;
+    m->fc_V = 0.5 * (p->fc_plus_V + p->fc_minus_V);
+    m->bias_V = p->bias_V - 0.5 * (p->fc_plus_V - p->fc_minus_V);
+    m->static_V = falls ? 0.0 : above_V;
+    m->stribeck_V = falls ? above_V : 0.0;
+    m->stribeck_rad_s = falls ? p->stribeck_rad_s : 0.0;
+    real_start(m, at, p->start_rad);
+}
+
 void bench_init(bench *b, const bench_params *p)
 {
     memset(b, 0, sizeof *b);
     b->p = *p;
+    bench_real(p, &b->p.real, &b->real);
     b->y_rad = p->start_rad;
     b->armed_t_s = -1.0;
     b->stuck_counts = -1;
@@ -363,6 +399,8 @@ void bench_defaults(bench_params *p)
     p->counts_max = 1023;
     p->drive_counts = 799;
     p->seed = 1;
+    p->real.half_travel_rad = 1.0;
+    p->real.duration_s = 60.0;
 }
 
 enum kind { REAL, INTEGER, UNSIGNED, DRIVE_WIRING, SENSOR_WIRING };
@@ -404,6 +442,30 @@ static const struct {
     {"drive", DRIVE_WIRING, offsetof(bench_params, drive_wiring)},
     {"sensor", SENSOR_WIRING, offsetof(bench_params, sensor_wiring)},
     {"fault-after-s", REAL, offsetof(bench_params, fault_after_s)},
+    {"parts", INTEGER, offsetof(bench_params, parts)},
+    {"dead-band-V", REAL, offsetof(bench_params, real.dead_band_V)},
+    {"gain-by-sign", REAL, offsetof(bench_params, real.gain_by_sign)},
+    {"sag-per-V", REAL, offsetof(bench_params, real.sag_per_V)},
+    {"lag-s", REAL, offsetof(bench_params, real.lag_s)},
+    {"viscous-by-direction-V-s-rad", REAL, offsetof(bench_params, real.viscous_by_direction_V_s_rad)},
+    {"drag-V-s2-rad2", REAL, offsetof(bench_params, real.drag_V_s2_rad2)},
+    {"bristle-V-rad", REAL, offsetof(bench_params, real.bristle_V_rad)},
+    {"force-sin-V", REAL, offsetof(bench_params, real.force_sin_V)},
+    {"force-cos-V", REAL, offsetof(bench_params, real.force_cos_V)},
+    {"friction-sin-V", REAL, offsetof(bench_params, real.friction_sin_V)},
+    {"friction-cos-V", REAL, offsetof(bench_params, real.friction_cos_V)},
+    {"cogging-sin-V", REAL, offsetof(bench_params, real.cogging_sin_V)},
+    {"cogging-cos-V", REAL, offsetof(bench_params, real.cogging_cos_V)},
+    {"cogging-per-rad", REAL, offsetof(bench_params, real.cogging_per_rad)},
+    {"backlash-rad", REAL, offsetof(bench_params, real.backlash_rad)},
+    {"linearity-sin1-rad", REAL, offsetof(bench_params, real.linearity_sin1_rad)},
+    {"linearity-cos1-rad", REAL, offsetof(bench_params, real.linearity_cos1_rad)},
+    {"linearity-sin2-rad", REAL, offsetof(bench_params, real.linearity_sin2_rad)},
+    {"linearity-cos2-rad", REAL, offsetof(bench_params, real.linearity_cos2_rad)},
+    {"drift", REAL, offsetof(bench_params, real.drift)},
+    {"centre-rad", REAL, offsetof(bench_params, real.centre_rad)},
+    {"half-travel-rad", REAL, offsetof(bench_params, real.half_travel_rad)},
+    {"drift-over-s", REAL, offsetof(bench_params, real.duration_s)},
 };
 
 enum { OPTION_COUNT = sizeof OPTIONS / sizeof OPTIONS[0] };
@@ -522,6 +584,12 @@ const char *bench_check(const bench_params *p)
     }
     if (!(p->gear_ratio > 0.0) || !(p->fault_after_s >= 0.0)) {
         return "gear-ratio must be > 0, fault-after-s >= 0";
+    }
+    if (p->parts > 1 || !(p->real.half_travel_rad > 0.0 && p->real.duration_s > 0.0)) {
+        return "parts must be 0 or 1, half-travel-rad and drift-over-s > 0";
+    }
+    if (!(fmin(fmin(p->real.dead_band_V, p->real.lag_s), fmin(p->real.bristle_V_rad, p->real.backlash_rad)) >= 0.0)) {
+        return "dead-band-V, lag-s, bristle-V-rad and backlash-rad must be >= 0";
     }
     if (!(fabs(p->clock_error_ppm) <= 50000.0)) {
         return "clock-error-ppm must be within 50000";

@@ -1,6 +1,6 @@
 /* The physical bench around the board, in C doubles: motor, mechanical stops, potentiometer, tachometer, drive
- * stage, and the faults it can be wired with. The same bench stands in Python in rig/model/bench.py; tests/emulate
- * holds the two together.
+ * stage, and the faults it can be wired with. The same bench stands in Python in rig/model/bench.py;
+ * tests/backends/serial holds the two together.
  *
  *     tau dv/dt + v = K (u + b - f(v)),   dy/dt = v
  *
@@ -13,6 +13,8 @@
 
 #include <stdbool.h>
 #include <stdint.h>
+
+#include "real_motor.h"
 
 enum bench_drive_wiring { BENCH_DRIVE_OK, BENCH_DRIVE_REVERSED, BENCH_DRIVE_DEAD, BENCH_DRIVE_STUCK_ON };
 
@@ -46,6 +48,8 @@ typedef struct {
     uint32_t clock_start_us; /* of the device's clock at a reset */
     uint32_t seed;           /* of the noise */
     int32_t drive_wiring, sensor_wiring;
+    int32_t parts;           /* 1: the motor has those of `real`, whose tau_s to stribeck_rad_s bench_init fills in */
+    real_motor real;
 } bench_params;
 
 void bench_defaults(bench_params *p);
@@ -63,6 +67,7 @@ const char *bench_check(const bench_params *p);
 typedef struct {
     bench_params p;
     double t_s, v_rad_per_s, y_rad;
+    real_state real;       /* with parts; v and y are those above */
     double armed_t_s;      /* of the first arming; negative before it */
     int32_t pin_units;     /* drive at the pin, before the wiring */
     int32_t stuck_counts;  /* reading that a stuck sensor holds; negative: none yet */
@@ -89,7 +94,10 @@ double bench_motor_V(const bench *b); /* what arrives at the motor */
 int32_t bench_position_counts(bench *b);
 int32_t bench_tachometer_counts(const bench *b); /* negative: there is none */
 
-/* One motion under constant voltage at the motor, stops included: what bench_advance_to is made of. */
+/* The motor with its parts, at rest at the start, for those who move it themselves. */
+void bench_real(const bench_params *p, real_motor *m, real_state *at);
+
+/* One motion under constant voltage at the motor, stops included: what bench_advance_to is made of, without parts. */
 void bench_motion(const bench_params *p, double *v, double *y, double u_V, double dt_s);
 
 #endif

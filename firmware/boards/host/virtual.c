@@ -4,6 +4,7 @@
  * A byte takes `byte_ns`, either way.
  */
 #include <stdlib.h>
+#include <string.h>
 
 #include "device.h"
 #include "wire.h"
@@ -182,6 +183,27 @@ const char *virtual_motion(const virtual_board *b, double *v, double *y, double 
         bench_motion(&b->params, v, y, u_V, dt_s);
     }
     return wrong;
+}
+
+/* One motion of the motor with its parts alone, from when[0], s, on, for when[1], s: `state` is v, y, f, w, x, or at the
+ * start of the run if it is not `begun`; the last is what the sensor shows. NULL, or what is wrong. */
+const char *virtual_real_motion(const virtual_board *b, double state[6], int32_t begun, double u_V, const double when[2])
+{
+    const char *wrong = bench_check(&b->params);
+    if (wrong != NULL) {
+        return wrong;
+    }
+    const double stops[2] = {b->params.stop_low_rad, b->params.stop_high_rad};
+    real_motor motor;
+    real_state at;
+    bench_real(&b->params, &motor, &at);
+    if (begun != 0) {
+        at = (real_state){state[0], state[1], state[2], state[3], state[4]};
+    }
+    real_advance(&motor, &at, u_V, when, stops);
+    const double after[6] = {at.v, at.y, at.f, at.w, at.x, real_reading(&motor, at.x)};
+    memcpy(state, after, sizeof after);
+    return NULL;
 }
 
 /* One conversion of the position channel now. */

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, TypeVar
 from rig.model.bench import BenchParameters
 from rig.model.friction import Friction
 from rig.model.motor import Motor
+from rig.model.real_motor import Frame, RealMotor, plain
 
 if TYPE_CHECKING:  # the process of an emulated device starts without the config
-    from rig.config.schema import Emulated, EmulatedMotor, Tachometer
+    from rig.config.schema import Emulated, EmulatedMotor, EmulatedParts, Tachometer
 
 Value = TypeVar("Value")
 _MODEL = BenchParameters  # its class attributes are its defaults
@@ -20,8 +21,9 @@ def bench_parameters(emulated: Emulated, tachometer: Tachometer | None = None) -
     m, pot, wiring = emulated.motor, emulated.potentiometer, emulated.wiring
     dead_band = emulated.dead_band_duty
     channel = tachometer if emulated.tachometer else None
+    motor, parts = Motor(m.tau_s, m.K_rad_s_V, _friction(m), m.bias_V), m.parts
     return BenchParameters(
-        motor=Motor(m.tau_s, m.K_rad_s_V, _friction(m), m.bias_V),
+        motor=motor,
         start_rad=m.start_rad,
         stop_rad=m.stop_rad,
         rad_per_count=_given(pot.rad_per_count, _MODEL.rad_per_count),
@@ -41,7 +43,16 @@ def bench_parameters(emulated: Emulated, tachometer: Tachometer | None = None) -
         drive=wiring.drive,
         sensor=wiring.sensor,
         fault_after_s=wiring.fault_after_s,
+        real=None if parts is None else _with_parts(motor, parts),
+        frame=_MODEL.frame
+        if parts is None
+        else Frame(parts.centre_rad, parts.half_travel_rad, 0.0, parts.drift_over_s),
     )
+
+
+def _with_parts(motor: Motor, parts: EmulatedParts) -> RealMotor:
+    names = [name for name in RealMotor._fields if name in type(parts).model_fields]
+    return plain(motor)._replace(**{name: getattr(parts, name) for name in names})
 
 
 def _friction(m: EmulatedMotor) -> Friction:

@@ -49,8 +49,8 @@ _PRODUCTS: dict[tuple[int, int], Adapter] = {
     **{(0x1A86, product): "ch340" for product in (0x5523, 0x7522, 0x7523)},
     # Uno and Mega 2560, first and third revision, of both vendors of that name
     **{(vendor, product): "16u2" for vendor in (0x2341, 0x2A03) for product in (0x0001, 0x0010, 0x0042, 0x0043)},
-    **{(0x2341, product): "native-usb" for product in (0x8036, 0x8037)},  # Leonardo, Micro
-    **{(0x2A03, product): "native-usb" for product in (0x8036, 0x8037)},
+    # Leonardo and Micro, of both
+    **{(vendor, product): "native-usb" for vendor in (0x2341, 0x2A03) for product in (0x8036, 0x8037)},
     (0x16C0, 0x0483): "native-usb",  # Teensy
     (0x2E8A, 0x000A): "native-usb",  # Pico
 }

@@ -1,8 +1,9 @@
-"""The motion of a real motor under a recorded drive: readings of its sensor, and their derivatives (theory 12.3)."""
+"""A real motor under a recorded drive: what its sensor reads, and the derivatives (docs/theory.md 12.4)."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,18 +11,24 @@ from numpy.typing import NDArray
 from rig.model.compiled.kernel import kernel
 from rig.model.real_step import (
     Frame,
+    Numbers,
     RealMotor,
     State,
+    Step,
     behind_play,
     direction,
     force,
+    lagged,
+    level_at_rest,
     level_of_bristles,
     mean_cosine,
     next_step,
     phi4,
     reading,
     staged,
+    stiffness,
     target,
+    weights,
 )
 
 Array = NDArray[np.float64]
@@ -42,38 +49,57 @@ BACKLASH, LINEARITY, DRIFT = (RealMotor._fields.index(n) for n in ("backlash_rad
 Used = tuple[bool, bool, bool]
 
 
+# Rows of ``Slopes.state`` and of ``Slopes.room``.
+V, Y, F, X = range(4)
+W, STAGED, LEVEL, STAGE = range(4)
+
+
+class Slopes(NamedTuple):
+    """Derivatives of a state by the columns of a Jacobian, and room to work in; few arrays, as each costs at a call.
+
+    which   number of the motor of each column, or ``V0`` or ``Y0``, (c,)
+    state   (4, c), of v, y, f and x
+    room    (11, n), by every number of the motor: of the drive behind the lag and before it, of a level of friction,
+            and from ``STAGE`` on of the right sides at the four stages of a step: target velocity and bristles' rate
+    """
+
+    which: Rows
+    state: Array
+    room: Array
+
+
 @kernel
 def _level_slopes(
-    motor: RealMotor, frame: Frame, used: Used, at: tuple[float, float, float], out: Array
+    motor: RealMotor, frame: Frame, used: Used, at: tuple[float, float, float], room: Array, row: int
 ) -> tuple[float, float]:
-    """Fill ``out`` with the derivatives of the level by the motor's numbers; returns those by speed and position.
+    """Fill a row of ``room`` with the derivatives of the level; returns those by speed and position.
 
     at   speed, rad/s, position, rad, and time, s
     """
     speed, y, t = at
     position, _, stribeck = used
     course = (t - frame.start_s) / frame.duration_s - 0.5
-    out[FC] = 1.0 + motor.drift * course
-    out[DRIFT] = motor.fc_V * course
+    room[row, FC] = 1.0 + motor.drift * course
+    room[row, DRIFT] = motor.fc_V * course
     by_speed = by_y = 0.0
     if position:
         q = y - frame.centre_rad
         sine, cosine = math.sin(q), math.cos(q)
-        out[FRICTION], out[FRICTION + 1] = sine, cosine - mean_cosine(frame)
+        room[row, FRICTION], room[row, FRICTION + 1] = sine, cosine - mean_cosine(frame)
         by_y = motor.friction_sin_V * cosine - motor.friction_cos_V * sine
     if stribeck and motor.stribeck_rad_s > 0.0:
         share = math.exp(-speed / motor.stribeck_rad_s)
-        out[STRIBECK] = share
-        out[UNIT] = motor.stribeck_V * share * speed / (motor.stribeck_rad_s * motor.stribeck_rad_s)
+        room[row, STRIBECK] = share
+        room[row, UNIT] = motor.stribeck_V * share * speed / (motor.stribeck_rad_s * motor.stribeck_rad_s)
         by_speed = -motor.stribeck_V * share / motor.stribeck_rad_s
     return by_speed, by_y
 
 
 @kernel
 def _slopes(
-    motor: RealMotor, frame: Frame, used: Used, sign: float, at: State, when: tuple[float, float], out: Array
+    motor: RealMotor, frame: Frame, used: Used, sign: float, at: State, when: tuple[float, float], room: Array, row: int
 ) -> tuple[float, float, float, float, float]:
-    """Fill ``out`` (2, n) with derivatives of the target velocity and the bristles' rate by the motor's numbers.
+    """Fill two rows of ``room`` with derivatives of the target velocity and of the bristles' rate.
 
     when   time, s, and the target velocity there, rad/s
     Returns the derivatives of the target velocity by v and y, and of the rate by v, y, f.
@@ -81,41 +107,42 @@ def _slopes(
     t, aim = when
     gain, v, y = motor.K_rad_s_V, at.v, at.y
     speed = sign * v
-    out[0, K] = aim / gain
-    out[0, BIAS] = gain
-    out[0, VISCOUS] = -gain * speed
-    out[0, DRAG] = -gain * v * speed
+    room[row, K] = aim / gain
+    room[row, BIAS] = gain
+    room[row, VISCOUS] = -gain * speed
+    room[row, DRAG] = -gain * v * speed
     by_v = -gain * (motor.viscous_by_direction_V_s_rad * sign + 2.0 * motor.drag_V_s2_rad2 * speed)
     by_y = 0.0
     position, cogging, _ = used
     if position:
         q = y - frame.centre_rad
         sine, cosine = math.sin(q), math.cos(q)
-        out[0, FORCE], out[0, FORCE + 1] = -gain * sine, -gain * (cosine - mean_cosine(frame))
+        room[row, FORCE], room[row, FORCE + 1] = -gain * sine, -gain * (cosine - mean_cosine(frame))
         by_y -= gain * (motor.force_sin_V * cosine - motor.force_cos_V * sine)
     if cogging:
         q = motor.cogging_per_rad * y
         sine, cosine = math.sin(q), math.cos(q)
         slope = motor.cogging_sin_V * cosine - motor.cogging_cos_V * sine
-        out[0, COGGING], out[0, COGGING + 1], out[0, ORDER] = -gain * sine, -gain * cosine, -gain * y * slope
+        room[row, COGGING], room[row, COGGING + 1], room[row, ORDER] = -gain * sine, -gain * cosine, -gain * y * slope
         by_y -= gain * motor.cogging_per_rad * slope
-    by_speed, by_place = _level_slopes(motor, frame, used, (speed, y, t), out[1])
+    by_speed, by_place = _level_slopes(motor, frame, used, (speed, y, t), room, row + 1)
     if motor.bristle_V_rad <= 0.0:
         for k in (FC, DRIFT, FRICTION, FRICTION + 1, STRIBECK, UNIT):
-            out[0, k] = -gain * sign * out[1, k]
+            room[row, k] = -gain * sign * room[row + 1, k]
         return by_v - gain * by_speed, by_y - gain * sign * by_place, 0.0, 0.0, 0.0
-    stiffness, floor = motor.bristle_V_rad, level_of_bristles(motor, frame, speed, y, t)
-    share = at.f / floor
-    by_level = stiffness * speed * share / floor
+    floor = level_of_bristles(motor, frame, speed, y, t)
+    stiff, share = stiffness(motor, floor), at.f / floor
+    limited = stiff < motor.bristle_V_rad
+    by_level = v * stiff / floor if limited else stiff * speed * share / floor
     for k in (FC, DRIFT, FRICTION, FRICTION + 1, STRIBECK, UNIT):
-        out[1, k] *= by_level
-    out[1, BRISTLE] = v - speed * share
+        room[row + 1, k] *= by_level
+    room[row + 1, BRISTLE] = 0.0 if limited else v - speed * share
     return (
         by_v,
         by_y,
-        stiffness * (1.0 - sign * share) + by_level * sign * by_speed,
+        stiff * (1.0 - sign * share) + by_level * sign * by_speed,
         by_level * by_place,
-        -stiffness * speed / floor,
+        -stiff * speed / floor,
     )
 
 
@@ -154,8 +181,199 @@ def _reading_slopes(motor: RealMotor, frame: Frame, x: float, out: Array) -> flo
 
 
 @kernel
+def _fade(motor: RealMotor, d: Slopes, faded_V: float, h_s: float) -> None:
+    """Carry the derivatives of the drive over ``h_s``, at whose start it is ``faded_V`` from its end."""
+    room = d.room
+    if motor.lag_s <= 0.0:
+        room[W] = room[STAGED]
+        return
+    keep = math.exp(-h_s / motor.lag_s)
+    for i in range(NUMBERS):
+        room[W, i] = room[STAGED, i] + (room[W, i] - room[STAGED, i]) * keep
+    room[W, LAG] += faded_V * keep * h_s / (motor.lag_s * motor.lag_s)
+
+
+@kernel
+def _step_drive(motor: RealMotor, d: Slopes, staged_V: float, u_V: float) -> float:
+    """Take the derivatives over an edge from ``staged_V`` to the drive ``u_V``; returns it as it is before the lag."""
+    new_V = staged(motor, u_V)
+    _staged_slopes(motor, u_V, d.room[STAGED])
+    if motor.lag_s > 0.0:
+        d.room[W, DELAY] += (staged_V - new_V) / motor.lag_s
+    else:
+        d.room[W] = d.room[STAGED]
+    return new_V
+
+
+@kernel
+def _begin(motor: RealMotor, frame: Frame, used: Used, d: Slopes, start: Array, now: tuple[float, float]) -> State:
+    """State at the start of a piece, and its derivatives; ``now``: time, s, and drive behind the lag, V."""
+    which, state, room = d.which, d.state, d.room
+    t, w = now
+    v0, y0, side, bend = start[0], start[1], start[2], start[3]
+    at = State(v0, y0 + 0.5 * side * motor.backlash_rad, 0.0, w, y0)
+    columns = which.size
+    for i in range(columns):
+        state[V, i] = 1.0 if which[i] == V0 else 0.0
+        state[X, i] = 1.0 if which[i] == Y0 else 0.0
+        state[Y, i] = state[X, i] + (0.5 * side if which[i] == BACKLASH else 0.0)
+        state[F, i] = 0.0
+    if motor.bristle_V_rad <= 0.0:
+        return at
+    floor = level_of_bristles(motor, frame, abs(v0), at.y, t)
+    pull = w + motor.bias_V - force(motor, frame, at.y)
+    if bend == 0.0 and abs(pull) > floor:
+        bend = 1.0 if pull > 0.0 else -1.0
+    at = State(at.v, at.y, bend * floor if bend != 0.0 else pull, at.w, at.x)
+    if columns:
+        gain = motor.K_rad_s_V
+        aim = target(motor, frame, 1.0, at, t)
+        _, by_y, _, _, _ = _slopes(motor, frame, used, 1.0, at, (t, aim), room, STAGE)
+        room[LEVEL, :] = 0.0
+        by_speed, by_place = _level_slopes(motor, frame, used, (abs(v0), at.y, t), room, LEVEL)
+        by_v = by_speed if v0 > 0.0 else -by_speed
+        for i in range(columns):
+            p = which[i]
+            if bend != 0.0:
+                state[F, i] = bend * (room[LEVEL, p] + by_v * state[V, i] + by_place * state[Y, i])
+            else:
+                known = p == BIAS or FORCE <= p <= FORCE + 1 or COGGING <= p <= ORDER
+                state[F, i] = by_y * state[Y, i] / gain + room[W, p] + (room[STAGE, p] / gain if known else 0.0)
+    return at
+
+
+@kernel
+def _through(motor: RealMotor, frame: Frame, used: Used, d: Slopes, at: State, now: tuple[Step, float, float]) -> None:
+    """Take the derivatives of v, y, f through a step of a motor in motion; ``now``: the step, time, s, and drive, V."""
+    step, t, staged_V = now
+    s, h, tau, gain = step.stages, step.duration_s, motor.tau_s, motor.K_rad_s_V
+    lag = motor.lag_s
+    half, keep = (math.exp(-0.5 * h / lag), math.exp(-h / lag)) if lag > 0.0 else (0.0, 0.0)
+    faded = at.w - staged_V
+    # weights of the step, and their derivatives by tau
+    c = h / tau
+    p4 = phi4(c)
+    p3 = 1.0 / 6.0 - c * p4
+    p2 = 0.5 - c * p3
+    p1 = 1.0 - c * p2
+    e, e2, _, b1, b2, b4 = weights(c)
+    b1, b2, b4 = c * b1, c * b2, c * b4
+    q1, q2, q3 = p1 - p2, p2 - 2.0 * p3, p3 - 3.0 * p4  # derivatives of p1, p2, p3 by -c
+    rate = -c / tau
+    e_tau, e2_tau = -rate * e, -0.5 * rate * e2
+    b1_tau = rate * (b1 / c - c * (q1 - 3.0 * q2 + 4.0 * q3))
+    b2_tau = rate * (b2 / c - c * (2.0 * q2 - 4.0 * q3))
+    b4_tau = rate * (b4 / c - c * (4.0 * q3 - q2))
+    # those of the bristles; how they change shows only in what the step leaves off
+    slide = s.slide
+    g, g2, mean, g_b1, g_b2, g_b4 = weights(h * slide)
+    near = 0.5 * h * mean
+    middle = staged_V + faded * half
+    at2, at3 = State(s.v2, s.y2, s.f2, middle, 0.0), State(s.v3, s.y3, s.f3, middle, 0.0)
+    at4 = State(s.v4, s.y4, s.f4, step.end.w, 0.0)
+    which, state, room = d.which, d.state, d.room
+    av1, ay1, rv1, ry1, rf1 = _slopes(motor, frame, used, step.sign, at, (t, s.a1), room, STAGE)
+    av2, ay2, rv2, ry2, rf2 = _slopes(motor, frame, used, step.sign, at2, (t + 0.5 * h, s.a2), room, STAGE + 2)
+    av3, ay3, rv3, ry3, rf3 = _slopes(motor, frame, used, step.sign, at3, (t + 0.5 * h, s.a3), room, STAGE + 4)
+    av4, ay4, rv4, ry4, rf4 = _slopes(motor, frame, used, step.sign, at4, (t + h, s.a4), room, STAGE + 6)
+    bristles = motor.bristle_V_rad > 0.0
+    af = -gain if bristles else 0.0
+    for i in range(which.size):
+        p = which[i]
+        by_tau = 1.0 if p == TAU else 0.0
+        v, y, f, drive = state[V, i], state[Y, i], state[F, i], room[STAGED, p]
+        mid, far = drive + (room[W, p] - drive) * half, drive + (room[W, p] - drive) * keep
+        if p == LAG and lag > 0.0:
+            mid += faded * half * 0.5 * h / (lag * lag)
+            far += faded * keep * h / (lag * lag)
+        along = y + tau * v + by_tau * at.v  # of p = y + tau v
+        a1 = av1 * v + ay1 * y + af * f + gain * room[W, p] + room[STAGE, p]
+        v2 = e2 * v + (1.0 - e2) * a1 + by_tau * e2_tau * (at.v - s.a1)
+        y2 = along + 0.5 * h * a1 - tau * v2 - by_tau * s.v2
+        r1 = r2 = r3 = r4 = 0.0
+        f2 = f3 = f4 = f
+        if bristles:
+            r1 = rv1 * v + ry1 * y + (rf1 + slide) * f + room[STAGE + 1, p]
+            f2 = g2 * f + near * r1
+            r2 = rv2 * v2 + ry2 * y2 + (rf2 + slide) * f2 + room[STAGE + 3, p]
+            f3 = g2 * f + near * r2
+        a2 = av2 * v2 + ay2 * y2 + af * f2 + gain * mid + room[STAGE + 2, p]
+        v3 = e2 * v + (1.0 - e2) * a2 + by_tau * e2_tau * (at.v - s.a2)
+        y3 = along + 0.5 * h * a2 - tau * v3 - by_tau * s.v3
+        if bristles:
+            r3 = rv3 * v3 + ry3 * y3 + (rf3 + slide) * f3 + room[STAGE + 5, p]
+            f4 = g2 * f2 + near * (2.0 * r3 - r1)
+        a3 = av3 * v3 + ay3 * y3 + af * f3 + gain * mid + room[STAGE + 4, p]
+        v4 = e2 * v2 + (1.0 - e2) * (2.0 * a3 - a1) + by_tau * e2_tau * (s.v2 - 2.0 * s.a3 + s.a1)
+        y4 = along + h * a3 - tau * v4 - by_tau * s.v4
+        if bristles:
+            r4 = rv4 * v4 + ry4 * y4 + (rf4 + slide) * f4 + room[STAGE + 7, p]
+        a4 = av4 * v4 + ay4 * y4 + af * f4 + gain * far + room[STAGE + 6, p]
+        v_end = e * v + b1 * a1 + b2 * (a2 + a3) + b4 * a4
+        v_end += by_tau * (e_tau * at.v + b1_tau * s.a1 + b2_tau * (s.a2 + s.a3) + b4_tau * s.a4)
+        state[V, i] = v_end
+        state[Y, i] = along + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4) - tau * v_end - by_tau * step.end.v
+        state[F, i] = g * f + h * (g_b1 * r1 + g_b2 * (r2 + r3) + g_b4 * r4)
+
+
+@kernel
+def _reverse(motor: RealMotor, frame: Frame, d: Slopes, sign: float, at: State, now: tuple[float, float]) -> None:
+    """Jump of the velocity's derivatives at a reversal of a motion in the direction ``sign``; ``now``: as below."""
+    t, staged_V = now
+    before = (target(motor, frame, sign, at, t) - at.v) / motor.tau_s
+    d.state[V] *= _acceleration(motor, frame, at, staged_V, t) / before if before != 0.0 else 0.0
+
+
+@kernel
+def _release(motor: RealMotor, frame: Frame, used: Used, d: Slopes, at: State, now: tuple[float, float, float]) -> None:
+    """Jump of the velocity's derivatives where the lag or the drift lets go; ``now``: time, drive V, direction."""
+    which, state, room = d.which, d.state, d.room
+    t, staged_V, sign = now
+    gain = motor.K_rad_s_V
+    aim = target(motor, frame, sign, at, t)
+    rate = (staged_V - at.w) / motor.lag_s if motor.lag_s > 0.0 else 0.0
+    rate -= sign * motor.fc_V * motor.drift / frame.duration_s  # of the pull beyond the level
+    _, by_y, _, _, _ = _slopes(motor, frame, used, sign, at, (t, aim), room, STAGE)
+    room[STAGE, STATIC] = -gain * sign
+    for i in range(which.size):
+        p = which[i]
+        by_p = by_y * state[Y, i] / gain + room[W, p] + (room[STAGE, p] / gain if p != K else 0.0)
+        state[V, i] += aim / motor.tau_s * by_p / rate
+    room[STAGE, STATIC] = 0.0
+
+
+@kernel
+def _kick(motor: RealMotor, frame: Frame, d: Slopes, before: State, at: State, now: tuple[float, float, float]) -> None:
+    """Jump of the velocity's derivatives at an edge without lag; ``now``: time, s, drives before and after it, V."""
+    which, state = d.which, d.state
+    t, from_V, to_V = now
+    was = _acceleration(motor, frame, before, from_V, t)
+    later = was - _acceleration(motor, frame, at, to_V, t)
+    slower = later  # a short lag acts as a delay, except where it lets go of a motor at rest
+    if was == 0.0 and at.v == 0.0 and later != 0.0 and motor.bristle_V_rad <= 0.0:
+        beyond = abs(to_V + motor.bias_V - force(motor, frame, at.y)) - level_at_rest(motor, frame, at.y, t)
+        slower = later * math.log(abs(to_V - from_V) / beyond)
+        slower += math.copysign(motor.K_rad_s_V / motor.tau_s * beyond, later)
+    for i in range(which.size):
+        if which[i] == DELAY:
+            state[V, i] += later
+        elif which[i] == LAG:
+            state[V, i] += slower
+
+
+@kernel
+def _read(motor: RealMotor, frame: Frame, d: Slopes, x: float, row: Array) -> None:
+    """Fill a row of the Jacobian of the reading at ``x``."""
+    which, state, room = d.which, d.state, d.room
+    by_x = _reading_slopes(motor, frame, x, room[LEVEL])
+    for i in range(which.size):
+        k = which[i] - LINEARITY
+        row[i] = by_x * state[X, i] + (room[LEVEL, k] if 0 <= k < 4 else 0.0)
+
+
+@kernel
 def readings(
-    numbers: tuple[tuple[float, ...], tuple[float, ...]],
+    numbers: tuple[Numbers, Numbers],
     drive: tuple[Array, Array],
     t_s: Array,
     pieces: tuple[Rows, Array],
@@ -166,8 +384,8 @@ def readings(
 
     numbers   of the motor and of its frame
     drive     edges, s, and drives that act from them on, V; before the first edge the drive is that edge's
-    pieces    first rows (p,), increasing from 0 on, and (p, 4): v0, rad/s, y0, rad, side of the play in -1 .. 1, and the
-              way in which the bristles are bent fully: +1 or -1; 0: they balance the drive
+    pieces    first rows (p,), increasing from 0 on, and starts (p, 4): v0, rad/s, y0, rad, side of the play, -1 to 1,
+              and how far the bristles are bent, -1 to 1; 0: they balance the drive
     out       readings, rad, and Jacobian. One of no columns: it is left out
     """
     motor, frame = RealMotor(*numbers[0]), Frame(*numbers[1])
@@ -175,233 +393,70 @@ def readings(
     first, starts = pieces
     y_rad, jacobian = out
     n, edges, columns = t_s.size, edge_s.size, jacobian.shape[1]
-    tau, gain = motor.tau_s, motor.K_rad_s_V
-    which = np.empty(columns, dtype=np.int64)
-    position = (
+    used = (
         motor.friction_sin_V != 0.0
         or motor.friction_cos_V != 0.0
         or motor.force_sin_V != 0.0
-        or motor.force_cos_V != 0.0
+        or motor.force_cos_V != 0.0,
+        motor.cogging_sin_V != 0.0 or motor.cogging_cos_V != 0.0,
+        motor.stribeck_V != 0.0,
     )
-    cogging = motor.cogging_sin_V != 0.0 or motor.cogging_cos_V != 0.0
-    stribeck = motor.stribeck_V != 0.0
+    d = Slopes(np.empty(columns, dtype=np.int64), np.zeros((4, columns)), np.zeros((11, NUMBERS + 2)))
     for i in range(columns):
-        which[i] = free[i] if i < columns - 2 else NUMBERS + i - (columns - 2)
-        position = position or FORCE <= which[i] <= FRICTION + 1
-        cogging = cogging or COGGING <= which[i] <= ORDER
-        stribeck = stribeck or which[i] == STRIBECK or which[i] == UNIT
-    use = (position, cogging, stribeck)
-    # derivatives of v, y, f and x by each column, of the drive before and behind the lag, and of the inner stages
-    dv, dy, df, dx = np.zeros(columns), np.zeros(columns), np.zeros(columns), np.zeros(columns)
-    dw, ds = np.zeros(NUMBERS + 2), np.zeros(NUMBERS + 2)
-    slopes = np.zeros((4, 2, NUMBERS + 2))
-    bent = np.zeros(NUMBERS + 2)
-    curve = np.zeros(4)
-    # the drive behind its stage at the first sample, from all edges before it
+        d.which[i] = free[i] if i < columns - 2 else V0 + i - (columns - 2)
     j = 0
     staged_V = staged(motor, u_V[0])
-    _staged_slopes(motor, u_V[0], ds)
+    _staged_slopes(motor, u_V[0], d.room[STAGED])
+    d.room[W] = d.room[STAGED]
     w, begun = staged_V, min(t_s[0], edge_s[0] + motor.delay_s)
-    for i in range(NUMBERS):
-        dw[i] = ds[i]
     for piece in range(first.size):
         k = first[piece]
         last = first[piece + 1] if piece + 1 < first.size else n
         now = t_s[k]
-        # through the edges since the last piece
+        while begun < now or (j + 1 < edges and edge_s[j + 1] + motor.delay_s <= now):  # the drive, up to the piece
+            edge = edge_s[j + 1] + motor.delay_s if j + 1 < edges else math.inf
+            until = max(min(edge, now), begun)
+            _fade(motor, d, w - staged_V, until - begun)
+            w, begun = lagged(motor, staged_V, w, until - begun), until
+            if edge <= now:
+                j += 1
+                staged_V = _step_drive(motor, d, staged_V, u_V[j])
+                w = w if motor.lag_s > 0.0 else staged_V
+        at = _begin(motor, frame, used, d, starts[piece], (now, w))
         while True:
             edge = edge_s[j + 1] + motor.delay_s if j + 1 < edges else math.inf
-            passed = edge <= now
-            until = edge if passed else now
-            if until > begun:
-                keep = math.exp(-(until - begun) / motor.lag_s) if motor.lag_s > 0.0 else 0.0
-                for i in range(NUMBERS):
-                    dw[i] = ds[i] + (dw[i] - ds[i]) * keep
-                if motor.lag_s > 0.0:
-                    dw[LAG] += (w - staged_V) * keep * (until - begun) / (motor.lag_s * motor.lag_s)
-                w = staged_V + (w - staged_V) * keep
-                begun = until
-            if not passed:
-                break
-            j += 1
-            before = staged_V
-            staged_V = staged(motor, u_V[j])
-            _staged_slopes(motor, u_V[j], ds)
-            if motor.lag_s > 0.0:
-                dw[DELAY] += (before - staged_V) / motor.lag_s
-            else:
-                w = staged_V
-                for i in range(NUMBERS):
-                    dw[i] = ds[i]
-        # the start of the piece
-        v0, y0, side, bend = starts[piece, 0], starts[piece, 1], starts[piece, 2], starts[piece, 3]
-        at = State(v0, y0 + 0.5 * side * motor.backlash_rad, 0.0, w, y0)
-        for i in range(columns):
-            dv[i] = 1.0 if which[i] == V0 else 0.0
-            dx[i] = 1.0 if which[i] == Y0 else 0.0
-            dy[i] = dx[i] + (0.5 * side if which[i] == BACKLASH else 0.0)
-            df[i] = 0.0
-        if motor.bristle_V_rad > 0.0:
-            floor = level_of_bristles(motor, frame, abs(v0), at.y, now)
-            pull = w + motor.bias_V - force(motor, frame, at.y)
-            if bend == 0.0 and abs(pull) > floor:
-                bend = 1.0 if pull > 0.0 else -1.0
-            balance = bend == 0.0
-            at = State(at.v, at.y, pull if balance else bend * floor, at.w, at.x)
-            if columns:
-                aim = target(motor, frame, 1.0, at, now)
-                by_v, by_y, _, _, _ = _slopes(motor, frame, use, 1.0, at, (now, aim), slopes[0])
-                bent[:] = 0.0
-                by_speed, by_place = _level_slopes(motor, frame, use, (abs(v0), at.y, now), bent)
-                for i in range(columns):
-                    p = which[i]
-                    if balance:
-                        known = p == BIAS or FORCE <= p <= FORCE + 1 or COGGING <= p <= ORDER
-                        df[i] = by_y * dy[i] / gain + dw[p] + (slopes[0, 0, p] / gain if known else 0.0)
-                    else:
-                        slope = by_speed if v0 > 0.0 else -by_speed
-                        df[i] = bend * (bent[p] + slope * dv[i] + by_place * dy[i])
-        while True:
-            edge = edge_s[j + 1] + motor.delay_s if j + 1 < edges else math.inf
-            while True:
-                while k < last and t_s[k] <= now:
+            while k < last and (t_s[k] <= now or now < edge):
+                if t_s[k] <= now:
                     y_rad[k] = reading(motor, frame, at.x)
                     if columns:
-                        by_x = _reading_slopes(motor, frame, at.x, curve)
-                        for i in range(columns):
-                            p = which[i] - LINEARITY
-                            jacobian[k, i] = by_x * dx[i] + (curve[p] if 0 <= p < 4 else 0.0)
+                        _read(motor, frame, d, at.x, jacobian[k])
                     k += 1
-                if k == last or now >= edge:
-                    break
+                    continue
                 end = min(edge, t_s[k])
                 step = next_step(motor, frame, at, staged_V, now, end - now)
-                h = step.duration_s
-                sign = step.sign
                 if columns:
-                    keep = math.exp(-h / motor.lag_s) if motor.lag_s > 0.0 else 0.0
-                    half = math.sqrt(keep)
-                    faded = at.w - staged_V
-                    if sign != 0.0:
-                        s = step.stages
-                        w2, w4 = staged_V + faded * half, step.end.w
-                        # derivatives of the weights by tau
-                        c = h / tau
-                        p4 = phi4(c)
-                        p3 = 1.0 / 6.0 - c * p4
-                        p2 = 0.5 - c * p3
-                        p1 = 1.0 - c * p2
-                        e = 1.0 - c * p1
-                        e2 = math.sqrt(e)
-                        b1, b2, b4 = c * (p1 - 3.0 * p2 + 4.0 * p3), c * (2.0 * p2 - 4.0 * p3), c * (4.0 * p3 - p2)
-                        q1, q2, q3 = p1 - p2, p2 - 2.0 * p3, p3 - 3.0 * p4  # derivatives of p1 .. p3 by -c
-                        scale = -c / tau
-                        e_tau, e2_tau = -scale * e, -0.5 * scale * e2
-                        b1_tau = scale * (b1 / c - c * (q1 - 3.0 * q2 + 4.0 * q3))
-                        b2_tau = scale * (b2 / c - c * (2.0 * q2 - 4.0 * q3))
-                        b4_tau = scale * (b4 / c - c * (4.0 * q3 - q2))
-                        at2, at3 = State(s.v2, s.y2, s.f2, w2, 0.0), State(s.v3, s.y3, s.f3, w2, 0.0)
-                        at4 = State(s.v4, s.y4, s.f4, w4, 0.0)
-                        middle = now + 0.5 * h
-                        v1, y1, rv1, ry1, rf1 = _slopes(motor, frame, use, sign, at, (now, s.a1), slopes[0])
-                        v2, y2, rv2, ry2, rf2 = _slopes(motor, frame, use, sign, at2, (middle, s.a2), slopes[1])
-                        v3, y3, rv3, ry3, rf3 = _slopes(motor, frame, use, sign, at3, (middle, s.a3), slopes[2])
-                        v4, y4, rv4, ry4, rf4 = _slopes(motor, frame, use, sign, at4, (now + h, s.a4), slopes[3])
-                        bristles = motor.bristle_V_rad > 0.0
-                        by_f = -gain if bristles else 0.0
-                        for i in range(columns):
-                            p = which[i]
-                            tau_1 = 1.0 if p == TAU else 0.0
-                            mid = ds[p] + (dw[p] - ds[p]) * half
-                            far = ds[p] + (dw[p] - ds[p]) * keep
-                            if p == LAG and motor.lag_s > 0.0:
-                                mid += faded * half * 0.5 * h / (motor.lag_s * motor.lag_s)
-                                far += faded * keep * h / (motor.lag_s * motor.lag_s)
-                            dp = dy[i] + tau * dv[i] + tau_1 * at.v
-                            a1 = v1 * dv[i] + y1 * dy[i] + by_f * df[i] + gain * dw[p] + slopes[0, 0, p]
-                            dv2 = e2 * dv[i] + (1.0 - e2) * a1 + tau_1 * e2_tau * (at.v - s.a1)
-                            dy2 = dp + 0.5 * h * a1 - tau * dv2 - tau_1 * s.v2
-                            df2 = df[i]
-                            r1 = r2 = r3 = r4 = 0.0
-                            if bristles:
-                                r1 = rv1 * dv[i] + ry1 * dy[i] + rf1 * df[i] + slopes[0, 1, p]
-                                df2 = df[i] + 0.5 * h * r1
-                                r2 = rv2 * dv2 + ry2 * dy2 + rf2 * df2 + slopes[1, 1, p]
-                            a2 = v2 * dv2 + y2 * dy2 + by_f * df2 + gain * mid + slopes[1, 0, p]
-                            dv3 = e2 * dv[i] + (1.0 - e2) * a2 + tau_1 * e2_tau * (at.v - s.a2)
-                            dy3 = dp + 0.5 * h * a2 - tau * dv3 - tau_1 * s.v3
-                            df3 = df[i] + 0.5 * h * r2
-                            if bristles:
-                                r3 = rv3 * dv3 + ry3 * dy3 + rf3 * df3 + slopes[2, 1, p]
-                            a3 = v3 * dv3 + y3 * dy3 + by_f * df3 + gain * mid + slopes[2, 0, p]
-                            aim = 2.0 * a3 - a1
-                            dv4 = e2 * dv2 + (1.0 - e2) * aim + tau_1 * e2_tau * (s.v2 - 2.0 * s.a3 + s.a1)
-                            dy4 = dp + h * a3 - tau * dv4 - tau_1 * s.v4
-                            df4 = df[i] + h * r3
-                            if bristles:
-                                r4 = rv4 * dv4 + ry4 * dy4 + rf4 * df4 + slopes[3, 1, p]
-                            a4 = v4 * dv4 + y4 * dy4 + by_f * df4 + gain * far + slopes[3, 0, p]
-                            new = e * dv[i] + b1 * a1 + b2 * (a2 + a3) + b4 * a4
-                            new += tau_1 * (e_tau * at.v + b1_tau * s.a1 + b2_tau * (s.a2 + s.a3) + b4_tau * s.a4)
-                            dy[i] = dp + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4) - tau * new - tau_1 * step.end.v
-                            dv[i] = new
-                            df[i] += h / 6.0 * (r1 + 2.0 * (r2 + r3) + r4)
+                    if step.sign != 0.0:
+                        _through(motor, frame, used, d, at, (step, now, staged_V))
                     else:
-                        dv[:] = 0.0
-                    for i in range(NUMBERS):
-                        dw[i] = ds[i] + (dw[i] - ds[i]) * keep
-                    if motor.lag_s > 0.0:
-                        dw[LAG] += faded * keep * h / (motor.lag_s * motor.lag_s)
-                x = behind_play(motor, sign, step.end)
-                engaged = sign != 0.0 and sign * (step.end.y - at.x) >= 0.5 * motor.backlash_rad
-                at_end = State(step.end.v, step.end.y, step.end.f, step.end.w, x)
-                if h >= end - now:
-                    now = end
-                else:
-                    now += h
-                if columns:
-                    if engaged:
-                        for i in range(columns):
-                            dx[i] = dy[i] - (0.5 * sign if which[i] == BACKLASH else 0.0)
-                    if step.reverses:
-                        slowing = (target(motor, frame, sign, at_end, now) - at_end.v) / tau
-                        after = _acceleration(motor, frame, at_end, staged_V, now)
-                        jump = after / slowing if slowing != 0.0 else 0.0
-                        for i in range(columns):
-                            dv[i] *= jump
-                    if step.released != 0.0:
-                        sign = step.released
-                        after = target(motor, frame, sign, at_end, now) / tau
-                        rate = (staged_V - at_end.w) / motor.lag_s if motor.lag_s > 0.0 else 0.0
-                        rate = sign * rate - motor.fc_V * motor.drift / frame.duration_s
-                        aim = target(motor, frame, sign, at_end, now)
-                        slopes[0, 0, STATIC] = -gain * sign
-                        by_v, by_y, _, _, _ = _slopes(motor, frame, use, sign, at_end, (now, aim), slopes[0])
-                        for i in range(columns):
-                            p = which[i]
-                            by_p = by_y * dy[i] / gain + dw[p]
-                            if p != K and p < NUMBERS:
-                                by_p += slopes[0, 0, p] / gain
-                            dv[i] += after * sign * by_p / rate
-                        slopes[0, 0, STATIC] = 0.0
-                at = at_end
+                        d.state[V] = 0.0
+                    _fade(motor, d, at.w - staged_V, step.duration_s)
+                    if step.sign * (step.end.y - at.x) >= 0.5 * motor.backlash_rad and step.sign != 0.0:
+                        for i in range(columns):  # the play is taken up
+                            d.state[X, i] = d.state[Y, i] - (0.5 * step.sign if d.which[i] == BACKLASH else 0.0)
+                now = end if step.duration_s >= end - now else now + step.duration_s
+                x = behind_play(motor, step.sign, step.end)
+                at = State(step.end.v, step.end.y, step.end.f, step.end.w, x)
+                if columns and step.reverses:
+                    _reverse(motor, frame, d, step.sign, at, (now, staged_V))
+                if columns and step.released != 0.0:
+                    _release(motor, frame, used, d, at, (now, staged_V, step.released))
             if k == last:
                 w, begun = at.w, now
                 break
-            # an edge
             j += 1
-            before = _acceleration(motor, frame, at, staged_V, now)
-            earlier = staged_V
-            staged_V = staged(motor, u_V[j])
-            _staged_slopes(motor, u_V[j], ds)
-            if motor.lag_s > 0.0:
-                dw[DELAY] += (earlier - staged_V) / motor.lag_s
-            else:
+            before, from_V = at, staged_V
+            staged_V = _step_drive(motor, d, from_V, u_V[j])
+            if motor.lag_s <= 0.0:
                 at = State(at.v, at.y, at.f, staged_V, at.x)
-                for i in range(NUMBERS):
-                    dw[i] = ds[i]
                 if columns:
-                    jump = before - _acceleration(motor, frame, at, staged_V, now)
-                    for i in range(columns):
-                        if which[i] == DELAY or which[i] == LAG:
-                            dv[i] += jump
+                    _kick(motor, frame, d, before, at, (now, from_V, staged_V))

@@ -1,16 +1,63 @@
-"""The named mutants, by room."""
+"""The named mutants: a data file a room of the table."""
 
 from __future__ import annotations
 
-from mutants.mutant import Mutant
-from mutants.named import board, control, core, drivers, loop, recording
+from pathlib import Path
 
-ROOMS: dict[str, tuple[Mutant, ...]] = {
-    "guard, motion check, breakaway, gain search": control.MUTANTS,
-    "loop, and between config and bench": loop.MUTANTS,
-    "drivers": drivers.MUTANTS,
-    "recorder and reader": recording.MUTANTS,
-    "the firmware's core": core.MUTANTS,
-    "the board layers": board.MUTANTS,
-}
+from pydantic import Field
+
+from mutants.mutant import Mutant
+from shared.data import Entry, load
+
+_ORDER = ("control", "loop", "drivers", "recording", "core", "board")  # of the table's rooms
+
+
+class _Defect(Entry):
+    """One mutant, as ``mutants.mutant.Mutant`` has it.
+
+    caught_by  tests that it meets first: names in the file's ``tests``, or with their paths; none: all of that file
+    """
+
+    name: str
+    function: str = Field("", alias="in")
+    old: str
+    new: str
+    caught_by: tuple[str, ...] = ()
+
+
+class _File(Entry):
+    path: str
+    tests: str
+    mutants: tuple[_Defect, ...]
+
+    def all(self) -> tuple[Mutant, ...]:
+        return tuple(
+            Mutant(
+                one.name,
+                self.path,
+                one.function,
+                one.old,
+                one.new,
+                tuple(map(self._test, one.caught_by)) or (self.tests,),
+            )
+            for one in self.mutants
+        )
+
+    def _test(self, name: str) -> str:
+        return name if "/" in name.partition("[")[0] else f"{self.tests}::{name}"
+
+
+class Room(Entry):
+    """A data file: what the table calls the room, and the mutants of its files."""
+
+    room: str
+    files: tuple[_File, ...]
+
+
+def _mutants(room: Room) -> tuple[Mutant, ...]:
+    return tuple(mutant for file in room.files for mutant in file.all())
+
+
+_ROOMS = tuple(load(Path(__file__).with_name(f"{name}.yaml"), Room) for name in _ORDER)
+ROOMS: dict[str, tuple[Mutant, ...]] = {room.room: _mutants(room) for room in _ROOMS}
 NAMED: tuple[Mutant, ...] = tuple(mutant for mutants in ROOMS.values() for mutant in mutants)

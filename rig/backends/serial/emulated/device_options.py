@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from rig.model.bench import BenchParameters
+from rig.model.real_motor import PARTS
+
+# The static level and the Stribeck effect are those of the motor's friction.
+PARTS_BY_NAME = [name for part, names in PARTS.items() if part not in ("static", "stribeck") for name in names]
 
 
 def device_options(
@@ -47,5 +51,9 @@ def device_options(
         "clock-start-us": clock_start_us,
         "seed": seed,
     }
+    if bench.real is not None:
+        numbers |= {"parts": 1, "drift-over-s": bench.frame.duration_s}
+        numbers |= {name.replace("_", "-"): getattr(bench.real, name) for name in PARTS_BY_NAME}
+        numbers |= {name.replace("_", "-"): getattr(bench.frame, name) for name in ("centre_rad", "half_travel_rad")}
     options = {name: repr(value) for name, value in numbers.items()}
     return {**options, "drive": bench.drive, "sensor": bench.sensor}

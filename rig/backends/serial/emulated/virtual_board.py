@@ -109,6 +109,20 @@ class VirtualBoard(VirtualDevice):
             raise EmulationError(error.decode())
         return v.value, y.value
 
+    def real_motion(
+        self, state: tuple[float, ...] | None, u_V: float, t_s: float, dt_s: float
+    ) -> tuple[tuple[float, ...], float]:
+        """State and reading of a motor with parts ``dt_s`` after ``t_s`` of constant drive; the board is untouched.
+
+        state   v, y, f, w and x, as in ``rig.model.real_step``; None: at rest at the start
+        """
+        numbers = (ctypes.c_double * 6)(*(state or ()))
+        when = (ctypes.c_double * 2)(t_s, dt_s)
+        error = self._library.virtual_real_motion(self._board, numbers, state is not None, u_V, when)
+        if error is not None:
+            raise EmulationError(error.decode())
+        return tuple(numbers[:5]), numbers[5]
+
     def position_counts(self) -> int:
         """One conversion of the position channel now; takes a number from the noise."""
         counts: int = self._library.virtual_position_counts(self._board)
@@ -126,6 +140,7 @@ def _load(build_folder: Path | None) -> ctypes.CDLL:
             "virtual_reset": (None, [ctypes.c_uint8]),
             "virtual_hang": (None, []),
             "virtual_motion": (ctypes.c_char_p, [where, where, real, real]),
+            "virtual_real_motion": (ctypes.c_char_p, [where, ctypes.c_int32, real, where]),
             "virtual_position_counts": (ctypes.c_int32, []),
         },
     )
