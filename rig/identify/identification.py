@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 
+import numpy as np
+
 from rig.estimators import ESTIMATORS, LEADING, EstimatorEntry
 from rig.identify.agreement import disagreement, estimates_of_each
 from rig.identify.breakaway import StaticFriction, breakaway
@@ -216,9 +218,9 @@ def _add_motor_law(data: Measurements, found: Identification, objections: Sequen
     found.notes += law.notes()
     if law.estimate is not None:
         judged = settled(judge_with_laws(law.estimate, data.tests, data.settled), data)
-        found.estimates[LEADING] = _with_causes(judged, data.tests).judged(
-            "doubtful" if objections else "ok", *objections
-        )
+        plain = _with_causes(judged, data.tests).judged("doubtful" if objections else "ok", *objections)
+    uncertain = law.objection(plain, max(float(np.abs(test.u_V).max()) for test in data.tests))
+    found.estimates[LEADING] = plain if uncertain is None else plain.judged("doubtful", uncertain)
 
 
 def _add_friction_law(data: Measurements, static: StaticFriction | None, found: Identification) -> None:

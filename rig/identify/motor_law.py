@@ -23,6 +23,7 @@ from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.repetition import repeated_share, repetitions
+from rig.identify.verdict import PROMISE, SURE
 from rig.model.real_motor import RealMotor
 from rig.recording.series import TimeSeries
 from rig.results import BudgetEntry, FoundLawResult, PieceResult
@@ -32,6 +33,7 @@ Array = NDArray[np.float64]
 LINEARITY_SHARE = 0.005  # largest error of a sensor's linearity, relative to its travel, where no data sheet is given
 ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 NO_CYCLE = 12.0  # parts of a record without a cycle that count as one
+SMALL_FRICTION = 0.03  # of the largest drive: the size that smaller friction counts as
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
 
 
@@ -96,6 +98,26 @@ class MotorLaw:
             told_by = next(d.told_by for d in DEPARTURES if d.name == group[0])
             lines.append(f"law: {' and '.join(group)} are not told apart; record {told_by}")
         return lines
+
+    def objection(self, estimate: Estimate, largest_V: float) -> str | None:
+        """Why ``estimate`` is not known well enough for the verdict ok, as a sentence; None if it is.
+
+        largest_V   largest drive of the tests, V: friction near zero has no useful relative uncertainty
+        """
+        sizes = {"tau_s": estimate.tau_s, "K_rad_s_V": estimate.K_rad_s_V}
+        sizes["fc_V"] = max(abs(estimate.fc_V), SMALL_FRICTION * largest_V)
+        shares = {name: self.budget.u95[name] / abs(size) for name, size in sizes.items()}
+        name = max(shares, key=lambda key: shares[key])
+        if SURE * shares[name] <= PROMISE:
+            return None
+        largest = max(self.budget.entries, key=lambda entry: float(getattr(entry, name)))
+        law = next((one for one in DEPARTURES if one.name == largest.source), None)
+        what = largest.source if law is None else law.title
+        cure = "more cycles, and another amplitude" if law is None else law.told_by
+        return (
+            f"{name} is only certain to {100.0 * shares[name]:.2g} % (u95), and ok asks for {100.0 * PROMISE / SURE:.2g} %: "
+            f"most of it is {what}, which these tests do not exclude: record {cure}"
+        )
 
     def as_keys(self) -> LawKeys:
         """As in result.json."""

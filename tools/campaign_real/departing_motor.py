@@ -144,7 +144,8 @@ def relay_test(
         out,
     )
     columns = [np.ascontiguousarray(column, dtype=np.float64) for column in out.T]
-    return Record(bench.period_s * np.arange(rows), columns[0], columns[1], columns[2], columns[3], columns[4])
+    t_s = np.asarray(bench.period_s * np.arange(rows), dtype=np.float64)
+    return Record(t_s, columns[0], columns[1], columns[2], columns[3], columns[4])
 
 
 def reading(y_rad: Array, departures: Departures) -> Array:

@@ -224,7 +224,7 @@ class Chooser:
 
 def unit(fit: Fit) -> float:
     """Variance of a least-squares fit's whitened residual."""
-    freedom = fit.residual_rad.size - 2 * fit.starts.shape[0] - len(fit.problem.free)
+    freedom = int(fit.residual_rad.size) - 2 * int(fit.starts.shape[0]) - len(fit.problem.free)
     return max(fit.cost / max(freedom, 1), 1e-12)
 
 
