@@ -153,6 +153,7 @@ EVENT_S = 1e-14  # the search for an event ends at a step of this size, s
 
 # Largest steps, so that a relay test of 20 s stays within 1e-6 rad of its exact motion.
 STEP_OF_TAU = 0.05  # s/s; any part that changes the right side
+SHORT_LAG_S = 1e-3  # of a shorter lag the derivative would suffer before the motion does
 STEP_OF_LAG = 0.065  # s/s, at 1 V s of fading drive times its time constant; longer the less there is
 STEP_OF_TURN = 0.15  # rad of the phase of a force over position
 STEP_OF_BRISTLE = 0.25  # of the length over which bristles bend
@@ -352,7 +353,7 @@ def longest_step(m: RealMotor, frame: Frame, sign: float, at: State, staged_V: f
     tau, K, speed = m.tau_s, m.K_rad_s_V, abs(at.v)
     pull = abs(target(m, frame, sign, at, t_s) - at.v) / tau  # acceleration, rad/s2
     if m.lag_s > 0.0 and at.w != staged_V:
-        longest = min(longest, STEP_OF_LAG * m.lag_s * (abs(at.w - staged_V) * m.lag_s) ** -0.2)
+        longest = min(longest, STEP_OF_LAG * m.lag_s * (abs(at.w - staged_V) * max(m.lag_s, SHORT_LAG_S)) ** -0.2)
     turns = m.force_sin_V != 0.0 or m.force_cos_V != 0.0 or m.friction_sin_V != 0.0 or m.friction_cos_V != 0.0
     distance = STEP_OF_TURN if turns else math.inf
     spring = 0.0

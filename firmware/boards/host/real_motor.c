@@ -11,6 +11,7 @@ static const double LEVEL_CHANGES = 60.0;
 static const double BALANCED = 1e-12;
 static const double EVENT_S = 1e-14;
 static const double STEP_OF_TAU = 0.05;
+static const double SHORT_LAG_S = 1e-3;
 static const double STEP_OF_LAG = 0.065;
 static const double STEP_OF_TURN = 0.15;
 static const double STEP_OF_BRISTLE = 0.25;
@@ -223,7 +224,7 @@ static double longest_step(const real_motor *m, double sign, const real_state *a
     double distance = turns(m) ? STEP_OF_TURN : INFINITY;
     double spring = 0.0;
     if (m->lag_s > 0.0 && at->w != staged_V) {
-        longest = STEP_OF_LAG * m->lag_s * pow(fabs(at->w - staged_V) * m->lag_s, -0.2);
+        longest = STEP_OF_LAG * m->lag_s * pow(fabs(at->w - staged_V) * fmax(m->lag_s, SHORT_LAG_S), -0.2);
     }
     if (cogs(m)) {
         if (m->cogging_per_rad != 0.0) {
