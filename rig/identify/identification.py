@@ -207,7 +207,7 @@ def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> St
 def _add_motor_law(data: Measurements, found: Identification, objections: Sequence[str]) -> None:
     """What the motor has beyond the plain law. The leading estimate becomes the one with these laws."""
     plain = found.estimates.get(LEADING)
-    if plain is None or not plain.is_motor:
+    if plain is None or not plain.is_motor or not _may_have_laws(plain, data):
         return
     try:
         law = motor_law(data.tests, plain, data.periods_s)
@@ -221,6 +221,13 @@ def _add_motor_law(data: Measurements, found: Identification, objections: Sequen
         plain = _with_causes(judged, data.tests).judged("doubtful" if objections else "ok", *objections)
     uncertain = law.objection(plain, max(float(np.abs(test.u_V).max()) for test in data.tests))
     found.estimates[LEADING] = plain if uncertain is None else plain.judged("doubtful", uncertain)
+
+
+def _may_have_laws(plain: Estimate, data: Measurements) -> bool:
+    """Whether the plain estimate is near a motor, whatever its residual: no law mends wrong columns or too little data."""
+    fine = replace(plain, rms_rad=0.0, repeated=0.0, verdict="ok", reasons=())
+    judged = settled(judge_with_laws(fine, data.tests, data.settled), data)
+    return _with_causes(judged, data.tests).verdict != "refused"
 
 
 def _add_friction_law(data: Measurements, static: StaticFriction | None, found: Identification) -> None:

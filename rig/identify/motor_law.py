@@ -18,7 +18,7 @@ from scipy.special import stdtrit
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.budget import Budget, budget
 from rig.identify.departures.choice import Choice, Chooser, Columns, loss, unit, with_own_noise
-from rig.identify.departures.departure import Bench, Departure
+from rig.identify.departures.departure import Departure
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS, Estimate
@@ -165,18 +165,19 @@ def motor_law(tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[
     bench = whole.every(0.5 * cycle_s).bench(start, linearity_rad)
     core = (*CORE, DELAY) if free_delay else CORE
     sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
-    chooser = Chooser(DEPARTURES, bench, core, delay_s, max(sigma, SMALLEST_NOISE * whole.frames[0].half_travel_rad))
+    candidates = [law for law in DEPARTURES if law.fits(bench)]
+    chooser = Chooser(candidates, bench, core, delay_s, max(sigma, SMALLEST_NOISE * whole.frames[0].half_travel_rad))
     choice = chooser.choose(whole, start, cycle_s)
     fit = with_own_noise(choice.fit)
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
-    lines = budget(fit, choice.laws, DEPARTURES, bench)
+    lines = budget(fit, choice.laws, candidates, bench)
     if not choice.laws:
         return MotorLaw((), (), None, lines, choice.growth)
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
     found = tuple(_found(law, fit, normal, covariance) for law in choice.laws)
     return MotorLaw(
         found,
-        tuple(group for law in choice.laws if len(group := _alike(law, choice, fit, bench)) > 1),
+        tuple(group for law in choice.laws if len(group := _alike(law, choice, fit, chooser)) > 1),
         _estimate(fit, covariance, tests, plain, periods_s),
         lines,
         choice.growth,
@@ -203,7 +204,7 @@ def _found(law: Departure, fit: Fit, normal: Normal, covariance: Array) -> Found
     return FoundLaw(law, size, (size - half, size + half), loss(normal, fit, law) / unit(fit) - price, numbers)
 
 
-def _alike(law: Departure, choice: Choice, fit: Fit, bench: Bench) -> tuple[str, ...]:
+def _alike(law: Departure, choice: Choice, fit: Fit, chooser: Chooser) -> tuple[str, ...]:
     """The law, and those that would explain the tests nearly as well in its place (by the linear model)."""
     rows = fit.problem.rows(fit.motor, fit.starts)
     columns = Columns(fit, rows)
@@ -213,11 +214,11 @@ def _alike(law: Departure, choice: Choice, fit: Fit, bench: Bench) -> tuple[str,
     shape = [free.index(name) for name in law.shape]
     size = np.array([getattr(fit.motor, name) for name in law.numbers])
     count = math.log(_freedom(fit))
-    for other in DEPARTURES:
+    for other in chooser.candidates:
         if other in choice.laws:
             continue
         excess = math.inf
-        for trial in other.trials(bench):
+        for trial in other.trials(chooser.bench):
             added, _ = columns.of(other, trial)
             normal = columns.normal(added)
             rest = [k for k in range(normal.matrix.shape[0]) if k not in own and k not in shape]

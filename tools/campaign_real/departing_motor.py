@@ -3,7 +3,7 @@
     tau dv/dt = K (w + bias - G(y) - F) - v - K (beta |v| + c v|v|),   y' = v,   reading = S(play(y)) + noise
 
 This is a peer for the model and the estimators of rig: another integrator, another way to meet a reversal, another
-author's reading of the same table (docs/theory.md 9). Each step of 50 us freezes the forces at its middle and lets the
+author's reading of the same table (docs/theory.md 12). Each step of 50 us freezes the forces at its middle and lets the
 velocity tend exponentially to its end value. Halving the step moves a position by some 1e-5 rad in ten seconds.
 """
 

@@ -199,7 +199,7 @@ def _joined(a: Departures, b: Departures) -> Departures:
 
 
 def _truth(motor: PlainMotor, d: Departures, records: Sequence[Record], whole_s: float) -> Truth:
-    """tau, K and f_c as they are defined for a bench with departures (docs/theory.md 9)."""
+    """tau, K and f_c as they are defined for a bench with departures (docs/theory.md 12)."""
     travel = np.concatenate([record.true_y_rad for record in records])
     even = np.linspace(float(travel.min()), float(travel.max()), 2001)
     slope = float(np.polyfit(even, reading(even, d), 1)[0])

@@ -24,9 +24,14 @@ class Bristle(Departure):
 
     def trials(self, bench: Bench) -> Sequence[Mapping[str, float]]:
         """From soft to stiff: as far as a thirtieth to a thousandth of the travel bends them fully."""
-        return [{"bristle_V_rad": max(bench.fc_V, 0.02) / (share * bench.half_travel_rad)} for share in (0.03, 0.006)]
+        return [
+            {"bristle_V_rad": max(bench.fc_V, min(0.02, bench.half_drive_V)) / (share * bench.half_travel_rad)}
+            for share in (0.03, 0.006)
+        ]
 
     def limits(self, bench: Bench) -> Mapping[str, tuple[float, float]]:
         """Stiffer ones cannot be told from Coulomb friction."""
-        low, high = (max(bench.fc_V, 0.02) / (share * bench.half_travel_rad) for share in (0.3, 0.001))
+        low, high = (
+            max(bench.fc_V, min(0.02, bench.half_drive_V)) / (share * bench.half_travel_rad) for share in (0.3, 0.001)
+        )
         return {"bristle_V_rad": (low, high)}

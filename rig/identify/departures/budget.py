@@ -1,4 +1,4 @@
-"""The uncertainty budget of tau, K and friction (GUM; docs/theory.md 12.7).
+"""The uncertainty budget of tau, K and friction (GUM; docs/theory.md 12.8).
 
 Type A is the scatter of the fit. To it comes every law that the record neither shows nor excludes. Such a law is kept
 as a nuisance: a bench has it with a probability of ``PRESENT``, in a size up to ``Departure.range_of``. The record

@@ -2,7 +2,7 @@
 
 On short pieces the plain motor's fit is near enough for the effect of every departure to be linear. So one Jacobian
 shows what each would gain. The best few are fitted, the best of these is taken, and so on; what loses its worth is
-dropped again. Then the pieces grow, and the choice is made again where it starts (docs/theory.md 12.6).
+dropped again. Then the pieces grow, and the choice is made again where it starts (docs/theory.md 12.7).
 """
 
 from __future__ import annotations

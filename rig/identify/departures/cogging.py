@@ -18,11 +18,12 @@ class Cogging(Departure):
     unit = "V"
     numbers = ("cogging_sin_V", "cogging_cos_V")
     shape = ("cogging_per_rad",)
+    over_position = True
     told_by = "slow sweeps over the travel both ways"
 
     def range_of(self, bench: Bench) -> float:
-        """0.05 V."""
-        return 0.05
+        """0.05 V, at most half the largest drive."""
+        return min(0.05, bench.half_drive_V)
 
     def trials(self, bench: Bench) -> Sequence[Mapping[str, float]]:
         """Orders from 3 a radian to what the travel shows, closer than half a period over it."""

@@ -19,8 +19,8 @@ class DeadBand(Departure):
     told_by = "a relay test with drives against the motion: h1 nearly as large as h2"
 
     def range_of(self, bench: Bench) -> float:
-        """0.1 V: a duty of 1 % at 12 V."""
-        return 0.1
+        """0.1 V: a duty of 1 % at 12 V; at most half the largest drive."""
+        return min(0.1, bench.half_drive_V)
 
     def trials(self, bench: Bench) -> Sequence[Mapping[str, float]]:
         """From 0, and from sizes that swallow a small drive whole: that is no longer linear."""

@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+COARSEST_PATH_RAD = 1.0  # from one sample to the next: of a law over the angle
 NOTHING: Mapping[str, float] = {}
 
 
@@ -23,6 +24,7 @@ class Bench:
     top_rad_s           largest speed, rad/s
     half_travel_rad     half the driven travel, rad
     linearity_rad       largest error of the sensor's linearity, rad, by its data sheet
+    path_per_row_rad    mean way from one sample to the next, rad
     """
 
     K_rad_s_V: float
@@ -31,6 +33,12 @@ class Bench:
     top_rad_s: float
     half_travel_rad: float
     linearity_rad: float
+    path_per_row_rad: float
+
+    @property
+    def half_drive_V(self) -> float:
+        """Half the largest drive, V: no voltage of a law is larger, whatever the units of the record."""
+        return 0.5 * self.largest_V
 
 
 class Departure(ABC):
@@ -43,6 +51,7 @@ class Departure(ABC):
     numbers          fields of ``RealMotor`` that are 0 without it; its size is their root sum of squares
     shape            its further fields, fitted with it; they have no effect while ``numbers`` are 0
     one_sided        whether its numbers are never below 0
+    over_position    whether it goes with the angle: such a law needs positions that are angles, finely sampled
     told_by          what to record to tell it from laws that look alike
     """
 
@@ -53,11 +62,16 @@ class Departure(ABC):
     numbers: tuple[str, ...]
     shape: tuple[str, ...] = ()
     one_sided: bool = False
+    over_position: bool = False
     told_by: str = "a relay test of another amplitude"
 
     @abstractmethod
     def range_of(self, bench: Bench) -> float:
         """Largest size that a bench may well have without anybody knowing, in ``unit``, > 0."""
+
+    def fits(self, bench: Bench) -> bool:
+        """Whether it can be looked for on this bench."""
+        return not self.over_position or bench.path_per_row_rad < COARSEST_PATH_RAD
 
     def trials(self, bench: Bench) -> Sequence[Mapping[str, float]]:
         """Starts of ``shape``, and of ``numbers`` where the motion has no derivative at 0. At least one entry."""

@@ -105,6 +105,11 @@ class Rows:
     by_number: Array
     by_start: Array
 
+    @property
+    def are_finite(self) -> bool:
+        """Whether all of them are numbers."""
+        return all(bool(np.all(np.isfinite(rows))) for rows in (self.residual, self.by_number, self.by_start))
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:
@@ -157,6 +162,8 @@ def solve(fit: Fit, iterations: int = ITERATIONS) -> Fit:
     iterates = [fit.iterates]
     for _ in range(iterations):
         rows = problem.rows(fit.motor, fit.starts)
+        if not rows.are_finite:
+            return replace(fit, iterates=np.concatenate(iterates))
         normal = Normal.of(rows, problem.cut)
         held = problem.held(fit.motor, normal.gradient)
         better = None

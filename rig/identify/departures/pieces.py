@@ -110,6 +110,7 @@ class Cut:
             max(float(np.quantile(speeds, 0.95)), 1e-9),
             self.frames[0].half_travel_rad,
             linearity_rad,
+            float(np.mean(np.concatenate([np.abs(np.diff(window.y_rad)) for window in self.windows]))),
         )
 
     def guessed(self) -> Array:

@@ -18,4 +18,4 @@ class Static(Departure):
 
     def range_of(self, bench: Bench) -> float:
         """Half the friction in motion."""
-        return max(0.5 * bench.fc_V, 0.02)
+        return max(0.5 * bench.fc_V, min(0.02, bench.half_drive_V))

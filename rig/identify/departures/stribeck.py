@@ -21,7 +21,7 @@ class Stribeck(Departure):
 
     def range_of(self, bench: Bench) -> float:
         """Half the friction in motion."""
-        return max(0.5 * bench.fc_V, 0.02)
+        return max(0.5 * bench.fc_V, min(0.02, bench.half_drive_V))
 
     def trials(self, bench: Bench) -> Sequence[Mapping[str, float]]:
         """A slow, a middle and a fast one."""
