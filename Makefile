@@ -4,10 +4,10 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: campaign-real help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
 
 demo: .venv/.ready firmware  ## the whole experiment in real time, on the emulated serial device; CHIP=1: on the Uno's emulated chip
 	$(RIG) run $(CONFIG)
@@ -37,6 +37,10 @@ format: .venv/.ready  ## format the Python code
 
 bench: .venv/.ready firmware  ## timing ratios, written to bench.json
 	PYTHONPATH=tools .venv/bin/python -m bench
+
+campaign-real: .venv/.ready  ## thousands of motors that are not what the plain model says: docs/real-motors-table.md; it resumes
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m campaign_real config/campaign-real.yaml \
+	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(PAIRS),--pairs $(PAIRS)) $(if $(SEED),--seed $(SEED))
 
 paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/report.html
 	PYTHONPATH=tools .venv/bin/python -m paper

@@ -20,7 +20,7 @@ from rig.identify.measurements import Measurements, measurements
 from rig.identify.motor_law import NO_LAW, MotorLaw, motor_law
 from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.preprocessing import from_recording
-from rig.identify.sampled_data_verdict import judge_with_laws
+from rig.identify.sampled_data_verdict import judge_with_laws, slipped_rms_rad
 from rig.identify.verdict import settled
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
@@ -29,6 +29,7 @@ from rig.recording.stage import StageKind, kind_of
 from rig.results import HystereticResult, IdentificationResult, RelayTestResult, StaticFrictionResult
 
 METHODS = tuple(entry.name for entry in ESTIMATORS)
+AS_GOOD = 1.05  # ratio of residuals within which two explanations are as good
 
 
 @dataclass
@@ -214,17 +215,21 @@ def _add_motor_law(data: Measurements, found: Identification, objections: Sequen
     except IdentifyError as error:
         found.notes.append(f"law of the motor: {error.cause}")
         return
+    if law.estimate is not None and slipped_rms_rad(plain, data.tests) < AS_GOOD * law.estimate.rms_rad:
+        law = law.without_laws()  # other times of the drive explain the record as well: the plain verdict says so
     found.motor_law = law
     found.notes += law.notes()
     if law.estimate is not None:
         judged = settled(judge_with_laws(law.estimate, data.tests, data.settled), data)
         plain = _with_causes(judged, data.tests).judged("doubtful" if objections else "ok", *objections)
-    uncertain = law.objection(plain, max(float(np.abs(test.u_V).max()) for test in data.tests))
-    found.estimates[LEADING] = plain if uncertain is None else plain.judged("doubtful", uncertain)
+    uncertain = law.reservation(plain, max(float(np.abs(test.u_V).max()) for test in data.tests))
+    found.estimates[LEADING] = plain
+    if uncertain is not None:
+        found.notes.append(uncertain)
 
 
 def _may_have_laws(plain: Estimate, data: Measurements) -> bool:
-    """Whether the plain estimate is near a motor, whatever its residual: no law mends wrong columns or too little data."""
+    """Whether the plain estimate is near a motor, whatever its residual. No law mends wrong columns."""
     fine = replace(plain, rms_rad=0.0, repeated=0.0, verdict="ok", reasons=())
     judged = settled(judge_with_laws(fine, data.tests, data.settled), data)
     return _with_causes(judged, data.tests).verdict != "refused"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypedDict
 
 import numpy as np
@@ -99,8 +99,12 @@ class MotorLaw:
             lines.append(f"law: {' and '.join(group)} are not told apart; record {told_by}")
         return lines
 
-    def objection(self, estimate: Estimate, largest_V: float) -> str | None:
-        """Why ``estimate`` is not known well enough for the verdict ok, as a sentence; None if it is.
+    def without_laws(self) -> MotorLaw:
+        """The same, but for the laws and their estimate: the plain one holds."""
+        return replace(self, found=(), not_told_apart=(), estimate=None)
+
+    def reservation(self, estimate: Estimate, largest_V: float) -> str | None:
+        """What makes ``estimate`` less certain than 2.5 %, as a sentence; None if nothing does.
 
         largest_V   largest drive of the tests, V: friction near zero has no useful relative uncertainty
         """
@@ -115,8 +119,8 @@ class MotorLaw:
         what = largest.source if law is None else law.title
         cure = "more cycles, and another amplitude" if law is None else law.told_by
         return (
-            f"{name} is only certain to {100.0 * shares[name]:.2g} % (u95), and ok asks for {100.0 * PROMISE / SURE:.2g} %: "
-            f"most of it is {what}, which these tests do not exclude: record {cure}"
+            f"{name} is only certain to {100.0 * shares[name]:.2g} % (u95): most of it is {what}, which these tests do "
+            f"not exclude. To know more, record {cure}"
         )
 
     def as_keys(self) -> LawKeys:

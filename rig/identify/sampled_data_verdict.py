@@ -20,6 +20,7 @@ NOISY, TOO_NOISY = 3.0, 8.0  # residual over the sensor's noise
 REPEATED = 0.3  # share of the residual's power that repeats in each cycle
 NEGLIGIBLE = 0.003  # residual over the spread of positions, below which it does not matter
 SLIPPED = 0.3  # of a period: largest difference between the recorded times of the drive and those that fit best
+REACH_PERIODS = 2.5  # periods: differences that are looked for
 TRANSFER = 1.5  # residual of a test predicted by the first test's model, over the residual of its own fit
 STUCK = 0.3  # share of the time in which the motor stands still
 
@@ -132,6 +133,26 @@ def confounding(estimate: Estimate) -> str | None:
     )
 
 
+def slipped_rms_rad(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
+    """RMS residual of the plain motor, rad, if the drive acted at other times than t_u_s says; inf without t_u_s.
+
+    Wrong times look like a lag, or like a motor with laws of its own. If other times explain the record, they are wrong.
+    """
+    if any(test.t_u_s is None for test in tests):
+        return math.inf
+    moved = _moved(estimate, tests)
+    return math.sqrt(moved.cost / moved.residual.size)
+
+
+def _moved(estimate: Estimate, tests: Sequence[TimeSeries]) -> Solution:
+    """The plain motor with a free delay against t_u_s."""
+    period = max(test.period_s for test in tests)
+    theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, 0.0)
+    tried = (theta._replace(delay_s=rows * period) for rows in (-1.0, 0.0, 1.0))
+    reach = REACH_PERIODS * period
+    return min((refit(tests, start, PARAMETERS, (-reach, reach)) for start in tried), key=_cost)
+
+
 def _row_convention(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     """With a known t_u_s the drive must act at that time, so a free delay must come out as zero.
 
@@ -140,10 +161,7 @@ def _row_convention(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate
     if any(test.t_u_s is None for test in tests):
         return estimate
     period = max(test.period_s for test in tests)
-    reach = 2.5 * period
-    theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, 0.0)
-    tried = (theta._replace(delay_s=rows * period) for rows in (-1.0, 0.0, 1.0))
-    moved = min((refit(tests, start, PARAMETERS, (-reach, reach)) for start in tried), key=_cost)
+    moved = _moved(estimate, tests)
     slip = float(moved.x[4])
     gain = estimate.rms_rad**2 * moved.residual.size / moved.cost if moved.cost > 0.0 else math.inf
     if abs(slip) > SLIPPED * period and gain > 1.02:

@@ -10,12 +10,12 @@ import time
 from pathlib import Path
 
 import numpy as np
-import yaml
-from pydantic import BaseModel, ConfigDict, Field
 from rich.progress import track
 from scipy.stats import beta
 
 from campaign_real.rows import Row, row
+from rig.config.campaign import Campaign
+from rig.config.load import load_campaign
 from shared.cases import spread
 
 HERE = Path(__file__).resolve().parents[2]
@@ -24,29 +24,20 @@ WRONG = 0.05  # relative error beyond which a number called ok is wrong
 SEEN = 40.0  # fall of the whitened squares from which on a departure can be seen
 
 
-class Config(BaseModel):
-    """config/campaign-real.yaml."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    name: str = "real"
-    motors: int = Field(ge=0)
-    pairs: int = Field(ge=0)
-    seed: int = Field(ge=0)
-
-
 def main() -> int:
     """Run what is missing, and write the table. Exit status 1 if an experiment failed."""
     parser = argparse.ArgumentParser(prog="make campaign-real", description=__doc__)
     parser.add_argument("config", type=Path)
-    parser.add_argument("--motors", type=int, help="other number of motors with one departure")
-    parser.add_argument("--pairs", type=int, help="other number of motors with two")
+    parser.add_argument("--motors", type=int, help="number of motors with one departure; default: experiments")
+    parser.add_argument("--pairs", type=int, help="number of motors with two; default: experiments")
     parser.add_argument("--seed", type=int, help="another seed")
     parser.add_argument("--page", type=Path, default=PAGE, help="where the table goes")
     given = parser.parse_args()
-    config = Config(**yaml.safe_load(given.config.read_text(encoding="utf-8")))
-    changed = {k: v for k in ("motors", "pairs", "seed") if (v := getattr(given, k)) is not None}
-    config = config.model_copy(update=changed)
+    config = load_campaign(given.config)
+    if given.seed is not None:
+        config = config.model_copy(update={"seed": given.seed})
+    motors = config.experiments if given.motors is None else given.motors
+    pairs = config.experiments if given.pairs is None else given.pairs
     commit = _git("rev-parse", "--short", "HEAD") + ("+" if _git("status", "--porcelain", "rig", "tools") else "")
     rows_file = HERE / "runs" / f"campaign-real-{config.seed}-{commit}" / "rows.jsonl"
     began = time.time()
@@ -55,8 +46,8 @@ def main() -> int:
     if rows_file.exists():
         for line in rows_file.read_text(encoding="utf-8").splitlines():
             _keep(found, line)
-    jobs = [(k, False, config.seed) for k in range(config.motors) if k not in found[False]]
-    jobs += [(k, True, config.seed) for k in range(config.pairs) if k not in found[True]]
+    jobs = [(config, k, False) for k in range(motors) if k not in found[False]]
+    jobs += [(config, k, True) for k in range(pairs) if k not in found[True]]
     with rows_file.open("a", encoding="utf-8") as file:
         results = spread(row, jobs)
         for _, one in track(results, "motors", total=len(jobs), disable=not sys.stderr.isatty()):
@@ -89,7 +80,7 @@ def _git(*words: str) -> str:
     return subprocess.run(["git", "-C", str(HERE), *words], capture_output=True, text=True, check=True).stdout.strip()
 
 
-def page(config: Config, found: dict[bool, dict[int, Row]], commit: str, took_s: float, new: int) -> str:
+def page(config: Campaign, found: dict[bool, dict[int, Row]], commit: str, took_s: float, new: int) -> str:
     """The table as Markdown."""
     lines = [
         "# Motors that are not what the plain model says",

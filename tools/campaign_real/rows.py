@@ -58,12 +58,11 @@ def kinds_of(number: int, pair: bool, seed: int) -> tuple[Kind, ...]:
             return KINDS[a], KINDS[b]
 
 
-def row(number: int, pair: bool, seed: int) -> Row:
-    """The row of motor ``number``. An exception becomes its verdict."""
+def row(campaign: Campaign, number: int, pair: bool) -> Row:
+    """The row of motor ``number`` of the campaign. An exception becomes its verdict."""
     began = time.perf_counter()
-    kinds = kinds_of(number, pair, seed)
+    kinds = kinds_of(number, pair, campaign.seed)
     names = tuple(kind.name for kind in kinds)
-    campaign = Campaign(name="real", experiments=1, seed=seed)
     try:
         return _identified(case(campaign, number, kinds), number, names, began)
     except IdentifyError as error:

@@ -283,7 +283,7 @@ class Columns:
         return self._white(found.by_number), 1.0
 
     def gain(self, added: Array) -> tuple[float, Array]:
-        """Fall of the sum of squares with these columns, and their coefficients."""
+        """Fall of the whitened sum of squares with the columns ``added``, 1 per unit of their numbers; their sizes."""
         rows, normal = self._rows, self.normal(added)
         scale = np.sqrt(np.maximum(np.diag(normal.raw), 1e-300))
         matrix, gradient = normal.matrix / np.outer(scale, scale), normal.gradient / scale
@@ -293,7 +293,7 @@ class Columns:
         return float(gradient @ with_it - gradient[:m] @ alone), -(with_it / scale)[m:]
 
     def normal(self, added: Array) -> Normal:
-        """The normal equations with these columns behind the fit's own."""
+        """The normal equations with the columns ``added``, 1 per unit of their numbers, behind the fit's own."""
         rows = self._rows
         both = Rows(rows.residual_rad, rows.residual, np.column_stack((rows.by_number, added)), rows.by_start)
         return Normal.of(both, self._fit.problem.cut)

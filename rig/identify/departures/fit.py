@@ -58,7 +58,7 @@ class Problem:
         return 2.0 * (self.robust_rad / self.sigma_rad) ** 2 * float(np.sum(np.sqrt(1.0 + share) - 1.0))
 
     def rows(self, motor: RealMotor, starts: Array) -> Rows:
-        """Residual and Jacobian there, whitened; by the logarithms of ``POSITIVE``."""
+        """Residual and Jacobian there, whitened, by the logarithms of ``POSITIVE``; ``starts``: rad/s, rad."""
         found = self.cut.derivatives(motor, starts, [index(name) for name in self.free])
         residual = found.y_rad - self.cut.y_rad
         by_number = found.by_number * [getattr(motor, name) if name in POSITIVE else 1.0 for name in self.free]
@@ -74,7 +74,7 @@ class Problem:
         return self.whitened(by_start)
 
     def moved(self, motor: RealMotor, change: Array) -> RealMotor:
-        """The motor after a step, within its limits."""
+        """The motor after a step ``change`` of its free numbers, each in its unit, within its limits."""
         new = {}
         for name, step in zip(self.free, change.tolist(), strict=True):
             value = getattr(motor, name)
@@ -87,7 +87,7 @@ class Problem:
         return motor._replace(**new)
 
     def held(self, motor: RealMotor, gradient: Array) -> NDArray[np.bool_]:
-        """Which numbers stand at a bound that the descent would pass."""
+        """Which numbers stand at a bound that the descent along ``gradient``, 1 per unit, would pass."""
         out = np.zeros(len(self.free), dtype=bool)
         for k, name in enumerate(self.free):
             low, high = self.limits.get(name, BOUNDLESS)
@@ -217,7 +217,11 @@ class Normal:
         return cls(matrix, gradient, squares, own, border, pull, raw, raw_gradient)
 
     def step(self, held: NDArray[np.bool_], damping: float) -> tuple[Array, Array]:
-        """Change of the numbers and of the starts, damped by so much of the diagonal."""
+        """Change of the numbers and of the starts.
+
+        held      which numbers stay, True or False each
+        damping   share of the diagonal that is added to it, 1
+        """
         own = self.own + damping * np.einsum("pii->pi", self.own)[:, :, None] * np.eye(2)
         solved = np.linalg.solve(_regular(own), np.concatenate((self.border, self.pull[:, :, None]), axis=2))
         diagonal = np.diag(self.raw)

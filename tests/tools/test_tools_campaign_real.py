@@ -1,0 +1,64 @@
+"""`make campaign-real`: its rows, its table, and what it does after an interruption."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from campaign_real import __main__ as command
+from campaign_real.rows import Row, kinds_of, row
+from rig.config.campaign import Campaign
+
+CAMPAIGN = Campaign(name="real", experiments=4, seed=1)
+
+
+def _row(number: int, kind: str, error: float, verdict: str = "ok", found: tuple[str, ...] = ()) -> Row:
+    return Row(
+        number, (kind,), verdict, (0.0, error, 0.0), (True, True, True), (0.01, 0.01, 0.01), found, (), 1e3, "", 1
+    )
+
+
+def test_a_number_is_always_the_same_motor() -> None:
+    assert kinds_of(5, True, 1) == kinds_of(5, True, 1)
+    assert len({one.law for one in kinds_of(5, True, 1)}) == 2
+    assert [kinds_of(k, False, 1)[0].name for k in (0, 1)] == ["plain", "dead_band 0.02"]
+
+
+def test_a_row_has_the_motors_errors_and_what_was_found() -> None:
+    one = row(CAMPAIGN, 5, False)
+    assert one.kinds == ("gain_by_sign 3",)
+    assert one.found == ("gain_by_sign",)
+    assert one.error is not None
+    assert max(map(abs, one.error)) < 0.02
+
+
+def test_wrong_is_called_ok_and_more_than_5_percent_off() -> None:
+    assert command.is_wrong(_row(0, "sag 3", 0.06))
+    assert not command.is_wrong(_row(0, "sag 3", 0.04))
+    assert not command.is_wrong(_row(0, "sag 3", 0.06, "doubtful"))
+    assert command.is_named(_row(0, "sag 3", 0.0, found=("sag",)))
+    assert not command.is_named(_row(0, "sag 3", 0.0, found=("drag",)))
+
+
+def test_the_page_counts_and_bounds() -> None:
+    rows = {k: _row(k, "sag 3", 0.06 if k < 2 else 0.0, found=("sag",)) for k in range(100)}
+    text = command.page(CAMPAIGN, {False: rows, True: {}}, "abc", 1.0, 100)
+    assert "2 of 100 are called ok and wrong: with 95 % confidence at most 6.16 %." in text  # beta.ppf(0.95, 3, 98)
+    assert "100 of 100" in text
+
+
+def test_an_interrupted_campaign_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(command, "HERE", tmp_path)
+    monkeypatch.setattr(command, "_git", lambda *words: "")
+    folder = tmp_path / "runs" / "campaign-real-1-"
+    folder.mkdir(parents=True)
+    lines = [json.dumps({**_row(k, "plain", 0.0).as_json(), "pair": False}) for k in range(2)]
+    (folder / "rows.jsonl").write_text("\n".join(lines) + '\n{"torn', encoding="utf-8")
+    config = tmp_path / "campaign-real.yaml"
+    config.write_text("name: real\nexperiments: 2\nseed: 1\n", encoding="utf-8")
+    monkeypatch.setattr(sys, "argv", ["x", str(config), "--pairs", "0", "--page", str(tmp_path / "page.md")])
+    assert command.main() == 0
+    assert "| plain | 2 | 2 | 0 |" in (tmp_path / "page.md").read_text(encoding="utf-8")
