@@ -136,7 +136,7 @@ def confounding(estimate: Estimate) -> str | None:
 def slipped_rms_rad(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
     """RMS residual of the plain motor if the drive acted at other times than t_u_s, rad; inf without t_u_s.
 
-    Wrong times look like a lag, or like a motor with laws of its own. If other times explain the record, they are wrong.
+    Wrong times look like a lag, or like a motor with laws of its own. If other times explain the tests, they are wrong.
     """
     if any(test.t_u_s is None for test in tests):
         return math.inf
