@@ -58,6 +58,7 @@ __all__ = [
 ]
 
 AnyPath = str | PathLike[str]
+WANTED = "rig.identify takes one run, a path, a list of them, or t, u and y"
 ARRAYS = Path("t, u, y")  # what messages call columns that are in no file
 
 
@@ -100,10 +101,12 @@ def identify(
     if u is not None and y is not None:
         recordings: list[Recording] = [_from_arrays(data, u, y, t_u)]
     elif u is None and y is None and t_u is None:
-        given = [data] if isinstance(data, Recording | str | PathLike) else list(data)
+        given = [data] if isinstance(data, Recording | str | PathLike) else data
+        if not isinstance(given, Sequence):
+            raise TypeError(WANTED)
         recordings = [one if isinstance(one, Recording) else reader.read(Path(one)) for one in given]
     else:
-        raise TypeError("rig.identify takes one run, a path, a list of them, or t, u and y")
+        raise TypeError(WANTED)
     return Found.of(identify_recordings(recordings, methods))
 
 

@@ -137,7 +137,7 @@ def _parse_header(path: Path, line_number: int, line: str, delimiter: str) -> tu
         there = ", ".join(_shown(name) for name in names[:20])
         guesses = {name: _did_you_mean(name, names) for name in missing}
         hints = [f"{_shown(guess)} for {name}" for name, guess in guesses.items() if guess]
-        cure = f"did you mean {', '.join(hints)}? Rename and use s, V, rad" if hints else "name the columns so"
+        cure = f"did you mean {', '.join(hints)}? Rename and use s, V, rad" if hints else "name them t_s, u_V, y_rad"
         raise RecordingError(path, f"has no column {', '.join(missing)}; there are: {there}", cure, line_number)
     for name in names:
         if name in COLUMNS and names.count(name) > 1:
@@ -193,6 +193,10 @@ def _parse_column(name: str, texts: Sequence[str]) -> Column:
     return values.astype(np.int64) if KINDS[name] == "integer" else values
 
 
+def _fields(count: int) -> str:
+    return "1 field" if count == 1 else f"{count} fields"
+
+
 def _broken_row(
     path: Path, header: Sequence[str], fields: Sequence[Sequence[str]], numbers: Sequence[int]
 ) -> RecordingError:
@@ -200,7 +204,7 @@ def _broken_row(
     for row, number in zip(fields, numbers, strict=True):
         if len(row) != len(header):
             return RecordingError(
-                path, f"has {len(row)} fields, not {len(header)}", "correct or delete this line", number
+                path, f"the line has {_fields(len(row))}, and the header {len(header)}", "correct or delete it", number
             )
         for name, text in zip(header, row, strict=True):
             complaint = _complaint(name, text.strip()) if name in COLUMNS else ""

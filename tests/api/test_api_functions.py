@@ -240,3 +240,9 @@ def test_a_motor_with_parts_is_simulated() -> None:
     assert float(played.max()) == pytest.approx(float(plain.max()) - 0.025, abs=1e-3)
     with pytest.raises(ValueError, match="delay_s must be 0"):
         rig.simulate(parts._replace(delay_s=0.001), drive, 0.8)
+
+
+@pytest.mark.parametrize("given", [3, None, {"t": [0.0]}])
+def test_what_is_no_recording_is_named(given: object) -> None:
+    with pytest.raises(TypeError, match="takes one run, a path, a list of them, or t, u and y"):
+        rig.identify(given)  # type: ignore[call-overload]
