@@ -111,7 +111,7 @@ def show_run(outcome: Outcome) -> None:
     if result.estimates:
         show_estimates(result.estimates, result.truth, result.tracking)
         show_friction_law(result.friction_law)
-        show_motor_law(result)
+        show_motor_law(result, result.truth)
     if result.loop is not None:
         _show_loop(result.loop)
     for note in result.config_notes:
@@ -219,12 +219,15 @@ def show_friction_law(found: FrictionLawResult | None) -> None:
         show_table(f"friction law: {found.chosen}", LAW_HEADINGS, rows)
 
 
-def show_motor_law(result: RunResult | IdentificationResult) -> None:
+def show_motor_law(result: RunResult | IdentificationResult, truth: TrueMotor | None = None) -> None:
     """Show the laws that the motor has beyond the plain one, and what the uncertainty of the estimate is made of."""
     if result.law:
         show_table(
             "law of the motor: what it has beyond tau, K and friction", MOTOR_LAW_HEADINGS, motor_law_rows(result)
         )
+        if result.with_law is not None:
+            numbers = (f"{name} {_interval(result.with_law, name, truth)}" for name in MAIN)
+            click.echo(f"with it ({result.with_law.verdict}): {', '.join(numbers)}")
     rows = budget_rows(result)
     if rows:
         show_table("uncertainty (u95), % of the estimate: what it is made of", BUDGET_HEADINGS, rows)
@@ -245,7 +248,7 @@ def motor_law_rows(result: RunResult | IdentificationResult) -> list[list[str]]:
 
 def budget_rows(result: RunResult | IdentificationResult) -> list[list[str]]:
     """The lines of the budget that matter, a row of ``BUDGET_HEADINGS`` each; the whole first; empty without one."""
-    estimate = result.estimates.get(LEADING)
+    estimate = result.with_law or result.estimates.get(LEADING)
     values = [] if estimate is None else [known(estimate.value(name)) for name in MAIN]
     if not result.u95 or not values or not all(math.isfinite(v) and v > 0.0 for v in values):
         return []

@@ -206,7 +206,7 @@ def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> St
 
 
 def _add_motor_law(data: Measurements, found: Identification, objections: Sequence[str]) -> None:
-    """What the motor has beyond the plain law. The leading estimate becomes the one with these laws."""
+    """What the motor has beyond the plain law, and the estimate with it. The plain estimate stays as it is."""
     plain = found.estimates.get(LEADING)
     if plain is None or not plain.is_motor or not _may_have_laws(plain, data):
         return
@@ -217,13 +217,13 @@ def _add_motor_law(data: Measurements, found: Identification, objections: Sequen
         return
     if law.estimate is not None and slipped_rms_rad(plain, data.tests) < AS_GOOD * law.estimate.rms_rad:
         law = law.without_laws()  # other times of the drive explain the record as well: the plain verdict says so
-    found.motor_law = law
-    found.notes += law.notes()
     if law.estimate is not None:
         judged = settled(judge_with_laws(law.estimate, data.tests, data.settled), data)
-        plain = _with_causes(judged, data.tests).judged("doubtful" if objections else "ok", *objections)
-    uncertain = law.reservation(plain, max(float(np.abs(test.u_V).max()) for test in data.tests))
-    found.estimates[LEADING] = plain
+        judged = _with_causes(judged, data.tests).judged("doubtful" if objections else "ok", *objections)
+        law = replace(law, estimate=judged)
+    found.motor_law = law
+    found.notes += law.notes()
+    uncertain = law.reservation(law.estimate or plain, max(float(np.abs(test.u_V).max()) for test in data.tests))
     if uncertain is not None:
         found.notes.append(uncertain)
 
@@ -248,6 +248,5 @@ def _add_friction_law(data: Measurements, static: StaticFriction | None, found: 
     found.friction_law = choice
     found.notes += choice.notes()
     richer = choice.beyond_coulomb
-    has_law = found.motor_law is not None and bool(found.motor_law.found)
-    if richer is not None and not has_law:
+    if richer is not None:
         found.estimates[LEADING] = estimate.judged("doubtful", richer)

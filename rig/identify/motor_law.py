@@ -26,7 +26,7 @@ from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.verdict import PROMISE, SURE
 from rig.model.real_motor import RealMotor
 from rig.recording.series import TimeSeries
-from rig.results import BudgetEntry, FoundLawResult, PieceResult
+from rig.results import BudgetEntry, EstimateResult, FoundLawResult, PieceResult
 
 Array = NDArray[np.float64]
 
@@ -44,10 +44,11 @@ class LawKeys(TypedDict):
     not_told_apart: tuple[tuple[str, ...], ...] | None
     u95: dict[str, float | None] | None
     budget: tuple[BudgetEntry, ...] | None
+    with_law: EstimateResult | None
     pieces: tuple[PieceResult, ...] | None
 
 
-NO_LAW: LawKeys = {"law": None, "not_told_apart": None, "u95": None, "budget": None, "pieces": None}
+NO_LAW: LawKeys = {"law": None, "not_told_apart": None, "u95": None, "budget": None, "with_law": None, "pieces": None}
 
 
 @dataclass(frozen=True)
@@ -143,6 +144,7 @@ class MotorLaw:
                 BudgetEntry(source=e.source, tau_s=e.tau_s, K_rad_s_V=e.K_rad_s_V, fc_V=e.fc_V)
                 for e in self.budget.entries
             ),
+            with_law=None if self.estimate is None else self.estimate.as_result(),
             pieces=tuple(PieceResult(length_s=length, rms_rad=rms) for length, rms in self.growth),
         )
 

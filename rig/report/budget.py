@@ -13,7 +13,7 @@ from rig.results import known
 def budget_shares(run: ReportedRun) -> list[tuple[str, tuple[float, float, float]]]:
     """Lines of the budget, the whole first, in % of tau, K and fc; empty without a budget or an estimate."""
     result = run.result
-    estimate = result.estimates.get(LEADING)
+    estimate = result.with_law or result.estimates.get(LEADING)
     if estimate is None or not result.u95:
         return []
     tau, gain, friction = (known(estimate.value(key)) for key in ("tau_s", "K_rad_s_V", "fc_V"))

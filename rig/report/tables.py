@@ -169,6 +169,12 @@ def motor_law(run: ReportedRun) -> list[MotorLawRow]:
     return rows
 
 
+def with_law(run: ReportedRun) -> list[Quantity]:
+    """tau, K, fc, asymmetry and delay of a motor with these laws; empty without any."""
+    found = run.result.with_law
+    return [] if found is None else [quantity(p, found, run.truth) for p in PARAMETERS]
+
+
 def budget(run: ReportedRun) -> list[BudgetRow]:
     """The uncertainty budget, % of the leading estimate: the whole first; lines below a tenth of it are left out."""
     shares = budget_shares(run)

@@ -195,6 +195,7 @@ class IdentificationResult(Part):
     not_told_apart: Sometimes[tuple[tuple[Text, ...], ...]] = Field(
         None, description="groups of laws that explain the tests equally well"
     )
+    with_law: Sometimes[EstimateResult] = Field(None, description="the leading estimate of a motor with these laws")
     u95: Sometimes[dict[str, Number]] = Field(
         None, description="expanded uncertainty, half width at 95 %, by parameter"
     )

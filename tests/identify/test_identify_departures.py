@@ -14,6 +14,7 @@ from rig.identify.departures import DEPARTURES
 from rig.identify.departures.choice import Columns
 from rig.identify.departures.fit import CORE, Normal, Problem, limits_of, solve, start
 from rig.identify.departures.pieces import Cut
+from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, identify
 from rig.model.real_motor import PARTS, Frame, Pieces, RealMotor, response
 from rig.recording.series import TimeSeries
@@ -31,8 +32,13 @@ def _identified(one: Case) -> Identification:
     return identify(one.recordings(), ("sampled-data",))
 
 
+def _estimate(found: Identification) -> Estimate:
+    law = found.motor_law
+    return (None if law is None else law.estimate) or found.estimates["sampled-data"]
+
+
 def _errors(found: Identification, one: Case) -> list[float]:
-    estimate = found.estimates["sampled-data"]
+    estimate = _estimate(found)
     return [abs(getattr(estimate, name) / getattr(one.truth, name) - 1.0) for name in OF]
 
 
@@ -69,7 +75,7 @@ def test_the_law_of_a_motor_is_named_and_its_numbers_are_right_with_it(name: str
     alike = {other for group in found.motor_law.not_told_apart if len(group) <= 3 for other in group}
     assert name.split()[0] in {*named, *alike}
     u95 = found.motor_law.budget.u95
-    estimate = found.estimates["sampled-data"]
+    estimate = _estimate(found)
     assert all(abs(getattr(estimate, key) - getattr(one.truth, key)) < u95[key] for key in OF)
     assert max(_errors(found, one)) < 0.025
     assert estimate.rms_rad < 1.1 * math.hypot(one.bench.noise_rad, one.bench.lsb_rad / math.sqrt(12.0))

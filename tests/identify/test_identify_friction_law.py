@@ -261,22 +261,19 @@ def columns(test: TimeSeries) -> Recording:
     return from_columns(Path(test.name), test.t_s, test.u_V, test.y_rad, test.t_u_s)
 
 
-def test_where_stribeck_friction_is_chosen_the_estimate_is_that_of_a_motor_with_it() -> None:
+def test_where_stribeck_friction_is_chosen_the_sampled_data_estimate_is_doubtful() -> None:
     tests = [relay_test("stribeck", *SMALL, 0), relay_test("stribeck", *LARGE, 1000)]
     found = identify([columns(test) for test in tests], ["sampled-data"])
     without = identify([columns(test) for test in tests], ["sampled-data"], choose_law=False)
     estimate, plain = found.estimates["sampled-data"], without.estimates["sampled-data"]
     assert found.friction_law is not None
     assert found.friction_law.chosen.law == "stribeck"
-    assert found.motor_law is not None
-    assert [one.law.name for one in found.motor_law.found] == ["stribeck"]
-    for name, true in (("tau_s", TAU), ("K_rad_s_V", K), ("fc_V", FC)):
-        low, high = estimate.ci95[name]
-        assert low < true < high
-        assert not plain.ci95[name][0] < true < plain.ci95[name][1]
+    assert estimate.verdict == "doubtful"
+    assert any(reason.startswith("Stribeck friction") for reason in estimate.reasons)
     assert any(note.startswith("friction law: Stribeck friction") for note in found.notes)
     assert without.friction_law is None
-    assert without.motor_law is None
+    assert estimate.tau_s == plain.tau_s  # the estimate itself stays
+    assert np.array_equal(estimate.covariance, plain.covariance)
 
 
 def test_coulomb_friction_leaves_the_verdict_alone() -> None:

@@ -75,7 +75,8 @@ def _identified(one: Case, number: int, names: tuple[str, ...], began: float) ->
     recordings = one.recordings()
     plain = identify(recordings, (LEADING,), choose_law=False).estimates[LEADING]
     found = identify(recordings, (LEADING,))
-    estimate, law = found.estimates[LEADING], found.motor_law
+    law = found.motor_law
+    estimate = (None if law is None else law.estimate) or found.estimates[LEADING]
     truth = np.array([getattr(one.truth, name) for name in OF])
     value = np.array([getattr(estimate, name) for name in OF])
     u95 = np.array([law.budget.u95[name] for name in OF]) if law is not None else np.full(3, np.nan)
