@@ -97,7 +97,8 @@ def test_identify_from_the_folder_and_from_the_bare_csv(
     assert again.exit_code == 0
     identified = json.loads(again.stdout)
     assert identified.pop("records") == [str(folder)]
-    for key in ("ok", "estimates", "relays", "friction_law"):  # one shape: what both have is the same
+    shared = ("ok", "estimates", "relays", "friction_law", "law", "not_told_apart", "u95", "budget", "pieces")
+    for key in shared:  # one shape: what both have is the same
         assert identified.pop(key) == outcome[key]
     assert outcome["breakaway"].items() >= identified.pop("breakaway").items()
     assert set(identified.pop("notes")) <= set(outcome["notes"])
