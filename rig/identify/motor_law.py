@@ -34,6 +34,8 @@ LINEARITY_SHARE = 0.005  # largest error of a sensor's linearity, relative to it
 ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 NO_CYCLE = 12.0  # parts of a record without a cycle that count as one
 SMALL_FRICTION = 0.03  # of the largest drive: the size that smaller friction counts as
+MOST_ROWS = 8000  # of all tests
+ROWS_OF_TAU = 20  # at least so many of the rows taken as one have room in tau
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
 
 
@@ -153,8 +155,13 @@ def motor_law(tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[
     """The law that the tests show, from the plain estimate on.
 
     periods_s  for each test the period of its cycle, s, or None
-    Raises IdentifyError if a test is too short.
+    Of more than 8,000 rows several at a time are taken as one. Raises IdentifyError if a test is too short.
     """
+    rows = sum(len(test) for test in tests)
+    tests = [
+        thinned(test, min(math.ceil(rows / MOST_ROWS), int(plain.tau_s / test.period_s / ROWS_OF_TAU)))
+        for test in tests
+    ]
     free_delay = any(test.t_u_s is None for test in tests)
     delay_s = (
         (-max(test.period_s for test in tests), max(test.longest_delay_s for test in tests))
@@ -191,6 +198,26 @@ def motor_law(tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[
 
 
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
+
+
+def thinned(test: TimeSeries, rows: int) -> TimeSeries:
+    """The test with so many rows at a time as one: their first position, and their mean drive.
+
+    A motor takes the mean of a drive that changes within a small part of its tau.
+    """
+    if rows < 2:
+        return test
+    first = np.arange(0, len(test) - rows + 1, rows)
+    spans = np.diff(np.append(test.edge_s, test.edge_s[-1] + test.period_s))
+    whole = np.add.reduceat(spans, first)
+    mean_V = np.add.reduceat(test.u_V * spans, first) / np.where(whole > 0.0, whole, 1.0)
+    return replace(
+        test,
+        t_s=test.t_s[first],
+        y_rad=test.y_rad[first],
+        t_u_s=None if test.t_u_s is None else test.t_u_s[first],
+        u_V=mean_V,
+    )
 
 
 def _freedom(fit: Fit) -> int:

@@ -10,12 +10,14 @@ import pytest
 from campaign_real.departing_motor import Bench, Departures, PlainMotor, relay_test
 from campaign_real.kinds import KINDS, Case, case
 from rig.config.campaign import Campaign
+from rig.identify import sampled_data
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.choice import Columns
 from rig.identify.departures.fit import CORE, Normal, Problem, limits_of, solve, start
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import Estimate
 from rig.identify.identification import Identification, identify
+from rig.identify.motor_law import motor_law, thinned
 from rig.model.real_motor import PARTS, Frame, Pieces, RealMotor, response
 from rig.recording.series import TimeSeries
 
@@ -208,3 +210,21 @@ def test_the_generator_and_the_model_are_two_and_agree(name: str) -> None:
     drives = np.concatenate(([0.0], record.u_V))
     y = response(motor, Frame(), (edges, drives), record.t_s, Pieces.one(0.0, 0.0))
     assert float(np.abs(y - record.y_rad).max()) < 2e-4
+
+
+def test_a_long_record_is_thinned_and_its_law_stays() -> None:
+    """Sampled every 1 ms it has ten times as many rows; ten at a time give the numbers of the whole."""
+    d = Departures(force_V=0.05, force_phase_rad=1.0)
+    plain = PlainMotor(0.3, 3.0, 0.3)
+    bench = Bench(period_s=0.001, delay_s=0.0005)
+    record = relay_test(plain, d, bench, (0.6, 0.9), 12000, (0.0, 12.0), np.random.SeedSequence(2))
+    test = TimeSeries(record.t_s, record.y_rad, record.t_s + bench.delay_s, record.u_V)
+    thin = thinned(test, 10)
+    assert len(thin) == 1200
+    assert thin.u_V.mean() == pytest.approx(test.u_V[:-1].mean(), abs=1e-3)
+    assert thinned(test, 1) is test
+    law = motor_law([test], sampled_data.fit([test]), [None])
+    assert [one.law.name for one in law.found] == ["force_over_position"]
+    assert law.found[0].size == pytest.approx(0.05, rel=0.1)
+    assert law.estimate is not None
+    assert law.estimate.tau_s == pytest.approx(plain.tau_s, rel=0.02)
