@@ -215,6 +215,9 @@ def _add_motor_law(data: Measurements, found: Identification, objections: Sequen
     except IdentifyError as error:
         found.notes.append(f"law of the motor: {error.cause}")
         return
+    except np.linalg.LinAlgError as error:
+        found.notes.append(f"law of the motor: these tests give no answer ({error}); the plain estimate holds")
+        return
     if law.estimate is not None and slipped_rms_rad(plain, data.tests) < AS_GOOD * law.estimate.rms_rad:
         law = law.without_laws()  # other times of the drive explain the record as well: the plain verdict says so
     if law.estimate is not None:

@@ -26,6 +26,7 @@ OF = ("tau_s", "K_rad_s_V", "fc_V")
 COVERAGE = 2.0  # of an expanded uncertainty: 95 %
 UNIFORM = math.sqrt(3.0)  # half width of a uniform distribution over its standard deviation
 PRESENT = 0.1  # probability of a law before the record is looked at
+MOST_TRIALS = 3  # starts of a law: of cogging the three lowest orders; higher ones are not in the budget
 LARGEST_GAIN = 60.0  # of twice the log likelihood: it keeps its exponential finite
 TYPE_A = "scatter"
 TWO_LAWS = "two laws that hide each other"
@@ -78,7 +79,6 @@ def budget(fit: Fit, laws: Sequence[Departure], candidates: Sequence[Departure],
     return Budget(_entries(matrix, gradient, owners, np.array(spreads), (core, of, size)))
 
 
-MOST_TRIALS = 3
 Owner = tuple[Departure, int, int]  # a law, its first column, and how many it has
 
 
