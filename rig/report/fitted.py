@@ -182,7 +182,7 @@ def budget(run: ReportedRun) -> Picture:
     return render(
         figure, run.backend, "Uncertainty budget of tau, K and friction.",
         "Half widths at 95 %. Scatter: of the fit. A law has a bar where the tests do not exclude it, as long as it is "
-        "likely and as far as it would move the estimate. Dotted: 2.5 %, which ok asks for.",
+        "likely and as far as it would move the estimate. Dotted: 2.5 %.",
     )  # fmt: skip
 
 
