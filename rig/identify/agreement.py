@@ -45,12 +45,16 @@ class RecordingEstimate:
     def of(cls, name: str, estimate: Estimate) -> RecordingEstimate | None:
         """From a sampled-data estimate; None if that was refused or has no finite covariance."""
         scale = np.array([1.0 / estimate.tau_s, 1.0 / estimate.K_rad_s_V, 1.0])
-        covariance = estimate.covariance[:3, :3] * np.outer(scale, scale)
-        covariance = covariance + np.diag([MODEL_ERROR, MODEL_ERROR, MODEL_ERROR * estimate.fc_V]) ** 2
         values = np.array([math.log(estimate.tau_s), math.log(estimate.K_rad_s_V), estimate.fc_V])
-        if estimate.verdict == "refused" or not (np.all(np.isfinite(covariance)) and np.all(np.isfinite(values))):
+        found = cls.at(name, values, estimate.covariance[:3, :3] * np.outer(scale, scale))
+        if estimate.verdict == "refused" or not (np.all(np.isfinite(found.covariance)) and np.all(np.isfinite(values))):
             return None
-        return cls(name, values, covariance)
+        return found
+
+    @classmethod
+    def at(cls, name: str, values: Array, covariance: Array) -> RecordingEstimate:
+        """From ln tau, ln K, f_c in V and their covariance (3, 3) by the noise alone."""
+        return cls(name, values, covariance + np.diag([MODEL_ERROR, MODEL_ERROR, MODEL_ERROR * float(values[2])]) ** 2)
 
 
 def estimates_of_each(recordings: Sequence[tuple[str, Sequence[TimeSeries]]]) -> list[RecordingEstimate]:

@@ -97,14 +97,12 @@ def identify(
         # the leading estimator needs the least data: what it misses, the recording lacks
         decisive = wanted[0].name if len(wanted) == 1 else LEADING
         raise errors.get(decisive) or [*data.complaints, *errors.values()][0]
-    objections = list(data.supplies)
-    if len(recordings) > 1 and reads_tests:
-        odd = disagreement(estimates_of_each(data.sources))
-        objections = objections if odd is None else [odd, *objections]
+    odd = disagreement(estimates_of_each(data.sources)) if len(recordings) > 1 and reads_tests else None
+    objections = [*_said(odd), *data.supplies]
     if objections:
         found.estimates = {method: e.judged("doubtful", *objections) for method, e in found.estimates.items()}
     if choose_law:
-        _add_motor_law(data, found, objections)
+        _add_motor_law(data, found)
     static = _add_breakaway(recordings, found)
     if choose_law:
         _add_friction_law(data, static, found)
@@ -205,13 +203,17 @@ def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> St
     return None
 
 
-def _add_motor_law(data: Measurements, found: Identification, objections: Sequence[str]) -> None:
+def _said(sentence: str | None) -> list[str]:
+    return [] if sentence is None else [sentence]
+
+
+def _add_motor_law(data: Measurements, found: Identification) -> None:
     """What the motor has beyond the plain law, and the estimate with it. The plain estimate stays as it is."""
     plain = found.estimates.get(LEADING)
     if plain is None or not plain.is_motor or not _may_have_laws(plain, data):
         return
     try:
-        law = motor_law(data.tests, plain, data.periods_s)
+        law = motor_law(data.tests, plain, data.periods_s, data.recording_of)
     except IdentifyError as error:
         found.notes.append(f"law of the motor: {error.cause}")
         return
@@ -221,8 +223,9 @@ def _add_motor_law(data: Measurements, found: Identification, objections: Sequen
     if law.estimate is not None and slipped_rms_rad(plain, data.tests) < AS_GOOD * law.estimate.rms_rad:
         law = law.without_laws()  # other times of the drive explain the record as well: the plain verdict says so
     if law.estimate is not None:
-        judged = settled(judge_with_laws(law.estimate, data.tests, data.settled), data)
-        judged = _with_causes(judged, data.tests).judged("doubtful" if objections else "ok", *objections)
+        judged = _with_causes(settled(judge_with_laws(law.estimate, data.tests), data), data.tests)
+        objections = [*_said(disagreement(law.alone)), *data.supplies]
+        judged = judged.judged("doubtful" if objections else "ok", *objections)
         law = replace(law, estimate=judged)
     found.motor_law = law
     found.notes += law.notes()
@@ -234,7 +237,7 @@ def _add_motor_law(data: Measurements, found: Identification, objections: Sequen
 def _may_have_laws(plain: Estimate, data: Measurements) -> bool:
     """Whether the plain estimate is near a motor, whatever its residual. No law mends wrong columns."""
     fine = replace(plain, rms_rad=0.0, repeated=0.0, verdict="ok", reasons=())
-    judged = settled(judge_with_laws(fine, data.tests, data.settled), data)
+    judged = settled(judge_with_laws(fine, data.tests), data)
     return _with_causes(judged, data.tests).verdict != "refused"
 
 

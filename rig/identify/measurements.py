@@ -49,6 +49,12 @@ class Measurements:
         return [cycle for cycle in self.cycles if cycle is not None]
 
     @property
+    def recording_of(self) -> list[str]:
+        """For each of ``tests`` the name of its recording."""
+        names = {id(series): name for name, all_series in self.sources for series in all_series}
+        return [names[id(test)] for test in self.tests]
+
+    @property
     def periods_s(self) -> list[float | None]:
         """For each of ``tests`` the period of its cycle, s; None if it has no cycle."""
         return [None if cycle is None else cycle.period_s for cycle in self.cycles]

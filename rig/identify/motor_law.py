@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from rig.identify.agreement import RecordingEstimate
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.budget import Budget, budget
-from rig.identify.departures.choice import Choice, Chooser, Columns, loss, unit, with_own_noise
+from rig.identify.departures.choice import Choice, Chooser, Columns, loss, with_own_noise
 from rig.identify.departures.departure import Departure
-from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal
+from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, unit
 from rig.identify.departures.pieces import Cut
+from rig.identify.departures.prediction import sums_of_pieces
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.verdict import PROMISE, SURE
@@ -86,6 +88,7 @@ class MotorLaw:
     estimate        tau, K, friction, asymmetry and delay with these laws; None without any: the plain one holds
     budget          what may be wrong in them
     growth          length of the pieces that were fitted, s, and their RMS residual, rad
+    alone           tau, K and friction of each recording alone, with the laws as they are for all; () without laws
     """
 
     found: tuple[FoundLaw, ...]
@@ -93,6 +96,7 @@ class MotorLaw:
     estimate: Estimate | None
     budget: Budget
     growth: tuple[tuple[float, float], ...]
+    alone: tuple[RecordingEstimate, ...] = ()
 
     def notes(self) -> list[str]:
         """What the tests show, as sentences."""
@@ -151,10 +155,16 @@ class MotorLaw:
         )
 
 
-def motor_law(tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[float | None]) -> MotorLaw:
+def motor_law(
+    tests: Sequence[TimeSeries],
+    plain: Estimate,
+    periods_s: Sequence[float | None],
+    recording_of: Sequence[str] | None = None,
+) -> MotorLaw:
     """The law that the tests show, from the plain estimate on.
 
-    periods_s  for each test the period of its cycle, s, or None
+    periods_s     for each test the period of its cycle, s, or None
+    recording_of  for each test the name of its recording; None: they are of one
     Of more than 8,000 rows several at a time are taken as one. Raises IdentifyError if a test is too short.
     """
     rows = sum(len(test) for test in tests)
@@ -194,6 +204,7 @@ def motor_law(tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[
         _estimate(fit, covariance, tests, plain, periods_s),
         lines,
         choice.growth,
+        _alone(fit, recording_of or [""] * len(tests)),
     )
 
 
@@ -218,6 +229,23 @@ def thinned(test: TimeSeries, rows: int) -> TimeSeries:
         t_u_s=None if test.t_u_s is None else test.t_u_s[first],
         u_V=mean_V,
     )
+
+
+def _alone(fit: Fit, of: Sequence[str]) -> tuple[RecordingEstimate, ...]:
+    """What each recording alone says of the plain numbers, by the normal equations of the fit."""
+    problem = fit.problem
+    matrix, gradient = sums_of_pieces(problem.rows(fit.motor, fit.starts), problem.cut.begins)
+    owner = np.repeat(of, [rows.size for rows in problem.cut.rows])
+    core = [problem.free.index(name) for name in CORE_OF if name in problem.free]
+    here = np.array([math.log(fit.motor.tau_s), math.log(fit.motor.K_rad_s_V), fit.motor.fc_V])
+    found = []
+    for name in dict.fromkeys(of):
+        own = matrix[owner == name].sum(axis=0)[np.ix_(core, core)] / unit(fit)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
+        inverse = np.linalg.pinv(own * np.outer(scale, scale), rcond=1e-13, hermitian=True) * np.outer(scale, scale)
+        change = -inverse @ gradient[owner == name].sum(axis=0)[core] / unit(fit)
+        found.append(RecordingEstimate.at(name, here + change[:3], inverse[:3, :3]))
+    return tuple(found)
 
 
 def _freedom(fit: Fit) -> int:

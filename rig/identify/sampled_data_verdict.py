@@ -39,16 +39,14 @@ def judge(estimate: Estimate, tests: Sequence[TimeSeries], cycles: Sequence[Cycl
     return _transfer(estimate, tests)
 
 
-def judge_with_laws(estimate: Estimate, tests: Sequence[TimeSeries], cycles: Sequence[Cycle]) -> Estimate:
+def judge_with_laws(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     """An estimate with laws beyond the plain one, with its verdict: intervals, bounds, residual, asymmetry.
 
-    Tests that a plain motor alone can be held to, as whether one test predicts another, are part of the choice of laws.
+    What a plain motor alone can be held to, as whether one test predicts another, is part of the choice of laws. Cycles
+    that a law changes need not be alike: whether they are enough, their interval and the budget say.
     """
     estimate = intervals(estimate, tests)
-    estimate = _bounds(estimate, tests)
-    estimate = _residual(estimate, tests)
-    estimate = enough_cycles(estimate, cycles)
-    return _asymmetry(estimate)
+    return _asymmetry(_residual(_bounds(estimate, tests), tests))
 
 
 def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:

@@ -16,9 +16,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.departures.choice import Columns, unit, with_own_noise
+from rig.identify.departures.choice import Columns, with_own_noise
 from rig.identify.departures.departure import Bench, Departure
-from rig.identify.departures.fit import POSITIVE, Fit
+from rig.identify.departures.fit import POSITIVE, Fit, unit
 
 Array = NDArray[np.float64]
 

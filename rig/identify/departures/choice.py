@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.departures.departure import Bench, Departure
-from rig.identify.departures.fit import Fit, Normal, Problem, Rows, limits_of, refitted, solve, start
+from rig.identify.departures.departure import NOTHING, Bench, Departure
+from rig.identify.departures.fit import Fit, Normal, Problem, Rows, limits_of, refitted, solve, start, unit
 from rig.identify.departures.pieces import Cut
+from rig.identify.departures.prediction import rise_by_law
 from rig.identify.noise import WHITE, noise_of
 from rig.model.real_motor import RealMotor, index
 
@@ -30,6 +31,9 @@ TRIAL_ITERATIONS = 12
 MOST = 4  # laws of one motor
 ROBUST = 3.0  # residuals beyond so many standard deviations count by their size
 GROWN = 1.3  # growth of the residual from one length of pieces to the next that ends the growth
+PREDICTS = 6.0  # rise of twice the log probability of what was not fitted that a law must bring: odds of 20 to 1
+PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycles
+AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
 
 
@@ -97,7 +101,24 @@ class Chooser:
             growth.append((cut.longest_s, fit.rms_rad))
         assert fit is not None
         fit, laws = self._last(fit, laws)
+        while laws:
+            rises = rise_by_law(with_own_noise(self._shares(fit, whole, cycle_s)), laws, self.bench)
+            least = min(rises, key=lambda law: rises[law])
+            if rises[least] >= PREDICTS:
+                break
+            laws = tuple(law for law in laws if law is not least)
+            fit, laws = self._last(
+                refitted(fit, self.problem(fit.problem.cut, laws, math.inf), without(fit.motor, least)), laws
+            )
         return Choice(laws, fit, tuple(growth))
+
+    def _shares(self, fit: Fit, whole: Cut, cycle_s: float) -> Fit:
+        """The last fit on pieces short enough that some of them can be predicted from the others."""
+        cut = fit.problem.cut
+        length_s = PREDICTED * cycle_s
+        if cut.longest_s > length_s:
+            cut = whole.every(length_s)
+        return solve(start(replace(fit.problem, cut=cut, noise=WHITE), fit.motor), TRIAL_ITERATIONS)
 
     def problem(self, cut: Cut, laws: Sequence[Departure], robust_rad: float) -> Problem:
         """The problem of these laws on this cut."""
@@ -118,7 +139,10 @@ class Chooser:
         first = self._steps(fit, laws, set())
         if not first:
             return fit, laws
-        ends = [self._greedy(*step) for step in first]
+        end = self._greedy(*first[0])
+        if len(end[1]) == len(laws) + 1 and end[0].scatter_rad < AT_NOISE * self.sigma_rad:
+            return end  # it leaves nothing: another start would need two laws for as much
+        ends = [end, *(self._greedy(*step) for step in first[1:])]
         finest = with_own_noise(min((end for end, _ in ends), key=lambda end: end.scatter_rad))
 
         def worth(end: tuple[Fit, tuple[Departure, ...]]) -> float:
@@ -194,11 +218,10 @@ class Chooser:
     def promises(self, fit: Fit, laws: Sequence[Departure]) -> list[Promise]:
         """What each absent law would gain, the best first."""
         rows = fit.problem.rows(fit.motor, fit.starts)
-        columns = Columns(fit, rows)
+        absent = [law for law in self.candidates if law not in laws]
+        columns = Columns(fit, rows, [law for law in absent if law.trials(self.bench) == (NOTHING,)])
         found = []
-        for law in self.candidates:
-            if law in laws:
-                continue
+        for law in absent:
             best: Promise | None = None
             for trial in law.trials(self.bench):
                 added, scale = columns.of(law, trial)
@@ -220,12 +243,6 @@ class Chooser:
             return None
         normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
         return min(((loss(normal, fit, law) / unit(fit), law) for law in laws), key=lambda entry: entry[0])
-
-
-def unit(fit: Fit) -> float:
-    """Variance of a least-squares fit's whitened residual."""
-    freedom = int(fit.residual_rad.size) - 2 * int(fit.starts.shape[0]) - len(fit.problem.free)
-    return max(fit.cost / max(freedom, 1), 1e-12)
 
 
 def with_own_noise(fit: Fit) -> Fit:
@@ -261,12 +278,19 @@ def loss(normal: Normal, fit: Fit, law: Departure) -> float:
 
 
 class Columns:
-    """Further columns beside those of a fit, for laws that it has not."""
+    """Further columns beside those of a fit, for laws that it has not.
 
-    def __init__(self, fit: Fit, rows: Rows) -> None:
+    smooth   laws whose columns are taken at once: those without a shape, and with a derivative at 0
+    """
+
+    def __init__(self, fit: Fit, rows: Rows, smooth: Sequence[Departure] = ()) -> None:
         self._fit, self._rows = fit, rows
-        self._known: dict[str, Array] = {}
         self.base = Normal.of(rows, fit.problem.cut)
+        self._known: dict[str, Array] = {}
+        if smooth:
+            names = [name for law in smooth for name in law.numbers]
+            found = fit.problem.cut.derivatives(fit.motor, fit.starts, [index(name) for name in names])
+            self._known = dict(zip(names, self._white(found.by_number).T, strict=True))
 
     def of(self, law: Departure, trial: Mapping[str, float]) -> tuple[Array, float]:
         """Derivatives by the law's numbers at 0, (n, k), whitened as the residual, and 1.0.
@@ -275,6 +299,8 @@ class Columns:
         value is 0.
         """
         fit = self._fit
+        if all(name in self._known for name in law.numbers):
+            return np.column_stack([self._known[name] for name in law.numbers]), 1.0
         cut, motor = fit.problem.cut, fit.motor._replace(**trial)
         if any(name in trial for name in law.numbers):
             change = cut.readings(motor, fit.starts) - cut.readings(fit.motor, fit.starts)

@@ -186,6 +186,12 @@ def solve(fit: Fit, iterations: int = ITERATIONS) -> Fit:
     return replace(fit, iterates=np.concatenate(iterates))
 
 
+def unit(fit: Fit) -> float:
+    """Variance of a least-squares fit's whitened residual."""
+    freedom = int(fit.residual_rad.size) - 2 * int(fit.starts.shape[0]) - len(fit.problem.free)
+    return max(fit.cost / max(freedom, 1), 1e-12)
+
+
 @dataclass(frozen=True, eq=False)
 class Normal:
     """Normal equations with the starts of the pieces taken out: each piece has a 2 x 2 block of its own.
