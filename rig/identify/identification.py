@@ -17,7 +17,7 @@ from rig.identify.friction_law import FrictionLawChoice, friction_law
 from rig.identify.least_squares import Transient
 from rig.identify.mean_cycle import Cycle
 from rig.identify.measurements import Measurements, measurements
-from rig.identify.motor_law import NO_LAW, MotorLaw, motor_law
+from rig.identify.motor_law import MotorLaw, motor_law
 from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.preprocessing import from_recording
 from rig.identify.sampled_data_verdict import judge_with_laws, slipped_rms_rad
@@ -64,7 +64,7 @@ class Identification:
             hysteretic=tuple(self.hysteretic) or None,
             breakaway=self.breakaway,
             friction_law=None if self.friction_law is None else self.friction_law.as_result(),
-            **(NO_LAW if self.motor_law is None else self.motor_law.as_keys()),
+            **({} if self.motor_law is None else self.motor_law.as_result().law_keys()),
         )
 
     @property

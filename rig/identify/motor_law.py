@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.verdict import PROMISE, SURE
 from rig.model.real_motor import RealMotor
 from rig.recording.series import TimeSeries
-from rig.results import BudgetEntry, EstimateResult, FoundLawResult, PieceResult
+from rig.results import BudgetEntry, FoundLawResult, MotorLawResult, PieceResult
 
 Array = NDArray[np.float64]
 
@@ -37,20 +36,6 @@ SMALL_FRICTION = 0.03  # of the largest drive: the size that smaller friction co
 MOST_ROWS = 8000  # of all tests
 ROWS_OF_TAU = 20  # at least so many of the rows taken as one have room in tau
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
-
-
-class LawKeys(TypedDict):
-    """The keys of result.json that say what the motor is beyond the plain law."""
-
-    law: tuple[FoundLawResult, ...] | None
-    not_told_apart: tuple[tuple[str, ...], ...] | None
-    u95: dict[str, float | None] | None
-    budget: tuple[BudgetEntry, ...] | None
-    with_law: EstimateResult | None
-    pieces: tuple[PieceResult, ...] | None
-
-
-NO_LAW: LawKeys = {"law": None, "not_told_apart": None, "u95": None, "budget": None, "with_law": None, "pieces": None}
 
 
 @dataclass(frozen=True)
@@ -126,9 +111,9 @@ class MotorLaw:
             f"not exclude. To know more, record {cure}"
         )
 
-    def as_keys(self) -> LawKeys:
+    def as_result(self) -> MotorLawResult:
         """As in result.json."""
-        return LawKeys(
+        return MotorLawResult(
             law=tuple(
                 FoundLawResult(
                     name=one.law.name,
