@@ -100,6 +100,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
         command=" ".join(sys.argv),
         truth=true_motor(bench),
         script=script,
+        identify_without=experiment.identify.without or None,
     )
 
 

@@ -304,6 +304,17 @@ class RelaySection(_Section):
         return self
 
 
+RecordName = Annotated[str, Field(pattern=r"^(breakaway|search|survey|relay-[1-9][0-9]?)$")]
+
+
+class IdentifySection(_Section):
+    """How the motor is identified from what the run recorded."""
+
+    without: tuple[RecordName, ...] = Field(
+        (), description="stages that identification does not read: breakaway, search, relay-1, relay-2, ..."
+    )
+
+
 class Sine(_Section):
     """One component of the tracking trajectory."""
 
@@ -476,6 +487,7 @@ class Experiment(_Section):
     limits: TravelLimits = Field(description="where the shaft may be, and how fast")
     breakaway: BreakawaySection = Field(BreakawaySection(), description="the check before any relay")
     relay: RelaySection = Field(description="the relay experiment")
+    identify: IdentifySection = Field(IdentifySection(), description="how the motor is identified from the run")
     tracking: TrackingSection | None = Field(None, description="leave out to skip the tracking check")
     law: LawSection | None = Field(
         None, description="a law of your own: `rig run` runs the breakaway check and this law, and nothing else"

@@ -25,7 +25,7 @@ from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.verdict import PROMISE, SURE
 from rig.model.real_motor import RealMotor
 from rig.recording.series import TimeSeries
-from rig.results import BudgetEntry, FoundLawResult, MotorLawResult, PieceResult
+from rig.results import BudgetEntry, FittedRecord, FoundLawResult, MotorLawResult, PieceResult
 
 Array = NDArray[np.float64]
 
@@ -72,6 +72,7 @@ class MotorLaw:
     estimate        tau, K, friction, asymmetry and delay with these laws; None without any: the plain one holds
     budget          what may be wrong in them
     growth          length of the pieces that were fitted, s, and their RMS residual, rad
+    records         what was fitted
     """
 
     found: tuple[FoundLaw, ...]
@@ -79,6 +80,7 @@ class MotorLaw:
     estimate: Estimate | None
     budget: Budget
     growth: tuple[tuple[float, float], ...]
+    records: tuple[FittedRecord, ...] = ()
 
     def notes(self) -> list[str]:
         """What the tests show, as sentences."""
@@ -134,6 +136,7 @@ class MotorLaw:
             ),
             with_law=None if self.estimate is None else self.estimate.as_result(),
             pieces=tuple(PieceResult(length_s=length, rms_rad=rms) for length, rms in self.growth),
+            law_records=self.records,
         )
 
 
@@ -149,6 +152,7 @@ def motor_law(
     further    records beside the tests, each with the number of a test of the same run
     Of more than 8,000 rows several at a time are taken as one. Raises IdentifyError if a test is too short.
     """
+    records = tuple(_record(series) for series in [*tests, *(series for series, _ in further)])
     rows = sum(len(test) for test in tests)
     more = sum(len(series) for series, _ in further)
     tests = [_folded(test, rows, plain.tau_s) for test in tests]
@@ -177,7 +181,7 @@ def motor_law(
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
     lines = budget(fit, choice.laws, candidates, bench)
     if not choice.laws and not further:
-        return MotorLaw((), (), None, lines, choice.growth)
+        return MotorLaw((), (), None, lines, choice.growth, records)
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
     found = tuple(_found(law, fit, normal, covariance) for law in choice.laws)
     return MotorLaw(
@@ -186,10 +190,16 @@ def motor_law(
         _estimate(fit, covariance, tested, plain, periods_s),
         lines,
         choice.growth,
+        records,
     )
 
 
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
+
+
+def _record(series: TimeSeries) -> FittedRecord:
+    rows = (series.first_row, series.first_row + len(series) - 1)
+    return FittedRecord(name=series.name, rows=rows, duration_s=float(series.t_s[-1] - series.t_s[0]))
 
 
 def _folded(series: TimeSeries, of_rows: int, tau_s: float) -> TimeSeries:

@@ -182,6 +182,14 @@ class PieceResult(Part):
     )
 
 
+class FittedRecord(Part):
+    """A record that the law of the motor was fitted to."""
+
+    name: Text = Field(description="its stage; of a CSV file: the file's name")
+    rows: Rows | None = Field(None, description="first and last row, counted from 0")
+    duration_s: Number = Field(None, description="how long it is, s")
+
+
 class MotorLawResult(Part):
     """What a motor is beyond the plain one, and how certain tau, K and friction are. A part of two other files."""
 
@@ -189,12 +197,18 @@ class MotorLawResult(Part):
     not_told_apart: Sometimes[tuple[tuple[Text, ...], ...]] = Field(
         None, description="groups of laws that explain the tests equally well"
     )
-    with_law: Sometimes[EstimateResult] = Field(None, description="the leading estimate of a motor with these laws")
+    with_law: Sometimes[EstimateResult] = Field(
+        None, description="the leading estimate of a motor with these laws, from all these records"
+    )
     u95: Sometimes[dict[str, Number]] = Field(
         None, description="expanded uncertainty, half width at 95 %, by parameter"
     )
     budget: Sometimes[tuple[BudgetEntry, ...]] = Field(None, description="what u95 is made of, the largest first")
     pieces: Sometimes[tuple[PieceResult, ...]] = Field(None, description="residual by the length of the fitted pieces")
+
+    law_records: Sometimes[tuple[FittedRecord, ...]] = Field(
+        None, description="what law, with_law, u95 and budget were fitted to; tracking never is"
+    )
 
     def law_keys(self) -> dict[str, Any]:
         """Those of these keys that were set, by name: to make another result that has them, too."""
