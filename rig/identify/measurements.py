@@ -10,6 +10,7 @@ import numpy as np
 from rig.identify.cycles import find_cycle
 from rig.identify.mean_cycle import Cycle
 from rig.identify.preprocessing import from_recording
+from rig.identify.stated_errors import StatedErrors
 from rig.model.supply import SupplyReading
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
@@ -30,6 +31,7 @@ class Measurements:
     guarded     one sentence for each test in which the guard changed the relay's drive
     supplies    one sentence for each motor supply that differs from the config
     sources     for each recording its name, and its series
+    stated      for each recording what its bench may be wrong by
     notes       what was left out or corrected, how gains and cycles were found
     """
 
@@ -41,6 +43,7 @@ class Measurements:
     guarded: list[str] = field(default_factory=list)
     supplies: list[str] = field(default_factory=list)
     sources: list[tuple[str, Sequence[TimeSeries]]] = field(default_factory=list)
+    stated: list[StatedErrors] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -63,6 +66,7 @@ def measurements(recordings: Sequence[Recording], *, with_cycles: bool, plain_is
     """
     data = Measurements()
     for recording in recordings:
+        data.stated.append(StatedErrors.of(recording.meta))
         data.guarded += _guarded(recording)
         data.supplies += [reason for reason in _supply(recording) if reason not in data.supplies]
         tests, runs = _series_of(recording, len(recordings) > 1, data.notes)

@@ -15,24 +15,23 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from rig.identify.departures import DEPARTURES
-from rig.identify.departures.budget import Budget, budget
+from rig.identify.departures.budget import TYPE_A, Budget, budget
 from rig.identify.departures.choice import Choice, Chooser, Columns, loss, unit, with_own_noise
 from rig.identify.departures.departure import Departure
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.repetition import repeated_share, repetitions
-from rig.identify.verdict import PROMISE, SURE
+from rig.identify.stated_errors import ScaleErrors, StatedErrors
+from rig.identify.verdict import ASKED, beside, sizes_of
 from rig.model.real_motor import RealMotor
 from rig.recording.series import TimeSeries
 from rig.results import BudgetEntry, FoundLawResult, MotorLawResult, PieceResult
 
 Array = NDArray[np.float64]
 
-LINEARITY_SHARE = 0.005  # largest error of a sensor's linearity, relative to its travel, where no data sheet is given
 ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 NO_CYCLE = 12.0  # parts of a record without a cycle that count as one
-SMALL_FRICTION = 0.03  # of the largest drive: the size that smaller friction counts as
 MOST_ROWS = 8000  # of all tests
 ROWS_OF_TAU = 20  # at least so many of the rows taken as one have room in tau
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
@@ -87,29 +86,46 @@ class MotorLaw:
             lines.append(f"law: {' and '.join(group)} are not told apart; record {told_by}")
         return lines
 
+    def judged(self, largest_V: float, estimate: Estimate) -> MotorLaw:
+        """The same with the verdict of ``estimate``, which is its own, and its reservations."""
+        law = replace(self, estimate=estimate)
+        reservations = law.reservations(estimate, largest_V)
+        return replace(law, estimate=estimate.judged("doubtful", *reservations) if reservations else estimate)
+
     def without_laws(self) -> MotorLaw:
         """The same, but for the laws and their estimate: the plain one holds."""
         return replace(self, found=(), not_told_apart=(), estimate=None)
 
-    def reservation(self, estimate: Estimate, largest_V: float) -> str | None:
-        """What makes ``estimate`` less certain than 2.5 %, as a sentence; None if nothing does.
+    def reservations(self, estimate: Estimate, largest_V: float) -> list[str]:
+        """Why an estimate of these tests cannot be ok, as sentences: a law that it has not, or too large a u95.
 
-        largest_V   largest drive of the tests, V: friction near zero has no useful relative uncertainty
+        largest_V   largest drive of the tests, V
         """
-        sizes = {"tau_s": estimate.tau_s, "K_rad_s_V": estimate.K_rad_s_V}
-        sizes["fc_V"] = max(abs(estimate.fc_V), SMALL_FRICTION * largest_V)
-        shares = {name: self.budget.u95[name] / abs(size) for name, size in sizes.items()}
+        sizes = sizes_of(estimate, largest_V)
+        found = []
+        if self.estimate is not None and estimate is not self.estimate:
+            off = {name: abs(getattr(estimate, name) - getattr(self.estimate, name)) / sizes[name] for name in sizes}
+            name = max(off, key=lambda key: off[key])
+            if off[name] > ASKED:
+                laws = " and ".join(one.law.title for one in self.found)
+                found.append(
+                    f"{name} is {100.0 * off[name]:.2g} % off: the motor has {laws}; take the estimate with it"
+                )
+        shares = {name: self.budget.u95[name] / size for name, size in sizes.items()}
         name = max(shares, key=lambda key: shares[key])
-        if SURE * shares[name] <= PROMISE:
-            return None
-        largest = max(self.budget.entries, key=lambda entry: float(getattr(entry, name)))
-        law = next((one for one in DEPARTURES if one.name == largest.source), None)
-        what = largest.source if law is None else law.title
-        cure = "more cycles, and another amplitude" if law is None else law.told_by
-        return (
-            f"{name} is only certain to {100.0 * shares[name]:.2g} % (u95): most of it is {what}, which these tests do "
-            f"not exclude. To know more, record {cure}"
+        largest = max(
+            (entry for entry in self.budget.entries if not entry.absolute), key=lambda e: float(getattr(e, name))
         )
+        if shares[name] <= ASKED or (largest.source == TYPE_A and estimate.verdict != "ok"):
+            return found  # the sentence on its interval says it already
+        of = [law for law in DEPARTURES if law.name in largest.laws]
+        known = f"{name} is only certain to {beside(100.0 * shares[name], 100.0 * ASKED)} % (u95)"
+        asked = f"ok asks for {100.0 * ASKED:.2g} %"
+        if not of:
+            return [*found, f"{known}; {asked}: record more cycles, or slower and larger ones"]
+        what = " and ".join(law.title for law in of)
+        cures = ", and ".join(dict.fromkeys(law.told_by for law in of))
+        return [*found, f"{known}; {asked}: most of it is {what}, which these tests do not exclude; record {cures}"]
 
     def as_result(self) -> MotorLawResult:
         """As in result.json."""
@@ -126,9 +142,11 @@ class MotorLaw:
                 for one in self.found
             ),
             not_told_apart=self.not_told_apart,
-            u95=dict(self.budget.u95),
+            u95=self.budget.u95,
+            u95_absolute=self.budget.u95_absolute,
+            ok_asks_u95_percent=100.0 * ASKED,
             budget=tuple(
-                BudgetEntry(source=e.source, tau_s=e.tau_s, K_rad_s_V=e.K_rad_s_V, fc_V=e.fc_V)
+                BudgetEntry(source=e.source, tau_s=e.tau_s, K_rad_s_V=e.K_rad_s_V, fc_V=e.fc_V, absolute=e.absolute)
                 for e in self.budget.entries
             ),
             with_law=None if self.estimate is None else self.estimate.as_result(),
@@ -136,10 +154,16 @@ class MotorLaw:
         )
 
 
-def motor_law(tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[float | None]) -> MotorLaw:
+def motor_law(
+    tests: Sequence[TimeSeries],
+    plain: Estimate,
+    periods_s: Sequence[float | None],
+    stated: Sequence[StatedErrors] = (StatedErrors(),),
+) -> MotorLaw:
     """The law that the tests show, from the plain estimate on.
 
     periods_s  for each test the period of its cycle, s, or None
+    stated     what is known of the benches that recorded them; at least one
     Of more than 8,000 rows several at a time are taken as one. Raises IdentifyError if a test is too short.
     """
     rows = sum(len(test) for test in tests)
@@ -159,7 +183,9 @@ def motor_law(tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[
     )
     durations = [window.duration_s for window in whole.windows]
     cycle_s = min((p for p in periods_s if p is not None), default=max(durations) / NO_CYCLE)
-    linearity_rad = 2.0 * LINEARITY_SHARE * whole.frames[0].half_travel_rad
+    frame = whole.frames[0]
+    low_rad, high_rad = frame.centre_rad - frame.half_travel_rad, frame.centre_rad + frame.half_travel_rad
+    linearity_rad = max(one.linearity_rad(high_rad - low_rad) for one in stated)
     bench = whole.every(0.5 * cycle_s).bench(start, linearity_rad)
     core = (*CORE, DELAY) if free_delay else CORE
     sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
@@ -168,7 +194,7 @@ def motor_law(tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[
     choice = chooser.choose(whole, start, cycle_s)
     fit = with_own_noise(choice.fit)
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
-    lines = budget(fit, choice.laws, candidates, bench)
+    lines = budget(fit, choice.laws, candidates, bench, ScaleErrors.of(stated, low_rad, high_rad))
     if not choice.laws:
         return MotorLaw((), (), None, lines, choice.growth)
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
