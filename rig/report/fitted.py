@@ -180,7 +180,7 @@ def budget(run: ReportedRun) -> Picture:
         axes.barh(places, [share if math.isfinite(share) else 0.0 for share in shares], height=0.7, color=colours)
         for place, share, row in zip(places, shares, lines, strict=True):
             if row.is_sum and math.isfinite(share):
-                axes.annotate(f"{share:.2g}", (share, place), (3, 0), textcoords="offset points", va="center")
+                axes.annotate(f"{share:.2f}", (share, place), (3, 0), textcoords="offset points", va="center")
         if asked is not None:
             axes.plot((asked, asked), (-0.5, own - 0.5), color=MUTED, lw=1.0, ls=":")
         axes.set_title(LABELS[key].split(",")[0])

@@ -181,7 +181,7 @@ def budget(run: ReportedRun) -> list[BudgetRow]:
     return [
         BudgetRow(
             line.source,
-            [(share, f"{share:.2g}") if math.isfinite(share) else (None, "–") for share in line.percent],
+            [(share, f"{share:.2f}") if math.isfinite(share) else (None, "–") for share in line.percent],
             line.is_sum,
         )
         for line in budget_in_words(run)
