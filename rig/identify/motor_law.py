@@ -7,7 +7,7 @@ the choice into an estimate with its intervals, names laws that look alike, and 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from rig.identify.departures import DEPARTURES
-from rig.identify.departures.budget import TYPE_A, Budget, budget
-from rig.identify.departures.choice import Choice, Chooser, Columns, loss, unit, with_own_noise
+from rig.identify.departures.budget import OTHER, Budget, budget
+from rig.identify.departures.choice import Chooser, loss, unit, with_own_noise
 from rig.identify.departures.departure import Departure
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal
+from rig.identify.departures.in_place import in_place
+from rig.identify.departures.nuisances import Nuisances
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.repetition import repeated_share, repetitions
@@ -102,30 +104,41 @@ class MotorLaw:
         largest_V   largest drive of the tests, V
         """
         sizes = sizes_of(estimate, largest_V)
-        found = []
-        if self.estimate is not None and estimate is not self.estimate:
-            off = {name: abs(getattr(estimate, name) - getattr(self.estimate, name)) / sizes[name] for name in sizes}
-            name = max(off, key=lambda key: off[key])
-            if off[name] > ASKED:
-                laws = " and ".join(one.law.title for one in self.found)
-                found.append(
-                    f"{name} is {100.0 * off[name]:.2g} % off: the motor has {laws}; take the estimate with it"
-                )
+        return [*self._laws_that_it_has_not(estimate, sizes), *self._too_uncertain(estimate, sizes)]
+
+    def _laws_that_it_has_not(self, estimate: Estimate, sizes: Mapping[str, float]) -> Iterator[str]:
+        if self.estimate is None or estimate is self.estimate:
+            return
+        off = {name: abs(getattr(estimate, name) - getattr(self.estimate, name)) / sizes[name] for name in sizes}
+        name = max(off, key=lambda key: off[key])
+        if off[name] > ASKED:
+            laws = " and ".join(one.law.title for one in self.found)
+            yield (
+                f"{name} is {100.0 * off[name]:.2g} % off, for the motor has {laws}: "
+                "take the estimate with it (with_law)"
+            )
+
+    def _too_uncertain(self, estimate: Estimate, sizes: Mapping[str, float]) -> Iterator[str]:
         shares = {name: self.budget.u95[name] / size for name, size in sizes.items()}
         name = max(shares, key=lambda key: shares[key])
-        largest = max(
-            (entry for entry in self.budget.entries if not entry.absolute), key=lambda e: float(getattr(e, name))
+        if shares[name] <= ASKED:
+            return
+        own = (entry for entry in self.budget.entries if not entry.absolute)
+        largest = max(own, key=lambda entry: float(getattr(entry, name)))
+        known = (
+            f"{name} is only certain to {beside(100.0 * shares[name], 100.0 * ASKED)} % (u95); "
+            f"ok asks for {100.0 * ASKED:.2g} %"
         )
-        if shares[name] <= ASKED or (largest.source == TYPE_A and estimate.verdict != "ok"):
-            return found  # the sentence on its interval says it already
-        of = [law for law in DEPARTURES if law.name in largest.laws]
-        known = f"{name} is only certain to {beside(100.0 * shares[name], 100.0 * ASKED)} % (u95)"
-        asked = f"ok asks for {100.0 * ASKED:.2g} %"
-        if not of:
-            return [*found, f"{known}; {asked}: record more cycles, or slower and larger ones"]
-        what = " and ".join(law.title for law in of)
-        cures = ", and ".join(dict.fromkeys(law.told_by for law in of))
-        return [*found, f"{known}; {asked}: most of it is {what}, which these tests do not exclude; record {cures}"]
+        laws = [law for law in DEPARTURES if law.name in largest.laws]
+        cures = ", and ".join(dict.fromkeys(law.told_by for law in laws))
+        if largest.source.startswith(OTHER):
+            what = " or ".join(law.title for law in laws)
+            yield f"{known}: most of it is that these tests do not tell {what}; record {cures}"
+        elif laws:
+            what = " and ".join(law.title for law in laws)
+            yield f"{known}: most of it is {what}, which these tests do not exclude; record {cures}"
+        elif estimate.verdict == "ok":  # else the sentence on its interval says it already
+            yield f"{known}: record more cycles, or slower and larger ones"
 
     def as_result(self) -> MotorLawResult:
         """As in result.json."""
@@ -194,14 +207,18 @@ def motor_law(
     choice = chooser.choose(whole, start, cycle_s)
     fit = with_own_noise(choice.fit)
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
-    lines = budget(fit, choice.laws, candidates, bench, ScaleErrors.of(stated, low_rad, high_rad))
+    nuisances = Nuisances.of(fit, choice.laws, candidates, bench)
+    instead = in_place(nuisances, choice.laws)
+    lines = budget(nuisances, instead, ScaleErrors.of(stated, low_rad, high_rad))
     if not choice.laws:
         return MotorLaw((), (), None, lines, choice.growth)
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
-    found = tuple(_found(law, fit, normal, covariance) for law in choice.laws)
+    groups = (
+        (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
+    )
     return MotorLaw(
-        found,
-        tuple(group for law in choice.laws if len(group := _alike(law, choice, fit, chooser)) > 1),
+        tuple(_found(law, fit, normal, covariance) for law in choice.laws),
+        tuple(group for group in groups if len(group) > 1),
         _estimate(fit, covariance, tests, plain, periods_s),
         lines,
         choice.growth,
@@ -246,39 +263,6 @@ def _found(law: Departure, fit: Fit, normal: Normal, covariance: Array) -> Found
     price = len(law.numbers + law.shape) * math.log(_freedom(fit))
     numbers = {name: float(getattr(fit.motor, name)) for name in (*law.numbers, *law.shape)}
     return FoundLaw(law, size, (size - half, size + half), loss(normal, fit, law) / unit(fit) - price, numbers)
-
-
-def _alike(law: Departure, choice: Choice, fit: Fit, chooser: Chooser) -> tuple[str, ...]:
-    """The law, and those that would explain the tests nearly as well in its place (by the linear model)."""
-    rows = fit.problem.rows(fit.motor, fit.starts)
-    columns = Columns(fit, rows)
-    group = [law.name]
-    free = fit.problem.free
-    own = [free.index(name) for name in law.numbers]
-    shape = [free.index(name) for name in law.shape]
-    size = np.array([getattr(fit.motor, name) for name in law.numbers])
-    count = math.log(_freedom(fit))
-    for other in chooser.candidates:
-        if other in choice.laws:
-            continue
-        excess = math.inf
-        for trial in other.trials(chooser.bench):
-            added, _ = columns.of(other, trial)
-            normal = columns.normal(added)
-            rest = [k for k in range(normal.matrix.shape[0]) if k not in own and k not in shape]
-            pull = normal.gradient[rest] - normal.matrix[np.ix_(rest, own)] @ size
-            matrix = normal.matrix[np.ix_(rest, rest)]
-            scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-            answer = np.linalg.lstsq(matrix / np.outer(scale, scale), pull / scale, rcond=1e-11)[0]
-            rise = float(-2.0 * normal.gradient[own] @ size + size @ normal.matrix[np.ix_(own, own)] @ size)
-            rise -= float(pull / scale @ answer)
-            if other.one_sided and -(answer / scale)[-1] <= 0.0:
-                continue
-            excess = min(excess, rise)
-        extra = len(other.numbers + other.shape) - len(law.numbers + law.shape)
-        if excess / unit(fit) + extra * count < ALIKE:
-            group.append(other.name)
-    return tuple(group)
 
 
 def _estimate(

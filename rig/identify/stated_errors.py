@@ -1,4 +1,7 @@
-"""What no record shows: the errors of a bench's sensor, supply and clock, as its config states them."""
+"""What no record shows: the errors of a bench's sensor, supply and clock, as its config states them.
+
+docs/theory.md 12.9 has the equations.
+"""
 
 from __future__ import annotations
 

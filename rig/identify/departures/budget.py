@@ -4,6 +4,7 @@ Type A is the scatter of the fit. To it comes every law that the record neither 
 as a nuisance: a bench has it with a probability of ``PRESENT``, in a size up to ``Departure.range_of``. The record
 changes both, by Bayes' rule. What the law then moves tau, K and friction by, weighted by how probable it still is, is
 its line. Two or three laws that hide each other have a line together: each alone may be excluded, while all are not.
+Where another law would explain the record nearly as well as one that was found, that has a line as well.
 
 No record shows how large the bench's volt, radian and second are. What their errors move is in the absolute lines.
 """
@@ -19,22 +20,20 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.departures.choice import Columns, unit, with_own_noise
-from rig.identify.departures.departure import Bench, Departure
-from rig.identify.departures.fit import POSITIVE, Fit
+from rig.identify.departures.in_place import InPlace
+from rig.identify.departures.nuisances import OF, Nuisance, Nuisances
 from rig.identify.stated_errors import ScaleErrors
 from rig.model.real_motor import RealMotor
 
 Array = NDArray[np.float64]
 
-OF = ("tau_s", "K_rad_s_V", "fc_V")
 COVERAGE = 2.0  # of an expanded uncertainty: 95 %
-UNIFORM = math.sqrt(3.0)  # half width of a uniform distribution over its standard deviation
 PRESENT = 0.1  # probability of a law before the record is looked at
 MOST_TOGETHER = 3  # laws that are looked at together
 LARGEST_GAIN = 60.0  # of twice the log likelihood: it keeps its exponential finite
 TYPE_A = "scatter"
 TOGETHER = "laws that hide each other"
+OTHER = "another law instead of "
 
 
 @dataclass(frozen=True)
@@ -70,46 +69,22 @@ class Budget:
         return {name: math.hypot(*(getattr(entry, name) for entry in self.entries)) for name in OF}
 
 
-@dataclass(frozen=True)
-class Nuisance:
-    """One start of a law: its first column among those of all nuisances, how many it has; and how many starts."""
+def budget(nuisances: Nuisances, instead: Sequence[InPlace], scales: ScaleErrors) -> Budget:
+    """The budget of a fit with its chosen laws.
 
-    law: Departure
-    first: int
-    count: int
-    starts: int
-
-    @property
-    def columns(self) -> range:
-        """Where its columns are."""
-        return range(self.first, self.first + self.count)
-
-
-def budget(
-    fit: Fit, laws: Sequence[Departure], candidates: Sequence[Departure], bench: Bench, scales: ScaleErrors
-) -> Budget:
-    """The budget of a fit with its chosen ``laws``, on a bench with these errors of its scales."""
-    fit = with_own_noise(fit)
-    columns = Columns(fit, fit.problem.rows(fit.motor, fit.starts))
-    added: list[Array] = []
-    nuisances: list[Nuisance] = []
-    spreads: list[float] = []
-    for law in candidates:
-        trials = () if law in laws else law.trials(bench)
-        for trial in trials:
-            column, scale = columns.of(law, trial)
-            nuisances.append(Nuisance(law, len(spreads), column.shape[1], len(trials)))
-            added.append(column)
-            spreads += [(law.range_of(bench) if scale else 1.0) / UNIFORM] * column.shape[1]
-    normal = columns.normal(np.column_stack(added)) if added else columns.base
-    variance = unit(fit)
-    shifts = _Shifts.of(fit, normal.matrix / variance, normal.gradient / variance, np.array(spreads))
-    size = [max(abs(getattr(fit.motor, name)), 1e-12) for name in ("tau_s", "K_rad_s_V")]
-    entries = (
+    nuisances   the laws that it has not
+    instead     those that could stand in place of a chosen one
+    scales      how well the bench's volt, radian and second are known
+    """
+    shifts = Shifts.of(nuisances)
+    motor = nuisances.fit.motor
+    entries = [
         Entry(TYPE_A, *(COVERAGE * np.sqrt(shifts.scatter)).tolist()),
-        *_hidden(shifts, nuisances),
-        *absolute(fit.motor, scales),
-    )
+        *hidden(shifts, nuisances.each),
+        *instead_of(instead),
+        *absolute(motor, scales),
+    ]
+    size = [max(abs(getattr(motor, name)), 1e-12) for name in ("tau_s", "K_rad_s_V")]
     return Budget(tuple(sorted(entries, key=lambda e: -max(e.tau_s / size[0], e.K_rad_s_V / size[1], e.fc_V))))
 
 
@@ -128,7 +103,7 @@ def absolute(motor: RealMotor, scales: ScaleErrors) -> tuple[Entry, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Shifts:
+class Shifts:
     """What nuisances do to tau, K and friction, each nuisance in its own spread.
 
     scatter    (3,) variances of tau, K and friction by the noise alone
@@ -143,20 +118,15 @@ class _Shifts:
     pull: Array
 
     @classmethod
-    def of(cls, fit: Fit, matrix: Array, gradient: Array, spread: Array) -> _Shifts:
-        """From the normal equations in units of the noise: of the fit's own numbers, then of the nuisances.
-
-        spread   standard deviation of each nuisance before the record is looked at
-        """
-        at = [fit.problem.free.index(name) for name in OF]
-        size = np.array([getattr(fit.motor, name) if name in POSITIVE else 1.0 for name in OF])
-        core = len(fit.problem.free)
+    def of(cls, nuisances: Nuisances) -> Shifts:
+        """From the normal equations."""
+        matrix, gradient, spread, core = nuisances.matrix, nuisances.gradient, nuisances.spread, nuisances.core
         own, border = matrix[:core, :core], matrix[core:, :core]
         scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
         inverse = np.linalg.pinv(own * np.outer(scale, scale), rcond=1e-13, hermitian=True) * np.outer(scale, scale)
         return cls(
-            np.diag(inverse)[at] * size**2,
-            -(inverse @ border.T)[at] * size[:, None] * spread,
+            np.diag(inverse)[nuisances.at] * nuisances.size**2,
+            -(inverse @ border.T)[nuisances.at] * nuisances.size[:, None] * spread,
             (matrix[core:, core:] - border @ inverse @ border.T) * np.outer(spread, spread),
             (gradient[core:] - border @ inverse @ gradient[:core]) * spread,
         )
@@ -176,7 +146,7 @@ class _Shifts:
         return odds, squares
 
 
-def _hidden(shifts: _Shifts, nuisances: Sequence[Nuisance]) -> Iterator[Entry]:
+def hidden(shifts: Shifts, nuisances: Sequence[Nuisance]) -> Iterator[Entry]:
     """A line for each law, and one for all sets of more."""
     before = PRESENT / (1.0 - PRESENT)
     weights: list[Array] = []
@@ -200,6 +170,19 @@ def _hidden(shifts: _Shifts, nuisances: Sequence[Nuisance]) -> Iterator[Entry]:
         most = names[rows[int(np.argmax((line / np.maximum(line.sum(axis=0), 1e-300)).sum(axis=1)))]]
         tau, gain, friction = (COVERAGE * np.sqrt(line.sum(axis=0))).tolist()
         yield Entry(source, tau, gain, friction, laws=most)
+
+
+def instead_of(instead: Sequence[InPlace]) -> Iterator[Entry]:
+    """A line for each chosen law that another may stand in for: each as likely as Schwarz's criterion says."""
+    by_law: dict[str, list[InPlace]] = defaultdict(list)
+    for one in instead:
+        by_law[one.law.name].append(one)
+    for others in by_law.values():
+        odds = np.exp(-0.5 * np.maximum([one.rise for one in others], 0.0))
+        squares = (odds / (1.0 + odds.sum()))[:, None] * np.array([one.moves**2 for one in others])
+        most = others[int(np.argmax(odds))]
+        tau, gain, friction = (COVERAGE * np.sqrt(squares.sum(axis=0))).tolist()
+        yield Entry(f"{OTHER}{most.law.name}", tau, gain, friction, laws=(most.law.name, most.other.name))
 
 
 def _sets(nuisances: Sequence[Nuisance]) -> Iterator[list[tuple[Nuisance, ...]]]:
