@@ -21,7 +21,15 @@ from rig.results.estimates import (
     known,
 )
 from rig.results.event import DrivenModel, RunEvent
-from rig.results.meta import DeviceSeen, RealTimeReport, RunMeta, ScriptCall, SupplyBelieved, TrueMotor
+from rig.results.meta import (
+    DeviceSeen,
+    RealTimeReport,
+    RunMeta,
+    ScriptCall,
+    SensorBelieved,
+    SupplyBelieved,
+    TrueMotor,
+)
 from rig.results.part import JsonObject, Part
 from rig.results.result import (
     DeviceLoop,
@@ -64,6 +72,7 @@ __all__ = [
     "RunResult",
     "ScriptCall",
     "SearchStepResult",
+    "SensorBelieved",
     "StaticFrictionResult",
     "SupplyBelieved",
     "TrackingResult",

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from rig.results.part import NOT_IN_EACH_FILE, Count, Number, Part, Real, Sometimes, Text
+from rig.results.part import NOT_IN_EACH_FILE, Count, Flag, Number, Part, Real, Sometimes, Text
 
 Interval = tuple[Number, Number]
 Rows = tuple[Count, Count]
@@ -167,10 +167,14 @@ class FoundLawResult(Part):
 class BudgetEntry(Part):
     """One line of the uncertainty budget: half widths at 95 %."""
 
-    source: Text = Field(description="`scatter`: of the fit; else a law that the tests neither show nor exclude")
+    source: Text = Field(
+        description="`scatter`: of the fit; `supply`, `calibration`, `clock`; else a law that the tests neither show "
+        "nor exclude"
+    )
     tau_s: Number = Field(None, description="what it adds to the uncertainty of tau, s")
     K_rad_s_V: Number = Field(None, description="of K, (rad/s)/V")
     fc_V: Number = Field(None, description="of the friction, V")
+    absolute: Annotated[Flag, NOT_IN_EACH_FILE] = Field(False, description="whether it counts in u95_absolute alone")
 
 
 class PieceResult(Part):
@@ -201,9 +205,20 @@ class MotorLawResult(Part):
         None, description="the leading estimate of a motor with these laws, from all these records"
     )
     u95: Sometimes[dict[str, Number]] = Field(
-        None, description="expanded uncertainty, half width at 95 %, by parameter"
+        None,
+        description="expanded uncertainty, half width at 95 %, by parameter, in the bench's own volts, radians and "
+        "seconds",
     )
-    budget: Sometimes[tuple[BudgetEntry, ...]] = Field(None, description="what u95 is made of, the largest first")
+    u95_absolute: Sometimes[dict[str, Number]] = Field(
+        None,
+        description="the same in true volts, radians and seconds: with the errors of supply, calibration and clock",
+    )
+    ok_asks_u95_percent: Sometimes[Number] = Field(
+        None, description="largest u95 of a verdict ok, % of each of tau, K and friction"
+    )
+    budget: Sometimes[tuple[BudgetEntry, ...]] = Field(
+        None, description="what u95 and u95_absolute are made of, the largest first"
+    )
     pieces: Sometimes[tuple[PieceResult, ...]] = Field(None, description="residual by the length of the fitted pieces")
 
     law_records: Sometimes[tuple[FittedRecord, ...]] = Field(
