@@ -90,8 +90,8 @@ def identify(
     The estimators read a run's relay tests, or its hysteretic runs if it has no relay tests. Least squares reads only
     hysteretic runs. A CSV file without stages is one test; it counts as a hysteretic run only if ``methods`` has least
     squares. The law of the motor is fitted to breakaway check and gain search, too; tracking is never read.
-    Raises IdentifyError if a method of ``methods`` cannot work on the data, if no method can, or if there is no stage of
-    a name in ``without``.
+    Raises IdentifyError if a method of ``methods`` cannot work on the data, if no method can, or if no recording has a
+    stage of a name in ``without``.
     """
     wanted = _wanted(methods)
     if not recordings:
