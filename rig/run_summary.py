@@ -13,11 +13,11 @@ from pathlib import Path
 
 from rig.backends.registry import Bench, backend_of
 from rig.config import Experiment
+from rig.config.sensor import full_range_rad
 from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import GainSearch
 from rig.faults import Fault
 from rig.identify import Identification
-from rig.identify.motor_law import NO_LAW
 from rig.loop.statistics import LoopStatistics
 from rig.package import VERSION as RIG_VERSION
 from rig.preflight import notes
@@ -36,6 +36,7 @@ from rig.results import (
     RunResult,
     ScriptCall,
     SearchStepResult,
+    SensorBelieved,
     SupplyBelieved,
     TrackingResult,
     TrueMotor,
@@ -91,7 +92,17 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
             supply_V=info.supply_V if measures_supply else None,
             supply_at_least=info.supply_at_least if measures_supply else None,
         ),
-        drive=SupplyBelieved(supply_V=experiment.drive.supply_V, bridge_drop_V=experiment.drive.bridge_drop_V),
+        drive=SupplyBelieved(
+            supply_V=experiment.drive.supply_V,
+            bridge_drop_V=experiment.drive.bridge_drop_V,
+            supply_error_percent=experiment.drive.supply_error_percent,
+        ),
+        sensor=SensorBelieved(
+            linearity_percent=experiment.sensor.linearity_percent,
+            full_range_rad=full_range_rad(experiment),
+            calibration_error_rad=experiment.sensor.calibration_error_rad,
+            calibration_rad=tuple(sorted(point.rad for point in experiment.sensor.calibration)),
+        ),
         failsafe="none: the device holds its last drive"
         if bench.driver.failsafe is None or watchdog_s is None
         else f"device watchdog, {watchdog_s * 1e3:.0f} ms",
@@ -101,6 +112,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
         command=" ".join(sys.argv),
         truth=true_motor(bench),
         script=script,
+        identify_without=experiment.identify.without or None,
     )
 
 
@@ -125,7 +137,7 @@ def run_result(
         models_from=None if found.models_from is None else str(found.models_from),
         breakaway=None if found.breakaway is None else _breakaway(found.breakaway, own),
         friction_law=None if own is None or own.friction_law is None else own.friction_law.as_result(),
-        **(NO_LAW if own is None or own.motor_law is None else own.motor_law.as_keys()),
+        **({} if own is None or own.motor_law is None else own.motor_law.as_result().law_keys()),
         jog=found.jog,
         search=None if found.search is None else _search(found.search),
         truth=true_motor(bench),

@@ -17,11 +17,12 @@ from rig.identify.friction_law import FrictionLawChoice, friction_law
 from rig.identify.least_squares import Transient
 from rig.identify.mean_cycle import Cycle
 from rig.identify.measurements import Measurements, measurements
-from rig.identify.motor_law import NO_LAW, MotorLaw, motor_law
+from rig.identify.motor_law import MotorLaw, motor_law
 from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.preprocessing import from_recording
+from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, slipped_rms_rad
-from rig.identify.verdict import settled
+from rig.identify.verdict import largest_drive_V, settled
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
 from rig.recording.series import TimeSeries
@@ -64,7 +65,7 @@ class Identification:
             hysteretic=tuple(self.hysteretic) or None,
             breakaway=self.breakaway,
             friction_law=None if self.friction_law is None else self.friction_law.as_result(),
-            **(NO_LAW if self.motor_law is None else self.motor_law.as_keys()),
+            **({} if self.motor_law is None else self.motor_law.as_result().law_keys()),
         )
 
     @property
@@ -75,22 +76,30 @@ class Identification:
 
 
 def identify(
-    recordings: Sequence[Recording], methods: Sequence[str] | None = None, *, choose_law: bool = True
+    recordings: Sequence[Recording],
+    methods: Sequence[str] | None = None,
+    *,
+    choose_law: bool = True,
+    without: Sequence[str] = (),
 ) -> Identification:
     """Identify one motor from run folders or CSV files.
 
     methods     names of ``ESTIMATORS``; default: all that the data allow
     choose_law  whether to choose a friction law, from the sampled-data estimate
+    without     names of stages that are not read, such as breakaway, search and relay-2
     The estimators read a run's relay tests, or its hysteretic runs if it has no relay tests. Least squares reads only
     hysteretic runs. A CSV file without stages is one test; it counts as a hysteretic run only if ``methods`` has least
-    squares. Raises IdentifyError if a method of ``methods`` cannot work on the data, or if no method can.
+    squares. The law of the motor is fitted to breakaway check and gain search, too; tracking is never read.
+    Raises IdentifyError if a method of ``methods`` cannot work on the data, if no method can, or if no recording has a
+    stage of a name in ``without``.
     """
     wanted = _wanted(methods)
     if not recordings:
         raise IdentifyError("no recording was given", "give a run folder or a CSV file")
     reads_tests = any(estimator.reads_relay_tests for estimator in wanted)
     reads_runs = bool(methods) and not all(estimator.reads_relay_tests for estimator in wanted)
-    data = measurements(recordings, with_cycles=reads_tests, plain_is_hysteretic=reads_runs)
+    require_known(recordings, without)
+    data = measurements(recordings, with_cycles=reads_tests, plain_is_hysteretic=reads_runs, without=without)
     found = _found(data)
     errors = _add_estimates([e for e in wanted if methods or e.series(data)], data, found)
     if not found.estimates:
@@ -103,7 +112,7 @@ def identify(
         found.estimates = {method: e.judged("doubtful", *objections) for method, e in found.estimates.items()}
     if choose_law:
         _add_motor_law(data, found)
-    static = _add_breakaway(recordings, found)
+    static = _add_breakaway(recordings, without, found)
     if choose_law:
         _add_friction_law(data, static, found)
     return found
@@ -179,14 +188,16 @@ def _relay(stage: str, cycle: Cycle) -> RelayTestResult:
     )
 
 
-def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> StaticFriction | None:
+def _add_breakaway(
+    recordings: Sequence[Recording], without: Sequence[str], found: Identification
+) -> StaticFriction | None:
     """Static friction from the first recording with a breakaway stage, by the sampled-data model."""
     estimate = found.estimates.get(LEADING)
     if estimate is None or estimate.verdict == "refused":
         return None
     for recording in recordings:
         stage = next((name for name in recording.stages() if kind_of(name) is StageKind.BREAKAWAY), None)
-        if stage is None:
+        if stage is None or stage in left_out(recording, without):
             continue
         try:
             ramps, _ = from_recording(recording, recording.stage_rows(stage), stage)
@@ -208,30 +219,53 @@ def _said(sentence: str | None) -> list[str]:
 
 
 def _add_motor_law(data: Measurements, found: Identification) -> None:
-    """What the motor has beyond the plain law, and the estimate with it. The plain estimate stays as it is."""
-    plain = found.estimates.get(LEADING)
+    """What the motor has beyond the plain law, the estimate with it, and the verdicts by u95.
+
+    The numbers of the plain estimates stay as they are. Without a budget none of them can be ok.
+    """
+    plain = _leading(data, found)
     if plain is None or not plain.is_motor or not _may_have_laws(plain, data):
         return
     try:
-        law = motor_law(data.tests, plain, data.periods_s, data.recording_of)
+        law = motor_law(data.tests, plain, data.periods_s, data.stated, data.further, data.recording_of)
     except IdentifyError as error:
-        found.notes.append(f"law of the motor: {error.cause}")
+        _doubt(found, error.cause)
         return
     except np.linalg.LinAlgError as error:
-        found.notes.append(f"law of the motor: these tests give no answer ({error}); the plain estimate holds")
+        _doubt(found, f"these tests give no answer ({error})")
         return
-    if law.estimate is not None and slipped_rms_rad(plain, data.tests) < AS_GOOD * law.estimate.rms_rad:
+    if law.found and law.estimate is not None and slipped_rms_rad(plain, data.tests) < AS_GOOD * law.estimate.rms_rad:
         law = law.without_laws()  # other times of the drive explain the record as well: the plain verdict says so
+    largest_V = largest_drive_V(data.tests)
     if law.estimate is not None:
         judged = _with_causes(settled(judge_with_laws(law.estimate, data.tests), data), data.tests)
         objections = [*_said(disagreement(law.alone)), *data.supplies]
-        judged = judged.judged("doubtful" if objections else "ok", *objections)
-        law = replace(law, estimate=judged)
+        law = law.judged(largest_V, judged.judged("doubtful" if objections else "ok", *objections))
     found.motor_law = law
     found.notes += law.notes()
-    uncertain = law.reservation(law.estimate or plain, max(float(np.abs(test.u_V).max()) for test in data.tests))
-    if uncertain is not None:
-        found.notes.append(uncertain)
+    for method, estimate in found.estimates.items():
+        reservations = law.reservations(estimate, largest_V) if estimate.is_motor else []
+        if reservations and (method == LEADING or estimate.verdict == "ok"):
+            found.estimates[method] = estimate.judged("doubtful", *reservations)
+
+
+def _leading(data: Measurements, found: Identification) -> Estimate | None:
+    """The leading estimate, fitted if it was not asked for; None if another has no tau and K, or if it fails."""
+    if LEADING in found.estimates or not any(estimate.is_motor for estimate in found.estimates.values()):
+        return found.estimates.get(LEADING)
+    try:
+        return _estimate(_made(next(entry for entry in ESTIMATORS if entry.name == LEADING)), data, {})
+    except IdentifyError as error:
+        _doubt(found, error.cause)
+        return None
+
+
+def _doubt(found: Identification, cause: str) -> None:
+    """No estimate is ok that has no uncertainty budget."""
+    for method, estimate in found.estimates.items():
+        if estimate.is_motor:
+            reason = f"what else the motor has is not known, so there is no u95: {cause}"
+            found.estimates[method] = estimate.judged("doubtful", reason)
 
 
 def _may_have_laws(plain: Estimate, data: Measurements) -> bool:

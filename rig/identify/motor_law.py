@@ -7,9 +7,8 @@ the choice into an estimate with its intervals, names laws that look alike, and 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,42 +16,31 @@ from scipy.special import stdtrit
 
 from rig.identify.agreement import RecordingEstimate
 from rig.identify.departures import DEPARTURES
-from rig.identify.departures.budget import Budget, budget
-from rig.identify.departures.choice import Choice, Chooser, Columns, loss, with_own_noise
+from rig.identify.departures.budget import OTHER, Budget, budget
+from rig.identify.departures.choice import Chooser, loss, with_own_noise
 from rig.identify.departures.departure import Departure
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, unit
+from rig.identify.departures.in_place import in_place
+from rig.identify.departures.nuisances import Nuisances
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.prediction import sums_of_pieces
 from rig.identify.estimate import PARAMETERS, Estimate
+from rig.identify.further import Further, agreeing
 from rig.identify.repetition import repeated_share, repetitions
-from rig.identify.verdict import PROMISE, SURE
+from rig.identify.stated_errors import ScaleErrors, StatedErrors
+from rig.identify.verdict import ASKED, beside, sizes_of
 from rig.model.real_motor import RealMotor
 from rig.recording.series import TimeSeries
-from rig.results import BudgetEntry, EstimateResult, FoundLawResult, PieceResult
+from rig.results import BudgetEntry, FittedRecord, FoundLawResult, MotorLawResult, PieceResult
 
 Array = NDArray[np.float64]
 
-LINEARITY_SHARE = 0.005  # largest error of a sensor's linearity, relative to its travel, where no data sheet is given
 ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 NO_CYCLE = 12.0  # parts of a record without a cycle that count as one
-SMALL_FRICTION = 0.03  # of the largest drive: the size that smaller friction counts as
 MOST_ROWS = 8000  # of all tests
+FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
 ROWS_OF_TAU = 20  # at least so many of the rows taken as one have room in tau
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
-
-
-class LawKeys(TypedDict):
-    """The keys of result.json that say what the motor is beyond the plain law."""
-
-    law: tuple[FoundLawResult, ...] | None
-    not_told_apart: tuple[tuple[str, ...], ...] | None
-    u95: dict[str, float | None] | None
-    budget: tuple[BudgetEntry, ...] | None
-    with_law: EstimateResult | None
-    pieces: tuple[PieceResult, ...] | None
-
-
-NO_LAW: LawKeys = {"law": None, "not_told_apart": None, "u95": None, "budget": None, "with_law": None, "pieces": None}
 
 
 @dataclass(frozen=True)
@@ -85,10 +73,13 @@ class MotorLaw:
 
     found           the departures that the tests show
     not_told_apart  groups of names; each has one found law and those that explain the tests nearly as well
-    estimate        tau, K, friction, asymmetry and delay with these laws; None without any: the plain one holds
+    estimate        tau, K, friction, asymmetry and delay with these laws, from all records; None if that is the plain
+                    estimate: no laws, and no records beside the tests
     budget          what may be wrong in them
     growth          length of the pieces that were fitted, s, and their RMS residual, rad
-    alone           tau, K and friction of each recording alone, with the laws as they are for all; () without laws
+    records         what was fitted
+    left_out        a sentence for each record that was not, or not whole
+    alone           tau, K and friction of each recording alone, with the laws as they are for all
     """
 
     found: tuple[FoundLaw, ...]
@@ -96,43 +87,71 @@ class MotorLaw:
     estimate: Estimate | None
     budget: Budget
     growth: tuple[tuple[float, float], ...]
+    records: tuple[FittedRecord, ...] = ()
+    left_out: tuple[str, ...] = ()
     alone: tuple[RecordingEstimate, ...] = ()
 
     def notes(self) -> list[str]:
         """What the tests show, as sentences."""
-        lines = [f"law: {law.in_words()}" for law in self.found]
+        lines = [*self.left_out, *(f"law: {law.in_words()}" for law in self.found)]
         for group in self.not_told_apart:
             told_by = next(d.told_by for d in DEPARTURES if d.name == group[0])
             lines.append(f"law: {' and '.join(group)} are not told apart; record {told_by}")
         return lines
 
+    def judged(self, largest_V: float, estimate: Estimate) -> MotorLaw:
+        """The same with the verdict of ``estimate``, which is its own, and its reservations."""
+        law = replace(self, estimate=estimate)
+        reservations = law.reservations(estimate, largest_V)
+        return replace(law, estimate=estimate.judged("doubtful", *reservations) if reservations else estimate)
+
     def without_laws(self) -> MotorLaw:
         """The same, but for the laws and their estimate: the plain one holds."""
         return replace(self, found=(), not_told_apart=(), estimate=None)
 
-    def reservation(self, estimate: Estimate, largest_V: float) -> str | None:
-        """What makes ``estimate`` less certain than 2.5 %, as a sentence; None if nothing does.
+    def reservations(self, estimate: Estimate, largest_V: float) -> list[str]:
+        """Why an estimate of these tests cannot be ok, as sentences: a law that it has not, or too large a u95.
 
-        largest_V   largest drive of the tests, V: friction near zero has no useful relative uncertainty
+        largest_V   largest drive of the tests, V
         """
-        sizes = {"tau_s": estimate.tau_s, "K_rad_s_V": estimate.K_rad_s_V}
-        sizes["fc_V"] = max(abs(estimate.fc_V), SMALL_FRICTION * largest_V)
-        shares = {name: self.budget.u95[name] / abs(size) for name, size in sizes.items()}
-        name = max(shares, key=lambda key: shares[key])
-        if SURE * shares[name] <= PROMISE:
-            return None
-        largest = max(self.budget.entries, key=lambda entry: float(getattr(entry, name)))
-        law = next((one for one in DEPARTURES if one.name == largest.source), None)
-        what = largest.source if law is None else law.title
-        cure = "more cycles, and another amplitude" if law is None else law.told_by
-        return (
-            f"{name} is only certain to {100.0 * shares[name]:.2g} % (u95): most of it is {what}, which these tests do "
-            f"not exclude. To know more, record {cure}"
-        )
+        sizes = sizes_of(estimate, largest_V)
+        return [*self._laws_that_it_has_not(estimate, sizes), *self._too_uncertain(estimate, sizes)]
 
-    def as_keys(self) -> LawKeys:
+    def _laws_that_it_has_not(self, estimate: Estimate, sizes: Mapping[str, float]) -> Iterator[str]:
+        if self.estimate is None or estimate is self.estimate:
+            return
+        off = {name: abs(getattr(estimate, name) - getattr(self.estimate, name)) / sizes[name] for name in sizes}
+        name = max(off, key=lambda key: off[key])
+        if off[name] > ASKED:
+            laws = " and ".join(one.law.title for one in self.found)
+            why = f"for the motor has {laws}" if laws else "by all records together"
+            yield f"{name} is {100.0 * off[name]:.2g} % off, {why}: take the estimate with it (with_law)"
+
+    def _too_uncertain(self, estimate: Estimate, sizes: Mapping[str, float]) -> Iterator[str]:
+        shares = {name: self.budget.u95[name] / size for name, size in sizes.items()}
+        name = max(shares, key=lambda key: shares[key])
+        if shares[name] <= ASKED:
+            return
+        own = (entry for entry in self.budget.entries if not entry.absolute)
+        largest = max(own, key=lambda entry: float(getattr(entry, name)))
+        known = (
+            f"{name} is only certain to {beside(100.0 * shares[name], 100.0 * ASKED)} % (u95); "
+            f"ok asks for {100.0 * ASKED:.2g} %"
+        )
+        laws = [law for law in DEPARTURES if law.name in largest.laws]
+        cures = ", and ".join(dict.fromkeys(law.told_by for law in laws))
+        if largest.source.startswith(OTHER):
+            what = " or ".join(law.title for law in laws)
+            yield f"{known}: most of it is that these tests do not tell {what}; record {cures}"
+        elif laws:
+            what = " and ".join(law.title for law in laws)
+            yield f"{known}: most of it is {what}, which these tests do not exclude; record {cures}"
+        elif estimate.verdict == "ok":  # else the sentence on its interval says it already
+            yield f"{known}: record more cycles, or slower and larger ones"
+
+    def as_result(self) -> MotorLawResult:
         """As in result.json."""
-        return LawKeys(
+        return MotorLawResult(
             law=tuple(
                 FoundLawResult(
                     name=one.law.name,
@@ -145,13 +164,16 @@ class MotorLaw:
                 for one in self.found
             ),
             not_told_apart=self.not_told_apart,
-            u95=dict(self.budget.u95),
+            u95=self.budget.u95,
+            u95_absolute=self.budget.u95_absolute,
+            ok_asks_u95_percent=100.0 * ASKED,
             budget=tuple(
-                BudgetEntry(source=e.source, tau_s=e.tau_s, K_rad_s_V=e.K_rad_s_V, fc_V=e.fc_V)
+                BudgetEntry(source=e.source, tau_s=e.tau_s, K_rad_s_V=e.K_rad_s_V, fc_V=e.fc_V, absolute=e.absolute)
                 for e in self.budget.entries
             ),
             with_law=None if self.estimate is None else self.estimate.as_result(),
             pieces=tuple(PieceResult(length_s=length, rms_rad=rms) for length, rms in self.growth),
+            law_records=self.records,
         )
 
 
@@ -159,19 +181,24 @@ def motor_law(
     tests: Sequence[TimeSeries],
     plain: Estimate,
     periods_s: Sequence[float | None],
+    stated: Sequence[StatedErrors] = (StatedErrors(),),
+    further: Sequence[Further] = (),
     recording_of: Sequence[str] | None = None,
 ) -> MotorLaw:
     """The law that the tests show, from the plain estimate on.
 
     periods_s     for each test the period of its cycle, s, or None
+    stated        what is known of the benches that recorded them; at least one
+    further       records beside the tests, each with the number of a test of the same run
     recording_of  for each test the name of its recording; None: they are of one
     Of more than 8,000 rows several at a time are taken as one. Raises IdentifyError if a test is too short.
     """
+    names = recording_of or [""] * len(tests)
+    records = tuple(_record(series) for series in [*tests, *(series for series, _ in further)])
     rows = sum(len(test) for test in tests)
-    tests = [
-        thinned(test, min(math.ceil(rows / MOST_ROWS), int(plain.tau_s / test.period_s / ROWS_OF_TAU)))
-        for test in tests
-    ]
+    more = sum(len(series) for series, _ in further)
+    tests = [_folded(test, rows, plain.tau_s) for test in tests]
+    folded = [(_folded(series, rows + more, plain.tau_s), number) for series, number in further]
     free_delay = any(test.t_u_s is None for test in tests)
     delay_s = (
         (-max(test.period_s for test in tests), max(test.longest_delay_s for test in tests))
@@ -179,36 +206,58 @@ def motor_law(
         else (0.0, 0.0)
     )
     whole = Cut.whole(tests, delay_s[1])
+    tested = sum(window.t_s.size for window in whole.windows)
     start = RealMotor(
         plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, plain.delay_s if free_delay else 0.0
     )
     durations = [window.duration_s for window in whole.windows]
     cycle_s = min((p for p in periods_s if p is not None), default=max(durations) / NO_CYCLE)
-    linearity_rad = 2.0 * LINEARITY_SHARE * whole.frames[0].half_travel_rad
+    frame = whole.frames[0]
+    low_rad, high_rad = frame.centre_rad - frame.half_travel_rad, frame.centre_rad + frame.half_travel_rad
+    linearity_rad = max(one.linearity_rad(high_rad - low_rad) for one in stated)
     bench = whole.every(0.5 * cycle_s).bench(start, linearity_rad)
     core = (*CORE, DELAY) if free_delay else CORE
     sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
     candidates = [law for law in DEPARTURES if law.fits(bench)]
     chooser = Chooser(candidates, bench, core, delay_s, max(sigma, SMALLEST_NOISE * whole.frames[0].half_travel_rad))
-    choice = chooser.choose(whole, start, cycle_s)
+    choice = chooser.choose(whole.beside(folded, delay_s[1], FURTHER_CYCLES * cycle_s), start, cycle_s)
+    kept, remarks = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
+    if remarks:
+        law = motor_law(tests, plain, periods_s, stated, kept, recording_of)
+        return replace(law, left_out=(*remarks, *law.left_out))
     fit = with_own_noise(choice.fit)
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
-    lines = budget(fit, choice.laws, candidates, bench)
-    if not choice.laws:
-        return MotorLaw((), (), None, lines, choice.growth)
+    nuisances = Nuisances.of(fit, choice.laws, candidates, bench)
+    instead = in_place(nuisances, choice.laws)
+    lines = budget(nuisances, instead, ScaleErrors.of(stated, low_rad, high_rad))
+    if not choice.laws and not further:
+        return MotorLaw((), (), None, lines, choice.growth, records)
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
-    found = tuple(_found(law, fit, normal, covariance) for law in choice.laws)
+    groups = (
+        (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
+    )
     return MotorLaw(
-        found,
-        tuple(group for law in choice.laws if len(group := _alike(law, choice, fit, chooser)) > 1),
-        _estimate(fit, covariance, tests, plain, periods_s),
+        tuple(_found(law, fit, normal, covariance) for law in choice.laws),
+        tuple(group for group in groups if len(group) > 1),
+        _estimate(fit, covariance, tested, plain, periods_s),
         lines,
         choice.growth,
-        _alone(fit, recording_of or [""] * len(tests)),
+        records,
+        alone=_alone(fit, [*names, *(names[number] for _, number in further)]),
     )
 
 
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
+
+
+def _record(series: TimeSeries) -> FittedRecord:
+    rows = (series.first_row, series.first_row + len(series) - 1)
+    return FittedRecord(name=series.name, rows=rows, duration_s=float(series.t_s[-1] - series.t_s[0]))
+
+
+def _folded(series: TimeSeries, of_rows: int, tau_s: float) -> TimeSeries:
+    """The series as it is taken where all records have ``of_rows``."""
+    return thinned(series, min(math.ceil(of_rows / MOST_ROWS), int(tau_s / series.period_s / ROWS_OF_TAU)))
 
 
 def thinned(test: TimeSeries, rows: int) -> TimeSeries:
@@ -265,42 +314,8 @@ def _found(law: Departure, fit: Fit, normal: Normal, covariance: Array) -> Found
     return FoundLaw(law, size, (size - half, size + half), loss(normal, fit, law) / unit(fit) - price, numbers)
 
 
-def _alike(law: Departure, choice: Choice, fit: Fit, chooser: Chooser) -> tuple[str, ...]:
-    """The law, and those that would explain the tests nearly as well in its place (by the linear model)."""
-    rows = fit.problem.rows(fit.motor, fit.starts)
-    columns = Columns(fit, rows)
-    group = [law.name]
-    free = fit.problem.free
-    own = [free.index(name) for name in law.numbers]
-    shape = [free.index(name) for name in law.shape]
-    size = np.array([getattr(fit.motor, name) for name in law.numbers])
-    count = math.log(_freedom(fit))
-    for other in chooser.candidates:
-        if other in choice.laws:
-            continue
-        excess = math.inf
-        for trial in other.trials(chooser.bench):
-            added, _ = columns.of(other, trial)
-            normal = columns.normal(added)
-            rest = [k for k in range(normal.matrix.shape[0]) if k not in own and k not in shape]
-            pull = normal.gradient[rest] - normal.matrix[np.ix_(rest, own)] @ size
-            matrix = normal.matrix[np.ix_(rest, rest)]
-            scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-            answer = np.linalg.lstsq(matrix / np.outer(scale, scale), pull / scale, rcond=1e-11)[0]
-            rise = float(-2.0 * normal.gradient[own] @ size + size @ normal.matrix[np.ix_(own, own)] @ size)
-            rise -= float(pull / scale @ answer)
-            if other.one_sided and -(answer / scale)[-1] <= 0.0:
-                continue
-            excess = min(excess, rise)
-        extra = len(other.numbers + other.shape) - len(law.numbers + law.shape)
-        if excess / unit(fit) + extra * count < ALIKE:
-            group.append(other.name)
-    return tuple(group)
-
-
-def _estimate(
-    fit: Fit, covariance: Array, tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[float | None]
-) -> Estimate:
+def _estimate(fit: Fit, covariance: Array, tested: int, plain: Estimate, periods_s: Sequence[float | None]) -> Estimate:
+    """The estimate, with the residual of the tests: the first ``tested`` rows."""
     free, motor = fit.problem.free, fit.motor
     full = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     core = [name for name in CORE_OF if name in free]
@@ -316,7 +331,8 @@ def _estimate(
     quantile = float(stdtrit(_freedom(fit), 0.975))
     noise = fit.problem.noise
     cut = fit.problem.cut
-    white = fit.problem.whitened(fit.residual_rad)
+    residual = fit.residual_rad[:tested]
+    white = fit.problem.whitened(fit.residual_rad)[:tested]
     return Estimate(
         plain.method,
         *values,
@@ -325,12 +341,12 @@ def _estimate(
             for name, value, error in zip(PARAMETERS, values, errors, strict=True)
         },
         covariance=full,
-        rms_rad=fit.rms_rad,
+        rms_rad=float(np.sqrt(np.mean(residual**2))),
         iterations=len(fit.iterates),
         rows=plain.rows,
         iterates=fit.iterates,
-        residual_rad=-fit.residual_rad,
-        residual_t_s=cut.t_s,
-        repeated=repeated_share(white, repetitions(cut.windows, periods_s)),
+        residual_rad=-residual,
+        residual_t_s=cut.t_s[:tested],
+        repeated=repeated_share(white, repetitions(cut.windows[: len(periods_s)], periods_s)),
         coloured=None if noise.white else (noise.memory_s, math.sqrt(noise.ratio)),
     )

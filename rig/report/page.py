@@ -68,12 +68,7 @@ def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification 
         relays=identified.relays,
         hysteretic=identified.hysteretic,
         friction_law=identified.friction_law,
-        law=identified.law,
-        not_told_apart=identified.not_told_apart,
-        with_law=identified.with_law,
-        u95=identified.u95,
-        budget=identified.budget,
-        pieces=identified.pieces,
+        **identified.law_keys(),
     )
     run.notes.append("The run ended before it had a result. For this page its recording was identified.")
     return replace(run, result=result), found
@@ -100,6 +95,7 @@ def render_page(run: ReportedRun, identification: Identification | None = None) 
         friction_law=tables.friction_law(run),
         motor_law=tables.motor_law(run),
         with_law=tables.with_law(run),
+        records=tables.records(run),
         budget=tables.budget(run),
         hysteretic=tables.hysteretic(run),
         tracking=tables.tracking(run),

@@ -11,7 +11,7 @@ from pydantic import JsonValue
 
 from rig.identify import laws
 from rig.identify.departures import DEPARTURES
-from rig.report.budget import budget_shares
+from rig.report.budget import budget_in_words
 from rig.report.source import PREFERRED, ReportedRun
 from rig.report.style import short
 from rig.report.words import PARAMETERS, Quantity, quantity, rounded
@@ -91,6 +91,7 @@ class BudgetRow:
 
     source: str
     cells: list[Cell]
+    is_sum: bool
 
 
 @dataclass(frozen=True)
@@ -175,14 +176,22 @@ def with_law(run: ReportedRun) -> list[Quantity]:
     return [] if found is None else [quantity(p, found, run.truth) for p in PARAMETERS]
 
 
+def records(run: ReportedRun) -> str:
+    """What the law was fitted to, with its lengths; empty if nothing was."""
+    found = run.result.law_records or () if run.result.with_law is not None else ()
+    return ", ".join(f"{record.name} ({known(record.duration_s):.1f} s)" for record in found)
+
+
 def budget(run: ReportedRun) -> list[BudgetRow]:
-    """The uncertainty budget, % of the leading estimate: the whole first; lines below a tenth of it are left out."""
-    shares = budget_shares(run)
-    if not shares:
-        return []
-    whole = shares[0][1]
-    kept = [shares[0], *(line for line in shares[1:] if any(a > 0.1 * b for a, b in zip(line[1], whole, strict=True)))]
-    return [BudgetRow(source, [(share, f"{share:.2g}") for share in line]) for source, line in kept]
+    """The uncertainty budget, % of the estimate that it belongs to."""
+    return [
+        BudgetRow(
+            line.source,
+            [(share, f"{share:.2f}") if math.isfinite(share) else (None, "–") for share in line.percent],
+            line.is_sum,
+        )
+        for line in budget_in_words(run)
+    ]
 
 
 def _own(fit: LawFit) -> Sequence[LawNumberResult]:

@@ -6,12 +6,14 @@ from rig.results.estimates import (
     BreakawayResult,
     BudgetEntry,
     EstimateResult,
+    FittedRecord,
     FoundLawResult,
     FrictionLawResult,
     HystereticResult,
     IdentificationResult,
     LawFit,
     LawNumberResult,
+    MotorLawResult,
     PieceResult,
     RelayTestResult,
     ResidualResult,
@@ -19,7 +21,15 @@ from rig.results.estimates import (
     known,
 )
 from rig.results.event import DrivenModel, RunEvent
-from rig.results.meta import DeviceSeen, RealTimeReport, RunMeta, ScriptCall, SupplyBelieved, TrueMotor
+from rig.results.meta import (
+    DeviceSeen,
+    RealTimeReport,
+    RunMeta,
+    ScriptCall,
+    SensorBelieved,
+    SupplyBelieved,
+    TrueMotor,
+)
 from rig.results.part import JsonObject, Part
 from rig.results.result import (
     DeviceLoop,
@@ -40,6 +50,7 @@ __all__ = [
     "DrivenModel",
     "EstimateResult",
     "FaultReport",
+    "FittedRecord",
     "FoundLawResult",
     "FrictionLawResult",
     "HystereticResult",
@@ -49,6 +60,7 @@ __all__ = [
     "LawFit",
     "LawNumberResult",
     "LoopResult",
+    "MotorLawResult",
     "Part",
     "PieceResult",
     "Quantiles",
@@ -60,6 +72,7 @@ __all__ = [
     "RunResult",
     "ScriptCall",
     "SearchStepResult",
+    "SensorBelieved",
     "StaticFrictionResult",
     "SupplyBelieved",
     "TrackingResult",

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
-from rig.results.part import NOT_IN_EACH_FILE, Count, Number, Part, Real, Sometimes, Text
+from rig.results.part import NOT_IN_EACH_FILE, Count, Flag, Number, Part, Real, Sometimes, Text
 
 Interval = tuple[Number, Number]
 Rows = tuple[Count, Count]
@@ -167,10 +167,14 @@ class FoundLawResult(Part):
 class BudgetEntry(Part):
     """One line of the uncertainty budget: half widths at 95 %."""
 
-    source: Text = Field(description="`scatter`: of the fit; else a law that the tests neither show nor exclude")
+    source: Text = Field(
+        description="`scatter`: of the fit; `supply`, `calibration`, `clock`; else a law that the tests neither show "
+        "nor exclude"
+    )
     tau_s: Number = Field(None, description="what it adds to the uncertainty of tau, s")
     K_rad_s_V: Number = Field(None, description="of K, (rad/s)/V")
     fc_V: Number = Field(None, description="of the friction, V")
+    absolute: Annotated[Flag, NOT_IN_EACH_FILE] = Field(False, description="whether it counts in u95_absolute alone")
 
 
 class PieceResult(Part):
@@ -182,8 +186,52 @@ class PieceResult(Part):
     )
 
 
-class IdentificationResult(Part):
-    """The identification of recordings: `rig identify --json`."""
+class FittedRecord(Part):
+    """A record that the law of the motor was fitted to."""
+
+    name: Text = Field(description="its stage; of a CSV file: the file's name")
+    rows: Rows | None = Field(None, description="first and last row, counted from 0")
+    duration_s: Number = Field(None, description="how long it is, s")
+
+
+class MotorLawResult(Part):
+    """What a motor is beyond the plain one, and how certain tau, K and friction are. A part of two other files."""
+
+    law: Sometimes[tuple[FoundLawResult, ...]] = Field(None, description="what the tests show beyond the plain motor")
+    not_told_apart: Sometimes[tuple[tuple[Text, ...], ...]] = Field(
+        None, description="groups of laws that explain the tests equally well"
+    )
+    with_law: Sometimes[EstimateResult] = Field(
+        None, description="the leading estimate of a motor with these laws, from all these records"
+    )
+    u95: Sometimes[dict[str, Number]] = Field(
+        None,
+        description="expanded uncertainty, half width at 95 %, by parameter, in the bench's own volts, radians and "
+        "seconds",
+    )
+    u95_absolute: Sometimes[dict[str, Number]] = Field(
+        None,
+        description="the same in true volts, radians and seconds: with the errors of supply, calibration and clock",
+    )
+    ok_asks_u95_percent: Sometimes[Number] = Field(
+        None, description="largest u95 of a verdict ok, % of each of tau, K and friction"
+    )
+    budget: Sometimes[tuple[BudgetEntry, ...]] = Field(
+        None, description="what u95 and u95_absolute are made of, the largest first"
+    )
+    pieces: Sometimes[tuple[PieceResult, ...]] = Field(None, description="residual by the length of the fitted pieces")
+
+    law_records: Sometimes[tuple[FittedRecord, ...]] = Field(
+        None, description="what law, with_law, u95 and budget were fitted to; tracking never is"
+    )
+
+    def law_keys(self) -> dict[str, Any]:
+        """Those of these keys that were set, by name: to make another result that has them, too."""
+        return {name: getattr(self, name) for name in MotorLawResult.model_fields if self.says(name)}
+
+
+class _Estimates(Part):
+    """What the estimators found."""
 
     relays: tuple[RelayTestResult, ...] = Field((), description="relay tests that were used")
     estimates: dict[str, EstimateResult] = Field({}, description="estimates by method")
@@ -191,16 +239,12 @@ class IdentificationResult(Part):
     hysteretic: Sometimes[tuple[HystereticResult, ...]] = Field(None, description="runs of hysteretic relays")
     breakaway: Sometimes[StaticFrictionResult] = Field(None, description="static friction")
     friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law describes the tests")
-    law: Sometimes[tuple[FoundLawResult, ...]] = Field(None, description="what the tests show beyond the plain motor")
-    not_told_apart: Sometimes[tuple[tuple[Text, ...], ...]] = Field(
-        None, description="groups of laws that explain the tests equally well"
-    )
-    with_law: Sometimes[EstimateResult] = Field(None, description="the leading estimate of a motor with these laws")
-    u95: Sometimes[dict[str, Number]] = Field(
-        None, description="expanded uncertainty, half width at 95 %, by parameter"
-    )
-    budget: Sometimes[tuple[BudgetEntry, ...]] = Field(None, description="what u95 is made of, the largest first")
-    pieces: Sometimes[tuple[PieceResult, ...]] = Field(None, description="residual by the length of the fitted pieces")
+
+
+class IdentificationResult(MotorLawResult, _Estimates):
+    """The identification of recordings: `rig identify --json`."""
+
+    # Its parts are read from right to left: the JSON keeps that order of keys.
 
 
 def _finite(interval: Interval | None) -> tuple[float, float] | None:
