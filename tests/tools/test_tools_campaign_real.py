@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -41,19 +43,30 @@ def test_wrong_is_called_ok_and_more_than_5_percent_off() -> None:
     assert not command.is_wrong(_row(0, "sag 3", 0.06, "doubtful"))
     assert command.is_named(_row(0, "sag 3", 0.0, found=("sag",)))
     assert not command.is_named(_row(0, "sag 3", 0.0, found=("drag",)))
+    assert command.can_be_seen(_row(0, "sag 3", 0.0))
+    assert not command.can_be_seen(_row(0, "random_force 0.03", 0.0))  # is no law
+    assert not command.can_be_seen(replace(_row(0, "sag 3", 0.0), bic_gain=13.0))
 
 
 def test_the_page_counts_and_bounds() -> None:
     rows = {k: _row(k, "sag 3", 0.06 if k < 2 else 0.0, found=("sag",)) for k in range(100)}
     text = command.page(CAMPAIGN, {False: rows, True: {}}, "abc", 1.0, 100)
-    assert "2 of 100 are called ok and wrong: with 95 % confidence at most 6.16 %." in text  # beta.ppf(0.95, 3, 98)
-    assert "100 of 100" in text
+    assert "| 2; with 95 % confidence at most 6.16 % | **no** |" in text  # beta.ppf(0.95, 3, 98)
+    assert "| 100 of 100: 100.0 % | yes |" in text
+
+
+def test_a_kind_is_narrow_only_where_chance_does_not_explain_it() -> None:
+    held = [replace(_row(k, "sag 3", 0.0), inside=(k % 5 > 0, True, True)) for k in range(30)]
+    assert not command.is_narrow("sag 3", held)  # 84 of 90: binom.cdf(84, 90, 0.9) = 0.9
+    missed = [replace(one, inside=(one.number % 2 > 0, one.number % 3 > 0, True)) for one in held]
+    assert command.is_narrow("sag 3", missed)  # 65 of 90: 2e-6
+    assert not command.is_narrow("drag 0.01", missed)
 
 
 def test_an_interrupted_campaign_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(command, "HERE", tmp_path)
     monkeypatch.setattr(command, "_git", lambda *words: "")
-    folder = tmp_path / "runs" / "campaign-real-1-"
+    folder = tmp_path / "runs" / f"campaign-real-1-{sha256(b'').hexdigest()[:8]}"
     folder.mkdir(parents=True)
     lines = [json.dumps({**_row(k, "plain", 0.0).as_json(), "pair": False}) for k in range(2)]
     (folder / "rows.jsonl").write_text("\n".join(lines) + '\n{"torn', encoding="utf-8")

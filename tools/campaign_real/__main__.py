@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 from rich.progress import track
-from scipy.stats import beta
+from scipy.stats import beta, binom
 
 from campaign_real.rows import Row, row
 from rig.config.campaign import Campaign
 from rig.config.load import load_campaign
+from rig.identify.departures import DEPARTURES
+from rig.identify.departures.choice import ENTRY
 from shared.cases import spread
 
 HERE = Path(__file__).resolve().parents[2]
 PAGE = HERE / "docs" / "real-motors-table.md"
+ROOMS = ("rig/identify", "rig/model", "rig/recording", "tools/campaign_real")  # rows of another code start anew
 WRONG = 0.05  # relative error beyond which a number called ok is wrong
-SEEN = 40.0  # fall of the whitened squares from which on a departure can be seen
 
 
 def main() -> int:
@@ -38,8 +43,9 @@ def main() -> int:
         config = config.model_copy(update={"seed": given.seed})
     motors = config.experiments if given.motors is None else given.motors
     pairs = config.experiments if given.pairs is None else given.pairs
-    commit = _git("rev-parse", "--short", "HEAD") + ("+" if _git("status", "--porcelain", "rig", "tools") else "")
-    rows_file = HERE / "runs" / f"campaign-real-{config.seed}-{commit}" / "rows.jsonl"
+    commit = _git("rev-parse", "--short", "HEAD") + ("+" if _git("status", "--porcelain", *ROOMS) else "")
+    code = sha256("".join(_git("rev-parse", f"HEAD:{room}") for room in ROOMS).encode()).hexdigest()[:8]
+    rows_file = HERE / "runs" / f"campaign-real-{config.seed}-{code}" / "rows.jsonl"
     began = time.time()
     found: dict[bool, dict[int, Row]] = {False: {}, True: {}}
     rows_file.parent.mkdir(parents=True, exist_ok=True)
@@ -90,32 +96,67 @@ def page(config: Campaign, found: dict[bool, dict[int, Row]], commit: str, took_
         "its own (tools/campaign_real), identified as `rig identify` does two CSV files.",
         "",
         "*wrong*: called ok, and tau, K or f_c more than 5 % off. *inside*: share of u95 that hold the truth, of those",
-        "called ok, for tau, K, f_c. *named*: its law is found, alone or in a group of at most three; of those whose",
-        f"residual shows it (a fall of the squares of {SEEN:g} or more). Errors are medians of those called ok, in %.",
+        "called ok, for tau, K, f_c. *named*: its law is found, alone or in a group of at most three, of those motors",
+        f"whose law can lower BIC by more than the {ENTRY:g} that it needs to enter. *u95* and *errors*: medians of those",
+        "called ok, in %. *seconds*: median of one identification.",
         "",
     ]
     for pair, title in ((False, "One departure"), (True, "Two departures")):
         rows = sorted(found[pair].values(), key=lambda one: one.number)
-        if not rows:
-            continue
-        lines += [f"## {title}", "", *_table(rows, pair), ""]
+        if rows:
+            lines += [f"## {title}", "", *_table(rows, pair), "", *_asked(rows, pair), ""]
     return "\n".join(lines)
 
 
 def _table(rows: list[Row], pair: bool) -> list[str]:
-    head = ["departure", "motors", "ok", "wrong", "inside", "named", "errors", "seconds"]
+    head = ["departure", "motors", "ok", "wrong", "inside", "named", "u95", "errors", "seconds"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     names = ["two"] if pair else list(dict.fromkeys(kind for one in rows for kind in one.kinds))
     groups = [(name, [one for one in rows if pair or name in one.kinds]) for name in names]
     if not pair:
         groups.append(("all", rows))
-    for name, some in groups:
-        lines.append("| " + " | ".join(_cells(name, some)) + " |")
-    ok = [one for one in rows if one.verdict == "ok" and one.error is not None]
-    wrong = sum(is_wrong(one) for one in ok)
+    return lines + ["| " + " | ".join(_cells(name, some)) + " |" for name, some in groups]
+
+
+def _asked(rows: list[Row], pair: bool) -> list[str]:
+    """What is asked of the campaign, and what came of it."""
+    departing = [one for one in rows if one.kinds != ("plain",)]
+    ok = called_ok(departing)
+    wrong = sum(map(is_wrong, rows))
     bound = float(beta.ppf(0.95, wrong + 1, max(len(rows) - wrong, 1)))
-    lines += ["", f"{wrong} of {len(rows)} are called ok and wrong: with 95 % confidence at most {100 * bound:.2f} %."]
-    return lines
+    allowed = (4 if pair else 2) * len(rows) / 2000.0
+    held = [inside for one in called_ok(rows) for inside in one.inside or ()]
+    seen = [one for one in departing if can_be_seen(one)]
+    named = sum(map(is_named, seen))
+    errors = 100.0 * np.median(np.abs([one.error or () for one in ok]), axis=0) if ok else np.full(3, np.nan)
+    shares = (len(ok) / max(len(departing), 1), float(np.mean(held)) if held else math.nan, named / max(len(seen), 1))
+    fewest = 0.5 if pair else 0.75
+    narrow = [name for name in dict.fromkeys(k for one in rows for k in one.kinds) if is_narrow(name, rows)]
+    asked = [
+        (
+            f"called ok and wrong: at most {allowed:g} of {len(rows)}",
+            f"{wrong}; with 95 % confidence at most {100 * bound:.2f} %",
+            wrong <= allowed,
+        ),
+        ("u95 holds in at least 93 %, pooled", f"{100 * shares[1]:.1f} %", shares[1] >= 0.93),
+        ("no kind whose u95 holds in less than 90 % (p < 0.001)", ", ".join(narrow) or "none", not narrow),
+        (f"departures called ok: at least {100 * fewest:g} %", f"{100 * shares[0]:.1f} %", shares[0] >= fewest),
+        ("median errors at most 1 %", ", ".join(f"{e:.2f}" for e in errors), bool(np.all(errors <= 1.0))),
+        ("named: at least 90 %", f"{named} of {len(seen)}: {100 * shares[2]:.1f} %", shares[2] >= 0.9),
+    ]
+    plain = [one for one in rows if one.kinds == ("plain",)]
+    if plain:
+        false = sum(bool(one.found) for one in plain)
+        asked.append(
+            ("laws found in plain motors: at most 2 %", f"{false} of {len(plain)}", false <= 0.02 * len(plain))
+        )
+    lines = ["| asked | measured | |", "|---|---|---|"]
+    return lines + [f"| {what} | {came} | {'yes' if well else '**no**'} |" for what, came, well in asked]
+
+
+def called_ok(rows: Sequence[Row]) -> list[Row]:
+    """Those with the verdict ok."""
+    return [one for one in rows if one.verdict == "ok" and one.error is not None and one.inside is not None]
 
 
 def is_wrong(one: Row) -> bool:
@@ -123,18 +164,35 @@ def is_wrong(one: Row) -> bool:
     return one.verdict == "ok" and one.error is not None and max(map(abs, one.error)) > WRONG
 
 
+def can_be_seen(one: Row) -> bool:
+    """Whether its laws can lower BIC by more than a law needs to enter. A random force is no law."""
+    known = {law.name for law in DEPARTURES}
+    return one.bic_gain > ENTRY and laws_of(one) <= known
+
+
+def laws_of(one: Row) -> set[str]:
+    """Names of the laws that it has."""
+    return {name.rsplit(" ", 1)[0] for name in one.kinds if name != "plain"}
+
+
 def is_named(one: Row) -> bool:
     """Whether each of its laws is found, alone or in a group of at most three."""
     small = {name for group in one.groups if len(group) <= 3 for name in group}
-    laws = {name.rsplit(" ", 1)[0] for name in one.kinds}
-    return laws <= set(one.found) | small
+    return laws_of(one) <= set(one.found) | small
+
+
+def is_narrow(kind: str, rows: Sequence[Row]) -> bool:
+    """Whether 90 % is rejected for the share of a kind's u95 that hold the truth, at p < 0.001."""
+    held = [inside for one in called_ok(rows) if kind in one.kinds for inside in one.inside or ()]
+    return bool(held) and float(binom.cdf(sum(held), len(held), 0.9)) < 0.001
 
 
 def _cells(name: str, some: list[Row]) -> list[str]:
-    ok = [one for one in some if one.verdict == "ok" and one.error is not None and one.inside is not None]
-    seen = [one for one in some if one.plain_gain > SEEN]
+    ok = called_ok(some)
+    seen = [one for one in some if can_be_seen(one)]
     inside = np.mean([one.inside or () for one in ok], axis=0) if ok else np.full(3, np.nan)
     errors = 100.0 * np.median(np.abs([one.error or () for one in ok]), axis=0) if ok else np.full(3, np.nan)
+    u95 = 100.0 * np.median([one.u95 or () for one in ok], axis=0) if ok else np.full(3, np.nan)
     named = f"{sum(map(is_named, seen))} of {len(seen)}" if name != "plain" else ""
     if name == "plain":
         named = f"{sum(bool(one.found) for one in some)} falsely"
@@ -145,6 +203,7 @@ def _cells(name: str, some: list[Row]) -> list[str]:
         str(sum(map(is_wrong, some))),
         ", ".join(f"{100 * share:.0f} %" for share in inside) if ok else "-",
         named,
+        ", ".join(f"{share:.1f}" for share in u95) if ok else "-",
         ", ".join(f"{error:.2f}" for error in errors) if ok else "-",
         f"{np.median([one.seconds for one in some]):.1f}",
     ]

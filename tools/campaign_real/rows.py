@@ -12,6 +12,7 @@ from campaign_real.kinds import KINDS, Case, Kind, case
 from rig.config.campaign import Campaign
 from rig.estimators import LEADING
 from rig.identify import IdentifyError, identify
+from rig.identify.departures import DEPARTURES
 
 OF = ("tau_s", "K_rad_s_V", "fc_V")
 
@@ -27,7 +28,7 @@ class Row:
     u95             relative u95 of each, 1
     found           names of the laws that were found
     groups          names that are not told apart
-    plain_gain      fall of the whitened squares that would explain the plain motor's residual: what there is to see
+    bic_gain        fall of BIC if the motor's laws explained all of the plain motor's residual: what there is to see
     """
 
     number: int
@@ -38,7 +39,7 @@ class Row:
     u95: tuple[float, ...] | None
     found: tuple[str, ...]
     groups: tuple[tuple[str, ...], ...]
-    plain_gain: float
+    bic_gain: float
     reasons: str
     seconds: float
 
@@ -64,23 +65,28 @@ def row(campaign: Campaign, number: int, pair: bool) -> Row:
     kinds = kinds_of(number, pair, campaign.seed)
     names = tuple(kind.name for kind in kinds)
     try:
-        return _identified(case(campaign, number, kinds), number, names, began)
+        return _identified(case(campaign, number, kinds), number, names)
     except IdentifyError as error:
         return _without(number, names, "refused", error.cause, began)
     except Exception as error:  # noqa: BLE001 - no error of one motor may end the thousands of others
         return _without(number, names, "failed", f"{type(error).__name__}: {error}", began)
 
 
-def _identified(one: Case, number: int, names: tuple[str, ...], began: float) -> Row:
+def _identified(one: Case, number: int, names: tuple[str, ...]) -> Row:
     recordings = one.recordings()
     plain = identify(recordings, (LEADING,), choose_law=False).estimates[LEADING]
+    began = time.perf_counter()
     found = identify(recordings, (LEADING,))
+    took = time.perf_counter() - began
     law = found.motor_law
     estimate = (None if law is None else law.estimate) or found.estimates[LEADING]
     truth = np.array([getattr(one.truth, name) for name in OF])
     value = np.array([getattr(estimate, name) for name in OF])
     u95 = np.array([law.budget.u95[name] for name in OF]) if law is not None else np.full(3, np.nan)
     sigma = np.hypot(one.bench.noise_rad, one.bench.lsb_rad / np.sqrt(12.0))
+    samples = plain.residual_rad.size
+    laws = [law for law in DEPARTURES if law.name in {kind.law for kind in one.kinds}]
+    price = sum(len(law.numbers + law.shape) for law in laws) * np.log(samples)
     return Row(
         number,
         names,
@@ -90,9 +96,9 @@ def _identified(one: Case, number: int, names: tuple[str, ...], began: float) ->
         tuple((u95 / value).tolist()),
         tuple(one.law.name for one in law.found) if law is not None else (),
         law.not_told_apart if law is not None else (),
-        float(plain.residual_rad.size * max(0.0, (plain.rms_rad / sigma) ** 2 - 1.0)),
+        float(samples * ((plain.rms_rad / sigma) ** 2 - 1.0) - price),
         " | ".join(estimate.reasons),
-        time.perf_counter() - began,
+        took,
     )
 
 
