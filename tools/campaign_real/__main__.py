@@ -97,7 +97,7 @@ def page(config: Campaign, found: dict[bool, dict[int, Row]], commit: str, took_
         "",
         "*wrong*: called ok, and tau, K or f_c more than 5 % off. *inside*: share of u95 that hold the truth, of those",
         "called ok, for tau, K, f_c. *named*: its law is found, alone or in a group of at most three, of those motors",
-        f"whose law can lower BIC by more than the {ENTRY:g} that it needs to enter. *u95* and *errors*: medians of those",
+        f"whose law can lower BIC by more than the {ENTRY:g} that it needs to enter. *u95*, *errors*: medians of those",
         "called ok, in %. *seconds*: median of one identification.",
         "",
     ]
