@@ -40,6 +40,7 @@ NO_CYCLE = 12.0  # parts of a record without a cycle that count as one
 MOST_ROWS = 8000  # of all tests
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
 ROWS_OF_TAU = 20  # at least so many of the rows taken as one have room in tau
+SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
 
 
@@ -177,6 +178,56 @@ class MotorLaw:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """What the choice of laws begins with.
+
+    whole       the tests, each as one piece
+    motor       the plain motor
+    cycle_s     period of the fastest cycle, s
+    travel_rad  lowest and highest position, rad
+    chooser     the choice
+    """
+
+    whole: Cut
+    motor: RealMotor
+    cycle_s: float
+    travel_rad: tuple[float, float]
+    chooser: Chooser
+
+    @classmethod
+    def of(
+        cls,
+        tests: Sequence[TimeSeries],
+        plain: Estimate,
+        periods_s: Sequence[float | None],
+        stated: Sequence[StatedErrors] = (StatedErrors(),),
+    ) -> Beginning:
+        """From the tests and their plain estimate, as ``motor_law``. Raises IdentifyError if a test is too short."""
+        free_delay = any(test.t_u_s is None for test in tests)
+        longest = (-max(test.period_s for test in tests), max(test.longest_delay_s for test in tests))
+        delay_s = longest if free_delay else (0.0, 0.0)
+        whole = Cut.whole(tests, delay_s[1])
+        motor = RealMotor(
+            plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, plain.delay_s if free_delay else 0.0
+        )
+        durations = [window.duration_s for window in whole.windows]
+        cycle_s = min((p for p in periods_s if p is not None), default=max(durations) / NO_CYCLE)
+        frame = whole.frames[0]
+        travel_rad = (frame.centre_rad - frame.half_travel_rad, frame.centre_rad + frame.half_travel_rad)
+        linearity_rad = max(one.linearity_rad(travel_rad[1] - travel_rad[0]) for one in stated)
+        bench = whole.every(0.5 * cycle_s).bench(motor, linearity_rad)
+        sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+        chooser = Chooser(
+            [law for law in DEPARTURES if law.fits(bench)],
+            bench,
+            (*CORE, DELAY) if free_delay else CORE,
+            delay_s,
+            max(sigma, SMALLEST_NOISE * frame.half_travel_rad),
+        )
+        return cls(whole, motor, cycle_s, travel_rad, chooser)
+
+
 def motor_law(
     tests: Sequence[TimeSeries],
     plain: Estimate,
@@ -199,37 +250,19 @@ def motor_law(
     more = sum(len(series) for series, _ in further)
     tests = [_folded(test, rows, plain.tau_s) for test in tests]
     folded = [(_folded(series, rows + more, plain.tau_s), number) for series, number in further]
-    free_delay = any(test.t_u_s is None for test in tests)
-    delay_s = (
-        (-max(test.period_s for test in tests), max(test.longest_delay_s for test in tests))
-        if free_delay
-        else (0.0, 0.0)
-    )
-    whole = Cut.whole(tests, delay_s[1])
-    tested = sum(window.t_s.size for window in whole.windows)
-    start = RealMotor(
-        plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, plain.delay_s if free_delay else 0.0
-    )
-    durations = [window.duration_s for window in whole.windows]
-    cycle_s = min((p for p in periods_s if p is not None), default=max(durations) / NO_CYCLE)
-    frame = whole.frames[0]
-    low_rad, high_rad = frame.centre_rad - frame.half_travel_rad, frame.centre_rad + frame.half_travel_rad
-    linearity_rad = max(one.linearity_rad(high_rad - low_rad) for one in stated)
-    bench = whole.every(0.5 * cycle_s).bench(start, linearity_rad)
-    core = (*CORE, DELAY) if free_delay else CORE
-    sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
-    candidates = [law for law in DEPARTURES if law.fits(bench)]
-    chooser = Chooser(candidates, bench, core, delay_s, max(sigma, SMALLEST_NOISE * whole.frames[0].half_travel_rad))
-    choice = chooser.choose(whole.beside(folded, delay_s[1], FURTHER_CYCLES * cycle_s), start, cycle_s)
+    begun = Beginning.of(tests, plain, periods_s, stated)
+    tested = sum(window.t_s.size for window in begun.whole.windows)
+    whole = begun.whole.beside(folded, begun.chooser.delay_s[1], FURTHER_CYCLES * begun.cycle_s)
+    choice = begun.chooser.choose(whole, begun.motor, begun.cycle_s)
     kept, remarks = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
     if remarks:
         law = motor_law(tests, plain, periods_s, stated, kept, recording_of)
         return replace(law, left_out=(*remarks, *law.left_out))
     fit = with_own_noise(choice.fit)
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
-    nuisances = Nuisances.of(fit, choice.laws, candidates, bench)
+    nuisances = Nuisances.of(fit, choice.laws, begun.chooser.candidates, begun.chooser.bench)
     instead = in_place(nuisances, choice.laws)
-    lines = budget(nuisances, instead, ScaleErrors.of(stated, low_rad, high_rad))
+    lines = budget(nuisances, instead, ScaleErrors.of(stated, *begun.travel_rad))
     if not choice.laws and not further:
         return MotorLaw((), (), None, lines, choice.growth, records)
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
@@ -245,9 +278,6 @@ def motor_law(
         records,
         alone=_alone(fit, [*names, *(names[number] for _, number in further)]),
     )
-
-
-SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
 
 
 def _record(series: TimeSeries) -> FittedRecord:

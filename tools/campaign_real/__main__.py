@@ -20,7 +20,7 @@ from campaign_real.rows import Row, row
 from rig.config.campaign import Campaign
 from rig.config.load import load_campaign
 from rig.identify.departures import DEPARTURES
-from rig.identify.departures.choice import ENTRY
+from rig.identify.departures.choice import ASKED
 from shared.cases import spread
 
 HERE = Path(__file__).resolve().parents[2]
@@ -97,8 +97,8 @@ def page(config: Campaign, found: dict[bool, dict[int, Row]], commit: str, took_
         "",
         "*wrong*: called ok, and tau, K or f_c more than 5 % off. *inside*: share of u95 that hold the truth, of those",
         "called ok, for tau, K, f_c. *named*: its law is found, alone or in a group of at most three, of those motors",
-        f"whose law can lower BIC by more than the {ENTRY:g} that it needs to enter. *u95*, *errors*: medians of those",
-        "called ok, in %. *seconds*: median of one identification.",
+        f"whose law can lower BIC by more than the {ASKED.entry:g} that it needs to enter. *u95* and *errors*: medians",
+        "of those called ok, in %. *seconds*: median of one identification.",
         "",
     ]
     for pair, title in ((False, "One departure"), (True, "Two departures")):
@@ -167,7 +167,7 @@ def is_wrong(one: Row) -> bool:
 def can_be_seen(one: Row) -> bool:
     """Whether its laws can lower BIC by more than a law needs to enter. A random force is no law."""
     known = {law.name for law in DEPARTURES}
-    return one.bic_gain > ENTRY and laws_of(one) <= known
+    return one.bic_gain > ASKED.entry and laws_of(one) <= known
 
 
 def laws_of(one: Row) -> set[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,17 +25,30 @@ from rig.model.real_motor import RealMotor, index
 Array = NDArray[np.float64]
 
 CYCLES = (0.9, 2.5, 6.0)  # lengths of the pieces, in cycles; then the whole tests
-ENTRY = 14.0  # gain beyond Schwarz's criterion that a law needs to enter, in units of 2 log likelihood
-STAY = 7.0  # and to stay
 TRIED = 3  # laws that are fitted, of those that promise most
 TRIAL_ITERATIONS = 12
 MOST = 4  # laws of one motor
 ROBUST = 3.0  # residuals beyond so many standard deviations count by their size
 GROWN = 1.3  # growth of the residual from one length of pieces to the next that ends the growth
-PREDICTS = 6.0  # rise of twice the log probability of what was not fitted that a law must bring: odds of 20 to 1
 PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycles
 AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
+
+
+class Asked(NamedTuple):
+    """What a law must bring, in units of twice the log likelihood; beyond Schwarz's criterion, where nothing is said.
+
+    entry     to enter: at most one of a hundred plain motors gets a law (docs/theory.md 12.7)
+    stay      to stay
+    predicts  rise for what was not fitted; nothing beyond it: 6 are odds of 20 to 1
+    """
+
+    entry: float = 14.0
+    stay: float = 7.0
+    predicts: float = 6.0
+
+
+ASKED = Asked()
 
 
 @dataclass(frozen=True)
@@ -74,6 +88,7 @@ class Chooser:
     core        plain numbers that are fitted
     delay_s     bounds of the delay, s
     sigma_rad   the sensor's noise, rad
+    asked       what a law must bring
     """
 
     candidates: Sequence[Departure]
@@ -81,6 +96,7 @@ class Chooser:
     core: tuple[str, ...]
     delay_s: tuple[float, float]
     sigma_rad: float
+    asked: Asked = ASKED
 
     def choose(self, whole: Cut, motor: RealMotor, cycle_s: float) -> Choice:
         """From a plain motor near the true one."""
@@ -104,7 +120,7 @@ class Chooser:
         while laws:
             rises = rise_by_law(with_own_noise(self._shares(fit, whole, cycle_s)), laws, self.bench)
             least = min(rises, key=lambda law: rises[law])
-            if rises[least] >= PREDICTS:
+            if rises[least] >= self.asked.predicts:
                 break
             laws = tuple(law for law in laws if law is not least)
             fit, laws = self._last(
@@ -148,7 +164,7 @@ class Chooser:
         def worth(end: tuple[Fit, tuple[Departure, ...]]) -> float:
             of, found = end
             squares = finest.problem.cost(of.residual_rad) / unit(finest)
-            return squares + sum(self.price(law, of, ENTRY) for law in found)
+            return squares + sum(self.price(law, of, self.asked.entry) for law in found)
 
         return min(ends, key=worth)
 
@@ -168,7 +184,7 @@ class Chooser:
         """Without laws that are not worth their numbers."""
         while True:
             worst = self._worst(with_own_noise(fit), laws)
-            if worst is None or worst[0] >= self.price(worst[1], fit, STAY):
+            if worst is None or worst[0] >= self.price(worst[1], fit, self.asked.stay):
                 return fit, laws
             laws = tuple(one for one in laws if one is not worst[1])
             fit = solve(self._with(fit, laws, without(fit.motor, worst[1])))
@@ -180,11 +196,11 @@ class Chooser:
         found = []
         for promise in self.promises(with_own_noise(fit), laws)[:TRIED]:
             law = promise.law
-            if law.name in left or promise.gain < self.price(law, fit, ENTRY):
+            if law.name in left or promise.gain < self.price(law, fit, self.asked.entry):
                 continue
             motor = fit.motor._replace(**promise.first)
             trial = solve(self._with(fit, (*laws, law), motor), TRIAL_ITERATIONS)
-            worth = _gain(fit, trial) - self.price(law, fit, ENTRY)
+            worth = _gain(fit, trial) - self.price(law, fit, self.asked.entry)
             if worth > 0.0:
                 found.append((worth, trial, (*laws, law)))
         found.sort(key=lambda entry: -entry[0])
@@ -202,7 +218,7 @@ class Chooser:
                     break
                 fit = solve(refitted(fit, replace(problem, noise=noise)))
             worst = self._worst(fit, laws)
-            if worst is None or worst[0] >= self.price(worst[1], fit, STAY):
+            if worst is None or worst[0] >= self.price(worst[1], fit, self.asked.stay):
                 return fit, laws
             laws = tuple(one for one in laws if one is not worst[1])
             fit = refitted(fit, problem, without(fit.motor, worst[1]))
