@@ -179,12 +179,14 @@ def motor_law(
     periods_s: Sequence[float | None],
     stated: Sequence[StatedErrors] = (StatedErrors(),),
     further: Sequence[Further] = (),
+    rounds: int = 3,
 ) -> MotorLaw:
     """The law that the tests show, from the plain estimate on.
 
     periods_s  for each test the period of its cycle, s, or None
     stated     what is known of the benches that recorded them; at least one
     further    records beside the tests, each with the number of a test of the same run
+    rounds     how often those that disagree with the tests are cut, before none of them is used
     Of more than 8,000 rows several at a time are taken as one. Raises IdentifyError if a test is too short.
     """
     records = tuple(_record(series) for series in [*tests, *(series for series, _ in further)])
@@ -216,7 +218,7 @@ def motor_law(
     choice = chooser.choose(whole.beside(folded, delay_s[1], FURTHER_CYCLES * cycle_s), start, cycle_s)
     kept, remarks = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
     if remarks:
-        law = motor_law(tests, plain, periods_s, stated, kept)
+        law = motor_law(tests, plain, periods_s, stated, kept if rounds > 1 else (), rounds - 1)
         return replace(law, left_out=(*remarks, *law.left_out))
     fit = with_own_noise(choice.fit)
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
