@@ -80,7 +80,8 @@ def identify(
     """Identify one motor from run folders or CSV files.
 
     methods     names of ``ESTIMATORS``; default: all that the data allow
-    choose_law  whether to choose a friction law, from the sampled-data estimate
+    choose_law  whether to choose a friction law, and the law of the motor, from the sampled-data estimate. False: the
+                motor is known to be plain, and no verdict asks for u95
     The estimators read a run's relay tests, or its hysteretic runs if it has no relay tests. Least squares reads only
     hysteretic runs. A CSV file without stages is one test; it counts as a hysteretic run only if ``methods`` has least
     squares. Raises IdentifyError if a method of ``methods`` cannot work on the data, or if no method can.
