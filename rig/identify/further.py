@@ -1,4 +1,4 @@
-"""Records beside the tests, as far as they show the motor that the tests show.
+"""Records beside the tests, as far as they show the motor that the tests show (docs/theory.md 12.7).
 
 Somebody touches the shaft in the gain search, a wire slips, a stroke of the breakaway check ends at a stop: a fit to
 all records would bend the motor to that. So a record counts up to the first piece that the fit does not describe.
