@@ -6,10 +6,11 @@ Strict: an unknown key is an error, numbers are finite, objects are frozen. The 
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from rig.backends.modbus.section import ModbusKeys
 from rig.backends.serial.section import SerialKeys
@@ -327,13 +328,19 @@ class RelaySection(_Section):
         return self
 
 
-RecordName = Annotated[str, Field(pattern=r"^(breakaway|search|survey|relay-[1-9][0-9]?)$")]
+def _identified(stage: str) -> str:
+    if not re.fullmatch(r"breakaway|search|survey|relay-[1-9][0-9]?", stage):
+        raise ValueError(f"identification reads no stage {stage!r}: give breakaway, search, relay-1, relay-2, ...")
+    return stage
+
+
+IdentifiedStage = Annotated[str, AfterValidator(_identified)]
 
 
 class IdentifySection(_Section):
     """How the motor is identified from what the run recorded."""
 
-    without: tuple[RecordName, ...] = Field(
+    without: tuple[IdentifiedStage, ...] = Field(
         (), description="stages that identification does not read: breakaway, search, relay-1, relay-2, ..."
     )
 

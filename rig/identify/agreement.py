@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from shlex import quote
 
 import numpy as np
@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 CHANCE = 1e-4  # probability of a false alarm for recordings of one motor
 MODEL_ERROR = 0.01  # of each parameter: effects outside a recording's interval, such as speed and temperature
+NUMBERS = 5  # of a plain motor: tau, K, f_c, asymmetry and delay
 NAMES = (("tau", "s"), ("K", "(rad/s)/V"), ("f_c", "V"))
 
 
@@ -35,11 +36,13 @@ class RecordingEstimate:
     name        of the recording, as on the command line
     values      (3,): ln tau, ln K, f_c in V
     covariance  (3, 3) of these values, with ``MODEL_ERROR``
+    squares     sum of squares of its residual, rad^2, and its number of rows
     """
 
     name: str
     values: Array
     covariance: Array
+    squares: tuple[float, int] = (0.0, 0)
 
     @classmethod
     def of(cls, name: str, estimate: Estimate) -> RecordingEstimate | None:
@@ -49,7 +52,8 @@ class RecordingEstimate:
         found = cls.at(name, values, estimate.covariance[:3, :3] * np.outer(scale, scale))
         if estimate.verdict == "refused" or not (np.all(np.isfinite(found.covariance)) and np.all(np.isfinite(values))):
             return None
-        return found
+        residual = estimate.residual_rad
+        return replace(found, squares=(float(residual @ residual), residual.size))
 
     @classmethod
     def at(cls, name: str, values: Array, covariance: Array) -> RecordingEstimate:
@@ -68,6 +72,19 @@ def estimates_of_each(recordings: Sequence[tuple[str, Sequence[TimeSeries]]]) ->
         if one is not None:
             found.append(one)
     return found
+
+
+def are_one_motor(found: Sequence[RecordingEstimate], rms_rad: float, numbers: int) -> bool:
+    """Whether one motor with laws explains the recordings better, by BIC, than a plain motor for each.
+
+    rms_rad   RMS residual of the one motor, rad
+    numbers   of its laws
+    """
+    squares, rows = (sum(one.squares[k] for one in found) for k in range(2))
+    if rows == 0:
+        return False
+    more = numbers - NUMBERS * (len(found) - 1)
+    return rows * (rms_rad**2 * rows - squares) + more * math.log(rows) * squares < 0.0
 
 
 def disagreement(found: Sequence[RecordingEstimate]) -> str | None:

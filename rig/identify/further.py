@@ -1,4 +1,4 @@
-"""Records beside the tests, as far as they show the motor that the tests show.
+"""Records beside the tests, as far as they show the motor that the tests show (docs/theory.md 12.7).
 
 Somebody touches the shaft in the gain search, a wire slips, a stroke of the breakaway check ends at a stop: a fit to
 all records would bend the motor to that. So a record counts up to the first piece that the fit does not describe.
@@ -33,18 +33,14 @@ def agreeing(
     squares = np.add.reduceat(fit.residual_rad**2, cut.begins) / cut.lengths
     rms_rad = np.sqrt(squares)
     of_tests = max(float(np.sqrt(np.mean(fit.residual_rad[:tested] ** 2))), fit.problem.sigma_rad)
-    if of_tests > AS_GOOD * max(plain_rms_rad, fit.problem.sigma_rad):
-        worst = max(range(len(further)), key=lambda k: float(rms_rad[_pieces(fit, further, k)].max()))
-        name = further[worst][0].name
-        return [one for k, one in enumerate(further) if k != worst], (
-            f"{name}: not in the law's fit, because with it the tests fit worse "
-            f"({1e3 * of_tests:.2g} mrad instead of {1e3 * plain_rms_rad:.2g})",
-        )
+    spoilt = of_tests > AS_GOOD * max(plain_rms_rad, fit.problem.sigma_rad)
+    worst = max(float(rms_rad[_pieces(fit, further, k)].max()) for k in range(len(further)))
     kept: list[Further] = []
     remarks: list[str] = []
     for k, (series, number) in enumerate(further):
         pieces = _pieces(fit, further, k)
-        strange = np.flatnonzero(rms_rad[pieces] > STRANGE * of_tests)
+        # where the fit is spoilt, every piece looks strange: then the worst one is the cause
+        strange = np.flatnonzero(rms_rad[pieces] >= (worst if spoilt else STRANGE * of_tests))
         if strange.size == 0:
             kept.append((series, number))
             continue

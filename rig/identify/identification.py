@@ -9,7 +9,7 @@ from importlib import import_module
 import numpy as np
 
 from rig.estimators import ESTIMATORS, LEADING, EstimatorEntry
-from rig.identify.agreement import disagreement, estimates_of_each
+from rig.identify.agreement import RecordingEstimate, are_one_motor, disagreement, estimates_of_each
 from rig.identify.breakaway import StaticFriction, breakaway
 from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
@@ -85,7 +85,8 @@ def identify(
     """Identify one motor from run folders or CSV files.
 
     methods     names of ``ESTIMATORS``; default: all that the data allow
-    choose_law  whether to choose a friction law, from the sampled-data estimate
+    choose_law  whether to choose a friction law, and the law of the motor, from the sampled-data estimate. False: the
+                motor is known to be plain, and no verdict asks for u95
     without     names of stages that are not read, such as breakaway, search and relay-2
     The estimators read a run's relay tests, or its hysteretic runs if it has no relay tests. Least squares reads only
     hysteretic runs. A CSV file without stages is one test; it counts as a hysteretic run only if ``methods`` has least
@@ -106,12 +107,12 @@ def identify(
         # the leading estimator needs the least data: what it misses, the recording lacks
         decisive = wanted[0].name if len(wanted) == 1 else LEADING
         raise errors.get(decisive) or [*data.complaints, *errors.values()][0]
-    odd = disagreement(estimates_of_each(data.sources)) if len(recordings) > 1 and reads_tests else None
-    objections = [*_said(odd), *data.supplies]
+    each = estimates_of_each(data.sources) if len(recordings) > 1 and reads_tests else []
+    objections = [*_said(disagreement(each)), *data.supplies]
     if objections:
         found.estimates = {method: e.judged("doubtful", *objections) for method, e in found.estimates.items()}
     if choose_law:
-        _add_motor_law(data, found)
+        _add_motor_law(data, found, each)
     static = _add_breakaway(recordings, without, found)
     if choose_law:
         _add_friction_law(data, static, found)
@@ -218,9 +219,10 @@ def _said(sentence: str | None) -> list[str]:
     return [] if sentence is None else [sentence]
 
 
-def _add_motor_law(data: Measurements, found: Identification) -> None:
+def _add_motor_law(data: Measurements, found: Identification, each: Sequence[RecordingEstimate]) -> None:
     """What the motor has beyond the plain law, the estimate with it, and the verdicts by u95.
 
+    each   what each recording alone says; empty if there is one
     The numbers of the plain estimates stay as they are. Without a budget none of them can be ok.
     """
     plain = _leading(data, found)
@@ -239,7 +241,9 @@ def _add_motor_law(data: Measurements, found: Identification) -> None:
     largest_V = largest_drive_V(data.tests)
     if law.estimate is not None:
         judged = _with_causes(settled(judge_with_laws(law.estimate, data.tests), data), data.tests)
-        objections = [*_said(disagreement(law.alone)), *data.supplies]
+        numbers = sum(len(one.numbers) for one in law.found)
+        odd = None if are_one_motor(each, law.estimate.rms_rad, numbers) else disagreement(each)
+        objections = [*_said(odd or disagreement(law.alone)), *data.supplies]
         law = law.judged(largest_V, judged.judged("doubtful" if objections else "ok", *objections))
     found.motor_law = law
     found.notes += law.notes()

@@ -38,6 +38,7 @@ Array = NDArray[np.float64]
 ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 NO_CYCLE = 12.0  # parts of a record without a cycle that count as one
 MOST_ROWS = 8000  # of all tests
+ROUNDS = 3  # in which records that disagree with the tests are cut, before none of them is used
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
 ROWS_OF_TAU = 20  # at least so many of the rows taken as one have room in tau
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
@@ -245,26 +246,29 @@ def motor_law(
     Of more than 8,000 rows several at a time are taken as one. Raises IdentifyError if a test is too short.
     """
     names = recording_of or [""] * len(tests)
-    records = tuple(_record(series) for series in [*tests, *(series for series, _ in further)])
     rows = sum(len(test) for test in tests)
-    more = sum(len(series) for series, _ in further)
-    tests = [_folded(test, rows, plain.tau_s) for test in tests]
-    folded = [(_folded(series, rows + more, plain.tau_s), number) for series, number in further]
-    begun = Beginning.of(tests, plain, periods_s, stated)
+    folded = [_folded(test, rows, plain.tau_s) for test in tests]
+    begun = Beginning.of(folded, plain, periods_s, stated)
     tested = sum(window.t_s.size for window in begun.whole.windows)
-    whole = begun.whole.beside(folded, begun.chooser.delay_s[1], FURTHER_CYCLES * begun.cycle_s)
-    choice = begun.chooser.choose(whole, begun.motor, begun.cycle_s)
-    kept, remarks = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
-    if remarks:
-        law = motor_law(tests, plain, periods_s, stated, kept, recording_of)
-        return replace(law, left_out=(*remarks, *law.left_out))
+    left_out: list[str] = []
+    for left in reversed(range(ROUNDS + 1)):
+        of_rows = rows + sum(len(series) for series, _ in further)
+        beside = [(_folded(series, of_rows, plain.tau_s), number) for series, number in further]
+        whole = begun.whole.beside(beside, begun.chooser.delay_s[1], FURTHER_CYCLES * begun.cycle_s)
+        choice = begun.chooser.choose(whole, begun.motor, begun.cycle_s)
+        kept, remarks = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
+        left_out += remarks
+        if not remarks:
+            break
+        further = kept if left > 1 else ()
+    records = tuple(_record(series) for series in [*tests, *(series for series, _ in further)])
     fit = with_own_noise(choice.fit)
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
     nuisances = Nuisances.of(fit, choice.laws, begun.chooser.candidates, begun.chooser.bench)
     instead = in_place(nuisances, choice.laws)
     lines = budget(nuisances, instead, ScaleErrors.of(stated, *begun.travel_rad))
     if not choice.laws and not further:
-        return MotorLaw((), (), None, lines, choice.growth, records)
+        return MotorLaw((), (), None, lines, choice.growth, records, tuple(left_out))
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
     groups = (
         (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
@@ -276,7 +280,8 @@ def motor_law(
         lines,
         choice.growth,
         records,
-        alone=_alone(fit, [*names, *(names[number] for _, number in further)]),
+        tuple(left_out),
+        _alone(fit, [*names, *(names[number] for _, number in further)]),
     )
 
 

@@ -45,8 +45,8 @@ def left_out(recording: Recording, without: Sequence[str]) -> frozenset[str]:
 def sound_rows(recording: Recording, stage: str) -> tuple[slice, str | None]:
     """The rows of a stage up to where they are sound, and a note on what was left out; None if nothing was.
 
-    A fault of the sensor or the drive is found within a period (docs/theory.md 10). So of the stage that it ended, the
-    last period is left out. Raises RecordingError as ``Recording.stage_rows``.
+    A fault of the sensor or the drive is found within a period (docs/theory.md 12.7). So of the stage that it ended,
+    the last period is left out. Raises RecordingError as ``Recording.stage_rows``.
     """
     rows = recording.stage_rows(stage)
     code = _ended_by(recording, rows)

