@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from synthetic import LSB_RAD, dcr, motor
 
+from rig.identify.estimate import Estimate
 from rig.model.motor import Motor, State
 
 Law = Callable[[float, float, float], float]
@@ -111,3 +112,10 @@ __all__ = [
     "PAPER", "QUICK", "SLOW", "Columns", "Law", "binary", "by_hand", "chirp", "constant", "motor", "plain_csv", "relay",
     "sampled", "sines", "square", "step", "ticks", "triangle",
 ]  # fmt: skip
+
+
+def certain_but_for_laws(found: Estimate) -> bool:
+    """Ok, or doubtful for nothing but u95: at one size of drive nobody can tell drag or sag from tau and K."""
+    return found.verdict == "ok" or (
+        found.verdict == "doubtful" and all("(u95); ok asks for 2.5 %" in reason for reason in found.reasons)
+    )

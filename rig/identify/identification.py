@@ -31,6 +31,7 @@ from rig.results import HystereticResult, IdentificationResult, RelayTestResult,
 
 METHODS = tuple(entry.name for entry in ESTIMATORS)
 AS_GOOD = 1.05  # ratio of residuals within which two explanations are as good
+MOST = 0.9  # share of what laws explain that another explanation as good explains, too
 
 
 @dataclass
@@ -236,8 +237,12 @@ def _add_motor_law(data: Measurements, found: Identification, each: Sequence[Rec
     except np.linalg.LinAlgError as error:
         _doubt(found, f"these tests give no answer ({error})")
         return
-    if law.found and law.estimate is not None and slipped_rms_rad(plain, data.tests) < AS_GOOD * law.estimate.rms_rad:
-        law = law.without_laws()  # other times of the drive explain the record as well: the plain verdict says so
+    if (
+        law.found
+        and law.estimate is not None
+        and other_times_explain(slipped_rms_rad(plain, data.tests), plain.rms_rad, law.estimate.rms_rad)
+    ):
+        law = law.without_laws()  # the plain verdict says so
     largest_V = largest_drive_V(data.tests)
     if law.estimate is not None:
         judged = _with_causes(settled(judge_with_laws(law.estimate, data.tests), data), data.tests)
@@ -251,6 +256,15 @@ def _add_motor_law(data: Measurements, found: Identification, each: Sequence[Rec
         reservations = law.reservations(estimate, largest_V) if estimate.is_motor else []
         if reservations and (method == LEADING or estimate.verdict == "ok"):
             found.estimates[method] = estimate.judged("doubtful", *reservations)
+
+
+def other_times_explain(slipped_rad: float, plain_rad: float, with_laws_rad: float) -> bool:
+    """Whether other times of the drive explain the tests as well as laws do, by the RMS residuals of both, rad.
+
+    plain_rad   of the plain motor: other times that better it by nothing explain nothing
+    """
+    gained, with_laws = (plain_rad**2 - rad**2 for rad in (slipped_rad, with_laws_rad))
+    return slipped_rad < AS_GOOD * with_laws_rad and gained > MOST * with_laws
 
 
 def _leading(data: Measurements, found: Identification) -> Estimate | None:

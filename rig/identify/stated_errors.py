@@ -45,7 +45,7 @@ class StatedErrors:
         angles = sorted(set(sensor.calibration_rad))
         return cls(
             _stated(sensor.linearity_percent, LINEARITY_PERCENT),
-            sensor.full_range_rad or math.nan,
+            _stated(sensor.full_range_rad, math.nan) or math.nan,
             _stated(sensor.calibration_error_rad, CALIBRATION_ERROR_RAD),
             tuple(angles) if len(angles) > 1 else (),
             supply,

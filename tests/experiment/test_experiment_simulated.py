@@ -37,6 +37,22 @@ def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict[str
     return result, json.loads(result.stdout)
 
 
+def test_the_run_keeps_what_its_bench_may_be_wrong_by_and_counts_it(demo_run: tuple[Result, dict[str, Any]]) -> None:
+    """The defaults of the config, the calibration of config/simulated.yaml."""
+    _, outcome = demo_run
+    meta = json.loads((Path(outcome["folder"]) / "meta.json").read_text(encoding="utf-8"))
+    span = 2.0 * 2.0015625
+    assert meta["sensor"].pop("full_range_rad") == pytest.approx(1023.0 / 976.0 * span)
+    assert meta["sensor"] == {
+        "linearity_percent": 1.0, "calibration_error_rad": 0.01, "calibration_rad": [-2.0015625, 2.0015625],
+    }  # fmt: skip
+    assert meta["drive"]["supply_error_percent"] == 1.0
+    gain = outcome["estimates"]["sampled-data"]["K_rad_s_V"]
+    lines = {line["source"]: line["K_rad_s_V"] / gain for line in outcome["budget"] if line["absolute"]}
+    assert lines["supply"] == pytest.approx(2.0 * 0.01 / 3.0**0.5, rel=1e-3)
+    assert lines["calibration"] == pytest.approx(2.0 * 0.01 * (2.0 / 3.0) ** 0.5 / span, rel=1e-3)
+
+
 def test_it_ends_well_and_finds_the_truth(demo_run: tuple[Result, dict[str, Any]]) -> None:
     result, outcome = demo_run
     assert result.exit_code == 0, result.output

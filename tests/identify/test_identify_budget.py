@@ -23,7 +23,7 @@ from rig.identify.departures.in_place import InPlace
 from rig.identify.departures.nuisances import Nuisance
 from rig.identify.departures.sag import Sag
 from rig.identify.departures.stribeck import Stribeck
-from rig.identify.identification import Identification
+from rig.identify.identification import Identification, other_times_explain
 from rig.identify.stated_errors import CLOCK_ERROR, ScaleErrors, StatedErrors
 from rig.model.real_motor import RealMotor
 from rig.recording.recording import from_columns
@@ -252,6 +252,17 @@ def test_another_supply_between_two_recordings_stays_a_doubt() -> None:
     judged = found.estimates["sampled-data"] if law.estimate is None else law.estimate
     assert judged.verdict == "doubtful"
     assert any("do not agree" in reason for reason in judged.reasons)
+
+
+@pytest.mark.parametrize(
+    ("slipped_mrad", "plain_mrad", "with_laws_mrad", "explains"),
+    [(3.1, 10.0, 3.0, True), (4.0, 10.0, 3.0, False), (3.34, 3.34, 3.19, False), (math.inf, 10.0, 3.0, False)],
+)
+def test_other_times_of_the_drive_explain_laws_away_only_where_they_better_the_plain_motor(
+    slipped_mrad: float, plain_mrad: float, with_laws_mrad: float, explains: bool
+) -> None:
+    """The third: a load of 0.05 V, which moves f_c by 6 %, in two relay tests with 3 mrad of noise."""
+    assert other_times_explain(1e-3 * slipped_mrad, 1e-3 * plain_mrad, 1e-3 * with_laws_mrad) is explains
 
 
 # -- lines of a table -------------------------------------------------------------------------------------------------

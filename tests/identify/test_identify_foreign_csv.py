@@ -15,6 +15,7 @@ from foreign_bench import (
     Law,
     binary,
     by_hand,
+    certain_but_for_laws,
     chirp,
     constant,
     motor,
@@ -53,13 +54,6 @@ def within_reason(found: Estimate, truth: dict[str, float]) -> bool:
     """Each parameter within three times its own half interval or 2 %, and none beyond 5 %."""
     half = np.array([0.5 * (found.ci95[name][1] - found.ci95[name][0]) / getattr(found, name) for name in NAMES])
     return bool(np.all(np.abs(errors(found, truth)) <= np.minimum(0.05, np.maximum(3.0 * half, 0.02))))
-
-
-def certain_but_for_laws(found: Estimate) -> bool:
-    """Ok, or doubtful for nothing but u95: at one size of drive nobody can tell drag or sag from tau and K."""
-    return found.verdict == "ok" or (
-        found.verdict == "doubtful" and all("(u95); ok asks for 2.5 %" in reason for reason in found.reasons)
-    )
 
 
 def not_believed(path: Path, words: str = "") -> None:

@@ -84,8 +84,8 @@ def budget(nuisances: Nuisances, instead: Sequence[InPlace], scales: ScaleErrors
         *instead_of(instead),
         *absolute(motor, scales),
     ]
-    size = [max(abs(getattr(motor, name)), 1e-12) for name in ("tau_s", "K_rad_s_V")]
-    return Budget(tuple(sorted(entries, key=lambda e: -max(e.tau_s / size[0], e.K_rad_s_V / size[1], e.fc_V))))
+    sizes = {name: max(abs(getattr(motor, name)), 1e-12) for name in OF}
+    return Budget(tuple(sorted(entries, key=lambda e: -max(getattr(e, name) / sizes[name] for name in OF))))
 
 
 def absolute(motor: RealMotor, scales: ScaleErrors) -> tuple[Entry, ...]:
