@@ -19,7 +19,7 @@ from rig.results.estimates import (
     known,
 )
 from rig.results.event import DrivenModel, RunEvent
-from rig.results.meta import DeviceSeen, RealTimeReport, RunMeta, ScriptCall, SupplyBelieved, TrueMotor
+from rig.results.meta import DeviceSeen, RealTimeReport, RunMeta, ScriptCall, SupplyBelieved, TrueLaw, TrueMotor
 from rig.results.part import JsonObject, Part
 from rig.results.result import (
     DeviceLoop,
@@ -63,6 +63,7 @@ __all__ = [
     "StaticFrictionResult",
     "SupplyBelieved",
     "TrackingResult",
+    "TrueLaw",
     "TrueMotor",
     "known",
 ]
