@@ -324,7 +324,9 @@ def test_the_laws_of_the_motor_stand_beside_those_of_the_emulated_one(run: Path)
     edit(run / "result.json", lambda r: r.update(law=found))
     table = page_of(run).words.split("The law of the motor")[1]
     assert "true" not in table.split("Stribeck effect")[0]  # a folder of an older version does not say
-    true = [{"name": name, "value": 0.05125, "unit": "V", "numbers": {}} for name in ("stribeck", "lag")]
+    true: list[dict[str, Any]] = [
+        {"name": name, "value": 0.05125, "unit": "V", "numbers": {}} for name in ("stribeck", "lag")
+    ]
     edit(run / "meta.json", lambda m: m["truth"].update(law=true))
     words = " ".join(page_of(run).words.split("The law of the motor")[1].split())
     assert "Stribeck effect 0.0520 V 95 %: 0.0480 to 0.0560 0.0512 V a bearing" in words

@@ -16,6 +16,7 @@ FILE = os.environ.get("RIG_EMPS", "")
 PUBLISHED = published.PUBLISHED
 
 
+@pytest.mark.timeout(900)  # two identifications of a long record
 @pytest.mark.skipif(not FILE, reason="RIG_EMPS names no file: the record is not part of the project")
 def test_a_real_drive_has_its_published_numbers_and_the_law_predicts_what_it_has_not_seen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -47,3 +48,12 @@ def test_without_the_file_it_says_where_it_is_published(
     monkeypatch.delenv("RIG_EMPS", raising=False)
     assert emps.main() == 2
     assert "nonlinearbenchmark.org" in capsys.readouterr().err
+
+
+def test_another_file_is_refused_with_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "other.mat").write_text("t,u,y\n", encoding="utf-8")
+    monkeypatch.setenv("RIG_EMPS", str(tmp_path / "other.mat"))
+    assert emps.main() == 2
+    assert "other.mat is not DATA_EMPS.mat" in capsys.readouterr().err

@@ -21,7 +21,11 @@ def main(docs: Path = DOCS) -> int:
     if not path or not Path(path).is_file():
         print(f"RIG_EMPS must name DATA_EMPS.mat. It is published: {PUBLISHED_AT}", file=sys.stderr)
         return 2
-    record = read(Path(path))
+    try:
+        record = read(Path(path))
+    except ValueError as error:
+        print(f"RIG_EMPS: {error}", file=sys.stderr)
+        return 2
     all_of_it, half = whole(record), every_other(record)
     text = page(all_of_it, half)
     print(text)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat
+from scipy.io.matlab import MatReadError
 
 from rig.model.real_motor import RealMotor
 from rig.recording.series import TimeSeries
@@ -84,8 +85,11 @@ class Record:
 
 
 def read(path: Path) -> Record:
-    """The record in the file DATA_EMPS.mat."""
-    columns = loadmat(str(path))
-    t_s, y, u_V, reference = (np.asarray(columns[k], dtype=np.float64).ravel() for k in ("t", "qm", "vir", "qg"))
-    gains = (float(np.asarray(columns[name]).item()) for name in ("kp", "kv"))
+    """The record in the file DATA_EMPS.mat. Raises ValueError where it is another file."""
+    try:
+        columns = loadmat(str(path))
+        t_s, y, u_V, reference = (np.asarray(columns[k], dtype=np.float64).ravel() for k in ("t", "qm", "vir", "qg"))
+        gains = [float(np.asarray(columns[name]).item()) for name in ("kp", "kv")]
+    except (KeyError, MatReadError, ValueError) as error:
+        raise ValueError(f"{path} is not DATA_EMPS.mat: {error}") from error
     return Record(TimeSeries(t_s, y, None, u_V, name="EMPS"), reference, *gains)
