@@ -43,7 +43,7 @@ campaign-real: .venv/.ready  ## thousands of motors that are not what the plain 
 	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(PAIRS),--pairs $(PAIRS)) $(if $(SEED),--seed $(SEED))
 
 emps: .venv/.ready  ## a real drive, the benchmark EMPS, beside its published numbers; RIG_EMPS names DATA_EMPS.mat
-	PYTHONPATH=tools .venv/bin/python tools/emps.py
+	PYTHONPATH=tools .venv/bin/python -m emps
 
 paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/report.html
 	PYTHONPATH=tools .venv/bin/python -m paper

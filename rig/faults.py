@@ -167,7 +167,8 @@ FAULTS: dict[str, FaultEntry] = {
         "rig saw no motion up to the largest breakaway drive",
         "check the sensor first: switch the motor's supply off, turn the shaft by hand, and watch the reading of `rig "
         "jog --u-V 0` follow it (wiper, coupling). Then check the motor's supply, wires and bridge. Raise "
-        "breakaway.max_V only if all that is well, by a fifth at a time: then friction is higher than you thought",
+        "breakaway.max_V only if all that is well, by a fifth at a time: then friction is higher than you thought. "
+        "Play between motor and sensor looks the same: strokes of some 10 mrad go to and fro within it",
     ),
     "LATE": FaultEntry(
         "ticks came late, so strokes of the breakaway check lasted too long",

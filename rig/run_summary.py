@@ -18,7 +18,10 @@ from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import GainSearch
 from rig.faults import Fault
 from rig.identify import Identification
+from rig.identify.departures import DEPARTURES
 from rig.loop.statistics import LoopStatistics
+from rig.model.bench import BenchParameters
+from rig.model.real_motor import plain
 from rig.package import VERSION as RIG_VERSION
 from rig.preflight import notes
 from rig.preflight.room_to_stop import device_watchdog_s
@@ -39,6 +42,7 @@ from rig.results import (
     SensorBelieved,
     SupplyBelieved,
     TrackingResult,
+    TrueLaw,
     TrueMotor,
 )
 from rig.results.part import VERSION
@@ -181,7 +185,27 @@ def true_motor(bench: Bench) -> TrueMotor | None:
         viscous_V_s_rad=friction.viscous_V_s_rad if has_viscous else None,
         tau_without_viscous_s=motor.tau_s if has_viscous else None,
         K_without_viscous_rad_s_V=motor.K_rad_s_V if has_viscous else None,
+        law=true_laws(bench.truth),
     )
+
+
+def true_laws(bench: BenchParameters) -> tuple[TrueLaw, ...] | None:
+    """What the bench's motor has beyond tau, K and Coulomb friction, as the laws that `rig identify` finds.
+
+    None where its static friction or Stribeck effect differs by direction: no law has that.
+    """
+    try:
+        motor = plain(bench.motor) if bench.real is None else bench.real
+    except ValueError:
+        return None
+    found = []
+    for law in DEPARTURES:
+        values = [getattr(motor, name) for name in law.numbers]
+        if any(values):
+            size = values[0] if len(values) == 1 else math.hypot(*values)
+            numbers = {name: getattr(motor, name) for name in (*law.numbers, *law.shape)}
+            found.append(TrueLaw(name=law.name, value=size, unit=law.unit, numbers=numbers))
+    return tuple(found)
 
 
 def _estimates(found: Findings) -> dict[str, EstimateResult]:

@@ -224,7 +224,9 @@ def show_motor_law(result: RunResult | IdentificationResult, truth: TrueMotor | 
     """Show the laws that the motor has beyond the plain one, and what the uncertainty of the estimate is made of."""
     if result.law:
         show_table(
-            "law of the motor: what it has beyond tau, K and friction", MOTOR_LAW_HEADINGS, motor_law_rows(result)
+            "law of the motor: what it has beyond tau, K and friction",
+            MOTOR_LAW_HEADINGS,
+            motor_law_rows(result, truth),
         )
         if result.with_law is not None:
             numbers = (f"{name} {_interval(result.with_law, name, truth)}" for name in MAIN)
@@ -248,13 +250,16 @@ def records_in_words(result: RunResult | IdentificationResult) -> str:
     return ", ".join(f"{record.name} ({known(record.duration_s):.1f} s)" for record in result.law_records or ())
 
 
-def motor_law_rows(result: RunResult | IdentificationResult) -> list[list[str]]:
-    """The laws beyond the plain one, a row of ``MOTOR_LAW_HEADINGS`` each."""
+def motor_law_rows(result: RunResult | IdentificationResult, truth: TrueMotor | None = None) -> list[list[str]]:
+    """The laws beyond the plain one, a row of ``MOTOR_LAW_HEADINGS`` each; ``truth``: the emulated motor."""
     rows = []
+    true = {law.name: law.value for law in (truth.law or () if truth else ())}
     for law in result.law or ():
         text = "-" if law.value is None else f"{law.value:.3g}"
         if law.ci95 is not None and law.ci95[0] is not None and law.ci95[1] is not None:
             text += f" ±{0.5 * (law.ci95[1] - law.ci95[0]):.2g}"
+        if true.get(law.name) is not None:
+            text += f" (true {true[law.name]:.3g})"
         alike = next((group[1:] for group in result.not_told_apart or () if group and group[0] == law.name), ())
         or_else = ", ".join(name.replace("_", " ") for name in alike)
         rows.append([law.name.replace("_", " "), text, "" if law.unit == "1" else law.unit, or_else])

@@ -35,6 +35,7 @@
 #define CHIP_HZ 16000000.0
 #define CHIP_ADC_MAX 1023
 #define RECEIVER 2u /* bytes that wait in the chip */
+#define STANDS_CYCLES 800 /* after which a standing timer's level counts as a drive: a period of 20 kHz */
 #define DRIVE_STEPS 32000 /* of the bridge's duty, as the bench counts it */
 #define SUPPLY_FULL_V 20.0 /* motor supply that reads full scale at A2: a divider by 4 */
 #define RUN_CYCLES 200u /* instructions of about so many cycles run without a look at the timers: none is due then */
@@ -340,13 +341,40 @@ static void timer1_skips(void *context, uint64_t cycles)
     }
 }
 
-static void pins_may_have_changed(virtual_board *b)
+static void set_bench_drive(virtual_board *b)
 {
     const int32_t units = (int32_t)lround(conducted(b, bridge_duty(b)) * DRIVE_STEPS);
     if (units != b->bench.pin_units) {
         advance_bench(b);
         bench_set_drive(&b->bench, units);
         b->pin_changed_ns = ns_of(b, b->avr->cycle);
+    }
+}
+
+static bool pin_shows_timer(const virtual_board *b)
+{
+    return timer1_has_pin(&b->timer1, 0u) || timer1_has_pin(&b->timer1, 1u);
+}
+
+static avr_cycle_count_t stood_for_a_period(avr_t *avr, avr_cycle_count_t when, void *board)
+{
+    (void)avr;
+    (void)when;
+    virtual_board *b = board;
+    if (timer1_stands(&b->timer1)) {
+        set_bench_drive(b);
+    }
+    return 0;
+}
+
+/* A program starts its pulses in a few instructions. The level that a pin has meanwhile is no drive: for the bench, whose
+ * motor has no inductance, a fifth of a microsecond of full drive would break a static friction. */
+static void pins_may_have_changed(virtual_board *b)
+{
+    if (pin_shows_timer(b) && timer1_stands(&b->timer1)) {
+        avr_cycle_timer_register(b->avr, STANDS_CYCLES, stood_for_a_period, b);
+    } else {
+        set_bench_drive(b);
     }
     if ((b->avr->data[DDRB] & b->avr->data[PORTB] & (1u << PB_LED)) != 0u) {
         advance_bench(b);

@@ -170,6 +170,11 @@ bool timer1_has_pin(const timer1 *t, unsigned output)
     return t->output[output] != NOTHING;
 }
 
+bool timer1_stands(const timer1 *t)
+{
+    return t->mode != NORMAL && !runs(t);
+}
+
 double timer1_share(const timer1 *t, unsigned output)
 {
     if (t->mode == NORMAL || !runs(t)) {

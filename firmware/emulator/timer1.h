@@ -45,6 +45,9 @@ const char *timer1_write(timer1 *t, uint64_t cycle, uint16_t address, uint8_t va
 /* Whether the pin shows the timer's output, 0 or 1, and not the port. */
 bool timer1_has_pin(const timer1 *t, unsigned output);
 
+/* Whether it is in a PWM mode and stands still: a pulse has not begun, or does not end. */
+bool timer1_stands(const timer1 *t);
+
 /* Share of the time for which that output is high, from the next period on. */
 double timer1_share(const timer1 *t, unsigned output);
 

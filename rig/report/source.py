@@ -21,7 +21,7 @@ from rig.recording.reader import printable
 from rig.recording.recording import Recording
 from rig.recording.text_file import whole_content
 from rig.report.style import AbsentError, stage_kind
-from rig.results import EstimateResult, FaultReport, Part, RunEvent, RunMeta, RunResult, known
+from rig.results import EstimateResult, FaultReport, Part, RunEvent, RunMeta, RunResult, TrueLaw, known
 from rig.results.estimates import LARGEST
 from rig.results.reading import remarks, salvaged
 
@@ -97,6 +97,12 @@ class ReportedRun:
             return {}
         values = {name: known(motor.value(name)) for name in type(motor).model_fields}
         return {name: value for name, value in values.items() if math.isfinite(value)}
+
+    @property
+    def true_laws(self) -> tuple[TrueLaw, ...] | None:
+        """What an emulated motor has beyond tau, K and Coulomb friction; None if it is real, and in an older run."""
+        motor = self.meta.truth or self.result.truth
+        return None if motor is None else motor.law
 
     @property
     def has_result(self) -> bool:

@@ -15,7 +15,7 @@ from rig.report.budget import budget_in_words
 from rig.report.source import PREFERRED, ReportedRun
 from rig.report.style import short
 from rig.report.words import PARAMETERS, Quantity, quantity, rounded
-from rig.results import LawFit, LawNumberResult, Quantiles, known
+from rig.results import LawFit, LawNumberResult, Quantiles, TrueLaw, known
 
 Cell = tuple[float | None, str]
 
@@ -75,7 +75,10 @@ class LawTable:
 
 @dataclass(frozen=True)
 class MotorLawRow:
-    """One law that the motor has beyond the plain one: its size, what it may come from, and what looks alike."""
+    """One law that the motor has beyond the plain one: its size, what it may come from, and what looks alike.
+
+    ``true`` is its size in the emulated motor; "" where nobody knows.
+    """
 
     law: str
     size: Cell
@@ -83,6 +86,7 @@ class MotorLawRow:
     unit: str
     cause: str
     alike: str
+    true: str
 
 
 @dataclass(frozen=True)
@@ -157,6 +161,7 @@ def motor_law(run: ReportedRun) -> list[MotorLawRow]:
     """The laws that the motor has beyond the plain one."""
     causes = {law.name: (law.title, law.cause) for law in DEPARTURES}
     groups = {group[0]: group[1:] for group in run.result.not_told_apart or () if group}
+    truth = {law.name: law for law in run.true_laws or ()}
     rows = []
     for law in run.result.law or ():
         title, cause = causes.get(law.name, (law.name.replace("_", " "), ""))
@@ -166,8 +171,20 @@ def motor_law(run: ReportedRun) -> list[MotorLawRow]:
         interval = f"{rounded(low, half)} to {rounded(high, half)}" if math.isfinite(half) else ""
         size = (known(law.value), rounded(known(law.value), half)) if math.isfinite(half) else _cell(law.value)
         alike = ", ".join(causes.get(name, (name, ""))[0] for name in groups.get(law.name, ()))
-        rows.append(MotorLawRow(title, size, interval, "" if law.unit == "1" else law.unit, cause, alike))
+        true = _true_size(truth.pop(law.name, None)) if run.true_laws is not None else ""
+        rows.append(MotorLawRow(title, size, interval, "" if law.unit == "1" else law.unit, cause, alike, true))
+    if run.result.law is not None:
+        for missed in truth.values():
+            title, cause = causes.get(missed.name, (missed.name.replace("_", " "), ""))
+            rows.append(MotorLawRow(title, (None, "not found"), "", "", cause, "", _true_size(missed)))
     return rows
+
+
+def _true_size(law: TrueLaw | None) -> str:
+    """Its size with its unit; of a law that the emulated motor has not: "none"."""
+    if law is None:
+        return "none"
+    return f"{known(law.value):.3g} {law.unit}".removesuffix(" 1")
 
 
 def with_law(run: ReportedRun) -> list[Quantity]:

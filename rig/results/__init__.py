@@ -28,6 +28,7 @@ from rig.results.meta import (
     ScriptCall,
     SensorBelieved,
     SupplyBelieved,
+    TrueLaw,
     TrueMotor,
 )
 from rig.results.part import JsonObject, Part
@@ -76,6 +77,7 @@ __all__ = [
     "StaticFrictionResult",
     "SupplyBelieved",
     "TrackingResult",
+    "TrueLaw",
     "TrueMotor",
     "known",
 ]

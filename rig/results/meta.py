@@ -57,6 +57,15 @@ class RealTimeReport(Part):
     refused: tuple[Text, ...] = Field((), description="each measure that it refused, and what helps")
 
 
+class TrueLaw(Part):
+    """What the emulated motor has beyond tau, K and Coulomb friction, named and measured as a law that is found."""
+
+    name: Text = Field(description="dead_band, gain_by_sign, sag, lag, ... (docs/results.md)")
+    value: Number = Field(None, description="its size: its number, or the root sum of squares of its numbers")
+    unit: Text = Field("", description="of the value; 1: none")
+    numbers: dict[str, Number] = Field({}, description="all its numbers, with the unit in the name")
+
+
 class TrueMotor(Part):
     """The emulated motor's parameters, as an estimate names them."""
 
@@ -70,6 +79,10 @@ class TrueMotor(Part):
     viscous_V_s_rad: Sometimes[Number] = Field(None, description="viscous friction, V s/rad")
     tau_without_viscous_s: Sometimes[Number] = Field(None, description="time constant without viscous friction, s")
     K_without_viscous_rad_s_V: Sometimes[Number] = Field(None, description="gain without viscous friction, (rad/s)/V")
+
+    law: Sometimes[tuple[TrueLaw, ...]] = Field(
+        None, description="what it has beyond tau, K and Coulomb friction; []: nothing"
+    )
 
     def value(self, name: str) -> float | None:
         """One parameter by its name in an estimate; None if the motor has none of that name."""

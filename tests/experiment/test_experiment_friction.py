@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -14,7 +15,7 @@ from rig.cli import main
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def truth_of(folder: Path, **motor: float) -> dict[str, float]:
+def truth_of(folder: Path, **motor: Any) -> dict[str, Any]:
     """The truth in the result of a jog with config/simulated.yaml, its true motor changed."""
     config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
     config["emulated"]["motor"] |= motor
@@ -25,7 +26,7 @@ def truth_of(folder: Path, **motor: float) -> dict[str, float]:
     (written,) = (folder / "runs").glob("*/result.json")
     outcome = json.loads(written.read_text(encoding="utf-8"))
     assert outcome["jog"]["to_rad"] > outcome["jog"]["from_rad"] + 0.1
-    truth: dict[str, float] = outcome["truth"]
+    truth: dict[str, Any] = outcome["truth"]
     return truth
 
 
@@ -42,3 +43,21 @@ def test_a_motor_with_stribeck_effect_says_so(tmp_path: Path) -> None:
     assert truth["stribeck_rad_s"] == 0.4
     assert (truth["tau_s"], truth["K_rad_s_V"], truth["fc_V"]) == (0.17, 6.5, 0.5)
     assert "viscous_V_s_rad" not in truth and "tau_without_viscous_s" not in truth
+    (law,) = truth["law"]
+    assert (law["name"], law["unit"]) == ("stribeck", "V")
+    assert law["numbers"] == {"stribeck_V": pytest.approx(0.2), "stribeck_rad_s": 0.4}
+
+
+def test_parts_of_the_emulated_motor_are_true_laws_with_the_sizes_that_identification_gives(tmp_path: Path) -> None:
+    level = {"fs_plus_V": 0.5, "fs_minus_V": 0.46}
+    truth = truth_of(tmp_path, **level, parts={"force_sin_V": 0.03, "force_cos_V": -0.04, "gain_by_sign": -0.02})
+    sizes = {law["name"]: (law["value"], law["unit"]) for law in truth["law"]}
+    assert sizes == {"force_over_position": (pytest.approx(0.05), "V"), "gain_by_sign": (-0.02, "1")}
+
+
+def test_static_friction_that_differs_by_direction_is_no_law(tmp_path: Path) -> None:
+    assert "law" not in truth_of(tmp_path, fs_plus_V=0.6, fs_minus_V=0.5)
+
+
+def test_a_motor_with_nothing_more_says_so(tmp_path: Path) -> None:
+    assert truth_of(tmp_path, fs_plus_V=0.5, fs_minus_V=0.46)["law"] == []

@@ -318,6 +318,22 @@ def test_the_nested_friction_laws_are_a_table_with_its_reason(run: Path) -> None
         assert words in page.words
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_the_laws_of_the_motor_stand_beside_those_of_the_emulated_one(run: Path) -> None:
+    found = [{"name": name, "value": 0.052, "unit": "V", "ci95": [0.048, 0.056]} for name in ("stribeck", "dead_band")]
+    edit(run / "result.json", lambda r: r.update(law=found))
+    table = page_of(run).words.split("The law of the motor")[1]
+    assert "true" not in table.split("Stribeck effect")[0]  # a folder of an older version does not say
+    true: list[dict[str, Any]] = [
+        {"name": name, "value": 0.05125, "unit": "V", "numbers": {}} for name in ("stribeck", "lag")
+    ]
+    edit(run / "meta.json", lambda m: m["truth"].update(law=true))
+    words = " ".join(page_of(run).words.split("The law of the motor")[1].split())
+    assert "Stribeck effect 0.0520 V 95 %: 0.0480 to 0.0560 0.0512 V a bearing" in words
+    assert "dead band of the drive 0.0520 V 95 %: 0.0480 to 0.0560 none a bridge" in words
+    assert "lag of the drive not found 0.0512 V an inductance" in words
+
+
 def test_the_notes_of_rig_check_stand_above_the_result(run: Path) -> None:
     (run / "samples.csv").unlink()
     note = "the emulated bridge gives 8 V, by the config it gives <12> V: K and f_c will come out scaled"

@@ -7,23 +7,39 @@ from pathlib import Path
 
 import pytest
 
-import emps
+from emps import __main__ as emps
+from emps import record as published
+from emps.found import every_other, prediction, whole
+from emps.found import published as published_law
 
 FILE = os.environ.get("RIG_EMPS", "")
+PUBLISHED = published.PUBLISHED
 
 
+@pytest.mark.timeout(900)  # two identifications of a long record
 @pytest.mark.skipif(not FILE, reason="RIG_EMPS names no file: the record is not part of the project")
-def test_a_real_drive_has_viscous_friction_that_differs_by_direction_and_its_published_numbers() -> None:
-    one = emps.found(Path(FILE))
-    assert "viscous_by_direction" in [law.law.name for law in one.law.found]
-    assert one.viscous_by_direction_N_s_m == pytest.approx(37.0, abs=4.0)
-    assert one.mass_kg == pytest.approx(emps.MASS_KG, rel=0.03)
-    assert one.friction_N == pytest.approx(emps.FRICTION_N, rel=0.08)
-    length_s, rms_m = one.pieces_m[0]
-    assert 1.5 < length_s < 2.5
-    assert rms_m < 0.25e-3
-    assert one.plain.rms_rad > 10.0 * rms_m
-    assert "published 95.15" in emps.page(one)
+def test_a_real_drive_has_its_published_numbers_and_the_law_predicts_what_it_has_not_seen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = published.read(Path(FILE))
+    all_of_it, half = whole(record), every_other(record)
+    for one in (all_of_it, half):
+        assert "viscous_by_direction" in one.names
+        assert one.drive.viscous_half_N_s_m == pytest.approx(37.0, abs=4.0)
+        assert one.drive.mass_kg == pytest.approx(PUBLISHED.mass_kg, rel=0.03)
+        assert one.drive.friction_N == pytest.approx(PUBLISHED.friction_N, rel=0.08)
+        length_s, fitted_m = one.law.growth[0]
+        assert 1.5 < length_s < 2.5
+        assert fitted_m < 0.25e-3
+    theirs = prediction(published_law(record), record)
+    assert half.prediction.odd < theirs.odd  # held out from ours, seen by theirs
+    assert not half.prediction.fails
+    assert half.prediction.free < theirs.free
+    monkeypatch.setattr(emps, "whole", lambda _: all_of_it)
+    monkeypatch.setattr(emps, "every_other", lambda _: half)
+    assert emps.main(tmp_path) == 0
+    assert "held out in the last column" in (tmp_path / "emps.md").read_text(encoding="utf-8")
+    assert (tmp_path / "figures" / "emps.svg").read_bytes().startswith(b"<?xml")
 
 
 def test_without_the_file_it_says_where_it_is_published(
@@ -32,3 +48,12 @@ def test_without_the_file_it_says_where_it_is_published(
     monkeypatch.delenv("RIG_EMPS", raising=False)
     assert emps.main() == 2
     assert "nonlinearbenchmark.org" in capsys.readouterr().err
+
+
+def test_another_file_is_refused_with_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "other.mat").write_text("t,u,y\n", encoding="utf-8")
+    monkeypatch.setenv("RIG_EMPS", str(tmp_path / "other.mat"))
+    assert emps.main() == 2
+    assert "other.mat is not DATA_EMPS.mat" in capsys.readouterr().err
