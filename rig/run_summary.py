@@ -11,6 +11,7 @@ from datetime import datetime
 from operator import index
 from pathlib import Path
 
+from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.registry import Bench, backend_of
 from rig.config import Experiment
 from rig.control.breakaway import BreakawayLaw
@@ -51,6 +52,7 @@ class Findings:
     identification  of this run's recording, or of ``models_from``
     models_from     another run whose models are driven
     tracking        by method; an empty one has come to its end, but nobody has measured its error yet
+    shaft           where the emulated shaft really was, in the bench's own time and radians; None if nobody knows
     notes           what else there is to know, in words
     """
 
@@ -61,6 +63,7 @@ class Findings:
     models_from: Path | None = None
     jog: JogResult | None = None
     tracking: dict[str, TrackingResult] = field(default_factory=dict)
+    shaft: ShaftPath | None = None
     notes: list[str] = field(default_factory=list)
 
     @property

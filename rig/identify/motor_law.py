@@ -24,9 +24,9 @@ from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.verdict import PROMISE, SURE
-from rig.model.real_motor import RealMotor
+from rig.model.real_motor import FramedMotor, RealMotor
 from rig.recording.series import TimeSeries
-from rig.results import BudgetEntry, EstimateResult, FoundLawResult, PieceResult
+from rig.results import BudgetEntry, EstimateResult, FoundLawResult, LawFrameResult, PieceResult
 
 Array = NDArray[np.float64]
 
@@ -47,10 +47,19 @@ class LawKeys(TypedDict):
     u95: dict[str, float | None] | None
     budget: tuple[BudgetEntry, ...] | None
     with_law: EstimateResult | None
+    law_frame: LawFrameResult | None
     pieces: tuple[PieceResult, ...] | None
 
 
-NO_LAW: LawKeys = {"law": None, "not_told_apart": None, "u95": None, "budget": None, "with_law": None, "pieces": None}
+NO_LAW: LawKeys = {
+    "law": None,
+    "not_told_apart": None,
+    "u95": None,
+    "budget": None,
+    "with_law": None,
+    "law_frame": None,
+    "pieces": None,
+}
 
 
 @dataclass(frozen=True)
@@ -85,6 +94,7 @@ class MotorLaw:
     not_told_apart  groups of names; each has one found law and those that explain the tests nearly as well
     estimate        tau, K, friction, asymmetry and delay with these laws; None without any: the plain one holds
     budget          what may be wrong in them
+    motor           with these laws: numbers of ``estimate`` and of ``found``; None without any
     growth          length of the pieces that were fitted, s, and their RMS residual, rad
     """
 
@@ -93,6 +103,7 @@ class MotorLaw:
     estimate: Estimate | None
     budget: Budget
     growth: tuple[tuple[float, float], ...]
+    motor: FramedMotor | None = None
 
     def notes(self) -> list[str]:
         """What the tests show, as sentences."""
@@ -104,7 +115,7 @@ class MotorLaw:
 
     def without_laws(self) -> MotorLaw:
         """The same, but for the laws and their estimate: the plain one holds."""
-        return replace(self, found=(), not_told_apart=(), estimate=None)
+        return replace(self, found=(), not_told_apart=(), estimate=None, motor=None)
 
     def reservation(self, estimate: Estimate, largest_V: float) -> str | None:
         """What makes ``estimate`` less certain than 2.5 %, as a sentence; None if nothing does.
@@ -147,6 +158,7 @@ class MotorLaw:
                 for e in self.budget.entries
             ),
             with_law=None if self.estimate is None else self.estimate.as_result(),
+            law_frame=None if self.motor is None else LawFrameResult(**self.motor.frame._asdict()),
             pieces=tuple(PieceResult(length_s=length, rms_rad=rms) for length, rms in self.growth),
         )
 
@@ -194,6 +206,7 @@ def motor_law(tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[
         _estimate(fit, covariance, tests, plain, periods_s),
         lines,
         choice.growth,
+        FramedMotor(fit.motor, whole.frames[0]),
     )
 
 

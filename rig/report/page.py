@@ -71,6 +71,7 @@ def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification 
         law=identified.law,
         not_told_apart=identified.not_told_apart,
         with_law=identified.with_law,
+        law_frame=identified.law_frame,
         u95=identified.u95,
         budget=identified.budget,
         pieces=identified.pieces,

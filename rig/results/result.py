@@ -13,6 +13,7 @@ from rig.results.estimates import (
     FoundLawResult,
     FrictionLawResult,
     HystereticResult,
+    LawFrameResult,
     PieceResult,
     RelayTestResult,
 )
@@ -35,6 +36,14 @@ class TrackingResult(Part):
 
     rms_rad: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="RMS error, rad")
     max_rad: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="largest error, rad")
+    true_rms_rad: Sometimes[Number] = Field(
+        None, description="RMS error of the emulated shaft, without the sensor's noise, rad; a real shaft has none"
+    )
+    true_max_rad: Sometimes[Number] = Field(None, description="largest error of the emulated shaft, rad")
+    law: Sometimes[tuple[Text, ...]] = Field(None, description="laws of the motor that the drive made up for")
+    law_left_out: Sometimes[tuple[Text, ...]] = Field(
+        None, description="laws that were found, and that no drive makes up for"
+    )
     not_run: Sometimes[Text] = Field(None, description="why there is no error")
 
 
@@ -111,6 +120,7 @@ class RunResult(Part):
         None, description="groups of laws that explain the tests equally well"
     )
     with_law: Sometimes[EstimateResult] = Field(None, description="the leading estimate of a motor with these laws")
+    law_frame: Sometimes[LawFrameResult] = Field(None, description="what the numbers of these laws refer to")
     u95: Sometimes[dict[str, Number]] = Field(
         None, description="expanded uncertainty, half width at 95 %, by parameter"
     )
