@@ -287,7 +287,9 @@ def _measure_tracking(session: Session, outcome: Outcome) -> None:
             rows = recording.stage_rows(str(Stage.track(method)))
             t_s, yd_rad = recording.t_s[rows], recording.yd_rad[rows]
             rms_rad, max_rad = tracking_error(t_s, recording.y_rad[rows], yd_rad, after_s=FADE_S)
-            true = None if (y_rad := _true_position(session, t_s)) is None else tracking_error(t_s, y_rad, yd_rad, FADE_S)
+            true = (
+                None if (y_rad := _true_position(session, t_s)) is None else tracking_error(t_s, y_rad, yd_rad, FADE_S)
+            )
         except Exception as error:  # noqa: BLE001 - whatever it is, the run has its result
             words = error.cause if isinstance(error, RecordingError) else _defect(error)
             tracking[method] = TrackingResult(not_run=f"it ran, but its recording cannot be read: {words}")

@@ -1,4 +1,4 @@
-"""A motor as a tracking law knows it: how it will move, and which drive it needs. Plain, or with the laws of a real one."""
+"""A motor as a tracking law knows it, plain or with laws of a real one: how it will move, and which drive it needs."""
 
 from __future__ import annotations
 

@@ -343,17 +343,18 @@ def verify_models(session: Session) -> None:
     if e.tracking is None or identification is None:
         return
     real = identification.real_motor if e.tracking.with_law else None
+    plain = _trusted(identification)
     safe: dict[Method, Motor | FramedMotor] = {}
     for method in e.tracking.methods:
         estimate = identification.estimates.get(method)
-        model: Motor | FramedMotor | None = None
+        model: Motor | FramedMotor | None
         if method == LEADING and real is not None:
-            model = real
-        elif estimate is not None and estimate.verdict != "refused":
+            model, reason = real, _why_not(session, real, real)
+        elif estimate is None or estimate.verdict == "refused":
+            model, reason = None, "no estimate" if estimate is None else "its estimate was refused"
+        else:
             model = estimate.motor()
-        reason = "its estimate was refused" if estimate is not None else "no estimate"
-        if model is not None:
-            reason = _why_not(session, model, real or _trusted(identification))
+            reason = _why_not(session, model, real if plain is not None and real is not None else plain)
         if model is not None and not reason:
             safe[method] = model
         else:
@@ -425,7 +426,7 @@ def _note_tracking(session: Session, method: Method, model: Motor | FramedMotor,
     max_V = session.experiment.drive.max_V
     if largest_u_V > max_V:
         session.found.notes.append(
-            f"tracking with {method} asked for {largest_u_V:.2f} V, and got drive.max_V, {max_V:.2f} V: it could not follow"
+            f"tracking with {method} asked for {largest_u_V:.2f} V; it got drive.max_V, {max_V:.2f} V, and fell behind"
         )
     if isinstance(model, Motor):
         session.found.tracking[method] = TrackingResult()

@@ -1,7 +1,7 @@
 """The inverse of a real motor: which drive gives a wanted acceleration, and which position a reading means.
 
-The parts are those of ``rig.model.real_step``. Left out is what has no inverse at an instant: lag, bristles, backlash and
-drift (docs/theory.md 11.4).
+The parts are those of ``rig.model.real_step``. Left out is what has no inverse at an instant: lag, bristles, backlash
+and drift (docs/theory.md 11.4).
 """
 
 from __future__ import annotations

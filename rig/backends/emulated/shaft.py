@@ -8,14 +8,14 @@ from typing import NamedTuple
 
 
 class ShaftPath(NamedTuple):
-    """Times, s, in the clock of the device's driver, increasing, and positions, rad, as the emulated motor counts them."""
+    """Times, s, in the clock of the device's driver, increasing; positions, rad, as the emulated motor counts them."""
 
     t_s: Sequence[float]
     y_rad: Sequence[float]
 
 
 def traced(trace: Path) -> ShaftPath:
-    """The rows so far of a board's CSV file of the truth (``HostBoard.start``); a last line that is torn is left out."""
+    """The rows so far of a board's CSV file of the truth (``HostBoard.start``), without a last line that is torn."""
     lines = trace.read_text(encoding="ascii", errors="replace").split("\n")[:-1]
     if not lines:
         return ShaftPath((), ())
