@@ -6,7 +6,7 @@ from typing import Any, Protocol, TypeVar
 
 from rig.model import real_inverse, real_step
 from rig.model.motor import Motor, State
-from rig.model.real_motor import PARTS, FramedMotor
+from rig.model.real_motor import PARTS, FramedMotor, moved
 
 # Parts that no drive makes up for: friction of tomorrow; bristles, which bend less than a sensor sees; and a play, in
 # which the shaft does not feel the drive.
@@ -102,13 +102,10 @@ class RealKnown:
     """A motor with the laws of a real one; parts that are ``NOT_COMPENSATED`` are taken out."""
 
     def __init__(self, framed: FramedMotor) -> None:
-        from rig.model.compiled.real_motion import advanced
-
         numbers = {name: 0.0 for part in NOT_COMPENSATED for name in PARTS[part]}
-        self.motor, self.frame = framed.motor._replace(delay_s=0.0, **numbers), framed.frame
+        self._framed = FramedMotor(framed.motor._replace(delay_s=0.0, **numbers), framed.frame)
+        self.motor, self.frame = self._framed.motor, self._framed.frame
         self.tau_s, self.K_rad_s_V, self.lag_s = self.motor.tau_s, self.motor.K_rad_s_V, self.motor.lag_s
-        self._numbers = (tuple(map(float, self.motor)), tuple(map(float, self.frame)))
-        self._advanced = advanced
 
     def position_rad(self, reading_rad: float) -> float:
         """As ``KnownMotor``."""
@@ -124,7 +121,7 @@ class RealKnown:
 
     def advance(self, state: real_step.State, u_V: float, dt_s: float) -> real_step.State:
         """As ``KnownMotor``."""
-        return real_step.State(*self._advanced(self._numbers, tuple(state), u_V, (self.frame.start_s, dt_s)))
+        return moved(self._framed, state, u_V, dt_s)
 
     def drive_V(self, state: real_step.State, acceleration_rad_s2: float, friction_rad_s: float) -> float:
         """As ``KnownMotor``: through the stage, against all forces where the shaft is."""

@@ -212,6 +212,17 @@ class MovingMotor:
         return real_step.reading(self.motor, self.frame, self.state.x)
 
 
+def moved(framed: FramedMotor, state: tuple[float, ...], u_V: float, dt_s: float) -> State:
+    """State ``dt_s`` (>= 0) seconds of constant drive ``u_V`` after the frame's start; compiled.
+
+    state   as ``rig.model.real_step.State``
+    """
+    from rig.model.compiled.real_motion import advanced
+
+    numbers = tuple(map(float, framed.motor)), tuple(map(float, framed.frame))
+    return State(*advanced(numbers, tuple(state), u_V, (framed.frame.start_s, dt_s)))
+
+
 def _readings(
     motor: RealMotor, frame: Frame, drive: tuple[Array, Array], t_s: Array, pieces: Pieces, free: Sequence[int] | None
 ) -> Readings:
