@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rig.model import real_step
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
+from rig.model.real_inverse import position
 from rig.model.real_step import Frame as Frame
 from rig.model.real_step import Numbers, State
 from rig.model.real_step import RealMotor as RealMotor
@@ -74,6 +75,10 @@ class FramedMotor:
         """Numbers of motor and frame by name, without the parts that the motor has not."""
         own = {name: value for name, value in self.motor._asdict().items() if value != 0.0 or name in CORE}
         return {name: float(value) for name, value in (own | self.frame._asdict()).items()}
+
+    def positions(self, readings_rad: Array) -> Array:
+        """Where the shaft was when the sensor showed these readings, rad: without the sensor's curvature."""
+        return np.array([position(self.motor, self.frame, one) for one in readings_rad.tolist()])
 
     @property
     def plain(self) -> Motor:
