@@ -309,7 +309,7 @@ def _measure_tracking(session: Session, outcome: Outcome) -> None:
 
 
 def _true_position(session: Session, t_s: Array) -> Array | None:
-    """Where the emulated shaft was at these times, in the radians of the config's sensor; None if nobody knows.
+    """Where the emulated shaft was at these times, by the config's calibration (docs/theory.md 11.4); None: unknown.
 
     Also None where the device told less than all of that time.
     """

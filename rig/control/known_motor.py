@@ -1,4 +1,7 @@
-"""A motor as a tracking law knows it, plain or with laws of a real one: how it will move, and which drive it needs."""
+"""A motor as a tracking law knows it, plain or with laws of a real one: how it will move, and which drive it needs.
+
+Laws of a real motor: docs/theory.md 11.4.
+"""
 
 from __future__ import annotations
 
