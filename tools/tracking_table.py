@@ -7,6 +7,7 @@ trajectory with the model of that identification, with its laws and without them
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -93,9 +94,8 @@ def main() -> int:
             found = compare(bench(motor, parts), Path(folder))
         true, measured = found.rms_mrad("true_rms_rad"), found.rms_mrad("rms_rad")
         laws = " and ".join(law.replace("_", " ") for law in found.laws) or "none"
-        rows.append(
-            (name, laws, *(f"{value:.1f}" for value in (*true[::-1], *measured[::-1])), f"{true[0] / true[1]:.2f}")
-        )
+        errors = ["refused" if math.isnan(one) else f"{one:.1f}" for one in (*true[::-1], *measured[::-1])]
+        rows.append((name, laws, *errors, "" if math.isnan(true[1]) else f"{true[0] / true[1]:.2f}"))
         sys.stderr.write(f"{' | '.join(rows[-1])}\n")
     page.write(
         PAGE, page.render(Path(__file__).with_name("tracking-table.md.j2"), rows=rows, seeds=SEEDS, date=page.today())

@@ -22,6 +22,12 @@ STRIBECK, UNBALANCED, SAG = [name for name in BENCHES if name.startswith(("Strib
 PLAIN = next(name for name in BENCHES if name.startswith("none"))
 
 
+@pytest.fixture(autouse=True)
+def _no_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each run's page takes longer than the run, and is tested elsewhere."""
+    monkeypatch.setattr("rig.session.write_report", lambda *_: None)
+
+
 @pytest.mark.parametrize(("name", "law"), [(STRIBECK, "stribeck"), (UNBALANCED, "force_over_position"), (SAG, "sag")])
 def test_with_the_laws_the_error_is_at_most_half_at_each_seed(name: str, law: str, tmp_path: Path) -> None:
     found = compare(bench(*BENCHES[name]), tmp_path)
@@ -48,7 +54,9 @@ def sagging(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Ident
     folder = tmp_path_factory.mktemp("sagging")
     path = folder / "sagging.yaml"
     path.write_text(config.dump(bench(*BENCHES[SAG])), encoding="utf-8")
-    run = experiment.run(config.load(path), folder).folder
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rig.session.write_report", lambda *_: None)
+        run = experiment.run(config.load(path), folder).folder
     return path, run, identify([read_run(run)])
 
 
