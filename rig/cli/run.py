@@ -32,7 +32,8 @@ def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
     The stages: breakaway, search, relay, identify, verify, report.
     """
     experiment = checked_bench(config_path)
-    compiled()
+    if experiment.law is None:
+        compiled()
     if Console(stderr=True).is_terminal and not as_json:
         click.echo("opening the bench ...", err=True)
     from rig import experiment as script

@@ -60,8 +60,8 @@ class KnownMotor(Protocol[S]):
         """State after ``dt_s`` (>= 0) seconds of constant drive ``u_V``."""
         ...
 
-    def drive_V(self, state: S, acceleration_rad_s2: float, friction_rad_s: float) -> float:
-        """Drive that gives the acceleration, with the friction of the velocity ``friction_rad_s``; at 0 with none."""
+    def drive_V(self, state: S, acceleration_rad_s2: float, direction: float) -> float:
+        """Drive that gives the acceleration, with friction of the direction's sign; of direction 0 without any."""
         ...
 
 
@@ -90,13 +90,13 @@ class PlainKnown:
         """As ``KnownMotor``."""
         return self.motor.advance(state, u_V, dt_s)
 
-    def drive_V(self, state: State, acceleration_rad_s2: float, friction_rad_s: float) -> float:
+    def drive_V(self, state: State, acceleration_rad_s2: float, direction: float) -> float:
         """As ``KnownMotor``: the level of that direction, whatever the speed."""
         friction = self.motor.friction
         compensation = 0.0
-        if friction_rad_s > 0.0:
+        if direction > 0.0:
             compensation = friction.plus_V
-        elif friction_rad_s < 0.0:
+        elif direction < 0.0:
             compensation = -friction.minus_V
         return (self.tau_s * acceleration_rad_s2 + state.v) / self.K_rad_s_V + compensation - self.motor.bias_V
 
@@ -126,10 +126,9 @@ class RealKnown:
         """As ``KnownMotor``."""
         return moved(self._framed, state, u_V, dt_s)
 
-    def drive_V(self, state: real_step.State, acceleration_rad_s2: float, friction_rad_s: float) -> float:
+    def drive_V(self, state: real_step.State, acceleration_rad_s2: float, direction: float) -> float:
         """As ``KnownMotor``: through the stage, against all forces where the shaft is."""
-        at = (state.v, state.y)
-        return real_inverse.drive_for(self.motor, self.frame, at, acceleration_rad_s2, friction_rad_s)
+        return real_inverse.drive_for(self.motor, self.frame, (state.v, state.y), acceleration_rad_s2, direction)
 
 
 def known(motor: Motor | FramedMotor) -> KnownMotor[Any]:

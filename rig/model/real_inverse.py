@@ -36,7 +36,7 @@ def drive_before_stage(m: RealMotor, wanted_V: float) -> float:
 def still_share(m: RealMotor, speed_rad_s: float) -> float:
     """How much of the static level a drive has to add at an estimated speed, rad/s: 1 at rest, 0 in motion.
 
-    An estimate is never exactly 0. So it falls over the speed that the static level itself gives within tau/20.
+    An estimate is never exactly 0. So it falls over the speed that the static level itself gives within 0.03 tau.
     """
     still_rad_s = STILL_SHARE * m.K_rad_s_V * m.static_V
     return max(1.0 - speed_rad_s / still_rad_s, 0.0) if still_rad_s > 0.0 else 0.0
