@@ -127,7 +127,7 @@ class RealKnown:
         return moved(self._framed, state, u_V, dt_s)
 
     def drive_V(self, state: real_step.State, acceleration_rad_s2: float, direction: float) -> float:
-        """As ``KnownMotor``: through the stage, against all forces where the shaft is."""
+        """As ``KnownMotor``: through the stage, against all forces; of ``direction`` only the sign counts."""
         return real_inverse.drive_for(self.motor, self.frame, (state.v, state.y), acceleration_rad_s2, direction)
 
 
