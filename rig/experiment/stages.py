@@ -350,11 +350,12 @@ def verify_models(session: Session) -> None:
         model: Motor | FramedMotor | None
         if method == LEADING and real is not None:
             model, reason = real, _why_not(session, real, real)
+        elif plain is None:
+            model, reason = None, "no estimate is good enough for the simulation before the run"
         elif estimate is None or estimate.verdict == "refused":
             model, reason = None, "no estimate" if estimate is None else "its estimate was refused"
         else:
-            model = estimate.motor()
-            reason = _why_not(session, model, real if plain is not None and real is not None else plain)
+            model, reason = estimate.motor(), _why_not(session, estimate.motor(), real or plain)
         if model is not None and not reason:
             safe[method] = model
         else:
@@ -388,10 +389,8 @@ def _numbers(model: Motor | FramedMotor) -> dict[str, float]:
     }
 
 
-def _why_not(session: Session, model: Motor | FramedMotor, trusted: Motor | FramedMotor | None) -> str:
+def _why_not(session: Session, model: Motor | FramedMotor, trusted: Motor | FramedMotor) -> str:
     """Why a model must not drive the bench, in words, by a simulation on the trusted motor; empty if it may."""
-    if trusted is None:
-        return "no estimate is good enough for the simulation before the run"
     e = session.experiment
     bench = PreRunBench(
         motor=trusted,
