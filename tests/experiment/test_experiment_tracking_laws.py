@@ -100,3 +100,17 @@ def test_a_law_that_no_drive_makes_up_for_is_named(sagging: tuple[Path, Path, Id
     assert tracked.law == ("sag",) and tracked.law_left_out == ("drift",)
     assert any("no drive makes up for drift" in note for note in outcome.result.notes)
     assert replay(outcome.folder).is_same
+
+
+def test_where_only_the_motor_with_laws_is_good_enough_it_drives_alone(
+    sagging: tuple[Path, Path, Identification], tmp_path: Path
+) -> None:
+    path, run, models = sagging
+    refused = models.estimates[LEADING].judged("refused", "for this test")
+    changed = replace(models, estimates={**models.estimates, LEADING: refused})
+    e = config.load(path)
+    assert e.tracking is not None
+    both = e.model_copy(update={"tracking": e.tracking.model_copy(update={"methods": (LEADING, "triple-relay")})})
+    tracked = experiment.run_tracking(both, changed, run, tmp_path).result.tracking
+    assert tracked[LEADING].law == ("sag",) and known(tracked[LEADING].true_rms_rad) < 0.005
+    assert "good enough" in (tracked["triple-relay"].not_run or "")
