@@ -23,6 +23,7 @@ from rig.identify.preprocessing import from_recording
 from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, slipped_rms_rad
 from rig.identify.verdict import largest_drive_V, settled
+from rig.model.real_motor import FramedMotor
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
 from rig.recording.series import TimeSeries
@@ -68,6 +69,14 @@ class Identification:
             friction_law=None if self.friction_law is None else self.friction_law.as_result(),
             **({} if self.motor_law is None else self.motor_law.as_result().law_keys()),
         )
+
+    @property
+    def real_motor(self) -> FramedMotor | None:
+        """The motor with the laws that the tests show; None without any, or if its estimate is refused."""
+        law = self.motor_law
+        if law is None or law.estimate is None or law.estimate.verdict == "refused":
+            return None
+        return law.motor
 
     @property
     def best(self) -> Estimate | None:

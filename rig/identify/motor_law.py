@@ -29,9 +29,9 @@ from rig.identify.further import Further, agreeing
 from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.stated_errors import ScaleErrors, StatedErrors
 from rig.identify.verdict import ASKED, beside, sizes_of
-from rig.model.real_motor import RealMotor
+from rig.model.real_motor import FramedMotor, RealMotor
 from rig.recording.series import TimeSeries
-from rig.results import BudgetEntry, FittedRecord, FoundLawResult, MotorLawResult, PieceResult
+from rig.results import BudgetEntry, FittedRecord, FoundLawResult, LawFrameResult, MotorLawResult, PieceResult
 
 Array = NDArray[np.float64]
 
@@ -78,6 +78,7 @@ class MotorLaw:
     estimate        tau, K, friction, asymmetry and delay with these laws, from all records; None if that is the plain
                     estimate: no laws, and no records beside the tests
     budget          what may be wrong in them
+    motor           with these laws: numbers of ``estimate`` and of ``found``; None without any
     growth          length of the pieces that were fitted, s, and their RMS residual, rad
     records         what was fitted
     left_out        a sentence for each record that was not, or not whole
@@ -92,6 +93,7 @@ class MotorLaw:
     records: tuple[FittedRecord, ...] = ()
     left_out: tuple[str, ...] = ()
     alone: tuple[RecordingEstimate, ...] = ()
+    motor: FramedMotor | None = None
 
     def notes(self) -> list[str]:
         """What the tests show, as sentences."""
@@ -109,7 +111,7 @@ class MotorLaw:
 
     def without_laws(self) -> MotorLaw:
         """The same, but for the laws and their estimate: the plain one holds."""
-        return replace(self, found=(), not_told_apart=(), estimate=None)
+        return replace(self, found=(), not_told_apart=(), estimate=None, motor=None)
 
     def reservations(self, estimate: Estimate, largest_V: float) -> list[str]:
         """Why an estimate of these tests cannot be ok, as sentences: a law that it has not, or too large a u95.
@@ -174,6 +176,7 @@ class MotorLaw:
                 for e in self.budget.entries
             ),
             with_law=None if self.estimate is None else self.estimate.as_result(),
+            law_frame=None if self.motor is None else LawFrameResult(**self.motor.frame._asdict()),
             pieces=tuple(PieceResult(length_s=length, rms_rad=rms) for length, rms in self.growth),
             law_records=self.records,
         )
@@ -282,6 +285,7 @@ def motor_law(
         records,
         tuple(left_out),
         _alone(fit, [*names, *(names[number] for _, number in further)]),
+        FramedMotor(fit.motor, whole.frames[0]) if choice.laws else None,
     )
 
 

@@ -164,6 +164,15 @@ class FoundLawResult(Part):
     numbers: dict[str, Number] = Field({}, description="all its numbers, with the unit in the name")
 
 
+class LawFrameResult(Part):
+    """What the laws refer to."""
+
+    centre_rad: Number = Field(None, description="middle of the driven travel, rad")
+    half_travel_rad: Number = Field(None, description="half its width, rad")
+    start_s: Number = Field(None, description="start of the tests, s since the run's start")
+    duration_s: Number = Field(None, description="from their start to their end, s")
+
+
 class BudgetEntry(Part):
     """One line of the uncertainty budget: half widths at 95 %."""
 
@@ -204,6 +213,7 @@ class MotorLawResult(Part):
     with_law: Sometimes[EstimateResult] = Field(
         None, description="the leading estimate of a motor with these laws, from all these records"
     )
+    law_frame: Sometimes[LawFrameResult] = Field(None, description="what the numbers of these laws refer to")
     u95: Sometimes[dict[str, Number]] = Field(
         None,
         description="expanded uncertainty, half width at 95 %, by parameter, in the bench's own volts, radians and "

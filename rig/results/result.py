@@ -33,6 +33,14 @@ class TrackingResult(Part):
 
     rms_rad: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="RMS error, rad")
     max_rad: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="largest error, rad")
+    true_rms_rad: Sometimes[Number] = Field(
+        None, description="RMS error of the emulated shaft, without the sensor's noise, rad; a real shaft has none"
+    )
+    true_max_rad: Sometimes[Number] = Field(None, description="largest error of the emulated shaft, rad")
+    law: Sometimes[tuple[Text, ...]] = Field(None, description="laws of the motor that the drive made up for")
+    law_left_out: Sometimes[tuple[Text, ...]] = Field(
+        None, description="laws that were found, and that no drive makes up for"
+    )
     not_run: Sometimes[Text] = Field(None, description="why there is no error")
 
 
