@@ -14,7 +14,7 @@ from pathlib import Path
 from rig.backends.registry import Bench, backend_of
 from rig.config import Experiment
 from rig.control.breakaway import BreakawayLaw
-from rig.control.excitation import GainSearch
+from rig.control.excitation import GainSearch, SettledCycle
 from rig.faults import Fault
 from rig.identify import Identification
 from rig.identify.motor_law import NO_LAW
@@ -48,6 +48,8 @@ class Findings:
     """What a run has found so far. A field is None or empty until its stage has run.
 
     real_time       what the machine granted the loop
+    gains_V         gains (h1, h2) of the relay tests, V
+    cycle           the limit cycle of the last relay test
     identification  of this run's recording, or of ``models_from``
     models_from     another run whose models are driven
     tracking        by method; an empty one has come to its end, but nobody has measured its error yet
@@ -57,6 +59,8 @@ class Findings:
     real_time: RealTimeReport | None = None
     breakaway: BreakawayLaw | None = None
     search: GainSearch | None = None
+    gains_V: tuple[tuple[float, float], ...] = ()
+    cycle: SettledCycle | None = None
     identification: Identification | None = None
     models_from: Path | None = None
     jog: JogResult | None = None

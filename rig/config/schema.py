@@ -304,6 +304,27 @@ class RelaySection(_Section):
         return self
 
 
+class SurveySection(_Section):
+    """The survey: slow sweeps of the travel to and fro in a closed loop, for the friction map."""
+
+    speeds_rad_s: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=12)] | None = Field(
+        None,
+        description="speeds of the sweeps; default: five, from the slowest that the sensor resolves to the fastest that "
+        "the travel allows",
+    )
+    longest_s: Annotated[float, Field(gt=0, le=3600)] = Field(120.0, description="all sweeps together, at most")
+
+
+class IdentifySection(_Section):
+    """What `rig run` records to identify the motor."""
+
+    thorough: bool = Field(
+        False,
+        description="where the relay tests do not tell two laws of the motor apart, or leave more than 2.5 % of "
+        "uncertainty, `rig run` adds a survey and a relay test of a third amplitude",
+    )
+
+
 class Sine(_Section):
     """One component of the tracking trajectory."""
 
@@ -476,6 +497,10 @@ class Experiment(_Section):
     limits: TravelLimits = Field(description="where the shaft may be, and how fast")
     breakaway: BreakawaySection = Field(BreakawaySection(), description="the check before any relay")
     relay: RelaySection = Field(description="the relay experiment")
+    survey: SurveySection = Field(
+        SurveySection(), description="the sweeps of `rig survey`, and of a thorough `rig run`"
+    )
+    identify: IdentifySection = Field(IdentifySection(), description="what is recorded to identify the motor")
     tracking: TrackingSection | None = Field(None, description="leave out to skip the tracking check")
     law: LawSection | None = Field(
         None, description="a law of your own: `rig run` runs the breakaway check and this law, and nothing else"

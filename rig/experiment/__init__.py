@@ -13,6 +13,7 @@ from rig.experiment.script import (
     run_breakaway,
     run_law,
     run_relay,
+    run_survey,
     run_tracking,
 )
 
@@ -25,5 +26,6 @@ __all__ = [
     "run_breakaway",
     "run_law",
     "run_relay",
+    "run_survey",
     "run_tracking",
 ]
