@@ -17,7 +17,6 @@ from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import GainSearch, SettledCycle
 from rig.faults import Fault
 from rig.identify import Identification
-from rig.identify.motor_law import NO_LAW
 from rig.loop.statistics import LoopStatistics
 from rig.package import VERSION as RIG_VERSION
 from rig.preflight import notes
@@ -129,7 +128,7 @@ def run_result(
         models_from=None if found.models_from is None else str(found.models_from),
         breakaway=None if found.breakaway is None else _breakaway(found.breakaway, own),
         friction_law=None if own is None or own.friction_law is None else own.friction_law.as_result(),
-        **(NO_LAW if own is None or own.motor_law is None else own.motor_law.as_keys()),
+        **({} if own is None or own.motor_law is None else own.motor_law.as_result().law_keys()),
         jog=found.jog,
         search=None if found.search is None else _search(found.search),
         truth=true_motor(bench),

@@ -21,6 +21,7 @@ from rig.results import (
     FrictionLawResult,
     IdentificationResult,
     LoopResult,
+    MotorLawResult,
     RunResult,
     TrackingResult,
     TrueMotor,
@@ -233,7 +234,7 @@ def show_motor_law(result: RunResult | IdentificationResult, truth: TrueMotor | 
         show_table("uncertainty (u95), % of the estimate: what it is made of", BUDGET_HEADINGS, rows)
 
 
-def motor_law_rows(result: RunResult | IdentificationResult) -> list[list[str]]:
+def motor_law_rows(result: MotorLawResult) -> list[list[str]]:
     """The laws beyond the plain one, a row of ``MOTOR_LAW_HEADINGS`` each."""
     rows = []
     for law in result.law or ():

@@ -17,9 +17,10 @@ from rig.identify.friction_law import FrictionLawChoice, friction_law
 from rig.identify.least_squares import Transient
 from rig.identify.mean_cycle import Cycle
 from rig.identify.measurements import Measurements, measurements
-from rig.identify.motor_law import NO_LAW, MotorLaw, motor_law
+from rig.identify.motor_law import MotorLaw, motor_law
 from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.preprocessing import from_recording
+from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, slipped_rms_rad
 from rig.identify.verdict import settled
 from rig.recording.errors import IdentifyError
@@ -64,7 +65,7 @@ class Identification:
             hysteretic=tuple(self.hysteretic) or None,
             breakaway=self.breakaway,
             friction_law=None if self.friction_law is None else self.friction_law.as_result(),
-            **(NO_LAW if self.motor_law is None else self.motor_law.as_keys()),
+            **({} if self.motor_law is None else self.motor_law.as_result().law_keys()),
         )
 
     @property
@@ -75,22 +76,30 @@ class Identification:
 
 
 def identify(
-    recordings: Sequence[Recording], methods: Sequence[str] | None = None, *, choose_law: bool = True
+    recordings: Sequence[Recording],
+    methods: Sequence[str] | None = None,
+    *,
+    choose_law: bool = True,
+    without: Sequence[str] = (),
 ) -> Identification:
     """Identify one motor from run folders or CSV files.
 
     methods     names of ``ESTIMATORS``; default: all that the data allow
     choose_law  whether to choose a friction law, from the sampled-data estimate
+    without     names of stages that are not read, such as breakaway, search and relay-2
     The estimators read a run's relay tests, or its hysteretic runs if it has no relay tests. Least squares reads only
     hysteretic runs. A CSV file without stages is one test; it counts as a hysteretic run only if ``methods`` has least
-    squares. Raises IdentifyError if a method of ``methods`` cannot work on the data, or if no method can.
+    squares. The law of the motor is fitted to breakaway check and gain search, too; tracking is never read.
+    Raises IdentifyError if a method of ``methods`` cannot work on the data, if no method can, or if there is no stage of
+    a name in ``without``.
     """
     wanted = _wanted(methods)
     if not recordings:
         raise IdentifyError("no recording was given", "give a run folder or a CSV file")
     reads_tests = any(estimator.reads_relay_tests for estimator in wanted)
     reads_runs = bool(methods) and not all(estimator.reads_relay_tests for estimator in wanted)
-    data = measurements(recordings, with_cycles=reads_tests, plain_is_hysteretic=reads_runs)
+    require_known(recordings, without)
+    data = measurements(recordings, with_cycles=reads_tests, plain_is_hysteretic=reads_runs, without=without)
     found = _found(data)
     errors = _add_estimates([e for e in wanted if methods or e.series(data)], data, found)
     if not found.estimates:
@@ -105,7 +114,7 @@ def identify(
         found.estimates = {method: e.judged("doubtful", *objections) for method, e in found.estimates.items()}
     if choose_law:
         _add_motor_law(data, found, objections)
-    static = _add_breakaway(recordings, found)
+    static = _add_breakaway(recordings, without, found)
     if choose_law:
         _add_friction_law(data, static, found)
     return found
@@ -181,14 +190,16 @@ def _relay(stage: str, cycle: Cycle) -> RelayTestResult:
     )
 
 
-def _add_breakaway(recordings: Sequence[Recording], found: Identification) -> StaticFriction | None:
+def _add_breakaway(
+    recordings: Sequence[Recording], without: Sequence[str], found: Identification
+) -> StaticFriction | None:
     """Static friction from the first recording with a breakaway stage, by the sampled-data model."""
     estimate = found.estimates.get(LEADING)
     if estimate is None or estimate.verdict == "refused":
         return None
     for recording in recordings:
         stage = next((name for name in recording.stages() if kind_of(name) is StageKind.BREAKAWAY), None)
-        if stage is None:
+        if stage is None or stage in left_out(recording, without):
             continue
         try:
             ramps, _ = from_recording(recording, recording.stage_rows(stage), stage)
@@ -211,7 +222,7 @@ def _add_motor_law(data: Measurements, found: Identification, objections: Sequen
     if plain is None or not plain.is_motor or not _may_have_laws(plain, data):
         return
     try:
-        law = motor_law(data.tests, plain, data.periods_s)
+        law = motor_law(data.tests, plain, data.periods_s, data.further)
     except IdentifyError as error:
         found.notes.append(f"law of the motor: {error.cause}")
         return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,10 +10,11 @@ import numpy as np
 from rig.identify.cycles import find_cycle
 from rig.identify.mean_cycle import Cycle
 from rig.identify.preprocessing import from_recording
+from rig.identify.records import FURTHER, left_out, sound_rows
 from rig.model.supply import SupplyReading
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
-from rig.recording.series import TimeSeries
+from rig.recording.series import FEWEST_ROWS, TimeSeries
 from rig.recording.stage import Stage, StageKind, kind_of
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED
 
@@ -30,6 +31,8 @@ class Measurements:
     guarded     one sentence for each test in which the guard changed the relay's drive
     supplies    one sentence for each motor supply that differs from the config
     sources     for each recording its name, and its series
+    further     records beside the tests, for the law of the motor: gain search and breakaway check, as far as they are
+                sound, each with the number of a test of the same run
     notes       what was left out or corrected, how gains and cycles were found
     """
 
@@ -41,6 +44,7 @@ class Measurements:
     guarded: list[str] = field(default_factory=list)
     supplies: list[str] = field(default_factory=list)
     sources: list[tuple[str, Sequence[TimeSeries]]] = field(default_factory=list)
+    further: list[tuple[TimeSeries, int]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -54,22 +58,30 @@ class Measurements:
         return [None if cycle is None else cycle.period_s for cycle in self.cycles]
 
 
-def measurements(recordings: Sequence[Recording], *, with_cycles: bool, plain_is_hysteretic: bool) -> Measurements:
+def measurements(
+    recordings: Sequence[Recording], *, with_cycles: bool, plain_is_hysteretic: bool, without: Sequence[str] = ()
+) -> Measurements:
     """Gather the tests of the recordings.
 
     with_cycles          whether to find the limit cycles
     plain_is_hysteretic  whether a file without stages may also be the run of a hysteretic relay
+    without              names of stages that are not read
     Raises IdentifyError if a recording has no test, or if no test can be used.
     """
     data = Measurements()
+    beside: list[tuple[TimeSeries, TimeSeries]] = []
     for recording in recordings:
+        gone = left_out(recording, without)
         data.guarded += _guarded(recording)
         data.supplies += [reason for reason in _supply(recording) if reason not in data.supplies]
-        tests, runs = _series_of(recording, len(recordings) > 1, data.notes)
+        tests, runs = _series_of(recording, gone, len(recordings) > 1, data.notes)
         if plain_is_hysteretic and not recording.stages():
             runs = tests
         data.hysteretic += runs
         data.sources.append((str(recording.source), tests or runs))
+        if tests or runs:
+            further = _further_of(recording, gone, [*tests, *runs], len(recordings) > 1, data.notes)
+            beside += [(series, (tests or runs)[0]) for series in further]
         for test in tests:
             data.tests.append(test)
             data.cycles.append(_cycle(test, data) if with_cycles else None)
@@ -78,6 +90,8 @@ def measurements(recordings: Sequence[Recording], *, with_cycles: bool, plain_is
         data.cycles = [None] * len(data.tests)
     if not data.tests:
         raise IdentifyError("every hysteretic run ended before its first drive", "record again: `rig relay CONFIG`")
+    of_run = {id(test): number for number, test in enumerate(data.tests)}
+    data.further = [(series, of_run[id(test)]) for series, test in beside if id(test) in of_run]
     return data
 
 
@@ -88,7 +102,7 @@ def _cycle(test: TimeSeries, data: Measurements) -> Cycle | None:
     except IdentifyError as error:
         data.complaints.append(error)
         data.notes.append(f"{error.cause}: no cycle is averaged from it")
-        if test.stage is not None:
+        if test.stage is not None and test.stage.is_relay_test:
             data.unsettled.append(test.name)
         return None
     data.notes += [f"{test.name}: {note}" for note in cycle.notes]
@@ -125,24 +139,30 @@ def _supply(recording: Recording) -> list[str]:
     return [] if objection is None else [objection]
 
 
-def _series_of(recording: Recording, several: bool, notes: list[str]) -> tuple[list[TimeSeries], list[TimeSeries]]:
-    """The relay tests of a run, or all rows of a plain file; and its runs of hysteretic relays."""
+def _series_of(
+    recording: Recording, gone: Collection[str], several: bool, notes: list[str]
+) -> tuple[list[TimeSeries], list[TimeSeries]]:
+    """The relay tests of a run, or its gain search if it ended before them, or all rows of a plain file; and its runs of
+    hysteretic relays.
+    """
     name = recording.source.name or str(recording.source)
     notes += [f"{name}: {note}" for note in recording.notes]
     stages = recording.stages()
+    chosen: list[tuple[str, slice]] = []
     if not stages:
-        chosen = [(slice(0, len(recording)), name)]
-    else:
-        relays = [stage for stage in stages if Stage.parse(stage).is_relay_test]
-        if not relays:
-            raise IdentifyError(
-                f"{name} has no relay test (stages: {', '.join(stages)})",
-                "run `rig relay CONFIG` or `rig run CONFIG`, and identify that",
-            )
-        chosen = [(recording.stage_rows(stage), f"{name}:{stage}" if several else stage) for stage in relays]
+        chosen = [(name, slice(0, len(recording)))]
+    for stage in _tests_of(recording, name, gone) if stages else ():
+        rows, remark = sound_rows(recording, stage)
+        notes += [] if remark is None else [remark]
+        chosen.append((_label(name, stage, several), rows))
+    if len(chosen) > 1:
+        short = [label for label, rows in chosen if rows.stop - rows.start < FEWEST_ROWS]
+        if len(short) < len(chosen):
+            notes += [f"{label}: left out, because fewer than {FEWEST_ROWS} of its rows can be used" for label in short]
+            chosen = [(label, rows) for label, rows in chosen if label not in short]
     tests: list[TimeSeries] = []
     runs: list[TimeSeries] = []
-    for rows, label in chosen:
+    for label, rows in chosen:
         series, remarks = from_recording(recording, rows, label)
         if series.stage is None or series.stage.kind is not StageKind.HYSTERETIC:
             tests.append(series)
@@ -155,3 +175,45 @@ def _series_of(recording: Recording, several: bool, notes: list[str]) -> tuple[l
         if saturated:
             notes.append(f"{label}: the drive was saturated in {saturated} rows; rig uses the drive that acted")
     return tests, runs
+
+
+def _tests_of(recording: Recording, name: str, gone: Collection[str]) -> list[str]:
+    """The stages that are tests: the relay tests; of a run that ended before the first one, its gain search.
+
+    Raises IdentifyError if there are none.
+    """
+    stages = recording.stages()
+    relays = [stage for stage in stages if Stage.parse(stage).is_relay_test]
+    searches = [stage for stage in stages if kind_of(stage) is StageKind.SEARCH] if not relays else []
+    kept = [stage for stage in relays or searches if stage not in gone]
+    if kept:
+        return kept
+    if relays:
+        raise IdentifyError(f"{name}: every relay test is left out", f"keep one of {', '.join(relays)}")
+    raise IdentifyError(
+        f"{name} has no relay test (stages: {', '.join(stages)})",
+        "run `rig relay CONFIG` or `rig run CONFIG`, and identify that",
+    )
+
+
+def _further_of(
+    recording: Recording, gone: Collection[str], tests: Sequence[TimeSeries], several: bool, notes: list[str]
+) -> list[TimeSeries]:
+    """Records of a run beside its tests, as far as they are sound."""
+    name = recording.source.name or str(recording.source)
+    used = [test.stage.name for test in tests if test.stage is not None]
+    found = []
+    for stage in recording.stages():
+        if kind_of(stage) not in FURTHER or stage in gone or stage in used:
+            continue
+        rows, remark = sound_rows(recording, stage)
+        notes += [] if remark is None else [remark]
+        if rows.stop - rows.start >= FEWEST_ROWS:
+            series, remarks = from_recording(recording, rows, _label(name, stage, several))
+            notes += [remark for remark in remarks if remark not in notes]
+            found.append(series)
+    return found
+
+
+def _label(name: str, stage: str, several: bool) -> str:
+    return f"{name}:{stage}" if several else stage

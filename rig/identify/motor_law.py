@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.verdict import PROMISE, SURE
 from rig.model.real_motor import RealMotor
 from rig.recording.series import TimeSeries
-from rig.results import BudgetEntry, EstimateResult, FoundLawResult, PieceResult
+from rig.results import BudgetEntry, FoundLawResult, MotorLawResult, PieceResult
 
 Array = NDArray[np.float64]
 
@@ -35,22 +34,9 @@ ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 NO_CYCLE = 12.0  # parts of a record without a cycle that count as one
 SMALL_FRICTION = 0.03  # of the largest drive: the size that smaller friction counts as
 MOST_ROWS = 8000  # of all tests
+FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
 ROWS_OF_TAU = 20  # at least so many of the rows taken as one have room in tau
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
-
-
-class LawKeys(TypedDict):
-    """The keys of result.json that say what the motor is beyond the plain law."""
-
-    law: tuple[FoundLawResult, ...] | None
-    not_told_apart: tuple[tuple[str, ...], ...] | None
-    u95: dict[str, float | None] | None
-    budget: tuple[BudgetEntry, ...] | None
-    with_law: EstimateResult | None
-    pieces: tuple[PieceResult, ...] | None
-
-
-NO_LAW: LawKeys = {"law": None, "not_told_apart": None, "u95": None, "budget": None, "with_law": None, "pieces": None}
 
 
 @dataclass(frozen=True)
@@ -126,9 +112,9 @@ class MotorLaw:
             f"not exclude. To know more, record {cure}"
         )
 
-    def as_keys(self) -> LawKeys:
+    def as_result(self) -> MotorLawResult:
         """As in result.json."""
-        return LawKeys(
+        return MotorLawResult(
             law=tuple(
                 FoundLawResult(
                     name=one.law.name,
@@ -151,17 +137,22 @@ class MotorLaw:
         )
 
 
-def motor_law(tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[float | None]) -> MotorLaw:
+def motor_law(
+    tests: Sequence[TimeSeries],
+    plain: Estimate,
+    periods_s: Sequence[float | None],
+    further: Sequence[tuple[TimeSeries, int]] = (),
+) -> MotorLaw:
     """The law that the tests show, from the plain estimate on.
 
     periods_s  for each test the period of its cycle, s, or None
+    further    records beside the tests, each with the number of a test of the same run
     Of more than 8,000 rows several at a time are taken as one. Raises IdentifyError if a test is too short.
     """
     rows = sum(len(test) for test in tests)
-    tests = [
-        thinned(test, min(math.ceil(rows / MOST_ROWS), int(plain.tau_s / test.period_s / ROWS_OF_TAU)))
-        for test in tests
-    ]
+    more = sum(len(series) for series, _ in further)
+    tests = [_folded(test, rows, plain.tau_s) for test in tests]
+    further = [(_folded(series, rows + more, plain.tau_s), number) for series, number in further]
     free_delay = any(test.t_u_s is None for test in tests)
     delay_s = (
         (-max(test.period_s for test in tests), max(test.longest_delay_s for test in tests))
@@ -169,6 +160,7 @@ def motor_law(tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[
         else (0.0, 0.0)
     )
     whole = Cut.whole(tests, delay_s[1])
+    tested = sum(window.t_s.size for window in whole.windows)
     start = RealMotor(
         plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, plain.delay_s if free_delay else 0.0
     )
@@ -180,24 +172,29 @@ def motor_law(tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[
     sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
     candidates = [law for law in DEPARTURES if law.fits(bench)]
     chooser = Chooser(candidates, bench, core, delay_s, max(sigma, SMALLEST_NOISE * whole.frames[0].half_travel_rad))
-    choice = chooser.choose(whole, start, cycle_s)
+    choice = chooser.choose(whole.beside(further, delay_s[1], FURTHER_CYCLES * cycle_s), start, cycle_s)
     fit = with_own_noise(choice.fit)
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
     lines = budget(fit, choice.laws, candidates, bench)
-    if not choice.laws:
+    if not choice.laws and not further:
         return MotorLaw((), (), None, lines, choice.growth)
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
     found = tuple(_found(law, fit, normal, covariance) for law in choice.laws)
     return MotorLaw(
         found,
         tuple(group for law in choice.laws if len(group := _alike(law, choice, fit, chooser)) > 1),
-        _estimate(fit, covariance, tests, plain, periods_s),
+        _estimate(fit, covariance, tested, plain, periods_s),
         lines,
         choice.growth,
     )
 
 
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
+
+
+def _folded(series: TimeSeries, of_rows: int, tau_s: float) -> TimeSeries:
+    """The series as it is taken where all records have ``of_rows``."""
+    return thinned(series, min(math.ceil(of_rows / MOST_ROWS), int(tau_s / series.period_s / ROWS_OF_TAU)))
 
 
 def thinned(test: TimeSeries, rows: int) -> TimeSeries:
@@ -271,8 +268,9 @@ def _alike(law: Departure, choice: Choice, fit: Fit, chooser: Chooser) -> tuple[
 
 
 def _estimate(
-    fit: Fit, covariance: Array, tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[float | None]
+    fit: Fit, covariance: Array, tested: int, plain: Estimate, periods_s: Sequence[float | None]
 ) -> Estimate:
+    """The estimate, with the residual of the tests: the first ``tested`` rows."""
     free, motor = fit.problem.free, fit.motor
     full = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     core = [name for name in CORE_OF if name in free]
@@ -288,7 +286,8 @@ def _estimate(
     quantile = float(stdtrit(_freedom(fit), 0.975))
     noise = fit.problem.noise
     cut = fit.problem.cut
-    white = fit.problem.whitened(fit.residual_rad)
+    residual = fit.residual_rad[:tested]
+    white = fit.problem.whitened(fit.residual_rad)[:tested]
     return Estimate(
         plain.method,
         *values,
@@ -297,12 +296,12 @@ def _estimate(
             for name, value, error in zip(PARAMETERS, values, errors, strict=True)
         },
         covariance=full,
-        rms_rad=fit.rms_rad,
+        rms_rad=float(np.sqrt(np.mean(residual**2))),
         iterations=len(fit.iterates),
         rows=plain.rows,
         iterates=fit.iterates,
-        residual_rad=-fit.residual_rad,
-        residual_t_s=cut.t_s,
-        repeated=repeated_share(white, repetitions(cut.windows, periods_s)),
+        residual_rad=-residual,
+        residual_t_s=cut.t_s[:tested],
+        repeated=repeated_share(white, repetitions(cut.windows[: len(periods_s)], periods_s)),
         coloured=None if noise.white else (noise.memory_s, math.sqrt(noise.ratio)),
     )

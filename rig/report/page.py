@@ -68,12 +68,7 @@ def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification 
         relays=identified.relays,
         hysteretic=identified.hysteretic,
         friction_law=identified.friction_law,
-        law=identified.law,
-        not_told_apart=identified.not_told_apart,
-        with_law=identified.with_law,
-        u95=identified.u95,
-        budget=identified.budget,
-        pieces=identified.pieces,
+        **identified.law_keys(),
     )
     run.notes.append("The run ended before it had a result. For this page its recording was identified.")
     return replace(run, result=result), found

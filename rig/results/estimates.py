@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -182,15 +182,9 @@ class PieceResult(Part):
     )
 
 
-class IdentificationResult(Part):
-    """The identification of recordings: `rig identify --json`."""
+class MotorLawResult(Part):
+    """What a motor is beyond the plain one, and how certain tau, K and friction are. A part of two other files."""
 
-    relays: tuple[RelayTestResult, ...] = Field((), description="relay tests that were used")
-    estimates: dict[str, EstimateResult] = Field({}, description="estimates by method")
-    notes: tuple[Text, ...] = Field((), description="what else there is to know, in words")
-    hysteretic: Sometimes[tuple[HystereticResult, ...]] = Field(None, description="runs of hysteretic relays")
-    breakaway: Sometimes[StaticFrictionResult] = Field(None, description="static friction")
-    friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law describes the tests")
     law: Sometimes[tuple[FoundLawResult, ...]] = Field(None, description="what the tests show beyond the plain motor")
     not_told_apart: Sometimes[tuple[tuple[Text, ...], ...]] = Field(
         None, description="groups of laws that explain the tests equally well"
@@ -201,6 +195,27 @@ class IdentificationResult(Part):
     )
     budget: Sometimes[tuple[BudgetEntry, ...]] = Field(None, description="what u95 is made of, the largest first")
     pieces: Sometimes[tuple[PieceResult, ...]] = Field(None, description="residual by the length of the fitted pieces")
+
+    def law_keys(self) -> dict[str, Any]:
+        """Those of these keys that were set, by name: to make another result that has them, too."""
+        return {name: getattr(self, name) for name in MotorLawResult.model_fields if self.says(name)}
+
+
+class _Estimates(Part):
+    """What the estimators found."""
+
+    relays: tuple[RelayTestResult, ...] = Field((), description="relay tests that were used")
+    estimates: dict[str, EstimateResult] = Field({}, description="estimates by method")
+    notes: tuple[Text, ...] = Field((), description="what else there is to know, in words")
+    hysteretic: Sometimes[tuple[HystereticResult, ...]] = Field(None, description="runs of hysteretic relays")
+    breakaway: Sometimes[StaticFrictionResult] = Field(None, description="static friction")
+    friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law describes the tests")
+
+
+class IdentificationResult(MotorLawResult, _Estimates):
+    """The identification of recordings: `rig identify --json`."""
+
+    # Its parts are read from right to left: the JSON keeps that order of keys.
 
 
 def _finite(interval: Interval | None) -> tuple[float, float] | None:

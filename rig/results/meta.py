@@ -90,3 +90,6 @@ class RunMeta(Part):
     truth: TrueMotor | None = Field(None, description="the emulated motor; null: the motor is real")
     script: ScriptCall | None = Field(None, description="what ran")
     real_time: Sometimes[RealTimeReport] = Field(None, description="written once the loop has asked the machine")
+    identify_without: Sometimes[tuple[Text, ...]] = Field(
+        None, description="stages that identification does not read, by the config"
+    )

@@ -8,12 +8,10 @@ from pydantic import Field
 
 from rig.results.estimates import (
     BreakawayResult,
-    BudgetEntry,
     EstimateResult,
-    FoundLawResult,
     FrictionLawResult,
     HystereticResult,
-    PieceResult,
+    MotorLawResult,
     RelayTestResult,
 )
 from rig.results.meta import RealTimeReport, TrueMotor
@@ -89,8 +87,8 @@ class SearchStepResult(Part):
     outcome: Text = Field("", description="what happened, in words")
 
 
-class RunResult(Part):
-    """result.json of a run folder. A file of an older version may lack any key."""
+class _Run(Part):
+    """What ran, and what came of it."""
 
     version: Annotated[Count, Field(ge=0)] = Field(VERSION, alias="schema", description="version of this file's form")
     backend: Text = Field("", description="the bench in words")
@@ -106,16 +104,12 @@ class RunResult(Part):
     models_from: Sometimes[Text] = Field(None, description="another run whose models drove this one")
     breakaway: Sometimes[BreakawayResult] = Field(None, description="the breakaway check, and static friction")
     friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law describes the tests")
-    law: Sometimes[tuple[FoundLawResult, ...]] = Field(None, description="what the tests show beyond the plain motor")
-    not_told_apart: Sometimes[tuple[tuple[Text, ...], ...]] = Field(
-        None, description="groups of laws that explain the tests equally well"
-    )
-    with_law: Sometimes[EstimateResult] = Field(None, description="the leading estimate of a motor with these laws")
-    u95: Sometimes[dict[str, Number]] = Field(
-        None, description="expanded uncertainty, half width at 95 %, by parameter"
-    )
-    budget: Sometimes[tuple[BudgetEntry, ...]] = Field(None, description="what u95 is made of, the largest first")
-    pieces: Sometimes[tuple[PieceResult, ...]] = Field(None, description="residual by the length of the fitted pieces")
     jog: Sometimes[JogResult] = Field(None, description="what `rig jog` did")
     search: Sometimes[tuple[SearchStepResult, ...]] = Field(None, description="the gain search, step by step")
     truth: Sometimes[TrueMotor] = Field(None, description="the emulated motor")
+
+
+class RunResult(MotorLawResult, _Run):
+    """result.json of a run folder. A file of an older version may lack any key."""
+
+    # Its parts are read from right to left: the file keeps that order of keys.

@@ -154,26 +154,63 @@ def reading(y_rad: Array, departures: Departures) -> Array:
     return y_rad + d.linearity_rad * np.sin(d.linearity_per_rad * y_rad + d.linearity_phase_rad)
 
 
+class MovingShaft:
+    """The same motor, one span of constant drive after the other: for a law of rig's own, in its closed loop.
+
+    begin_and_whole_s   when the run's time 0 is, and how long the friction's drift takes, s
+    """
+
+    def __init__(
+        self,
+        motor: PlainMotor,
+        departures: Departures,
+        begin_and_whole_s: tuple[float, float],
+        step_s: float = STEP_S,
+    ) -> None:
+        self._motor = (motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V)
+        self._departures = departures
+        self._numbers = departures.numbers()
+        self._begin_s, self._whole_s = begin_and_whole_s
+        self._step_s = step_s
+        self._state = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def advance(self, u_V: float, force_V: float, t_s: float, dt_s: float) -> None:
+        """Let ``dt_s`` pass from ``t_s``, s, on, under the drive ``u_V`` and the random force ``force_V``, V."""
+        self._state = _advance(
+            self._motor,
+            self._numbers,
+            (self._begin_s + t_s, self._whole_s, self._step_s),
+            (u_V, force_V),
+            dt_s,
+            self._state,
+        )
+
+    @property
+    def reading_rad(self) -> float:
+        """What the sensor shows, without noise, steps and offset, rad."""
+        return float(reading(np.array([self._state[3]]), self._departures)[0])
+
+    @property
+    def y_rad(self) -> float:
+        """The true position, rad."""
+        return self._state[1]
+
+
 @njit(cache=True)
 def _run(motor, departures, timing, gains, noise, force, out):  # type: ignore[no-untyped-def]
-    tau, K, fc, bias = motor
-    (dead, by_sign, sag, lag, beta, static, strib, vs, drag, sigma, fA, fphi, qA, qphi, cA, cn, cphi,
-     play, lA, ln, lphi, drift, _) = departures  # fmt: skip
+    play, lA, ln, lphi = departures[17], departures[18], departures[19], departures[20]
     period, delay, lsb, begin, whole, step = timing
     h1, h2 = gains
-    v = y = z_bristle = 0.0
-    held = 0.0  # position behind the play
+    state = (0.0, 0.0, 0.0, 0.0, 0.0)
     u = 0.0
-    w = 0.0  # drive behind the lag
     z = 0.0
     last = 0.0
     sy = sz = 0
     for k in range(noise.size):
         # the sample
-        if y - held > 0.5 * play:
-            held = y - 0.5 * play
-        elif held - y > 0.5 * play:
-            held = y + 0.5 * play
+        v, y, z_bristle, held, w = state
+        held = _played(y, held, play)
+        state = (v, y, z_bristle, held, w)
         read = held + lA * np.sin(ln * held + lphi) + noise[k]
         if lsb > 0.0:
             read = lsb * np.floor(read / lsb + 0.5)
@@ -193,83 +230,105 @@ def _run(motor, departures, timing, gains, noise, force, out):  # type: ignore[n
         new = -h1 * sy - h2 * sz
         out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = read, new, y, v, z
         # to the next sample: the old drive, then the new one
-        for phase in range(2):
-            span = delay if phase == 0 else period - delay
-            if phase == 1:
-                u = new
-            count = max(1, int(np.ceil(span / step)))
-            h = span / count
-            goal = 0.0
-            if u > dead:
-                goal = u - dead
-            elif u < -dead:
-                goal = u + dead
-            goal *= 1.0 + (by_sign if goal > 0.0 else -by_sign)
-            goal *= 1.0 - sag * abs(goal)
-            share = np.exp(-0.5 * h / lag) if lag > 0.0 else 0.0
-            for i in range(count):
-                t = begin + k * period + (i + 0.5) * h + (delay if phase == 1 else 0.0)
-                w_mid = goal + (w - goal) * share
-                w = goal + (w - goal) * share * share
-                left = h
-                for _ in range(3):
-                    ym = y + 0.5 * left * v
-                    level = fc * (1.0 + drift * (t / whole - 0.5)) * (1.0 + qA * np.sin(ym + qphi))
-                    push = w_mid + bias + force[k] - fA * np.sin(ym + fphi) - cA * np.sin(cn * ym + cphi)
-                    if sigma > 0.0:
-                        # bristles: the excess of a Stribeck effect is in their level
-                        g = level + strib * np.exp(-abs(v) / vs)
-                        a = sigma * abs(v) / g
-                        end = v / a if a > 1e-9 else 0.0
-                        if a > 1e-9:
-                            middle = end + (z_bristle - end) * np.exp(-0.5 * a * left)
-                            z_bristle = end + (z_bristle - end) * np.exp(-a * left)
-                        else:
-                            middle = z_bristle + 0.5 * v * left
-                            z_bristle += v * left
-                        acceleration = (K * (push - sigma * middle - beta * abs(v) - drag * v * abs(v)) - v) / tau
-                        vm = v + 0.5 * left * acceleration
-                        acceleration = (K * (push - sigma * middle - beta * abs(vm) - drag * vm * abs(vm)) - vm) / tau
-                        y += left * (v + 0.5 * left * acceleration)
-                        v += left * acceleration
-                        break
-                    sign = 0.0
-                    if v != 0.0:
-                        sign = 1.0 if v > 0.0 else -1.0
-                    elif push > level + static + strib:
-                        sign = 1.0
-                    elif push < -(level + static + strib):
-                        sign = -1.0
-                    if sign == 0.0:
-                        break
-                    # speed at the middle, for what depends on it
-                    f0 = level + strib * np.exp(-abs(v) / vs)
-                    a0 = (K * (push - sign * f0 - beta * abs(v) - drag * v * abs(v)) - v) / tau
-                    vm = v + 0.5 * left * a0
-                    if vm * sign < 0.0:
-                        vm = 0.0
-                    f = level + strib * np.exp(-abs(vm) / vs)
-                    target = K * (push - sign * f - beta * abs(vm) - drag * vm * abs(vm))
-                    decay = -np.expm1(-left / tau)
-                    next_v = v + (target - v) * decay
-                    if v != 0.0 and next_v * sign < 0.0:
-                        # it comes to rest within the step: go to there, then on from rest
-                        stop = tau * np.log1p(-v / target)
-                        part = -np.expm1(-stop / tau)
-                        y += target * stop + (v - target) * tau * part
-                        v = 0.0
-                        left -= stop
-                        if left <= 0.0:
-                            break
-                        if y - held > 0.5 * play:
-                            held = y - 0.5 * play
-                        elif held - y > 0.5 * play:
-                            held = y + 0.5 * play
-                        continue
-                    y += target * left + (v - target) * tau * decay
-                    v = next_v
+        begins = begin + k * period
+        state = _advance(motor, departures, (begins, whole, step), (u, force[k]), delay, state)
+        u = new
+        state = _advance(motor, departures, (begins + delay, whole, step), (u, force[k]), period - delay, state)
+
+
+@njit(cache=True)
+def _played(y, held, play):  # type: ignore[no-untyped-def]
+    """The sensor's side of the play."""
+    if y - held > 0.5 * play:
+        return y - 0.5 * play
+    if held - y > 0.5 * play:
+        return y + 0.5 * play
+    return held
+
+
+@njit(cache=True)
+def _advance(motor, departures, timing, drive, span, state):  # type: ignore[no-untyped-def]
+    """The state v, y, bristles, sensor's side of the play and drive behind the lag, after ``span`` seconds."""
+    tau, K, fc, bias = motor
+    (dead, by_sign, sag, lag, beta, static, strib, vs, drag, sigma, fA, fphi, qA, qphi, cA, cn, cphi,
+     play, _, _, _, drift, _) = departures  # fmt: skip
+    begin, whole, step = timing
+    u, extra = drive
+    v, y, z_bristle, held, w = state
+    count = max(1, int(np.ceil(span / step)))
+    h = span / count
+    goal = 0.0
+    if u > dead:
+        goal = u - dead
+    elif u < -dead:
+        goal = u + dead
+    goal *= 1.0 + (by_sign if goal > 0.0 else -by_sign)
+    goal *= 1.0 - sag * abs(goal)
+    share = np.exp(-0.5 * h / lag) if lag > 0.0 else 0.0
+    for i in range(count):
+        t = begin + (i + 0.5) * h
+        w_mid = goal + (w - goal) * share
+        w = goal + (w - goal) * share * share
+        left = h
+        for _ in range(3):
+            ym = y + 0.5 * left * v
+            level = fc * (1.0 + drift * (t / whole - 0.5)) * (1.0 + qA * np.sin(ym + qphi))
+            push = w_mid + bias + extra - fA * np.sin(ym + fphi) - cA * np.sin(cn * ym + cphi)
+            if sigma > 0.0:
+                # bristles: the excess of a Stribeck effect is in their level
+                g = level + strib * np.exp(-abs(v) / vs)
+                a = sigma * abs(v) / g
+                end = v / a if a > 1e-9 else 0.0
+                if a > 1e-9:
+                    middle = end + (z_bristle - end) * np.exp(-0.5 * a * left)
+                    z_bristle = end + (z_bristle - end) * np.exp(-a * left)
+                else:
+                    middle = z_bristle + 0.5 * v * left
+                    z_bristle += v * left
+                acceleration = (K * (push - sigma * middle - beta * abs(v) - drag * v * abs(v)) - v) / tau
+                vm = v + 0.5 * left * acceleration
+                acceleration = (K * (push - sigma * middle - beta * abs(vm) - drag * vm * abs(vm)) - vm) / tau
+                y += left * (v + 0.5 * left * acceleration)
+                v += left * acceleration
+                break
+            sign = 0.0
+            if v != 0.0:
+                sign = 1.0 if v > 0.0 else -1.0
+            elif push > level + static + strib:
+                sign = 1.0
+            elif push < -(level + static + strib):
+                sign = -1.0
+            if sign == 0.0:
+                break
+            # speed at the middle, for what depends on it
+            f0 = level + strib * np.exp(-abs(v) / vs)
+            a0 = (K * (push - sign * f0 - beta * abs(v) - drag * v * abs(v)) - v) / tau
+            vm = v + 0.5 * left * a0
+            if vm * sign < 0.0:
+                vm = 0.0
+            f = level + strib * np.exp(-abs(vm) / vs)
+            target = K * (push - sign * f - beta * abs(vm) - drag * vm * abs(vm))
+            decay = -np.expm1(-left / tau)
+            next_v = v + (target - v) * decay
+            if v != 0.0 and next_v * sign < 0.0:
+                # it comes to rest within the step: go to there, then on from rest
+                stop = tau * np.log1p(-v / target)
+                part = -np.expm1(-stop / tau)
+                y += target * stop + (v - target) * tau * part
+                v = 0.0
+                left -= stop
+                if left <= 0.0:
                     break
                 if y - held > 0.5 * play:
                     held = y - 0.5 * play
                 elif held - y > 0.5 * play:
                     held = y + 0.5 * play
+                continue
+            y += target * left + (v - target) * tau * decay
+            v = next_v
+            break
+        if y - held > 0.5 * play:
+            held = y - 0.5 * play
+        elif held - y > 0.5 * play:
+            held = y + 0.5 * play
+    return v, y, z_bristle, held, w

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from campaign_real.before_the_tests import Stretch, before_the_tests
 from campaign_real.departing_motor import Bench, Departures, PlainMotor, Record, reading, relay_test
 from rig.campaign.grid import Draw, draw
 from rig.config.campaign import Campaign
-from rig.recording.recording import Recording, from_columns
+from rig.recording.recording import Recording, assembled, from_columns
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
@@ -125,6 +126,7 @@ class Case:
 
     kinds     its departures; () for none
     records   two relay tests
+    before    what a run drives before them, in times below theirs
     """
 
     number: int
@@ -134,6 +136,7 @@ class Case:
     bench: Bench
     truth: Truth
     records: tuple[Record, Record]
+    before: tuple[Stretch, ...] = ()
 
     def recordings(self) -> list[Recording]:
         """As `rig identify` reads them from two CSV files without t_u_s."""
@@ -142,9 +145,22 @@ class Case:
             for k, record in enumerate(self.records, 1)
         ]
 
+    def run(self) -> Recording:
+        """All records as those of one run, without t_u_s."""
+        tests = [Stretch(f"relay-{k}", r.t_s, r.y_rad, r.u_V) for k, r in enumerate(self.records, 1)]
+        stretches = [*self.before, *tests]
+        columns = {name: np.concatenate([getattr(s, name) for s in stretches]) for name in ("t_s", "y_rad", "u_V")}
+        stage = np.concatenate([np.full(s.t_s.size, s.stage) for s in stretches])
+        rows = range(1, stage.size + 1)
+        names = (*columns, "stage")
+        return assembled(Path(f"case-{self.number}"), {**columns, "stage": stage}, rows, columns_present=names)
 
-def case(campaign: Campaign, number: int, kinds: Sequence[Kind]) -> Case:
-    """Bench ``number`` with the departures of ``kinds``. The same motor has the same number, whatever departs."""
+
+def case(campaign: Campaign, number: int, kinds: Sequence[Kind], *, whole_run: bool = False) -> Case:
+    """Bench ``number`` with the departures of ``kinds``. The same motor has the same number, whatever departs.
+
+    whole_run   whether to simulate the breakaway check and the gain search, too
+    """
     one = draw(campaign, number)
     seeds = np.random.SeedSequence(campaign.seed, spawn_key=(number, 77))
     rng = np.random.default_rng(np.random.SeedSequence(campaign.seed, spawn_key=(number, 78)))
@@ -163,6 +179,8 @@ def case(campaign: Campaign, number: int, kinds: Sequence[Kind]) -> Case:
         _recorded(relay_test(motor, departures, bench, gain, rows, (k * span, 2.0 * span), seed), k * span)
         for k, (gain, seed) in enumerate(zip(gains, seeds.spawn(2), strict=True))
     )
+    seed = np.random.SeedSequence(campaign.seed, spawn_key=(number, 79))
+    before = before_the_tests(motor, departures, bench, one, 2.0 * span, seed) if whole_run else ()
     return Case(
         number,
         tuple(kinds),
@@ -171,6 +189,7 @@ def case(campaign: Campaign, number: int, kinds: Sequence[Kind]) -> Case:
         bench,
         _truth(motor, departures, (first, second), 2.0 * span),
         (first, second),
+        before,
     )
 
 

@@ -7,6 +7,7 @@ pieces that a motor bears say how random it is.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -34,11 +35,13 @@ class Cut:
     windows   the tests' rows with a known drive
     frames    for each, what parts over position and time refer to
     rows      for each, the first rows of its pieces; the first one is 0
+    most_s    for each, the longest that its pieces may be, s
     """
 
     windows: tuple[Window, ...]
     frames: tuple[Frame, ...]
     rows: tuple[Rows, ...]
+    most_s: tuple[float, ...]
 
     @classmethod
     def whole(cls, tests: Sequence[TimeSeries], longest_delay_s: float) -> Cut:
@@ -57,15 +60,27 @@ class Cut:
             start = begins[0] if in_one_run else begin - before
             before += end - begin
             frames.append(Frame(0.5 * float(low + high), half, start, max(span, 1e-9)))
-        return cls(windows, tuple(frames), tuple(np.zeros(1, dtype=np.int64) for _ in windows))
+        whole_ones = tuple(np.zeros(1, dtype=np.int64) for _ in windows)
+        return cls(windows, tuple(frames), whole_ones, tuple(math.inf for _ in windows))
+
+    def beside(self, further: Sequence[tuple[TimeSeries, int]], longest_delay_s: float, most_s: float) -> Cut:
+        """The same tests, and behind them further records in pieces of at most ``most_s``.
+
+        further   each with the number of the test whose time and travel it is measured in
+        Raises IdentifyError if one is too short.
+        """
+        windows = tuple(series.predictable(longest_delay_s) for series, _ in further)
+        return replace(
+            self,
+            windows=self.windows + windows,
+            frames=self.frames + tuple(self.frames[number] for _, number in further),
+            rows=self.rows + tuple(_first_rows(window, most_s) for window in windows),
+            most_s=self.most_s + tuple(most_s for _ in windows),
+        )
 
     def every(self, length_s: float) -> Cut:
         """The same tests in pieces of about ``length_s``, each of at least 12 rows."""
-        rows = []
-        for window in self.windows:
-            n = window.t_s.size
-            count = max(1, min(round(window.duration_s / length_s), n // FEWEST_ROWS))
-            rows.append(np.round(np.linspace(0, n, count + 1)[:-1]).astype(np.int64))
+        rows = (_first_rows(w, min(length_s, most_s)) for w, most_s in zip(self.windows, self.most_s, strict=True))
         return replace(self, rows=tuple(rows))
 
     @cached_property
@@ -149,3 +164,10 @@ class Cut:
             out.append((window, frame, Pieces(rows, v0, y0, np.sign(v0), bent)))
             at += rows.size
         return out
+
+
+def _first_rows(window: Window, length_s: float) -> Rows:
+    """First rows of pieces of about ``length_s``, each of at least 12 rows."""
+    n = window.t_s.size
+    count = max(1, min(round(window.duration_s / length_s), n // FEWEST_ROWS))
+    return np.round(np.linspace(0, n, count + 1)[:-1]).astype(np.int64)
