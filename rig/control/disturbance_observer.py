@@ -37,6 +37,9 @@ class DisturbanceObserver:
     bandwidth_1_s     how fast it follows the load: the frequency of its three Butterworth poles, rad/s
     latency_s         from a sample until its drive acts, s
 
+    transition  (3, 3) from a sample to the next, of velocity, position and load
+    gain        (3,) of the innovation
+
     The gain does not depend on the sensor's noise: the wandering of the load is chosen for the bandwidth.
     """
 
@@ -56,8 +59,9 @@ class DisturbanceObserver:
         Q = np.diag([_WELL_POSED, _WELL_POSED, wander_V**2])
         P = solve_discrete_are(A.T, C.T, Q, np.eye(1))
         gain = P @ C.T / (1.0 + P[1, 1])
-        self.covariance = np.asarray(P - gain @ C @ P, dtype=np.float64)  # of the state, by 1 rad^2 of the sensor's
-        self._gain: list[float] = gain[:, 0].tolist()
+        self.transition = A
+        self.gain = np.asarray(gain[:, 0], dtype=np.float64)
+        self._gains: list[float] = self.gain.tolist()
 
     def step(self, sample: Sample) -> LoadedState:
         """The state at the instant at which a drive computed now takes effect."""
@@ -68,7 +72,7 @@ class DisturbanceObserver:
             self._advance(sample)
         v, y, load = self.state
         error = sample.y_rad - y
-        gain = self._gain
+        gain = self._gains
         self.state = LoadedState(v + gain[0] * error, y + gain[1] * error, load + gain[2] * error)
         self._last_t_s = sample.t_s
         return self._moved(self.state, self._acting_V, self.latency_s)

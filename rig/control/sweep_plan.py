@@ -18,7 +18,6 @@ TURN = 4.0  # a turn takes so many time constants of the loop,
 SETTLE = 3.0  # and after it the motion settles for so many
 EDGE_SHARE = 0.05  # of the travel between the soft limits, kept free at each end
 LEAST_RUN = 0.5  # of each sweep is at a steady speed
-LEAST_COUNTS_1_S = 10.0  # resolutions that the slowest sweep passes in a second
 LEAST_SPREAD = 1.5  # of the largest speed over the smallest one
 SPEED_SHARE = 0.5  # of limits.max_speed_rad_s
 
@@ -33,14 +32,14 @@ class Room:
 
     soft_rad         travel limits (low, high), rad
     max_speed_rad_s  largest speed of the bench, rad/s
-    resolution_rad   smallest motion that the sensor shows: a count, or its noise if that is more, rad
+    slowest_rad_s    slowest speed that the sensor resolves, rad/s
     bandwidth_1_s    of the loop, 1/s
     longest_s        all sweeps together, s
     """
 
     soft_rad: tuple[float, float]
     max_speed_rad_s: float
-    resolution_rad: float
+    slowest_rad_s: float
     bandwidth_1_s: float
     longest_s: float
 
@@ -115,23 +114,22 @@ def sweep_plan(room: Room, wanted_rad_s: Sequence[float] = ()) -> SweepPlan:
     travel, bandwidth = high - low, room.bandwidth_1_s
     by_travel = 0.5 * (1.0 - LEAST_RUN) * travel * bandwidth / (0.5 * TURN + SETTLE)
     fastest = min(by_travel, SPEED_SHARE * room.max_speed_rad_s)
-    slowest = LEAST_COUNTS_1_S * room.resolution_rad
+    slowest = room.slowest_rad_s
     if wanted_rad_s:
         plan = SweepPlan(low, high, tuple(sorted(wanted_rad_s, reverse=True)), bandwidth)
         if max(wanted_rad_s) > fastest * (1.0 + 1e-9):
             raise TooShortError(f"{max(wanted_rad_s):g} rad/s is too fast for {_words(travel, fastest)}")
         if min(wanted_rad_s) < slowest * (1.0 - 1e-9):
             raise TooShortError(
-                f"{min(wanted_rad_s):g} rad/s is too slow for a sensor that resolves {1e3 * room.resolution_rad:.2g} "
-                f"mrad: at least {slowest:.3g} rad/s"
+                f"{min(wanted_rad_s):g} rad/s is too slow for counts and noise of the sensor: at least {slowest:.3g} rad/s"
             )
         if plan.duration_s > room.longest_s:
             raise TooShortError(f"these sweeps take {plan.duration_s:.0f} s, longer than {room.longest_s:g} s")
         return plan
     if fastest < LEAST_SPREAD * slowest:
         raise TooShortError(
-            f"the slowest sweep that the sensor resolves ({1e3 * room.resolution_rad:.2g} mrad) is at {slowest:.3g} "
-            f"rad/s, and the fastest for {_words(travel, fastest)}; it should be {LEAST_SPREAD:g} times as fast"
+            f"the slowest sweep that the sensor resolves is at {slowest:.3g} rad/s, and the fastest for "
+            f"{_words(travel, fastest)}; it should be {LEAST_SPREAD:g} times as fast"
         )
     for share in range(101):  # the slowest speed for which there is time
         least = slowest * (fastest / LEAST_SPREAD / slowest) ** (0.01 * share)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
 
 from rig.control.disturbance_observer import DisturbanceObserver
 from rig.control.sweep_plan import SweepPlan
@@ -17,7 +19,9 @@ BANDWIDTH_DELAYS = 0.09  # of the loop's bandwidth times the time until it react
 FASTEST_1_S = 12.0
 SLOWEST_1_S = 0.5
 OBSERVER = 3.0  # its bandwidth over the loop's
-NOISE_SHARE = 0.15  # of the breakaway level: the drive's scatter by the sensor's noise
+NOISE_SHARE = 0.06  # of the breakaway level: the drive's scatter by the sensor's noise
+STEADY = 3.5  # standard deviations of the speed, by noise, that the slowest sweep is away from rest
+COUNTS_1_S = 10.0  # of the sensor that the slowest sweep passes in a second, at least
 ALLOWED = 1.5  # of the breakaway level: the largest drive beside that of the speed
 APPROACH = 1.875  # peak of a quintic's speed over its mean
 
@@ -66,17 +70,39 @@ def loop_bandwidth_1_s(motor: CrudeMotor, loop: SweepLoop, noise_rad: float) -> 
     """Bandwidth of the loop, 1/s: the largest by its delay and by the noise, but at least 0.5."""
     bandwidth = fastest_loop_1_s(0.5 * loop.period_s + loop.latency_s)
     largest_V = NOISE_SHARE * min(motor.plus_V, motor.minus_V)
-    while bandwidth > SLOWEST_1_S and noise_rad * _noise_gain(motor, loop.period_s, bandwidth) > largest_V:
+    while bandwidth > SLOWEST_1_S and noise_rad * scatter(motor, loop.period_s, bandwidth).drive_V > largest_V:
         bandwidth *= 0.9
     return bandwidth
 
 
-def _noise_gain(motor: CrudeMotor, period_s: float, bandwidth_1_s: float) -> float:
-    """Scatter of the drive over that of the position, V/rad."""
-    observer = DisturbanceObserver(motor.tau_s, motor.K_rad_s_V, period_s, OBSERVER * bandwidth_1_s)
-    a, tau = bandwidth_1_s, motor.tau_s
-    by_state = np.array([(1.0 - 2.0 * a * tau) / motor.K_rad_s_V, -a * a * tau / motor.K_rad_s_V, 1.0])
-    return float(np.sqrt(by_state @ observer.covariance @ by_state))
+def slowest_rad_s(motor: CrudeMotor, plan_1_s: float, period_s: float, noise_rad: float) -> float:
+    """Slowest speed that noise does not bring to a stop, rad/s, in a loop of the bandwidth ``plan_1_s``, 1/s."""
+    return STEADY * noise_rad * scatter(motor, period_s, plan_1_s).speed_rad_s
+
+
+class Scatter(NamedTuple):
+    """What white noise of 1 rad on the position makes of the loop: standard deviations, V and rad/s."""
+
+    drive_V: float
+    speed_rad_s: float
+
+
+def scatter(motor: CrudeMotor, period_s: float, bandwidth_1_s: float) -> Scatter:
+    """The scatter of the loop, from the covariance of motion and observer (docs/theory.md 13.1)."""
+    tau, K, a = motor.tau_s, motor.K_rad_s_V, bandwidth_1_s
+    observer = DisturbanceObserver(tau, K, period_s, OBSERVER * a)
+    A, B, L = observer.transition, observer.transition[:2, 2:] * -1.0, observer.gain[:, None]
+    by_state = np.array([[(1.0 - 2.0 * a * tau) / K, -a * a * tau / K, 1.0]])
+    # velocity and position, then the observer's error; the drive is by_state times (motion - error)
+    step = np.zeros((5, 5))
+    step[:2, :2] = A[:2, :2] + B @ by_state[:, :2]
+    step[:2, 2:] = -B @ by_state
+    step[2:, 2:] = (np.eye(3) - L @ np.array([[0.0, 1.0, 0.0]])) @ A
+    noise = np.zeros((5, 1))
+    noise[2:] = L
+    covariance = solve_discrete_lyapunov(step, noise @ noise.T)
+    drive = np.concatenate((by_state[0, :2], -by_state[0]))
+    return Scatter(float(np.sqrt(drive @ covariance @ drive)), float(np.sqrt(covariance[0, 0])))
 
 
 class Sweeps:

@@ -6,7 +6,7 @@ import math
 
 from rig.control.law import Rest
 from rig.control.sweep_plan import EDGE_SHARE, SweepPlan, TooShortError, sweep_plan
-from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps, loop_bandwidth_1_s
+from rig.control.sweeps import COUNTS_1_S, CrudeMotor, SweepLoop, Sweeps, loop_bandwidth_1_s, slowest_rad_s
 from rig.experiment.stages import REST_S, driving
 from rig.faults import Fault
 from rig.loop.pre_run import PreRunBench, pre_run
@@ -78,7 +78,9 @@ def _sweep_loop(session: Session) -> SweepLoop:
 
 def _plan(session: Session, motor: CrudeMotor, loop: SweepLoop) -> SweepPlan:
     e, noise_rad = session.experiment, session.loop.guard.settings.noise_rad
-    room = survey_room(e, noise_rad, loop_bandwidth_1_s(motor, loop, noise_rad))
+    bandwidth_1_s = loop_bandwidth_1_s(motor, loop, noise_rad)
+    slowest = max(COUNTS_1_S * e.sensor.curve.lsb_rad, slowest_rad_s(motor, bandwidth_1_s, e.period_s, noise_rad))
+    room = survey_room(e, slowest, bandwidth_1_s)
     try:
         return sweep_plan(room, e.survey.speeds_rad_s or ())
     except TooShortError as error:
