@@ -28,6 +28,7 @@ from rig.loop.replayed_rows import OF_GUARD, Difference, Diverged, RecordEnds, R
 from rig.loop.stop_request import StopRequest
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
+from rig.model.real_motor import FramedMotor
 from rig.plug_ins import PlugInError
 from rig.preflight.loop_settings import guard_settings_of
 from rig.recording.errors import RecordingError
@@ -291,15 +292,18 @@ def _broken(recording: Recording, name: str, value: object) -> RecordingError:
     return RecordingError(recording.source / META, f"{name} is {value!r}", _RECORD_AGAIN)
 
 
-def _models(recording: Recording) -> dict[Method, Motor]:
+def _models(recording: Recording) -> dict[Method, Motor | FramedMotor]:
     """The models that tracked, in order."""
-    models: dict[Method, Motor] = {}
+    models: dict[Method, Motor | FramedMotor] = {}
     for event in recording.events:
         if event.kind == "model":
             try:
                 model = parsed(DrivenModel, event.detail)
-                motor = Motor(model.tau_s, model.K_rad_s_V, coulomb(model.fc_V), model.bias_V)
-                models[model.method] = motor
+                models[model.method] = (
+                    Motor(model.tau_s, model.K_rad_s_V, coulomb(model.fc_V), model.bias_V)
+                    if model.half_travel_rad is None
+                    else FramedMotor.of(model.numbers)
+                )
             except (DamagedError, ValueError) as error:
                 raise RecordingError(
                     recording.source / EVENTS, f"event model is broken ({error})", _RECORD_AGAIN

@@ -11,6 +11,7 @@ from datetime import datetime
 from operator import index
 from pathlib import Path
 
+from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.registry import Bench, backend_of
 from rig.config import Experiment
 from rig.control.breakaway import BreakawayLaw
@@ -52,6 +53,7 @@ class Findings:
     identification  of this run's recording, or of ``models_from``
     models_from     another run whose models are driven
     tracking        by method; an empty one has come to its end, but nobody has measured its error yet
+    shaft           where the emulated shaft really was, in the bench's own time and radians; None if nobody knows
     notes           what else there is to know, in words
     """
 
@@ -64,6 +66,7 @@ class Findings:
     models_from: Path | None = None
     jog: JogResult | None = None
     tracking: dict[str, TrackingResult] = field(default_factory=dict)
+    shaft: ShaftPath | None = None
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -128,6 +131,7 @@ def run_result(
         models_from=None if found.models_from is None else str(found.models_from),
         breakaway=None if found.breakaway is None else _breakaway(found.breakaway, own),
         friction_law=None if own is None or own.friction_law is None else own.friction_law.as_result(),
+        friction_map=None if own is None or own.friction_map is None else own.friction_map.as_result(),
         **({} if own is None or own.motor_law is None else own.motor_law.as_result().law_keys()),
         jog=found.jog,
         search=None if found.search is None else _search(found.search),

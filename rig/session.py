@@ -9,6 +9,9 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rig.backends.registry import Bench, connect
 from rig.config import Experiment, dump
 from rig.control.guard import Guard
@@ -33,7 +36,10 @@ from rig.report.words import NOTHING_TO_IDENTIFY
 from rig.results import JsonObject, RunMeta, RunResult, ScriptCall, TrackingResult
 from rig.run_summary import Findings, least_result, run_meta, run_result
 
+Array = NDArray[np.float64]
+
 FADE_S = 1.5  # of the tracking reference; errors count after it
+SHAFT_GAP_S = 0.02  # by which the path of an emulated shaft may be shorter than the rows
 _LONG_GAP_S = 0.1  # between two readings of a device that latches no e-stop
 
 
@@ -274,20 +280,46 @@ def _least_result(session: Session, outcome: Outcome) -> RunResult:
 def _measure_tracking(session: Session, outcome: Outcome) -> None:
     """Measure the tracking error of each tracking run that came to its end."""
     tracking = session.found.tracking
-    finished = [method for method, entry in tracking.items() if entry == TrackingResult()]
+    finished = [method for method, entry in tracking.items() if entry.not_run is None]
     for method in finished:
         try:
             recording = session.read()
             rows = recording.stage_rows(str(Stage.track(method)))
-            rms_rad, max_rad = tracking_error(
-                recording.t_s[rows], recording.y_rad[rows], recording.yd_rad[rows], after_s=FADE_S
+            t_s, yd_rad = recording.t_s[rows], recording.yd_rad[rows]
+            rms_rad, max_rad = tracking_error(t_s, recording.y_rad[rows], yd_rad, after_s=FADE_S)
+            true = (
+                None if (y_rad := _true_position(session, t_s)) is None else tracking_error(t_s, y_rad, yd_rad, FADE_S)
             )
         except Exception as error:  # noqa: BLE001 - whatever it is, the run has its result
             words = error.cause if isinstance(error, RecordingError) else _defect(error)
             tracking[method] = TrackingResult(not_run=f"it ran, but its recording cannot be read: {words}")
             outcome.failures.append(f"no tracking error of {method}: {words}")
         else:
-            tracking[method] = TrackingResult(rms_rad=rms_rad, max_rad=max_rad)
+            true_rms_rad, true_max_rad = (None, None) if true is None else true
+            tracking[method] = tracking[method].model_copy(
+                update={
+                    "rms_rad": rms_rad,
+                    "max_rad": max_rad,
+                    "true_rms_rad": true_rms_rad,
+                    "true_max_rad": true_max_rad,
+                }
+            )
+
+
+def _true_position(session: Session, t_s: Array) -> Array | None:
+    """Where the emulated shaft was at these times, in the radians of the config's sensor; None if nobody knows.
+
+    Also None where the device told less than all of that time.
+    """
+    path, truth = session.found.shaft, session.bench.truth
+    if path is None or truth is None or len(path.t_s) == 0:
+        return None
+    at_s = np.asarray(path.t_s, dtype=float) + session.loop.since_start_s(0.0)
+    if t_s[0] < at_s[0] - SHAFT_GAP_S or t_s[-1] > at_s[-1] + SHAFT_GAP_S:
+        return None
+    shaft_rad = np.interp(t_s, at_s, np.asarray(path.y_rad, dtype=float))
+    counts = truth.centre_counts + (shaft_rad + truth.offset_rad) / truth.rad_per_count
+    return np.array([session.experiment.sensor.curve.to_rad(one) for one in counts.tolist()])
 
 
 def _supply(experiment: Experiment, bench: Bench) -> SupplyReading:

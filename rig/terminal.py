@@ -196,8 +196,7 @@ def show_estimates(
         cells = ["-" if estimate.is_refused else _interval(estimate, name, truth) for name in MAIN]
         row = [method, *cells, estimate.verdict]
         if tracking:
-            rms_rad = tracking[method].rms_rad if method in tracking else None
-            row.append("not run" if rms_rad is None else f"{rms_rad:.4f}")
+            row.append(_tracking_cell(tracking.get(method)))
         rows.append(row)
     if truth is not None:
         row = ["truth", *(f"{value:.4f}" for value in (truth.tau_s, truth.K_rad_s_V, truth.fc_V))]
@@ -211,6 +210,17 @@ def show_estimates(
     for method, check_run in (tracking or {}).items():
         if check_run.not_run is not None:
             click.echo(f"tracking with {method}: not run: {check_run.not_run}")
+        if check_run.law:
+            names = " and ".join(name.replace("_", " ") for name in check_run.law)
+            click.echo(f"tracking with {method}: its model has {names}, and the drive makes up for it")
+
+
+def _tracking_cell(outcome: TrackingResult | None) -> str:
+    """The RMS error as measured, and that of the emulated shaft."""
+    if outcome is None or outcome.rms_rad is None:
+        return "not run"
+    true = "" if outcome.true_rms_rad is None else f" (true {outcome.true_rms_rad:.4f})"
+    return f"{outcome.rms_rad:.4f}{true}"
 
 
 def show_friction_law(found: FrictionLawResult | None) -> None:

@@ -18,6 +18,7 @@ from typing_extensions import override
 
 from rig.backends.clock import MonotonicClock
 from rig.backends.driver import Clock, Driver, RelayRules, Transport
+from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.link_budget import LinkBudget
 from rig.config.problems import Problem, wrong
 from rig.config.schema import Emulated, Experiment
@@ -52,20 +53,26 @@ class Line(NamedTuple):
     clock       clock of its times
     name        of the port, for people
     emulated    True if no real motor can be behind it
+    shaft       the path of the emulated shaft so far; None where the device does not tell it
     """
 
     transport: Transport
     clock: Clock
     name: str
     emulated: bool = False
+    shaft: Callable[[], ShaftPath] | None = None
 
 
 class Unopened(NamedTuple):
-    """A driver before ``open``, its clock, and the bench described under ``emulated``, if there is one."""
+    """A driver before ``open``, its clock, and the bench described under ``emulated``, if there is one.
+
+    shaft  the path of its shaft so far; None where the device does not tell it
+    """
 
     driver: Driver
     clock: Clock
     truth: BenchParameters | None
+    shaft: Callable[[], ShaftPath] | None = None
 
 
 class Backend(ABC):
@@ -228,7 +235,7 @@ class LineBackend(Backend):
     def unopened(self, e: Experiment) -> Iterator[Unopened]:
         """On the line of the config, or on a test's own line (``rig.testing.line``)."""
         with own_line.opened(self, e) as line:
-            yield Unopened(self.driver(e, line), line.clock, truth_of(e))
+            yield Unopened(self.driver(e, line), line.clock, truth_of(e), line.shaft)
 
 
 OpenLine = Callable[[LineBackend, Experiment], AbstractContextManager[Line]]

@@ -5,7 +5,7 @@ A config comes in here once, and goes out as an open bench.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from rig.backends.backend import Backend, Unopened
 from rig.backends.driver import Clock, DeviceInfo, Driver
+from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.plug_in import PlugIn, loaded, plug_in, refused
 from rig.config.problems import Problem, printable, wrong
 from rig.config.schema import Experiment
@@ -40,12 +41,14 @@ class Bench:
     driver, clock  what the loop runs on
     info           what the device reported when it was opened
     truth          the motor behind an emulated bench; None behind a real one
+    shaft          the path of the emulated shaft so far; None where the device does not tell it
     """
 
     driver: Driver
     clock: Clock
     info: DeviceInfo
     truth: BenchParameters | None
+    shaft: Callable[[], ShaftPath] | None = None
 
 
 def registered() -> dict[str, EntryPoint]:
@@ -131,13 +134,13 @@ def connect(e: Experiment) -> Iterator[Bench]:
     not accept that; ConfigError where a driver of another package is not installed, or refuses its options.
     rig never simulates a device that is missing.
     """
-    with unopened(e) as (driver, clock, truth):
+    with unopened(e) as (driver, clock, truth, shaft):
         try:
             info = driver.open()
             if driver.failsafe is None and not e.daq.accept_no_watchdog:
                 raise Fault("NO_WATCHDOG")
             # only a device that says that it is emulated has a truth to compare with
-            yield Bench(driver, clock, info, truth if info.emulated else None)
+            yield Bench(driver, clock, info, *((truth, shaft) if info.emulated else (None, None)))
         finally:
             try:
                 driver.safe_stop()

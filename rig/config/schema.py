@@ -341,6 +341,9 @@ class TrackingSection(_Section):
     friction_sign: Literal["reference", "estimate"] = Field(
         "reference", description="velocity whose sign the friction compensation takes; `estimate` is the paper's"
     )
+    with_law: bool = Field(
+        True, description="the leading estimator's model has the laws that the tests show; false: tau, K, f_c alone"
+    )
     trajectory: Annotated[tuple[Sine, ...], Field(min_length=1)] = Field(
         description="the reference: a sum of sines about the centre of travel"
     )

@@ -43,7 +43,9 @@ class DisturbanceObserver:
     The gain does not depend on the sensor's noise: the wandering of the load is chosen for the bandwidth.
     """
 
-    def __init__(self, tau_s: float, K_rad_s_V: float, period_s: float, bandwidth_1_s: float, latency_s: float = 0.0) -> None:
+    def __init__(
+        self, tau_s: float, K_rad_s_V: float, period_s: float, bandwidth_1_s: float, latency_s: float = 0.0
+    ) -> None:
         self.tau_s, self.K_rad_s_V = tau_s, K_rad_s_V
         self.latency_s = latency_s
         self.state = LoadedState(0.0, 0.0, 0.0)

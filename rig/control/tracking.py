@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.control.known_motor import KnownMotor, MotorState, known
 from rig.control.observer import MotorObserver
 from rig.control.trajectory import Reference
-from rig.model.motor import Motor, State
+from rig.model.motor import Motor
+from rig.model.real_motor import FramedMotor
 from rig.signals import Sample
 
 
@@ -25,26 +27,27 @@ class Trajectory(Protocol):
 
 
 def linearising_drive(
-    motor: Motor,
-    state: State,
+    motor: Motor | FramedMotor,
+    state: MotorState,
     reference: Reference,
     k1_1_s: float,
     k2_1_s2: float,
-    sign_velocity_rad_s: float,
+    friction_rad_s: float,
 ) -> float:
     """Drive of (33), (34), V: u = (tau/K) r + v/K + f_c sgn(.) - a, r = yd'' + k1 (yd' - v) + k2 (yd - y).
 
-    The friction compensation takes the sign of sign_velocity_rad_s, and the friction level of that direction; at
-    exactly 0 there is no compensation. The constant a is the asymmetry.
+    The friction compensation takes sign and size of the velocity ``friction_rad_s``; at exactly 0 there is none. The
+    constant a is the asymmetry. A motor with laws gets the drive that its laws ask for (docs/theory.md 11.4).
     """
+    return _drive_V(known(motor), state, reference, (k1_1_s, k2_1_s2), friction_rad_s)
+
+
+def _drive_V(
+    motor: KnownMotor[Any], state: MotorState, reference: Reference, gains: tuple[float, float], friction_rad_s: float
+) -> float:
+    k1_1_s, k2_1_s2 = gains
     r = reference.a_rad_s2 + k1_1_s * (reference.v_rad_s - state.v) + k2_1_s2 * (reference.y_rad - state.y)
-    f = motor.friction
-    compensation = 0.0
-    if sign_velocity_rad_s > 0.0:
-        compensation = f.plus_V
-    elif sign_velocity_rad_s < 0.0:
-        compensation = -f.minus_V
-    return (motor.tau_eff_s * r + state.v) / motor.K_eff_rad_s_V + compensation - motor.bias_V
+    return motor.drive_V(state, r, friction_rad_s)
 
 
 class Tracking:
@@ -61,7 +64,7 @@ class Tracking:
 
     def __init__(
         self,
-        motor: Motor,
+        motor: Motor | FramedMotor,
         observer: MotorObserver,
         trajectory: Trajectory,
         k1_1_s: float,
@@ -69,7 +72,7 @@ class Tracking:
         duration_s: float,
         friction_sign: Literal["reference", "estimate"] = "reference",
     ) -> None:
-        self.motor = motor
+        self.motor = known(motor)
         self.observer = observer
         self.trajectory = trajectory
         self.k1_1_s = k1_1_s
@@ -80,22 +83,27 @@ class Tracking:
         self.yd_rad = math.nan
         self.largest_u_V = 0.0
         self._start_s = math.nan
+        self._last_u_V = 0.0
 
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V; ``yd_rad`` is the reference at the sample's own time."""
         if math.isnan(self._start_s):
             self._start_s = sample.t_s
-            self.trajectory.start_rad = sample.y_rad
+            self.trajectory.start_rad = self.motor.position_rad(sample.y_rad)
         elapsed = sample.t_s - self._start_s
         self.finished = elapsed >= self.duration_s
         self.yd_rad = self.trajectory.at(elapsed).y_rad
         state = self.observer.step(sample)
         # the drive acts after the latency: take the reference at that time, too
-        reference = self.trajectory.at(elapsed + self.observer.latency_s)
+        ahead_s = self.observer.latency_s
+        if self.motor.lag_s > 0.0:  # a stage that lags acts as if so much later
+            ahead_s += self.motor.lag_s
+            state = self.motor.advance(state, self._last_u_V, self.motor.lag_s)
+        reference = self.trajectory.at(elapsed + ahead_s)
         # at rest the estimate has no sign: without compensation the shaft would stay there
         use_reference = self.friction_sign == "reference" or state.v == 0.0
         velocity = reference.v_rad_s if use_reference else state.v
-        u_V = linearising_drive(self.motor, state, reference, self.k1_1_s, self.k2_1_s2, velocity)
+        u_V = self._last_u_V = _drive_V(self.motor, state, reference, (self.k1_1_s, self.k2_1_s2), velocity)
         self.largest_u_V = max(self.largest_u_V, abs(u_V))
         self.observer.drive(u_V)
         return u_V

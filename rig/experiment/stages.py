@@ -19,6 +19,7 @@ from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange, SettledCycle
 from rig.control.homing import Homing
 from rig.control.hysteretic import HystereticRun
+from rig.control.known_motor import NOT_COMPENSATED
 from rig.control.law import Constant, Rest, Timed
 from rig.control.observer import MotorObserver
 from rig.control.relay import DualChannelRelay, HystereticRelay, RelayOnCounts
@@ -31,6 +32,7 @@ from rig.loop.pre_run import PreRunBench, pre_run
 from rig.loop.real_time import RealTime, real_time
 from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
+from rig.model.real_motor import FramedMotor
 from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
 from rig.preflight.loop_settings import guard_settings_of, real_time_of
 from rig.preflight.room_to_stop import reach_rad
@@ -380,42 +382,59 @@ def verify_models(session: Session) -> None:
     e, identification = session.experiment, session.found.identification
     if e.tracking is None or identification is None:
         return
-    safe: dict[Method, Motor] = {}
+    real = identification.real_motor if e.tracking.with_law else None
+    plain = _trusted(identification)
+    safe: dict[Method, Motor | FramedMotor] = {}
     for method in e.tracking.methods:
-        reason = _why_not(session, identification, method)
-        if reason is None:
-            safe[method] = identification.estimates[method].motor()
+        estimate = identification.estimates.get(method)
+        model: Motor | FramedMotor | None
+        if method == LEADING and real is not None:
+            model, reason = real, _why_not(session, real, real)
+        elif estimate is None or estimate.verdict == "refused":
+            model, reason = None, "no estimate" if estimate is None else "its estimate was refused"
+        else:
+            model = estimate.motor()
+            reason = _why_not(session, model, real if plain is not None and real is not None else plain)
+        if model is not None and not reason:
+            safe[method] = model
         else:
             session.found.tracking[method] = TrackingResult(not_run=reason)
-    for method, motor in safe.items():
+    for method, model in safe.items():
         session.found.tracking[method] = TrackingResult(not_run="the run ended before it")
         # a replay tracks with these models: it identifies nothing, and simulates nothing before
-        session.note(
-            "model",
-            method=method,
-            tau_s=motor.tau_s,
-            K_rad_s_V=motor.K_rad_s_V,
-            fc_V=motor.friction.plus_V,
-            bias_V=motor.bias_V,
-        )
+        session.note("model", method=method, **_numbers(model))
     if safe:
         track(session, safe)
 
 
-def _why_not(session: Session, identification: Identification, method: Method) -> str | None:
-    """Why a method's model must not drive the bench, in words; None if it may."""
+def _trusted(identification: Identification) -> Motor | None:
+    """The plain motor of the simulation before the run; None if no estimate is good enough for it."""
     best, first_choice = identification.best, identification.estimates.get(LEADING)
     if best is None or (first_choice is not None and first_choice.verdict == "refused"):
         # if the best estimator refuses the recording, a reference method's model must not drive the bench either
+        return None
+    return best.motor()
+
+
+def _numbers(model: Motor | FramedMotor) -> dict[str, float]:
+    """All that a replay needs of a model."""
+    if isinstance(model, FramedMotor):
+        return model.numbers
+    return {
+        "tau_s": model.tau_s,
+        "K_rad_s_V": model.K_rad_s_V,
+        "fc_V": model.friction.plus_V,
+        "bias_V": model.bias_V,
+    }
+
+
+def _why_not(session: Session, model: Motor | FramedMotor, trusted: Motor | FramedMotor | None) -> str:
+    """Why a model must not drive the bench, in words, by a simulation on the trusted motor; empty if it may."""
+    if trusted is None:
         return "no estimate is good enough for the simulation before the run"
-    estimate = identification.estimates.get(method)
-    if estimate is None:
-        return "no estimate"
-    if estimate.verdict == "refused":
-        return "its estimate was refused"
     e = session.experiment
     bench = PreRunBench(
-        motor=best.motor(),
+        motor=trusted,
         start_rad=session.loop.last_y_rad,
         noise_rad=session.loop.guard.settings.noise_rad,
         latency_s=session.loop.latency_s,
@@ -425,10 +444,10 @@ def _why_not(session: Session, identification: Identification, method: Method) -
         period_s=e.period_s,
         order=session.bench.driver.order,
     )
-    return pre_run(_tracking_law(session, estimate.motor()), bench, session.loop.guard.settings)
+    return pre_run(_tracking_law(session, model), bench, session.loop.guard.settings) or ""
 
 
-def track(session: Session, models: Mapping[Method, Motor]) -> None:
+def track(session: Session, models: Mapping[Method, Motor | FramedMotor]) -> None:
     """Track the config's trajectory with each of the models, from rest."""
     # an observer's gain takes longer than a tick
     laws = {method: _tracking_law(session, motor) for method, motor in models.items()}
@@ -436,11 +455,32 @@ def track(session: Session, models: Mapping[Method, Motor]) -> None:
         for method, law in laws.items():
             session.loop.run(Rest(REST_S), "rest")
             session.loop.run(law, str(Stage.track(method)))
-            session.found.tracking[method] = TrackingResult()
+            _note_tracking(session, method, models[method], law.largest_u_V)
         session.loop.run(Rest(REST_S), "rest")
+        if session.bench.shaft is not None:
+            session.found.shaft = session.bench.shaft()
 
 
-def _tracking_law(session: Session, motor: Motor) -> Tracking:
+def _note_tracking(session: Session, method: Method, model: Motor | FramedMotor, largest_u_V: float) -> None:
+    """The tracking run has come to its end: which laws its drive made up for, and whether it had all that it asked."""
+    max_V = session.experiment.drive.max_V
+    if largest_u_V > max_V:
+        session.found.notes.append(
+            f"tracking with {method} asked for {largest_u_V:.2f} V; it got drive.max_V, {max_V:.2f} V, and fell behind"
+        )
+    if isinstance(model, Motor):
+        session.found.tracking[method] = TrackingResult()
+        return
+    left_out = tuple(part for part in model.parts if part in NOT_COMPENSATED)
+    session.found.tracking[method] = TrackingResult(
+        law=tuple(part for part in model.parts if part not in left_out), law_left_out=left_out or None
+    )
+    if left_out:
+        names = " and ".join(part.replace("_", " ") for part in left_out)
+        session.found.notes.append(f"tracking with {method}: no drive makes up for {names}, which these tests show")
+
+
+def _tracking_law(session: Session, motor: Motor | FramedMotor) -> Tracking:
     e = session.experiment
     if e.tracking is None:
         raise ValueError("tracking needs a config with section tracking")

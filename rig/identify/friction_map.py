@@ -327,7 +327,9 @@ def _sweeps(survey: TimeSeries, yd_rad: Array, delay_s: float) -> Iterator[_Swee
             continue
         turn_s = 0.5 * (float(t[first]) - before_s)
         before_s = float(t[stop])
-        begin = int(np.searchsorted(t, t[first] + SETTLE_TURNS * turn_s)) if turn_s < 0.3 * (t[stop] - t[first]) else first
+        begin = (
+            int(np.searchsorted(t, t[first] + SETTLE_TURNS * turn_s)) if turn_s < 0.3 * (t[stop] - t[first]) else first
+        )
         rows = slice(int(begin), int(stop) + 1)
         yield _Sweep(
             float(v), t[rows], survey.y_rad[rows] - yd_rad[rows], yd_rad[rows], *_drive_in(survey, edge_s, rows)

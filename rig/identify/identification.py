@@ -14,6 +14,7 @@ from rig.identify.breakaway import StaticFriction, breakaway
 from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.friction_law import FrictionLawChoice, friction_law
+from rig.identify.friction_map import FrictionMap, friction_map
 from rig.identify.least_squares import Transient
 from rig.identify.mean_cycle import Cycle
 from rig.identify.measurements import Measurements, measurements
@@ -23,6 +24,7 @@ from rig.identify.preprocessing import from_recording
 from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, slipped_rms_rad
 from rig.identify.verdict import settled
+from rig.model.real_motor import Frame, FramedMotor, RealMotor
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
 from rig.recording.series import TimeSeries
@@ -43,6 +45,7 @@ class Identification:
     cycles      stage -> averaged cycle
     breakaway   drives at break-away in both directions; None without breakaway ramps
     friction_law    the choice of a friction law; None if not asked for, or without a sampled-data estimate
+    friction_map    the drive over speed and over position; None without a survey, or without a motor
     motor_law       what the tests show beyond the plain motor; None if not asked for, or without that estimate
     notes       rows used, how the gains were found, what was left out and why
     """
@@ -53,6 +56,7 @@ class Identification:
     cycles: dict[str, Cycle] = field(default_factory=dict)
     breakaway: StaticFrictionResult | None = None
     friction_law: FrictionLawChoice | None = None
+    friction_map: FrictionMap | None = None
     motor_law: MotorLaw | None = None
     notes: list[str] = field(default_factory=list)
 
@@ -65,8 +69,17 @@ class Identification:
             hysteretic=tuple(self.hysteretic) or None,
             breakaway=self.breakaway,
             friction_law=None if self.friction_law is None else self.friction_law.as_result(),
+            friction_map=None if self.friction_map is None else self.friction_map.as_result(),
             **({} if self.motor_law is None else self.motor_law.as_result().law_keys()),
         )
+
+    @property
+    def real_motor(self) -> FramedMotor | None:
+        """The motor with the laws that the tests show; None without any, or if its estimate is refused."""
+        law = self.motor_law
+        if law is None or law.estimate is None or law.estimate.verdict == "refused":
+            return None
+        return law.motor
 
     @property
     def best(self) -> Estimate | None:
@@ -117,6 +130,7 @@ def identify(
     static = _add_breakaway(recordings, without, found)
     if choose_law:
         _add_friction_law(data, static, found)
+    _add_friction_map(recordings, without, found)
     return found
 
 
@@ -214,6 +228,27 @@ def _add_breakaway(
             found.estimates[LEADING] = replace(estimate, fc_plus_V=plus, fc_minus_V=minus, bias_V=bias)
         return static
     return None
+
+
+def _add_friction_map(recordings: Sequence[Recording], without: Sequence[str], found: Identification) -> None:
+    """The friction map of the first recording with a survey, with the identified motor beside it."""
+    motor = found.real_motor
+    if motor is None and found.best is not None:
+        best = found.best
+        motor = FramedMotor(RealMotor(best.tau_s, best.K_rad_s_V, max(best.fc_V, 0.0), best.asym_V), Frame())
+    stage = str(StageKind.SURVEY)
+    for recording in recordings:
+        if motor is None or stage not in recording.stages() or stage in left_out(recording, without):
+            continue
+        try:
+            survey, _ = from_recording(recording, recording.stage_rows(stage), stage)
+            first = survey.first_row - recording.first_row
+            found.friction_map = friction_map(survey, recording.yd_rad[first : first + len(survey)], motor)
+        except IdentifyError as error:
+            found.notes.append(f"friction map: {error.cause}")
+            continue
+        found.notes += found.friction_map.notes()
+        return
 
 
 def _add_motor_law(data: Measurements, found: Identification, objections: Sequence[str]) -> None:

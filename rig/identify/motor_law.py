@@ -23,9 +23,10 @@ from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.verdict import PROMISE, SURE
-from rig.model.real_motor import RealMotor
+from rig.model.real_motor import FramedMotor, RealMotor
 from rig.recording.series import TimeSeries
-from rig.results import BudgetEntry, FoundLawResult, MotorLawResult, PieceResult
+from rig.recording.stage import StageKind
+from rig.results import BudgetEntry, FoundLawResult, LawFrameResult, MotorLawResult, PieceResult
 
 Array = NDArray[np.float64]
 
@@ -34,6 +35,7 @@ ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 NO_CYCLE = 12.0  # parts of a record without a cycle that count as one
 SMALL_FRICTION = 0.03  # of the largest drive: the size that smaller friction counts as
 MOST_ROWS = 8000  # of all tests
+MOST_SURVEY_ROWS = 3000
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
 ROWS_OF_TAU = 20  # at least so many of the rows taken as one have room in tau
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))
@@ -71,6 +73,7 @@ class MotorLaw:
     not_told_apart  groups of names; each has one found law and those that explain the tests nearly as well
     estimate        tau, K, friction, asymmetry and delay with these laws; None without any: the plain one holds
     budget          what may be wrong in them
+    motor           with these laws: numbers of ``estimate`` and of ``found``; None without any
     growth          length of the pieces that were fitted, s, and their RMS residual, rad
     """
 
@@ -79,6 +82,7 @@ class MotorLaw:
     estimate: Estimate | None
     budget: Budget
     growth: tuple[tuple[float, float], ...]
+    motor: FramedMotor | None = None
 
     def notes(self) -> list[str]:
         """What the tests show, as sentences."""
@@ -90,7 +94,7 @@ class MotorLaw:
 
     def without_laws(self) -> MotorLaw:
         """The same, but for the laws and their estimate: the plain one holds."""
-        return replace(self, found=(), not_told_apart=(), estimate=None)
+        return replace(self, found=(), not_told_apart=(), estimate=None, motor=None)
 
     def reservation(self, estimate: Estimate, largest_V: float) -> str | None:
         """What makes ``estimate`` less certain than 2.5 %, as a sentence; None if nothing does.
@@ -133,6 +137,7 @@ class MotorLaw:
                 for e in self.budget.entries
             ),
             with_law=None if self.estimate is None else self.estimate.as_result(),
+            law_frame=None if self.motor is None else LawFrameResult(**self.motor.frame._asdict()),
             pieces=tuple(PieceResult(length_s=length, rms_rad=rms) for length, rms in self.growth),
         )
 
@@ -150,6 +155,7 @@ def motor_law(
     Of more than 8,000 rows several at a time are taken as one. Raises IdentifyError if a test is too short.
     """
     rows = sum(len(test) for test in tests)
+    further = [(_slow(series), number) for series, number in further]
     more = sum(len(series) for series, _ in further)
     tests = [_folded(test, rows, plain.tau_s) for test in tests]
     further = [(_folded(series, rows + more, plain.tau_s), number) for series, number in further]
@@ -186,6 +192,7 @@ def motor_law(
         _estimate(fit, covariance, tested, plain, periods_s),
         lines,
         choice.growth,
+        FramedMotor(fit.motor, whole.frames[0]),
     )
 
 
@@ -195,6 +202,12 @@ SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record
 def _folded(series: TimeSeries, of_rows: int, tau_s: float) -> TimeSeries:
     """The series as it is taken where all records have ``of_rows``."""
     return thinned(series, min(math.ceil(of_rows / MOST_ROWS), int(tau_s / series.period_s / ROWS_OF_TAU)))
+
+
+def _slow(series: TimeSeries) -> TimeSeries:
+    """A survey with several rows as one: its sweeps are slow, and its loop keeps the drive nearly as it is."""
+    is_survey = series.stage is not None and series.stage.kind is StageKind.SURVEY
+    return thinned(series, math.ceil(len(series) / MOST_SURVEY_ROWS)) if is_survey else series
 
 
 def thinned(test: TimeSeries, rows: int) -> TimeSeries:
@@ -267,9 +280,7 @@ def _alike(law: Departure, choice: Choice, fit: Fit, chooser: Chooser) -> tuple[
     return tuple(group)
 
 
-def _estimate(
-    fit: Fit, covariance: Array, tested: int, plain: Estimate, periods_s: Sequence[float | None]
-) -> Estimate:
+def _estimate(fit: Fit, covariance: Array, tested: int, plain: Estimate, periods_s: Sequence[float | None]) -> Estimate:
     """The estimate, with the residual of the tests: the first ``tested`` rows."""
     free, motor = fit.problem.free, fit.motor
     full = np.zeros((len(PARAMETERS), len(PARAMETERS)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from rig.backends.clock import VirtualClock
@@ -15,6 +15,7 @@ from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.bench import BenchParameters
 from rig.model.motor import Motor
+from rig.model.real_motor import FramedMotor
 from rig.recording.sink import NullSink
 from rig.signals import Order
 
@@ -23,7 +24,7 @@ from rig.signals import Order
 class PreRunBench:
     """What rig knows of the bench: the best model, the shaft's position, noise, latency, the order of a tick."""
 
-    motor: Motor
+    motor: Motor | FramedMotor
     start_rad: float
     noise_rad: float
     latency_s: float
@@ -48,7 +49,7 @@ def pre_run(law: Rehearsed, bench: PreRunBench, guard: GuardSettings, seed: int 
     clock = VirtualClock()
     calibration = bench.calibration
     parameters = BenchParameters(
-        motor=bench.motor,
+        motor=bench.motor if isinstance(bench.motor, Motor) else bench.motor.plain,
         start_rad=bench.start_rad,
         stop_rad=(-1e3, 1e3),
         rad_per_count=calibration.lsb_rad * calibration.direction,
@@ -58,6 +59,8 @@ def pre_run(law: Rehearsed, bench: PreRunBench, guard: GuardSettings, seed: int 
         supply_V=bench.drive_map.full_V,
         drive_counts=bench.drive_map.full_units,
     )
+    if isinstance(bench.motor, FramedMotor):
+        parameters = replace(parameters, real=bench.motor.motor._replace(delay_s=0.0), frame=bench.motor.frame)
     plain = DriveMap(bench.drive_map.full_V, full_units=bench.drive_map.full_units)
     driver = SimulatedDriver(
         clock,

@@ -61,6 +61,10 @@ class Loop:
         self.unconfirmed_stops = 0  # stops that the device did not confirm: its watchdog has to stop the drive
         self.latency_s = 0.0  # from sample to effect of the drive, smoothed
 
+    def since_start_s(self, t_s: float) -> float:
+        """A time of the clock as run time, s."""
+        return t_s - self._t0_s
+
     @property
     def now_s(self) -> float:
         """Time since the run's start, s."""

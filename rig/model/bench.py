@@ -133,6 +133,14 @@ class BenchModel:
             self.armed_for_s += dt_s
 
     @property
+    def shaft_rad(self) -> float:
+        """Where the measured shaft really is: behind the backlash, rad."""
+        if self._real is None:
+            return self.state.y
+        self._real.put(self.state.v, self.state.y)
+        return self._real.state.x
+
+    @property
     def sensed_rad(self) -> float:
         """Position as an ideal sensor reads it: behind the backlash, and with its linearity, rad."""
         if self._real is None:

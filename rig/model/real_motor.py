@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.model import real_step
+from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_step import Frame as Frame
 from rig.model.real_step import Numbers, State
@@ -39,6 +40,7 @@ PARTS: dict[str, tuple[str, ...]] = {
     "linearity": ("linearity_sin1_rad", "linearity_cos1_rad", "linearity_sin2_rad", "linearity_cos2_rad"),
     "drift": ("drift",),
 }
+CORE = ("tau_s", "K_rad_s_V", "fc_V", "bias_V")  # numbers of every motor
 # A part that is free and at 0 gets this size, in its own unit: so it is integrated as finely as it needs.
 TRACE = 1e-12
 TRACED = (
@@ -46,6 +48,42 @@ TRACED = (
     "friction_cos_V", "cogging_sin_V", "cogging_cos_V",
 )  # fmt: skip
 AT_LEAST_ZERO = ("fc_V", "dead_band_V", "lag_s", "static_V", "stribeck_rad_s", "bristle_V_rad", "backlash_rad")
+
+
+@dataclass(frozen=True)
+class FramedMotor:
+    """A real motor, and the frame that its parts refer to. Raises ValueError on numbers out of range."""
+
+    motor: RealMotor
+    frame: Frame
+
+    def __post_init__(self) -> None:
+        _checked(self.motor, self.frame)
+
+    @classmethod
+    def of(cls, numbers: Mapping[str, float]) -> FramedMotor:
+        """The motor and the frame with these numbers, by name; others are left out. Raises ValueError as the class."""
+        motor = {name: value for name, value in numbers.items() if name in RealMotor._fields}
+        frame = {name: value for name, value in numbers.items() if name in Frame._fields}
+        if not {"tau_s", "K_rad_s_V", "fc_V"} <= motor.keys():
+            raise ValueError("a motor needs tau_s, K_rad_s_V and fc_V")
+        return cls(RealMotor(**motor), Frame(**frame))
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Numbers of motor and frame by name, without the parts that the motor has not."""
+        own = {name: value for name, value in self.motor._asdict().items() if value != 0.0 or name in CORE}
+        return {name: float(value) for name, value in (own | self.frame._asdict()).items()}
+
+    @property
+    def plain(self) -> Motor:
+        """The motor without its parts."""
+        return Motor(self.motor.tau_s, self.motor.K_rad_s_V, coulomb(self.motor.fc_V), self.motor.bias_V)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the parts that the motor has."""
+        return tuple(name for name, numbers in PARTS.items() if any(getattr(self.motor, n) for n in numbers))
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,9 @@ def tracking(run: ReportedRun) -> Picture:
         outcome = run.result.tracking.get(method)
         rms = math.nan if outcome is None else 1e3 * known(outcome.rms_rad)
         if math.isfinite(rms):
-            note(bottom, f"RMS {rms:.3g} mrad", loc="upper left")
+            true = math.nan if outcome is None else 1e3 * known(outcome.true_rms_rad)
+            of_shaft = f", of the shaft {true:.3g}" if math.isfinite(true) else ""
+            note(bottom, f"RMS {rms:.3g} mrad{of_shaft}", loc="upper left")
     panels[0, 0].set_ylabel("position, rad")
     panels[1, 0].set_ylabel("error yd − y, mrad")
     if largest > 0.0:

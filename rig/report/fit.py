@@ -16,6 +16,7 @@ from rig.identify.identification import Identification, identify
 from rig.identify.preprocessing import from_recording
 from rig.model.friction import Friction
 from rig.model.motor import Motor, State
+from rig.model.real_motor import Frame, FramedMotor, Pieces, response
 from rig.recording.errors import IdentifyError, RecordingError
 from rig.recording.series import TimeSeries
 from rig.report.source import Array, ReportedRun, Span
@@ -102,6 +103,20 @@ def cycles_of(run: ReportedRun, span: Span) -> Cycles | None:
     return Cycles(series, rows) if len(rows) >= 2 else None
 
 
+def law_motor(run: ReportedRun) -> FramedMotor | None:
+    """The leading model with the laws that the tests show; None without any, or if it was refused or is damaged."""
+    estimate, laws, frame = run.result.with_law, run.result.law, run.result.law_frame
+    if estimate is None or not laws or frame is None or estimate.is_refused:
+        return None
+    numbers: dict[str, float | None] = {name: value for law in laws for name, value in law.numbers.items()}
+    numbers |= {name: estimate.value(name) for name in PARAMETERS} | {"bias_V": estimate.asym_V}
+    numbers |= {name: getattr(frame, name) for name in Frame._fields}
+    try:
+        return FramedMotor.of({name: known(value) for name, value in numbers.items()})
+    except ValueError:
+        return None
+
+
 def motor_of(estimate: EstimateResult | None) -> Motor | None:
     """The estimated model; None if the estimate has no usable parameters."""
     if estimate is None:
@@ -114,8 +129,13 @@ def motor_of(estimate: EstimateResult | None) -> Motor | None:
 
 
 def predict_cycles(run: ReportedRun, estimate: EstimateResult | None, cycles: Cycles) -> list[Predicted]:
-    """Predict each cycle under its recorded drive, from the start (v0, y0) that fits best; empty without a model."""
-    motor = motor_of(estimate)
+    """Predict each cycle under its recorded drive, from the start (v0, y0) that fits best; empty without a model.
+
+    The leading estimate predicts with the laws that the tests show, if there are any.
+    """
+    motor: Motor | FramedMotor | None = motor_of(estimate)
+    if estimate is run.estimates.get(LEADING) and (real := law_motor(run)) is not None:
+        motor, estimate = real, run.result.with_law
     if motor is None:
         return []
     series = cycles.series
@@ -130,22 +150,26 @@ def predict_cycles(run: ReportedRun, estimate: EstimateResult | None, cycles: Cy
     return found
 
 
-def _predict(motor: Motor, edges: Array, u: Array, t: Array, y: Array) -> Predicted:
+def _predict(motor: Motor | FramedMotor, edges: Array, u: Array, t: Array, y: Array) -> Predicted:
     first = max(int(np.searchsorted(edges, t[0], side="right")) - 1, 0)
     stop = int(np.searchsorted(edges, t[-1], side="right"))
     edge, drive = edges[first:stop].copy(), u[first:stop]
     edge[0] = min(edge[0], t[0])
     guess = float(np.polyfit(t[:6] - t[0], y[:6], 1)[0])
 
-    def states(start: Array) -> Array:
-        return motor.response(State(float(start[0]), float(start[1])), t, edge, drive)
+    def path(start: Array) -> tuple[Array, Array]:
+        v0, y0 = map(float, start)
+        if isinstance(motor, FramedMotor):
+            shown = response(motor.motor, motor.frame, (edge, drive), t, Pieces.one(v0, y0))
+            return shown, central_difference(t, shown)
+        states = motor.response(State(v0, y0), t, edge, drive)
+        return states[:, 1], states[:, 0]
 
     def residual(start: Array) -> Array:
-        return np.asarray(states(start)[:, 1] - y)
+        return np.asarray(path(start)[0] - y)
 
     best = least_squares(residual, [guess, y[0]], method="lm", max_nfev=30)
-    path = states(best.x)
-    return Predicted((t - t[0]) / (t[-1] - t[0]), y, path[:, 1], path[:, 0])
+    return Predicted((t - t[0]) / (t[-1] - t[0]), y, *path(best.x))
 
 
 def average(phase: Array, values: Array, bins: int) -> tuple[Array, Array, Array]:
@@ -165,6 +189,8 @@ def average(phase: Array, values: Array, bins: int) -> tuple[Array, Array, Array
 def fits_of(run: ReportedRun, identification: Identification | None = None) -> tuple[dict[str, Estimate], str]:
     """Estimates with their residuals and recursions; or none, and a sentence that says why.
 
+    The leading one has the laws that the tests show.
+
     identification  of this recording; None: identify it here
     """
     if run.recording is None:
@@ -172,10 +198,17 @@ def fits_of(run: ReportedRun, identification: Identification | None = None) -> t
     if not (run.spans("relay") or run.spans("hysteretic")):
         return {}, "There was no relay test, so there is no residual to show."
     if identification is not None:
-        return identification.estimates, ""
+        return _with_laws(identification), ""
     try:
-        return identify([run.recording], choose_law=False).estimates, ""
+        return _with_laws(identify([run.recording], choose_law=law_motor(run) is not None)), ""
     except IdentifyError as error:
         return {}, f"No estimator can use this recording: {error.cause}. What to do: {error.cure}."
     except RecordingError as error:
         return {}, f"The estimators cannot read this recording: {error}."
+
+
+def _with_laws(found: Identification) -> dict[str, Estimate]:
+    law = found.motor_law
+    if found.real_motor is None or law is None or law.estimate is None:
+        return found.estimates
+    return found.estimates | {LEADING: law.estimate}

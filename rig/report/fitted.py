@@ -9,10 +9,11 @@ from itertools import pairwise
 import numpy as np
 from matplotlib.figure import Figure
 
+from rig.estimators import LEADING
 from rig.identify.estimate import Estimate
 from rig.identify.verdict import PROMISE, SURE
 from rig.report.budget import budget_shares
-from rig.report.fit import PARAMETERS, average, cycles_of, motor_of, predict_cycles
+from rig.report.fit import PARAMETERS, average, cycles_of, law_motor, motor_of, predict_cycles
 from rig.report.source import Array, ReportedRun, Span
 from rig.report.style import (
     INK,
@@ -66,7 +67,8 @@ def averaged_cycle(run: ReportedRun, span: Span) -> Picture:
         at_residual, mean_residual, _ = average(phase, residual, bins)
         top.plot(at, mean, "o", color=MEASURED, ms=2.6, mew=0, label="measured, averaged")
         top.plot(at_model, mean_model, color=colour(method), ls=line(method), lw=1.4, label=f"{short(method)} model")
-        top.set_title(f"{method.replace('-', ' ')}")
+        with_law = method == LEADING and law_motor(run) is not None
+        top.set_title(method.replace("-", " ") + (" with its laws" if with_law else ""))
         top.legend(loc="lower center", handlelength=2.4)  # below the crest, where the curve is not
         bottom.axhline(0.0, color=MUTED, lw=0.7)
         bottom.plot(phase, residual, ".", color=colour(method), ms=1.6, alpha=0.35, mew=0, rasterized=True)

@@ -68,6 +68,7 @@ def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification 
         relays=identified.relays,
         hysteretic=identified.hysteretic,
         friction_law=identified.friction_law,
+        friction_map=identified.friction_map,
         **identified.law_keys(),
     )
     run.notes.append("The run ended before it had a result. For this page its recording was identified.")
@@ -98,6 +99,8 @@ def render_page(run: ReportedRun, identification: Identification | None = None) 
         budget=tables.budget(run),
         hysteretic=tables.hysteretic(run),
         tracking=tables.tracking(run),
+        tracking_heads=tables.tracking_heads(run),
+        law_used=tables.law_used(run),
         loop_cells=tables.loop(run),
         facts=tables.facts(run),
         started=tables.started(run),

@@ -12,10 +12,11 @@ from pydantic import JsonValue
 from rig.identify import laws
 from rig.identify.departures import DEPARTURES
 from rig.report.budget import budget_shares
+from rig.report.fit import law_motor
 from rig.report.source import PREFERRED, ReportedRun
 from rig.report.style import short
 from rig.report.words import PARAMETERS, Quantity, quantity, rounded
-from rig.results import LawFit, LawNumberResult, Quantiles, known
+from rig.results import LawFit, LawNumberResult, Quantiles, TrackingResult, known
 
 Cell = tuple[float | None, str]
 
@@ -95,12 +96,12 @@ class BudgetRow:
 
 @dataclass(frozen=True)
 class TrackingRow:
-    """The tracking check of one model, or why there was none."""
+    """The tracking check of one model: its errors in mrad, and what is to be said of it."""
 
     method: str
     short: str
     cells: list[Cell]
-    reason: str
+    remark: str
 
 
 def estimates(run: ReportedRun) -> list[EstimateRow]:
@@ -231,10 +232,45 @@ def tracking(run: ReportedRun) -> list[TrackingRow]:
     for method in sorted(outcomes, key=lambda m: (*PREFERRED, m).index(m)):
         outcome = outcomes[method]
         is_known = math.isfinite(known(outcome.rms_rad))
-        reason = "" if is_known else outcome.not_run or "no outcome was recorded"
-        cells = [_cell(outcome.rms_rad, 1e3), _cell(outcome.max_rad, 1e3)]
-        table.append(TrackingRow(method, short(method), cells, reason))
+        remark = _made_up_for(outcome)
+        if not is_known:
+            remark = f"not run: {outcome.not_run or 'no outcome was recorded'}"
+        errors = [outcome.rms_rad, outcome.max_rad]
+        if knows_shaft(run):
+            errors += [outcome.true_rms_rad, outcome.true_max_rad]
+        table.append(TrackingRow(method, short(method), [_cell(error, 1e3) for error in errors], remark))
     return table
+
+
+def law_used(run: ReportedRun) -> str:
+    """Which pictures and which drive are of the motor with the laws that the tests show."""
+    whose = "with these laws" if law_motor(run) is not None else "without them"
+    pictures = f"The pictures of cycles and residual are those of the motor {whose}."
+    tracked = [outcome for outcome in run.result.tracking.values() if math.isfinite(known(outcome.rms_rad))]
+    if not tracked:
+        return pictures
+    drive = "makes up for them" if any(outcome.law for outcome in tracked) else "left them out"
+    return f"{pictures} The drive of the tracking check {drive}."
+
+
+def knows_shaft(run: ReportedRun) -> bool:
+    """Whether the run tells where an emulated shaft really was while it tracked."""
+    return any(math.isfinite(known(outcome.true_rms_rad)) for outcome in run.result.tracking.values())
+
+
+def tracking_heads(run: ReportedRun) -> list[str]:
+    """Heads of the columns of ``tracking``."""
+    true = ["true RMS error, mrad", "true largest error, mrad"] if knows_shaft(run) else []
+    return ["model", "RMS error, mrad", "largest error, mrad", *true, "remark"]
+
+
+def _made_up_for(outcome: TrackingResult) -> str:
+    """Which laws the drive made up for, and which not."""
+    done, left = (
+        " and ".join(one.replace("_", " ") for one in names or ()) for names in (outcome.law, outcome.law_left_out)
+    )
+    words = [f"the drive makes up for {done}" if done else "", f"not for {left}" if left else ""]
+    return ", ".join(word for word in words if word)
 
 
 def loop(run: ReportedRun) -> list[tuple[str, Cell]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from rig.results.part import JsonObject, Number, Part, Real, Text
+from rig.results.part import JsonObject, Number, Part, Real, Sometimes, Text
 
 
 class RunEvent(Part):
@@ -27,3 +27,18 @@ class DrivenModel(Part):
     K_rad_s_V: Real
     fc_V: Real
     bias_V: Real
+    half_travel_rad: Sometimes[Real] = Field(
+        None, description="half the travel that its laws refer to; without it the motor is plain"
+    )
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """All numbers by name, those of its laws with them. Raises ValueError if one of these is no number."""
+        found: dict[str, float] = {}
+        for name, value in (self.__dict__ | (self.model_extra or {})).items():
+            if name in ("method", "t_s", "kind") or value is None:
+                continue
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise ValueError(f"{name} is {value!r}, which is no number")
+            found[name] = float(value)
+        return found

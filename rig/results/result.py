@@ -10,6 +10,7 @@ from rig.results.estimates import (
     BreakawayResult,
     EstimateResult,
     FrictionLawResult,
+    FrictionMapResult,
     HystereticResult,
     MotorLawResult,
     RelayTestResult,
@@ -33,6 +34,14 @@ class TrackingResult(Part):
 
     rms_rad: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="RMS error, rad")
     max_rad: Annotated[Number, NOT_IN_EACH_FILE] = Field(None, description="largest error, rad")
+    true_rms_rad: Sometimes[Number] = Field(
+        None, description="RMS error of the emulated shaft, without the sensor's noise, rad; a real shaft has none"
+    )
+    true_max_rad: Sometimes[Number] = Field(None, description="largest error of the emulated shaft, rad")
+    law: Sometimes[tuple[Text, ...]] = Field(None, description="laws of the motor that the drive made up for")
+    law_left_out: Sometimes[tuple[Text, ...]] = Field(
+        None, description="laws that were found, and that no drive makes up for"
+    )
     not_run: Sometimes[Text] = Field(None, description="why there is no error")
 
 
@@ -104,6 +113,7 @@ class _Run(Part):
     models_from: Sometimes[Text] = Field(None, description="another run whose models drove this one")
     breakaway: Sometimes[BreakawayResult] = Field(None, description="the breakaway check, and static friction")
     friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law describes the tests")
+    friction_map: Sometimes[FrictionMapResult] = Field(None, description="the drive over speed and over position")
     jog: Sometimes[JogResult] = Field(None, description="what `rig jog` did")
     search: Sometimes[tuple[SearchStepResult, ...]] = Field(None, description="the gain search, step by step")
     truth: Sometimes[TrueMotor] = Field(None, description="the emulated motor")

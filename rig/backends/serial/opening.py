@@ -5,12 +5,15 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from rig.backends.backend import Line, emulated_of, host_clock
 from rig.backends.driver import Timeouts
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.emulated.board_process import BoardProcess
+from rig.backends.emulated.shaft import traced
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.usb_port import check_adapter
 from rig.backends.serial.driver import SerialDriver
@@ -36,8 +39,11 @@ def serial_line(e: Experiment) -> Iterator[Line]:
         chip = device if adapter == "none" else BehindUsb(device, adapter)
         yield Line(chip, chip, port, emulated=True)
     elif port in ("emulated", "emulated-chip-realtime"):
-        with emulated_board(e) as board:
-            yield _line_of_port(e, board.port, emulated=True)
+        with TemporaryDirectory(prefix="rig-") as folder:
+            trace = Path(folder) / "truth.csv"
+            with emulated_board(e, trace=trace) as board:
+                line = _line_of_port(e, board.port, emulated=True)
+                yield line._replace(shaft=partial(traced, trace))
     elif port is not None:
         yield _line_of_port(e, port)
     else:

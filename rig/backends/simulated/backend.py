@@ -10,6 +10,7 @@ from typing_extensions import override
 
 from rig.backends.backend import Backend, Unopened, Watchdog, emulated_of
 from rig.backends.clock import VirtualClock
+from rig.backends.emulated.shaft import ShaftPath
 from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
 
@@ -78,7 +79,7 @@ class SimulatedBackend(Backend):
             SimulatedLatency(emulated.latency_s, emulated.latency_jitter_s),
             e.seed,
         )
-        yield Unopened(driver, clock, truth)
+        yield Unopened(driver, clock, truth, lambda: ShaftPath(*driver.shaft()))
 
 
 SIMULATED = SimulatedBackend()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from array import array
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -62,6 +63,7 @@ class SimulatedDriver:
         self._staged: int | None = None  # goes out with the next reading
         self._effect_s = math.nan  # until something was driven
         self._seq = 0
+        self._shaft_t_s, self._shaft_rad = array("d"), array("d")
         self._recovering = False  # armed outside the hard limits: only inward drive, until inside
 
     def open(self) -> DeviceInfo:
@@ -95,6 +97,8 @@ class SimulatedDriver:
         if self.bench.pin_counts == 0:
             self._heard_s = self._now_s  # as in the firmware: only drives keep a drive on
         counts = self.bench.read_counts()
+        self._shaft_t_s.append(self._now_s)
+        self._shaft_rad.append(self.bench.shaft_rad)
         self._check_device(counts)
         if self._fault is not None:
             raise self._fault
@@ -108,6 +112,10 @@ class SimulatedDriver:
             u_V=self._drive_map.to_volts(round(self.bench.pin_counts)),
             seq=self._seq,
         )
+
+    def shaft(self) -> tuple[array[float], array[float]]:
+        """Times of the readings so far, s, and where the shaft really was, rad."""
+        return self._shaft_t_s, self._shaft_rad
 
     def write(self, u_V: float) -> None:
         """Set the drive; it acts after the latency. Raises ValueError beyond the drive's range, Fault if not armed."""

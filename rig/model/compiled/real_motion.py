@@ -15,6 +15,7 @@ from rig.model.real_step import (
     RealMotor,
     State,
     Step,
+    advance,
     behind_play,
     direction,
     force,
@@ -460,3 +461,17 @@ def readings(
                 at = State(at.v, at.y, at.f, staged_V, at.x)
                 if columns:
                     _kick(motor, frame, d, before, at, (now, from_V, staged_V))
+
+
+@kernel
+def advanced(
+    numbers: tuple[Numbers, Numbers], at: Numbers, u_V: float, when: tuple[float, float]
+) -> tuple[float, float, float, float, float]:
+    """``real_step.advance`` for one step of a loop.
+
+    numbers   of the motor and of its frame
+    at, u_V   state, and the drive, V
+    when      time, s, and how long, s
+    """
+    end = advance(RealMotor(*numbers[0]), Frame(*numbers[1]), State(*at), u_V, when[0], when[1])
+    return end.v, end.y, end.f, end.w, end.x

@@ -1,0 +1,64 @@
+"""The inverse of a real motor: which drive gives a wanted acceleration, and which position a reading means.
+
+The parts are those of ``rig.model.real_step``. Left out is what has no inverse at an instant: lag, bristles, backlash
+and drift (docs/theory.md 11.4).
+"""
+
+from __future__ import annotations
+
+import math
+
+from rig.model.real_step import Frame, RealMotor, force, level, reading
+
+SOFT_SHARE = 0.1  # of fc: so little drive behind the stage moves no shaft, and the dead band is crossed within it
+ROUNDS = 40  # of the search for a position, which needs about ten
+CLOSE_RAD = 1e-9
+
+
+def drive_before_stage(m: RealMotor, wanted_V: float) -> float:
+    """Drive, V, whose stage gives ``wanted_V``: the inverse of ``real_step.staged``, continuous in ``wanted_V``.
+
+    Within a tenth of fc around zero it crosses the dead band on a straight line, so that noise there does not make the
+    drive jump to and fro. Of a stage that sags, a drive beyond the largest that it can give gets that one.
+    """
+    size = abs(wanted_V)
+    if size == 0.0:
+        return 0.0
+    sign = 1.0 if wanted_V > 0.0 else -1.0
+    before_sag = 2.0 * size / (1.0 + math.sqrt(max(1.0 - 4.0 * m.sag_per_V * size, 0.0)))
+    soft_V = SOFT_SHARE * m.fc_V
+    crossed = 1.0 if size >= soft_V else size / soft_V
+    return sign * (before_sag / (1.0 + sign * m.gain_by_sign) + crossed * m.dead_band_V)
+
+
+def drive_for(
+    m: RealMotor, frame: Frame, at: tuple[float, float], acceleration_rad_s2: float, direction: float
+) -> float:
+    """Drive, V, that gives the acceleration against all forces.
+
+    at         velocity, rad/s, and position, rad
+    direction  in which friction acts against the drive: only its sign counts; 0: no friction. A shaft that stands, or
+               still moves the other way, has to break away
+    """
+    v, y = at
+    friction = 0.0
+    if direction != 0.0:
+        speed = max(math.copysign(v, v * direction), 0.0)
+        height_V = level(m, frame, speed, y, frame.start_s) + (m.static_V if speed == 0.0 else 0.0)
+        friction = math.copysign(height_V, direction)
+    viscous = abs(v) * (m.viscous_by_direction_V_s_rad + m.drag_V_s2_rad2 * v)
+    wanted_V = (m.tau_s * acceleration_rad_s2 + v) / m.K_rad_s_V + force(m, frame, y) + friction + viscous - m.bias_V
+    return drive_before_stage(m, wanted_V)
+
+
+def position(m: RealMotor, frame: Frame, reading_rad: float) -> float:
+    """Position at which the sensor shows ``reading_rad``, rad. Beyond the travel its error stays as at the end."""
+    low, high = frame.centre_rad - frame.half_travel_rad, frame.centre_rad + frame.half_travel_rad
+    x = reading_rad
+    for _ in range(ROUNDS):
+        inside = min(max(x, low), high)
+        new = reading_rad - (reading(m, frame, inside) - inside)
+        if abs(new - x) <= CLOSE_RAD:
+            return new
+        x = new
+    return x
