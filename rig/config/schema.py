@@ -309,8 +309,8 @@ class SurveySection(_Section):
 
     speeds_rad_s: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=12)] | None = Field(
         None,
-        description="speeds of the sweeps; default: five, from the slowest that the sensor resolves to the fastest that "
-        "the travel allows",
+        description="speeds of the sweeps; default: five, from the slowest that the sensor resolves to the fastest "
+        "that the travel allows",
     )
     longest_s: Annotated[float, Field(gt=0, le=3600)] = Field(120.0, description="all sweeps together, at most")
 

@@ -121,7 +121,7 @@ def sweep_plan(room: Room, wanted_rad_s: Sequence[float] = ()) -> SweepPlan:
             raise TooShortError(f"{max(wanted_rad_s):g} rad/s is too fast for {_words(travel, fastest)}")
         if min(wanted_rad_s) < slowest * (1.0 - 1e-9):
             raise TooShortError(
-                f"{min(wanted_rad_s):g} rad/s is too slow for counts and noise of the sensor: at least {slowest:.3g} rad/s"
+                f"{min(wanted_rad_s):g} rad/s is too slow for counts and noise of the sensor: at least {slowest:.3g}"
             )
         if plan.duration_s > room.longest_s:
             raise TooShortError(f"these sweeps take {plan.duration_s:.0f} s, longer than {room.longest_s:g} s")

@@ -1,15 +1,18 @@
-"""The friction map: what drive the motor takes at each speed and at each position, from slow sweeps (docs/theory.md 13.3).
+"""The friction map: the drive that a motor takes at each speed and at each position (docs/theory.md 13.3).
 
-Each sweep is weighed by windows that rise and fall smoothly. Integrated by parts against such a window, the equation of
-the motor needs no derivative of the noisy position: acceleration and speed fall on the window (modulating functions;
-Shinbrot 1957, Preisig and Rippin 1993). The result is linear in the readings, so their noise gives its standard error.
+It comes from slow sweeps. Each sweep is weighed by windows that rise and fall smoothly. Integrated by parts against
+such a window, the equation of the motor needs no derivative of the noisy position: acceleration and speed fall on the
+window (modulating functions; Shinbrot 1957, Preisig and Rippin 1993). The result is linear in the readings, so their
+noise gives its standard error.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,21 +30,29 @@ STRAIGHT = 2e-3  # of its way: the largest distance of a sweep's reference from 
 LEAST_WAY = 0.3  # of the reference's whole travel that a sweep passes
 SETTLE_TURNS = 0.75  # of the time of a turn: the motion has settled then
 POSITIONS = 24
+WAYS = (-1.0, 1.0)
 FEWEST_SAMPLES = 8  # of a window
 LOCAL_SHARE = 0.15  # of a sweep's speed: noise of its local speed
 STILL_SHARE = 0.25  # of a sweep's speed: slower counts as sticking
 STICKS = 0.05  # of a sweep that sticks: its drive is not the drive of its speed
+TAPER = 0.2  # of the travel, over which the weight of a whole sweep rises and falls
+KNOWN = 2e-4  # of the drive: no bench knows its drive better
+LEVELS_V = 2e-3  # sweeps that are known better than this count alike in the mean over the speeds
 OVERLAP = 1.5  # windows of which neighbours share so much count for fewer
 
 
 @dataclass(frozen=True)
 class MapSpeed:
-    """A sweep: its speed, rad/s, with its sign; the drive it took, V, with standard error; whether the shaft stuck."""
+    """A sweep: its speed, rad/s, with its sign; the drive it took, V, with standard error; whether the shaft stuck.
+
+    share  of the sweep in the mean over the speeds of its direction
+    """
 
     speed_rad_s: float
     drive_V: float
     error_V: float
     sticks: bool
+    share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -87,16 +98,26 @@ class FrictionMap:
 
     def law_over_speed(self, speed_rad_s: float) -> float:
         """Drive of the law at a steady speed, V: the mean over the travel."""
-        return float(np.mean([_steady_V(self.motor, speed_rad_s, y) for y in self._grid()]))
+        low, high = self.travel_rad
+        y_rad = np.linspace(low, high, 8 * POSITIONS + 1)
+        weight = np.gradient(_window(y_rad - low, TAPER * (high - low), high - low)[0])
+        drive_V = [_steady_V(self.motor, speed_rad_s, y) for y in y_rad.tolist()]
+        return float(np.average(drive_V, weights=weight))
 
     def law_over_position(self, y_rad: float, way: float) -> float:
         """Drive of the law less v/K at a position, V, in the direction ``way``: the mean over the sweeps' speeds."""
-        speeds = [one.speed_rad_s for one in self.speeds if not one.sticks and one.speed_rad_s * way > 0.0]
         K = self.motor.motor.K_rad_s_V
-        return float(np.mean([_steady_V(self.motor, v, y_rad) - v / K for v in speeds]))
-
-    def _grid(self) -> Array:
-        return np.linspace(*self.travel_rad, POSITIONS + 1)
+        low, high = self.travel_rad
+        step = (high - low) / (POSITIONS + 1)
+        near = np.linspace(-step, step, 9)
+        weight = np.gradient(_window(near + step, step, 2.0 * step)[0])
+        taken = [one for one in self.speeds if one.share > 0.0 and one.speed_rad_s * way > 0.0]
+        local = [
+            np.average([_steady_V(self.motor, one.speed_rad_s, y) for y in (y_rad + near).tolist()], weights=weight)
+            - one.speed_rad_s / K
+            for one in taken
+        ]
+        return float(np.average(local, weights=[one.share for one in taken]))
 
     def notes(self) -> list[str]:
         """What there is to know, as sentences."""
@@ -104,9 +125,7 @@ class FrictionMap:
         if not stuck:
             return []
         words = ", ".join(f"{v:.3g}" for v in stuck)
-        return [
-            f"friction map: at {words} rad/s the shaft sticks and slips, so the drive there is not that of a steady speed"
-        ]
+        return [f"friction map: at {words} rad/s the shaft sticks and slips: the drive there is not of a steady speed"]
 
     def as_result(self) -> FrictionMapResult:
         """As in result.json."""
@@ -235,105 +254,137 @@ def friction_map(survey: TimeSeries, yd_rad: Array, motor: FramedMotor) -> Frict
             "record the whole survey: `rig survey CONFIG`",
         )
     noise_rad = survey.noise_rad()
+    whole = _Weight(low, high, TAPER * (high - low))
     step = (high - low) / (POSITIONS + 1)
-    whole = _Weight(low, high, step)
-    K = motor.motor.K_rad_s_V
     parts = [_Weight(low + k * step, low + (k + 2) * step, step) for k in range(POSITIONS)]
-    speeds: list[MapSpeed] = []
-    profiles: dict[float, list[tuple[Array, Array]]] = {1.0: [], -1.0: []}
-    levels: dict[float, list[float]] = {1.0: [], -1.0: []}
-    for sweep in sweeps:
-        way = float(np.sign(sweep.speed_rad_s))
-        speed, drive_V, scatter = sweep.weighed(whole, motor)
-        sticks = sweep.sticks(noise_rad)
-        speeds.append(MapSpeed(speed, drive_V, noise_rad * scatter, sticks))
-        if not sticks:
-            local = [_of_part(sweep, part, motor, noise_rad) for part in parts]
-            level = drive_V - speed / K
-            profiles[way].append((np.array([f - level for f, _ in local]), np.array([e for _, e in local])))
-            levels[way].append(level)
+    view = _View(whole, tuple(parts), motor, noise_rad)
+    (minus, falling), (plus, rising) = (_of_way([s for s in sweeps if s.speed_rad_s * way > 0.0], view) for way in WAYS)
     positions: tuple[MapPosition, ...] = ()
-    if levels[1.0] and levels[-1.0]:
+    if minus is not None and plus is not None:
         centres = [0.5 * (part.low_rad + part.high_rad) for part in parts]
-        plus, minus = (_over_position(profiles[way], float(np.mean(levels[way]))) for way in (1.0, -1.0))
         positions = tuple(
             MapPosition(y, a, b, ea, eb)
             for y, a, b, ea, eb in zip(centres, plus[0], minus[0], plus[1], minus[1], strict=True)
         )
-        speeds = _with_scatter(speeds, profiles, {1.0: plus[2], -1.0: minus[2]})
-    return FrictionMap(motor, (low, high), tuple(sorted(speeds, key=lambda one: one.speed_rad_s)), positions)
+    return FrictionMap(motor, (low, high), tuple(sorted(falling + rising, key=lambda s: s.speed_rad_s)), positions)
 
 
-def _of_part(sweep: _Sweep, part: _Weight, motor: FramedMotor, noise_rad: float) -> tuple[float, float]:
-    """Drive less v/K in a part of a sweep, V, and its standard error; infinite where there are too few samples."""
+@dataclass(frozen=True)
+class _View:
+    """How sweeps are looked at: the window of a whole sweep, those of its parts, the motor, and the noise, rad."""
+
+    whole: _Weight
+    parts: tuple[_Weight, ...]
+    motor: FramedMotor
+    noise_rad: float
+
+
+def _of_way(sweeps: Sequence[_Sweep], view: _View) -> tuple[tuple[list[float], list[float]] | None, list[MapSpeed]]:
+    """Of the sweeps one way: drive less v/K over position and its errors, None if all stuck; and the speeds."""
+    K = view.motor.motor.K_rad_s_V
+    stuck: list[MapSpeed] = []
+    found: list[MapSpeed] = []
+    local: list[list[tuple[float, float]]] = []
+    for sweep in sweeps:
+        speed, drive_V, scatter = sweep.weighed(view.whole, view.motor)
+        error_V = math.hypot(view.noise_rad * scatter, KNOWN * drive_V)
+        one = MapSpeed(speed, drive_V, error_V, sweep.sticks(view.noise_rad))
+        if one.sticks:
+            stuck.append(one)
+        else:
+            found.append(one)
+            local.append([_of_part(sweep, part, view, drive_V - speed / K) for part in view.parts])
+    if not found:
+        return None, stuck
+    profile = _profile(np.array(local))
+    errors = np.hypot([one.error_V for one in found], profile.further_V)
+    weight = 1.0 / (errors**2 + LEVELS_V**2)
+    share = weight / weight.sum()
+    level_V = float(share @ np.array([one.drive_V - one.speed_rad_s / K for one in found]))
+    level_error_V = float(np.sqrt(share**2 @ errors**2))
+    found = [
+        replace(one, error_V=error, share=part)
+        for one, error, part in zip(found, errors.tolist(), share.tolist(), strict=True)
+    ]
+    return ((level_V + profile.mean_V).tolist(), np.hypot(profile.error_V, level_error_V).tolist()), stuck + found
+
+
+def _of_part(sweep: _Sweep, part: _Weight, view: _View, level_V: float) -> tuple[float, float]:
+    """Drive less v/K in a part of a sweep about the whole sweep's, V, and its standard error.
+
+    It is infinite where there are too few samples.
+    """
     if sweep.samples_in(part) < FEWEST_SAMPLES:
         return 0.0, math.inf
-    speed, drive_V, scatter = sweep.weighed(part, motor)
-    return drive_V - speed / motor.motor.K_rad_s_V, max(noise_rad * scatter, 1e-9)
+    speed, drive_V, scatter = sweep.weighed(part, view.motor)
+    error_V = math.hypot(view.noise_rad * scatter, KNOWN * drive_V)
+    return drive_V - speed / view.motor.motor.K_rad_s_V - level_V, error_V
 
 
-def _over_position(profiles: Sequence[tuple[Array, Array]], level_V: float) -> tuple[list[float], list[float], Array]:
-    """The mean profile about ``level_V``, its standard errors, and the profile alone.
+class _Profile(NamedTuple):
+    """The mean profile over position, its standard errors, and what each sweep scatters about it beyond noise, V."""
+
+    mean_V: Array
+    error_V: Array
+    further_V: Array
+
+
+def _profile(local: Array) -> _Profile:
+    """The mean of the sweeps' profiles; ``local`` is (sweeps, positions, 2): drive and standard error, V.
 
     Sweeps count by their noise. Where they scatter more than that, all errors grow by as much (Birge 1932).
     """
-    values = np.array([profile for profile, _ in profiles])
-    weights = np.array([1.0 / errors**2 for _, errors in profiles])
-    total = weights.sum(axis=0)
-    if not np.all(total > 0.0):
-        total = np.where(total > 0.0, total, math.nan)
+    values, weights = local[:, :, 0], 1.0 / local[:, :, 1] ** 2
+    total = np.maximum(weights.sum(axis=0), 1e-12)
     mean = (weights * values).sum(axis=0) / total
-    freedom = max(1.0, (len(profiles) - 1) * values.shape[1] / OVERLAP)
-    ratio = max(1.0, math.sqrt(float(np.nansum(weights * (values - mean) ** 2)) / OVERLAP / freedom))
-    return (level_V + mean).tolist(), (ratio / np.sqrt(total)).tolist(), mean
-
-
-def _with_scatter(
-    speeds: Sequence[MapSpeed], profiles: dict[float, list[tuple[Array, Array]]], means: dict[float, Array]
-) -> list[MapSpeed]:
-    """Errors of the sweeps with what their parts scatter about the mean profile beyond the noise."""
-    left = {way: list(found) for way, found in profiles.items()}
-    out = []
-    for one in speeds:
-        if one.sticks:
-            out.append(one)
-            continue
-        way = math.copysign(1.0, one.speed_rad_s)
-        values, errors = left[way].pop(0)
-        known = np.isfinite(errors)
-        excess = float(np.mean((values - means[way])[known] ** 2 - errors[known] ** 2)) if known.any() else 0.0
-        further = max(excess, 0.0) * OVERLAP / max(1, int(known.sum()))
-        out.append(MapSpeed(one.speed_rad_s, one.drive_V, math.sqrt(one.error_V**2 + further), False))
-    return out
+    count, places = values.shape
+    squares = float(np.sum(weights * (values - mean) ** 2))
+    ratio = math.sqrt(max(1.0, squares / max(1.0, (count - 1) * places)))
+    further = np.zeros(count)
+    for k in range(count if count > 1 else 0):
+        others = np.maximum(total - weights[k], 1e-12)
+        seen = (weights[k] > 0.0) & (others > 1e-9)
+        off = values[k] - (total * mean - weights[k] * values[k]) / others
+        expected = (1.0 / np.maximum(weights[k], 1e-12) + 1.0 / others)[seen]
+        precision = float(np.sum(expected**-2.0))
+        if precision > 0.0:
+            excess = float(np.sum((off[seen] ** 2 - expected) / expected**2)) / precision
+            excess -= math.sqrt(2.0 * OVERLAP / precision)  # what noise alone may show
+            further[k] = math.sqrt(max(excess, 0.0) * OVERLAP / expected.size)
+    return _Profile(mean, ratio / np.sqrt(total), further)
 
 
 def _sweeps(survey: TimeSeries, yd_rad: Array, delay_s: float) -> Iterator[_Sweep]:
     """The steady stretches of the reference, each without the time in which the motion settles."""
     t = survey.t_s
     edge_s = t + delay_s if survey.t_u_s is None else survey.t_u_s
-    speed = np.diff(yd_rad) / np.diff(t)
+    found = _straight(t, yd_rad)
+    turns_s = [0.5 * float(t[after[0]] - t[before[1]]) for before, after in pairwise(found)]
+    settle_s = SETTLE_TURNS * min(turns_s, default=0.0)
+    for first, last in found:
+        v = float((yd_rad[last] - yd_rad[first]) / (t[last] - t[first]))
+        rows = slice(int(np.searchsorted(t, t[first] + settle_s)), last + 1)
+        if rows.stop - rows.start > FEWEST_SAMPLES:
+            error = survey.y_rad[rows] - yd_rad[rows]
+            yield _Sweep(v, t[rows], error, yd_rad[rows], *_drive_in(survey, edge_s, rows))
+
+
+def _straight(t_s: Array, yd_rad: Array) -> list[tuple[int, int]]:
+    """First and last rows of the stretches in which the reference has a constant speed over much of its travel."""
+    speed = np.diff(yd_rad) / np.diff(t_s)
     travel = float(np.ptp(yd_rad))
     steady = np.abs(np.diff(speed)) <= STEADY * np.abs(speed[1:]) + 1e-4 * np.abs(speed).max()
     cuts = np.flatnonzero(~steady) + 1
-    before_s = float(t[0])
-    for first, stop in zip(np.append(0, cuts + 1), np.append(cuts, t.size - 1), strict=True):
-        if stop - first < FEWEST_SAMPLES:
+    found = []
+    for first, last in zip(np.append(0, cuts).tolist(), np.append(cuts, t_s.size - 1).tolist(), strict=True):
+        y, t = yd_rad[first : last + 1], t_s[first : last + 1]
+        way = float(y[-1] - y[0])
+        if last - first < FEWEST_SAMPLES or abs(way) < LEAST_WAY * travel:
             continue
-        rows = slice(int(first), int(stop) + 1)
-        way = yd_rad[rows][-1] - yd_rad[rows][0]
-        v = way / (t[stop] - t[first])
-        bent = np.abs(yd_rad[rows] - yd_rad[first] - v * (t[rows] - t[first])).max()
-        if abs(way) < LEAST_WAY * travel or bent > STRAIGHT * abs(way):
-            continue
-        turn_s = 0.5 * (float(t[first]) - before_s)
-        before_s = float(t[stop])
-        begin = (
-            int(np.searchsorted(t, t[first] + SETTLE_TURNS * turn_s)) if turn_s < 0.3 * (t[stop] - t[first]) else first
-        )
-        rows = slice(int(begin), int(stop) + 1)
-        yield _Sweep(
-            float(v), t[rows], survey.y_rad[rows] - yd_rad[rows], yd_rad[rows], *_drive_in(survey, edge_s, rows)
-        )
+        bent = np.abs(y - y[0] - way * (t - t[0]) / (t[-1] - t[0])).max()
+        if bent <= STRAIGHT * abs(way):
+            found.append((first, last))
+    return found
 
 
 def _drive_in(survey: TimeSeries, edge_s: Array, rows: slice) -> tuple[Array, Array]:
