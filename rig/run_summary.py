@@ -49,6 +49,7 @@ class Findings:
 
     real_time       what the machine granted the loop
     gains_V         gains (h1, h2) of the relay tests, V
+    further_gains_V gains of a test at a third amplitude, V, if the gains were searched
     cycle           the limit cycle of the last relay test
     identification  of this run's recording, or of ``models_from``
     models_from     another run whose models are driven
@@ -61,6 +62,7 @@ class Findings:
     breakaway: BreakawayLaw | None = None
     search: GainSearch | None = None
     gains_V: tuple[tuple[float, float], ...] = ()
+    further_gains_V: tuple[float, float] | None = None
     cycle: SettledCycle | None = None
     identification: Identification | None = None
     models_from: Path | None = None

@@ -22,6 +22,7 @@ from rig.experiment.stages import (
     verify_models,
 )
 from rig.experiment.survey import survey
+from rig.experiment.thorough import tell_apart
 from rig.faults import Fault
 from rig.identify import Identification
 from rig.preflight.survey_room import expected_sweeps
@@ -44,6 +45,8 @@ def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None, a
     def script(session: Session) -> None:
         drive_tests(session)
         identify_recorded(session)
+        if experiment.identify.thorough:
+            tell_apart(session)
         verify_models(session)
 
     return record(experiment, parent, _named("run"), script, on_start, again)

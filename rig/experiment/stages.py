@@ -352,6 +352,7 @@ def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetec
         noted = len(search.steps)
 
     session.loop.run(search, "search", watch)
+    session.found.further_gains_V = search.second_gains(e.relay.second_ratio**2)
     return [(relay.h1_V, relay.h2_V), search.second_gains(e.relay.second_ratio)]
 
 

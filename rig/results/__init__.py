@@ -23,7 +23,7 @@ from rig.results.estimates import (
     StaticFrictionResult,
     known,
 )
-from rig.results.event import DrivenModel, RunEvent
+from rig.results.event import DrivenModel, DrivenSurvey, DrivenSweep, FurtherTest, RunEvent
 from rig.results.meta import DeviceSeen, RealTimeReport, RunMeta, ScriptCall, SupplyBelieved, TrueMotor
 from rig.results.part import JsonObject, Part
 from rig.results.result import (
@@ -43,11 +43,14 @@ __all__ = [
     "DeviceLoop",
     "DeviceSeen",
     "DrivenModel",
+    "DrivenSurvey",
+    "DrivenSweep",
     "EstimateResult",
     "FaultReport",
     "FoundLawResult",
     "FrictionLawResult",
     "FrictionMapResult",
+    "FurtherTest",
     "HystereticResult",
     "IdentificationResult",
     "JogResult",
