@@ -140,6 +140,7 @@ class FrictionMap:
                     drive_V=one.drive_V,
                     error_V=one.error_V,
                     sticks=one.sticks,
+                    share=one.share,
                     law_V=self.law_over_speed(one.speed_rad_s),
                 )
                 for one in self.speeds
@@ -349,7 +350,7 @@ def _profile(local: Array) -> _Profile:
         precision = float(np.sum(expected**-2.0))
         if precision > 0.0:
             excess = float(np.sum((off[seen] ** 2 - expected) / expected**2)) / precision
-            excess -= math.sqrt(2.0 * OVERLAP / precision)  # what noise alone may show
+            excess -= 3.0 * math.sqrt(2.0 * OVERLAP / precision)  # what noise alone may show
             further[k] = math.sqrt(max(excess, 0.0) * OVERLAP / expected.size)
     return _Profile(mean, ratio / np.sqrt(total), further)
 

@@ -198,6 +198,7 @@ class MapSpeedResult(Part):
     drive_V: Number = Field(None, description="mean drive, less what acceleration took, V")
     error_V: Number = Field(None, description="its standard error, V")
     sticks: Flag = Field(False, description="whether the shaft stuck and slipped: then this is no steady speed")
+    share: Number = Field(None, description="its share in the means over the speeds; 0: it stuck")
     law_V: Number = Field(None, description="the drive that the identified motor takes there, V")
 
 
