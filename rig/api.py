@@ -73,7 +73,10 @@ def read(path: AnyPath) -> Run:
 
 @overload
 def identify(
-    data: Recording | AnyPath | Sequence[Recording | AnyPath], *, methods: Sequence[str] | None = None
+    data: Recording | AnyPath | Sequence[Recording | AnyPath],
+    *,
+    methods: Sequence[str] | None = None,
+    without: Sequence[str] = (),
 ) -> Found: ...
 @overload
 def identify(
@@ -86,6 +89,7 @@ def identify(
     t_u: ArrayLike | None = None,
     *,
     methods: Sequence[str] | None = None,
+    without: Sequence[str] = (),
 ) -> Found:
     """Identify gain, time constant and friction of one motor.
 
@@ -95,7 +99,8 @@ def identify(
     y        n positions, rad
     t_u      n times from which the drives act, s; default: unknown, a constant delay after the samples
     methods  names of estimators; default: all that the data allow
-    Raises IdentifyError where the data give no estimate, RecordingError where they cannot be read, TypeError for
+    without  names of stages of the run that are not read, such as "breakaway", "search" and "relay-2"
+    Raises IdentifyError where the data give no estimate or have no such stage, RecordingError where they cannot be read, TypeError for
     arguments that are none of these.
     """
     if u is not None and y is not None:
@@ -107,7 +112,7 @@ def identify(
         recordings = [one if isinstance(one, Recording) else reader.read(Path(one)) for one in given]
     else:
         raise TypeError(WANTED)
-    return Found.of(identify_recordings(recordings, methods))
+    return Found.of(identify_recordings(recordings, methods, without=without))
 
 
 def _from_arrays(t: ArrayLike, u: ArrayLike, y: ArrayLike, t_u: ArrayLike | None) -> Recording:

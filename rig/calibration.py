@@ -10,6 +10,11 @@ from itertools import pairwise
 
 from rig.signals import Limits
 
+# What a bench may be wrong by if nobody states it
+LINEARITY_PERCENT = 1.0  # of the sensor's full range: the data sheet of a plain potentiometer
+CALIBRATION_ERROR_RAD = 0.01  # of each angle: a printed protractor is good to half a degree
+SUPPLY_ERROR_PERCENT = 1.0  # of the motor supply: a hand-held meter
+
 
 class Calibration:
     """Position sensor: counts to rad through two points or a table, linear in between.

@@ -14,6 +14,7 @@ from pathlib import Path
 from rig.backends.emulated.shaft import ShaftPath
 from rig.backends.registry import Bench, backend_of
 from rig.config import Experiment
+from rig.config.sensor import full_range_rad
 from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import GainSearch, SettledCycle
 from rig.faults import Fault
@@ -36,6 +37,7 @@ from rig.results import (
     RunResult,
     ScriptCall,
     SearchStepResult,
+    SensorBelieved,
     SupplyBelieved,
     TrackingResult,
     TrueMotor,
@@ -99,7 +101,17 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
             supply_V=info.supply_V if measures_supply else None,
             supply_at_least=info.supply_at_least if measures_supply else None,
         ),
-        drive=SupplyBelieved(supply_V=experiment.drive.supply_V, bridge_drop_V=experiment.drive.bridge_drop_V),
+        drive=SupplyBelieved(
+            supply_V=experiment.drive.supply_V,
+            bridge_drop_V=experiment.drive.bridge_drop_V,
+            supply_error_percent=experiment.drive.supply_error_percent,
+        ),
+        sensor=SensorBelieved(
+            linearity_percent=experiment.sensor.linearity_percent,
+            full_range_rad=full_range_rad(experiment),
+            calibration_error_rad=experiment.sensor.calibration_error_rad,
+            calibration_rad=tuple(sorted(point.rad for point in experiment.sensor.calibration)),
+        ),
         failsafe="none: the device holds its last drive"
         if bench.driver.failsafe is None or watchdog_s is None
         else f"device watchdog, {watchdog_s * 1e3:.0f} ms",
@@ -109,6 +121,7 @@ def run_meta(experiment: Experiment, bench: Bench, script: ScriptCall, started: 
         command=" ".join(sys.argv),
         truth=true_motor(bench),
         script=script,
+        identify_without=experiment.identify.without or None,
     )
 
 

@@ -21,12 +21,12 @@ from rig.results import (
     FrictionLawResult,
     IdentificationResult,
     LoopResult,
-    MotorLawResult,
     RunResult,
     TrackingResult,
     TrueMotor,
     known,
 )
+from rig.results.budget_lines import budget_lines, that_matter
 
 if TYPE_CHECKING:  # each loads slowly
     from rig.campaign.summary import Summary
@@ -38,7 +38,7 @@ if TYPE_CHECKING:  # each loads slowly
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")  # the parameters that a table shows
 LAW_HEADINGS = ("parameter", "value", "unit", "meaning")
 MOTOR_LAW_HEADINGS = ("law", "size", "unit", "or, as likely")
-BUDGET_HEADINGS = ("from", "tau_s", "K_rad_s_V", "fc_V")
+BUDGET_HEADINGS = ("from", "tau_s", "K_rad_s_V", "fc_V", "only in")
 SMALL_SHARE = 0.2  # of the whole uncertainty: smaller lines are left out
 RECORD_AGAIN = (
     "to record again: `rig relay CONFIG`; more cycles: relay.cycles; slower, larger or other cycles: relay.target or "
@@ -239,12 +239,14 @@ def show_motor_law(result: RunResult | IdentificationResult, truth: TrueMotor | 
         if result.with_law is not None:
             numbers = (f"{name} {_interval(result.with_law, name, truth)}" for name in MAIN)
             click.echo(f"with it ({result.with_law.verdict}): {', '.join(numbers)}")
+            for reason in result.with_law.reasons:
+                click.echo(f"with it: {reason}")
     rows = budget_rows(result)
     if rows:
-        show_table("uncertainty (u95), % of the estimate: what it is made of", BUDGET_HEADINGS, rows)
+        show_table("uncertainty at 95 %, in % of the estimate, and what it is made of", BUDGET_HEADINGS, rows)
 
 
-def motor_law_rows(result: MotorLawResult) -> list[list[str]]:
+def motor_law_rows(result: RunResult | IdentificationResult) -> list[list[str]]:
     """The laws beyond the plain one, a row of ``MOTOR_LAW_HEADINGS`` each."""
     rows = []
     for law in result.law or ():
@@ -258,18 +260,12 @@ def motor_law_rows(result: MotorLawResult) -> list[list[str]]:
 
 
 def budget_rows(result: RunResult | IdentificationResult) -> list[list[str]]:
-    """The lines of the budget that matter, a row of ``BUDGET_HEADINGS`` each; the whole first; empty without one."""
-    estimate = result.with_law or result.estimates.get(LEADING)
-    values = [] if estimate is None else [known(estimate.value(name)) for name in MAIN]
-    if not result.u95 or not values or not all(math.isfinite(v) and v > 0.0 for v in values):
-        return []
-    sums = [100.0 * known(result.u95.get(name)) / value for name, value in zip(MAIN, values, strict=True)]
-    rows = [["together", *(f"{share:.2g}" for share in sums)]]
-    for entry in result.budget or ():
-        parts = (entry.tau_s, entry.K_rad_s_V, entry.fc_V)
-        shares = [100.0 * known(part) / value for part, value in zip(parts, values, strict=True)]
-        if any(share > SMALL_SHARE * whole for share, whole in zip(shares, sums, strict=True)):
-            rows.append([entry.source.replace("_", " "), *(f"{share:.2g}" for share in shares)])
+    """The lines of the budget that matter, a row of ``BUDGET_HEADINGS`` each; the sums first; empty without one."""
+    rows = []
+    for line in that_matter(budget_lines(result), SMALL_SHARE):
+        name = line.source if line.is_sum else line.source.replace("_", " ")
+        cells = ["-" if math.isnan(share) else f"{share:.2f}" for share in line.percent]
+        rows.append([name, *cells, "u95_absolute" if line.absolute and not line.is_sum else ""])
     return rows
 
 

@@ -26,10 +26,20 @@ from rig.terminal import patience, show_estimates, show_friction_law, show_motor
     help="Repeat for several. Default: all that the data allows. "
     "least-squares takes two CSV files, each of a hysteretic relay.",
 )
+@click.option(
+    "--without",
+    multiple=True,
+    metavar="STAGE",
+    help="A stage of the run that is not read: breakaway, search, relay-1, relay-2, ... Repeat for several.",
+)
 @ROWS
 @JSON
 def identify(
-    paths: Sequence[Path], methods: Sequence[str], rows: tuple[int | None, int | None] | None, as_json: bool
+    paths: Sequence[Path],
+    methods: Sequence[str],
+    without: Sequence[str],
+    rows: tuple[int | None, int | None] | None,
+    as_json: bool,
 ) -> None:
     """Identify gain, time constant and friction from recordings.
 
@@ -47,7 +57,7 @@ def identify(
         require_distinct(paths)
         with patience("reading and identifying"):
             recordings = [read(path) if rows is None else read(path).only_rows(*rows) for path in paths]
-            found = identify_recordings(recordings, tuple(methods) or None)
+            found = identify_recordings(recordings, tuple(methods) or None, without=without)
     except (RecordingError, IdentifyError) as error:
         fail_input(error)
     result = found.as_result()

@@ -13,7 +13,15 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from rig.backends.modbus.section import ModbusKeys
 from rig.backends.serial.section import SerialKeys
-from rig.calibration import Calibration, DriveMap, Scaling, TachometerScale
+from rig.calibration import (
+    CALIBRATION_ERROR_RAD,
+    LINEARITY_PERCENT,
+    SUPPLY_ERROR_PERCENT,
+    Calibration,
+    DriveMap,
+    Scaling,
+    TachometerScale,
+)
 from rig.estimators import ESTIMATORS
 from rig.section import Interval, NonNegative, Positive
 from rig.section import Section as _Section
@@ -100,6 +108,16 @@ class Sensor(_Section):
     rail_counts: tuple[int, int] = Field(
         (5, 1018), description="[low, high]: readings at or beyond these are a broken wire"
     )
+    linearity_percent: Annotated[float, Field(ge=0, le=20)] = Field(
+        LINEARITY_PERCENT,
+        description="largest departure from a straight line by the data sheet, in % of the full range 0 to counts_max; "
+        "the uncertainty u95 allows for it as far as the tests do not show it",
+    )
+    calibration_error_rad: Annotated[float, Field(ge=0, le=0.5)] = Field(
+        CALIBRATION_ERROR_RAD,
+        description="largest error of each angle of `calibration`: K scales with the radian, which no test shows; "
+        "for u95_absolute",
+    )
 
     @field_validator("calibration")
     @classmethod
@@ -152,6 +170,11 @@ class Drive(_Section):
     """The H-bridge: V to duty."""
 
     supply_V: Positive = Field(description="motor supply; K and f_c scale with it")
+    supply_error_percent: Annotated[float, Field(ge=0, le=50)] = Field(
+        SUPPLY_ERROR_PERCENT,
+        description="largest error of supply_V, in %: K and f_c scale with the volt, which no test shows; "
+        "for u95_absolute",
+    )
     bridge: Bridge | None = Field(
         None,
         description="inputs of the bridge, which the firmware must be for: with the wrong one 0 V can be full drive; "
@@ -315,13 +338,19 @@ class SurveySection(_Section):
     longest_s: Annotated[float, Field(gt=0, le=3600)] = Field(120.0, description="all sweeps together, at most")
 
 
+RecordName = Annotated[str, Field(pattern=r"^(breakaway|search|survey|relay-[1-9][0-9]?)$")]
+
+
 class IdentifySection(_Section):
-    """What `rig run` records to identify the motor."""
+    """How the motor is identified from what the run recorded."""
 
     thorough: bool = Field(
         False,
         description="where the relay tests do not tell two laws of the motor apart, or leave more than 2.5 % of "
         "uncertainty, `rig run` adds a survey and a relay test of a third amplitude",
+    )
+    without: tuple[RecordName, ...] = Field(
+        (), description="stages that identification does not read: breakaway, search, relay-1, relay-2, ..."
     )
 
 
@@ -503,7 +532,9 @@ class Experiment(_Section):
     survey: SurveySection = Field(
         SurveySection(), description="the sweeps of `rig survey`, and of a thorough `rig run`"
     )
-    identify: IdentifySection = Field(IdentifySection(), description="what is recorded to identify the motor")
+    identify: IdentifySection = Field(
+        IdentifySection(), description="how the motor is identified from the run, and what is recorded for it"
+    )
     tracking: TrackingSection | None = Field(None, description="leave out to skip the tracking check")
     law: LawSection | None = Field(
         None, description="a law of your own: `rig run` runs the breakaway check and this law, and nothing else"

@@ -29,3 +29,8 @@ def count_rad(e: Experiment) -> float:
     """Mean size of one count over the calibration, rad."""
     points = sorted((p.counts, p.rad) for p in e.sensor.calibration)
     return abs((points[-1][1] - points[0][1]) / (points[-1][0] - points[0][0]))
+
+
+def full_range_rad(e: Experiment) -> float:
+    """What the readings 0 to counts_max span, rad."""
+    return count_rad(e) * e.sensor.counts_max

@@ -23,7 +23,7 @@ from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.preprocessing import from_recording
 from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, slipped_rms_rad
-from rig.identify.verdict import settled
+from rig.identify.verdict import largest_drive_V, settled
 from rig.model.real_motor import Frame, FramedMotor, RealMotor
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
@@ -252,29 +252,53 @@ def _add_friction_map(recordings: Sequence[Recording], without: Sequence[str], f
 
 
 def _add_motor_law(data: Measurements, found: Identification, objections: Sequence[str]) -> None:
-    """What the motor has beyond the plain law, and the estimate with it. The plain estimate stays as it is."""
-    plain = found.estimates.get(LEADING)
+    """What the motor has beyond the plain law, the estimate with it, and the verdicts by u95.
+
+    The numbers of the plain estimates stay as they are. Without a budget none of them can be ok.
+    """
+    plain = _leading(data, found)
     if plain is None or not plain.is_motor or not _may_have_laws(plain, data):
         return
     try:
-        law = motor_law(data.tests, plain, data.periods_s, data.further)
+        law = motor_law(data.tests, plain, data.periods_s, data.stated, data.further)
     except IdentifyError as error:
-        found.notes.append(f"law of the motor: {error.cause}")
+        _doubt(found, error.cause)
         return
     except np.linalg.LinAlgError as error:
-        found.notes.append(f"law of the motor: these tests give no answer ({error}); the plain estimate holds")
+        _doubt(found, f"these tests give no answer ({error})")
         return
-    if law.estimate is not None and slipped_rms_rad(plain, data.tests) < AS_GOOD * law.estimate.rms_rad:
+    if law.found and law.estimate is not None and slipped_rms_rad(plain, data.tests) < AS_GOOD * law.estimate.rms_rad:
         law = law.without_laws()  # other times of the drive explain the record as well: the plain verdict says so
+    largest_V = largest_drive_V(data.tests)
     if law.estimate is not None:
         judged = settled(judge_with_laws(law.estimate, data.tests, data.settled), data)
         judged = _with_causes(judged, data.tests).judged("doubtful" if objections else "ok", *objections)
-        law = replace(law, estimate=judged)
+        law = law.judged(largest_V, judged)
     found.motor_law = law
     found.notes += law.notes()
-    uncertain = law.reservation(law.estimate or plain, max(float(np.abs(test.u_V).max()) for test in data.tests))
-    if uncertain is not None:
-        found.notes.append(uncertain)
+    for method, estimate in found.estimates.items():
+        reservations = law.reservations(estimate, largest_V) if estimate.is_motor else []
+        if reservations and (method == LEADING or estimate.verdict == "ok"):
+            found.estimates[method] = estimate.judged("doubtful", *reservations)
+
+
+def _leading(data: Measurements, found: Identification) -> Estimate | None:
+    """The leading estimate, fitted if it was not asked for; None if another has no tau and K, or if it fails."""
+    if LEADING in found.estimates or not any(estimate.is_motor for estimate in found.estimates.values()):
+        return found.estimates.get(LEADING)
+    try:
+        return _estimate(_made(next(entry for entry in ESTIMATORS if entry.name == LEADING)), data, {})
+    except IdentifyError as error:
+        _doubt(found, error.cause)
+        return None
+
+
+def _doubt(found: Identification, cause: str) -> None:
+    """No estimate is ok that has no uncertainty budget."""
+    for method, estimate in found.estimates.items():
+        if estimate.is_motor:
+            reason = f"what else the motor has is not known, so there is no u95: {cause}"
+            found.estimates[method] = estimate.judged("doubtful", reason)
 
 
 def _may_have_laws(plain: Estimate, data: Measurements) -> bool:

@@ -11,6 +11,7 @@ from rig.identify.cycles import find_cycle
 from rig.identify.mean_cycle import Cycle
 from rig.identify.preprocessing import from_recording
 from rig.identify.records import FURTHER, left_out, sound_rows
+from rig.identify.stated_errors import StatedErrors
 from rig.model.supply import SupplyReading
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
@@ -33,6 +34,7 @@ class Measurements:
     sources     for each recording its name, and its series
     further     records beside the tests, for the law of the motor: gain search and breakaway check, as far as they are
                 sound, each with the number of a test of the same run
+    stated      for each recording what its bench may be wrong by
     notes       what was left out or corrected, how gains and cycles were found
     """
 
@@ -45,6 +47,7 @@ class Measurements:
     supplies: list[str] = field(default_factory=list)
     sources: list[tuple[str, Sequence[TimeSeries]]] = field(default_factory=list)
     further: list[tuple[TimeSeries, int]] = field(default_factory=list)
+    stated: list[StatedErrors] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -71,6 +74,7 @@ def measurements(
     data = Measurements()
     beside: list[tuple[TimeSeries, TimeSeries]] = []
     for recording in recordings:
+        data.stated.append(StatedErrors.of(recording.meta))
         gone = left_out(recording, without)
         data.guarded += _guarded(recording)
         data.supplies += [reason for reason in _supply(recording) if reason not in data.supplies]

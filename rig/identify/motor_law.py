@@ -7,7 +7,7 @@ the choice into an estimate with its intervals, names laws that look alike, and 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,25 +15,26 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from rig.identify.departures import DEPARTURES
-from rig.identify.departures.budget import Budget, budget
-from rig.identify.departures.choice import Choice, Chooser, Columns, loss, unit, with_own_noise
+from rig.identify.departures.budget import OTHER, Budget, budget
+from rig.identify.departures.choice import Chooser, loss, unit, with_own_noise
 from rig.identify.departures.departure import Departure
 from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal
+from rig.identify.departures.in_place import in_place
+from rig.identify.departures.nuisances import Nuisances
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.repetition import repeated_share, repetitions
-from rig.identify.verdict import PROMISE, SURE
+from rig.identify.stated_errors import ScaleErrors, StatedErrors
+from rig.identify.verdict import ASKED, beside, sizes_of
 from rig.model.real_motor import FramedMotor, RealMotor
 from rig.recording.series import TimeSeries
 from rig.recording.stage import StageKind
-from rig.results import BudgetEntry, FoundLawResult, LawFrameResult, MotorLawResult, PieceResult
+from rig.results import BudgetEntry, FittedRecord, FoundLawResult, LawFrameResult, MotorLawResult, PieceResult
 
 Array = NDArray[np.float64]
 
-LINEARITY_SHARE = 0.005  # largest error of a sensor's linearity, relative to its travel, where no data sheet is given
 ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 NO_CYCLE = 12.0  # parts of a record without a cycle that count as one
-SMALL_FRICTION = 0.03  # of the largest drive: the size that smaller friction counts as
 MOST_ROWS = 8000  # of all tests
 MOST_SURVEY_ROWS = 3000
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
@@ -71,10 +72,12 @@ class MotorLaw:
 
     found           the departures that the tests show
     not_told_apart  groups of names; each has one found law and those that explain the tests nearly as well
-    estimate        tau, K, friction, asymmetry and delay with these laws; None without any: the plain one holds
+    estimate        tau, K, friction, asymmetry and delay with these laws, from all records; None if that is the plain
+                    estimate: no laws, and no records beside the tests
     budget          what may be wrong in them
     motor           with these laws: numbers of ``estimate`` and of ``found``; None without any
     growth          length of the pieces that were fitted, s, and their RMS residual, rad
+    records         what was fitted
     """
 
     found: tuple[FoundLaw, ...]
@@ -82,6 +85,7 @@ class MotorLaw:
     estimate: Estimate | None
     budget: Budget
     growth: tuple[tuple[float, float], ...]
+    records: tuple[FittedRecord, ...] = ()
     motor: FramedMotor | None = None
 
     def notes(self) -> list[str]:
@@ -92,29 +96,55 @@ class MotorLaw:
             lines.append(f"law: {' and '.join(group)} are not told apart; record {told_by}")
         return lines
 
+    def judged(self, largest_V: float, estimate: Estimate) -> MotorLaw:
+        """The same with the verdict of ``estimate``, which is its own, and its reservations."""
+        law = replace(self, estimate=estimate)
+        reservations = law.reservations(estimate, largest_V)
+        return replace(law, estimate=estimate.judged("doubtful", *reservations) if reservations else estimate)
+
     def without_laws(self) -> MotorLaw:
         """The same, but for the laws and their estimate: the plain one holds."""
         return replace(self, found=(), not_told_apart=(), estimate=None, motor=None)
 
-    def reservation(self, estimate: Estimate, largest_V: float) -> str | None:
-        """What makes ``estimate`` less certain than 2.5 %, as a sentence; None if nothing does.
+    def reservations(self, estimate: Estimate, largest_V: float) -> list[str]:
+        """Why an estimate of these tests cannot be ok, as sentences: a law that it has not, or too large a u95.
 
-        largest_V   largest drive of the tests, V: friction near zero has no useful relative uncertainty
+        largest_V   largest drive of the tests, V
         """
-        sizes = {"tau_s": estimate.tau_s, "K_rad_s_V": estimate.K_rad_s_V}
-        sizes["fc_V"] = max(abs(estimate.fc_V), SMALL_FRICTION * largest_V)
-        shares = {name: self.budget.u95[name] / abs(size) for name, size in sizes.items()}
+        sizes = sizes_of(estimate, largest_V)
+        return [*self._laws_that_it_has_not(estimate, sizes), *self._too_uncertain(estimate, sizes)]
+
+    def _laws_that_it_has_not(self, estimate: Estimate, sizes: Mapping[str, float]) -> Iterator[str]:
+        if self.estimate is None or estimate is self.estimate:
+            return
+        off = {name: abs(getattr(estimate, name) - getattr(self.estimate, name)) / sizes[name] for name in sizes}
+        name = max(off, key=lambda key: off[key])
+        if off[name] > ASKED:
+            laws = " and ".join(one.law.title for one in self.found)
+            why = f"for the motor has {laws}" if laws else "by all records together"
+            yield f"{name} is {100.0 * off[name]:.2g} % off, {why}: take the estimate with it (with_law)"
+
+    def _too_uncertain(self, estimate: Estimate, sizes: Mapping[str, float]) -> Iterator[str]:
+        shares = {name: self.budget.u95[name] / size for name, size in sizes.items()}
         name = max(shares, key=lambda key: shares[key])
-        if SURE * shares[name] <= PROMISE:
-            return None
-        largest = max(self.budget.entries, key=lambda entry: float(getattr(entry, name)))
-        law = next((one for one in DEPARTURES if one.name == largest.source), None)
-        what = largest.source if law is None else law.title
-        cure = "more cycles, and another amplitude" if law is None else law.told_by
-        return (
-            f"{name} is only certain to {100.0 * shares[name]:.2g} % (u95): most of it is {what}, which these tests do "
-            f"not exclude. To know more, record {cure}"
+        if shares[name] <= ASKED:
+            return
+        own = (entry for entry in self.budget.entries if not entry.absolute)
+        largest = max(own, key=lambda entry: float(getattr(entry, name)))
+        known = (
+            f"{name} is only certain to {beside(100.0 * shares[name], 100.0 * ASKED)} % (u95); "
+            f"ok asks for {100.0 * ASKED:.2g} %"
         )
+        laws = [law for law in DEPARTURES if law.name in largest.laws]
+        cures = ", and ".join(dict.fromkeys(law.told_by for law in laws))
+        if largest.source.startswith(OTHER):
+            what = " or ".join(law.title for law in laws)
+            yield f"{known}: most of it is that these tests do not tell {what}; record {cures}"
+        elif laws:
+            what = " and ".join(law.title for law in laws)
+            yield f"{known}: most of it is {what}, which these tests do not exclude; record {cures}"
+        elif estimate.verdict == "ok":  # else the sentence on its interval says it already
+            yield f"{known}: record more cycles, or slower and larger ones"
 
     def as_result(self) -> MotorLawResult:
         """As in result.json."""
@@ -131,14 +161,17 @@ class MotorLaw:
                 for one in self.found
             ),
             not_told_apart=self.not_told_apart,
-            u95=dict(self.budget.u95),
+            u95=self.budget.u95,
+            u95_absolute=self.budget.u95_absolute,
+            ok_asks_u95_percent=100.0 * ASKED,
             budget=tuple(
-                BudgetEntry(source=e.source, tau_s=e.tau_s, K_rad_s_V=e.K_rad_s_V, fc_V=e.fc_V)
+                BudgetEntry(source=e.source, tau_s=e.tau_s, K_rad_s_V=e.K_rad_s_V, fc_V=e.fc_V, absolute=e.absolute)
                 for e in self.budget.entries
             ),
             with_law=None if self.estimate is None else self.estimate.as_result(),
             law_frame=None if self.motor is None else LawFrameResult(**self.motor.frame._asdict()),
             pieces=tuple(PieceResult(length_s=length, rms_rad=rms) for length, rms in self.growth),
+            law_records=self.records,
         )
 
 
@@ -146,14 +179,17 @@ def motor_law(
     tests: Sequence[TimeSeries],
     plain: Estimate,
     periods_s: Sequence[float | None],
+    stated: Sequence[StatedErrors] = (StatedErrors(),),
     further: Sequence[tuple[TimeSeries, int]] = (),
 ) -> MotorLaw:
     """The law that the tests show, from the plain estimate on.
 
     periods_s  for each test the period of its cycle, s, or None
+    stated     what is known of the benches that recorded them; at least one
     further    records beside the tests, each with the number of a test of the same run
     Of more than 8,000 rows several at a time are taken as one. Raises IdentifyError if a test is too short.
     """
+    records = tuple(_record(series) for series in [*tests, *(series for series, _ in further)])
     rows = sum(len(test) for test in tests)
     further = [(_slow(series), number) for series, number in further]
     more = sum(len(series) for series, _ in further)
@@ -172,7 +208,9 @@ def motor_law(
     )
     durations = [window.duration_s for window in whole.windows]
     cycle_s = min((p for p in periods_s if p is not None), default=max(durations) / NO_CYCLE)
-    linearity_rad = 2.0 * LINEARITY_SHARE * whole.frames[0].half_travel_rad
+    frame = whole.frames[0]
+    low_rad, high_rad = frame.centre_rad - frame.half_travel_rad, frame.centre_rad + frame.half_travel_rad
+    linearity_rad = max(one.linearity_rad(high_rad - low_rad) for one in stated)
     bench = whole.every(0.5 * cycle_s).bench(start, linearity_rad)
     core = (*CORE, DELAY) if free_delay else CORE
     sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
@@ -181,22 +219,32 @@ def motor_law(
     choice = chooser.choose(whole.beside(further, delay_s[1], FURTHER_CYCLES * cycle_s), start, cycle_s)
     fit = with_own_noise(choice.fit)
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
-    lines = budget(fit, choice.laws, candidates, bench)
+    nuisances = Nuisances.of(fit, choice.laws, candidates, bench)
+    instead = in_place(nuisances, choice.laws)
+    lines = budget(nuisances, instead, ScaleErrors.of(stated, low_rad, high_rad))
     if not choice.laws and not further:
-        return MotorLaw((), (), None, lines, choice.growth)
+        return MotorLaw((), (), None, lines, choice.growth, records)
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
-    found = tuple(_found(law, fit, normal, covariance) for law in choice.laws)
+    groups = (
+        (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
+    )
     return MotorLaw(
-        found,
-        tuple(group for law in choice.laws if len(group := _alike(law, choice, fit, chooser)) > 1),
+        tuple(_found(law, fit, normal, covariance) for law in choice.laws),
+        tuple(group for group in groups if len(group) > 1),
         _estimate(fit, covariance, tested, plain, periods_s),
         lines,
         choice.growth,
+        records,
         FramedMotor(fit.motor, whole.frames[0]),
     )
 
 
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
+
+
+def _record(series: TimeSeries) -> FittedRecord:
+    rows = (series.first_row, series.first_row + len(series) - 1)
+    return FittedRecord(name=series.name, rows=rows, duration_s=float(series.t_s[-1] - series.t_s[0]))
 
 
 def _folded(series: TimeSeries, of_rows: int, tau_s: float) -> TimeSeries:
@@ -245,39 +293,6 @@ def _found(law: Departure, fit: Fit, normal: Normal, covariance: Array) -> Found
     price = len(law.numbers + law.shape) * math.log(_freedom(fit))
     numbers = {name: float(getattr(fit.motor, name)) for name in (*law.numbers, *law.shape)}
     return FoundLaw(law, size, (size - half, size + half), loss(normal, fit, law) / unit(fit) - price, numbers)
-
-
-def _alike(law: Departure, choice: Choice, fit: Fit, chooser: Chooser) -> tuple[str, ...]:
-    """The law, and those that would explain the tests nearly as well in its place (by the linear model)."""
-    rows = fit.problem.rows(fit.motor, fit.starts)
-    columns = Columns(fit, rows)
-    group = [law.name]
-    free = fit.problem.free
-    own = [free.index(name) for name in law.numbers]
-    shape = [free.index(name) for name in law.shape]
-    size = np.array([getattr(fit.motor, name) for name in law.numbers])
-    count = math.log(_freedom(fit))
-    for other in chooser.candidates:
-        if other in choice.laws:
-            continue
-        excess = math.inf
-        for trial in other.trials(chooser.bench):
-            added, _ = columns.of(other, trial)
-            normal = columns.normal(added)
-            rest = [k for k in range(normal.matrix.shape[0]) if k not in own and k not in shape]
-            pull = normal.gradient[rest] - normal.matrix[np.ix_(rest, own)] @ size
-            matrix = normal.matrix[np.ix_(rest, rest)]
-            scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-            answer = np.linalg.lstsq(matrix / np.outer(scale, scale), pull / scale, rcond=1e-11)[0]
-            rise = float(-2.0 * normal.gradient[own] @ size + size @ normal.matrix[np.ix_(own, own)] @ size)
-            rise -= float(pull / scale @ answer)
-            if other.one_sided and -(answer / scale)[-1] <= 0.0:
-                continue
-            excess = min(excess, rise)
-        extra = len(other.numbers + other.shape) - len(law.numbers + law.shape)
-        if excess / unit(fit) + extra * count < ALIKE:
-            group.append(other.name)
-    return tuple(group)
 
 
 def _estimate(fit: Fit, covariance: Array, tested: int, plain: Estimate, periods_s: Sequence[float | None]) -> Estimate:

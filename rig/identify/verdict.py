@@ -17,6 +17,8 @@ from rig.recording.series import TimeSeries, joined_times_s
 
 PROMISE = 0.05  # verdict ok promises that no relative error of a parameter is larger,
 SURE = 2.0  # so a 95 % interval must be this many times narrower: then one recording in ten thousand breaks the promise
+ASKED = PROMISE / SURE  # so much of u95 is ok, and of a 95 % interval, relative to the parameter
+SMALL_FRICTION = 0.03  # of the largest drive: the size that smaller friction counts as
 TOO_WIDE = 0.5  # half width of an interval, relative to its parameter
 POOR, TOO_POOR = 0.1, 0.4  # residual of a reference method over the spread of positions
 FEW_CYCLES = 5
@@ -74,28 +76,44 @@ def spread_rad(tests: Sequence[TimeSeries]) -> float:
 
 def intervals(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     """Judge the estimate by the widths of its intervals."""
-    sizes = {"tau_s": estimate.tau_s, "K_rad_s_V": estimate.K_rad_s_V}
-    # friction near zero has no useful relative error: then compare with the drive
-    sizes["fc_V"] = max(abs(estimate.fc_V), 0.03 * max(float(np.abs(test.u_V).max()) for test in tests))
-    for name, size in sizes.items():
+    for name, size in sizes_of(estimate, largest_drive_V(tests)).items():
         if name not in estimate.ci95:
             continue
         low, high = estimate.ci95[name]
-        share = 0.5 * (high - low) / abs(size)
+        share = 0.5 * (high - low) / size
         if not math.isfinite(share):
             return estimate.judged(
                 "refused",
                 f"the recording cannot separate {name} from the others: record a drive that moves the motor both ways",
             )
-        if SURE * share > PROMISE:
-            asked = f"{100 * PROMISE / SURE:.2g}"
-            known = (f"{100 * share:.{digits}g}" for digits in range(2, 18))
+        if share > ASKED:
             estimate = estimate.judged(
                 "refused" if share > TOO_WIDE else "doubtful",
-                f"{name} is only known to {next((text for text in known if text != asked), asked)} % (95 % interval); "
-                f"ok asks for {asked} %: record more cycles, or slower and larger ones",
+                f"{name} is only known to {beside(100 * share, 100 * ASKED)} % (95 % interval); "
+                f"ok asks for {100 * ASKED:.2g} %: record more cycles, or slower and larger ones",
             )
     return estimate
+
+
+def largest_drive_V(tests: Sequence[TimeSeries]) -> float:
+    """The largest drive of the tests, V."""
+    return max(float(np.abs(test.u_V).max()) for test in tests)
+
+
+def sizes_of(estimate: Estimate, largest_V: float) -> dict[str, float]:
+    """What an error of tau, K and friction is relative to, each in its unit, > 0.
+
+    largest_V   largest drive of the tests, V: friction near zero has no useful relative error
+    """
+    sizes = {"tau_s": abs(estimate.tau_s), "K_rad_s_V": abs(estimate.K_rad_s_V)}
+    sizes["fc_V"] = max(abs(estimate.fc_V), SMALL_FRICTION * largest_V)
+    return sizes
+
+
+def beside(value: float, other: float) -> str:
+    """``value`` with two digits, or as many as show that it is not ``other``."""
+    known = (f"{value:.{digits}g}" for digits in range(2, 18))
+    return next((text for text in known if text != f"{other:.2g}"), f"{other:.2g}")
 
 
 def enough_cycles(estimate: Estimate, cycles: Sequence[Cycle]) -> Estimate:

@@ -1,28 +1,30 @@
-"""The uncertainty budget of a run, in % of its estimate."""
+"""The uncertainty budget of a run, with its sources in words."""
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 
-from rig.estimators import LEADING
 from rig.identify.departures import DEPARTURES
 from rig.report.source import ReportedRun
-from rig.results import known
+from rig.results.budget_lines import BudgetLine, budget_lines, that_matter
+
+IN_WORDS = {
+    "u95": "together, in the bench's volts and radians",
+    "u95_absolute": "together, in true volts and radians",
+    "scatter": "scatter of the fit",
+    "supply": "motor supply, as stated",
+    "calibration": "calibrated angles, as stated",
+    "clock": "clock",
+    **{law.name: law.title for law in DEPARTURES},
+}
+SMALL = 0.1  # of the sum: smaller lines are left out
 
 
-def budget_shares(run: ReportedRun) -> list[tuple[str, tuple[float, float, float]]]:
-    """Lines of the budget, the whole first, in % of tau, K and fc; empty without a budget or an estimate."""
-    result = run.result
-    estimate = result.with_law or result.estimates.get(LEADING)
-    if estimate is None or not result.u95:
-        return []
-    tau, gain, friction = (known(estimate.value(key)) for key in ("tau_s", "K_rad_s_V", "fc_V"))
-    if not all(math.isfinite(v) and v > 0.0 for v in (tau, gain, friction)):
-        return []
-    titles = {law.name: law.title for law in DEPARTURES}
-    lines = [("together", result.u95.get("tau_s"), result.u95.get("K_rad_s_V"), result.u95.get("fc_V"))]
-    lines += [(titles.get(e.source, e.source), e.tau_s, e.K_rad_s_V, e.fc_V) for e in result.budget or ()]
-    return [
-        (source, (100.0 * known(a) / tau, 100.0 * known(b) / gain, 100.0 * known(c) / friction))
-        for source, a, b, c in lines
-    ]
+def budget_in_words(run: ReportedRun) -> list[BudgetLine]:
+    """u95 and its lines that matter, then u95_absolute and what it adds, in % of tau, K and fc; empty without one."""
+    lines = that_matter(budget_lines(run.result), SMALL)
+    return [replace(line, source=IN_WORDS.get(line.source, line.source)) for line in sorted(lines, key=_group)]
+
+
+def _group(line: BudgetLine) -> tuple[bool, bool]:
+    return line.absolute, not line.is_sum

@@ -11,12 +11,13 @@ from matplotlib.figure import Figure
 
 from rig.estimators import LEADING
 from rig.identify.estimate import Estimate
-from rig.identify.verdict import PROMISE, SURE
-from rig.report.budget import budget_shares
+from rig.report.budget import budget_in_words
 from rig.report.fit import PARAMETERS, average, cycles_of, law_motor, motor_of, predict_cycles
 from rig.report.source import Array, ReportedRun, Span
 from rig.report.style import (
+    FAINT,
     INK,
+    LIMIT,
     MEASURED,
     MUTED,
     RASTER_FROM,
@@ -35,8 +36,7 @@ from rig.results import known
 LABELS = {"tau_s": "τ, s", "K_rad_s_V": "K, (rad/s)/V", "fc_V": r"$\mathbf{f_c}$, V"}
 LONGEST_LAG = 60
 FEWEST_RESIDUALS = 20
-SMALLEST_BAR = 0.05  # %
-ASKED_PERCENT = 100.0 * PROMISE / SURE
+GROUP_GAP = 0.6  # of a bar, between the two sums
 
 
 def averaged_cycle(run: ReportedRun, span: Span) -> Picture:
@@ -168,23 +168,37 @@ def autocorrelation(pieces: list[Array], longest: int) -> tuple[Array, Array]:
 
 def budget(run: ReportedRun) -> Picture:
     """What the uncertainty of tau, K and f_c is made of, as bars. Raises AbsentError without a budget."""
-    lines = [(source, shares) for source, shares in budget_shares(run) if max(shares) > SMALLEST_BAR]
+    lines = budget_in_words(run)
     if not lines:
         raise AbsentError("There is no uncertainty budget.")
-    figure = new_figure(0.9 + 0.3 * len(lines))
+    figure = new_figure(0.9 + 0.26 * len(lines))
     panels = figure.subplots(1, 3, sharey=True, sharex=True)
+    own = sum(not row.absolute for row in lines)
+    places = [k + GROUP_GAP * row.absolute for k, row in enumerate(lines)]
+    colours = [(LIMIT if row.absolute else INK) if row.is_sum else FAINT for row in lines]
+    asked = run.result.ok_asks_u95_percent
     for k, (axes, key) in enumerate(zip(panels, PARAMETERS, strict=True)):
-        colours = [INK if row == 0 else MEASURED for row in range(len(lines))]
-        axes.barh(range(len(lines)), [shares[k] for _, shares in lines], height=0.6, color=colours)
-        axes.axvline(ASKED_PERCENT, color=MUTED, lw=1.0, ls=":")
+        shares = [row.percent[k] for row in lines]
+        axes.barh(places, [share if math.isfinite(share) else 0.0 for share in shares], height=0.7, color=colours)
+        for place, share, row in zip(places, shares, lines, strict=True):
+            if row.is_sum and math.isfinite(share):
+                axes.annotate(f"{share:.2f}", (share, place), (3, 0), textcoords="offset points", va="center")
+        if asked is not None:
+            axes.plot((asked, asked), (-0.5, own - 0.5), color=MUTED, lw=1.0, ls=":")
         axes.set_title(LABELS[key].split(",")[0])
-        axes.set_xlabel("%")
-    panels[0].set_yticks(range(len(lines)), [source for source, _ in lines])
-    panels[0].set_ylim(len(lines) - 0.4, -0.6)
+        axes.set_xlabel("% of the estimate")
+        axes.margins(x=0.15)
+        axes.grid(axis="y", visible=False)
+    panels[0].set_yticks(places, [row.source for row in lines])
+    panels[0].set_ylim(places[-1] + 0.6, -0.6)
+    for row, label in zip(lines, panels[0].get_yticklabels(), strict=True):
+        label.set_fontweight("bold" if row.is_sum else "normal")
     return render(
         figure, run.backend, "Uncertainty budget of tau, K and friction.",
-        "Half widths at 95 %. Scatter: of the fit. A law has a bar where the tests do not exclude it, as long as it is "
-        "likely and as far as it would move the estimate. Dotted: 2.5 %.",
+        "How far tau, K and friction may be off, with 95 % confidence, and what that comes from. Dark: all that counts "
+        "in the bench's own volts and radians (u95). Below it its parts: the noise, and each law that the tests do not "
+        "exclude, with as much as it is likely. Red: the same in true volts and radians (u95_absolute), and what that "
+        "adds. Parts add up as squares." + ("" if asked is None else f" Dotted: {asked:.3g} %, the most for an ok."),
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from pydantic import JsonValue
 
 from rig.identify import laws
 from rig.identify.departures import DEPARTURES
-from rig.report.budget import budget_shares
+from rig.report.budget import budget_in_words
 from rig.report.fit import law_motor
 from rig.report.source import PREFERRED, ReportedRun
 from rig.report.style import short
@@ -92,6 +92,7 @@ class BudgetRow:
 
     source: str
     cells: list[Cell]
+    is_sum: bool
 
 
 @dataclass(frozen=True)
@@ -177,13 +178,15 @@ def with_law(run: ReportedRun) -> list[Quantity]:
 
 
 def budget(run: ReportedRun) -> list[BudgetRow]:
-    """The uncertainty budget, % of the leading estimate: the whole first; lines below a tenth of it are left out."""
-    shares = budget_shares(run)
-    if not shares:
-        return []
-    whole = shares[0][1]
-    kept = [shares[0], *(line for line in shares[1:] if any(a > 0.1 * b for a, b in zip(line[1], whole, strict=True)))]
-    return [BudgetRow(source, [(share, f"{share:.2g}") for share in line]) for source, line in kept]
+    """The uncertainty budget, % of the estimate that it belongs to."""
+    return [
+        BudgetRow(
+            line.source,
+            [(share, f"{share:.2f}") if math.isfinite(share) else (None, "–") for share in line.percent],
+            line.is_sum,
+        )
+        for line in budget_in_words(run)
+    ]
 
 
 def _own(fit: LawFit) -> Sequence[LawNumberResult]:

@@ -6,6 +6,7 @@ from rig.results.estimates import (
     BreakawayResult,
     BudgetEntry,
     EstimateResult,
+    FittedRecord,
     FoundLawResult,
     FrictionLawResult,
     FrictionMapResult,
@@ -24,7 +25,15 @@ from rig.results.estimates import (
     known,
 )
 from rig.results.event import DrivenModel, DrivenSurvey, DrivenSweep, FurtherTest, RunEvent
-from rig.results.meta import DeviceSeen, RealTimeReport, RunMeta, ScriptCall, SupplyBelieved, TrueMotor
+from rig.results.meta import (
+    DeviceSeen,
+    RealTimeReport,
+    RunMeta,
+    ScriptCall,
+    SensorBelieved,
+    SupplyBelieved,
+    TrueMotor,
+)
 from rig.results.part import JsonObject, Part
 from rig.results.result import (
     DeviceLoop,
@@ -47,6 +56,7 @@ __all__ = [
     "DrivenSweep",
     "EstimateResult",
     "FaultReport",
+    "FittedRecord",
     "FoundLawResult",
     "FrictionLawResult",
     "FrictionMapResult",
@@ -73,6 +83,7 @@ __all__ = [
     "RunResult",
     "ScriptCall",
     "SearchStepResult",
+    "SensorBelieved",
     "StaticFrictionResult",
     "SupplyBelieved",
     "TrackingResult",

@@ -176,10 +176,14 @@ class LawFrameResult(Part):
 class BudgetEntry(Part):
     """One line of the uncertainty budget: half widths at 95 %."""
 
-    source: Text = Field(description="`scatter`: of the fit; else a law that the tests neither show nor exclude")
+    source: Text = Field(
+        description="`scatter`: of the fit; `supply`, `calibration`, `clock`; else a law that the tests neither show "
+        "nor exclude"
+    )
     tau_s: Number = Field(None, description="what it adds to the uncertainty of tau, s")
     K_rad_s_V: Number = Field(None, description="of K, (rad/s)/V")
     fc_V: Number = Field(None, description="of the friction, V")
+    absolute: Annotated[Flag, NOT_IN_EACH_FILE] = Field(False, description="whether it counts in u95_absolute alone")
 
 
 class PieceResult(Part):
@@ -189,6 +193,14 @@ class PieceResult(Part):
     rms_rad: Number = Field(
         None, description="RMS of the residual, rad: it grows with the length if the motor is random"
     )
+
+
+class FittedRecord(Part):
+    """A record that the law of the motor was fitted to."""
+
+    name: Text = Field(description="its stage; of a CSV file: the file's name")
+    rows: Rows | None = Field(None, description="first and last row, counted from 0")
+    duration_s: Number = Field(None, description="how long it is, s")
 
 
 class MapSpeedResult(Part):
@@ -235,13 +247,30 @@ class MotorLawResult(Part):
     not_told_apart: Sometimes[tuple[tuple[Text, ...], ...]] = Field(
         None, description="groups of laws that explain the tests equally well"
     )
-    with_law: Sometimes[EstimateResult] = Field(None, description="the leading estimate of a motor with these laws")
+    with_law: Sometimes[EstimateResult] = Field(
+        None, description="the leading estimate of a motor with these laws, from all these records"
+    )
     law_frame: Sometimes[LawFrameResult] = Field(None, description="what the numbers of these laws refer to")
     u95: Sometimes[dict[str, Number]] = Field(
-        None, description="expanded uncertainty, half width at 95 %, by parameter"
+        None,
+        description="expanded uncertainty, half width at 95 %, by parameter, in the bench's own volts, radians and "
+        "seconds",
     )
-    budget: Sometimes[tuple[BudgetEntry, ...]] = Field(None, description="what u95 is made of, the largest first")
+    u95_absolute: Sometimes[dict[str, Number]] = Field(
+        None,
+        description="the same in true volts, radians and seconds: with the errors of supply, calibration and clock",
+    )
+    ok_asks_u95_percent: Sometimes[Number] = Field(
+        None, description="largest u95 of a verdict ok, % of each of tau, K and friction"
+    )
+    budget: Sometimes[tuple[BudgetEntry, ...]] = Field(
+        None, description="what u95 and u95_absolute are made of, the largest first"
+    )
     pieces: Sometimes[tuple[PieceResult, ...]] = Field(None, description="residual by the length of the fitted pieces")
+
+    law_records: Sometimes[tuple[FittedRecord, ...]] = Field(
+        None, description="what law, with_law, u95 and budget were fitted to; tracking never is"
+    )
 
     def law_keys(self) -> dict[str, Any]:
         """Those of these keys that were set, by name: to make another result that has them, too."""

@@ -28,6 +28,16 @@ class SupplyBelieved(Part):
 
     supply_V: Number = Field(None, description="supply of the bridge, V")
     bridge_drop_V: Number = Field(None, description="voltage drop in the bridge, V")
+    supply_error_percent: Sometimes[Number] = Field(None, description="largest error of supply_V, %")
+
+
+class SensorBelieved(Part):
+    """What the config says of the sensor's errors."""
+
+    linearity_percent: Number = Field(None, description="largest departure from a straight line, % of the full range")
+    full_range_rad: Number = Field(None, description="that range, rad")
+    calibration_error_rad: Number = Field(None, description="largest error of each angle of the calibration, rad")
+    calibration_rad: tuple[Real, ...] = Field((), description="those angles, rad, rising")
 
 
 class ScriptCall(Part):
@@ -82,6 +92,7 @@ class RunMeta(Part):
     times_error_s: Number = Field(None, description="largest error of t_u_s against t_s, s")
     firmware: DeviceSeen | None = Field(None, description="the device as it introduced itself")
     drive: SupplyBelieved | None = Field(None, description="the motor supply by the config")
+    sensor: Sometimes[SensorBelieved] = Field(None, description="the sensor's errors by the config")
     failsafe: Text = Field("", description="what stops the drive if the host is silent")
     started_utc: Text | None = Field(None, description="when the run started: ISO 8601, UTC")
     versions: dict[str, JsonValue] = Field({}, description="of rig and Python")

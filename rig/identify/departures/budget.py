@@ -3,43 +3,53 @@
 Type A is the scatter of the fit. To it comes every law that the record neither shows nor excludes. Such a law is kept
 as a nuisance: a bench has it with a probability of ``PRESENT``, in a size up to ``Departure.range_of``. The record
 changes both, by Bayes' rule. What the law then moves tau, K and friction by, weighted by how probable it still is, is
-its line. Two laws that hide each other have a line together: each alone may be excluded, while both are not.
+its line. Two or three laws that hide each other have a line together: each alone may be excluded, while all are not.
+Where another law would explain the record nearly as well as one that was found, that has a line as well.
+
+No record shows how large the bench's volt, radian and second are. What their errors move is in the absolute lines.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.identify.departures.choice import Columns, unit, with_own_noise
-from rig.identify.departures.departure import Bench, Departure
-from rig.identify.departures.fit import POSITIVE, Fit
+from rig.identify.departures.in_place import InPlace
+from rig.identify.departures.nuisances import OF, Nuisance, Nuisances
+from rig.identify.stated_errors import ScaleErrors
+from rig.model.real_motor import RealMotor
 
 Array = NDArray[np.float64]
 
-OF = ("tau_s", "K_rad_s_V", "fc_V")
 COVERAGE = 2.0  # of an expanded uncertainty: 95 %
-UNIFORM = math.sqrt(3.0)  # half width of a uniform distribution over its standard deviation
 PRESENT = 0.1  # probability of a law before the record is looked at
-MOST_TRIALS = 3  # starts of a law: of cogging the three lowest orders; higher ones are not in the budget
+MOST_TOGETHER = 3  # laws that are looked at together
 LARGEST_GAIN = 60.0  # of twice the log likelihood: it keeps its exponential finite
 TYPE_A = "scatter"
-TWO_LAWS = "two laws that hide each other"
+TOGETHER = "laws that hide each other"
+OTHER = "another law instead of "
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of the budget: what may be wrong, and the half widths at 95 % that it gives tau_s, K_rad_s_V, fc_V."""
+    """One line of the budget: what may be wrong, and the half widths at 95 % that it gives tau_s, K_rad_s_V, fc_V.
+
+    absolute   whether it is in no record: an error of the volt, the radian or the second
+    laws       names of the laws that most of the line comes from, where it is about laws
+    """
 
     source: str
     tau_s: float
     K_rad_s_V: float
     fc_V: float
+    absolute: bool = False
+    laws: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -50,87 +60,136 @@ class Budget:
 
     @property
     def u95(self) -> dict[str, float]:
-        """Expanded uncertainty of each parameter, in its unit, in the bench's own volts and radians."""
+        """Expanded uncertainty of each parameter, in its unit, in the bench's own volts, radians and seconds."""
+        return {name: math.hypot(*(getattr(e, name) for e in self.entries if not e.absolute)) for name in OF}
+
+    @property
+    def u95_absolute(self) -> dict[str, float]:
+        """The same in true volts, radians and seconds."""
         return {name: math.hypot(*(getattr(entry, name) for entry in self.entries)) for name in OF}
 
 
-def budget(fit: Fit, laws: Sequence[Departure], candidates: Sequence[Departure], bench: Bench) -> Budget:
-    """The budget of a fit with its chosen ``laws``."""
-    fit = with_own_noise(fit)
-    rows = fit.problem.rows(fit.motor, fit.starts)
-    columns = Columns(fit, rows)
-    of = [fit.problem.free.index(name) for name in OF]
-    size = np.array([getattr(fit.motor, name) if name in POSITIVE else 1.0 for name in OF])
-    core = len(fit.problem.free)
-    added: list[Array] = []
-    owners: list[Owner] = []
-    spreads: list[float] = []
-    for law in candidates:
-        if law in laws:
-            continue
-        for trial in law.trials(bench)[:MOST_TRIALS]:
-            column, scale = columns.of(law, trial)
-            owners.append((law, core + sum(a.shape[1] for a in added), column.shape[1]))
-            added.append(column)
-            spreads += [(law.range_of(bench) if scale else 1.0) / UNIFORM] * column.shape[1]
-    normal = columns.normal(np.column_stack(added)) if added else columns.base
-    variance = unit(fit)
-    matrix, gradient = normal.matrix / variance, normal.gradient / variance
-    return Budget(_entries(matrix, gradient, owners, np.array(spreads), (core, of, size)))
+def budget(nuisances: Nuisances, instead: Sequence[InPlace], scales: ScaleErrors) -> Budget:
+    """The budget of a fit with its chosen laws.
 
-
-Owner = tuple[Departure, int, int]  # a law, its first column, and how many it has
-
-
-def _entries(
-    matrix: Array, gradient: Array, owners: Sequence[Owner], spread: Array, plain: tuple[int, Sequence[int], Array]
-) -> tuple[Entry, ...]:
-    """The lines, from the normal equations in units of the noise.
-
-    matrix, gradient   of the fit's own numbers, then of all nuisances
-    spread             standard deviation of each nuisance before the record is looked at
-    plain              how many numbers are the fit's own, where tau, K and fc stand among them, and their units
+    nuisances   the laws that it has not
+    instead     those that could stand in place of a chosen one
+    scales      how well the bench's volt, radian and second are known
     """
-    core, of, size = plain
-    own = matrix[:core, :core]
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
-    inverse = np.linalg.pinv(own * np.outer(scale, scale), rcond=1e-13, hermitian=True) * np.outer(scale, scale)
-    border = matrix[core:, :core]
-    # each nuisance in its own spread: what the record says of it when the fit's numbers are free
-    inside = (matrix[core:, core:] - border @ inverse @ border.T) * np.outer(spread, spread)
-    pull = (gradient[core:] - border @ inverse @ gradient[:core]) * spread
-    moves = -(inverse @ border.T)[list(of)] * size[:, None] * spread  # of tau, K, fc by each
-    alone = np.diag(inverse)[list(of)] * size**2
+    shifts = Shifts.of(nuisances)
+    motor = nuisances.fit.motor
+    entries = [
+        Entry(TYPE_A, *(COVERAGE * np.sqrt(shifts.scatter)).tolist()),
+        *hidden(shifts, nuisances.each),
+        *instead_of(instead),
+        *absolute(motor, scales),
+    ]
+    size = [max(abs(getattr(motor, name)), 1e-12) for name in ("tau_s", "K_rad_s_V")]
+    return Budget(tuple(sorted(entries, key=lambda e: -max(e.tau_s / size[0], e.K_rad_s_V / size[1], e.fc_V))))
 
-    def hidden(at: list[int]) -> tuple[float, Array]:
-        """Odds of these nuisances against none, but for those before the record, and the squares of what they move."""
-        precision = np.eye(len(at)) + inside[np.ix_(at, at)]
+
+def absolute(motor: RealMotor, scales: ScaleErrors) -> tuple[Entry, ...]:
+    """The lines of supply, calibration and clock.
+
+    A volt that is larger by a share makes K smaller by it, and friction larger. A larger radian makes K larger alone; a
+    longer second makes tau longer and K smaller.
+    """
+    tau, gain, friction = (COVERAGE * abs(getattr(motor, name)) for name in OF)
+    return (
+        Entry("supply", 0.0, gain * scales.volt, friction * scales.volt, absolute=True),
+        Entry("calibration", 0.0, gain * scales.radian, 0.0, absolute=True),
+        Entry("clock", tau * scales.second, gain * scales.second, 0.0, absolute=True),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Shifts:
+    """What nuisances do to tau, K and friction, each nuisance in its own spread.
+
+    scatter    (3,) variances of tau, K and friction by the noise alone
+    moves      (3, n) of tau, K and friction by each
+    inside     (n, n) what the record says of them when the fit's own numbers are free
+    pull       (n,) and its gradient
+    """
+
+    scatter: Array
+    moves: Array
+    inside: Array
+    pull: Array
+
+    @classmethod
+    def of(cls, nuisances: Nuisances) -> Shifts:
+        """From the normal equations."""
+        matrix, gradient, spread, core = nuisances.matrix, nuisances.gradient, nuisances.spread, nuisances.core
+        own, border = matrix[:core, :core], matrix[core:, :core]
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
+        inverse = np.linalg.pinv(own * np.outer(scale, scale), rcond=1e-13, hermitian=True) * np.outer(scale, scale)
+        return cls(
+            np.diag(inverse)[nuisances.at] * nuisances.size**2,
+            -(inverse @ border.T)[nuisances.at] * nuisances.size[:, None] * spread,
+            (matrix[core:, core:] - border @ inverse @ border.T) * np.outer(spread, spread),
+            (gradient[core:] - border @ inverse @ gradient[:core]) * spread,
+        )
+
+    def by(self, at: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Of m sets of nuisances, ``at`` (m, d): odds against none, but for those before the record; what they move.
+
+        The second is (m, 3): the mean squares that each set moves tau, K and friction by.
+        """
+        precision = np.eye(at.shape[1]) + self.inside[at[:, :, None], at[:, None, :]]
         covariance = np.linalg.inv(precision)
-        mean = -covariance @ pull[at]
-        gain = min(float(-pull[at] @ mean), LARGEST_GAIN)
-        odds = math.exp(0.5 * gain) / math.sqrt(max(float(np.linalg.det(precision)), 1e-300))
-        by = moves[:, at]
-        return odds, np.einsum("ij,jk,ik->i", by, covariance, by) + (by @ mean) ** 2
+        mean = -np.einsum("mij,mj->mi", covariance, self.pull[at])
+        gain = np.minimum(-np.einsum("mi,mi->m", self.pull[at], mean), LARGEST_GAIN)
+        odds = np.exp(0.5 * (gain - np.linalg.slogdet(precision)[1]))
+        by = self.moves[:, at]
+        squares = np.einsum("imd,mde,ime->mi", by, covariance, by) + np.einsum("imd,md->mi", by, mean) ** 2
+        return odds, squares
 
+
+def hidden(shifts: Shifts, nuisances: Sequence[Nuisance]) -> Iterator[Entry]:
+    """A line for each law, and one for all sets of more."""
     before = PRESENT / (1.0 - PRESENT)
-    lines: dict[str, Array] = {}
-    total = 1.0
-    trials = {law.name: sum(1 for other, _, _ in owners if other is law) for law, _, _ in owners}
-    for law, first, count in owners:
-        odds, squares = hidden([*range(first - core, first - core + count)])
-        weight = before / trials[law.name] * odds
-        total += weight
-        lines[law.name] = lines.get(law.name, np.zeros(3)) + weight * squares
-    pairs = np.zeros(3)
-    for (a, first_a, count_a), (b, first_b, count_b) in combinations(owners, 2):
-        if a is not b:
-            at = [*range(first_a - core, first_a - core + count_a), *range(first_b - core, first_b - core + count_b)]
-            odds, squares = hidden(at)
-            weight = before**2 / (trials[a.name] * trials[b.name]) * odds
-            total += weight
-            pairs += weight * squares
-    lines[TWO_LAWS] = pairs
-    found = [Entry(TYPE_A, *(COVERAGE * np.sqrt(alone)).tolist())]
-    found += [Entry(name, *(COVERAGE * np.sqrt(line / total)).tolist()) for name, line in lines.items()]
-    weight_of = np.maximum(size, 1e-12)
-    return tuple(sorted(found, key=lambda e: -max(e.tau_s / weight_of[0], e.K_rad_s_V / weight_of[1], e.fc_V)))
+    weights: list[Array] = []
+    squares: list[Array] = []
+    names: list[tuple[str, ...]] = []
+    for sets in _sets(nuisances):
+        odds, moved = shifts.by(np.array([[k for one in chosen for k in one.columns] for chosen in sets]))
+        prior = [math.prod(before / one.starts for one in chosen) for chosen in sets]
+        weights.append(odds * prior)
+        squares.append(moved)
+        names += [tuple(one.law.name for one in chosen) for chosen in sets]
+    if not names:
+        return
+    weight = np.concatenate(weights)
+    share = (weight / (1.0 + weight.sum()))[:, None] * np.concatenate(squares)
+    lines: dict[str, list[int]] = defaultdict(list)
+    for k, chosen in enumerate(names):
+        lines[chosen[0] if len(chosen) == 1 else TOGETHER].append(k)
+    for source, rows in lines.items():
+        line = share[rows]
+        most = names[rows[int(np.argmax((line / np.maximum(line.sum(axis=0), 1e-300)).sum(axis=1)))]]
+        tau, gain, friction = (COVERAGE * np.sqrt(line.sum(axis=0))).tolist()
+        yield Entry(source, tau, gain, friction, laws=most)
+
+
+def instead_of(instead: Sequence[InPlace]) -> Iterator[Entry]:
+    """A line for each chosen law that another may stand in for: each as likely as Schwarz's criterion says."""
+    by_law: dict[str, list[InPlace]] = defaultdict(list)
+    for one in instead:
+        by_law[one.law.name].append(one)
+    for others in by_law.values():
+        odds = np.exp(-0.5 * np.maximum([one.rise for one in others], 0.0))
+        squares = (odds / (1.0 + odds.sum()))[:, None] * np.array([one.moves**2 for one in others])
+        most = others[int(np.argmax(odds))]
+        tau, gain, friction = (COVERAGE * np.sqrt(squares.sum(axis=0))).tolist()
+        yield Entry(f"{OTHER}{most.law.name}", tau, gain, friction, laws=(most.law.name, most.other.name))
+
+
+def _sets(nuisances: Sequence[Nuisance]) -> Iterator[list[tuple[Nuisance, ...]]]:
+    """All sets of one, two and three laws, those with as many columns together."""
+    alike: dict[int, list[tuple[Nuisance, ...]]] = defaultdict(list)
+    for count in range(1, MOST_TOGETHER + 1):
+        for chosen in combinations(nuisances, count):
+            if len({one.law.name for one in chosen}) == count:
+                alike[sum(one.count for one in chosen)].append(chosen)
+    yield from alike.values()

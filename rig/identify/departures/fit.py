@@ -22,6 +22,7 @@ LARGEST_STEP = 1.0  # of a logarithm, in one iteration
 ITERATIONS = 40
 TRIES = 12  # of the damping, in one iteration
 DAMPING = 1e-3
+VELOCITY_SHOWN = 0.1  # share of a piece's duration in which its start's velocity is taken to show at least
 ENOUGH = 0.01  # gain of the whitened sum of squares below which a fit has arrived
 BOUNDLESS: tuple[float, float] = (-math.inf, math.inf)
 
@@ -201,6 +202,7 @@ class Normal:
     pull: Array  # (p, 2)
     raw: Array  # (m, m), before the starts are taken out
     raw_gradient: Array
+    scale: Array  # (p, 2): of the starts; damping is measured in it
 
     @classmethod
     def of(cls, rows: Rows, cut: Cut) -> Normal:
@@ -214,7 +216,10 @@ class Normal:
         matrix = raw - np.einsum("pki,pkj->ij", border, solved[:, :, :-1])
         gradient = raw_gradient - np.einsum("pki,pk->i", border, solved[:, :, -1])
         squares = float(r @ r - np.einsum("pk,pk", pull, solved[:, :, -1]))
-        return cls(matrix, gradient, squares, own, border, pull, raw, raw_gradient)
+        scale = np.einsum("pii->pi", own).copy()
+        # a shaft at rest shows no velocity: without this its start would go anywhere
+        scale[:, 0] = np.maximum(scale[:, 0], scale[:, 1] * (VELOCITY_SHOWN * cut.durations_s) ** 2)
+        return cls(matrix, gradient, squares, own, border, pull, raw, raw_gradient, scale)
 
     def step(self, held: NDArray[np.bool_], damping: float) -> tuple[Array, Array]:
         """Change of the numbers and of the starts.
@@ -222,7 +227,7 @@ class Normal:
         held      which numbers stay, True or False each
         damping   share of the diagonal that is added to it, 1
         """
-        own = self.own + damping * np.einsum("pii->pi", self.own)[:, :, None] * np.eye(2)
+        own = self.own + damping * self.scale[:, :, None] * np.eye(2)
         solved = np.linalg.solve(_regular(own), np.concatenate((self.border, self.pull[:, :, None]), axis=2))
         diagonal = np.diag(self.raw)
         matrix = self.raw + np.diag(damping * np.where(diagonal > 0.0, diagonal, 1.0))

@@ -109,11 +109,16 @@ class Cut:
         """For each row the number of its piece."""
         return np.repeat(np.arange(self.begins.size), self.lengths)
 
+    @cached_property
+    def durations_s(self) -> Array:
+        """Length of each piece, s."""
+        last = np.append(self.begins[1:], self.t_s.size) - 1
+        return np.asarray(self.t_s[last] - self.t_s[self.begins])
+
     @property
     def longest_s(self) -> float:
         """Length of the longest piece, s."""
-        last = np.append(self.begins[1:], self.t_s.size) - 1
-        return float(np.max(self.t_s[last] - self.t_s[self.begins]))
+        return float(np.max(self.durations_s))
 
     def bench(self, motor: RealMotor, linearity_rad: float) -> Bench:
         """Sizes of this motor and record."""

@@ -1,0 +1,85 @@
+"""The laws that a fit has not, as nuisances beside it: the normal equations of all of them (docs/theory.md 12.8)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.identify.departures.choice import Columns, unit, with_own_noise
+from rig.identify.departures.departure import Bench, Departure
+from rig.identify.departures.fit import POSITIVE, Fit
+
+Array = NDArray[np.float64]
+
+OF = ("tau_s", "K_rad_s_V", "fc_V")
+UNIFORM = math.sqrt(3.0)  # half width of a uniform distribution over its standard deviation
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """One start of a law: its first column among those of all nuisances, how many it has; and how many starts."""
+
+    law: Departure
+    first: int
+    count: int
+    starts: int
+
+    @property
+    def columns(self) -> range:
+        """Where its columns are."""
+        return range(self.first, self.first + self.count)
+
+
+@dataclass(frozen=True, eq=False)
+class Nuisances:
+    """All of them beside a fit.
+
+    fit        with the noise of its own residual
+    each       the starts of the laws that it has not
+    matrix, gradient   normal equations in units of the noise: of the fit's own numbers, then of the nuisances
+    spread     standard deviation of each nuisance before the record is looked at
+    """
+
+    fit: Fit
+    each: tuple[Nuisance, ...]
+    matrix: Array
+    gradient: Array
+    spread: Array
+
+    @classmethod
+    def of(cls, fit: Fit, laws: Sequence[Departure], candidates: Sequence[Departure], bench: Bench) -> Nuisances:
+        """Of all ``candidates`` that are not among the ``laws`` of the fit."""
+        fit = with_own_noise(fit)
+        columns = Columns(fit, fit.problem.rows(fit.motor, fit.starts))
+        added: list[Array] = []
+        each: list[Nuisance] = []
+        spreads: list[float] = []
+        for law in candidates:
+            trials = () if law in laws else law.trials(bench)
+            for trial in trials:
+                column, scale = columns.of(law, trial)
+                each.append(Nuisance(law, len(spreads), column.shape[1], len(trials)))
+                added.append(column)
+                spreads += [(law.range_of(bench) if scale else 1.0) / UNIFORM] * column.shape[1]
+        normal = columns.normal(np.column_stack(added)) if added else columns.base
+        variance = unit(fit)
+        return cls(fit, tuple(each), normal.matrix / variance, normal.gradient / variance, np.array(spreads))
+
+    @property
+    def core(self) -> int:
+        """How many numbers are the fit's own; the nuisances follow."""
+        return len(self.fit.problem.free)
+
+    @property
+    def at(self) -> list[int]:
+        """Where tau, K and friction are among the fit's own numbers."""
+        return [self.fit.problem.free.index(name) for name in OF]
+
+    @property
+    def size(self) -> Array:
+        """(3,) tau, K and friction in their units for one of the fit's numbers."""
+        return np.array([getattr(self.fit.motor, name) if name in POSITIVE else 1.0 for name in OF])
