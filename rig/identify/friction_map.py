@@ -36,7 +36,7 @@ LOCAL_SHARE = 0.15  # of a sweep's speed: noise of its local speed
 STILL_SHARE = 0.25  # of a sweep's speed: slower counts as sticking
 STICKS = 0.05  # of a sweep that sticks: its drive is not the drive of its speed
 TAPER = 0.2  # of the travel, over which the weight of a whole sweep rises and falls
-KNOWN = 2e-4  # of the drive: no bench knows its drive better
+KNOWN = 5e-4  # of the drive: no bench knows its drive better
 LEVELS_V = 2e-3  # sweeps that are known better than this count alike in the mean over the speeds
 OVERLAP = 1.5  # windows of which neighbours share so much count for fewer
 
@@ -121,10 +121,10 @@ class FrictionMap:
 
     def notes(self) -> list[str]:
         """What there is to know, as sentences."""
-        stuck = sorted({abs(one.speed_rad_s) for one in self.speeds if one.sticks})
+        stuck = sorted(abs(one.speed_rad_s) for one in self.speeds if one.sticks)
         if not stuck:
             return []
-        words = ", ".join(f"{v:.3g}" for v in stuck)
+        words = ", ".join(dict.fromkeys(f"{v:.2g}" for v in stuck))
         return [f"friction map: at {words} rad/s the shaft sticks and slips: the drive there is not of a steady speed"]
 
     def as_result(self) -> FrictionMapResult:

@@ -33,6 +33,7 @@ from rig.results import HystereticResult, IdentificationResult, RelayTestResult,
 
 METHODS = tuple(entry.name for entry in ESTIMATORS)
 AS_GOOD = 1.05  # ratio of residuals within which two explanations are as good
+SHOWS = 1.01  # ratio of residuals beyond which an explanation shows in the tests
 
 
 @dataclass
@@ -267,7 +268,7 @@ def _add_motor_law(data: Measurements, found: Identification, objections: Sequen
     except np.linalg.LinAlgError as error:
         _doubt(found, f"these tests give no answer ({error})")
         return
-    if law.found and law.estimate is not None and slipped_rms_rad(plain, data.tests) < AS_GOOD * law.estimate.rms_rad:
+    if law.found and law.estimate is not None and _slipped(plain, law.estimate, data.tests):
         law = law.without_laws()  # other times of the drive explain the record as well: the plain verdict says so
     largest_V = largest_drive_V(data.tests)
     if law.estimate is not None:
@@ -299,6 +300,15 @@ def _doubt(found: Identification, cause: str) -> None:
         if estimate.is_motor:
             reason = f"what else the motor has is not known, so there is no u95: {cause}"
             found.estimates[method] = estimate.judged("doubtful", reason)
+
+
+def _slipped(plain: Estimate, with_law: Estimate, tests: Sequence[TimeSeries]) -> bool:
+    """Whether other times of the drive explain the tests as well as the laws do, and better than the plain motor.
+
+    Where the tests need no laws, other records showed them: then the times of the tests say nothing against these.
+    """
+    slipped_rad = slipped_rms_rad(plain, tests)
+    return slipped_rad < AS_GOOD * with_law.rms_rad and SHOWS * slipped_rad < plain.rms_rad
 
 
 def _may_have_laws(plain: Estimate, data: Measurements) -> bool:
