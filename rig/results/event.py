@@ -20,7 +20,7 @@ class RunEvent(Part):
 
 
 class DrivenSurvey(Part):
-    """The keys of an event ``survey``: the crude motor, and the plan of the sweeps. Each speed is an event ``sweep``."""
+    """The keys of an event ``survey``: the crude motor, and the plan. Each speed is an event ``sweep``."""
 
     tau_s: Real
     K_rad_s_V: Real
