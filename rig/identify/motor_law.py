@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 NO_CYCLE = 12.0  # parts of a record without a cycle that count as one
 MOST_ROWS = 8000  # of all tests
-MOST_SURVEY_ROWS = 2000
+MOST_SURVEY_ROWS = 1200
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
 ROWS_OF_TAU = 20  # at least so many of the rows taken as one have room in tau
 CORE_OF = dict(zip((*CORE, DELAY), PARAMETERS, strict=True))

@@ -14,10 +14,11 @@ from command_line import rig
 from rig.recording.reader import read_run
 
 ROOT = Path(__file__).resolve().parents[2]
-# An unbalanced load, cogging and a Stribeck effect: what the map is to show.
+pytestmark = pytest.mark.timeout(900)  # identifications with a survey, on a machine that others share
+# An unbalanced load and a Stribeck effect: what the map is to show.
 FRICTION = {"fc_plus_V": 0.48, "fc_minus_V": 0.48, "fs_plus_V": 0.54, "fs_minus_V": 0.54, "stribeck_rad_s": 0.4}
 NARROW = {"soft_rad": [-0.05, 0.05], "hard_rad": [-1.95, 1.95], "max_speed_rad_s": 4.9, "coast_tau_s": 0.2}
-PARTS = {"force_sin_V": 0.08, "cogging_sin_V": 0.02, "cogging_per_rad": 8.0, "half_travel_rad": 1.0}
+PARTS = {"force_sin_V": 0.08, "half_travel_rad": 1.0}
 
 
 def written(folder: Path, parts: dict[str, float] | None = None, **sections: object) -> Path:
@@ -56,7 +57,7 @@ def test_the_map_is_the_true_motor_within_its_error_bars(survey: dict[str, Any])
     # the window over the whole travel rises and falls over a fifth of it
     near_end = np.clip(np.minimum(y - low, high - y) / (0.2 * (high - low)), 0.0, 1.0)
     weight = near_end - np.sin(2.0 * np.pi * near_end) / (2.0 * np.pi)
-    force = 0.08 * np.sin(y) + 0.02 * np.sin(8.0 * y)
+    force = 0.08 * np.sin(y)
     for one in found["speeds"]:
         v = one["speed_rad_s"]
         level = fc + 0.06 * np.exp(-abs(v) / 0.4)
@@ -64,10 +65,8 @@ def test_the_map_is_the_true_motor_within_its_error_bars(survey: dict[str, Any])
         assert one["drive_V"] == pytest.approx(true, abs=4.0 * one["error_V"] + 0.001)
         assert not one["sticks"] and one["error_V"] < 0.005
     for one in found["positions"]:
-        at = one["y_rad"]
-        assert one["force_V"] == pytest.approx(
-            0.08 * np.sin(at) + 0.02 * np.sin(8.0 * at) - bias, abs=4.0 * one["error_V"] + 0.002
-        )
+        true = 0.08 * np.sin(one["y_rad"]) - bias
+        assert one["force_V"] == pytest.approx(true, abs=4.0 * one["error_V"] + 0.002)
 
 
 def test_the_shaft_keeps_within_the_soft_limits_and_rests_at_the_end(survey: dict[str, Any]) -> None:
