@@ -20,6 +20,7 @@ from rig.control.excitation import GainSearch, SettledCycle
 from rig.faults import Fault
 from rig.identify import Identification
 from rig.loop.statistics import LoopStatistics
+from rig.model.real_motor import FramedMotor
 from rig.package import VERSION as RIG_VERSION
 from rig.preflight import notes
 from rig.preflight.room_to_stop import device_watchdog_s
@@ -56,6 +57,7 @@ class Findings:
     identification  of this run's recording, or of ``models_from``
     models_from     another run whose models are driven
     tracking        by method; an empty one has come to its end, but nobody has measured its error yet
+    real_motors     by method, the models with laws that tracked
     shaft           where the emulated shaft really was, in the bench's own time and radians; None if nobody knows
     notes           what else there is to know, in words
     """
@@ -70,6 +72,7 @@ class Findings:
     models_from: Path | None = None
     jog: JogResult | None = None
     tracking: dict[str, TrackingResult] = field(default_factory=dict)
+    real_motors: dict[str, FramedMotor] = field(default_factory=dict)
     shaft: ShaftPath | None = None
     notes: list[str] = field(default_factory=list)
 

@@ -286,7 +286,9 @@ def _measure_tracking(session: Session, outcome: Outcome) -> None:
             recording = session.read()
             rows = recording.stage_rows(str(Stage.track(method)))
             t_s, yd_rad = recording.t_s[rows], recording.yd_rad[rows]
-            rms_rad, max_rad = tracking_error(t_s, recording.y_rad[rows], yd_rad, after_s=FADE_S)
+            real = session.found.real_motors.get(method)
+            measured_rad = recording.y_rad[rows] if real is None else real.positions(recording.y_rad[rows])
+            rms_rad, max_rad = tracking_error(t_s, measured_rad, yd_rad, after_s=FADE_S)
             true = (
                 None if (y_rad := _true_position(session, t_s)) is None else tracking_error(t_s, y_rad, yd_rad, FADE_S)
             )
@@ -307,7 +309,7 @@ def _measure_tracking(session: Session, outcome: Outcome) -> None:
 
 
 def _true_position(session: Session, t_s: Array) -> Array | None:
-    """Where the emulated shaft was at these times, in the radians of the config's sensor; None if nobody knows.
+    """Where the emulated shaft was at these times, by the config's calibration (docs/theory.md 11.4); None: unknown.
 
     Also None where the device told less than all of that time.
     """

@@ -215,7 +215,7 @@ def show_estimates(
             click.echo(f"tracking with {method}: not run: {check_run.not_run}")
         if check_run.law:
             names = " and ".join(name.replace("_", " ") for name in check_run.law)
-            click.echo(f"tracking with {method}: its model has {names}, and the drive makes up for it")
+            click.echo(f"tracking with {method}: the drive makes up for {names}")
 
 
 def _tracking_cell(outcome: TrackingResult | None) -> str:

@@ -54,6 +54,8 @@ install_missing
 # exactly the locked packages, by hash; uv itself stays
 VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --compile-bytecode --require-hashes -r requirements.lock
 VIRTUAL_ENV=.venv .venv/bin/uv pip install --quiet --no-deps --editable .
+# so that no first run waits for it
+.venv/bin/python -m rig.identify.ready
 # npm keeps its own stamp of what it has installed
 AVR8JS=tests/hil/avr8js
 [ "$AVR8JS/node_modules/.package-lock.json" -nt "$AVR8JS/package-lock.json" ] || (cd "$AVR8JS" && npm ci --loglevel=error >/dev/null)

@@ -140,7 +140,7 @@ def connect(e: Experiment) -> Iterator[Bench]:
             if driver.failsafe is None and not e.daq.accept_no_watchdog:
                 raise Fault("NO_WATCHDOG")
             # only a device that says that it is emulated has a truth to compare with
-            yield Bench(driver, clock, info, *((truth, shaft) if info.emulated else (None, None)))
+            yield Bench(driver, clock, info, truth if info.emulated else None, shaft if info.emulated else None)
         finally:
             try:
                 driver.safe_stop()

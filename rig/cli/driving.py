@@ -42,6 +42,13 @@ def checked_bench(path: Path) -> Experiment:
     return experiment
 
 
+def compiled() -> None:
+    """Load the compiled model before a device is opened: while the drive is off, nobody should wait for it."""
+    from rig.identify.ready import make_ready
+
+    make_ready(lambda words: click.echo(words, err=True))
+
+
 def perform(start: Callable[[OnStart], Outcome], as_json: bool) -> Outcome:
     """Run with live progress (in a pipe: one line per stage), then show the result; with --json neither."""
     from rig.recording.follow import following

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from rig.cli.driving import checked_bench, perform
+from rig.cli.driving import checked_bench, compiled, perform
 from rig.cli.failure import EXIT_FAILED, faults
 from rig.cli.options import CONFIG, JSON, OUT
 from rig.recording.folder import json_text
@@ -32,6 +32,8 @@ def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
     The stages: breakaway, search, relay, identify, verify, report.
     """
     experiment = checked_bench(config_path)
+    if experiment.law is None:
+        compiled()
     if Console(stderr=True).is_terminal and not as_json:
         click.echo("opening the bench ...", err=True)
     from rig import experiment as script

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from rig.cli.driving import checked_bench, finish, perform
+from rig.cli.driving import checked_bench, compiled, finish, perform
 from rig.cli.failure import EXIT_BAD_INPUT, fail, fail_input
 from rig.cli.options import CONFIG, JSON, OUT
 from rig.recording.errors import RecordingError
@@ -33,6 +33,7 @@ def track(config_path: Path, model_run: Path, out: Path, as_json: bool) -> None:
 
     if experiment.tracking is None:
         fail(EXIT_BAD_INPUT, f"{config_path} has no section `tracking`", "add one, as in config/demo.yaml")
+    compiled()
     try:
         models = identify([read_run(model_run)])
     except (RecordingError, IdentifyError) as error:

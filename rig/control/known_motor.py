@@ -1,4 +1,7 @@
-"""A motor as a tracking law knows it, plain or with laws of a real one: how it will move, and which drive it needs."""
+"""A motor as a tracking law knows it, plain or with laws of a real one: how it will move, and which drive it needs.
+
+Laws of a real motor: docs/theory.md 11.4.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ from typing import Any, Protocol, TypeVar
 
 from rig.model import real_inverse, real_step
 from rig.model.motor import Motor, State
-from rig.model.real_motor import PARTS, FramedMotor
+from rig.model.real_motor import PARTS, FramedMotor, moved
 
 # Parts that no drive makes up for: friction of tomorrow; bristles, which bend less than a sensor sees; and a play, in
 # which the shaft does not feel the drive.
@@ -57,8 +60,8 @@ class KnownMotor(Protocol[S]):
         """State after ``dt_s`` (>= 0) seconds of constant drive ``u_V``."""
         ...
 
-    def drive_V(self, state: S, acceleration_rad_s2: float, friction_rad_s: float) -> float:
-        """Drive that gives the acceleration, with the friction of the velocity ``friction_rad_s``; at 0 with none."""
+    def drive_V(self, state: S, acceleration_rad_s2: float, direction: float) -> float:
+        """Drive that gives the acceleration, with friction of the direction's sign; of direction 0 without any."""
         ...
 
 
@@ -87,13 +90,13 @@ class PlainKnown:
         """As ``KnownMotor``."""
         return self.motor.advance(state, u_V, dt_s)
 
-    def drive_V(self, state: State, acceleration_rad_s2: float, friction_rad_s: float) -> float:
+    def drive_V(self, state: State, acceleration_rad_s2: float, direction: float) -> float:
         """As ``KnownMotor``: the level of that direction, whatever the speed."""
         friction = self.motor.friction
         compensation = 0.0
-        if friction_rad_s > 0.0:
+        if direction > 0.0:
             compensation = friction.plus_V
-        elif friction_rad_s < 0.0:
+        elif direction < 0.0:
             compensation = -friction.minus_V
         return (self.tau_s * acceleration_rad_s2 + state.v) / self.K_rad_s_V + compensation - self.motor.bias_V
 
@@ -102,13 +105,10 @@ class RealKnown:
     """A motor with the laws of a real one; parts that are ``NOT_COMPENSATED`` are taken out."""
 
     def __init__(self, framed: FramedMotor) -> None:
-        from rig.model.compiled.real_motion import advanced
-
         numbers = {name: 0.0 for part in NOT_COMPENSATED for name in PARTS[part]}
-        self.motor, self.frame = framed.motor._replace(delay_s=0.0, **numbers), framed.frame
+        self._framed = FramedMotor(framed.motor._replace(delay_s=0.0, **numbers), framed.frame)
+        self.motor, self.frame = self._framed.motor, self._framed.frame
         self.tau_s, self.K_rad_s_V, self.lag_s = self.motor.tau_s, self.motor.K_rad_s_V, self.motor.lag_s
-        self._numbers = (tuple(map(float, self.motor)), tuple(map(float, self.frame)))
-        self._advanced = advanced
 
     def position_rad(self, reading_rad: float) -> float:
         """As ``KnownMotor``."""
@@ -124,12 +124,11 @@ class RealKnown:
 
     def advance(self, state: real_step.State, u_V: float, dt_s: float) -> real_step.State:
         """As ``KnownMotor``."""
-        return real_step.State(*self._advanced(self._numbers, tuple(state), u_V, (self.frame.start_s, dt_s)))
+        return moved(self._framed, state, u_V, dt_s)
 
-    def drive_V(self, state: real_step.State, acceleration_rad_s2: float, friction_rad_s: float) -> float:
-        """As ``KnownMotor``: through the stage, against all forces where the shaft is."""
-        at = (state.v, state.y)
-        return real_inverse.drive_for(self.motor, self.frame, at, acceleration_rad_s2, friction_rad_s)
+    def drive_V(self, state: real_step.State, acceleration_rad_s2: float, direction: float) -> float:
+        """As ``KnownMotor``: through the stage, against all forces; of ``direction`` only the sign counts."""
+        return real_inverse.drive_for(self.motor, self.frame, (state.v, state.y), acceleration_rad_s2, direction)
 
 
 def known(motor: Motor | FramedMotor) -> KnownMotor[Any]:

@@ -32,22 +32,23 @@ def linearising_drive(
     reference: Reference,
     k1_1_s: float,
     k2_1_s2: float,
-    friction_rad_s: float,
+    sign_velocity_rad_s: float,
 ) -> float:
     """Drive of (33), (34), V: u = (tau/K) r + v/K + f_c sgn(.) - a, r = yd'' + k1 (yd' - v) + k2 (yd - y).
 
-    The friction compensation takes sign and size of the velocity ``friction_rad_s``; at exactly 0 there is none. The
-    constant a is the asymmetry. A motor with laws gets the drive that its laws ask for (docs/theory.md 11.4).
+    The friction compensation takes the sign of sign_velocity_rad_s, and the friction level of that direction; at
+    exactly 0 there is no compensation. The constant a is the asymmetry. A motor with laws gets the drive that its laws
+    ask for (docs/theory.md 11.4).
     """
-    return _drive_V(known(motor), state, reference, (k1_1_s, k2_1_s2), friction_rad_s)
+    return _drive_V(known(motor), state, reference, (k1_1_s, k2_1_s2), sign_velocity_rad_s)
 
 
 def _drive_V(
-    motor: KnownMotor[Any], state: MotorState, reference: Reference, gains: tuple[float, float], friction_rad_s: float
+    motor: KnownMotor[Any], state: MotorState, reference: Reference, gains: tuple[float, float], direction: float
 ) -> float:
     k1_1_s, k2_1_s2 = gains
     r = reference.a_rad_s2 + k1_1_s * (reference.v_rad_s - state.v) + k2_1_s2 * (reference.y_rad - state.y)
-    return motor.drive_V(state, r, friction_rad_s)
+    return motor.drive_V(state, r, direction)
 
 
 class Tracking:

@@ -472,6 +472,7 @@ def _note_tracking(session: Session, method: Method, model: Motor | FramedMotor,
     if isinstance(model, Motor):
         session.found.tracking[method] = TrackingResult()
         return
+    session.found.real_motors[method] = model
     left_out = tuple(part for part in model.parts if part in NOT_COMPENSATED)
     session.found.tracking[method] = TrackingResult(
         law=tuple(part for part in model.parts if part not in left_out), law_left_out=left_out or None

@@ -11,6 +11,7 @@ import math
 from rig.model.real_step import Frame, RealMotor, force, level, reading
 
 SOFT_SHARE = 0.1  # of fc: so little drive behind the stage moves no shaft, and the dead band is crossed within it
+STILL_SHARE = 0.03  # of tau: within it a shaft that has broken away leaves the static level behind
 ROUNDS = 40  # of the search for a position, which needs about ten
 CLOSE_RAD = 1e-9
 
@@ -25,10 +26,20 @@ def drive_before_stage(m: RealMotor, wanted_V: float) -> float:
     if size == 0.0:
         return 0.0
     sign = 1.0 if wanted_V > 0.0 else -1.0
-    before_sag = 2.0 * size / (1.0 + math.sqrt(max(1.0 - 4.0 * m.sag_per_V * size, 0.0)))
+    given_V = size if m.sag_per_V <= 0.0 else min(size, 0.25 / m.sag_per_V)
+    before_sag = 2.0 * given_V / (1.0 + math.sqrt(1.0 - 4.0 * m.sag_per_V * given_V))
     soft_V = SOFT_SHARE * m.fc_V
     crossed = 1.0 if size >= soft_V else size / soft_V
     return sign * (before_sag / (1.0 + sign * m.gain_by_sign) + crossed * m.dead_band_V)
+
+
+def still_share(m: RealMotor, speed_rad_s: float) -> float:
+    """How much of the static level a drive has to add at an estimated speed, rad/s: 1 at rest, 0 in motion.
+
+    An estimate is never exactly 0. So it falls over the speed that the static level itself gives within 0.03 tau.
+    """
+    still_rad_s = STILL_SHARE * m.K_rad_s_V * m.static_V
+    return max(1.0 - speed_rad_s / still_rad_s, 0.0) if still_rad_s > 0.0 else 0.0
 
 
 def drive_for(
@@ -44,7 +55,7 @@ def drive_for(
     friction = 0.0
     if direction != 0.0:
         speed = max(math.copysign(v, v * direction), 0.0)
-        height_V = level(m, frame, speed, y, frame.start_s) + (m.static_V if speed == 0.0 else 0.0)
+        height_V = level(m, frame, speed, y, frame.start_s) + still_share(m, speed) * m.static_V
         friction = math.copysign(height_V, direction)
     viscous = abs(v) * (m.viscous_by_direction_V_s_rad + m.drag_V_s2_rad2 * v)
     wanted_V = (m.tau_s * acceleration_rad_s2 + v) / m.K_rad_s_V + force(m, frame, y) + friction + viscous - m.bias_V

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rig.model import real_step
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
+from rig.model.real_inverse import position
 from rig.model.real_step import Frame as Frame
 from rig.model.real_step import Numbers, State
 from rig.model.real_step import RealMotor as RealMotor
@@ -74,6 +75,10 @@ class FramedMotor:
         """Numbers of motor and frame by name, without the parts that the motor has not."""
         own = {name: value for name, value in self.motor._asdict().items() if value != 0.0 or name in CORE}
         return {name: float(value) for name, value in (own | self.frame._asdict()).items()}
+
+    def positions(self, readings_rad: Array) -> Array:
+        """Where the shaft was when the sensor showed these readings, rad: without the sensor's curvature."""
+        return np.array([position(self.motor, self.frame, one) for one in readings_rad.tolist()])
 
     @property
     def plain(self) -> Motor:
@@ -210,6 +215,17 @@ class MovingMotor:
     def reading_rad(self) -> float:
         """What the sensor shows, rad."""
         return real_step.reading(self.motor, self.frame, self.state.x)
+
+
+def moved(framed: FramedMotor, state: tuple[float, ...], u_V: float, dt_s: float) -> State:
+    """State ``dt_s`` (>= 0) seconds of constant drive ``u_V`` after the frame's start; compiled.
+
+    state   as ``rig.model.real_step.State``
+    """
+    from rig.model.compiled.real_motion import advanced
+
+    numbers = tuple(map(float, framed.motor)), tuple(map(float, framed.frame))
+    return State(*advanced(numbers, tuple(state), u_V, (framed.frame.start_s, dt_s)))
 
 
 def _readings(

@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # rich loads slowly, and plain lines do not need it
     from rich.table import Table
 
 REFRESH_S = 0.2
+COMPUTES_S = 1.0  # without a row or an event: the drive is off, and the run computes
 BAR_WIDTH = 41
 
 
@@ -81,6 +82,7 @@ class Progress:
         self.done: list[tuple[str, str, str]] = []  # "done" or "ended", stage, its outcome
         self.fault = False
         self.ended = False
+        self.still_s = 0.0  # since the last row or event came
         self.t_s = 0.0
         self.y_rad = 0.0
         self.u_V = 0.0
@@ -132,7 +134,8 @@ class Progress:
             middle = BAR_WIDTH // 2
             mark = middle + round(middle * self.y_rad / self.reach_rad)
             line = "".join("|" if k == mark else "+" if k == middle else "." for k in range(BAR_WIDTH))
-            table.add_row(Text("now", style="yellow"), self.stage, self.detail)
+            computes = f"computing, {self.still_s:.0f} s" if self.still_s >= COMPUTES_S else self.detail
+            table.add_row(Text("now", style="yellow"), self.stage, computes)
             table.add_row("", f"{self.t_s:6.1f} s", f"{line}  {self.y_rad:+.2f} rad {self.u_V:+.2f} V")
         return table
 
@@ -178,13 +181,16 @@ def main(arguments: list[str]) -> int:
     progress = Progress()
     with Live(console=Console(stderr=True), auto_refresh=False, transient=False) as live:
         over = False
+        seen_s = time.monotonic()
         while not over:
             over = waiting.wait(REFRESH_S)
-            for line in events.lines():
+            happened, rows = events.lines(), samples.lines()
+            for line in happened:
                 progress.take_event(json.loads(line))
-            rows = samples.lines()
             if rows:
                 progress.take_row(rows[-1])
+            seen_s = time.monotonic() if happened or rows else seen_s
+            progress.still_s = time.monotonic() - seen_s
             live.update(progress.picture(), refresh=True)
             if progress.ended and not over:
                 time.sleep(REFRESH_S)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 
 import numpy as np
 from matplotlib.axes import Axes
 
+from rig.model.real_motor import FramedMotor
 from rig.report.source import Array, ReportedRun
 from rig.report.style import INK, LIMIT, MEASURED, MUTED, AbsentError, Picture, colour, new_figure, note, render
-from rig.results import known
+from rig.results import DrivenModel, known
+from rig.results.reading import DamagedError, parsed
 
 
 def tracking(run: ReportedRun) -> Picture:
@@ -22,15 +25,17 @@ def tracking(run: ReportedRun) -> Picture:
     t, y, yd = run.rows.t_s, run.rows.y_rad, run.rows.yd_rad
     figure = new_figure(4.3)
     panels = figure.subplots(2, len(last), sharex=True, sharey="row", squeeze=False, height_ratios=(1.6, 1.0))
-    largest = 0.0
+    largest, real_motors = 0.0, _real_motors(run)
     for column, span in enumerate(last.values()):
         method = span.stage.partition(":")[2]
         rows = slice(span.first, span.last + 1)
         time = t[rows] - t[span.first]
-        error = 1e3 * (yd[rows] - y[rows])
+        real = real_motors.get(method)
+        shown = y[rows] if real is None else real.positions(y[rows])
+        error = 1e3 * (yd[rows] - shown)
         top, bottom = panels[0, column], panels[1, column]
         top.plot(time, yd[rows], color=INK, lw=1.0, ls=(0, (4, 2)), label="wanted yd")
-        top.plot(time, y[rows], color=colour(method), lw=1.1, label="measured y")
+        top.plot(time, shown, color=colour(method), lw=1.1, label="measured y")
         top.set_title(method.replace("-", " "))
         bottom.plot(time, error, color=colour(method), lw=0.8)
         bottom.axhline(0.0, color=MUTED, lw=0.7)
@@ -53,8 +58,21 @@ def tracking(run: ReportedRun) -> Picture:
     return render(
         figure, run.backend, "Tracking with each model side by side: wanted and measured position, and the error.",
         "Tracking by feedback linearisation with each model: the same trajectory, gains and axes. The error includes "
-        "the sensor's noise. The table counts it only after the trajectory has faded in.",
+        "the sensor's noise, but no curvature of the sensor that the model knows. The table counts it only after the "
+        "trajectory has faded in.",
     )  # fmt: skip
+
+
+def _real_motors(run: ReportedRun) -> dict[str, FramedMotor]:
+    """By method, the models with laws that drove; a damaged one is left out: its readings are shown as they are."""
+    found = {}
+    for event in run.events:
+        if event.kind == "model":
+            with suppress(DamagedError, ValueError):
+                driven = parsed(DrivenModel, event.detail)
+                if driven.half_travel_rad is not None:
+                    found[driven.method] = FramedMotor.of(driven.numbers)
+    return found
 
 
 def loop_timing(run: ReportedRun) -> Picture:

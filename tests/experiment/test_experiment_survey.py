@@ -63,7 +63,7 @@ def test_the_map_is_the_true_motor_within_its_error_bars(survey: dict[str, Any])
         level = fc + 0.06 * np.exp(-abs(v) / 0.4)
         true = v / 6.5 + np.sign(v) * level + np.average(force, weights=weight) - bias
         assert one["drive_V"] == pytest.approx(true, abs=4.0 * one["error_V"] + 0.001)
-        assert not one["sticks"] and one["error_V"] < 0.005
+        assert not one["sticks"] and one["error_V"] < 0.01
     for one in found["positions"]:
         true = 0.08 * np.sin(one["y_rad"]) - bias
         assert one["force_V"] == pytest.approx(true, abs=4.0 * one["error_V"] + 0.002)

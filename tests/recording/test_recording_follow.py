@@ -51,6 +51,15 @@ def test_each_stage_is_shown_with_what_came_of_it() -> None:
     assert "POLARITY" in shown(progress)
 
 
+def test_a_stage_without_rows_says_that_it_computes_and_for_how_long() -> None:
+    progress = Progress()
+    progress.take_event({"t_s": 60.0, "kind": "stage", "name": "identify"})
+    assert "computing" not in shown(progress)
+    progress.still_s = 7.4
+    text = shown(progress)
+    assert "identify" in text and "computing, 7 s" in text
+
+
 def test_only_whole_lines_are_taken(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     tail = Tail(path)

@@ -161,6 +161,31 @@ def test_numbers_are_those_of_the_result(page: Page, complete: Path) -> None:
         assert value in page.values
 
 
+def test_a_run_with_laws_shows_them_in_the_pictures_and_in_the_tracking_check(run: Path) -> None:
+    """The law of this motor is none at all: a sag of nearly nothing, so that its picture is the plain model's."""
+
+    def with_law(result: dict[str, Any]) -> None:
+        leading = result["estimates"]["sampled-data"]
+        found = {
+            "name": "sag",
+            "value": 1e-6,
+            "unit": "1/V",
+            "ci95": [0, 2e-6],
+            "bic": 30,
+            "numbers": {"sag_per_V": 1e-6},
+        }
+        frame = {"centre_rad": 0.0, "half_travel_rad": 0.6, "start_s": 10.0, "duration_s": 30.0}
+        result.update(law=[found], with_law=leading, law_frame=frame)
+        result["tracking"]["sampled-data"] |= {"true_rms_rad": 0.00123, "true_max_rad": 0.0045, "law": ["sag"]}
+
+    edit(run / "result.json", with_law)
+    page = page_of(run)
+    assert any("sampled data with its laws" in svg_of(image) for image in page.images())
+    assert "The drive of the tracking check makes up for them." in page.words
+    assert "true RMS error, mrad" in page.words and "the drive makes up for sag" in page.words
+    assert 0.00123 in page.values and 0.0045 in page.values
+
+
 def test_headline_gives_the_values_with_interval_and_error_in_words(page: Page, complete: Path) -> None:
     assert "The motor is identified" in page.words
     assert "63 % of its final speed in 170 ms" in page.words

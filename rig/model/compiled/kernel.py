@@ -10,7 +10,8 @@ The loops take plain tuples of numbers and name them (``Plant``, ``State``) insi
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, TypeVar
@@ -35,8 +36,29 @@ def _digest() -> str:
 class _Cache(FunctionCache):
     """numba's cache, with that text in the key."""
 
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The copy on disk; None without one: then numba compiles."""
+        found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        if found is None:
+            for begins in _told:
+                begins()
+        return found
+
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         return super()._index_key(sig, codegen), SOURCE  # type: ignore[no-untyped-call]
+
+
+_told: list[Callable[[], None]] = []
+
+
+@contextmanager
+def compiling(begins: Callable[[], None]) -> Iterator[None]:
+    """Call ``begins`` before each loop that is compiled within the block because it is not on disk."""
+    _told.append(begins)
+    try:
+        yield
+    finally:
+        _told.remove(begins)
 
 
 def kernel(function: Function) -> Function:

@@ -1,0 +1,102 @@
+"""Tracking with the laws that rig identify finds: in virtual time, at fixed seeds, each bench identified once."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from command_line import rig
+
+from rig import config, experiment
+from rig.estimators import LEADING
+from rig.identify import Identification, identify
+from rig.model.real_motor import FramedMotor
+from rig.recording.reader import read_run
+from rig.replay import replay
+from rig.results import known
+from tracking_table import BENCHES, bench, compare
+
+STRIBECK, UNBALANCED, SAG = [name for name in BENCHES if name.startswith(("Stribeck", "an unbalanced", "a supply"))]
+PLAIN = next(name for name in BENCHES if name.startswith("none"))
+
+
+@pytest.fixture(autouse=True)
+def _no_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each run's page takes longer than the run, and is tested elsewhere."""
+    monkeypatch.setattr("rig.session.write_report", lambda *_: None)
+
+
+@pytest.mark.parametrize(("name", "law"), [(STRIBECK, "stribeck"), (UNBALANCED, "force_over_position"), (SAG, "sag")])
+def test_with_the_laws_the_error_is_at_most_half_at_each_seed(name: str, law: str, tmp_path: Path) -> None:
+    found = compare(bench(*BENCHES[name]), tmp_path)
+    assert law in found.laws
+    for with_laws, without in zip(found.with_laws, found.without, strict=True):
+        assert without.law is None
+        assert known(with_laws.rms_rad) <= 0.5 * known(without.rms_rad)
+        assert known(with_laws.true_rms_rad) <= 0.5 * known(without.true_rms_rad)
+
+
+def test_a_motor_without_laws_is_tracked_as_before_and_most_of_its_error_is_the_sensors(tmp_path: Path) -> None:
+    found = compare(bench(*BENCHES[PLAIN]), tmp_path, seeds=(1, 2))
+    assert found.laws == ()
+    assert found.with_laws == found.without
+    for one in found.with_laws:
+        assert known(one.rms_rad) < 0.0045
+        assert known(one.true_rms_rad) < 0.5 * known(one.rms_rad)
+        assert known(one.true_max_rad) >= known(one.true_rms_rad)
+
+
+@pytest.fixture(scope="module")
+def sagging(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Identification]:
+    """A config, a run of it, and what is identified from the run: a bench with sag."""
+    folder = tmp_path_factory.mktemp("sagging")
+    path = folder / "sagging.yaml"
+    path.write_text(config.dump(bench(*BENCHES[SAG])), encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rig.session.write_report", lambda *_: None)
+        run = experiment.run(config.load(path), folder).folder
+    return path, run, identify([read_run(run)])
+
+
+def test_a_run_with_laws_is_replayed_and_says_what_it_drove_with(sagging: tuple[Path, Path, Identification]) -> None:
+    _, run, models = sagging
+    assert replay(run).is_same
+    real = models.real_motor
+    assert real is not None
+    events = [json.loads(line) for line in (run / "events.jsonl").read_text(encoding="utf-8").splitlines()]
+    driven = next(event for event in events if event["kind"] == "model")
+    assert FramedMotor.of({k: v for k, v in driven.items() if isinstance(v, float)}) == real
+    result = json.loads((run / "result.json").read_text(encoding="utf-8"))
+    assert result["tracking"][LEADING]["law"] == ["sag"]
+    assert result["law_frame"]["half_travel_rad"] == real.frame.half_travel_rad
+
+
+def test_track_drives_with_the_laws_of_another_run_and_without_them_if_told(
+    sagging: tuple[Path, Path, Identification], tmp_path: Path
+) -> None:
+    path, run, _ = sagging
+    told = tmp_path / "plain.yaml"
+    text = path.read_text(encoding="utf-8").replace("with_law: true", "with_law: false")
+    told.write_text(text, encoding="utf-8")
+    results = [rig("track", one, "--model", run, "--out", tmp_path, "--json") for one in (path, told)]
+    with_laws, without = (json.loads(result.stdout)["tracking"][LEADING] for result in results)
+    assert with_laws["law"] == ["sag"] and "law" not in without
+    assert with_laws["true_rms_rad"] < 0.5 * without["true_rms_rad"]
+    shown = rig("track", path, "--model", run, "--out", tmp_path).stdout
+    assert f"(true {with_laws['true_rms_rad']:.4f})" in shown
+    assert f"tracking with {LEADING}: the drive makes up for sag" in shown
+
+
+def test_a_law_that_no_drive_makes_up_for_is_named(sagging: tuple[Path, Path, Identification], tmp_path: Path) -> None:
+    path, run, models = sagging
+    assert models.motor_law is not None and models.motor_law.motor is not None
+    motor, frame = models.motor_law.motor.motor, models.motor_law.motor.frame
+    drifting = FramedMotor(motor._replace(drift=0.02), frame)
+    changed = replace(models, motor_law=replace(models.motor_law, motor=drifting))
+    outcome = experiment.run_tracking(config.load(path), changed, run, tmp_path)
+    tracked = outcome.result.tracking[LEADING]
+    assert tracked.law == ("sag",) and tracked.law_left_out == ("drift",)
+    assert any("no drive makes up for drift" in note for note in outcome.result.notes)
+    assert replay(outcome.folder).is_same
