@@ -101,8 +101,8 @@ def identify(
     t_u      n times from which the drives act, s; default: unknown, a constant delay after the samples
     methods  names of estimators; default: all that the data allow
     without  names of stages of the run that are not read, such as "breakaway", "search" and "relay-2"
-    Raises IdentifyError where the data give no estimate or have no such stage, RecordingError where they cannot be read, TypeError for
-    arguments that are none of these.
+    Raises IdentifyError where the data give no estimate or have no such stage, RecordingError where they cannot be
+    read, TypeError for arguments that are none of these.
     """
     if u is not None and y is not None:
         recordings: list[Recording] = [_from_arrays(data, u, y, t_u)]

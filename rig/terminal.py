@@ -244,6 +244,11 @@ def show_motor_law(result: RunResult | IdentificationResult, truth: TrueMotor | 
             click.echo(f"with it ({result.with_law.verdict}): {', '.join(numbers)}")
             for reason in result.with_law.reasons:
                 click.echo(f"with it: {reason}")
+    elif result.with_law is not None:
+        numbers = (f"{name} {_interval(result.with_law, name, truth)}" for name in MAIN)
+        click.echo(f"from all records ({result.with_law.verdict}): {', '.join(numbers)}")
+    if words := records_in_words(result):
+        click.echo(f"fitted to {words}")
     rows = budget_rows(result)
     if rows:
         show_table("uncertainty at 95 %, in % of the estimate, and what it is made of", BUDGET_HEADINGS, rows)
@@ -271,6 +276,13 @@ def map_rows(found: FrictionMapResult) -> list[list[str]]:
         stuck = "sticks and slips" if one.sticks else ""
         rows.append([f"{known(one.speed_rad_s):+.3f}", drive, f"{known(one.law_V):+.4f}", stuck])
     return rows
+
+
+def records_in_words(result: RunResult | IdentificationResult) -> str:
+    """What the law was fitted to, as in ``relay-1 (13.7 s), search (18.2 s)``; empty where the plain estimate holds."""
+    if result.with_law is None:
+        return ""
+    return ", ".join(f"{record.name} ({known(record.duration_s):.1f} s)" for record in result.law_records or ())
 
 
 def motor_law_rows(result: RunResult | IdentificationResult) -> list[list[str]]:

@@ -1,4 +1,4 @@
-"""One experiment of a campaign: simulate it, identify it as `rig identify` does, compare with the truth and the bound.
+"""One experiment of a campaign: simulate it, identify it as a plain motor, compare with the truth and the bound.
 
 If an experiment raises an exception, its row says so, and the other experiments go on.
 """

@@ -6,10 +6,11 @@ Strict: an unknown key is an error, numbers are finite, objects are frozen. The 
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from rig.backends.modbus.section import ModbusKeys
 from rig.backends.serial.section import SerialKeys
@@ -338,7 +339,13 @@ class SurveySection(_Section):
     longest_s: Annotated[float, Field(gt=0, le=3600)] = Field(120.0, description="all sweeps together, at most")
 
 
-RecordName = Annotated[str, Field(pattern=r"^(breakaway|search|survey|relay-[1-9][0-9]?)$")]
+def _identified(stage: str) -> str:
+    if not re.fullmatch(r"breakaway|search|survey|relay-[1-9][0-9]?", stage):
+        raise ValueError(f"identification reads no stage {stage!r}: give breakaway, search, relay-1, relay-2, ...")
+    return stage
+
+
+IdentifiedStage = Annotated[str, AfterValidator(_identified)]
 
 
 class IdentifySection(_Section):
@@ -349,7 +356,7 @@ class IdentifySection(_Section):
         description="where the relay tests do not tell two laws of the motor apart, or leave more than 2.5 % of "
         "uncertainty, `rig run` adds a survey and a relay test of a third amplitude",
     )
-    without: tuple[RecordName, ...] = Field(
+    without: tuple[IdentifiedStage, ...] = Field(
         (), description="stages that identification does not read: breakaway, search, relay-1, relay-2, ..."
     )
 

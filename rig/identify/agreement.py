@@ -35,11 +35,13 @@ class RecordingEstimate:
     name        of the recording, as on the command line
     values      (3,): ln tau, ln K, f_c in V
     covariance  (3, 3) of these values, with ``MODEL_ERROR``
+    squares     sum of squares of its residual, rad^2, and its number of rows
     """
 
     name: str
     values: Array
     covariance: Array
+    squares: tuple[float, int] = (0.0, 0)
 
     @classmethod
     def of(cls, name: str, estimate: Estimate) -> RecordingEstimate | None:
@@ -50,7 +52,8 @@ class RecordingEstimate:
         values = np.array([math.log(estimate.tau_s), math.log(estimate.K_rad_s_V), estimate.fc_V])
         if estimate.verdict == "refused" or not (np.all(np.isfinite(covariance)) and np.all(np.isfinite(values))):
             return None
-        return cls(name, values, covariance)
+        residual = estimate.residual_rad
+        return cls(name, values, covariance, (float(residual @ residual), residual.size))
 
 
 def estimates_of_each(recordings: Sequence[tuple[str, Sequence[TimeSeries]]]) -> list[RecordingEstimate]:
@@ -64,6 +67,12 @@ def estimates_of_each(recordings: Sequence[tuple[str, Sequence[TimeSeries]]]) ->
         if one is not None:
             found.append(one)
     return found
+
+
+def rms_alone_rad(found: Sequence[RecordingEstimate]) -> float:
+    """RMS residual of all recordings, each with a plain motor of its own, rad."""
+    squares, rows = (sum(one.squares[k] for one in found) for k in range(2))
+    return math.sqrt(squares / max(rows, 1))
 
 
 def disagreement(found: Sequence[RecordingEstimate]) -> str | None:

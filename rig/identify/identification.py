@@ -9,7 +9,7 @@ from importlib import import_module
 import numpy as np
 
 from rig.estimators import ESTIMATORS, LEADING, EstimatorEntry
-from rig.identify.agreement import disagreement, estimates_of_each
+from rig.identify.agreement import disagreement, estimates_of_each, rms_alone_rad
 from rig.identify.breakaway import StaticFriction, breakaway
 from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
@@ -99,13 +99,14 @@ def identify(
     """Identify one motor from run folders or CSV files.
 
     methods     names of ``ESTIMATORS``; default: all that the data allow
-    choose_law  whether to choose a friction law, from the sampled-data estimate
+    choose_law  whether to choose a friction law, and the law of the motor, from the sampled-data estimate. False: the
+                motor is known to be plain, and no verdict asks for u95
     without     names of stages that are not read, such as breakaway, search and relay-2
     The estimators read a run's relay tests, or its hysteretic runs if it has no relay tests. Least squares reads only
     hysteretic runs. A CSV file without stages is one test; it counts as a hysteretic run only if ``methods`` has least
     squares. The law of the motor is fitted to breakaway check and gain search, too; tracking is never read.
-    Raises IdentifyError if a method of ``methods`` cannot work on the data, if no method can, or if there is no stage of
-    a name in ``without``.
+    Raises IdentifyError if a method of ``methods`` cannot work on the data, if no method can, or if no recording has a
+    stage of a name in ``without``.
     """
     wanted = _wanted(methods)
     if not recordings:
@@ -121,13 +122,16 @@ def identify(
         decisive = wanted[0].name if len(wanted) == 1 else LEADING
         raise errors.get(decisive) or [*data.complaints, *errors.values()][0]
     objections = list(data.supplies)
+    alone_rad = 0.0
     if len(recordings) > 1 and reads_tests:
-        odd = disagreement(estimates_of_each(data.sources))
+        each = estimates_of_each(data.sources)
+        odd = disagreement(each)
         objections = objections if odd is None else [odd, *objections]
+        alone_rad = rms_alone_rad(each)
     if objections:
         found.estimates = {method: e.judged("doubtful", *objections) for method, e in found.estimates.items()}
     if choose_law:
-        _add_motor_law(data, found, objections)
+        _add_motor_law(data, found, objections, alone_rad)
     static = _add_breakaway(recordings, without, found)
     if choose_law:
         _add_friction_law(data, static, found)
@@ -252,9 +256,11 @@ def _add_friction_map(recordings: Sequence[Recording], without: Sequence[str], f
         return
 
 
-def _add_motor_law(data: Measurements, found: Identification, objections: Sequence[str]) -> None:
+def _add_motor_law(data: Measurements, found: Identification, objections: Sequence[str], alone_rad: float) -> None:
     """What the motor has beyond the plain law, the estimate with it, and the verdicts by u95.
 
+    objections  that recordings do not agree, or that a supply is not as the config says
+    alone_rad   RMS residual with a plain motor for each recording, rad
     The numbers of the plain estimates stay as they are. Without a budget none of them can be ok.
     """
     plain = _leading(data, found)
@@ -273,7 +279,10 @@ def _add_motor_law(data: Measurements, found: Identification, objections: Sequen
     largest_V = largest_drive_V(data.tests)
     if law.estimate is not None:
         judged = settled(judge_with_laws(law.estimate, data.tests, data.settled), data)
-        judged = _with_causes(judged, data.tests).judged("doubtful" if objections else "ok", *objections)
+        # where one motor with laws explains more than a plain motor for each recording, they are of one motor
+        one_motor = alone_rad > AS_GOOD * law.estimate.rms_rad
+        left = data.supplies if one_motor else objections
+        judged = _with_causes(judged, data.tests).judged("doubtful" if left else "ok", *left)
         law = law.judged(largest_V, judged)
     found.motor_law = law
     found.notes += law.notes()

@@ -146,9 +146,7 @@ def _supply(recording: Recording) -> list[str]:
 def _series_of(
     recording: Recording, gone: Collection[str], several: bool, notes: list[str]
 ) -> tuple[list[TimeSeries], list[TimeSeries]]:
-    """The relay tests of a run, or its gain search if it ended before them, or all rows of a plain file; and its runs of
-    hysteretic relays.
-    """
+    """The relay tests, or the gain search of a run that ended before them, or a plain file; and the hysteretic runs."""
     name = recording.source.name or str(recording.source)
     notes += [f"{name}: {note}" for note in recording.notes]
     stages = recording.stages()

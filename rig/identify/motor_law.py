@@ -23,6 +23,7 @@ from rig.identify.departures.in_place import in_place
 from rig.identify.departures.nuisances import Nuisances
 from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS, Estimate
+from rig.identify.further import Further, agreeing
 from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.stated_errors import ScaleErrors, StatedErrors
 from rig.identify.verdict import ASKED, beside, sizes_of
@@ -78,6 +79,7 @@ class MotorLaw:
     motor           with these laws: numbers of ``estimate`` and of ``found``; None without any
     growth          length of the pieces that were fitted, s, and their RMS residual, rad
     records         what was fitted
+    left_out        a sentence for each record that was not, or not whole
     """
 
     found: tuple[FoundLaw, ...]
@@ -86,11 +88,12 @@ class MotorLaw:
     budget: Budget
     growth: tuple[tuple[float, float], ...]
     records: tuple[FittedRecord, ...] = ()
+    left_out: tuple[str, ...] = ()
     motor: FramedMotor | None = None
 
     def notes(self) -> list[str]:
         """What the tests show, as sentences."""
-        lines = [f"law: {law.in_words()}" for law in self.found]
+        lines = [*self.left_out, *(f"law: {law.in_words()}" for law in self.found)]
         for group in self.not_told_apart:
             told_by = next(d.told_by for d in DEPARTURES if d.name == group[0])
             lines.append(f"law: {' and '.join(group)} are not told apart; record {told_by}")
@@ -180,13 +183,15 @@ def motor_law(
     plain: Estimate,
     periods_s: Sequence[float | None],
     stated: Sequence[StatedErrors] = (StatedErrors(),),
-    further: Sequence[tuple[TimeSeries, int]] = (),
+    further: Sequence[Further] = (),
+    rounds: int = 3,
 ) -> MotorLaw:
     """The law that the tests show, from the plain estimate on.
 
     periods_s  for each test the period of its cycle, s, or None
     stated     what is known of the benches that recorded them; at least one
     further    records beside the tests, each with the number of a test of the same run
+    rounds     how often those that disagree with the tests are cut, before none of them is used
     Of more than 8,000 rows several at a time are taken as one. Raises IdentifyError if a test is too short.
     """
     records = tuple(_record(series) for series in [*tests, *(series for series, _ in further)])
@@ -194,7 +199,7 @@ def motor_law(
     further = [(_slow(series), number) for series, number in further]
     more = sum(len(series) for series, _ in further)
     tests = [_folded(test, rows, plain.tau_s) for test in tests]
-    further = [(_folded(series, rows + more, plain.tau_s), number) for series, number in further]
+    folded = [(_folded(series, rows + more, plain.tau_s), number) for series, number in further]
     free_delay = any(test.t_u_s is None for test in tests)
     delay_s = (
         (-max(test.period_s for test in tests), max(test.longest_delay_s for test in tests))
@@ -216,7 +221,11 @@ def motor_law(
     sigma = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
     candidates = [law for law in DEPARTURES if law.fits(bench)]
     chooser = Chooser(candidates, bench, core, delay_s, max(sigma, SMALLEST_NOISE * whole.frames[0].half_travel_rad))
-    choice = chooser.choose(whole.beside(further, delay_s[1], FURTHER_CYCLES * cycle_s), start, cycle_s)
+    choice = chooser.choose(whole.beside(folded, delay_s[1], FURTHER_CYCLES * cycle_s), start, cycle_s)
+    kept, remarks = agreeing(choice.fit, tested, plain.rms_rad, further) if further else ([], ())
+    if remarks:
+        law = motor_law(tests, plain, periods_s, stated, kept if rounds > 1 else (), rounds - 1)
+        return replace(law, left_out=(*remarks, *law.left_out))
     fit = with_own_noise(choice.fit)
     normal = Normal.of(fit.problem.rows(fit.motor, fit.starts), fit.problem.cut)
     nuisances = Nuisances.of(fit, choice.laws, candidates, bench)
@@ -235,7 +244,7 @@ def motor_law(
         lines,
         choice.growth,
         records,
-        FramedMotor(fit.motor, whole.frames[0]),
+        motor=FramedMotor(fit.motor, whole.frames[0]),
     )
 
 

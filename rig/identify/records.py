@@ -11,13 +11,15 @@ from rig.recording.recording import Recording
 from rig.recording.stage import Stage, StageKind, kind_of
 
 FURTHER = (StageKind.BREAKAWAY, StageKind.SEARCH, StageKind.SURVEY)
-"""Kinds of stages that the law of the motor is fitted to, beside the tests. Tracking is never fitted: it is the check."""
+"""Kinds of stages that the law of the motor is fitted to, beside the tests. Tracking never is: it is the check."""
 
-# Faults that say nothing against sensor and drive: every row before them is sound.
 SOUND = frozenset(
-    ("NO_CYCLE", "NO_SWITCHING", "INTERRUPTED", "RECORDER_DEAD", "LAW_FAILED", "INTERNAL", "NOT_IDENTIFIED", "LATE")
-    + ("OVERSPEED", "TRAVEL_HARD", "DEVICE_TRAVEL", "DEVICE_END_SWITCH", "DEVICE_ESTOP", "DRIVE_TOO_SMALL", "NOT_HOME")
-)
+    (
+        "NO_CYCLE", "NO_SWITCHING", "INTERRUPTED", "RECORDER_DEAD", "LAW_FAILED", "INTERNAL", "NOT_IDENTIFIED", "LATE",
+        "OVERSPEED", "TRAVEL_HARD", "DEVICE_TRAVEL", "DEVICE_END_SWITCH", "DEVICE_ESTOP", "DRIVE_TOO_SMALL", "NOT_HOME",
+    )
+)  # fmt: skip
+"""Faults that say nothing against sensor and drive: every row before them is sound."""
 LATE_TICKS = 2  # a fault of the sensor or the drive is found within the longest period so far, and two ticks
 
 
@@ -43,8 +45,8 @@ def left_out(recording: Recording, without: Sequence[str]) -> frozenset[str]:
 def sound_rows(recording: Recording, stage: str) -> tuple[slice, str | None]:
     """The rows of a stage up to where they are sound, and a note on what was left out; None if nothing was.
 
-    A fault of the sensor or the drive is found within a period (docs/theory.md 10). So of the stage that it ended, the
-    last period is left out. Raises RecordingError as ``Recording.stage_rows``.
+    A fault of the sensor or the drive is found within a period (docs/theory.md 12.7). So of the stage that it ended,
+    the last period is left out. Raises RecordingError as ``Recording.stage_rows``.
     """
     rows = recording.stage_rows(stage)
     code = _ended_by(recording, rows)

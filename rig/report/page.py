@@ -96,6 +96,7 @@ def render_page(run: ReportedRun, identification: Identification | None = None) 
         friction_law=tables.friction_law(run),
         motor_law=tables.motor_law(run),
         with_law=tables.with_law(run),
+        records=tables.records(run),
         budget=tables.budget(run),
         hysteretic=tables.hysteretic(run),
         tracking=tables.tracking(run),

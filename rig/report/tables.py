@@ -177,6 +177,12 @@ def with_law(run: ReportedRun) -> list[Quantity]:
     return [] if found is None else [quantity(p, found, run.truth) for p in PARAMETERS]
 
 
+def records(run: ReportedRun) -> str:
+    """What the law was fitted to, with its lengths; empty if nothing was."""
+    found = run.result.law_records or () if run.result.with_law is not None else ()
+    return ", ".join(f"{record.name} ({known(record.duration_s):.1f} s)" for record in found)
+
+
 def budget(run: ReportedRun) -> list[BudgetRow]:
     """The uncertainty budget, % of the estimate that it belongs to."""
     return [

@@ -32,7 +32,7 @@ def swing() -> rig.Run:
 
 @pytest.fixture(scope="module")
 def found(swing: rig.Run) -> rig.Found:
-    return rig.identify(swing)
+    return rig.identify([swing, rig.simulate(MOTOR, rig.relay(0.3, 0.76), 12.0, SAMPLING)])
 
 
 def test_what_is_simulated_is_identified(found: rig.Found) -> None:

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 
+from campaign_real.kinds import KINDS, case
+from rig.config.campaign import Campaign
 from rig.identify import identify, sampled_data
 from rig.identify.departures.budget import COVERAGE, PRESENT, Budget, Entry, Shifts, absolute, hidden, instead_of
 from rig.identify.departures.departure import Departure
@@ -229,6 +231,27 @@ def test_a_plain_estimate_far_from_that_with_the_laws_is_not_ok() -> None:
     assert any(r.startswith("K_rad_s_V is 4 % off, for the motor has") for r in own.reservations(plain, 1.8))
     near = replace(law, estimate=replace(plain, K_rad_s_V=1.01 * plain.K_rad_s_V))
     assert near.reservations(plain, 1.8) == []
+
+
+def test_one_motor_with_a_law_is_not_doubted_because_it_looks_like_two_plain_ones() -> None:
+    """A load that pulls over the travel: no plain motor explains either test, one motor with the load explains both."""
+    kind = next(kind for kind in KINDS if kind.name == "force_over_position 0.2")
+    found = identify(case(Campaign(name="real", experiments=1, seed=1), 1, [kind]).recordings(), ("sampled-data",))
+    assert any("do not agree" in reason for reason in found.estimates["sampled-data"].reasons)
+    with_law = found.as_result().with_law
+    assert with_law is not None
+    assert with_law.verdict == "ok", with_law.reasons
+
+
+def test_another_supply_between_two_recordings_stays_a_doubt() -> None:
+    """A motor of its own explains each of them: then a law that explains both proves nothing."""
+    one, other = relay_test(), relay_test(0.55, 0.8)
+    found = identified(one, replace(other, u_V=0.95 * other.u_V), methods=("sampled-data",))
+    law = found.motor_law
+    assert law is not None
+    judged = found.estimates["sampled-data"] if law.estimate is None else law.estimate
+    assert judged.verdict == "doubtful"
+    assert any("do not agree" in reason for reason in judged.reasons)
 
 
 # -- lines of a table -------------------------------------------------------------------------------------------------

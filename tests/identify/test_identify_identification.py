@@ -160,8 +160,10 @@ def test_other_units_give_the_same_motor_in_those_units(
 
 
 def test_every_short_piece_of_a_record_is_identified_or_refused_and_never_wrong_with_confidence(tmp_path: Path) -> None:
-    """Half a cycle to many: an estimate that calls itself ok is near the truth."""
-    recording = read_csv(write_csv(tmp_path / "a.csv", relay(rows=1500)))
+    """Half a cycle to many, of two amplitudes: an estimate that calls itself ok is near the truth."""
+    large, small = dcr(0.8, 1.0), dcr(0.55, 0.8)
+    samples = simulate(motor(), lambda t, y, z: (large if t < 7.5 else small)(t, y, z), 1500, Bench(**NOISY))
+    recording = read_csv(write_csv(tmp_path / "a.csv", samples))
     outcomes = []
     for first, last in ((300, 330), (300, 360), (300, 400), (200, 420), (100, 600), (0, 1499), (0, 80)):
         try:

@@ -6,9 +6,11 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from campaign_real import __main__ as command
+from campaign_real.kinds import case
 from campaign_real.rows import Row, kinds_of, row
 from rig.config.campaign import Campaign
 
@@ -62,3 +64,15 @@ def test_an_interrupted_campaign_goes_on(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(sys, "argv", ["x", str(config), "--pairs", "0", "--page", str(tmp_path / "page.md")])
     assert command.main() == 0
     assert "| plain | 2 | 2 | 0 |" in (tmp_path / "page.md").read_text(encoding="utf-8")
+
+
+def test_a_whole_run_has_breakaway_and_search_before_its_tests_and_the_same_tests() -> None:
+    kinds = kinds_of(37, False, 1)
+    alone, whole = case(CAMPAIGN, 37, kinds), case(CAMPAIGN, 37, kinds, whole_run=True)
+    run = whole.run()
+    assert kinds[0].law == "drift"
+    assert run.stages() == ["breakaway", "search", "relay-1", "relay-2"]
+    assert np.array_equal(run.y_rad[run.stage_rows("relay-2")], alone.records[1].y_rad)
+    search = run.stage_rows("search")
+    assert run.t_s[search][-1] < 0.0 <= run.t_s[run.stage_rows("relay-1")][0]
+    assert np.abs(run.y_rad[search]).max() > 0.5

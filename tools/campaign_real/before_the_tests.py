@@ -34,6 +34,7 @@ REST_S = 0.5  # between the two
 REACH_RAD = 1.4
 AMPLITUDE_RAD = 0.8  # that the search aims at: the campaign's first test
 FAST = 1.05  # the config's no-load speed over the motor's
+SPARE_S = 5.0  # friction that drifts makes the search a little longer or shorter
 LONGEST_S = 120.0  # of a stage
 BREAKAWAY_V = (1.2, 1.0, 0.8, 0.6, 0.5)  # levels that are tried
 
@@ -96,13 +97,16 @@ def before_the_tests(
     """
     ticks = math.ceil(2.0 * LONGEST_S / bench.period_s)
     noise, force = _disturbances(departures, bench, ticks, np.random.default_rng(seed))
-    takes_s = 0.0
-    stretches: list[Stretch] = []
-    for _ in range(2 if departures.drift else 1):  # how long it takes is known after the first time
-        loop = _ClosedLoop(MovingShaft(motor, departures, (-takes_s, whole_s)), bench, force, noise)
+    begin_s = 0.0
+    while True:
+        loop = _ClosedLoop(MovingShaft(motor, departures, (-begin_s, whole_s)), bench, force, noise)
         stretches = _driven(loop, _config(one, bench), bench, one)
         takes_s = float(stretches[-1].t_s[-1]) + bench.period_s
-    return tuple(replace(stretch, t_s=stretch.t_s - takes_s) for stretch in stretches)
+        if takes_s <= begin_s or departures.drift == 0.0:
+            break
+        begin_s = takes_s + SPARE_S  # with drift: again, early enough, and then a rest until the tests
+    early_s = max(begin_s, takes_s)
+    return tuple(replace(stretch, t_s=stretch.t_s - early_s) for stretch in stretches)
 
 
 def _driven(loop: _ClosedLoop, e: Experiment, bench: Bench, one: Draw) -> list[Stretch]:

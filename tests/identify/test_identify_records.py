@@ -1,0 +1,132 @@
+"""Which records of a run enter the fit, up to which row, and which are left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.identify import IdentifyError, identify
+from rig.identify.identification import Identification
+from rig.identify.records import sound_rows
+from rig.recording.reader import read
+from rig.recording.recording import Recording
+from rig.results import RunEvent, RunMeta
+
+GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "simulated"
+LED_BY = ("sampled-data",)
+
+
+@pytest.fixture(scope="module")
+def run() -> Recording:
+    """A whole run: breakaway, search, two relay tests, tracking."""
+    return read(GOLDEN)
+
+
+@pytest.fixture(scope="module")
+def found(run: Recording) -> Identification:
+    return identify([run], LED_BY)
+
+
+def told(found: Identification) -> dict[str, Any]:
+    return found.as_result().as_json()
+
+
+def names(found: Identification) -> list[str]:
+    assert found.motor_law is not None
+    return [record.name for record in found.motor_law.records]
+
+
+def half_width(found: Identification, name: str = "fc_V") -> float:
+    estimate = found.motor_law.estimate if found.motor_law is not None else None
+    low, high = (estimate or found.estimates["sampled-data"]).ci95[name]
+    return high - low
+
+
+def ended(run: Recording, code: str, stage: str, rows: int) -> Recording:
+    """The run as if a fault had ended it ``rows`` rows after the start of ``stage``."""
+    cut = run.select(0, run.stage_rows(stage).start + rows - 1)
+    return replace(cut, events=(*run.events, RunEvent(t_s=float(cut.t_s[-1]), kind="fault", code=code)))
+
+
+def test_gain_search_and_breakaway_enter_the_fit_and_make_it_narrower(run: Recording, found: Identification) -> None:
+    tests_alone = identify([run], LED_BY, without=("search", "breakaway"))
+    assert sorted(names(found)) == ["breakaway", "relay-1", "relay-2", "search"]
+    assert sorted(names(tests_alone)) == ["relay-1", "relay-2"]
+    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+        assert half_width(found, name) < 0.97 * half_width(tests_alone, name)
+    with_law = told(found)["with_law"]
+    assert with_law["tau_s"] == pytest.approx(0.17, rel=0.01)
+    assert with_law["reasons"] == ["only 3 settled cycles: record ten"]
+    plain, alone = found.estimates["sampled-data"], tests_alone.estimates["sampled-data"]
+    assert (plain.tau_s, plain.K_rad_s_V, plain.fc_V) == (alone.tau_s, alone.K_rad_s_V, alone.fc_V)
+    assert tests_alone.breakaway is None
+
+
+def test_tracking_changes_neither_estimates_nor_law_nor_verdict(run: Recording, found: Identification) -> None:
+    tracking = np.char.startswith(run.stage, "track:")
+    assert tracking.sum() > 100
+    spoilt = replace(run, y_rad=np.where(tracking, 0.5 - run.y_rad, run.y_rad), u_V=np.where(tracking, 1.0, run.u_V))
+    assert told(identify([spoilt], LED_BY)) == told(found)
+
+
+def test_a_strange_stretch_of_the_search_is_left_out_and_the_verdict_stays(
+    run: Recording, found: Identification
+) -> None:
+    rows = run.stage_rows("search")
+    hand = np.zeros(len(run))
+    middle = (rows.start + rows.stop) // 2
+    hand[middle : middle + 40] = 0.25 * np.sin(np.linspace(0.0, np.pi, 40))
+    touched = identify([replace(run, y_rad=run.y_rad + hand)], LED_BY)
+    assert touched.motor_law is not None
+    assert found.motor_law is not None
+    assert touched.estimates["sampled-data"].verdict == found.estimates["sampled-data"].verdict
+    assert told(touched)["with_law"]["verdict"] == told(found)["with_law"]["verdict"]
+    assert touched.motor_law.found == found.motor_law.found == ()
+    assert any("search: not in the law's fit from row" in note for note in touched.notes)
+    search = next(record for record in touched.motor_law.records if record.name == "search")
+    assert search.rows is not None
+    assert rows.start <= search.rows[0] < search.rows[1] < middle
+
+
+def test_a_name_that_no_record_has_is_refused_with_those_there_are(run: Recording) -> None:
+    with pytest.raises(IdentifyError, match="no record 'tracking'") as error:
+        identify([run], without=("tracking",))
+    assert error.value.cure == "the records are breakaway, search, relay-1, relay-2"
+    with pytest.raises(IdentifyError, match="every relay test is left out"):
+        identify([run], without=("relay-1", "relay-2"))
+
+
+def test_what_the_runs_config_leaves_out_stays_out(run: Recording) -> None:
+    meta = RunMeta.model_validate({**run.meta.model_dump(by_alias=True), "identify_without": ("relay-2", "survey")})
+    found = identify([replace(run, meta=meta)], LED_BY, choose_law=False)
+    assert [relay.stage for relay in found.relays] == ["relay-1"]
+
+
+@pytest.mark.parametrize(("code", "periods"), [("NO_CYCLE", 0), ("SENSOR_STUCK", 1)])
+def test_after_a_fault_of_sensor_or_drive_the_last_period_is_left_out(run: Recording, code: str, periods: int) -> None:
+    broken = ended(run, code, "relay-2", 400)
+    rows, remark = sound_rows(broken, "relay-2")
+    lost = broken.stage_rows("relay-2").stop - rows.stop
+    assert 95 * periods <= lost <= 115 * periods  # a period of a second, and two ticks
+    assert (remark is None) == (periods == 0)
+    assert sound_rows(broken, "relay-1") == (broken.stage_rows("relay-1"), None)
+
+
+def test_a_run_that_ended_in_its_second_test_gives_its_first(run: Recording) -> None:
+    found = identify([ended(run, "INTERRUPTED", "relay-2", 15)], LED_BY, choose_law=False)
+    assert found.estimates["sampled-data"].verdict != "refused"
+    assert "relay-2: left out, because fewer than 20 of its rows can be used" in found.notes
+
+
+def test_a_run_that_ended_in_the_gain_search_gives_the_search(run: Recording) -> None:
+    rows = run.stage_rows("search")
+    found = identify([ended(run, "NO_CYCLE", "search", rows.stop - rows.start)], LED_BY, choose_law=False)
+    estimate = found.estimates["sampled-data"]
+    assert estimate.tau_s == pytest.approx(0.17, rel=0.05)
+    assert estimate.verdict != "refused", estimate.reasons
+    with pytest.raises(IdentifyError, match="no relay test"):
+        identify([run.select(0, run.stage_rows("breakaway").stop - 1)])
