@@ -106,7 +106,7 @@ def test_a_survey_can_be_left_out(survey: dict[str, Any]) -> None:
     ids=["too long", "too short a travel"],
 )  # fmt: skip
 def test_without_room_it_is_refused_before_anything_moves(
-    sections: dict[str, object], words: str, tmp_path: Path
+    sections: dict[str, Any], words: str, tmp_path: Path
 ) -> None:
     result = rig("survey", written(tmp_path, **sections), "--out", tmp_path / "runs")
     assert result.exit_code == 1
