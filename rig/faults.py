@@ -228,6 +228,15 @@ FAULTS: dict[str, FaultEntry] = {
         "check for play, a spring or a load that moves the shaft; turn it near the centre by hand or with `rig jog`, "
         "and start again",
     ),
+    "NO_SWEEPS": FaultEntry(
+        "the survey has no room, or no time, for its sweeps",
+        "see the reason beside this line: widen limits.soft_rad, raise survey.longest_s, or change survey.speeds_rad_s",
+    ),
+    "NOT_FOLLOWING": FaultEntry(
+        "the shaft does not follow the slow sweep of the survey",
+        "look for what holds it there, or for a reading that stands still; if it follows faster sweeps, give only "
+        "those in survey.speeds_rad_s",
+    ),
     "DRIVE_TOO_SMALL": FaultEntry(
         "a hysteretic relay's drive does not move the shaft from rest",
         "raise this d_V in relay.hysteretic above the breakaway level",

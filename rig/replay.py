@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 from rig import config
 from rig.backends.driver import DeviceInfo
@@ -21,7 +21,11 @@ from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.guard import Guard
 from rig.control.law import OwnLaw, Timed
+from rig.control.sweep_plan import SweepPlan
+from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps
 from rig.experiment import BREAKAWAY_LAW, configured_law, stages
+from rig.experiment.survey import survey, sweep
+from rig.experiment.thorough import test_once_more
 from rig.faults import FAULTS, Fault
 from rig.loop.recorded import RecordedClock, RecordedDriver, ReplayLoop, RowComparison
 from rig.loop.replayed_rows import OF_GUARD, Difference, Diverged, RecordEnds, ReplayedRows
@@ -36,13 +40,25 @@ from rig.recording.folder import CONFIG, META
 from rig.recording.reader import read_run
 from rig.recording.recording import Recording
 from rig.recording.writer import EVENTS
-from rig.results import DrivenModel, JsonObject, RealTimeReport, RunMeta, ScriptCall
+from rig.results import (
+    DrivenModel,
+    DrivenSurvey,
+    DrivenSweep,
+    FurtherTest,
+    JsonObject,
+    Part,
+    RealTimeReport,
+    RunMeta,
+    ScriptCall,
+)
 from rig.results.reading import DamagedError, parsed
 from rig.run_summary import Findings
 from rig.session import Script, Session
 from rig.signals import Order
 
 Ending = Literal["its end", "a fault", "no end"]
+
+_P = TypeVar("_P", bound=Part)
 
 _RECORD_AGAIN = "record the run again with this version"
 
@@ -216,12 +232,16 @@ def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
     """The stages of the run that drive; a replay leaves out those that only read the recording."""
     what = _meta_with(recording, "script").script
     models = _models(recording)
+    further = _events(recording, "further_test", FurtherTest)
+    sweeps = _sweeps(recording, e)
     if what is None:
         raise _unknown(recording, "script", None)
     drive: Script
     match what.name:
         case "run" | "relay":
             drive = partial(stages.drive_tests, check=_breakaway_law(recording, what, e))
+        case "survey":
+            drive = partial(stages.drive_one_test, check=_breakaway_law(recording, what, e))
         case "breakaway" | "track":
             drive = partial(stages.drive_check, check=_breakaway_law(recording, what, e))
         case "jog":
@@ -236,6 +256,12 @@ def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
 
     def script(session: Session) -> None:
         drive(session)
+        for gains in further:
+            test_once_more(session, (gains.h1_V, gains.h2_V))
+        if sweeps is not None:
+            sweep(session, sweeps)
+        elif what.name == "survey" and not further:
+            survey(session)  # it had no room for sweeps, or the recording ends before them
         if models:
             stages.track(session, models)
 
@@ -309,6 +335,28 @@ def _models(recording: Recording) -> dict[Method, Motor | FramedMotor]:
                     recording.source / EVENTS, f"event model is broken ({error})", _RECORD_AGAIN
                 ) from error
     return models
+
+
+def _sweeps(recording: Recording, e: Experiment) -> Sweeps | None:
+    """The sweeps of the survey that ran; None if none did."""
+    planned = _events(recording, "survey", DrivenSurvey)
+    if not planned:
+        return None
+    of = planned[0]
+    speeds = tuple(one.speed_rad_s for one in _events(recording, "sweep", DrivenSweep))
+    return Sweeps(
+        CrudeMotor(of.tau_s, of.K_rad_s_V, of.plus_V, of.minus_V),
+        SweepPlan(of.low_rad, of.high_rad, speeds, of.bandwidth_1_s),
+        SweepLoop(e.period_s, of.latency_s, e.drive.max_V, of.lost_rad),
+    )
+
+
+def _events(recording: Recording, kind: str, part: type[_P]) -> list[_P]:
+    """The events of one kind. Raises RecordingError where one is broken."""
+    try:
+        return [parsed(part, event.detail) for event in recording.events if event.kind == kind]
+    except (DamagedError, ValueError) as error:
+        raise RecordingError(recording.source / EVENTS, f"event {kind} is broken ({error})", _RECORD_AGAIN) from error
 
 
 def _meta_with(recording: Recording, *names: str) -> RunMeta:

@@ -16,7 +16,7 @@ from rig.backends.registry import Bench, backend_of
 from rig.config import Experiment
 from rig.config.sensor import full_range_rad
 from rig.control.breakaway import BreakawayLaw
-from rig.control.excitation import GainSearch
+from rig.control.excitation import GainSearch, SettledCycle
 from rig.faults import Fault
 from rig.identify import Identification
 from rig.identify.departures import DEPARTURES
@@ -54,6 +54,9 @@ class Findings:
     """What a run has found so far. A field is None or empty until its stage has run.
 
     real_time       what the machine granted the loop
+    gains_V         gains (h1, h2) of the relay tests, V
+    further_gains_V gains of a test at a third amplitude, V, if the gains were searched
+    cycle           the limit cycle of the last relay test
     identification  of this run's recording, or of ``models_from``
     models_from     another run whose models are driven
     tracking        by method; an empty one has come to its end, but nobody has measured its error yet
@@ -65,6 +68,9 @@ class Findings:
     real_time: RealTimeReport | None = None
     breakaway: BreakawayLaw | None = None
     search: GainSearch | None = None
+    gains_V: tuple[tuple[float, float], ...] = ()
+    further_gains_V: tuple[float, float] | None = None
+    cycle: SettledCycle | None = None
     identification: Identification | None = None
     models_from: Path | None = None
     jog: JogResult | None = None
@@ -146,6 +152,7 @@ def run_result(
         models_from=None if found.models_from is None else str(found.models_from),
         breakaway=None if found.breakaway is None else _breakaway(found.breakaway, own),
         friction_law=None if own is None or own.friction_law is None else own.friction_law.as_result(),
+        friction_map=None if own is None or own.friction_map is None else own.friction_map.as_result(),
         **({} if own is None or own.motor_law is None else own.motor_law.as_result().law_keys()),
         jog=found.jog,
         search=None if found.search is None else _search(found.search),

@@ -336,5 +336,6 @@ def _stages(experiment: Experiment) -> list[str]:
     if experiment.relay.hysteretic is not None:
         runs = range(1, len(experiment.relay.hysteretic) + 1)
         relays += [str(StageKind.HOMING), *(str(Stage.hysteretic(number)) for number in runs)]
+    relays.append(str(StageKind.SURVEY))
     tracks = [] if experiment.tracking is None else [str(Stage.track(method)) for method in experiment.tracking.methods]
     return ["rest", "jog", "breakaway", "search", *relays, *tracks, str(StageKind.LAW), STOPPING]

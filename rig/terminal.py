@@ -19,6 +19,7 @@ from rig.estimators import LEADING
 from rig.results import (
     EstimateResult,
     FrictionLawResult,
+    FrictionMapResult,
     IdentificationResult,
     LoopResult,
     RunResult,
@@ -38,6 +39,7 @@ if TYPE_CHECKING:  # each loads slowly
 MAIN = ("tau_s", "K_rad_s_V", "fc_V")  # the parameters that a table shows
 LAW_HEADINGS = ("parameter", "value", "unit", "meaning")
 MOTOR_LAW_HEADINGS = ("law", "size", "unit", "or, as likely")
+MAP_HEADINGS = ("speed, rad/s", "drive, V", "by the identified motor, V", "")
 BUDGET_HEADINGS = ("from", "tau_s", "K_rad_s_V", "fc_V", "only in")
 SMALL_SHARE = 0.2  # of the whole uncertainty: smaller lines are left out
 RECORD_AGAIN = (
@@ -113,6 +115,7 @@ def show_run(outcome: Outcome) -> None:
         show_estimates(result.estimates, result.truth, result.tracking)
         show_friction_law(result.friction_law)
         show_motor_law(result, result.truth)
+        show_friction_map(result.friction_map)
     if result.loop is not None:
         _show_loop(result.loop)
     for note in result.config_notes:
@@ -251,6 +254,30 @@ def show_motor_law(result: RunResult | IdentificationResult, truth: TrueMotor | 
     rows = budget_rows(result)
     if rows:
         show_table("uncertainty at 95 %, in % of the estimate, and what it is made of", BUDGET_HEADINGS, rows)
+
+
+def show_friction_map(found: FrictionMapResult | None) -> None:
+    """Show the drive over speed as a table, and in a line how far force and friction change over the position."""
+    if found is None:
+        return
+    show_table("friction map: the drive that each speed takes", MAP_HEADINGS, map_rows(found))
+    places = [(known(one.y_rad), known(one.force_V), known(one.friction_V)) for one in found.positions]
+    if places:
+        y, force, friction = zip(*places, strict=True)
+        click.echo(
+            f"friction map: from {min(y):.2f} to {max(y):.2f} rad, force is from {min(force):+.3f} to "
+            f"{max(force):+.3f} V, and friction from {min(friction):.3f} to {max(friction):.3f} V"
+        )
+
+
+def map_rows(found: FrictionMapResult) -> list[list[str]]:
+    """The sweeps of a survey, a row of ``MAP_HEADINGS`` each."""
+    rows = []
+    for one in found.speeds:
+        drive = f"{known(one.drive_V):+.4f} ±{2.0 * known(one.error_V):.4f}"
+        stuck = "sticks and slips" if one.sticks else ""
+        rows.append([f"{known(one.speed_rad_s):+.3f}", drive, f"{known(one.law_V):+.4f}", stuck])
+    return rows
 
 
 def records_in_words(result: RunResult | IdentificationResult) -> str:

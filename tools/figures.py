@@ -19,6 +19,8 @@ from paper import sampling
 from paper.drawing import FIRST, MUTED, course, finish, new_figure, shade_stages, style, zero
 from rig.model import describing_function
 from rig.model.limit_cycle import NoLimitCycle, limit_cycle
+from rig.report.friction_map import over_position
+from rig.report.source import load
 from rig.report.style import Picture
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -43,6 +45,15 @@ def report(to: Path) -> None:
         command = [sys.executable, "-m", "rig", "run", str(ROOT / "config" / "simulated.yaml")]
         subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         photograph(next(Path(folder).glob("runs/*/report.html")), to)
+
+
+def friction_map(to: Path) -> None:
+    """The map over the position of `rig survey config/survey.yaml`."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "rig", "survey", str(ROOT / "config" / "survey.yaml")]
+        subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        run = load(next(Path(folder).glob("runs/*")))
+        drawn(lambda: over_position(run))(to)
 
 
 def limit_cycle_figure() -> Picture:
@@ -117,6 +128,7 @@ FILES: dict[str, Callable[[Path], None]] = {
     "limit-cycle.svg": drawn(limit_cycle_figure),
     "describing-function.svg": drawn(describing_function_figure),
     "sampling.svg": drawn(sampling_figure),
+    "friction-map.svg": friction_map,
     "report.png": report,
 }
 

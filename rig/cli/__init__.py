@@ -29,6 +29,7 @@ from rig.cli import (
     report,
     run,
     schema,
+    survey,
     track,
 )
 from rig.cli.failure import EXIT_FAILED
@@ -68,6 +69,7 @@ for _command in (
     report.report,
     run.run,
     schema.schema,
+    survey.survey,
     track.track,
 ):
     main.add_command(_command)

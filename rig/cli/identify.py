@@ -13,7 +13,7 @@ from rig.cli.options import JSON, ROWS
 from rig.estimators import ESTIMATORS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
-from rig.terminal import patience, show_estimates, show_friction_law, show_motor_law
+from rig.terminal import patience, show_estimates, show_friction_law, show_friction_map, show_motor_law
 
 
 @click.command()
@@ -70,4 +70,5 @@ def identify(
         show_estimates(result.estimates, None)
         show_friction_law(result.friction_law)
         show_motor_law(result)
+        show_friction_map(result.friction_map)
     sys.exit(0 if ok else EXIT_FAILED)

@@ -328,6 +328,17 @@ class RelaySection(_Section):
         return self
 
 
+class SurveySection(_Section):
+    """The survey: slow sweeps of the travel to and fro in a closed loop, for the friction map."""
+
+    speeds_rad_s: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=12)] | None = Field(
+        None,
+        description="speeds of the sweeps; default: five, from the slowest that the sensor resolves to the fastest "
+        "that the travel allows",
+    )
+    longest_s: Annotated[float, Field(gt=0, le=3600)] = Field(120.0, description="all sweeps together, at most")
+
+
 def _identified(stage: str) -> str:
     if not re.fullmatch(r"breakaway|search|survey|relay-[1-9][0-9]?", stage):
         raise ValueError(f"identification reads no stage {stage!r}: give breakaway, search, relay-1, relay-2, ...")
@@ -340,6 +351,11 @@ IdentifiedStage = Annotated[str, AfterValidator(_identified)]
 class IdentifySection(_Section):
     """How the motor is identified from what the run recorded."""
 
+    thorough: bool = Field(
+        False,
+        description="where the relay tests do not tell two laws of the motor apart, or leave more than 2.5 % of "
+        "uncertainty, `rig run` adds a survey and a relay test of a third amplitude",
+    )
     without: tuple[IdentifiedStage, ...] = Field(
         (), description="stages that identification does not read: breakaway, search, relay-1, relay-2, ..."
     )
@@ -520,7 +536,12 @@ class Experiment(_Section):
     limits: TravelLimits = Field(description="where the shaft may be, and how fast")
     breakaway: BreakawaySection = Field(BreakawaySection(), description="the check before any relay")
     relay: RelaySection = Field(description="the relay experiment")
-    identify: IdentifySection = Field(IdentifySection(), description="how the motor is identified from the run")
+    survey: SurveySection = Field(
+        SurveySection(), description="the sweeps of `rig survey`, and of a thorough `rig run`"
+    )
+    identify: IdentifySection = Field(
+        IdentifySection(), description="how the motor is identified from the run, and what is recorded for it"
+    )
     tracking: TrackingSection | None = Field(None, description="leave out to skip the tracking check")
     law: LawSection | None = Field(
         None, description="a law of your own: `rig run` runs the breakaway check and this law, and nothing else"

@@ -37,6 +37,15 @@ class SearchRange:
     timeout_s: float
 
 
+class SettledCycle(NamedTuple):
+    """A settled limit cycle, and the gains that gave it."""
+
+    h1_V: float
+    h2_V: float
+    period_s: float
+    amplitude_rad: float
+
+
 class SearchStep(NamedTuple):
     """One pair of gains that the search tried, and its outcome; period and amplitude are nan if no cycle settled."""
 

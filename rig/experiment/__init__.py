@@ -2,6 +2,8 @@
 
 script   what each command runs: its stages in order, recorded
 stages   each stage, on an open session; a replay runs them, too
+survey   the stage of slow sweeps: planned, rehearsed, run
+thorough what a thorough run adds where the relay tests leave the motor's law open
 """
 
 from rig.experiment.script import (
@@ -13,6 +15,7 @@ from rig.experiment.script import (
     run_breakaway,
     run_law,
     run_relay,
+    run_survey,
     run_tracking,
 )
 
@@ -25,5 +28,6 @@ __all__ = [
     "run_breakaway",
     "run_law",
     "run_relay",
+    "run_survey",
     "run_tracking",
 ]

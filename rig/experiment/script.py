@@ -11,9 +11,21 @@ from rig.config import Experiment
 from rig.config.schema import LawSection
 from rig.control.law import Timed
 from rig.control.laws import construct
-from rig.experiment.stages import drive_by_hand, drive_check, drive_law, drive_tests, identify_recorded, verify_models
+from rig.control.sweep_plan import TooShortError
+from rig.experiment.stages import (
+    drive_by_hand,
+    drive_check,
+    drive_law,
+    drive_one_test,
+    drive_tests,
+    identify_recorded,
+    verify_models,
+)
+from rig.experiment.survey import survey
+from rig.experiment.thorough import tell_apart
 from rig.faults import Fault
 from rig.identify import Identification
+from rig.preflight.survey_room import expected_sweeps
 from rig.results import ScriptCall
 from rig.session import OnStart, Outcome, Session, record
 
@@ -33,6 +45,8 @@ def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None, a
     def script(session: Session) -> None:
         drive_tests(session)
         identify_recorded(session)
+        if experiment.identify.thorough:
+            tell_apart(session)
         verify_models(session)
 
     return record(experiment, parent, _named("run"), script, on_start, again)
@@ -99,6 +113,26 @@ def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = N
         identify_recorded(session)
 
     return record(experiment, parent, _named("relay"), script, on_start)
+
+
+def run_survey(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:
+    """Breakaway, one relay test, the survey, then identification and the friction map.
+
+    Raises Fault NO_SWEEPS if the config leaves no room for sweeps.
+    """
+    try:
+        expected_sweeps(experiment)
+    except TooShortError as error:
+        raise Fault("NO_SWEEPS", str(error)) from error
+    if experiment.relay.target is None and experiment.relay.gains is None:
+        raise Fault("NO_SWEEPS", "the sweeps need a relay test before them: give relay.target or relay.gains")
+
+    def script(session: Session) -> None:
+        drive_one_test(session)
+        survey(session)
+        identify_recorded(session)
+
+    return record(experiment, parent, _named("survey"), script, on_start)
 
 
 def run_breakaway(experiment: Experiment, parent: Path, on_start: OnStart | None = None) -> Outcome:

@@ -16,7 +16,7 @@ from rig.config import Experiment
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck, BreakawayFound, BreakawayLaw, StrokePlan
 from rig.control.breakaway_one_way import OneWayCheck
-from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange
+from rig.control.excitation import CycleTarget, GainSearch, RelayTest, SearchRange, SettledCycle
 from rig.control.homing import Homing
 from rig.control.hysteretic import HystereticRun
 from rig.control.known_motor import NOT_COMPENSATED
@@ -54,6 +54,12 @@ def drive_tests(session: Session, check: BreakawayLaw | None = None) -> None:
     with _checked(session, check):
         test_relays(session)
         test_hysteretic(session)
+
+
+def drive_one_test(session: Session, check: BreakawayLaw | None = None) -> None:
+    """Breakaway check and the first relay test: what a survey needs; ``check`` as ``check_breakaway``."""
+    with _checked(session, check):
+        test_relays(session, most=1)
 
 
 def drive_check(session: Session, check: BreakawayLaw | None = None) -> None:
@@ -181,30 +187,64 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
     session.note("breakaway", plus_V=check.plus_V, minus_V=check.minus_V, noise_rad=check.noise_rad)
 
 
-def test_relays(session: Session) -> None:
-    """Run a relay test at each pair of gains, then let the shaft rest. If the config gives no gains, search them."""
+def test_relays(session: Session, most: int | None = None) -> None:
+    """Run a relay test at each pair of gains, then let the shaft rest. If the config gives no gains, search them.
+
+    most  so many tests at most; None: all
+    """
     e = session.experiment
     if e.relay.gains is None and e.relay.target is None:
         return
-    lsb_rad = e.sensor.curve.lsb_rad
-    detector = CycleDetector(min_period_s=30.0 * e.period_s, min_amplitude_rad=20.0 * lsb_rad)
-    relay = DualChannelRelay(0.0, 0.0, _integral_bound_rad_s(e))
+    relay, detector = _relay_and_detector(e)
     if e.relay.gains is not None:
         gains_V = [(g.h1_V, g.h2_V) for g in e.relay.gains]
         expected_period_s = None
     else:
         gains_V = search_gains(session, relay, detector)
         expected_period_s = detector.mean()[0]
-    for number, pair_V in enumerate(gains_V, start=1):
-        cycle_s = expected_period_s if expected_period_s is not None else 2.0
-        timeout_s = RELAY_TIMEOUT_PERIODS * e.relay.cycles * cycle_s
-        stage = str(Stage.relay(number))
-        session.note("gains", stage=stage, h1_V=pair_V[0], h2_V=pair_V[1], cycles=e.relay.cycles)
-        watch = _watch_cycles(session, detector, stage)
-        if e.relay.where == "device":
-            run_in_device(session, pair_V, detector, timeout_s, stage, watch)
-        else:
-            session.loop.run(RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s), stage, watch)
+    session.found.gains_V = tuple(gains_V[:most])
+    for number, pair_V in enumerate(session.found.gains_V, start=1):
+        _test_relay(session, relay, detector, (number, pair_V), expected_period_s)
+    _end_relay_tests(session, relay)
+
+
+def test_further(session: Session, pair_V: tuple[float, float]) -> None:
+    """One more relay test, from rest, at another amplitude than the tests before it; then let the shaft rest."""
+    relay, detector = _relay_and_detector(session.experiment)
+    number = len(session.found.gains_V) + 1
+    period_s = None if session.found.cycle is None else session.found.cycle.period_s
+    _test_relay(session, relay, detector, (number, pair_V), period_s)
+    _end_relay_tests(session, relay)
+
+
+def _relay_and_detector(e: Experiment) -> tuple[DualChannelRelay, CycleDetector]:
+    detector = CycleDetector(min_period_s=30.0 * e.period_s, min_amplitude_rad=20.0 * e.sensor.curve.lsb_rad)
+    return DualChannelRelay(0.0, 0.0, _integral_bound_rad_s(e)), detector
+
+
+def _test_relay(
+    session: Session,
+    relay: DualChannelRelay,
+    detector: CycleDetector,
+    test: tuple[int, tuple[float, float]],
+    expected_period_s: float | None,
+) -> None:
+    """One relay test, by its number and its gains."""
+    e = session.experiment
+    number, pair_V = test
+    cycle_s = expected_period_s if expected_period_s is not None else 2.0
+    timeout_s = RELAY_TIMEOUT_PERIODS * e.relay.cycles * cycle_s
+    stage = str(Stage.relay(number))
+    session.note("gains", stage=stage, h1_V=pair_V[0], h2_V=pair_V[1], cycles=e.relay.cycles)
+    watch = _watch_cycles(session, detector, stage)
+    if e.relay.where == "device":
+        run_in_device(session, pair_V, detector, timeout_s, stage, watch)
+    else:
+        session.loop.run(RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s), stage, watch)
+    session.found.cycle = SettledCycle(*pair_V, *detector.mean())
+
+
+def _end_relay_tests(session: Session, relay: DualChannelRelay) -> None:
     if relay.bound_reached:
         session.found.notes.append("the relay's integral reached its bound: that made the first cycles shorter")
     session.loop.run(Rest(REST_S), "rest")
@@ -312,6 +352,7 @@ def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetec
         noted = len(search.steps)
 
     session.loop.run(search, "search", watch)
+    session.found.further_gains_V = search.second_gains(e.relay.second_ratio**2)
     return [(relay.h1_V, relay.h2_V), search.second_gains(e.relay.second_ratio)]
 
 

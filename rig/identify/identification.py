@@ -14,6 +14,7 @@ from rig.identify.breakaway import StaticFriction, breakaway
 from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.friction_law import FrictionLawChoice, friction_law
+from rig.identify.friction_map import FrictionMap, friction_map
 from rig.identify.least_squares import Transient
 from rig.identify.mean_cycle import Cycle
 from rig.identify.measurements import Measurements, measurements
@@ -23,7 +24,7 @@ from rig.identify.preprocessing import from_recording
 from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, slipped_rms_rad
 from rig.identify.verdict import largest_drive_V, settled
-from rig.model.real_motor import FramedMotor
+from rig.model.real_motor import Frame, FramedMotor, RealMotor
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
 from rig.recording.series import TimeSeries
@@ -32,6 +33,7 @@ from rig.results import HystereticResult, IdentificationResult, RelayTestResult,
 
 METHODS = tuple(entry.name for entry in ESTIMATORS)
 AS_GOOD = 1.05  # ratio of residuals within which two explanations are as good
+SHOWS = 1.01  # ratio of residuals beyond which an explanation shows in the tests
 MOST = 0.9  # share of what laws explain that another explanation as good explains, too
 
 
@@ -45,6 +47,7 @@ class Identification:
     cycles      stage -> averaged cycle
     breakaway   drives at break-away in both directions; None without breakaway ramps
     friction_law    the choice of a friction law; None if not asked for, or without a sampled-data estimate
+    friction_map    the drive over speed and over position; None without a survey, or without a motor
     motor_law       what the tests show beyond the plain motor; None if not asked for, or without that estimate
     notes       rows used, how the gains were found, what was left out and why
     """
@@ -55,6 +58,7 @@ class Identification:
     cycles: dict[str, Cycle] = field(default_factory=dict)
     breakaway: StaticFrictionResult | None = None
     friction_law: FrictionLawChoice | None = None
+    friction_map: FrictionMap | None = None
     motor_law: MotorLaw | None = None
     notes: list[str] = field(default_factory=list)
 
@@ -67,6 +71,7 @@ class Identification:
             hysteretic=tuple(self.hysteretic) or None,
             breakaway=self.breakaway,
             friction_law=None if self.friction_law is None else self.friction_law.as_result(),
+            friction_map=None if self.friction_map is None else self.friction_map.as_result(),
             **({} if self.motor_law is None else self.motor_law.as_result().law_keys()),
         )
 
@@ -126,6 +131,7 @@ def identify(
     static = _add_breakaway(recordings, without, found)
     if choose_law:
         _add_friction_law(data, static, found)
+    _add_friction_map(recordings, without, found)
     return found
 
 
@@ -229,6 +235,27 @@ def _said(sentence: str | None) -> list[str]:
     return [] if sentence is None else [sentence]
 
 
+def _add_friction_map(recordings: Sequence[Recording], without: Sequence[str], found: Identification) -> None:
+    """The friction map of the first recording with a survey, with the identified motor beside it."""
+    motor = found.real_motor
+    if motor is None and found.best is not None:
+        best = found.best
+        motor = FramedMotor(RealMotor(best.tau_s, best.K_rad_s_V, max(best.fc_V, 0.0), best.asym_V), Frame())
+    stage = str(StageKind.SURVEY)
+    for recording in recordings:
+        if motor is None or stage not in recording.stages() or stage in left_out(recording, without):
+            continue
+        try:
+            survey, _ = from_recording(recording, recording.stage_rows(stage), stage)
+            first = survey.first_row - recording.first_row
+            found.friction_map = friction_map(survey, recording.yd_rad[first : first + len(survey)], motor)
+        except IdentifyError as error:
+            found.notes.append(f"friction map: {error.cause}")
+            continue
+        found.notes += found.friction_map.notes()
+        return
+
+
 def _add_motor_law(data: Measurements, found: Identification, each: Sequence[RecordingEstimate]) -> None:
     """What the motor has beyond the plain law, the estimate with it, and the verdicts by u95.
 
@@ -270,10 +297,12 @@ def _add_motor_law(data: Measurements, found: Identification, each: Sequence[Rec
 def other_times_explain(slipped_rad: float, plain_rad: float, with_laws_rad: float) -> bool:
     """Whether other times of the drive explain the tests as well as laws do, by the RMS residuals of both, rad.
 
-    plain_rad   of the plain motor: other times that better it by nothing explain nothing
+    plain_rad   of the plain motor: other times that better it by nothing explain nothing, and where the tests need no
+                laws, other records showed them
     """
     gained, with_laws = (plain_rad**2 - rad**2 for rad in (slipped_rad, with_laws_rad))
-    return slipped_rad < AS_GOOD * with_laws_rad and gained > MOST * with_laws
+    shows = SHOWS * slipped_rad < plain_rad
+    return shows and slipped_rad < AS_GOOD * with_laws_rad and gained > MOST * with_laws
 
 
 def _leading(data: Measurements, found: Identification) -> Estimate | None:

@@ -31,6 +31,7 @@ from rig.identify.stated_errors import ScaleErrors, StatedErrors
 from rig.identify.verdict import ASKED, beside, sizes_of
 from rig.model.real_motor import FramedMotor, RealMotor
 from rig.recording.series import TimeSeries
+from rig.recording.stage import StageKind
 from rig.results import BudgetEntry, FittedRecord, FoundLawResult, LawFrameResult, MotorLawResult, PieceResult
 
 Array = NDArray[np.float64]
@@ -39,6 +40,7 @@ ALIKE = 6.0  # difference in BIC within which two laws are not told apart
 NO_CYCLE = 12.0  # parts of a record without a cycle that count as one
 MOST_ROWS = 8000  # of all tests
 ROUNDS = 3  # in which records that disagree with the tests are cut, before none of them is used
+MOST_SURVEY_ROWS = 1200
 FURTHER_CYCLES = 0.9  # longest pieces of records beside the tests, in cycles
 ROWS_OF_TAU = 20  # at least so many of the rows taken as one have room in tau
 SMALLEST_NOISE = 1e-6  # of the sensor, relative to half the travel: of a record without noise
@@ -250,6 +252,7 @@ def motor_law(
     """
     names = recording_of or [""] * len(tests)
     rows = sum(len(test) for test in tests)
+    further = [(_slow(series), number) for series, number in further]
     folded = [_folded(test, rows, plain.tau_s) for test in tests]
     begun = Beginning.of(folded, plain, periods_s, stated)
     tested = sum(window.t_s.size for window in begun.whole.windows)
@@ -297,6 +300,12 @@ def _record(series: TimeSeries) -> FittedRecord:
 def _folded(series: TimeSeries, of_rows: int, tau_s: float) -> TimeSeries:
     """The series as it is taken where all records have ``of_rows``."""
     return thinned(series, min(math.ceil(of_rows / MOST_ROWS), int(tau_s / series.period_s / ROWS_OF_TAU)))
+
+
+def _slow(series: TimeSeries) -> TimeSeries:
+    """A survey with several rows as one: its sweeps are slow, and its loop keeps the drive nearly as it is."""
+    is_survey = series.stage is not None and series.stage.kind is StageKind.SURVEY
+    return thinned(series, math.ceil(len(series) / MOST_SURVEY_ROWS)) if is_survey else series
 
 
 def thinned(test: TimeSeries, rows: int) -> TimeSeries:

@@ -10,7 +10,7 @@ from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
 from rig.recording.stage import Stage, StageKind, kind_of
 
-FURTHER = (StageKind.BREAKAWAY, StageKind.SEARCH)
+FURTHER = (StageKind.BREAKAWAY, StageKind.SEARCH, StageKind.SURVEY)
 """Kinds of stages that the law of the motor is fitted to, beside the tests. Tracking never is: it is the check."""
 
 SOUND = frozenset(

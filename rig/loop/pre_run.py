@@ -1,14 +1,15 @@
-"""Pre-run simulation: the tracking run on the best model, before it drives the bench."""
+"""Pre-run simulation: a tracking run or a survey on the best model, before it drives the bench."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 from rig.backends.clock import VirtualClock
 from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.calibration import Calibration, DriveMap, Scaling
 from rig.control.guard import Guard, GuardSettings
-from rig.control.tracking import Tracking
+from rig.control.law import Law
 from rig.faults import Fault
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
@@ -34,8 +35,14 @@ class PreRunBench:
     order: Order = "sample_first"
 
 
-def pre_run(tracking: Tracking, bench: PreRunBench, guard: GuardSettings, seed: int = 0) -> str | None:
-    """Run ``tracking`` on a simulated bench. Returns why it must not drive the real bench; None if it may.
+class Rehearsed(Law, Protocol):
+    """A law that knows the largest drive that it has asked for, V."""
+
+    largest_u_V: float
+
+
+def pre_run(law: Rehearsed, bench: PreRunBench, guard: GuardSettings, seed: int = 0) -> str | None:
+    """Run ``law`` on a simulated bench. Returns why it must not drive the real bench; None if it may.
 
     It must not if it leaves the soft limits, asks for more than the largest drive, or ends with a fault.
     """
@@ -75,7 +82,7 @@ def pre_run(tracking: Tracking, bench: PreRunBench, guard: GuardSettings, seed: 
 
     try:
         with loop.armed(guard.limits):
-            loop.run(tracking, "pre-run", watch)
+            loop.run(law, "pre-run", watch)
     except Fault as fault:
         return f"in simulation on the best model: {fault}"
     if reached[0] < low or reached[1] > high:
@@ -83,9 +90,9 @@ def pre_run(tracking: Tracking, bench: PreRunBench, guard: GuardSettings, seed: 
             f"in simulation on the best model it goes from {reached[0]:.2f} to {reached[1]:.2f} rad, "
             f"beyond the soft limits {low:.2f} to {high:.2f} rad"
         )
-    if tracking.largest_u_V > guard.limits.max_u_V:
+    if law.largest_u_V > guard.limits.max_u_V:
         return (
-            f"in simulation on the best model it asks for {tracking.largest_u_V:.2f} V, "
+            f"in simulation on the best model it asks for {law.largest_u_V:.2f} V, "
             f"more than drive.max_V {guard.limits.max_u_V:.2f} V"
         )
     return None

@@ -9,6 +9,7 @@ from rig.backends.registry import backend_of
 from rig.config.problems import bracketed
 from rig.config.schema import Experiment
 from rig.config.sensor import range_rad
+from rig.control.sweep_plan import TooShortError
 from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
 from rig.preflight.differences import differences
 from rig.preflight.room_to_stop import (
@@ -18,6 +19,7 @@ from rig.preflight.room_to_stop import (
     stopping_sum,
     stopping_terms,
 )
+from rig.preflight.survey_room import expected_sweeps
 
 
 def plan(e: Experiment) -> Iterator[str]:
@@ -77,7 +79,7 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
             "no relay test, nothing is identified"
         )
         return
-    stages = (_breakaway(e), _relay_tests(e), _hysteretic_runs(e), _IDENTIFY, _verify(e))
+    stages = (_breakaway(e), _relay_tests(e), _hysteretic_runs(e), _IDENTIFY, _survey(e), _verify(e))
     for stage in stages:
         yield from stage.lines
     unknown = "" if e.relay.target is not None and e.relay.hysteretic is None else ", and the relay tests"
@@ -140,6 +142,23 @@ def _hysteretic_runs(e: Experiment) -> _Stage:
         "breakaway stage measures"
     )
     return _Stage((line,))
+
+
+def _survey(e: Experiment) -> _Stage:
+    """The sweeps of a thorough run."""
+    if not e.identify.thorough or (e.relay.target is None and e.relay.gains is None):
+        return _Stage(())
+    try:
+        plan = expected_sweeps(e)
+    except TooShortError as error:
+        return _Stage((f"stage survey: left out, since {error}",))
+    speeds = ", ".join(f"{v:.2g}" for v in plan.speeds_rad_s)
+    line = (
+        f"stage survey, if the relay tests leave the motor's law open: a relay test of a third amplitude, then sweeps "
+        f"from {plan.low_rad:.3g} to {plan.high_rad:.3g} rad and back, at about {speeds} rad/s (slower ones fewer the "
+        f"noisier the sensor); at most about {e.survey.longest_s:g} s"
+    )
+    return _Stage((line,), e.survey.longest_s)
 
 
 _IDENTIFY = _Stage(("stage identify: every method, no motion",))

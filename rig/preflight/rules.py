@@ -19,6 +19,7 @@ from rig.config.problems import Path, Problem, bracketed, printable, wrong
 from rig.config.schema import Experiment, RelayGainsSection, RelayTarget
 from rig.config.sensor import count_rad, range_rad
 from rig.control.laws import OptionError, construct, registered
+from rig.control.sweep_plan import TooShortError
 from rig.plug_ins import PlugInError
 from rig.preflight.breakaway_strokes import UNSEEN_RAD, breakaway_strokes
 from rig.preflight.plan import plan
@@ -33,6 +34,7 @@ from rig.preflight.room_to_stop import (
     stopping_sum,
     stopping_terms,
 )
+from rig.preflight.survey_room import expected_sweeps
 from rig.signals import plain
 
 Rule = Callable[[Experiment], Iterator[Problem]]
@@ -381,6 +383,18 @@ def _tracking(e: Experiment) -> Iterator[Problem]:
         )
 
 
+def _survey(e: Experiment) -> Iterator[Problem]:
+    """Speeds that are given must fit into the travel and the time; without any, a survey takes what fits."""
+    if e.survey.speeds_rad_s is None or not limits_are_ordered(e):
+        return
+    try:
+        expected_sweeps(e)
+    except TooShortError as error:
+        yield wrong(
+            "survey.speeds_rad_s", str(error), "other speeds, wider limits.soft_rad, or a larger survey.longest_s"
+        )
+
+
 def _law(e: Experiment) -> Iterator[Problem]:
     """The law is constructed, so that it refuses its options here, not before a motor."""
     if e.law is None:
@@ -456,6 +470,7 @@ _RULES: tuple[Rule, ...] = (
     _target,
     _hysteretic,
     _tracking,
+    _survey,
     _law,
     _emulated,
 )

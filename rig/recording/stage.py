@@ -20,6 +20,7 @@ class StageKind(StrEnum):
     RELAY = "relay"
     HOMING = "homing"
     HYSTERETIC = "hysteretic"
+    SURVEY = "survey"
     TRACK = "track"
     LAW = "law"
     STOPPING = "stopping"

@@ -14,7 +14,7 @@ from rig.package import VERSION
 from rig.recording.errors import RecordingError
 from rig.recording.folder import write_whole
 from rig.recording.recording import Recording
-from rig.report import checked, fitted, measured, tables, transient
+from rig.report import checked, fitted, friction_map, measured, tables, transient
 from rig.report.fit import fits_of
 from rig.report.source import ReportedRun, load
 from rig.report.style import AbsentError, Picture, colour, style
@@ -68,6 +68,7 @@ def _identify_unfinished(run: ReportedRun) -> tuple[ReportedRun, Identification 
         relays=identified.relays,
         hysteretic=identified.hysteretic,
         friction_law=identified.friction_law,
+        friction_map=identified.friction_map,
         **identified.law_keys(),
     )
     run.notes.append("The run ended before it had a result. For this page its recording was identified.")
@@ -121,6 +122,11 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
                 return []
             return [_figure(lambda: transient.first_transients(run)), _figure(lambda: transient.recursion(run, fits))]
 
+        def surveyed() -> list[Figure]:
+            if not run.spans("survey"):
+                return []
+            return [_figure(lambda: friction_map.over_speed(run)), _figure(lambda: friction_map.over_position(run))]
+
         cycles = [_figure(lambda span=span: fitted.averaged_cycle(run, span)) for span in relays]  # type: ignore[misc]
         return {
             "whole": [_figure(lambda: measured.whole_run(run))],
@@ -130,6 +136,7 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
             "portraits": [_figure(lambda: measured.portraits(run))],
             "forest": [_figure(lambda: fitted.forest(run))],
             "budget": [_figure(lambda: fitted.budget(run))],
+            "map": surveyed(),
             "transients": transients(),
             "cycles": cycles or [Figure(None, "There was no relay test, so there is no averaged cycle.")],
             "evidence": [Figure(None, trouble) if trouble else _figure(lambda: fitted.residuals(run, best, fits))],

@@ -42,6 +42,7 @@ BANDS = {
     "relay": "#dfecf6",
     "homing": "#f4f1ec",
     "hysteretic": "#f6e6f0",
+    "survey": "#e6f0df",
     "track": "#e2f1ea",
 }
 

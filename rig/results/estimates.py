@@ -203,6 +203,43 @@ class FittedRecord(Part):
     duration_s: Number = Field(None, description="how long it is, s")
 
 
+class MapSpeedResult(Part):
+    """A sweep of the survey: the drive that its speed took."""
+
+    speed_rad_s: Number = Field(None, description="mean speed, rad/s; negative towards falling positions")
+    drive_V: Number = Field(None, description="mean drive, less what acceleration took, V")
+    error_V: Number = Field(None, description="its standard error, V")
+    sticks: Flag = Field(False, description="whether the shaft stuck and slipped: then this is no steady speed")
+    share: Number = Field(None, description="its share in the means over the speeds; 0: it stuck")
+    law_V: Number = Field(None, description="the drive that the identified motor takes there, V")
+
+
+class MapPositionResult(Part):
+    """A position of the survey: the drive there less v/K and what acceleration took, mean over the speeds."""
+
+    y_rad: Number = Field(None, description="position, rad")
+    plus_V: Number = Field(None, description="drive towards rising positions, V")
+    minus_V: Number = Field(None, description="drive towards falling positions, V")
+    plus_error_V: Number = Field(None, description="standard error of plus_V, V")
+    minus_error_V: Number = Field(None, description="standard error of minus_V, V")
+    force_V: Number = Field(None, description="half their sum: force over position, less the bias, V")
+    friction_V: Number = Field(None, description="half their difference: friction over position, V")
+    error_V: Number = Field(None, description="standard error of force_V and of friction_V, V")
+    law_plus_V: Number = Field(None, description="plus_V by the identified motor, V")
+    law_minus_V: Number = Field(None, description="minus_V by the identified motor, V")
+
+
+class FrictionMapResult(Part):
+    """The friction map: the drive over speed and over position, from the sweeps of a survey."""
+
+    tau_s: Number = Field(None, description="time constant by which acceleration was corrected, s")
+    K_rad_s_V: Number = Field(None, description="gain by which speed and acceleration were corrected, (rad/s)/V")
+    laws: tuple[Text, ...] = Field((), description="laws of the motor beside the map; empty: the plain motor")
+    travel_rad: Interval | None = Field(None, description="the positions that every sweep passed steadily, rad")
+    speeds: tuple[MapSpeedResult, ...] = Field((), description="the sweeps, by speed")
+    positions: tuple[MapPositionResult, ...] = Field((), description="by position; empty: no sweep was steady")
+
+
 class MotorLawResult(Part):
     """What a motor is beyond the plain one, and how certain tau, K and friction are. A part of two other files."""
 
@@ -249,6 +286,7 @@ class _Estimates(Part):
     hysteretic: Sometimes[tuple[HystereticResult, ...]] = Field(None, description="runs of hysteretic relays")
     breakaway: Sometimes[StaticFrictionResult] = Field(None, description="static friction")
     friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law describes the tests")
+    friction_map: Sometimes[FrictionMapResult] = Field(None, description="the drive over speed and over position")
 
 
 class IdentificationResult(MotorLawResult, _Estimates):

@@ -19,6 +19,33 @@ class RunEvent(Part):
         return dict(self.model_extra or {})
 
 
+class DrivenSurvey(Part):
+    """The keys of an event ``survey``: the crude motor, and the plan. Each speed is an event ``sweep``."""
+
+    tau_s: Real
+    K_rad_s_V: Real
+    plus_V: Real
+    minus_V: Real
+    low_rad: Real
+    high_rad: Real
+    bandwidth_1_s: Real
+    latency_s: Real
+    lost_rad: Real
+
+
+class DrivenSweep(Part):
+    """The keys of an event ``sweep``: the speed of a sweep to and fro."""
+
+    speed_rad_s: Real
+
+
+class FurtherTest(Part):
+    """The keys of an event ``further_test``: gains of a relay test that a thorough run added."""
+
+    h1_V: Real
+    h2_V: Real
+
+
 class DrivenModel(Part):
     """The keys of an event ``model``: a model that tracked."""
 

@@ -43,7 +43,7 @@ class SensorBelieved(Part):
 class ScriptCall(Part):
     """The script that ran, with its arguments, so that it can be replayed."""
 
-    name: Text = Field(description="run, relay, breakaway, track, jog or law")
+    name: Text = Field(description="run, relay, survey, breakaway, track, jog or law")
     breakaway: Sometimes[Text] = Field(None, description="law of the breakaway check; older versions write none")
     u_V: Sometimes[Number] = Field(None, description="drive of a jog, V")
     duration_s: Sometimes[Number] = Field(None, description="duration of a jog or of a user's law, s")

@@ -10,6 +10,7 @@ from rig.results.estimates import (
     BreakawayResult,
     EstimateResult,
     FrictionLawResult,
+    FrictionMapResult,
     HystereticResult,
     MotorLawResult,
     RelayTestResult,
@@ -112,6 +113,7 @@ class _Run(Part):
     models_from: Sometimes[Text] = Field(None, description="another run whose models drove this one")
     breakaway: Sometimes[BreakawayResult] = Field(None, description="the breakaway check, and static friction")
     friction_law: Sometimes[FrictionLawResult] = Field(None, description="which friction law describes the tests")
+    friction_map: Sometimes[FrictionMapResult] = Field(None, description="the drive over speed and over position")
     jog: Sometimes[JogResult] = Field(None, description="what `rig jog` did")
     search: Sometimes[tuple[SearchStepResult, ...]] = Field(None, description="the gain search, step by step")
     truth: Sometimes[TrueMotor] = Field(None, description="the emulated motor")

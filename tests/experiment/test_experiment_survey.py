@@ -1,0 +1,149 @@
+"""The survey in virtual time, by the command: its map, its limits, its replay; and what a thorough run adds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from command_line import rig
+
+from rig.recording.reader import read_run
+
+ROOT = Path(__file__).resolve().parents[2]
+pytestmark = pytest.mark.timeout(900)  # identifications with a survey, on a machine that others share
+# An unbalanced load and a Stribeck effect: what the map is to show.
+FRICTION = {"fc_plus_V": 0.48, "fc_minus_V": 0.48, "fs_plus_V": 0.54, "fs_minus_V": 0.54, "stribeck_rad_s": 0.4}
+NARROW = {"soft_rad": [-0.05, 0.05], "hard_rad": [-1.95, 1.95], "max_speed_rad_s": 4.9, "coast_tau_s": 0.2}
+PARTS = {"force_sin_V": 0.08, "half_travel_rad": 1.0}
+
+
+def written(folder: Path, parts: dict[str, float] | None = None, **sections: object) -> Path:
+    """config/simulated.yaml with given gains, no tracking, this motor, and further sections."""
+    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    config.pop("tracking")
+    config["relay"] = {"gains": [{"h1_V": 0.42, "h2_V": 0.84}], "cycles": 6}
+    config["survey"] = {"speeds_rad_s": [0.7, 0.4, 0.2], "longest_s": 60}
+    motor = config["emulated"]["motor"]
+    motor |= FRICTION
+    if parts is not None:
+        motor["parts"] = parts
+        for name in ("fs_plus_V", "fs_minus_V", "stribeck_rad_s"):
+            motor.pop(name)
+    else:
+        motor["parts"] = PARTS
+    path = folder / "survey.yaml"
+    path.write_text(yaml.safe_dump(config | sections), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    folder = tmp_path_factory.mktemp("survey")
+    result = rig("survey", written(folder), "--out", folder / "runs", "--json")
+    outcome: dict[str, Any] = json.loads(result.stdout)
+    assert result.exit_code == 0, outcome.get("cause")
+    return outcome
+
+
+def test_the_map_is_the_true_motor_within_its_error_bars(survey: dict[str, Any]) -> None:
+    """Against the formula of the emulated motor; its friction at rest is the Stribeck level."""
+    found, fc, bias = survey["friction_map"], 0.48, 0.01
+    low, high = found["travel_rad"]
+    y = np.linspace(low, high, 200)
+    # the window over the whole travel rises and falls over a fifth of it
+    near_end = np.clip(np.minimum(y - low, high - y) / (0.2 * (high - low)), 0.0, 1.0)
+    weight = near_end - np.sin(2.0 * np.pi * near_end) / (2.0 * np.pi)
+    force = 0.08 * np.sin(y)
+    for one in found["speeds"]:
+        v = one["speed_rad_s"]
+        level = fc + 0.06 * np.exp(-abs(v) / 0.4)
+        true = v / 6.5 + np.sign(v) * level + np.average(force, weights=weight) - bias
+        assert one["drive_V"] == pytest.approx(true, abs=4.0 * one["error_V"] + 0.001)
+        assert not one["sticks"] and one["error_V"] < 0.01
+    for one in found["positions"]:
+        true = 0.08 * np.sin(one["y_rad"]) - bias
+        assert one["force_V"] == pytest.approx(true, abs=4.0 * one["error_V"] + 0.002)
+
+
+def test_the_shaft_keeps_within_the_soft_limits_and_rests_at_the_end(survey: dict[str, Any]) -> None:
+    recording = read_run(Path(survey["folder"]))
+    rows = recording.stage_rows("survey")
+    assert recording.y_rad[rows].min() > -1.1 and recording.y_rad[rows].max() < 1.1
+    assert np.isfinite(recording.yd_rad[rows]).all() and not recording.flags[rows].any()
+    assert recording.u_V[-1] == 0.0
+
+
+def test_its_replay_drives_the_same(survey: dict[str, Any]) -> None:
+    result = rig("replay", survey["folder"], "--json")
+    done = json.loads(result.stdout)
+    assert result.exit_code == 0 and done["ok"] and done["replayed"] == done["rows"]
+
+
+def test_its_report_has_the_map_and_its_terminal_lines_name_it(survey: dict[str, Any]) -> None:
+    page = (Path(survey["folder"]) / "report.html").read_text(encoding="utf-8")
+    assert "Friction map: drive over speed." in page and "Friction map: drive over position" in page
+    again = rig("identify", survey["folder"])
+    assert again.exit_code == 0
+    assert "friction map: " in again.stdout and "speed, rad/s" in again.stdout
+
+
+def test_a_survey_can_be_left_out(survey: dict[str, Any]) -> None:
+    result = json.loads(rig("identify", survey["folder"], "--without", "survey", "--json").stdout)
+    assert "friction_map" not in result
+    assert [record["name"] for record in survey["law_records"]] == ["relay-1", "breakaway", "survey"]
+
+
+@pytest.mark.parametrize(
+    ("sections", "words"),
+    [
+        ({"survey": {"longest_s": 4.0}}, "longer than 4 s"),
+        ({"survey": {}, "limits": NARROW}, "the slowest sweep that the sensor resolves is at"),
+    ],
+    ids=["too long", "too short a travel"],
+)  # fmt: skip
+def test_without_room_it_is_refused_before_anything_moves(sections: dict[str, Any], words: str, tmp_path: Path) -> None:
+    result = rig("survey", written(tmp_path, **sections), "--out", tmp_path / "runs")
+    assert result.exit_code == 1
+    assert "NO_SWEEPS" in result.stderr and words in result.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_speeds_that_do_not_fit_are_a_problem_of_the_config(tmp_path: Path) -> None:
+    result = rig("check", written(tmp_path, survey={"speeds_rad_s": [0.7, 3.0]}))
+    assert result.exit_code == 2
+    assert "survey.speeds_rad_s" in result.stderr and "3 rad/s is too fast for a travel of 1.98 rad" in result.stderr
+
+
+def test_the_check_of_a_thorough_config_names_the_sweeps(tmp_path: Path) -> None:
+    result = rig("check", written(tmp_path, identify={"thorough": True}))
+    assert result.exit_code == 0
+    assert "stage survey, if the relay tests leave the motor's law open" in result.stdout
+    assert "at about 0.7, 0.4, 0.2 rad/s" in result.stdout
+
+
+def test_a_thorough_run_tells_what_the_plain_run_leaves_open(tmp_path: Path) -> None:
+    """One amplitude does not tell a supply that sags from a slower motor; three and a survey do."""
+    path = written(tmp_path, {"sag_per_V": 0.03, "half_travel_rad": 1.0}, identify={"thorough": True})
+    outcome = json.loads(rig("run", path, "--out", tmp_path / "runs", "--json").stdout)
+    assert any(note.startswith("thorough: the tests left") for note in outcome["notes"])
+    (law,) = outcome["law"]
+    assert law["name"] == "sag" and law["ci95"][0] < 0.03 < law["ci95"][1]
+    truth, with_law = outcome["truth"], outcome["with_law"]
+    for name in ("tau_s", "K_rad_s_V", "fc_V"):
+        assert with_law[name] == pytest.approx(truth[name], rel=0.01)
+        assert outcome["u95"][name] < 0.025 * truth[name]
+    stages = read_run(Path(outcome["folder"])).stages()
+    assert [stage for stage in stages if stage != "rest"] == ["breakaway", "relay-1", "relay-2", "survey"]
+
+    plain = rig("identify", outcome["folder"], "--without", "survey", "--without", "relay-2", "--json")
+    left = json.loads(plain.stdout)
+    assert not left["law"]
+    estimate = left["estimates"]["sampled-data"]
+    assert estimate["verdict"] == "doubtful" and estimate["K_rad_s_V"] < 0.97 * truth["K_rad_s_V"]
+
+    done = json.loads(rig("replay", outcome["folder"], "--json").stdout)
+    assert done["ok"] and done["replayed"] == done["rows"]
