@@ -169,6 +169,11 @@ FAULTS: dict[str, FaultEntry] = {
         "jog --u-V 0` follow it (wiper, coupling). Then check the motor's supply, wires and bridge. Raise "
         "breakaway.max_V only if all that is well, by a fifth at a time: then friction is higher than you thought",
     ),
+    "DELAY": FaultEntry(
+        "the bench acts too late for the room that it has: from a drive to its motion the shaft could travel too far",
+        "widen limits.hard_rad, or lower limits.max_speed_rad_s or relay.target.amplitude_rad; or find what is late "
+        "and make it quicker: a filter of the sensor, the scan time of an I/O block, a ramp of the drive",
+    ),
     "LATE": FaultEntry(
         "ticks came late, so strokes of the breakaway check lasted too long",
         "close programs that load the machine; `rig doctor CONFIG` shows how late ticks come and what helps; then "

@@ -90,8 +90,8 @@ class Tracking:
         self.finished = elapsed >= self.duration_s
         self.yd_rad = self.trajectory.at(elapsed).y_rad
         state = self.observer.step(sample)
-        # the drive acts after the latency: take the reference at that time, too
-        reference = self.trajectory.at(elapsed + self.observer.latency_s)
+        # the drive acts after the delay: take the reference at that time, too
+        reference = self.trajectory.at(elapsed + self.observer.delay_s)
         # at rest the estimate has no sign: without compensation the shaft would stay there
         use_reference = self.friction_sign == "reference" or state.v == 0.0
         velocity = reference.v_rad_s if use_reference else state.v

@@ -6,6 +6,7 @@ cannot begin. It raises ValueError if it is called out of order.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -27,17 +28,19 @@ from rig.control.trajectory import SumOfSines
 from rig.estimators import LEADING
 from rig.faults import Fault
 from rig.identify import Identification, identify
+from rig.identify.stroke_delay import strokes_delay
 from rig.loop.pre_run import PreRunBench, pre_run
 from rig.loop.real_time import RealTime, real_time
 from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
 from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
 from rig.preflight.loop_settings import guard_settings_of, real_time_of
-from rig.preflight.room_to_stop import reach_rad
+from rig.preflight.room_to_stop import counted_delay_s, reach_rad, room_for_delay_s
 from rig.recording.folder import write_meta
 from rig.recording.stage import Stage, StageKind
 from rig.results import JogResult, RealTimeReport, TrackingResult
 from rig.session import FADE_S, Session
+from rig.signals import BenchDelay
 
 REST_S = 0.7
 RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
@@ -104,8 +107,68 @@ def _armed_check(session: Session, check: BreakawayLaw | None) -> None:
     strokes = None if e.motor is None or isinstance(check, OneWayCheck) else breakaway_strokes(e)
     if strokes is not None:
         limits = replace(limits, watchdog_s=strokes.watchdog_s)
-    with session.loop.armed(limits):
-        check_breakaway(session, check)
+    try:
+        with session.loop.armed(limits):
+            check_breakaway(session, check)
+    except Fault as fault:
+        if fault.code in ("NO_MOTION", "POLARITY"):
+            _explain_by_delay(session, fault)
+        raise
+    _take_delay(session)
+
+
+def _take_delay(session: Session) -> None:
+    """Measure the bench's delay by the strokes, and let guard and loop count with it. Raises Fault DELAY."""
+    e, check = session.experiment, session.found.breakaway
+    if check is None:
+        raise ValueError("the delay is measured by a breakaway check")
+    delay = _delay_of(session, check.reported_delay_s, check.noise_rad)
+    counted_s, room_s = counted_delay_s(e, delay), room_for_delay_s(e)
+    if counted_s > max(room_s, 0.0):
+        raise Fault(
+            "DELAY",
+            f"{delay_words(delay)}; at {e.limits.max_speed_rad_s:g} rad/s there is room for "
+            f"{1e3 * max(room_s, 0.0):.0f} ms beyond a drive's own tick, and this is {1e3 * counted_s:.0f} ms: "
+            f"{e.limits.max_speed_rad_s * counted_s:.2f} rad farther",
+        )
+    session.loop.guard.learn(guard_settings_of(e, check.noise_rad, delay))
+    session.loop.expect_delay(delay.reported_s)
+    if counted_s > 0.0:
+        session.found.notes.append(
+            f"{delay_words(delay)}: the guard brakes {1e3 * counted_s:.0f} ms earlier for it, and tracking predicts "
+            "over it"
+        )
+
+
+def _explain_by_delay(session: Session, fault: Fault) -> None:
+    """Raise Fault DELAY if the strokes did move the shaft, but later than the check looks. Takes what it replaces."""
+    noise_rad = max(session.loop.guard.settings.noise_rad, session.experiment.sensor.curve.lsb_rad)
+    delay = _delay_of(session, 0.0, noise_rad)
+    if counted_delay_s(session.experiment, delay) > max(room_for_delay_s(session.experiment), 0.0):
+        raise Fault("DELAY", f"{delay_words(delay)}; {fault.detail}") from fault
+
+
+def delay_words(delay: BenchDelay) -> str:
+    """The delay, as the beginning of a sentence."""
+    low_s, high_s = delay.range_s
+    if delay.shown_s[2] > 0.0:
+        return (
+            f"the strokes of the breakaway check moved the reading {1e3 * low_s:.0f} to {1e3 * high_s:.0f} ms after "
+            "the sample on which they were decided"
+        )
+    return f"the device reports that a drive acts {1e3 * delay.reported_s:.0f} ms after its sample"
+
+
+def _delay_of(session: Session, reported_s: float, noise_rad: float) -> BenchDelay:
+    """The bench's delay by the strokes so far; noted, so that a replay counts with the same."""
+    if session.delay is None:
+        session.recorder.drain()
+        recording = session.read()
+        further = strokes_delay(recording, noise_rad)
+        session.delay = BenchDelay(reported_s, further)
+        low_s, best_s, high_s = session.delay.further_s or (math.nan,) * 3
+        session.note("delay", reported_s=reported_s, low_s=low_s, further_s=best_s, high_s=high_s)
+    return session.delay
 
 
 @contextmanager
@@ -166,7 +229,7 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
     session.loop.run(check, "breakaway")
     session.found.breakaway = check
     guard = session.loop.guard
-    guard.settings = guard_settings_of(e, check.noise_rad)
+    guard.learn(guard_settings_of(e, check.noise_rad))
     guard.static_V = max(check.plus_V, check.minus_V)
     guard.sign_proven = True
     differ = abs(check.plus_V - check.minus_V) / (check.plus_V + check.minus_V)
@@ -202,7 +265,9 @@ def test_relays(session: Session) -> None:
         if e.relay.where == "device":
             run_in_device(session, pair_V, detector, timeout_s, stage, watch)
         else:
-            session.loop.run(RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s), stage, watch)
+            test = RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s)
+            test.watch.wait(round(session.loop.latency_s / e.period_s))
+            session.loop.run(test, stage, watch)
     if relay.bound_reached:
         session.found.notes.append("the relay's integral reached its bound: that made the first cycles shorter")
     session.loop.run(Rest(REST_S), "rest")
@@ -357,9 +422,10 @@ def verify_models(session: Session) -> None:
             K_rad_s_V=motor.K_rad_s_V,
             fc_V=motor.friction.plus_V,
             bias_V=motor.bias_V,
+            further_delay_s=_further_delay_s(session),
         )
     if safe:
-        track(session, safe)
+        track(session, safe, _further_delay_s(session))
 
 
 def _why_not(session: Session, identification: Identification, method: Method) -> str | None:
@@ -379,19 +445,35 @@ def _why_not(session: Session, identification: Identification, method: Method) -
         start_rad=session.loop.last_y_rad,
         noise_rad=session.loop.guard.settings.noise_rad,
         latency_s=session.loop.latency_s,
+        further_delay_s=_further_delay_s(session),
         calibration=e.sensor.curve,
         drive_map=e.drive.map,
         rail_counts=e.sensor.rail_counts,
         period_s=e.period_s,
         order=session.bench.driver.order,
     )
-    return pre_run(_tracking_law(session, estimate.motor()), bench, session.loop.guard.settings)
+    law = _tracking_law(session, estimate.motor(), bench.further_delay_s)
+    return pre_run(law, bench, session.loop.guard.settings)
 
 
-def track(session: Session, models: Mapping[Method, Motor]) -> None:
-    """Track the config's trajectory with each of the models, from rest."""
+def _further_delay_s(session: Session) -> float:
+    """The delay that the device does not report, s, by the best estimate, else by the strokes; 0 s if not shown."""
+    delay, identification = session.delay, session.found.identification
+    if delay is None or delay.shown_s[2] == 0.0:
+        return 0.0
+    best = None if identification is None or session.found.models_from is not None else identification.best
+    if best is None or not math.isfinite(best.delay_s):
+        return delay.shown_s[1]
+    return max(best.delay_s - delay.reported_s, 0.0)
+
+
+def track(session: Session, models: Mapping[Method, Motor], further_delay_s: float = 0.0) -> None:
+    """Track the config's trajectory with each of the models, from rest.
+
+    further_delay_s  from the drive that the device reports to the motion of the reading
+    """
     # an observer's gain takes longer than a tick
-    laws = {method: _tracking_law(session, motor) for method, motor in models.items()}
+    laws = {method: _tracking_law(session, motor, further_delay_s) for method, motor in models.items()}
     with driving(session):
         for method, law in laws.items():
             session.loop.run(Rest(REST_S), "rest")
@@ -400,7 +482,7 @@ def track(session: Session, models: Mapping[Method, Motor]) -> None:
         session.loop.run(Rest(REST_S), "rest")
 
 
-def _tracking_law(session: Session, motor: Motor) -> Tracking:
+def _tracking_law(session: Session, motor: Motor, further_delay_s: float) -> Tracking:
     e = session.experiment
     if e.tracking is None:
         raise ValueError("tracking needs a config with section tracking")
@@ -411,7 +493,7 @@ def _tracking_law(session: Session, motor: Motor) -> Tracking:
     observer = MotorObserver(
         motor, e.period_s, session.loop.guard.settings.noise_rad, tachometer_noise_rad_s=tachometer_noise
     )
-    observer.latency_s = session.loop.latency_s
+    observer.latency_s, observer.further_s = session.loop.latency_s, further_delay_s
     return Tracking(
         motor,
         observer,

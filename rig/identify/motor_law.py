@@ -164,7 +164,7 @@ def motor_law(tests: Sequence[TimeSeries], plain: Estimate, periods_s: Sequence[
     ]
     free_delay = any(test.t_u_s is None for test in tests)
     delay_s = (
-        (-max(test.period_s for test in tests), max(test.longest_delay_s for test in tests))
+        (min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests))
         if free_delay
         else (0.0, 0.0)
     )
@@ -216,6 +216,7 @@ def thinned(test: TimeSeries, rows: int) -> TimeSeries:
         t_s=test.t_s[first],
         y_rad=test.y_rad[first],
         t_u_s=None if test.t_u_s is None else test.t_u_s[first],
+        even_s=None if test.even_s is None else test.even_s[first],
         u_V=mean_V,
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,12 +15,13 @@ from rig.identify.verdict import enough_cycles, intervals, spread_rad
 from rig.model.motor import State
 from rig.model.sensitivity import Theta
 from rig.recording.errors import IdentifyError
-from rig.recording.series import TimeSeries
+from rig.recording.series import LATENCY_S, TimeSeries
 
 NOISY, TOO_NOISY = 3.0, 8.0  # residual over the sensor's noise
 REPEATED = 0.3  # share of the residual's power that repeats in each cycle
 NEGLIGIBLE = 0.003  # residual over the spread of positions, below which it does not matter
 SLIPPED = 0.3  # of a period: largest difference between the recorded times of the drive and those that fit best
+AT_BOUND = 0.9995  # of the longest delay that is looked for
 REACH_PERIODS = 2.5  # periods: differences that are looked for
 TRANSFER = 1.5  # residual of a test predicted by the first test's model, over the residual of its own fit
 STUCK = 0.3  # share of the time in which the motor stands still
@@ -65,7 +67,7 @@ def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     longest = max(test.longest_delay_s for test in tests)
     if all(test.t_u_s is not None for test in tests):
         return estimate
-    if estimate.delay_s > 0.9995 * longest:
+    if estimate.delay_s > AT_BOUND * longest:
         return estimate.judged(
             "doubtful",
             f"the delay is at its bound, {1e3 * longest:.3g} ms: record the times at which the drive acts, t_u_s, or "
@@ -142,6 +144,24 @@ def slipped_rms_rad(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
         return math.inf
     moved = _moved(estimate, tests)
     return math.sqrt(moved.cost / moved.residual.size)
+
+
+def with_later_drives(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[TimeSeries] | None:
+    """The tests with an unknown delay, if the drive acts later than the tests say; None if it does not.
+
+    With t_u_s: only if strokes of a breakaway check allow that much, so that it is the bench and not the columns.
+    Without: only if the delay is at the end of what was looked for.
+    """
+    if all(test.t_u_s is None for test in tests):
+        if estimate.delay_s > AT_BOUND * max(test.longest_delay_s for test in tests):
+            return [replace(test, delay_s=(0.0, LATENCY_S)) for test in tests if test.delay_s is None] or None
+        return None
+    if any(test.t_u_s is None or test.delay_s is None for test in tests):
+        return None
+    period = max(test.period_s for test in tests)
+    slip = float(_moved(estimate, tests).x[4])
+    room = min(test.delay_s[1] - estimate.delay_s for test in tests if test.delay_s is not None)
+    return [test.with_unknown_delay() for test in tests] if SLIPPED * period < slip <= room else None
 
 
 def _moved(estimate: Estimate, tests: Sequence[TimeSeries]) -> Solution:

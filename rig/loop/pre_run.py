@@ -20,7 +20,7 @@ from rig.signals import Order
 
 @dataclass(frozen=True)
 class PreRunBench:
-    """What rig knows of the bench: the best model, the shaft's position, noise, latency, the order of a tick."""
+    """What rig knows of the bench: the best model, the shaft's position, noise, delay, the order of a tick."""
 
     motor: Motor
     start_rad: float
@@ -31,6 +31,7 @@ class PreRunBench:
     rail_counts: tuple[int, int]
     period_s: float
     order: Order = "sample_first"
+    further_delay_s: float = 0.0
 
 
 def pre_run(tracking: Tracking, bench: PreRunBench, guard: GuardSettings, seed: int = 0) -> str | None:
@@ -50,6 +51,7 @@ def pre_run(tracking: Tracking, bench: PreRunBench, guard: GuardSettings, seed: 
         noise_rad=bench.noise_rad,
         supply_V=bench.drive_map.full_V,
         drive_counts=bench.drive_map.full_units,
+        drive_delay_s=bench.further_delay_s,
     )
     plain = DriveMap(bench.drive_map.full_V, full_units=bench.drive_map.full_units)
     driver = SimulatedDriver(
@@ -63,6 +65,7 @@ def pre_run(tracking: Tracking, bench: PreRunBench, guard: GuardSettings, seed: 
     simulated_guard = Guard(guard)
     simulated_guard.sign_proven = True
     loop = Loop(driver, clock, simulated_guard, NullSink(), bench.period_s, StopRequest())
+    loop.expect_delay(bench.latency_s)
     low, high = guard.limits.soft_rad
     reached = [bench.start_rad, bench.start_rad]
 

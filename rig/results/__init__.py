@@ -18,7 +18,7 @@ from rig.results.estimates import (
     StaticFrictionResult,
     known,
 )
-from rig.results.event import DrivenModel, RunEvent
+from rig.results.event import DrivenModel, MeasuredDelay, RunEvent
 from rig.results.meta import DeviceSeen, RealTimeReport, RunMeta, ScriptCall, SupplyBelieved, TrueMotor
 from rig.results.part import JsonObject, Part
 from rig.results.result import (
@@ -49,6 +49,7 @@ __all__ = [
     "LawFit",
     "LawNumberResult",
     "LoopResult",
+    "MeasuredDelay",
     "Part",
     "PieceResult",
     "Quantiles",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from rig.results.part import JsonObject, Number, Part, Real, Text
+from rig.signals import BenchDelay
 
 
 class RunEvent(Part):
@@ -19,6 +20,22 @@ class RunEvent(Part):
         return dict(self.model_extra or {})
 
 
+class MeasuredDelay(Part):
+    """The keys of an event ``delay``: how late the bench acts, by the strokes of the breakaway check."""
+
+    reported_s: Real
+    low_s: Number = None
+    further_s: Number = None
+    high_s: Number = None
+
+    @property
+    def delay(self) -> BenchDelay:
+        """As the loop and the guard take it."""
+        if self.low_s is None or self.further_s is None or self.high_s is None:
+            return BenchDelay(self.reported_s)
+        return BenchDelay(self.reported_s, (self.low_s, self.further_s, self.high_s))
+
+
 class DrivenModel(Part):
     """The keys of an event ``model``: a model that tracked."""
 
@@ -27,3 +44,4 @@ class DrivenModel(Part):
     K_rad_s_V: Real
     fc_V: Real
     bias_V: Real
+    further_delay_s: Real = 0.0

@@ -93,6 +93,7 @@ def test_the_observer_sees_velocity_through_noise_and_predicts_over_the_delay(ta
     bench = simulated_bench(tachometer_rad_s_per_count=None if tachometer is None else 0.05)
     observer = MotorObserver(DEMO_MOTOR, PERIOD_S, 0.003, tachometer_noise_rad_s=tachometer)
     errors: list[float] = []
+    held = [0.0]
     rng = np.random.default_rng(3)
 
     class Wiggle:
@@ -105,8 +106,9 @@ def test_the_observer_sees_velocity_through_noise_and_predicts_over_the_delay(ta
             errors.append(state.v - ahead.v)
             self.n += 1
             self.finished = self.n > 400
-            u = float(rng.choice([-1.0, 1.0])) if self.n % 20 == 0 else observer._asked_V
+            u = float(rng.choice([-1.0, 1.0])) if self.n % 20 == 0 else held[-1]
             observer.drive(u)
+            held.append(u)
             return u
 
     with bench.loop.armed(LIMITS):
