@@ -71,6 +71,11 @@ class BenchDelay:
         low_s, _, high_s = self.shown_s
         return self.reported_s + low_s, self.reported_s + high_s
 
+    @property
+    def is_shown(self) -> bool:
+        """Whether the bench acts later than the device reports, for certain."""
+        return self.shown_s[2] > 0.0
+
     def whole_periods(self, latency_s: float, period_s: float) -> int:
         """Ticks by which the drive that acts ``latency_s`` after a sample was decided before that sample."""
         return max(round((self.reported_s - latency_s) / period_s), 0)

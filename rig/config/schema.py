@@ -447,8 +447,9 @@ class Emulated(_Section):
     drive_counts: Annotated[int, Field(ge=50, le=32767)] = Field(799, description="PWM counts at full duty")
     latency_s: NonNegative = Field(0.0012, description="simulated: mean time from sample to effect of the drive")
     latency_jitter_s: NonNegative = Field(0.0003, description="simulated: uniform half-width around the mean")
-    drive_delay_s: Annotated[float, Field(ge=0.0, le=0.5)] = Field(
-        0.0, description="simulated, modbus: from the device's output to the motor; the device does not report it"
+    drive_delay_s: Annotated[float, Field(ge=0.0, le=0.5)] | None = Field(
+        None,
+        description="simulated, modbus: from the device's output to the motor; no device reports it; default: none",
     )
     clock_error_ppm: Annotated[float, Field(ge=-20000, le=20000)] = Field(
         0.0, description="device clock against the host's (a ceramic resonator: 5000)"

@@ -145,8 +145,8 @@ class BreakawayCheck(RestingCheck):
     its begin, by the device's reports; each pause lasts until the device has reported the end of its stroke.
 
     Results, once finished: ``plus_V`` and ``minus_V`` (> 0), each halfway between the last level without visible motion
-    and the next level; ``noise_rad``, the sensor's standard deviation at rest; ``reported_delay_s``. Both levels may lie above static
-    friction, since the level rises until the motion exceeds the noise; identification corrects that.
+    and the next level; ``noise_rad``, the sensor's standard deviation at rest; ``reported_delay_s``. Both levels may
+    lie above static friction, since the level rises until the motion exceeds the noise; identification corrects that.
 
     Raises Fault: DRIVE_STUCK_ON (moves at 0 V), SENSOR_NOISY, NO_MOTION, POLARITY (moves against the drive), LATE.
     """

@@ -151,7 +151,7 @@ def _explain_by_delay(session: Session, fault: Fault) -> None:
 def delay_words(delay: BenchDelay) -> str:
     """The delay, as the beginning of a sentence."""
     low_s, high_s = delay.range_s
-    if delay.shown_s[2] > 0.0:
+    if delay.is_shown:
         return (
             f"the strokes of the breakaway check moved the reading {1e3 * low_s:.0f} to {1e3 * high_s:.0f} ms after "
             "the sample on which they were decided"
@@ -160,14 +160,15 @@ def delay_words(delay: BenchDelay) -> str:
 
 
 def _delay_of(session: Session, reported_s: float, noise_rad: float) -> BenchDelay:
-    """The bench's delay by the strokes so far; noted, so that a replay counts with the same."""
+    """The bench's delay by the strokes so far; noted if it is beyond a tick, so that a replay counts with the same."""
     if session.delay is None:
         session.recorder.drain()
         recording = session.read()
         further = strokes_delay(recording, noise_rad)
-        session.delay = BenchDelay(reported_s, further)
-        low_s, best_s, high_s = session.delay.further_s or (math.nan,) * 3
-        session.note("delay", reported_s=reported_s, low_s=low_s, further_s=best_s, high_s=high_s)
+        delay = session.delay = BenchDelay(reported_s, further)
+        low_s, best_s, high_s = delay.further_s or (math.nan,) * 3
+        if delay.is_shown or session.loop.waits(reported_s):
+            session.note("delay", reported_s=reported_s, low_s=low_s, further_s=best_s, high_s=high_s)
     return session.delay
 
 
@@ -406,6 +407,7 @@ def verify_models(session: Session) -> None:
     if e.tracking is None or identification is None:
         return
     safe: dict[Method, Motor] = {}
+    further_delay_s = _further_delay_s(session)
     for method in e.tracking.methods:
         reason = _why_not(session, identification, method)
         if reason is None:
@@ -422,10 +424,10 @@ def verify_models(session: Session) -> None:
             K_rad_s_V=motor.K_rad_s_V,
             fc_V=motor.friction.plus_V,
             bias_V=motor.bias_V,
-            further_delay_s=_further_delay_s(session),
+            **({"further_delay_s": further_delay_s} if further_delay_s > 0.0 else {}),
         )
     if safe:
-        track(session, safe, _further_delay_s(session))
+        track(session, safe, further_delay_s)
 
 
 def _why_not(session: Session, identification: Identification, method: Method) -> str | None:
@@ -457,14 +459,12 @@ def _why_not(session: Session, identification: Identification, method: Method) -
 
 
 def _further_delay_s(session: Session) -> float:
-    """The delay that the device does not report, s, by the best estimate, else by the strokes; 0 s if not shown."""
-    delay, identification = session.delay, session.found.identification
-    if delay is None or delay.shown_s[2] == 0.0:
-        return 0.0
+    """The delay that the device does not report, s: as identified, else by the strokes; 0 s if there is none."""
+    delay, identification = session.delay or BenchDelay(), session.found.identification
     best = None if identification is None or session.found.models_from is not None else identification.best
-    if best is None or not math.isfinite(best.delay_s):
+    if best is None or not best.fits_delay:
         return delay.shown_s[1]
-    return max(best.delay_s - delay.reported_s, 0.0)
+    return max(best.delay_s - session.loop.latency_s, 0.0)
 
 
 def track(session: Session, models: Mapping[Method, Motor], further_delay_s: float = 0.0) -> None:

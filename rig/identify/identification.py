@@ -20,11 +20,12 @@ from rig.identify.measurements import Measurements, measurements
 from rig.identify.motor_law import NO_LAW, MotorLaw, motor_law
 from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.preprocessing import from_recording
-from rig.identify.sampled_data_verdict import judge_with_laws, slipped_rms_rad, with_later_drives
+from rig.identify.sampled_data_verdict import judge_with_laws, late_s, slipped_rms_rad
+from rig.identify.stroke_delay import strokes_delay
 from rig.identify.verdict import settled
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
-from rig.recording.series import TimeSeries
+from rig.recording.series import LATENCY_S, TimeSeries
 from rig.recording.stage import StageKind, kind_of
 from rig.results import HystereticResult, IdentificationResult, RelayTestResult, StaticFrictionResult
 
@@ -94,7 +95,7 @@ def identify(
     found = _found(data)
     chosen = [e for e in wanted if methods or e.series(data)]
     errors = _add_estimates(chosen, data, found)
-    if _takes_delay(data, found.estimates.get(LEADING)):
+    if _takes_delay(data, found.estimates.get(LEADING), recordings):
         found = _found(data)
         errors = _add_estimates(chosen, data, found)
     if not found.estimates:
@@ -115,14 +116,24 @@ def identify(
     return found
 
 
-def _takes_delay(data: Measurements, estimate: Estimate | None) -> bool:
-    """Whether the bench acts later than its tests say. Then the tests of ``data`` have an unknown delay."""
-    if estimate is None or estimate.verdict == "ok":
+def _takes_delay(data: Measurements, estimate: Estimate | None, recordings: Sequence[Recording]) -> bool:
+    """Whether the bench acts later than its tests say. Then the tests of ``data`` have an unknown delay.
+
+    If they say when each drive acted, the strokes of a breakaway check must allow that it was later: else it is
+    columns that are wrong, not the bench.
+    """
+    if estimate is None or estimate.verdict == "ok" or any(test.delay_s is not None for test in data.tests):
         return False
-    later = with_later_drives(estimate, data.tests)
-    if later is None:
+    later_s = late_s(estimate, data.tests)
+    if later_s == 0.0:
         return False
-    data.tests = later
+    bound_s = (0.0, LATENCY_S)
+    if data.tests[0].t_u_s is not None:
+        strokes = [strokes_delay(recording) for recording in recordings]
+        if any(one is None or not one.low_s <= later_s <= one.high_s for one in strokes):
+            return False
+        bound_s = (0.0, estimate.delay_s + max(one.high_s for one in strokes if one is not None))
+    data.tests = [test.with_unknown_delay(bound_s) for test in data.tests]
     data.notes.append("the drive acts later than the recording says: its delay is fitted")
     return True
 

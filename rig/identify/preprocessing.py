@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -98,19 +98,16 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[TimeSe
 
 
 def _with_delay(series: TimeSeries, delay: BenchDelay | None, notes: list[str]) -> TimeSeries:
-    """With what the breakaway check has shown of its delay. If that is more than the device reports, it is unknown."""
-    if delay is None or delay.further_s is None:
+    """With an unknown delay, if the breakaway check has shown more delay than the device reports."""
+    if delay is None or delay.further_s is None or not delay.is_shown:
         return series
     reported_s = float(np.mean(series.edge_s - series.t_s))
     low_s, high_s = (reported_s + end for end in (delay.further_s[0], delay.further_s[2]))
-    bounded = replace(series, delay_s=(low_s, high_s))
-    if delay.shown_s[2] == 0.0:
-        return bounded
     notes.append(
         f"the reading moves {1e3 * low_s:.0f} to {1e3 * high_s:.0f} ms after a sample, by the strokes of the breakaway "
         f"check, but the device reports {1e3 * reported_s:.1f} ms: the delay is fitted"
     )
-    return bounded.with_unknown_delay()
+    return series.with_unknown_delay((low_s, high_s))
 
 
 def _waiting(delay: BenchDelay, t_s: Floats, t_u_s: Floats) -> int:

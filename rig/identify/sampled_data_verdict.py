@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from rig.identify.verdict import enough_cycles, intervals, spread_rad
 from rig.model.motor import State
 from rig.model.sensitivity import Theta
 from rig.recording.errors import IdentifyError
-from rig.recording.series import LATENCY_S, TimeSeries
+from rig.recording.series import TimeSeries
 
 NOISY, TOO_NOISY = 3.0, 8.0  # residual over the sensor's noise
 REPEATED = 0.3  # share of the residual's power that repeats in each cycle
@@ -146,22 +145,18 @@ def slipped_rms_rad(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
     return math.sqrt(moved.cost / moved.residual.size)
 
 
-def with_later_drives(estimate: Estimate, tests: Sequence[TimeSeries]) -> list[TimeSeries] | None:
-    """The tests with an unknown delay, if the drive acts later than the tests say; None if it does not.
+def late_s(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
+    """How much later than the tests say the drive acts, s: at least a third of a period; 0.0 if it does not.
 
-    With t_u_s: only if strokes of a breakaway check allow that much, so that it is the bench and not the columns.
-    Without: only if the delay is at the end of what was looked for.
+    Without t_u_s: the longest delay that was looked for, if the estimate has that delay.
     """
     if all(test.t_u_s is None for test in tests):
-        if estimate.delay_s > AT_BOUND * max(test.longest_delay_s for test in tests):
-            return [replace(test, delay_s=(0.0, LATENCY_S)) for test in tests if test.delay_s is None] or None
-        return None
-    if any(test.t_u_s is None or test.delay_s is None for test in tests):
-        return None
-    period = max(test.period_s for test in tests)
-    slip = float(_moved(estimate, tests).x[4])
-    room = min(test.delay_s[1] - estimate.delay_s for test in tests if test.delay_s is not None)
-    return [test.with_unknown_delay() for test in tests] if SLIPPED * period < slip <= room else None
+        longest_s = max(test.longest_delay_s for test in tests)
+        return longest_s if estimate.delay_s > AT_BOUND * longest_s else 0.0
+    if any(test.t_u_s is None for test in tests):
+        return 0.0
+    slip_s = float(_moved(estimate, tests).x[4])
+    return slip_s if slip_s > SLIPPED * max(test.period_s for test in tests) else 0.0
 
 
 def _moved(estimate: Estimate, tests: Sequence[TimeSeries]) -> Solution:

@@ -83,13 +83,16 @@ def _end(rises: dict[float, float]) -> float:
     return inside_s
 
 
-def strokes_delay(recording: Recording, noise_rad: float) -> StrokeDelay | None:
-    """``stroke_delay`` of the breakaway check in a run; None where it has too few rows."""
+def strokes_delay(recording: Recording, noise_rad: float | None = None) -> StrokeDelay | None:
+    """``stroke_delay`` of the breakaway check in a run; None without one.
+
+    noise_rad  as there; default: that of the rows
+    """
     try:
         series, _ = from_recording(recording, recording.stage_rows(str(StageKind.BREAKAWAY)), "breakaway")
     except (IdentifyError, RecordingError):
         return None
-    return stroke_delay(series, noise_rad)
+    return stroke_delay(series, series.noise_rad() if noise_rad is None else noise_rad)
 
 
 class _Fit(NamedTuple):

@@ -121,12 +121,15 @@ class TimeSeries:
         """Sampling period: the median step of t_s, s."""
         return float(np.median(np.diff(self.t_s)))
 
-    def with_unknown_delay(self) -> TimeSeries:
-        """The same, but its drives act an unknown constant delay after the times that are known of them."""
+    def with_unknown_delay(self, delay_s: tuple[float, float]) -> TimeSeries:
+        """The same, but its drives act an unknown constant delay later, s: at least and at most.
+
+        How they differ from their mean is kept, if their times are known.
+        """
         if self.t_u_s is None:
-            return self
+            return replace(self, delay_s=delay_s)
         even_s = self.t_u_s - float(np.mean(self.t_u_s - self.t_s))
-        return replace(self, t_u_s=None, even_s=even_s)
+        return replace(self, t_u_s=None, even_s=even_s, delay_s=delay_s)
 
     @property
     def longest_delay_s(self) -> float:
