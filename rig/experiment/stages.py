@@ -35,7 +35,7 @@ from rig.model.cycle_detector import CycleDetector
 from rig.model.motor import Motor
 from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
 from rig.preflight.loop_settings import guard_settings_of, real_time_of
-from rig.preflight.room_to_stop import counted_delay_s, reach_rad, room_for_delay_s
+from rig.preflight.room_to_stop import counted_delay_s, expected_delay_s, reach_rad, room_for_delay_s
 from rig.recording.folder import write_meta
 from rig.recording.stage import Stage, StageKind
 from rig.results import JogResult, RealTimeReport, TrackingResult
@@ -268,6 +268,7 @@ def test_relays(session: Session) -> None:
         else:
             test = RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s)
             test.watch.wait(round(session.loop.latency_s / e.period_s))
+            test.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
             session.loop.run(test, stage, watch)
     if relay.bound_reached:
         session.found.notes.append("the relay's integral reached its bound: that made the first cycles shorter")
@@ -366,6 +367,7 @@ def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetec
         reach_rad=0.9 * reach_rad(e),
         top_speed_rad_s=0.95 * e.limits.max_speed_rad_s,
     )
+    search.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
     session.found.search = search
     noted = 0
 
