@@ -44,7 +44,7 @@ def plain(text: str) -> str:
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
-LEAST_SHOWN_S = 0.002  # least lower end of a further delay: a smaller one may be an error of the strokes
+LEAST_SHOWN_S = 0.005  # least lower end of a further delay: play and an electrical lag look like one of some ms
 
 
 @dataclass(frozen=True)

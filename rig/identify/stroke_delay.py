@@ -1,4 +1,4 @@
-"""The delay of a bench, from the strokes of its breakaway check: a bound before any relay acts (docs/theory.md 8.4)."""
+"""The delay of a bench, from the strokes of its breakaway check: a bound before any relay acts (docs/theory.md 10.3)."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ FINE_S = 0.002  # between the last ones
 STROKES = 24  # strokes that are used, the last ones: those before were too weak to move the shaft
 CERTAIN = 9.0  # rise of chi-squared at both ends of the interval: three standard errors
 MOVED = 30.0  # fall of chi-squared by which the strokes show motion at all
+MODEL = 0.05  # of the motion of the strokes: no motor is a better model than that
 FITS = 3.0  # chi-squared of a row, at most, where the reading is the motion of a motor
 MOST_CALLS = 120  # of the residual, for each delay that is tried
 TAU_S, SLOPE, EXCESS = 0.1, 40.0, 0.1  # first guesses: tau, s; K/tau, rad/s2/V; static friction over moving, less 1
@@ -127,15 +128,17 @@ class _Strokes(NamedTuple):
             return None
         first = int(begins[0])
         rows = np.arange(first, len(series))
-        return cls(
+        strokes = cls(
             series.t_s[first:],
             series.y_rad[first:],
             np.concatenate(([series.t_s[first] - 1.0], series.edge_s[first:])),
             np.concatenate(([0.0], series.u_V[first:])),
             np.searchsorted(begins, rows, side="right") - 1,
-            noise_rad,
+            1.0,
             float(np.abs(series.u_V).max()),
         )
+        travel_rad = float(np.std(strokes._without_rest(strokes.y_rad)))
+        return strokes._replace(noise_rad=math.hypot(noise_rad, MODEL * travel_rad)) if travel_rad > 0.0 else None
 
     @property
     def rows(self) -> int:
