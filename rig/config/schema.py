@@ -389,6 +389,10 @@ class EmulatedMotor(_Section):
     bias_V: float = Field(0.0, description="constant added to the drive")
     start_rad: float = Field(0.0, description="position at the start")
     stop_rad: Interval = Field((-2.6, 2.6), description="mechanical stops, where the shaft is stopped dead")
+    delay_s: Annotated[float, Field(gt=0.0, le=0.5)] | None = Field(
+        None,
+        description="simulated, modbus: from the device's output to the motor; no device reports it; default: none",
+    )
     parts: EmulatedParts | None = Field(None, description="what else the motor has; without this section nothing")
 
 
@@ -447,10 +451,6 @@ class Emulated(_Section):
     drive_counts: Annotated[int, Field(ge=50, le=32767)] = Field(799, description="PWM counts at full duty")
     latency_s: NonNegative = Field(0.0012, description="simulated: mean time from sample to effect of the drive")
     latency_jitter_s: NonNegative = Field(0.0003, description="simulated: uniform half-width around the mean")
-    drive_delay_s: Annotated[float, Field(ge=0.0, le=0.5)] | None = Field(
-        None,
-        description="simulated, modbus: from the device's output to the motor; no device reports it; default: none",
-    )
     clock_error_ppm: Annotated[float, Field(ge=-20000, le=20000)] = Field(
         0.0, description="device clock against the host's (a ceramic resonator: 5000)"
     )

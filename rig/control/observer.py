@@ -105,11 +105,13 @@ class MotorObserver:
         latency_s += waiting * self._period_s
         # smoothed: one late exchange must not shake the prediction
         self.latency_s += 0.1 * (latency_s - self.latency_s) if self.latency_s else latency_s
+        come = [self._asked.popleft() for _ in range(len(self._asked) - waiting)]
+        if waiting:
+            # a report is of the last drive that acted: those before it have acted, too
+            self._reported.extend((asked_s + self.delay_s, volts) for asked_s, volts in come[:-1])
         if sample.t_u_s > self._known_s:
             self._known_s = sample.t_u_s
             self._reported.append((sample.t_u_s + self.further_s, sample.u_V))
-        while len(self._asked) > waiting:
-            self._asked.popleft()  # reported, or lost
 
     def _predicted(self, t_s: float) -> State:
         """The state when a drive decided at ``t_s`` comes to the motor."""

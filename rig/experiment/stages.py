@@ -123,14 +123,9 @@ def _take_delay(session: Session) -> None:
     if check is None:
         raise ValueError("the delay is measured by a breakaway check")
     delay = _delay_of(session, check.reported_delay_s, check.noise_rad)
-    counted_s, room_s = counted_delay_s(e, delay), room_for_delay_s(e)
-    if counted_s > max(room_s, 0.0):
-        raise Fault(
-            "DELAY",
-            f"{delay_words(delay)}; at {e.limits.max_speed_rad_s:g} rad/s there is room for "
-            f"{1e3 * max(room_s, 0.0):.0f} ms beyond a drive's own tick, and this is {1e3 * counted_s:.0f} ms: "
-            f"{e.limits.max_speed_rad_s * counted_s:.2f} rad farther",
-        )
+    counted_s = counted_delay_s(e, delay)
+    if counted_s > max(room_for_delay_s(e), 0.0):
+        raise Fault("DELAY", no_room_words(e, delay))
     session.loop.guard.learn(guard_settings_of(e, check.noise_rad, delay))
     session.loop.expect_delay(delay.reported_s)
     if counted_s > 0.0:
@@ -141,11 +136,20 @@ def _take_delay(session: Session) -> None:
 
 
 def _explain_by_delay(session: Session, fault: Fault) -> None:
-    """Raise Fault DELAY if the strokes did move the shaft, but later than the check looks. Takes what it replaces."""
+    """Raise Fault DELAY if the strokes did move the shaft, but later than the check looks; ``fault`` is what it saw."""
     noise_rad = max(session.loop.guard.settings.noise_rad, session.experiment.sensor.curve.lsb_rad)
     delay = _delay_of(session, 0.0, noise_rad)
-    if counted_delay_s(session.experiment, delay) > max(room_for_delay_s(session.experiment), 0.0):
-        raise Fault("DELAY", f"{delay_words(delay)}; {fault.detail}") from fault
+    if delay.is_shown:
+        raise Fault("DELAY", f"{no_room_words(session.experiment, delay)}; the check said {fault.code}") from fault
+
+
+def no_room_words(e: Experiment, delay: BenchDelay) -> str:
+    """What the strokes show of the delay, and the room that there is for it."""
+    counted_s, v = counted_delay_s(e, delay), e.limits.max_speed_rad_s
+    return (
+        f"{delay_words(delay)}; beyond a drive's own tick that is {1e3 * counted_s:.0f} ms, {v * counted_s:.2f} rad at "
+        f"{v:g} rad/s, and there is room for {1e3 * max(room_for_delay_s(e), 0.0):.0f} ms"
+    )
 
 
 def delay_words(delay: BenchDelay) -> str:

@@ -1,4 +1,4 @@
-"""The delay of a bench, from the strokes of its breakaway check: a bound before any relay acts (docs/theory.md 10.3)."""
+"""The delay of a bench, bounded by the strokes of its breakaway check before any relay acts (docs/theory.md 10.3)."""
 
 from __future__ import annotations
 

@@ -7,15 +7,25 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from command_line import rig
-from test_experiment_simulated import written
 
 from rig.recording.reader import read_run
 from rig.replay import replay
 
+ROOT = Path(__file__).resolve().parents[2]
 
-def ran(folder: Path, **changes: object) -> tuple[dict[str, Any], Path]:
-    result = rig("run", written(folder, **changes), "--out", folder, "--json")
+
+def ran(folder: Path, seed: int = 1, **emulated: float) -> tuple[dict[str, Any], Path]:
+    """A run of config/simulated.yaml with changes to its emulated bench."""
+    config = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    config["seed"] = seed
+    config["emulated"] |= {key: value for key, value in emulated.items() if key != "delay_s"}
+    config["emulated"]["motor"] |= {key: value for key, value in emulated.items() if key == "delay_s"}
+    config["tracking"]["methods"] = ["sampled-data"]
+    path = folder / "late.yaml"
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    result = rig("run", path, "--out", folder, "--json")
     outcome = json.loads(result.stdout)
     return outcome, Path(outcome["folder"])
 
@@ -30,8 +40,8 @@ def identified(outcome: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_a_drive_that_waits_in_the_device_for_many_ticks(tmp_path: Path) -> None:
-    prompt, _ = ran(tmp_path, emulated__latency_s=0.005, tracking__methods=["sampled-data"])
-    late, folder = ran(tmp_path, emulated__latency_s=0.035, tracking__methods=["sampled-data"])
+    prompt, _ = ran(tmp_path, latency_s=0.005)
+    late, folder = ran(tmp_path, latency_s=0.035)
     estimate = identified(late)
     low, high = estimate["ci95"]["delay_s"]
     assert low < 0.035 < high
@@ -46,7 +56,7 @@ def test_a_drive_that_waits_in_the_device_for_many_ticks(tmp_path: Path) -> None
 
 
 def test_a_delay_that_no_device_reports(tmp_path: Path) -> None:
-    outcome, folder = ran(tmp_path, emulated__drive_delay_s=0.025, tracking__methods=["sampled-data"])
+    outcome, folder = ran(tmp_path, delay_s=0.025)
     estimate = identified(outcome)
     low, high = estimate["ci95"]["delay_s"]
     assert low < 0.0262 < high  # 1.2 ms until the device's output
@@ -58,8 +68,8 @@ def test_a_delay_that_no_device_reports(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("key", "words"),
     [
-        ("emulated__latency_s", "the device reports that a drive acts 100 ms after its sample"),
-        ("emulated__drive_delay_s", "the strokes of the breakaway check moved the reading"),
+        ("latency_s", "the device reports that a drive acts 100 ms after its sample"),
+        ("delay_s", "the strokes of the breakaway check moved the reading"),
     ],
 )
 @pytest.mark.parametrize("seed", [1, 2])
@@ -77,7 +87,7 @@ def test_without_room_for_its_delay_a_bench_is_refused_before_any_relay(
 
 
 def test_a_short_delay_that_no_device_reports_is_fitted_although_the_strokes_do_not_show_it(tmp_path: Path) -> None:
-    outcome, folder = ran(tmp_path, emulated__drive_delay_s=0.008, tracking__methods=["sampled-data"])
+    outcome, folder = ran(tmp_path, delay_s=0.008)
     low, high = identified(outcome)["ci95"]["delay_s"]
     assert low < 0.0092 < high
     assert "the drive acts later than the recording says: its delay is fitted" in outcome["notes"]
