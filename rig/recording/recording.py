@@ -71,7 +71,10 @@ class Recording:
 
     @property
     def delay(self) -> BenchDelay | None:
-        """The delay of the bench by the strokes of its breakaway check; None in a file or run that does not say it."""
+        """The delay of the bench by the strokes of its breakaway check; None in a file or run that does not say it.
+
+        Raises RecordingError if the event of it is broken.
+        """
         for event in self.events:
             if event.kind == "delay":
                 try:

@@ -70,10 +70,10 @@ def test_a_delay_is_added_to_each_time_that_the_guard_waits_for_an_effect() -> N
     with pytest.raises(Fault, match="POLARITY"):
         for k in range(1, 60):
             t_s = k * PERIOD_S
-            guard.allow(reading(t_s, 1.15 + 0.5 * t_s**2 * 1.5), -1.0)
-    assert 0.18 < t_s < 0.35
+            guard.allow(reading(t_s, 1.15 + 3.0 * t_s**2), -1.0)
+    assert 0.18 < t_s < 0.21
     assert guard.predicted_stop_rad == pytest.approx(
-        1.15 + 0.75 * t_s**2 + guard.velocity_rad_s * (GUARD.reaction_s + 0.1 + GUARD.coast_tau_s), abs=0.01
+        1.15 + 3.0 * t_s**2 + guard.velocity_rad_s * (GUARD.reaction_s + 0.1 + GUARD.coast_tau_s), abs=0.01
     )
 
 
