@@ -170,6 +170,11 @@ FAULTS: dict[str, FaultEntry] = {
         "breakaway.max_V only if all that is well, by a fifth at a time: then friction is higher than you thought. "
         "Play between motor and sensor looks the same: strokes of some 10 mrad go to and fro within it",
     ),
+    "DELAY": FaultEntry(
+        "the bench acts too late for the room that it has: from a drive to its motion the shaft could travel too far",
+        "widen limits.hard_rad, or lower limits.max_speed_rad_s or relay.target.amplitude_rad; or find what is late "
+        "and make it quicker: a filter of the sensor, the scan time of an I/O block, a ramp of the drive",
+    ),
     "LATE": FaultEntry(
         "ticks came late, so strokes of the breakaway check lasted too long",
         "close programs that load the machine; `rig doctor CONFIG` shows how late ticks come and what helps; then "

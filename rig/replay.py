@@ -54,7 +54,7 @@ from rig.results import (
 from rig.results.reading import DamagedError, parsed
 from rig.run_summary import Findings
 from rig.session import Script, Session
-from rig.signals import Order
+from rig.signals import BenchDelay, Order
 
 Ending = Literal["its end", "a fault", "no end"]
 
@@ -153,7 +153,9 @@ def replay(folder: Path, on_progress: Callable[[int, int], None] | None = None, 
         loop,
         recording.meta,
         Findings(real_time=RealTimeReport()),  # a replay asks the machine for nothing
+        delay=recording.delay or BenchDelay(),  # nor does it measure
     )
+    comparison.delay_s = session.delay.reported_s if session.delay and loop.waits(session.delay.reported_s) else 0.0
     difference = _compare(script, session, replayed)
     ending: Ending = "no end" if not is_whole else "its end" if fault is None else "a fault"
     return Replay(
@@ -231,7 +233,9 @@ def _ending(recording: Recording) -> tuple[Fault | None, bool]:
 def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
     """The stages of the run that drive; a replay leaves out those that only read the recording."""
     what = _meta_with(recording, "script").script
-    models = _models(recording)
+    tracked = _models(recording)
+    models = {method: model for method, (model, _) in tracked.items()}
+    further_delay_s = max((further_s for _, further_s in tracked.values()), default=0.0)
     further = _events(recording, "further_test", FurtherTest)
     sweeps = _sweeps(recording, e)
     if what is None:
@@ -263,7 +267,7 @@ def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
         elif what.name == "survey" and not further:
             survey(session)  # it had no room for sweeps, or the recording ends before them
         if models:
-            stages.track(session, models)
+            stages.track(session, models, further_delay_s)
 
     return script
 
@@ -318,18 +322,19 @@ def _broken(recording: Recording, name: str, value: object) -> RecordingError:
     return RecordingError(recording.source / META, f"{name} is {value!r}", _RECORD_AGAIN)
 
 
-def _models(recording: Recording) -> dict[Method, Motor | FramedMotor]:
-    """The models that tracked, in order."""
-    models: dict[Method, Motor | FramedMotor] = {}
+def _models(recording: Recording) -> dict[Method, tuple[Motor | FramedMotor, float]]:
+    """The models that tracked, in order, each with the delay that the device did not report, s."""
+    models: dict[Method, tuple[Motor | FramedMotor, float]] = {}
     for event in recording.events:
         if event.kind == "model":
             try:
                 model = parsed(DrivenModel, event.detail)
-                models[model.method] = (
+                motor = (
                     Motor(model.tau_s, model.K_rad_s_V, coulomb(model.fc_V), model.bias_V)
                     if model.half_travel_rad is None
                     else FramedMotor.of(model.numbers)
                 )
+                models[model.method] = motor, model.further_delay_s
             except (DamagedError, ValueError) as error:
                 raise RecordingError(
                     recording.source / EVENTS, f"event model is broken ({error})", _RECORD_AGAIN

@@ -35,6 +35,7 @@ from rig.report import write_report
 from rig.report.words import NOTHING_TO_IDENTIFY
 from rig.results import JsonObject, RunMeta, RunResult, ScriptCall, TrackingResult
 from rig.run_summary import Findings, least_result, run_meta, run_result
+from rig.signals import BenchDelay
 
 Array = NDArray[np.float64]
 
@@ -89,6 +90,7 @@ class Session:
     meta: RunMeta
     found: Findings = field(default_factory=Findings)
     recording: Recording | None = None  # the rows that were read last
+    delay: BenchDelay | None = None  # of the bench, once it is known; in a replay from the begin
 
     def read(self) -> Recording:
         """The rows so far. Parses only the rows since the last call. Raises RecordingError."""

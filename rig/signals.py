@@ -44,6 +44,43 @@ def plain(text: str) -> str:
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
+LEAST_SHOWN_S = 0.005  # least lower end of a further delay: play and an electrical lag look like one of some ms
+
+
+@dataclass(frozen=True)
+class BenchDelay:
+    """How late a bench acts, as its breakaway check shows it.
+
+    reported_s   from a sample to the effect of the drive that was decided on it, as the device reports it; 0.0 if it
+                 does not
+    further_s    (low, most likely, high): from there to the motion of the reading, which no device reports; None: the
+                 strokes do not show it
+    """
+
+    reported_s: float = 0.0
+    further_s: tuple[float, float, float] | None = None
+
+    @property
+    def shown_s(self) -> tuple[float, float, float]:
+        """The further delay if there is one for certain; else three times 0 s."""
+        return (0.0, 0.0, 0.0) if self.further_s is None or self.further_s[0] < LEAST_SHOWN_S else self.further_s
+
+    @property
+    def range_s(self) -> tuple[float, float]:
+        """From a sample to the motion that its drive makes: at least and at most, by what is shown."""
+        low_s, _, high_s = self.shown_s
+        return self.reported_s + low_s, self.reported_s + high_s
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether the bench acts later than the device reports, for certain."""
+        return self.shown_s[2] > 0.0
+
+    def whole_periods(self, latency_s: float, period_s: float) -> int:
+        """Ticks by which the drive that acts ``latency_s`` after a sample was decided before that sample."""
+        return max(round((self.reported_s - latency_s) / period_s), 0)
+
+
 @dataclass(frozen=True)
 class Limits:
     """What a device is armed with, and what the guard enforces (docs/safety.md).

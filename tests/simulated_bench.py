@@ -37,6 +37,9 @@ GUARD = GuardSettings(
 )
 
 
+PROMPT = SimulatedLatency(0.0012, 0.0003)
+
+
 class ListSink(NullSink):
     """Keeps rows and events in memory, completed as the recorder would."""
 
@@ -72,7 +75,11 @@ class BenchModel:
 
 
 def simulated_bench(
-    parameters: BenchParameters = DEMO, seed: int = 1, guard: GuardSettings = GUARD, **changes: Any
+    parameters: BenchParameters = DEMO,
+    seed: int = 1,
+    guard: GuardSettings = GUARD,
+    latency: SimulatedLatency = PROMPT,
+    **changes: Any,
 ) -> BenchModel:
     """A bench with ``changes`` made to its parameters."""
     clock = VirtualClock()
@@ -80,7 +87,7 @@ def simulated_bench(
         clock,
         replace(parameters, **changes),
         SCALING,
-        SimulatedLatency(0.0012, 0.0003),
+        latency,
         seed,
     )
     watching, record, stop = Guard(guard), ListSink(), StopRequest()

@@ -449,6 +449,10 @@ class EmulatedMotor(_Section):
     bias_V: float = Field(0.0, description="constant added to the drive")
     start_rad: float = Field(0.0, description="position at the start")
     stop_rad: Interval = Field((-2.6, 2.6), description="mechanical stops, where the shaft is stopped dead")
+    delay_s: Annotated[float, Field(gt=0.0, le=0.5)] | None = Field(
+        None,
+        description="simulated, modbus: from the device's output to the motor; no device reports it; default: none",
+    )
     parts: EmulatedParts | None = Field(None, description="what else the motor has; without this section nothing")
 
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import fmean
+from statistics import fmean, median
 from typing import Literal, NamedTuple, Protocol
 
 from rig.faults import Fault
 from rig.signals import Sample
 
+_QUEUED = 1.5  # periods; a device that acts later keeps drives waiting, and its reports may leave one out
+_SEEN_PERIODS = 4  # that a stroke and the report of its end have, at least, before the next one
+_LONGEST_WAIT_S = 0.3  # for the report of the first stroke, before it counts as lost
 _LEFT_OVER = 0.55  # periods; a stroke lasts whole periods, so one that takes back another is off by up to half of one
 
 
@@ -36,6 +39,7 @@ class BreakawayLaw(Protocol):
     plus_V: float
     minus_V: float
     noise_rad: float
+    reported_delay_s: float
 
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V. Raises Fault if something is wrong with the bench."""
@@ -59,6 +63,7 @@ class RestingCheck:
         self.plus_V = math.nan
         self.minus_V = math.nan
         self.noise_rad = math.nan
+        self.reported_delay_s = 0.0
         self._rest_y: list[float] = []
 
     def _stands(self, sample: Sample, elapsed_s: float, *, first: bool) -> float | None:
@@ -136,9 +141,12 @@ class BreakawayCheck(RestingCheck):
     plan        lengths of strokes and pauses
     period_s    period of the loop
 
+    A device may keep a drive waiting. ``reported_delay_s`` is the time from the sample on which a stroke was decided to
+    its begin, by the device's reports; each pause lasts until the device has reported the end of its stroke.
+
     Results, once finished: ``plus_V`` and ``minus_V`` (> 0), each halfway between the last level without visible motion
-    and the next level; ``noise_rad``, the sensor's standard deviation at rest. Both levels may lie above static
-    friction, since the level rises until the motion exceeds the noise; identification corrects that.
+    and the next level; ``noise_rad``, the sensor's standard deviation at rest; ``reported_delay_s``. Both levels may
+    lie above static friction, since the level rises until the motion exceeds the noise; identification corrects that.
 
     Raises Fault: DRIVE_STUCK_ON (moves at 0 V), SENSOR_NOISY, NO_MOTION, POLARITY (moves against the drive), LATE.
     """
@@ -167,6 +175,8 @@ class BreakawayCheck(RestingCheck):
         self._meant_s = 0.0  # its planned length
         self._begun_s = self._ended_s = math.nan  # when it began and ceased to act, by the samples' times
         self._asked_s = (math.nan, math.nan)  # the same, by the samples at which the check asked for it
+        self._asked: list[tuple[float, float]] = []  # what it asked for in this stroke, and when
+        self._delays_s: list[float] = []  # of each stroke so far, by the device's reports
         self._has_times = False  # whether samples tell when the drive acts
         self._needed: list[_Stroke] = []  # strokes that the pair still needs, in their order
         self._ahead_s = (
@@ -189,7 +199,7 @@ class BreakawayCheck(RestingCheck):
         if self._phase == "stroke":
             # a tick may come up to half a period early or late
             if elapsed_s < self._meant_s - 0.5 * self._period_s:
-                return self._stroke_V(elapsed_s)
+                return self._ask(sample, elapsed_s)
             self._begin("pause", sample)
             return 0.0
         if self._phase == "pause":
@@ -217,12 +227,22 @@ class BreakawayCheck(RestingCheck):
         if sample.u_V * self._way > 0.0:
             if math.isnan(self._begun_s):
                 self._begun_s = sample.t_u_s
+                self._note_delay(sample)
             self._ended_s = math.nan
         elif sample.u_V == 0.0 and not math.isnan(self._begun_s) and math.isnan(self._ended_s):
             self._ended_s = sample.t_u_s
 
+    def _note_delay(self, sample: Sample) -> None:
+        """Note how late the stroke began: its drive rises tick by tick, so the first one seen tells its tick."""
+        asked_s, _ = min(self._asked, key=lambda asked: abs(asked[1] - sample.u_V))
+        if sample.t_u_s >= asked_s:
+            self._delays_s.append(sample.t_u_s - asked_s)
+            self.reported_delay_s = median(self._delays_s)
+
     def _acted_s(self) -> float:
-        """How long the stroke acted, s; without times: how long the check asked for it."""
+        """How long the stroke acted, s; without times, and where drives wait: how long the check asked for it."""
+        if self.reported_delay_s > _QUEUED * self._period_s:
+            return self._asked_s[1] - self._asked_s[0]
         if self._has_times and math.isnan(self._begun_s):
             return 0.0
         if math.isnan(self._begun_s) or math.isnan(self._ended_s):
@@ -247,7 +267,14 @@ class BreakawayCheck(RestingCheck):
         self._begun_s = self._ended_s = math.nan
         self._before_rad = from_rad
         self._begin("stroke", sample)
-        return self._stroke_V(0.0)
+        self._asked = []
+        return self._ask(sample, 0.0)
+
+    def _ask(self, sample: Sample, elapsed_s: float) -> float:
+        """The stroke's drive at this sample, V; noted."""
+        u_V = self._stroke_V(elapsed_s)
+        self._asked.append((sample.t_s, u_V))
+        return u_V
 
     def _stroke_V(self, elapsed_s: float) -> float:
         """Drive within a stroke, V: it rises to the pair's level."""
@@ -259,7 +286,7 @@ class BreakawayCheck(RestingCheck):
     def _pause(self, sample: Sample, elapsed_s: float) -> float:
         """Wait until the shaft stands, judge the stroke, begin the next one. Returns the drive, V."""
         self._pause_y.append(sample.y_rad)
-        if elapsed_s < self._pause_s - 0.5 * self._period_s:
+        if elapsed_s < self._least_pause_s() - 0.5 * self._period_s:
             return 0.0
         # the last two thirds: the shaft has mostly coasted to a stop by then
         still = self._pause_y[len(self._pause_y) // 3 :]
@@ -275,6 +302,12 @@ class BreakawayCheck(RestingCheck):
             self._begin("last rest", sample)
             return 0.0
         return self._next_stroke(sample, stood_rad)
+
+    def _least_pause_s(self) -> float:
+        """Length of this pause, s: the plan's, or until the device has reported the stroke."""
+        if self._delays_s:
+            return max(self._pause_s, self.reported_delay_s + _SEEN_PERIODS * self._period_s)
+        return max(self._pause_s, _LONGEST_WAIT_S) if self._has_times and math.isnan(self._begun_s) else self._pause_s
 
     def _balance(self) -> None:
         """Plan the strokes that the pair still needs, by how long this one really acted. Raises Fault LATE."""

@@ -77,9 +77,14 @@ R = TypeVar("R", bound=Relay)
 
 
 class _RelayLaw(Generic[R]):
-    """A law that runs the shared relay and watches its cycle."""
+    """A law that runs the shared relay and watches its cycle.
+
+    ahead_s   how far ahead the relay takes the position, s: by the velocity, where drives act that much too late. Its
+              integral then is ahead, too; the detector gets position and integral as they are
+    """
 
     yd_rad = math.nan
+    ahead_s = 0.0
 
     def __init__(self, relay: R, detector: CycleDetector) -> None:
         self.relay = relay
@@ -87,14 +92,16 @@ class _RelayLaw(Generic[R]):
         self.finished = False
         self.z_rad_s = 0.0
         self._start_s = math.nan
+        self._velocity = VelocityWindow()
 
     def _run_relay(self, sample: Sample) -> tuple[float, bool]:
         """Returns the drive, V, and whether this sample completed a period."""
         if math.isnan(self._start_s):
             self._start_s = sample.t_s
-        u_V = self.relay.step(sample)
+        self.speed_rad_s = self._velocity.step(sample.t_s, sample.y_rad)
+        u_V = self.relay.step(sample._replace(y_rad=sample.y_rad + self.ahead_s * self.speed_rad_s))
         self.z_rad_s = self.relay.z_rad_s
-        cycle = self.detector.step(sample.t_s, sample.y_rad, self.z_rad_s)
+        cycle = self.detector.step(sample.t_s, sample.y_rad, self.z_rad_s - self.ahead_s * sample.y_rad)
         return u_V, cycle is not None
 
 
@@ -129,7 +136,6 @@ class GainSearch(_RelayLaw[DualChannelRelay]):
     ) -> None:
         super().__init__(relay, detector)
         self.top_speed_rad_s = top_speed_rad_s
-        self._velocity = VelocityWindow()
         self.target = target
         self.search = search
         self.friction_V = friction_V
@@ -154,7 +160,7 @@ class GainSearch(_RelayLaw[DualChannelRelay]):
             self._was_within and abs(sample.y_rad) > self.reach_rad,
             (abs(sample.y_rad) <= self.reach_rad),
         )
-        speed = abs(self._velocity.step(sample.t_s, sample.y_rad))
+        speed = abs(self.speed_rad_s)
         if leaves:
             self._retreat(sample.t_s, f"|y| above {self.reach_rad:.2f} rad")
         elif speed > self.top_speed_rad_s:

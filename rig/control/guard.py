@@ -22,6 +22,7 @@ class GuardSettings:
     reaction_s         time at full speed to add: a tick, the latency and the watchdog time. So the shaft stays inside
                        even if the host dies at this instant
     noise_rad          sensor noise, standard deviation, at least one LSB
+    delay_s            time beyond its own tick until a drive shows in the reading: it is added to each of these times
     stuck_s, motion_rad  a drive well above static friction must move the shaft by motion_rad within stuck_s; or within
                        twice the longest time that the shaft has needed so far, but at most four times stuck_s
     """
@@ -34,6 +35,7 @@ class GuardSettings:
     noise_rad: float
     motion_rad: float
     stuck_s: float = 0.3
+    delay_s: float = 0.0
 
 
 WINDOW_S = 0.04  # shortest window for the velocity, which lags by half of it
@@ -105,7 +107,7 @@ class Guard:
         self._push_sign = 0
         self._window_s = WINDOW_S
         self._standstill = Standstill()
-        self._gain = Gain(_SETTLING_WINDOWS * WINDOW_S)
+        self._gain = Gain(_SETTLING_WINDOWS * WINDOW_S + settings.delay_s)
         self._inward_since: tuple[float, float] | None = None
         self._innermost_rad = math.inf  # smallest distance from the centre under the inward drive of a recovery
 
@@ -126,7 +128,12 @@ class Guard:
         self._samples = max(_LEAST_SAMPLES, 1 + round(window_s / sample_s))
         self._velocity = VelocityWindow(self._samples, self.velocity_rad_s)
         self._window_s = (self._samples - 1) * sample_s
-        self._gain = Gain(_SETTLING_WINDOWS * self._window_s)
+        self._gain = Gain(_SETTLING_WINDOWS * self._window_s + self.settings.delay_s)
+
+    def learn(self, settings: GuardSettings) -> None:
+        """Know the bench better from now on."""
+        self.settings = settings
+        self._gain = Gain(_SETTLING_WINDOWS * self._window_s + settings.delay_s)
 
     def allow(self, sample: Sample, asked_V: float) -> tuple[float, int]:
         """The drive that may go out, V, for the drive ``asked_V`` of a law; and the flags for its row.
@@ -186,7 +193,7 @@ class Guard:
         y, v = sample.y_rad, self.velocity_rad_s
         hard_low, hard_high = s.limits.hard_rad
         soft_low, soft_high = s.limits.soft_rad
-        self.predicted_stop_rad = y + v * (s.reaction_s + s.coast_tau_s)
+        self.predicted_stop_rad = y + v * (s.reaction_s + s.delay_s + s.coast_tau_s)
         u_V, flags = asked_V, 0
         if abs(u_V) > s.limits.max_u_V:
             u_V, flags = math.copysign(s.limits.max_u_V, u_V), FLAG_GUARD_CLIPPED
@@ -223,9 +230,9 @@ class Guard:
             self._inward_since = (sample.t_s, speed)
             return
         since_s, speed_then = self._inward_since
-        # 0.08 s: longer than the velocity window and the latency; a shaft that obeys is slower by then
+        # 0.08 s: longer than the velocity window and a tick; a shaft that obeys is slower by then
         gained = speed - max(speed_then, 0.0)
-        if sample.t_s - since_s > 0.08 and gained > 0.05 * self.settings.max_speed_rad_s:
+        if sample.t_s - since_s > 0.08 + self.settings.delay_s and gained > 0.05 * self.settings.max_speed_rad_s:
             raise Fault(
                 "POLARITY",
                 f"at {sample.y_rad:.2f} rad, moving outward at {speed:.1f} rad/s and getting faster, after "
@@ -267,7 +274,7 @@ class Guard:
             )
         still_s = self._standstill.step(sample.t_s, sample.y_rad, self.settings.motion_rad)
         # a slow shaft with coarse counts takes longer, as it has shown
-        stuck_s = self.settings.stuck_s
+        stuck_s = self.settings.stuck_s + self.settings.delay_s
         if still_s >= min(max(stuck_s, 2.0 * self._standstill.longest_s), 4.0 * stuck_s):
             moved_rad = self._standstill.high_rad - self._standstill.low_rad
             raise Fault(

@@ -71,7 +71,7 @@ class Gain:
     drive began, it is still below that value, so it cannot fall again. If friction falls with speed, the value is even
     higher.
 
-    settling_s     time after the drive's begin that counts as before it, for the latency and the lag of the velocity
+    settling_s     time after the drive's begin that counts as before it, for the delay and the lag of the velocity
     """
 
     FALLEN = 0.9  # a drive below this part of its largest is another drive
@@ -134,6 +134,10 @@ class CycleWatch:
         self._running_s = 0.0
         self._last: deque[tuple[DetectedCycle, float]] = deque(maxlen=self.PERIODS)  # with its longest standstill
         self._asked_V: deque[float] = deque(maxlen=self.ASKED)
+
+    def wait(self, drives: int) -> None:
+        """So many drives wait in the device until they act."""
+        self._asked_V = deque(maxlen=self.ASKED + drives)
 
     def step(self, sample: Sample, u_V: float) -> None:
         """Take a sample, and the drive that the relays ask for. Raises Fault SENSOR_STUCK if it stands too long."""

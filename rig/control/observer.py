@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -24,7 +25,11 @@ class MotorObserver:
     tachometer_noise_rad_s  standard deviation of the tachometer; None without one
 
     The gain comes from the linear part. Between samples the state follows the motor's own motion under the drive that
-    really acted, with each change at its true effect time.
+    really acted, with each change at its true effect time. The prediction goes on through the drives that are still on
+    their way, over any number of periods.
+
+    latency_s   from a sample to the effect of its drive, as the device reports it, s; smoothed
+    further_s   from there to the motion of the reading, s: the device does not report it
     """
 
     def __init__(
@@ -37,10 +42,14 @@ class MotorObserver:
     ) -> None:
         self.motor = known(motor)
         self.latency_s = 0.0
+        self.further_s = 0.0
         self.state: MotorState = self.motor.at_rest(0.0)
+        self._period_s = period_s
         self._last_t_s = math.nan
         self._acting_V = 0.0
-        self._asked_V = 0.0
+        self._known_s = -math.inf  # effect of the last drive that the device has reported
+        self._reported: deque[tuple[float, float]] = deque()  # effects on the reading, s and V, still to come
+        self._asked: deque[tuple[float, float]] = deque()  # samples and their drives that are not reported yet, s and V
         A = transition(self.motor.tau_s, period_s)[:2, :2]
         B = input_vector(self.motor.tau_s, self.motor.K_rad_s_V, period_s)[:2, np.newaxis]
         if tachometer_noise_rad_s is None:
@@ -61,24 +70,60 @@ class MotorObserver:
             self._advance(sample)
         self._correct(sample)
         self._last_t_s = sample.t_s
-        ahead: MotorState = self.motor.advance(self.state, self._acting_V, self.latency_s)
-        return ahead
+        return self._predicted(sample.t_s)
+
+    @property
+    def delay_s(self) -> float:
+        """From a sample to the motion that its drive makes, s."""
+        return self.latency_s + self.further_s
 
     def drive(self, asked_V: float) -> None:
         """Take the drive that was sent after the last ``step``, V."""
-        self._asked_V = asked_V
+        self._asked.append((self._last_t_s, asked_V))
 
     def _advance(self, sample: Sample) -> None:
+        """Move the state to the sample's time, under the drives that have come to the motor since the last one."""
+        since_s = self._last_t_s
+        self._take_report(sample)
+        while self._reported and self._reported[0][0] <= sample.t_s:
+            effect_s, new_V = self._reported.popleft()
+            if effect_s > since_s:
+                self.state = self.motor.advance(self.state, self._acting_V, effect_s - since_s)
+                since_s = effect_s
+            self._acting_V = new_V
+        self.state = self.motor.advance(self.state, self._acting_V, sample.t_s - since_s)
+
+    def _take_report(self, sample: Sample) -> None:
+        """Take what the device reports, with its time of effect; keep what still waits in the device."""
         span = sample.t_s - self._last_t_s
         if math.isnan(sample.t_u_s):
-            before, new_V = min(self.latency_s, span), self._asked_V
-        else:
-            before, new_V = min(max(sample.t_u_s - self._last_t_s, 0.0), span), sample.u_V
-            # smoothed: one late exchange must not shake the prediction
-            self.latency_s += 0.1 * (before - self.latency_s) if self.latency_s else before
-        self.state = self.motor.advance(self.state, self._acting_V, before)
-        self.state = self.motor.advance(self.state, new_V, span - before)
-        self._acting_V = new_V
+            # no report: each drive acts when it should
+            while self._asked and self._asked[0][0] + self.latency_s <= sample.t_s:
+                asked_s, new_V = self._asked.popleft()
+                self._reported.append((asked_s + self.delay_s, new_V))
+            return
+        latency_s = min(max(sample.t_u_s - self._last_t_s, 0.0), span)
+        waiting = max(round((self.latency_s - latency_s) / self._period_s), 0)
+        latency_s += waiting * self._period_s
+        # smoothed: one late exchange must not shake the prediction
+        self.latency_s += 0.1 * (latency_s - self.latency_s) if self.latency_s else latency_s
+        come = [self._asked.popleft() for _ in range(len(self._asked) - waiting)]
+        if waiting:
+            # a report is of the last drive that acted: those before it have acted, too
+            self._reported.extend((asked_s + self.delay_s, volts) for asked_s, volts in come[:-1])
+        if sample.t_u_s > self._known_s:
+            self._known_s = sample.t_u_s
+            self._reported.append((sample.t_u_s + self.further_s, sample.u_V))
+
+    def _predicted(self, t_s: float) -> MotorState:
+        """The state when a drive decided at ``t_s`` comes to the motor."""
+        state, volts, end_s = self.state, self._acting_V, t_s + self.delay_s
+        for effect_s, next_V in (*self._reported, *((asked_s + self.delay_s, V) for asked_s, V in self._asked)):
+            if t_s < effect_s < end_s:
+                state, t_s = self.motor.advance(state, volts, effect_s - t_s), effect_s
+            volts = next_V
+        ahead: MotorState = self.motor.advance(state, volts, end_s - t_s)
+        return ahead
 
     def _correct(self, sample: Sample) -> None:
         v, y = self.state.v, self.state.y

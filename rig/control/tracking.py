@@ -95,8 +95,8 @@ class Tracking:
         self.finished = elapsed >= self.duration_s
         self.yd_rad = self.trajectory.at(elapsed).y_rad
         state = self.observer.step(sample)
-        # the drive acts after the latency: take the reference at that time, too
-        ahead_s = self.observer.latency_s
+        # the drive acts after the delay: take the reference at that time, too
+        ahead_s = self.observer.delay_s
         if self.motor.lag_s > 0.0:  # a stage that lags acts as if so much later
             ahead_s += self.motor.lag_s
             state = self.motor.advance(state, self._last_u_V, self.motor.lag_s)

@@ -6,6 +6,7 @@ cannot begin. It raises ValueError if it is called out of order.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -28,6 +29,7 @@ from rig.control.trajectory import SumOfSines
 from rig.estimators import LEADING
 from rig.faults import Fault
 from rig.identify import Identification, identify
+from rig.identify.stroke_delay import strokes_delay
 from rig.loop.pre_run import PreRunBench, pre_run
 from rig.loop.real_time import RealTime, real_time
 from rig.model.cycle_detector import CycleDetector
@@ -35,11 +37,12 @@ from rig.model.motor import Motor
 from rig.model.real_motor import FramedMotor
 from rig.preflight.breakaway_strokes import FRICTION_DIFFERS, breakaway_strokes
 from rig.preflight.loop_settings import guard_settings_of, real_time_of
-from rig.preflight.room_to_stop import reach_rad
+from rig.preflight.room_to_stop import counted_delay_s, expected_delay_s, reach_rad, room_for_delay_s
 from rig.recording.folder import write_meta
 from rig.recording.stage import Stage, StageKind
 from rig.results import JogResult, RealTimeReport, TrackingResult
 from rig.session import FADE_S, Session
+from rig.signals import BenchDelay
 
 REST_S = 0.7
 RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
@@ -112,8 +115,73 @@ def _armed_check(session: Session, check: BreakawayLaw | None) -> None:
     strokes = None if e.motor is None or isinstance(check, OneWayCheck) else breakaway_strokes(e)
     if strokes is not None:
         limits = replace(limits, watchdog_s=strokes.watchdog_s)
-    with session.loop.armed(limits):
-        check_breakaway(session, check)
+    try:
+        with session.loop.armed(limits):
+            check_breakaway(session, check)
+    except Fault as fault:
+        if fault.code in ("NO_MOTION", "POLARITY"):
+            _explain_by_delay(session, fault)
+        raise
+    _take_delay(session)
+
+
+def _take_delay(session: Session) -> None:
+    """Measure the bench's delay by the strokes, and let guard and loop count with it. Raises Fault DELAY."""
+    e, check = session.experiment, session.found.breakaway
+    if check is None:
+        raise ValueError("the delay is measured by a breakaway check")
+    delay = _delay_of(session, check.reported_delay_s, check.noise_rad)
+    counted_s = counted_delay_s(e, delay)
+    if counted_s > max(room_for_delay_s(e), 0.0):
+        raise Fault("DELAY", no_room_words(e, delay))
+    session.loop.guard.learn(guard_settings_of(e, check.noise_rad, delay))
+    session.loop.expect_delay(delay.reported_s)
+    if counted_s > 0.0:
+        session.found.notes.append(
+            f"{delay_words(delay)}: the guard brakes {1e3 * counted_s:.0f} ms earlier for it, and tracking predicts "
+            "over it"
+        )
+
+
+def _explain_by_delay(session: Session, fault: Fault) -> None:
+    """Raise Fault DELAY if the strokes did move the shaft, but later than the check looks; ``fault`` is what it saw."""
+    noise_rad = max(session.loop.guard.settings.noise_rad, session.experiment.sensor.curve.lsb_rad)
+    delay = _delay_of(session, 0.0, noise_rad)
+    if delay.is_shown:
+        raise Fault("DELAY", f"{no_room_words(session.experiment, delay)}; the check said {fault.code}") from fault
+
+
+def no_room_words(e: Experiment, delay: BenchDelay) -> str:
+    """What the strokes show of the delay, and the room that there is for it."""
+    counted_s, v = counted_delay_s(e, delay), e.limits.max_speed_rad_s
+    return (
+        f"{delay_words(delay)}; beyond a drive's own tick that is {1e3 * counted_s:.0f} ms, {v * counted_s:.2f} rad at "
+        f"{v:g} rad/s, and there is room for {1e3 * max(room_for_delay_s(e), 0.0):.0f} ms"
+    )
+
+
+def delay_words(delay: BenchDelay) -> str:
+    """The delay, as the beginning of a sentence."""
+    low_s, high_s = delay.range_s
+    if delay.is_shown:
+        return (
+            f"the strokes of the breakaway check moved the reading {1e3 * low_s:.0f} to {1e3 * high_s:.0f} ms after "
+            "the sample on which they were decided"
+        )
+    return f"the device reports that a drive acts {1e3 * delay.reported_s:.0f} ms after its sample"
+
+
+def _delay_of(session: Session, reported_s: float, noise_rad: float) -> BenchDelay:
+    """The bench's delay by the strokes so far; noted if it is beyond a tick, so that a replay counts with the same."""
+    if session.delay is None:
+        session.recorder.drain()
+        recording = session.read()
+        further = strokes_delay(recording, noise_rad)
+        delay = session.delay = BenchDelay(reported_s, further)
+        low_s, best_s, high_s = delay.further_s or (math.nan,) * 3
+        if delay.is_shown or session.loop.waits(reported_s):
+            session.note("delay", reported_s=reported_s, low_s=low_s, further_s=best_s, high_s=high_s)
+    return session.delay
 
 
 @contextmanager
@@ -174,7 +242,7 @@ def check_breakaway(session: Session, check: BreakawayLaw | None = None) -> None
     session.loop.run(check, "breakaway")
     session.found.breakaway = check
     guard = session.loop.guard
-    guard.settings = guard_settings_of(e, check.noise_rad)
+    guard.learn(guard_settings_of(e, check.noise_rad))
     guard.static_V = max(check.plus_V, check.minus_V)
     guard.sign_proven = True
     differ = abs(check.plus_V - check.minus_V) / (check.plus_V + check.minus_V)
@@ -240,7 +308,10 @@ def _test_relay(
     if e.relay.where == "device":
         run_in_device(session, pair_V, detector, timeout_s, stage, watch)
     else:
-        session.loop.run(RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s), stage, watch)
+        law = RelayTest(relay, detector, pair_V, e.relay.cycles, timeout_s)
+        law.watch.wait(round(session.loop.latency_s / e.period_s))
+        law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
+        session.loop.run(law, stage, watch)
     session.found.cycle = SettledCycle(*pair_V, *detector.mean())
 
 
@@ -342,6 +413,7 @@ def search_gains(session: Session, relay: DualChannelRelay, detector: CycleDetec
         reach_rad=0.9 * reach_rad(e),
         top_speed_rad_s=0.95 * e.limits.max_speed_rad_s,
     )
+    search.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
     session.found.search = search
     noted = 0
 
@@ -386,6 +458,7 @@ def verify_models(session: Session) -> None:
     real = identification.real_motor if e.tracking.with_law else None
     plain = _trusted(identification)
     safe: dict[Method, Motor | FramedMotor] = {}
+    further_delay_s = _further_delay_s(session)
     for method in e.tracking.methods:
         estimate = identification.estimates.get(method)
         model: Motor | FramedMotor | None
@@ -404,9 +477,10 @@ def verify_models(session: Session) -> None:
     for method, model in safe.items():
         session.found.tracking[method] = TrackingResult(not_run="the run ended before it")
         # a replay tracks with these models: it identifies nothing, and simulates nothing before
-        session.note("model", method=method, **_numbers(model))
+        further = {"further_delay_s": further_delay_s} if further_delay_s > 0.0 else {}
+        session.note("model", method=method, **_numbers(model), **further)
     if safe:
-        track(session, safe)
+        track(session, safe, further_delay_s)
 
 
 def _trusted(identification: Identification) -> Motor | None:
@@ -438,19 +512,33 @@ def _why_not(session: Session, model: Motor | FramedMotor, trusted: Motor | Fram
         start_rad=session.loop.last_y_rad,
         noise_rad=session.loop.guard.settings.noise_rad,
         latency_s=session.loop.latency_s,
+        further_delay_s=_further_delay_s(session),
         calibration=e.sensor.curve,
         drive_map=e.drive.map,
         rail_counts=e.sensor.rail_counts,
         period_s=e.period_s,
         order=session.bench.driver.order,
     )
-    return pre_run(_tracking_law(session, model), bench, session.loop.guard.settings) or ""
+    law = _tracking_law(session, model, bench.further_delay_s)
+    return pre_run(law, bench, session.loop.guard.settings) or ""
 
 
-def track(session: Session, models: Mapping[Method, Motor | FramedMotor]) -> None:
-    """Track the config's trajectory with each of the models, from rest."""
+def _further_delay_s(session: Session) -> float:
+    """The delay that the device does not report, s: as identified, else by the strokes; 0 s if there is none."""
+    delay, identification = session.delay or BenchDelay(), session.found.identification
+    best = None if identification is None or session.found.models_from is not None else identification.best
+    if best is None or not best.fits_delay:
+        return delay.shown_s[1]
+    return max(best.delay_s - session.loop.latency_s, 0.0)
+
+
+def track(session: Session, models: Mapping[Method, Motor | FramedMotor], further_delay_s: float = 0.0) -> None:
+    """Track the config's trajectory with each of the models, from rest.
+
+    further_delay_s  from the drive that the device reports to the motion of the reading
+    """
     # an observer's gain takes longer than a tick
-    laws = {method: _tracking_law(session, motor) for method, motor in models.items()}
+    laws = {method: _tracking_law(session, motor, further_delay_s) for method, motor in models.items()}
     with driving(session):
         for method, law in laws.items():
             session.loop.run(Rest(REST_S), "rest")
@@ -481,7 +569,7 @@ def _note_tracking(session: Session, method: Method, model: Motor | FramedMotor,
         session.found.notes.append(f"tracking with {method}: no drive makes up for {names}, which these tests show")
 
 
-def _tracking_law(session: Session, motor: Motor | FramedMotor) -> Tracking:
+def _tracking_law(session: Session, motor: Motor | FramedMotor, further_delay_s: float) -> Tracking:
     e = session.experiment
     if e.tracking is None:
         raise ValueError("tracking needs a config with section tracking")
@@ -492,7 +580,7 @@ def _tracking_law(session: Session, motor: Motor | FramedMotor) -> Tracking:
     observer = MotorObserver(
         motor, e.period_s, session.loop.guard.settings.noise_rad, tachometer_noise_rad_s=tachometer_noise
     )
-    observer.latency_s = session.loop.latency_s
+    observer.latency_s, observer.further_s = session.loop.latency_s, further_delay_s
     return Tracking(
         motor,
         observer,

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Verdict = Literal["ok", "doubtful", "refused"]
 
 PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V", "asym_V", "delay_s")
+DELAY = PARAMETERS.index("delay_s")
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,11 @@ class Estimate:
     def is_motor(self) -> bool:
         """Whether it has tau and K, not friction alone."""
         return math.isfinite(self.tau_s) and math.isfinite(self.K_rad_s_V)
+
+    @property
+    def fits_delay(self) -> bool:
+        """Whether its delay was fitted: neither known nor left out."""
+        return math.isfinite(self.delay_s) and float(self.covariance[DELAY, DELAY]) > 0.0
 
     def motor(self) -> Motor:
         """The identified motor: Coulomb friction fc_V, its asymmetry as a bias. Raises ValueError without tau and K."""

@@ -22,12 +22,13 @@ from rig.identify.motor_law import MotorLaw, motor_law
 from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.preprocessing import from_recording
 from rig.identify.records import left_out, require_known
-from rig.identify.sampled_data_verdict import judge_with_laws, slipped_rms_rad
+from rig.identify.sampled_data_verdict import judge_with_laws, late_s, slipped_rms_rad
+from rig.identify.stroke_delay import strokes_delay
 from rig.identify.verdict import largest_drive_V, settled
 from rig.model.real_motor import Frame, FramedMotor, RealMotor
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
-from rig.recording.series import TimeSeries
+from rig.recording.series import LATENCY_S, TimeSeries
 from rig.recording.stage import StageKind, kind_of
 from rig.results import HystereticResult, IdentificationResult, RelayTestResult, StaticFrictionResult
 
@@ -117,7 +118,11 @@ def identify(
     require_known(recordings, without)
     data = measurements(recordings, with_cycles=reads_tests, plain_is_hysteretic=reads_runs, without=without)
     found = _found(data)
-    errors = _add_estimates([e for e in wanted if methods or e.series(data)], data, found)
+    chosen = [e for e in wanted if methods or e.series(data)]
+    errors = _add_estimates(chosen, data, found)
+    if _takes_delay(data, found.estimates.get(LEADING), recordings):
+        found = _found(data)
+        errors = _add_estimates(chosen, data, found)
     if not found.estimates:
         # the leading estimator needs the least data: what it misses, the recording lacks
         decisive = wanted[0].name if len(wanted) == 1 else LEADING
@@ -133,6 +138,28 @@ def identify(
         _add_friction_law(data, static, found)
     _add_friction_map(recordings, without, found)
     return found
+
+
+def _takes_delay(data: Measurements, estimate: Estimate | None, recordings: Sequence[Recording]) -> bool:
+    """Whether the bench acts later than its tests say. Then the tests of ``data`` have an unknown delay.
+
+    If they say when each drive acted, the strokes of a breakaway check must allow that it was later: else it is
+    columns that are wrong, not the bench.
+    """
+    if estimate is None or estimate.verdict == "ok" or any(test.delay_s is not None for test in data.tests):
+        return False
+    later_s = late_s(estimate, data.tests)
+    if later_s == 0.0:
+        return False
+    bound_s = (0.0, LATENCY_S)
+    if data.tests[0].t_u_s is not None:
+        strokes = [strokes_delay(recording) for recording in recordings]
+        if any(one is None or not one.low_s <= later_s <= one.high_s for one in strokes):
+            return False
+        bound_s = (0.0, estimate.delay_s + max(one.high_s for one in strokes if one is not None))
+    data.tests = [test.with_unknown_delay(bound_s) for test in data.tests]
+    data.notes.append("the drive acts later than the recording says: its delay is fitted")
+    return True
 
 
 def _wanted(methods: Sequence[str] | None) -> list[Estimator]:

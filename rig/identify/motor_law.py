@@ -211,7 +211,7 @@ class Beginning:
     ) -> Beginning:
         """From the tests and their plain estimate, as ``motor_law``. Raises IdentifyError if a test is too short."""
         free_delay = any(test.t_u_s is None for test in tests)
-        longest = (-max(test.period_s for test in tests), max(test.longest_delay_s for test in tests))
+        longest = (min(test.earliest_delay_s for test in tests), max(test.longest_delay_s for test in tests))
         delay_s = longest if free_delay else (0.0, 0.0)
         whole = Cut.whole(tests, delay_s[1])
         motor = RealMotor(
@@ -324,6 +324,7 @@ def thinned(test: TimeSeries, rows: int) -> TimeSeries:
         t_s=test.t_s[first],
         y_rad=test.y_rad[first],
         t_u_s=None if test.t_u_s is None else test.t_u_s[first],
+        even_s=None if test.even_s is None else test.even_s[first],
         u_V=mean_V,
     )
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.recording.errors import IdentifyError
-from rig.recording.recording import Recording
+from rig.recording.recording import Floats, Recording
 from rig.recording.series import FEWEST_ROWS, TIMES_ERROR_S, TimeSeries
 from rig.recording.stage import Stage
+from rig.signals import BenchDelay
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,10 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[TimeSe
     t_s = recording.t_s[rows] / scale
     t_u_s = recording.t_u_s[rows] / scale
     y_rad, u_V = recording.y_rad[rows], recording.u_V[rows]
+    if recording.delay is not None:
+        waiting = _waiting(recording.delay, t_s, t_u_s)
+        if waiting:
+            t_s, y_rad, t_u_s, u_V = t_s[:-waiting], y_rad[:-waiting], t_u_s[waiting:], u_V[waiting:]
     known = np.isfinite(t_u_s)
     if not known.any():
         return TimeSeries(t_s, y_rad, None, u_V, first, name, stage=stage), notes
@@ -88,7 +93,32 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[TimeSe
         )
         filled = np.maximum.accumulate(filled)
     error_s = _times_error_s(recording)
-    return TimeSeries(t_s[start:], y_rad[start:], filled, u_V[start:], first + start, name, error_s, stage), notes
+    series = TimeSeries(t_s[start:], y_rad[start:], filled, u_V[start:], first + start, name, error_s, stage)
+    return _with_delay(series, recording.delay, notes), notes
+
+
+def _with_delay(series: TimeSeries, delay: BenchDelay | None, notes: list[str]) -> TimeSeries:
+    """With an unknown delay, if the breakaway check has shown more delay than the device reports."""
+    if delay is None or delay.further_s is None or not delay.is_shown:
+        return series
+    reported_s = float(np.mean(series.edge_s - series.t_s))
+    low_s, high_s = (reported_s + end for end in (delay.further_s[0], delay.further_s[2]))
+    notes.append(
+        f"the reading moves {1e3 * low_s:.0f} to {1e3 * high_s:.0f} ms after a sample, by the strokes of the breakaway "
+        f"check, but the device reports {1e3 * reported_s:.1f} ms: the delay is fitted"
+    )
+    return series.with_unknown_delay((low_s, high_s))
+
+
+def _waiting(delay: BenchDelay, t_s: Floats, t_u_s: Floats) -> int:
+    """Rows by which a drive was decided before the row in which it acts: it waited in the device.
+
+    Then each row gets the drive that was decided on its sample, and the time at which that drive acted.
+    """
+    latency_s = t_u_s - t_s
+    if t_s.size < FEWEST_ROWS or not np.isfinite(latency_s).any():
+        return 0
+    return min(delay.whole_periods(float(np.nanmedian(latency_s)), float(np.median(np.diff(t_s)))), t_s.size - 2)
 
 
 def _times_error_s(recording: Recording) -> float:

@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 METHOD = "sampled-data"
 POLISHED = 3  # number of starts that are iterated
 FIRST_CYCLES = 2.5  # length of the first part of the recording, in cycles: the starts are compared there
+NEAR_PERIODS = 4.0  # periods between two delays to start from
 NOISE_ROUNDS = 3  # rounds of estimating the noise from the residual and repeating the fit
 EXACT = 1e-7  # residual over the spread of positions that is only rounding
 
@@ -91,7 +92,7 @@ def fit(
 def _problem(tests: Sequence[TimeSeries], free_delay: bool) -> OutputErrorProblem:
     """The fit as a problem of least squares with white noise. Raises IdentifyError if nothing changes in a test."""
     # A delay of 0 must not lie at a bound, and a column that is off by a row shows as a negative delay.
-    earliest = -max(test.period_s for test in tests)
+    earliest = min(test.earliest_delay_s for test in tests)
     bounds = (earliest, max(test.longest_delay_s for test in tests)) if free_delay else (0.0, 0.0)
     windows = tuple(test.predictable(bounds[1]) for test in tests)
     for test, window in zip(tests, windows, strict=True):
@@ -106,8 +107,18 @@ def _problem(tests: Sequence[TimeSeries], free_delay: bool) -> OutputErrorProble
 
 def _candidates(problem: OutputErrorProblem, starts: Sequence[Start]) -> list[Array]:
     """The full vectors of the starts, the best first."""
-    scored = [_score(problem.windows, start, 0.5 * problem.delay_bounds_s[1]) for start in starts]
+    scored = [_score(problem.windows, start, delay_s) for delay_s in _first_delays(problem) for start in starts]
     return [x0 for _, x0 in sorted(scored, key=lambda candidate: candidate[0])]
+
+
+def _first_delays(problem: OutputErrorProblem) -> list[float]:
+    """Delays to start from, s: the middle of what is possible; where that is many periods wide, several."""
+    low_s, high_s = problem.delay_bounds_s
+    period_s = max(window.period_s for window in problem.windows)
+    if all(window.series.delay_s is None for window in problem.windows):
+        return [0.5 * high_s]
+    apart = max(1, round((high_s - low_s) / (NEAR_PERIODS * period_s)))
+    return [low_s + (high_s - low_s) * (k + 0.5) / apart for k in range(apart)]
 
 
 def _with_noise(problem: OutputErrorProblem, best: Solution) -> tuple[OutputErrorProblem, Solution]:

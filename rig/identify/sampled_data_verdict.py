@@ -20,6 +20,7 @@ NOISY, TOO_NOISY = 3.0, 8.0  # residual over the sensor's noise
 REPEATED = 0.3  # share of the residual's power that repeats in each cycle
 NEGLIGIBLE = 0.003  # residual over the spread of positions, below which it does not matter
 SLIPPED = 0.3  # of a period: largest difference between the recorded times of the drive and those that fit best
+AT_BOUND = 0.9995  # of the longest delay that is looked for
 REACH_PERIODS = 2.5  # periods: differences that are looked for
 TRANSFER = 1.5  # residual of a test predicted by the first test's model, over the residual of its own fit
 STUCK = 0.3  # share of the time in which the motor stands still
@@ -63,7 +64,7 @@ def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     longest = max(test.longest_delay_s for test in tests)
     if all(test.t_u_s is not None for test in tests):
         return estimate
-    if estimate.delay_s > 0.9995 * longest:
+    if estimate.delay_s > AT_BOUND * longest:
         return estimate.judged(
             "doubtful",
             f"the delay is at its bound, {1e3 * longest:.3g} ms: record the times at which the drive acts, t_u_s, or "
@@ -140,6 +141,20 @@ def slipped_rms_rad(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
         return math.inf
     moved = _moved(estimate, tests)
     return math.sqrt(moved.cost / moved.residual.size)
+
+
+def late_s(estimate: Estimate, tests: Sequence[TimeSeries]) -> float:
+    """How much later than the tests say the drive acts, s: at least a third of a period; 0.0 if it does not.
+
+    Without t_u_s: the longest delay that was looked for, if the estimate has that delay.
+    """
+    if all(test.t_u_s is None for test in tests):
+        longest_s = max(test.longest_delay_s for test in tests)
+        return longest_s if estimate.delay_s > AT_BOUND * longest_s else 0.0
+    if any(test.t_u_s is None for test in tests):
+        return 0.0
+    slip_s = float(_moved(estimate, tests).x[4])
+    return slip_s if slip_s > SLIPPED * max(test.period_s for test in tests) else 0.0
 
 
 def _moved(estimate: Estimate, tests: Sequence[TimeSeries]) -> Solution:

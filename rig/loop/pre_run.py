@@ -22,7 +22,7 @@ from rig.signals import Order
 
 @dataclass(frozen=True)
 class PreRunBench:
-    """What rig knows of the bench: the best model, the shaft's position, noise, latency, the order of a tick."""
+    """What rig knows of the bench: the best model, the shaft's position, noise, delay, the order of a tick."""
 
     motor: Motor | FramedMotor
     start_rad: float
@@ -33,6 +33,7 @@ class PreRunBench:
     rail_counts: tuple[int, int]
     period_s: float
     order: Order = "sample_first"
+    further_delay_s: float = 0.0
 
 
 class Rehearsed(Law, Protocol):
@@ -58,6 +59,7 @@ def pre_run(law: Rehearsed, bench: PreRunBench, guard: GuardSettings, seed: int 
         noise_rad=bench.noise_rad,
         supply_V=bench.drive_map.full_V,
         drive_counts=bench.drive_map.full_units,
+        drive_delay_s=bench.further_delay_s,
     )
     if isinstance(bench.motor, FramedMotor):
         parameters = replace(parameters, real=bench.motor.motor._replace(delay_s=0.0), frame=bench.motor.frame)
@@ -73,6 +75,7 @@ def pre_run(law: Rehearsed, bench: PreRunBench, guard: GuardSettings, seed: int 
     simulated_guard = Guard(guard)
     simulated_guard.sign_proven = True
     loop = Loop(driver, clock, simulated_guard, NullSink(), bench.period_s, StopRequest())
+    loop.expect_delay(bench.latency_s)
     low, high = guard.limits.soft_rad
     reached = [bench.start_rad, bench.start_rad]
 

@@ -7,6 +7,7 @@ loop. All of them share one ``ReplayedRows``.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping
 
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow, RelayRules
@@ -18,6 +19,7 @@ from rig.loop.runner import Loop
 from rig.recording.sink import NullSink, Row
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED, FLAG_SKIPPED, Limits, Order, Sample
 
+KEPT_DRIVES = 512  # decided last: those that may still wait in the device
 _GUARD_FLAGS = FLAG_GUARD_CLIPPED | FLAG_GUARD_BRAKED
 _NAN = math.nan
 
@@ -193,14 +195,18 @@ class RowComparison(NullSink):
     compared   rows whose drive is the one that acted
     lost       rows whose drive never reached the device
     limited    rows in which the device drove less than commanded
+    delay_s    from a sample to its drive, where drives waited in the device: each row holds one that was decided
+               earlier; 0.0 where they did not
     """
 
     def __init__(self, replayed: ReplayedRows, quantise: Callable[[float], float] | None) -> None:
         self.compared = 0
         self.lost = 0
         self.limited = 0
+        self.delay_s = 0.0
         self._replayed = replayed
         self._quantise = quantise
+        self._asked: deque[tuple[float, float, int]] = deque(maxlen=KEPT_DRIVES)
 
     def sample(self, *row: *Row) -> None:
         """Compare a row that the loop would write.
@@ -244,6 +250,13 @@ class RowComparison(NullSink):
     def _compare_drive(self, row: int, u_V: float, flags: int) -> None:
         replayed, then = self._replayed, self._replayed[row]
         recorded_V, t_u_s = then.u_V, then.t_u_s
+        self._asked.append((then.t_s, u_V, flags))
+        if self.delay_s > 0.0 and not then.in_device:
+            decided_s, u_V, flags = min(self._asked, key=lambda asked: abs(asked[0] + self.delay_s - t_u_s))
+            if not abs(decided_s + self.delay_s - t_u_s) < 0.5 * replayed.period_s:
+                self.lost += 1  # nothing had come to the device
+                return
+            t_u_s = math.inf
         if then.in_device:
             self.compared += 1  # the loop itself compares it with the law's
             return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import math
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -20,6 +21,7 @@ from rig.recording.sink import RowSink
 from rig.signals import FLAG_SATURATED, FLAG_SKIPPED, Limits, Sample
 
 _CHECK_EVERY_TICKS = 25
+_KEPT_DRIVES = 512  # asked for last: those that may still wait in a device
 
 
 class Loop:
@@ -52,7 +54,7 @@ class Loop:
         self._t0_s = clock.now_s() + period_s
         self._tick = 0
         self._row_open = False
-        self._asked_V = 0.0
+        self._asked: deque[tuple[float, float]] = deque(maxlen=_KEPT_DRIVES)  # times of samples, and their drives
         self._skipped = 0  # ticks skipped just before the next one
         self.last_y_rad = math.nan  # position at the last tick, of the loop or of a relay in the device
         self._last_t_s = math.nan
@@ -69,6 +71,15 @@ class Loop:
     def now_s(self) -> float:
         """Time since the run's start, s."""
         return self._clock.now_s() - self._t0_s
+
+    def expect_delay(self, reported_s: float) -> None:
+        """Take the delay from a sample to its drive, as the device reports it, s: it may be many ticks."""
+        if self.waits(reported_s):
+            self.latency_s = reported_s
+
+    def waits(self, latency_s: float) -> bool:
+        """Whether drives wait in a device with this latency, s: a report is not of the last drive."""
+        return latency_s >= self._longest_latency_s
 
     def _since_start_s(self, t_s: float) -> float:
         """A driver's time as run time, s; to the nanosecond, so that a law decides on exactly what is recorded."""
@@ -196,7 +207,7 @@ class Loop:
         written_s = now_s()
         self._record_tick(law, stage, sample, u_V, late_us, io_us, flags)
         self._row_open = True
-        self._asked_V = u_V
+        self._asked.append((sample.t_s, u_V))
         self.statistics.drive((decided_s - read_s) * 1e6, (written_s - decided_s) * 1e6, (now_s() - written_s) * 1e6)
         self._end_tick(due_s)
         return sample
@@ -238,12 +249,23 @@ class Loop:
     def _complete_row(self, sample: Sample) -> None:
         if self._row_open:
             accepted = sample.t_u_s >= self._last_t_s  # else the drive was lost: the one before still acts
-            clipped = accepted and not is_obeyed(self._asked_V, sample.u_V)
+            clipped = accepted and not is_obeyed(self._decided_V(sample.t_u_s), sample.u_V)
             self._record.complete(sample.t_u_s, sample.u_V, FLAG_SATURATED if clipped else 0)
             self._row_open = False
 
+    def _decided_V(self, t_u_s: float) -> float:
+        """The drive that was asked for a delay before ``t_u_s``, V: where none waits in the device, the last one."""
+        if not self.waits(self.latency_s) or math.isnan(t_u_s):
+            return self._asked[-1][1]
+        return min(self._asked, key=lambda asked: abs(asked[0] + self.latency_s - t_u_s))[1]
+
     def _measure_latency(self, sample: Sample) -> None:
         latency_s = sample.t_u_s - self._last_t_s
+        if self.waits(self.latency_s) and math.isfinite(latency_s):
+            # drives wait in the device: the report is of one that was decided whole periods ago
+            latency_s += round((self.latency_s - latency_s) / self._period_s) * self._period_s
+            self.latency_s += 0.05 * (latency_s - self.latency_s)
+            return
         if 0.0 <= latency_s < self._longest_latency_s:  # false for nan, and after a skipped tick
             self.latency_s += (latency_s - self.latency_s) * (0.05 if self.latency_s else 1.0)
 

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 import random
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -33,6 +35,7 @@ class BenchParameters:
     reversed         positive counts turn the shaft to falling positions
     tachometer_rad_s_per_count, tachometer_zero_counts, gear_ratio   velocity channel; None where there is none
     drive, sensor    their wiring: "ok" or a fault
+    drive_delay_s    from the pin to the motor; no device sees it
     fault_after_s    time from the first arming until the wiring faults begin
     real, frame      the motor with its parts, which moves instead of ``motor``, and what they refer to; drift runs from
                      the first arming. None: it has no parts
@@ -57,6 +60,7 @@ class BenchParameters:
     gear_ratio: float = 1.0
     drive: DriveWiring = "ok"
     sensor: SensorWiring = "ok"
+    drive_delay_s: float = 0.0
     fault_after_s: float = 0.0
     real: RealMotor | None = None
     frame: Frame = field(default=Frame())
@@ -72,6 +76,9 @@ class BenchModel:
         self._real = None if real is None else MovingMotor(real, parameters.frame, parameters.start_rad)
         self.pin_counts = 0.0  # drive at the pin, counts of full duty; not whole behind a finer converter
         self.armed_for_s = -1.0  # time since the first arming; negative before it
+        self._moved_for_s = 0.0  # time since the start
+        self._coming: deque[tuple[float, float]] = deque()  # pin's changes on their way: when they reach the motor
+        self._sent_counts = self._arrived_counts = 0.0
         self._noise = random.Random(seed)
         self._stuck_counts: int | None = None
 
@@ -85,19 +92,24 @@ class BenchModel:
         return self.armed_for_s >= self.parameters.fault_after_s
 
     @property
+    def acting_counts(self) -> float:
+        """The drive that has come from the pin to the bridge, counts of full duty."""
+        return self._arrived_counts if self.parameters.drive_delay_s > 0.0 else self.pin_counts
+
+    @property
     def bridge_V(self) -> float:
-        """Output of the bridge for the drive at the pin, V; positive towards rising positions."""
-        p = self.parameters
-        dead = p.dead_band_plus if self.pin_counts > 0.0 else p.dead_band_minus
-        passed = (abs(self.pin_counts) / p.drive_counts - dead) / (1.0 - dead)
-        if self.pin_counts == 0.0 or passed <= 0.0:
+        """Output of the bridge for the drive that has come to it, V; positive towards rising positions."""
+        p, counts = self.parameters, self.acting_counts
+        dead = p.dead_band_plus if counts > 0.0 else p.dead_band_minus
+        passed = (abs(counts) / p.drive_counts - dead) / (1.0 - dead)
+        if counts == 0.0 or passed <= 0.0:
             return 0.0
         volts = passed * (p.supply_V - p.bridge_drop_V)
-        return volts if (self.pin_counts > 0.0) != p.reversed else -volts
+        return volts if (counts > 0.0) != p.reversed else -volts
 
     @property
     def motor_V(self) -> float:
-        """Voltage at the motor for the drive at the pin, with the wiring faults."""
+        """Voltage at the motor for the drive that has come to the bridge, with the wiring faults."""
         volts = self.bridge_V
         wiring = self.parameters.drive if self.faulty else "ok"
         if wiring == "reversed":
@@ -112,9 +124,29 @@ class BenchModel:
         """Let ``dt_s`` pass with the drive at the pin unchanged."""
         begins_in = self.parameters.fault_after_s - self.armed_for_s
         if self.armed_for_s >= 0.0 and 0.0 < begins_in < dt_s:
-            self._move(begins_in)
+            self._pass(begins_in)
             dt_s -= begins_in
-        self._move(dt_s)
+        self._pass(dt_s)
+
+    def _pass(self, dt_s: float) -> None:
+        for span_s in self._between_drives(dt_s):
+            self._move(span_s)
+
+    def _between_drives(self, dt_s: float) -> Iterator[float]:
+        """The parts of ``dt_s``, s, in each of which one drive acts; the next drive acts after each of them."""
+        if self.parameters.drive_delay_s <= 0.0:
+            yield dt_s
+            return
+        if self.pin_counts != self._sent_counts:
+            self._sent_counts = self.pin_counts
+            self._coming.append((self._moved_for_s + self.parameters.drive_delay_s, self.pin_counts))
+        end_s = self._moved_for_s + dt_s
+        while self._coming and self._coming[0][0] <= end_s:
+            due_s, counts = self._coming.popleft()
+            yield max(due_s - self._moved_for_s, 0.0)
+            self._moved_for_s, self._arrived_counts = max(due_s, self._moved_for_s), counts
+        yield end_s - self._moved_for_s
+        self._moved_for_s = end_s
 
     def _move(self, dt_s: float) -> None:
         if self._real is None:

@@ -5,11 +5,17 @@ from __future__ import annotations
 from rig.config.schema import Experiment
 from rig.control.guard import GuardSettings
 from rig.loop.real_time import RealTimeSettings
-from rig.preflight.room_to_stop import known_reaction_s
+from rig.preflight.room_to_stop import counted_delay_s, known_reaction_s
+from rig.signals import BenchDelay
 
 
-def guard_settings_of(experiment: Experiment, noise_rad: float | None = None) -> GuardSettings:
-    """The guard's knowledge; ``noise_rad`` once it was measured, before that two LSB are assumed."""
+def guard_settings_of(
+    experiment: Experiment, noise_rad: float | None = None, delay: BenchDelay | None = None
+) -> GuardSettings:
+    """The guard's knowledge; ``noise_rad`` and ``delay`` once they were measured.
+
+    Before that two LSB are assumed, and a drive that acts within its own tick.
+    """
     lsb_rad = experiment.sensor.curve.lsb_rad
     t = experiment.limits
     return GuardSettings(
@@ -20,6 +26,7 @@ def guard_settings_of(experiment: Experiment, noise_rad: float | None = None) ->
         reaction_s=known_reaction_s(experiment),  # as in `rig check`
         noise_rad=2.0 * lsb_rad if noise_rad is None else max(noise_rad, lsb_rad),
         motion_rad=experiment.breakaway.motion_rad,
+        delay_s=0.0 if delay is None else counted_delay_s(experiment, delay),
     )
 
 

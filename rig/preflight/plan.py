@@ -15,6 +15,7 @@ from rig.preflight.differences import differences
 from rig.preflight.room_to_stop import (
     overshoot_terms,
     peak_speed_rad_s,
+    room_for_delay_s,
     room_rad,
     stopping_sum,
     stopping_terms,
@@ -34,6 +35,12 @@ def plan(e: Experiment) -> Iterator[str]:
         f"{e.limits.max_speed_rad_s:g} rad/s; {e.drive.max_V:g} V of the {full_V:g} V that the bridge can give"
     )
     yield f"stopping {stopping_sum(e)}; room from the centre of travel: {room_rad(e):.3f} rad"
+    room_s = room_for_delay_s(e)
+    if room_s > 0.0:
+        yield (
+            "delay: the breakaway check bounds how late a drive shows in the reading; there is room for "
+            f"{1e3 * room_s:.0f} ms beyond a drive's own tick"
+        )
     yield from backend.plan(e)
     yield backend.failsafe_words(e)
     for note in notes(e):

@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
-from math import log
+import math
 
 from rig.backends.registry import backend_of
 from rig.config.schema import Experiment
+from rig.signals import BenchDelay
 
 _REACTION_PERIODS = 3  # of the loop: one until the next tick, two by which the guard's velocity lags
 _VELOCITY_LAG_S = 0.02  # by which it lags at least: half of its window
@@ -88,6 +89,42 @@ def stopping_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
     )
 
 
+def counted_delay_s(e: Experiment, delay: BenchDelay) -> float:
+    """The part of a bench's delay that ``stopping_terms`` leave out, s, at most: what is beyond a drive's own tick.
+
+    In order write_first a drive's own tick is the next one.
+    """
+    return _waiting_s(e, delay) + delay.shown_s[2]
+
+
+def expected_delay_s(e: Experiment, delay: BenchDelay) -> float:
+    """As ``counted_delay_s``, but the most likely, s."""
+    return _waiting_s(e, delay) + delay.shown_s[1]
+
+
+def _waiting_s(e: Experiment, delay: BenchDelay) -> float:
+    own_s = e.period_s * (2.0 if backend_of(e).writes_first(e) else 1.0)
+    return max(delay.reported_s - own_s, 0.0)
+
+
+def room_for_delay_s(e: Experiment) -> float:
+    """Longest delay beyond a drive's own tick with which the shaft stops in time, s; negative without room to stop.
+
+    It stops from the largest speed at the centre of travel. In a limit cycle of the wanted size the guard does not
+    brake.
+    """
+    v, target = e.limits.max_speed_rad_s, e.relay.target
+    distance = sum(rad for _, rad in stopping_terms(e))
+    room_s = (room_rad(e) - distance) / v
+    if target is None:
+        return room_s
+    amplitude_rad = target.amplitude_rad * max(1.0, e.relay.second_ratio) * (1.0 + target.tolerance)
+    # the stop that the guard predicts grows from A to 2 A as r does from 0 to T/4, then by 8 A/T
+    share = room_rad(e) / amplitude_rad
+    longest = 0.25 * target.period_s * (math.sqrt(max(share - 1.0, 0.0)) if share < 2.0 else 0.5 * share)
+    return min(room_s, longest - distance / v)
+
+
 def stopping_sum(e: Experiment) -> str:
     """``stopping_terms`` and what they add up to, for people."""
     terms = stopping_terms(e)
@@ -125,5 +162,5 @@ def overshoot_terms(e: Experiment) -> tuple[tuple[str, float], ...]:
     periods = 3 if backend_of(e).writes_first(e) else 2
     return (
         (f"{periods} periods", periods * v * e.period_s),
-        ("reversing", v * e.limits.coast_tau_s * (1.0 - log(2.0))),
+        ("reversing", v * e.limits.coast_tau_s * (1.0 - math.log(2.0))),
     )

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from rig.recording.columns import COLUMNS, KINDS, SampleRow
 from rig.recording.errors import RecordingError
-from rig.results import RunEvent, RunMeta
+from rig.results import MeasuredDelay, RunEvent, RunMeta
+from rig.results.reading import DamagedError, parsed
+from rig.signals import BenchDelay
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -21,6 +23,7 @@ Column = NDArray[Any]
 Columns = dict[str, Column]
 
 MIN_ROWS: Final = 3
+EVENTS: Final = "events.jsonl"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,22 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.t_s)
+
+    @property
+    def delay(self) -> BenchDelay | None:
+        """The delay of the bench by the strokes of its breakaway check; None in a file or run that does not say it.
+
+        Raises RecordingError if the event of it is broken.
+        """
+        for event in self.events:
+            if event.kind == "delay":
+                try:
+                    return parsed(MeasuredDelay, event.detail).delay
+                except DamagedError as error:
+                    raise RecordingError(
+                        self.source / EVENTS, f"event delay is broken ({error})", "copy the run folder again"
+                    ) from error
+        return None
 
     def stages(self) -> list[str]:
         """Names of the stages, in the order of their first rows; [] without a column ``stage``."""

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 FEWEST_ROWS = 20  # of a series that can be fitted
 SHORTEST_WINDOW = 60  # samples
-LATENCY_PERIODS, LATENCY_S = 10.0, 0.1  # longest time from a sample to its row's drive: the longer of both
+LATENCY_PERIODS, LATENCY_S = 10.0, 0.2  # longest time from a sample to its row's drive: the longer of both
 
 # A serial link and a driver take this long at any sampling rate. Used if the recording is at least 100 times as long.
 LEAST_DELAY_S = 0.01
@@ -41,12 +41,15 @@ class TimeSeries:
     t_s        n times, s, increasing
     y_rad      n positions, rad
     t_u_s      n times at which each row's drive took effect, s; None if unknown: then u acts a constant delay after
-               t_s, at most `longest_delay_s`
+               ``even_s``, between `earliest_delay_s` and `longest_delay_s`
     u_V        n drives, V, after saturation and quantisation
     first_row  number of the first row in its file
     name       its name in messages
     times_error_s  largest error of t_u_s against t_s, s, at least 0
     stage      the stage of these rows; None if the file has no stages
+    delay_s    what is known of that constant delay, s: least and most; None: nothing
+    even_s     n times from which that delay counts: t_s, each later or earlier by as much as its drive was later or
+               earlier than the mean; None: t_s
     Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite, values beyond
     1e12, a column whose values are all below 1e-12 and not all zero, times that do not increase, and drives that act
     far before or after their samples.
@@ -60,6 +63,8 @@ class TimeSeries:
     name: str = "recording"
     times_error_s: float = TIMES_ERROR_S
     stage: Stage | None = None
+    delay_s: tuple[float, float] | None = None
+    even_s: Array | None = None
 
     def __post_init__(self) -> None:
         columns = {"t_s": self.t_s, "y_rad": self.y_rad, "u_V": self.u_V}
@@ -116,15 +121,37 @@ class TimeSeries:
         """Sampling period: the median step of t_s, s."""
         return float(np.median(np.diff(self.t_s)))
 
+    def with_unknown_delay(self, delay_s: tuple[float, float]) -> TimeSeries:
+        """The same, but its drives act an unknown constant delay later, s: at least and at most.
+
+        How they differ from their mean is kept, if their times are known.
+        """
+        if self.t_u_s is None:
+            return replace(self, delay_s=delay_s)
+        even_s = self.t_u_s - float(np.mean(self.t_u_s - self.t_s))
+        return replace(self, t_u_s=None, even_s=even_s, delay_s=delay_s)
+
     @property
     def longest_delay_s(self) -> float:
-        """Longest constant delay to look for if t_u_s is unknown, s: two periods, or 10 ms if that is more."""
+        """Longest constant delay to look for if t_u_s is unknown, s: two periods, or 10 ms if that is more.
+
+        Where the delay is bounded: a period more than the bound.
+        """
+        if self.delay_s is not None:
+            return self.delay_s[1] + self.period_s
         return max(2.0 * self.period_s, min(LEAST_DELAY_S, 0.01 * float(self.t_s[-1] - self.t_s[0])))
 
     @property
+    def earliest_delay_s(self) -> float:
+        """Shortest delay to look for if t_u_s is unknown, s: a column that is off by a row is a period early."""
+        return -self.period_s if self.delay_s is None else max(self.delay_s[0] - self.period_s, -self.period_s)
+
+    @property
     def edge_s(self) -> Array:
-        """Times from which each row's drive acts, s: t_u_s if known, else t_s."""
-        return self.t_s if self.t_u_s is None else self.t_u_s
+        """Times from which each row's drive acts, s: t_u_s if known; else it acts a constant delay later."""
+        if self.t_u_s is not None:
+            return self.t_u_s
+        return self.t_s if self.even_s is None else self.even_s
 
     def drive_period_s(self) -> float | None:
         """Period of a periodic drive, s: the first lag at which it is like itself again. None without a period."""
@@ -160,6 +187,7 @@ class TimeSeries:
             t_s=self.t_s[cut],
             y_rad=self.y_rad[cut],
             t_u_s=None if self.t_u_s is None else self.t_u_s[cut],
+            even_s=None if self.even_s is None else self.even_s[cut],
             u_V=self.u_V[cut],
             first_row=self.first_row + first,
         )

@@ -24,7 +24,7 @@ from rig.results.estimates import (
     StaticFrictionResult,
     known,
 )
-from rig.results.event import DrivenModel, DrivenSurvey, DrivenSweep, FurtherTest, RunEvent
+from rig.results.event import DrivenModel, DrivenSurvey, DrivenSweep, FurtherTest, MeasuredDelay, RunEvent
 from rig.results.meta import (
     DeviceSeen,
     RealTimeReport,
@@ -73,6 +73,7 @@ __all__ = [
     "MapSpeedResult",
     "LoopResult",
     "MotorLawResult",
+    "MeasuredDelay",
     "Part",
     "PieceResult",
     "Quantiles",

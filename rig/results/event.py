@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from rig.results.part import JsonObject, Number, Part, Real, Sometimes, Text
+from rig.signals import BenchDelay
 
 
 class RunEvent(Part):
@@ -46,6 +47,22 @@ class FurtherTest(Part):
     h2_V: Real
 
 
+class MeasuredDelay(Part):
+    """The keys of an event ``delay``: how late the bench acts, by the strokes of the breakaway check."""
+
+    reported_s: Real
+    low_s: Number = None
+    further_s: Number = None
+    high_s: Number = None
+
+    @property
+    def delay(self) -> BenchDelay:
+        """As the loop and the guard take it."""
+        if self.low_s is None or self.further_s is None or self.high_s is None:
+            return BenchDelay(self.reported_s)
+        return BenchDelay(self.reported_s, (self.low_s, self.further_s, self.high_s))
+
+
 class DrivenModel(Part):
     """The keys of an event ``model``: a model that tracked."""
 
@@ -54,6 +71,7 @@ class DrivenModel(Part):
     K_rad_s_V: Real
     fc_V: Real
     bias_V: Real
+    further_delay_s: Real = 0.0
     half_travel_rad: Sometimes[Real] = Field(
         None, description="half the travel that its laws refer to; without it the motor is plain"
     )
@@ -63,7 +81,7 @@ class DrivenModel(Part):
         """All numbers by name, those of its laws with them. Raises ValueError if one of these is no number."""
         found: dict[str, float] = {}
         for name, value in (self.__dict__ | (self.model_extra or {})).items():
-            if name in ("method", "t_s", "kind") or value is None:
+            if name in ("method", "t_s", "kind", "further_delay_s") or value is None:
                 continue
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise ValueError(f"{name} is {value!r}, which is no number")

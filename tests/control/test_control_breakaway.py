@@ -14,7 +14,7 @@ import pytest
 from simulated_bench import DEMO_MOTOR, LIMITS, breakaway_check, simulated_bench
 
 from rig import config, experiment
-from rig.backends.simulated.driver import SimulatedDriver
+from rig.backends.simulated.driver import SimulatedDriver, SimulatedLatency
 from rig.control.breakaway import BreakawayLaw
 from rig.experiment.stages import breakaway_check as check_of
 from rig.faults import Fault
@@ -39,6 +39,28 @@ def test_it_measures_both_levels_and_the_noise_and_hardly_moves_the_shaft() -> N
     assert friction.static_minus_V + bias < law.minus_V < friction.static_minus_V + bias + 0.15
     assert 0.002 < law.noise_rad < 0.005
     assert max(abs(row["y_rad"]) for row in bench.record.rows) < 0.15
+
+
+@pytest.mark.parametrize("delay_s", [0.0012, 0.015, 0.035, 0.06, 0.1, 0.17])
+def test_it_measures_how_late_the_device_says_that_drives_act(delay_s: float) -> None:
+    """Also where drives wait in the device for longer than the planned pause, and reports leave some out."""
+    bench, law = simulated_bench(latency=SimulatedLatency(delay_s, 0.0003)), breakaway_check()
+    with bench.loop.armed(LIMITS):
+        bench.loop.run(law, "breakaway")
+    assert law.reported_delay_s == pytest.approx(delay_s, abs=0.001)
+    assert max(abs(row["y_rad"]) for row in bench.record.rows) < 0.15
+
+
+@pytest.mark.parametrize("delay_s", [0.035, 0.06, 0.1, 0.17])
+@pytest.mark.parametrize("reported", [True, False])
+def test_unseen_travel_stays_bounded_on_a_bench_that_acts_late(delay_s: float, reported: bool) -> None:
+    """The strokes take each other back, however late they act."""
+    late = SimulatedLatency(delay_s, 0.0) if reported else SimulatedLatency(0.0012, 0.0)
+    bench = simulated_bench(latency=late, sensor="stuck", drive_delay_s=0.0 if reported else delay_s)
+    reached: list[float] = []
+    with pytest.raises(Fault, match="NO_MOTION"), bench.loop.armed(LIMITS):
+        bench.loop.run(breakaway_check(), "breakaway", lambda _: reached.append(abs(bench.driver.bench.state.y)))
+    assert 0.01 < max(reached) < 0.5
 
 
 @pytest.mark.parametrize(

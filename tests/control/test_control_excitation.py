@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
+
 import pytest
 from directional_friction import directional
 from simulated_bench import CALIBRATION, DEMO, LIMITS, PERIOD_S, break_away, simulated_bench
@@ -48,6 +51,23 @@ def test_search_finds_the_wanted_cycle_inside_the_soft_limits(name: str, start_r
     assert test.settled_end_s - test.settled_start_s == pytest.approx(8 * period, rel=0.1)
     # a jitter of one sampling period at each switch may carry a peak past the wanted amplitude, never past soft
     assert max(abs(row["y_rad"]) for row in bench.record.rows) < LIMITS.soft_rad[1]
+
+
+def test_a_relay_that_takes_the_position_ahead_cycles_as_on_a_prompt_bench() -> None:
+    """With 60 ms more delay the relay alone hunts; what it decides with is the position by then."""
+    periods = {}
+    for delay_s, ahead_s in ((0.0, 0.0), (0.06, 0.06), (0.06, 0.0)):
+        bench = simulated_bench(drive_delay_s=delay_s)
+        relay, detector = relay_and_detector()
+        test = RelayTest(relay, detector, (0.45, 0.9), 6, 12.0)
+        test.ahead_s = ahead_s
+        with bench.loop.armed(LIMITS), contextlib.suppress(Fault):
+            bench.loop.run(test, "relay-1")
+        periods[delay_s, ahead_s] = detector.mean() if detector.settled else (math.inf, math.inf)
+    (prompt_s, prompt_rad), (ahead_s, ahead_rad), (late_s, _) = periods.values()
+    assert ahead_s == pytest.approx(prompt_s, rel=0.15)
+    assert ahead_rad == pytest.approx(prompt_rad, rel=0.2)
+    assert late_s > 1.3 * prompt_s
 
 
 def test_search_gives_up_with_its_story_where_the_wish_cannot_be_had() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, PERIOD_S, simulated_bench
 
+from rig.backends.simulated.driver import SimulatedLatency
 from rig.control.guard import Guard, VelocityWindow
 from rig.control.law import Constant
 from rig.faults import Fault
@@ -38,6 +40,41 @@ def test_it_stops_inside_the_hard_limit_even_if_the_host_dies_at_any_instant(die
     assert bench.driver.bench.pin_counts == 0
     assert bench.driver.bench.state.y < LIMITS.hard_rad[1]
     assert abs(bench.driver.bench.state.v) < 1e-3
+
+
+@pytest.mark.parametrize("reported", [True, False])
+@pytest.mark.parametrize("delay_s", [0.035, 0.1])
+@pytest.mark.parametrize("u_V", [0.8, 1.2, 3.0])
+def test_a_bench_that_acts_late_stays_inside_the_hard_limits(u_V: float, delay_s: float, reported: bool) -> None:
+    """The true shaft, whether drives wait in the device or behind its output; it may end as too fast, but inside."""
+    late = SimulatedLatency(delay_s, 0.0003) if reported else SimulatedLatency(0.0012, 0.0003)
+    guard = replace(GUARD, delay_s=delay_s, max_speed_rad_s=4.0)
+    bench = simulated_bench(guard=guard, latency=late, start_rad=-1.0, drive_delay_s=0.0 if reported else delay_s)
+    bench.guard.sign_proven = True
+    reached: list[float] = []
+    with contextlib.suppress(Fault), bench.loop.armed(LIMITS):
+        bench.loop.run(Constant(u_V, 1.5), "jog", lambda _: reached.append(bench.driver.bench.state.y))
+    bench.driver.bench.advance(3.0)  # it coasts
+    reached.append(bench.driver.bench.state.y)
+    assert max(reached) < LIMITS.hard_rad[1]
+    assert max(reached) > -0.5
+
+
+def test_a_delay_is_added_to_each_time_that_the_guard_waits_for_an_effect() -> None:
+    """A shaft that goes on outward for as long as the delay is no wrong polarity; for longer it is."""
+    guard = Guard(GUARD)
+    guard.learn(replace(GUARD, delay_s=0.1))
+    guard.sign_proven = True
+    guard.allow(reading(0.0, 1.15), -1.0)
+    assert guard.predicted_stop_rad == pytest.approx(1.15)
+    with pytest.raises(Fault, match="POLARITY"):
+        for k in range(1, 60):
+            t_s = k * PERIOD_S
+            guard.allow(reading(t_s, 1.15 + 3.0 * t_s**2), -1.0)
+    assert 0.18 < t_s < 0.21
+    assert guard.predicted_stop_rad == pytest.approx(
+        1.15 + 3.0 * t_s**2 + guard.velocity_rad_s * (GUARD.reaction_s + 0.1 + GUARD.coast_tau_s), abs=0.01
+    )
 
 
 @given(st.integers(0, 10**6), st.floats(-4.0, 4.0))

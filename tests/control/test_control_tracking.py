@@ -93,6 +93,7 @@ def test_the_observer_sees_velocity_through_noise_and_predicts_over_the_delay(ta
     bench = simulated_bench(tachometer_rad_s_per_count=None if tachometer is None else 0.05)
     observer = MotorObserver(DEMO_MOTOR, PERIOD_S, 0.003, tachometer_noise_rad_s=tachometer)
     errors: list[float] = []
+    held = [0.0]
     rng = np.random.default_rng(3)
 
     class Wiggle:
@@ -105,10 +106,38 @@ def test_the_observer_sees_velocity_through_noise_and_predicts_over_the_delay(ta
             errors.append(state.v - ahead.v)
             self.n += 1
             self.finished = self.n > 400
-            u = float(rng.choice([-1.0, 1.0])) if self.n % 20 == 0 else observer._asked_V
+            u = float(rng.choice([-1.0, 1.0])) if self.n % 20 == 0 else held[-1]
             observer.drive(u)
+            held.append(u)
             return u
 
     with bench.loop.armed(LIMITS):
         bench.loop.run(Wiggle(), "wiggle")
     assert float(np.sqrt(np.mean(np.square(errors[50:])))) < 0.12
+
+
+@pytest.mark.parametrize(
+    ("waits_s", "further_s"), [(0.035, 0.0), (0.1, 0.0), (0.0012, 0.035), (0.035, 0.06), (0.0503, 0.0)]
+)
+@pytest.mark.parametrize("reports", [True, False])
+def test_the_observer_predicts_over_any_number_of_ticks(waits_s: float, further_s: float, reports: bool) -> None:
+    """Its state is the true one at the time when the drive decided now comes to the motor."""
+    observer, rng = MotorObserver(DEMO_MOTOR, PERIOD_S, 0.003), np.random.default_rng(3)
+    observer.latency_s, observer.further_s = waits_s, further_s
+    asked = [(k * PERIOD_S, float(rng.choice([-1.0, 1.0]))) for k in range(300)]
+    acts_s, drives_V = np.array([(t_s + waits_s + further_s, u_V) for t_s, u_V in asked]).T
+
+    def true(t_s: float) -> State:
+        edges_s, u_V = np.append(-1.0, acts_s), np.append(0.0, drives_V)
+        v, y, _ = DEMO_MOTOR.response(State(), np.array([0.0, t_s]), edges_s, u_V)[-1]
+        return State(float(v), float(y))
+
+    for k, (t_s, u_V) in enumerate(asked):
+        begun = [one for one in asked[:k] if one[0] + waits_s <= t_s]
+        seen = (begun[-1][0] + waits_s, begun[-1][1]) if begun and reports else (math.nan, 0.0)
+        state = observer.step(Sample(t_s, true(t_s).y if k else 0.0, 512, math.nan, *seen))
+        if k > 20:
+            ahead = true(t_s + waits_s + further_s)
+            assert state.v == pytest.approx(ahead.v, abs=1e-3)
+            assert state.y == pytest.approx(ahead.y, abs=1e-4)
+        observer.drive(u_V)

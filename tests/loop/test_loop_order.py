@@ -18,7 +18,18 @@ from rig.identify import sampled_data
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.recording.series import TimeSeries
-from rig.signals import Order, Sample
+from rig.signals import FLAG_SATURATED, Order, Sample
+
+
+class Steps:
+    """A drive that changes its sign every 50 ms, for 2 s."""
+
+    yd_rad = z_rad_s = math.nan
+    finished = False
+
+    def step(self, sample: Sample) -> float:
+        self.finished = sample.t_s > 2.0
+        return 0.3 if int(sample.t_s / 0.05) % 2 else -0.3
 
 
 class Ended:
@@ -86,3 +97,27 @@ def test_a_drive_that_acts_a_period_or_more_later_is_in_its_rows_and_identified_
     for name, truth in (("tau_s", 0.17), ("K_rad_s_V", 6.5), ("fc_V", 0.48)):
         assert getattr(estimates[1], name) == pytest.approx(truth, rel=0.02)
         assert getattr(estimates[1], name) == pytest.approx(getattr(estimates[0], name), rel=0.02)
+
+
+@pytest.mark.parametrize("latency_s", [0.0172, 0.035, 0.1])
+def test_a_delay_of_many_ticks_is_followed_once_the_strokes_have_told_it(latency_s: float) -> None:
+    """Reports tell it modulo a period; drives that wait do not count as drives that the device cut down."""
+    clock, record = VirtualClock(), ListSink()
+    driver = SimulatedDriver(clock, DEMO, SCALING, SimulatedLatency(latency_s + 0.002, 0.001), 1)
+    loop = Loop(driver, clock, Guard(GUARD), record, PERIOD_S, StopRequest())
+    loop.expect_delay(latency_s)
+
+    with loop.armed(LIMITS):
+        loop.run(Steps(), "steps")
+    assert loop.latency_s == pytest.approx(latency_s + 0.002, abs=0.0005)
+    assert not any(row["flags"] & FLAG_SATURATED for row in record.rows if row["t_s"] > 0.2)
+
+
+def test_a_drive_within_its_own_tick_is_followed_as_ever() -> None:
+    clock = VirtualClock()
+    driver = SimulatedDriver(clock, DEMO, SCALING, SimulatedLatency(0.004, 0.0), 1)
+    loop = Loop(driver, clock, Guard(GUARD), ListSink(), PERIOD_S, StopRequest())
+    loop.expect_delay(0.004)
+    assert loop.latency_s == 0.0
+    assert loop.waits(PERIOD_S)
+    assert not loop.waits(0.9 * PERIOD_S)

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from hypothesis import HealthCheck, assume, given, settings
@@ -21,7 +22,8 @@ from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.preflight import check, preflight
 from rig.preflight.loop_settings import guard_settings_of
-from rig.preflight.room_to_stop import stopping_terms
+from rig.preflight.room_to_stop import counted_delay_s, room_for_delay_s, stopping_terms
+from rig.signals import BenchDelay
 
 CONFIGS = Path(__file__).parents[2] / "config"
 DEMO = (CONFIGS / "demo.yaml").read_text(encoding="utf-8")
@@ -392,6 +394,57 @@ def test_the_guard_reckons_with_every_term_of_the_stopping_sum(name: str) -> Non
     guard = guard_settings_of(experiment)
     travelled_rad = guard.max_speed_rad_s * (guard.reaction_s + guard.coast_tau_s)
     assert travelled_rad == pytest.approx(sum(rad for _, rad in stopping_terms(experiment)))
+
+
+def test_the_guard_reckons_with_the_delay_that_was_shown() -> None:
+    """What waits beyond a drive's own tick, and the upper end of what no device reports, if that is shown."""
+    e = experiment()
+    for delay, counted_s in (
+        (BenchDelay(0.002), 0.0),
+        (BenchDelay(0.0352), 0.0252),
+        (BenchDelay(0.002, (-0.01, 0.004, 0.02)), 0.0),
+        (BenchDelay(0.002, (0.012, 0.02, 0.03)), 0.03),
+        (BenchDelay(0.0352, (0.012, 0.02, 0.03)), 0.0552),
+    ):
+        assert counted_delay_s(e, delay) == pytest.approx(counted_s)
+        guard = guard_settings_of(e, 0.003, delay)
+        assert guard.delay_s == pytest.approx(counted_s)
+        assert guard.reaction_s == guard_settings_of(e).reaction_s
+
+
+def test_in_order_write_first_a_drives_own_tick_is_the_next_one() -> None:
+    modbus = check(CONFIGS / "modbus-rtu.yaml")[0]
+    assert counted_delay_s(modbus, BenchDelay(0.0352)) == pytest.approx(0.0152)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},  # the largest speed decides
+        {"limits__max_speed_rad_s": 4.0},  # the cycle's centre decides
+        {
+            "relay__target__amplitude_rad": 0.9,
+            "relay__target__period_s": 2.0,
+            "limits__max_speed_rad_s": 4.0,
+        },  # its arc
+    ],
+)
+def test_with_as_much_delay_as_there_is_room_for_the_shaft_just_stops(changes: dict[str, Any]) -> None:
+    """At the largest speed from the centre of travel, and in the largest cycle."""
+    e = experiment(**changes)
+    room_s, v, target = room_for_delay_s(e), e.limits.max_speed_rad_s, e.relay.target
+    assert target is not None
+    reaction_s = sum(rad for _, rad in stopping_terms(e)) / v + room_s
+    largest_rad = target.amplitude_rad * max(1.0, e.relay.second_ratio) * (1.0 + target.tolerance)
+    arc = np.linspace(0.0, 1.0, 2001)
+    stop_rad = float(np.max(largest_rad * (1.0 - arc**2) + 8.0 * largest_rad / target.period_s * arc * reaction_s))
+    assert max(stop_rad, v * reaction_s) == pytest.approx(e.limits.hard_rad[1], rel=1e-3)
+    assert f"there is room for {1e3 * room_s:.0f} ms" in "\n".join(preflight(e).lines)
+
+
+def test_an_emulated_board_has_no_delay_behind_its_output() -> None:
+    (problem,) = preflight(experiment(emulated__motor__delay_s=0.02)).problems
+    assert problem.key == "emulated.motor.delay_s"
 
 
 def test_following_the_hint_on_speed_passes() -> None:

@@ -42,6 +42,7 @@ def bench_parameters(emulated: Emulated, tachometer: Tachometer | None = None) -
         gear_ratio=_MODEL.gear_ratio if channel is None else channel.gear_ratio,
         drive=wiring.drive,
         sensor=wiring.sensor,
+        drive_delay_s=_given(m.delay_s, _MODEL.drive_delay_s),
         fault_after_s=wiring.fault_after_s,
         real=None if parts is None else _with_parts(motor, parts),
         frame=_MODEL.frame

@@ -42,6 +42,8 @@ def _keys(e: Experiment) -> Iterator[Problem]:
         yield wrong("daq.port", "`driver: serial` needs a port", "e.g. port: /dev/ttyACM0, or port: emulated")
     if e.emulated is None and d.port in EMULATED_PORTS:
         yield wrong("emulated", f"`port: {d.port}` needs this section", "describe the bench: see config/demo.yaml")
+    if e.emulated is not None and e.emulated.motor.delay_s is not None and d.port in EMULATED_PORTS:
+        yield wrong("emulated.motor.delay_s", "an emulated board has no such delay", "use driver simulated or modbus")
     if d.port in CHIP_PORTS and d.baud not in CHIP_BAUDS:
         yield wrong("daq.baud", f"the Uno's firmware does not speak {d.baud} baud", "115200 or 1000000")
 

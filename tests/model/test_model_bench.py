@@ -1,0 +1,43 @@
+"""The bench around the motor: a drive that comes to the motor later than to the pin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from simulated_bench import DEMO
+
+from rig.model.bench import BenchModel
+
+
+def drives(bench: BenchModel, shift_s: float = 0.0, step_s: float = 0.003) -> list[tuple[float, float]]:
+    """State after each 3 ms for 0.6 s, under drives that change at the pin every 0.1 s, from ``shift_s`` on."""
+    states = []
+    for k in range(round((0.6 + shift_s) / step_s)):
+        t_s = k * step_s - shift_s
+        bench.pin_counts = 0.0 if t_s < -1e-9 else (80.0, -120.0, 0.0)[int(t_s / 0.1 + 1e-9) % 3]
+        bench.advance(step_s)
+        states.append((bench.state.v, bench.state.y))
+    return states
+
+
+@pytest.mark.parametrize("delay_s", [0.006, 0.036, 0.12])
+def test_a_delay_behind_the_pin_is_the_same_motion_later(delay_s: float) -> None:
+    late = drives(BenchModel(replace(DEMO, drive_delay_s=delay_s), 1))
+    shifted = drives(BenchModel(DEMO, 1), delay_s)
+    for (v, y), (v_then, y_then) in zip(late, shifted, strict=False):
+        assert v == pytest.approx(v_then, abs=1e-9)
+        assert y == pytest.approx(y_then, abs=1e-9)
+    assert max(abs(v) for v, _ in late) > 0.5
+
+
+def test_changes_between_two_steps_of_the_bench_come_one_after_the_other() -> None:
+    fine, coarse = (BenchModel(replace(DEMO, drive_delay_s=0.01), 1) for _ in range(2))
+    for bench, steps in ((fine, 10), (coarse, 1)):
+        for counts in (90.0, 0.0, -70.0):
+            bench.pin_counts = counts
+            bench.advance(0.004)
+        for _ in range(steps):
+            bench.advance(0.1 / steps)
+    assert fine.state.y == pytest.approx(coarse.state.y, abs=1e-12)
+    assert fine.acting_counts == coarse.acting_counts == -70.0
