@@ -57,7 +57,7 @@ class RecordingEstimate:
 
     @classmethod
     def at(cls, name: str, values: Array, covariance: Array) -> RecordingEstimate:
-        """From ln tau, ln K, f_c in V and their covariance (3, 3) by the noise alone."""
+        """From ``values``, (3,): ln tau, ln K, f_c in V; and from their covariance, (3, 3), by the noise alone."""
         return cls(name, values, covariance + np.diag([MODEL_ERROR, MODEL_ERROR, MODEL_ERROR * float(values[2])]) ** 2)
 
 
