@@ -308,7 +308,7 @@ def _add_motor_law(data: Measurements, found: Identification, each: Sequence[Rec
         law = law.without_laws()  # the plain verdict says so
     largest_V = largest_drive_V(data.tests)
     if law.estimate is not None:
-        judged = _with_causes(settled(judge_with_laws(law.estimate, data.tests), data), data.tests)
+        judged = _with_causes(settled(judge_with_laws(law.estimate, data.tests, law.growth[-1]), data), data.tests)
         numbers = sum(len(one.numbers) for one in law.found)
         odd = None if are_one_motor(each, law.estimate.rms_rad, numbers) else disagreement(each)
         objections = [*_said(odd or disagreement(law.alone)), *data.supplies]
@@ -354,7 +354,7 @@ def _doubt(found: Identification, cause: str) -> None:
 def _may_have_laws(plain: Estimate, data: Measurements) -> bool:
     """Whether the plain estimate is near a motor, whatever its residual. No law mends wrong columns."""
     fine = replace(plain, rms_rad=0.0, repeated=0.0, verdict="ok", reasons=())
-    judged = settled(judge_with_laws(fine, data.tests), data)
+    judged = settled(judge_with_laws(fine, data.tests, (0.0, 0.0)), data)
     return _with_causes(judged, data.tests).verdict != "refused"
 
 

@@ -19,13 +19,15 @@ from rig.identify.departures import DEPARTURES
 from rig.identify.departures.budget import OTHER, Budget, budget
 from rig.identify.departures.choice import Chooser, loss, with_own_noise
 from rig.identify.departures.departure import Departure
-from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, unit
+from rig.identify.departures.fit import CORE, DELAY, POSITIVE, Fit, Normal, solve, unit
+from rig.identify.departures.fit import start as begin
 from rig.identify.departures.in_place import in_place
 from rig.identify.departures.nuisances import Nuisances
 from rig.identify.departures.pieces import Cut
 from rig.identify.departures.prediction import sums_of_pieces
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.further import Further, agreeing
+from rig.identify.noise import WHITE
 from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.stated_errors import ScaleErrors, StatedErrors
 from rig.identify.verdict import ASKED, beside, sizes_of
@@ -81,7 +83,8 @@ class MotorLaw:
                     estimate: no laws, and no records beside the tests
     budget          what may be wrong in them
     motor           with these laws: numbers of ``estimate`` and of ``found``; None without any
-    growth          length of the pieces that were fitted, s, and their RMS residual, rad
+    growth          length of the pieces that were fitted, s, and their RMS residual, rad; the last one is the free run,
+                    in which the tests are predicted whole, and only their starts are fitted
     records         what was fitted
     left_out        a sentence for each record that was not, or not whole
     alone           tau, K and friction of each recording alone, with the laws as they are for all
@@ -273,8 +276,10 @@ def motor_law(
     nuisances = Nuisances.of(fit, choice.laws, begun.chooser.candidates, begun.chooser.bench)
     instead = in_place(nuisances, choice.laws)
     lines = budget(nuisances, instead, ScaleErrors.of(stated, *begun.travel_rad))
+    free_run = _free_run(fit, begun.whole)
+    growth = (*(one for one in choice.growth if one[0] < free_run[0]), free_run)
     if not choice.laws and not further:
-        return MotorLaw((), (), None, lines, choice.growth, records, tuple(left_out))
+        return MotorLaw((), (), None, lines, growth, records, tuple(left_out))
     covariance = np.asarray(np.linalg.pinv(normal.matrix, rcond=1e-14, hermitian=True) * unit(fit), dtype=np.float64)
     groups = (
         (law.name, *(one.other.name for one in instead if one.law is law and one.rise < ALIKE)) for law in choice.laws
@@ -284,12 +289,18 @@ def motor_law(
         tuple(group for group in groups if len(group) > 1),
         _estimate(fit, covariance, tested, plain, periods_s),
         lines,
-        choice.growth,
+        growth,
         records,
         tuple(left_out),
         _alone(fit, [*names, *(names[number] for _, number in further)]),
         FramedMotor(fit.motor, whole.frames[0]) if choice.laws else None,
     )
+
+
+def _free_run(fit: Fit, whole: Cut) -> tuple[float, float]:
+    """Length of the longest test, s, and RMS residual of all, rad, each predicted whole from a start that is fitted."""
+    problem = replace(fit.problem, cut=whole, free=(), robust_rad=math.inf, noise=WHITE)
+    return whole.longest_s, solve(begin(problem, fit.motor)).rms_rad
 
 
 def _record(series: TimeSeries) -> FittedRecord:

@@ -18,6 +18,8 @@ from rig.recording.series import TimeSeries
 
 NOISY, TOO_NOISY = 3.0, 8.0  # residual over the sensor's noise
 REPEATED = 0.3  # share of the residual's power that repeats in each cycle
+FREE_RUN, FREE_RUN_FAILS = 0.05, 0.3  # residual of tests predicted whole, over the spread of positions
+EARLY = 0.1  # of a period: drives that seem to act so much before their rows are noise and small laws, not a wrong row
 NEGLIGIBLE = 0.003  # residual over the spread of positions, below which it does not matter
 SLIPPED = 0.3  # of a period: largest difference between the recorded times of the drive and those that fit best
 AT_BOUND = 0.9995  # of the longest delay that is looked for
@@ -40,14 +42,29 @@ def judge(estimate: Estimate, tests: Sequence[TimeSeries], cycles: Sequence[Cycl
     return _transfer(estimate, tests)
 
 
-def judge_with_laws(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
-    """An estimate with laws beyond the plain one, with its verdict: intervals, bounds, residual, asymmetry.
+def judge_with_laws(estimate: Estimate, tests: Sequence[TimeSeries], free_run: tuple[float, float]) -> Estimate:
+    """An estimate with laws beyond the plain one, with its verdict: intervals, bounds, residual, free run, asymmetry.
+
+    free_run   length of the longest test, s, and RMS residual of all, rad, each predicted whole
 
     What a plain motor alone can be held to, as whether one test predicts another, is part of the choice of laws. Cycles
-    that a law changes need not be alike: whether they are enough, their interval and the budget say.
+    that a law changes need not be alike: whether they are enough, their interval and the budget say. Nor must the
+    residual be as small as the sensor's noise: a motor's friction wanders. But a free run must hold.
     """
-    estimate = intervals(estimate, tests)
-    return _asymmetry(_residual(_bounds(estimate, tests), tests))
+    estimate = _bounds(intervals(estimate, tests), tests)
+    return _asymmetry(_free_run(_unexplained(estimate, tests), tests, free_run))
+
+
+def _free_run(estimate: Estimate, tests: Sequence[TimeSeries], free_run: tuple[float, float]) -> Estimate:
+    length_s, rms_rad = free_run
+    share = rms_rad / spread_rad(tests)
+    if share <= FREE_RUN:
+        return estimate
+    return estimate.judged(
+        "refused" if share > FREE_RUN_FAILS else "doubtful",
+        f"predicted over {length_s:.3g} s, the position is {100 * share:.2g} % of its motion off; ok asks for "
+        f"{100 * FREE_RUN:.2g} %: something that no law here describes moves the motor, or the times are wrong",
+    )
 
 
 def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
@@ -70,7 +87,7 @@ def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
             f"the delay is at its bound, {1e3 * longest:.3g} ms: record the times at which the drive acts, t_u_s, or "
             "check that u of a row is the drive set after that row's y was read",
         )
-    if estimate.ci95["delay_s"][1] < 0.0:
+    if estimate.ci95["delay_s"][1] < -EARLY * period:
         return estimate.judged(
             "doubtful",
             f"the drive seems to act {-1e3 * estimate.delay_s:.2g} ms before its row: u of a row must be the drive set "
@@ -79,8 +96,7 @@ def _bounds(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     return estimate
 
 
-def _residual(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
-    noise = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+def _unexplained(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     share = estimate.rms_rad / spread_rad(tests)
     if share > 0.5:
         return estimate.judged(
@@ -95,7 +111,14 @@ def _residual(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
             "cycle: the motor is more than tau, K and Coulomb friction (Stribeck effect, backlash, stops?), or its "
             "sensor is too coarse for this amplitude",
         )
-    if share > NEGLIGIBLE and estimate.rms_rad > NOISY * noise:
+    return estimate
+
+
+def _residual(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
+    estimate = _unexplained(estimate, tests)
+    noise = float(np.sqrt(np.mean([test.noise_rad() ** 2 for test in tests])))
+    share = estimate.rms_rad / spread_rad(tests)
+    if share <= 0.5 and share > NEGLIGIBLE and estimate.rms_rad > NOISY * noise:
         ratio = estimate.rms_rad / noise if noise > 0.0 else math.inf
         return estimate.judged(
             "refused" if ratio > TOO_NOISY and share > 0.1 else "doubtful",
