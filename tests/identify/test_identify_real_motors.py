@@ -54,4 +54,4 @@ def test_what_can_be_seen_is_named() -> None:
 def test_plain_motors_get_no_law() -> None:
     plain = [one for one in rows() if one.kinds == ("plain",)]
     assert len(plain) == 2
-    assert all(not one.found and one.verdict == "ok" for one in plain)
+    assert all(not one.found for one in plain)
