@@ -16,6 +16,7 @@ from rig.model.motor import Motor
 from rig.preflight.survey_room import survey_room
 from rig.recording.stage import StageKind
 from rig.session import Session
+from rig.signals import BenchDelay
 
 FEWEST_V = 0.05  # of the drive beyond friction, for the describing function
 
@@ -100,6 +101,7 @@ def _rehearse(session: Session, sweeps: Sweeps) -> None:
         rail_counts=e.sensor.rail_counts,
         period_s=e.period_s,
         order=session.bench.driver.order,
+        further_delay_s=(session.delay or BenchDelay()).shown_s[1],
     )
     reason = pre_run(sweeps, bench, session.loop.guard.settings)
     if reason is not None:
