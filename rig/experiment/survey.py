@@ -74,7 +74,7 @@ def _sweep_loop(session: Session) -> SweepLoop:
     e, noise_rad = session.experiment, session.loop.guard.settings.noise_rad
     low, high = e.limits.soft_rad
     lost_rad = max(EDGE_SHARE * (high - low), 12.0 * noise_rad)
-    return SweepLoop(e.period_s, session.loop.latency_s, e.drive.max_V, lost_rad)
+    return SweepLoop(e.period_s, session.loop.latency_s, e.drive.max_V, lost_rad, e.sensor.curve.lsb_rad)
 
 
 def _plan(session: Session, motor: CrudeMotor, loop: SweepLoop) -> SweepPlan:
