@@ -47,7 +47,7 @@ def test_wrong_is_called_ok_and_more_than_5_percent_off() -> None:
     assert not command.is_named(_row(0, "sag 3", 0.0, found=("drag",)))
     assert command.can_be_seen(_row(0, "sag 3", 0.0))
     assert not command.can_be_seen(_row(0, "random_force 0.03", 0.0))  # is no law
-    assert not command.can_be_seen(replace(_row(0, "sag 3", 0.0), bic_gain=13.0))
+    assert not command.can_be_seen(replace(_row(0, "sag 3", 0.0), bic_gain=4.0))
 
 
 def test_the_page_counts_and_bounds() -> None:

@@ -29,7 +29,7 @@ TRIED = 3  # laws that are fitted, of those that promise most
 TRIAL_ITERATIONS = 12
 MOST = 4  # laws of one motor
 ROBUST = 3.0  # residuals beyond so many standard deviations count by their size
-GROWN = 1.3  # growth of the residual from one length of pieces to the next that ends the growth
+GROWN = 1.05  # growth of the RMS residual from one length of pieces to the next that ends the growth
 PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycles
 AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
@@ -40,12 +40,12 @@ class Asked(NamedTuple):
 
     entry     to enter: at most one of a hundred plain motors gets a law (docs/theory.md 12.7)
     stay      to stay
-    predicts  rise for what was not fitted; nothing beyond it: 6 are odds of 20 to 1
+    predicts  rise for what was not fitted; nothing beyond it: 4 are odds of 7 to 1
     """
 
-    entry: float = 14.0
-    stay: float = 7.0
-    predicts: float = 6.0
+    entry: float = 5.0
+    stay: float = 2.5
+    predicts: float = 4.0
 
 
 ASKED = Asked()
@@ -110,7 +110,7 @@ class Chooser:
             problem = self.problem(cut, laws, ROBUST * self.sigma_rad)
             longer = solve(start(problem, motor))
             longer, found = self._settle(longer, laws)
-            if fit is not None and longer.scatter_rad > GROWN * max(fit.scatter_rad, self.sigma_rad):
+            if fit is not None and longer.rms_rad > GROWN * max(fit.rms_rad, self.sigma_rad):
                 growth.append((cut.longest_s, longer.rms_rad))
                 break
             fit, laws, motor = longer, found, longer.motor
