@@ -352,7 +352,7 @@ def _sweeps(recording: Recording, e: Experiment) -> Sweeps | None:
     return Sweeps(
         CrudeMotor(of.tau_s, of.K_rad_s_V, of.plus_V, of.minus_V),
         SweepPlan(of.low_rad, of.high_rad, speeds, of.bandwidth_1_s),
-        SweepLoop(e.period_s, of.latency_s, e.drive.max_V, of.lost_rad),
+        SweepLoop(e.period_s, of.latency_s, e.drive.max_V, of.lost_rad, e.sensor.curve.lsb_rad),
     )
 
 

@@ -111,9 +111,11 @@ class MotorObserver:
         if waiting:
             # a report is of the last drive that acted: those before it have acted, too
             self._reported.extend((asked_s + self.delay_s, volts) for asked_s, volts in come[:-1])
-        if sample.t_u_s > self._known_s:
-            self._known_s = sample.t_u_s
-            self._reported.append((sample.t_u_s + self.further_s, sample.u_V))
+        # a time after the sample is wrong: kept, it would hold back all drives until then
+        effect_s = min(sample.t_u_s, sample.t_s)
+        if effect_s > self._known_s:
+            self._known_s = effect_s
+            self._reported.append((effect_s + self.further_s, sample.u_V))
 
     def _predicted(self, t_s: float) -> MotorState:
         """The state when a drive decided at ``t_s`` comes to the motor."""

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
 from rig.control.disturbance_observer import DisturbanceObserver
+from rig.control.motion import Standstill
 from rig.control.sweep_plan import SweepPlan
 from rig.control.trajectory import Reference, SumOfSines
 from rig.faults import Fault
@@ -23,6 +24,9 @@ NOISE_SHARE = 0.06  # of the breakaway level: the drive's scatter by the sensor'
 STEADY = 3.5  # standard deviations of the speed, by noise, that the slowest sweep is away from rest
 COUNTS_1_S = 10.0  # of the sensor that the slowest sweep passes in a second, at least
 ALLOWED = 1.5  # of the breakaway level: the largest drive beside that of the speed
+PUSHED = 1.15  # of the breakaway level: under such a drive the reading has to move
+STANDS_S = 0.15  # longer than that no reading stands still under it,
+STANDS_COUNTS = 3.0  # while the reference passes so many counts of the sensor
 APPROACH = 1.875  # peak of a quintic's speed over its mean
 
 
@@ -53,12 +57,14 @@ class SweepLoop:
     latency_s  from a sample until its drive acts
     max_V      largest drive
     lost_rad   a shaft that is farther from the reference than that does not follow it
+    lsb_rad    a count of the sensor
     """
 
     period_s: float
     latency_s: float
     max_V: float
     lost_rad: float
+    lsb_rad: float
 
 
 def fastest_loop_1_s(reaction_s: float) -> float:
@@ -113,8 +119,8 @@ class Sweeps:
     loop       the loop that they run in
 
     The loop has two poles at the plan's bandwidth; the observer's load gives it integral action. The drive is at most
-    1.5 breakaway levels and what the speed takes: so a shaft whose reading freezes does not run far before the guard or
-    this law notices. Raises Fault NOT_FOLLOWING.
+    1.5 breakaway levels and what the speed takes, and under a drive above the breakaway level the reading must not
+    stand still: so a shaft whose reading freezes does not run far. Raises Fault NOT_FOLLOWING or SENSOR_STUCK.
     """
 
     z_rad_s = math.nan
@@ -132,6 +138,8 @@ class Sweeps:
         self._start_s = math.nan
         self._approach = SumOfSines([])
         self._way = 0.0  # direction of the reference
+        self._standstill = Standstill()  # under a drive that moves the shaft
+        self._passed_rad = 0.0  # by the reference, in this standstill
 
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V; ``yd_rad`` is the reference at the sample's own time."""
@@ -151,9 +159,27 @@ class Sweeps:
             return 0.0
         self._turn(reference.v_rad_s)
         u_V = self._drive_V(sample, reference)
+        self._check_motion(sample, u_V, reference.v_rad_s)
         self.largest_u_V = max(self.largest_u_V, abs(u_V))
         self.observer.drive(u_V)
         return u_V
+
+    def _check_motion(self, sample: Sample, u_V: float, v_rad_s: float) -> None:
+        """Raise SENSOR_STUCK if a drive above the breakaway level does not move the reading.
+
+        In a slow sweep it takes seconds until the shaft counts as lost.
+        """
+        way_rad = abs(v_rad_s) * self.loop.period_s
+        if abs(u_V) < PUSHED * (self.motor.plus_V if u_V > 0.0 else self.motor.minus_V):
+            self._standstill.restart()
+        still_s = self._standstill.step(sample.t_s, sample.y_rad, 1.5 * self.loop.lsb_rad)
+        self._passed_rad = self._passed_rad + way_rad if still_s > 0.0 else 0.0
+        if still_s > self.loop.latency_s + STANDS_S and self._passed_rad > STANDS_COUNTS * self.loop.lsb_rad:
+            raise Fault(
+                "SENSOR_STUCK",
+                f"{u_V:+.2f} V for {still_s:.2f} s did not move the reading, in a sweep at {v_rad_s:+.3f} rad/s; "
+                f"{self._standstill.words()}",
+            )
 
     def _begin(self, sample: Sample) -> None:
         self._start_s = sample.t_s

@@ -16,6 +16,7 @@ from rig.model.motor import Motor
 from rig.preflight.survey_room import survey_room
 from rig.recording.stage import StageKind
 from rig.session import Session
+from rig.signals import BenchDelay
 
 FEWEST_V = 0.05  # of the drive beyond friction, for the describing function
 
@@ -73,7 +74,7 @@ def _sweep_loop(session: Session) -> SweepLoop:
     e, noise_rad = session.experiment, session.loop.guard.settings.noise_rad
     low, high = e.limits.soft_rad
     lost_rad = max(EDGE_SHARE * (high - low), 12.0 * noise_rad)
-    return SweepLoop(e.period_s, session.loop.latency_s, e.drive.max_V, lost_rad)
+    return SweepLoop(e.period_s, session.loop.latency_s, e.drive.max_V, lost_rad, e.sensor.curve.lsb_rad)
 
 
 def _plan(session: Session, motor: CrudeMotor, loop: SweepLoop) -> SweepPlan:
@@ -100,6 +101,7 @@ def _rehearse(session: Session, sweeps: Sweeps) -> None:
         rail_counts=e.sensor.rail_counts,
         period_s=e.period_s,
         order=session.bench.driver.order,
+        further_delay_s=(session.delay or BenchDelay()).shown_s[1],
     )
     reason = pre_run(sweeps, bench, session.loop.guard.settings)
     if reason is not None:

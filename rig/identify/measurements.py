@@ -62,6 +62,14 @@ class Measurements:
         """For each of ``tests`` the period of its cycle, s; None if it has no cycle."""
         return [None if cycle is None else cycle.period_s for cycle in self.cycles]
 
+    def take_unknown_delay(self, delay_s: tuple[float, float]) -> None:
+        """From now on the drives of all series act an unknown constant delay later, s: at least and at most."""
+        known = [*self.tests, *(series for series, _ in self.further)]
+        late = {id(series): series.with_unknown_delay(delay_s) for series in known}
+        self.tests = [late[id(test)] for test in self.tests]
+        self.further = [(late[id(series)], number) for series, number in self.further]
+        self.sources = [(name, [late.get(id(series), series) for series in each]) for name, each in self.sources]
+
 
 def measurements(
     recordings: Sequence[Recording], *, with_cycles: bool, plain_is_hysteretic: bool, without: Sequence[str] = ()

@@ -19,7 +19,7 @@ from rig.signals import Sample
 
 NOISE_RAD = math.hypot(0.003, RAD_PER_COUNT / math.sqrt(12.0))
 CRUDE = CrudeMotor(0.16, 6.8, 0.54, 0.50)
-LOOP = SweepLoop(PERIOD_S, 0.0012, LIMITS.max_u_V, 0.11)
+LOOP = SweepLoop(PERIOD_S, 0.0012, LIMITS.max_u_V, 0.11, RAD_PER_COUNT)
 PLAN = sweep_plan(Room(LIMITS.soft_rad, GUARD.max_speed_rad_s, 0.2, loop_bandwidth_1_s(CRUDE, LOOP, NOISE_RAD), 60.0))
 
 
@@ -93,15 +93,32 @@ def test_what_hinders_the_shaft_is_found_before_it_leaves_the_hard_limits(wiring
     assert codes <= {"NOT_FOLLOWING", "SENSOR_STUCK"}
 
 
+@pytest.mark.parametrize("noise_rad", [0.0, 0.003])
+def test_in_slow_sweeps_a_frozen_reading_is_found_before_the_shaft_leaves_the_hard_limits(noise_rad: float) -> None:
+    """At 0.05 rad/s the reference is lost only after two seconds: by then the shaft would be at its stop."""
+    bandwidth = loop_bandwidth_1_s(CRUDE, LOOP, NOISE_RAD)
+    slow = sweep_plan(Room(LIMITS.soft_rad, GUARD.max_speed_rad_s, 0.05, bandwidth, 200.0), [0.1, 0.05])
+    for k in range(8):
+        after_s = 12.0 + 15.4 * k
+        bench = simulated_bench(sensor="stuck", fault_after_s=after_s, seed=k, noise_rad=noise_rad, offset_rad=0.0)
+        _, _, fault = swept(bench, plan=slow)
+        assert fault is not None and fault.code == "SENSOR_STUCK", f"frozen after {after_s:.1f} s: {fault}"
+        for _ in range(100):
+            bench.clock.sleep_until(bench.clock.now_s() + PERIOD_S)
+            bench.driver.read()
+        y = bench.driver.bench.state.y
+        assert LIMITS.hard_rad[0] < y < LIMITS.hard_rad[1], f"frozen after {after_s:.1f} s: {y:.2f} rad"
+
+
 def test_a_shaft_that_stands_is_a_fault_that_says_where() -> None:
-    law = Sweeps(CRUDE, PLAN, LOOP)
+    law = Sweeps(CRUDE, PLAN, replace(LOOP, lsb_rad=0.0))  # of a sensor that flickers
     with pytest.raises(Fault, match=r"NOT_FOLLOWING.*at 0\.000 rad instead of -0\.\d+ rad"):
         for k in range(1000):
             law.step(Sample(0.01 * k, 0.0, 512, t_u_s=0.01 * k - 0.009, u_V=0.0))
 
 
 def test_the_drive_is_bounded_by_what_the_shaft_has_needed() -> None:
-    law = Sweeps(CRUDE, PLAN, replace(LOOP, lost_rad=math.inf))
+    law = Sweeps(CRUDE, PLAN, replace(LOOP, lost_rad=math.inf, lsb_rad=0.0))
     drives = [law.step(Sample(0.01 * k, 0.0, 512, t_u_s=0.01 * k - 0.009, u_V=0.0)) for k in range(3000)]
     fastest_V = max(PLAN.speeds_rad_s) / CRUDE.K_rad_s_V
     assert (
@@ -116,7 +133,7 @@ def test_the_scatter_of_the_loop_is_as_computed() -> None:
     crude = CrudeMotor(0.17, 6.5, 5.0, 5.0)
     expected = scatter(crude, PERIOD_S, bandwidth)
     plan = SweepPlan(-1.0, 1.0, (0.05, 0.04), bandwidth)
-    law = Sweeps(crude, plan, SweepLoop(PERIOD_S, 0.0, 10.0, math.inf))
+    law = Sweeps(crude, plan, SweepLoop(PERIOD_S, 0.0, 10.0, math.inf, 0.0))
     motor, random = Motor(0.17, 6.5, Friction()), np.random.default_rng(1)
     state, u, speeds, drives = State(0.0, -1.0), 0.0, [], []
     for k in range(4000):

@@ -141,3 +141,22 @@ def test_the_observer_predicts_over_any_number_of_ticks(waits_s: float, further_
             assert state.v == pytest.approx(ahead.v, abs=1e-3)
             assert state.y == pytest.approx(ahead.y, abs=1e-4)
         observer.drive(u_V)
+
+
+def test_one_time_of_effect_in_the_future_does_not_hold_back_the_drives_after_it() -> None:
+    """A drive cannot act after the sample that reports it: such a time is wrong."""
+    period_s = PERIOD_S
+    states = []
+    for wrong_s in (0.0, 1000.0):
+        motor, observer = Motor(0.17, 6.5, coulomb(0.0)), MotorObserver(Motor(0.17, 6.5, coulomb(0.0)), PERIOD_S, 0.003)
+        shaft, u_V = State(), 0.0
+        for k in range(200):
+            t_u_s = period_s * (k - 0.9) + (wrong_s if k == 50 else 0.0)
+            state = observer.step(Sample(period_s * k, shaft.y, 0, t_u_s=t_u_s if k else math.nan, u_V=u_V))
+            asked_V = math.sin(0.1 * k)
+            observer.drive(asked_V)
+            shaft = motor.advance(motor.advance(shaft, u_V, 0.1 * period_s), asked_V, 0.9 * period_s)
+            u_V = asked_V
+        states.append(state)
+    assert states[1].v == pytest.approx(states[0].v, abs=0.01)
+    assert states[1].y == pytest.approx(states[0].y, abs=0.001)

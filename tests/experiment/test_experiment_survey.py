@@ -112,6 +112,20 @@ def test_without_room_it_is_refused_before_anything_moves(sections: dict[str, An
     assert not (tmp_path / "runs").exists()
 
 
+def test_the_rehearsal_has_the_delay_that_the_strokes_have_shown(tmp_path: Path) -> None:
+    """Without it the rehearsal passes, and the shaft is lost in the sweeps."""
+    limits = {"soft_rad": [-1.1, 1.1], "hard_rad": [-1.95, 1.95], "max_speed_rad_s": 3.0, "coast_tau_s": 0.2}
+    relay = {"gains": [{"h1_V": 0.42, "h2_V": 0.75}], "cycles": 4}
+    path = written(tmp_path, limits=limits, relay=relay, survey={"longest_s": 200})
+    config = yaml.safe_load(path.read_text(encoding="utf-8"))
+    config["emulated"]["motor"]["delay_s"] = 0.07
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    outcome = json.loads(rig("survey", path, "--out", tmp_path / "runs", "--json").stdout)
+    (fault,) = outcome["faults"]
+    assert fault["code"] == "NO_SWEEPS" and "in simulation on the best model" in fault["detail"]
+    assert "survey" not in read_run(Path(outcome["folder"])).stages()
+
+
 def test_speeds_that_do_not_fit_are_a_problem_of_the_config(tmp_path: Path) -> None:
     result = rig("check", written(tmp_path, survey={"speeds_rad_s": [0.7, 3.0]}))
     assert result.exit_code == 2

@@ -28,7 +28,7 @@ class _Kept:
     finished = False
 
     def __init__(self) -> None:
-        self.law = Sweeps(CrudeMotor(0.16, 6.8, 0.56, 0.52), PLAN, SweepLoop(0.01, 0.0012, 3.0, 0.2))
+        self.law = Sweeps(CrudeMotor(0.16, 6.8, 0.56, 0.52), PLAN, SweepLoop(0.01, 0.0012, 3.0, 0.2, 0.0))
         self.yd_rad: list[float] = []
 
     def step(self, sample: Sample) -> float:

@@ -11,9 +11,11 @@ import pytest
 
 from rig.identify import IdentifyError, identify
 from rig.identify.identification import Identification
+from rig.identify.measurements import Measurements
 from rig.identify.records import sound_rows
 from rig.recording.reader import read
 from rig.recording.recording import Recording
+from rig.recording.series import TimeSeries
 from rig.results import RunEvent, RunMeta
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "simulated"
@@ -130,3 +132,13 @@ def test_a_run_that_ended_in_the_gain_search_gives_the_search(run: Recording) ->
     assert estimate.verdict != "refused", estimate.reasons
     with pytest.raises(IdentifyError, match="no relay test"):
         identify([run.select(0, run.stage_rows("breakaway").stop - 1)])
+
+
+def test_an_unknown_delay_is_that_of_every_record() -> None:
+    """Records that kept the reported times would bend the fit, or be left out as another motor's."""
+    t_s = 0.01 * np.arange(30.0)
+    test, beside = (TimeSeries(t_s, np.zeros(30), t_s + 0.001, np.ones(30)) for _ in range(2))
+    data = Measurements(tests=[test], further=[(beside, 0)], sources=[("run", [test])])
+    data.take_unknown_delay((0.0, 0.05))
+    assert [series.delay_s for series in (data.tests[0], data.further[0][0])] == [(0.0, 0.05)] * 2
+    assert data.sources[0][1][0] is data.tests[0] and data.further[0][1] == 0
