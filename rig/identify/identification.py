@@ -157,7 +157,9 @@ def _takes_delay(data: Measurements, estimate: Estimate | None, recordings: Sequ
         if any(one is None or not one.low_s <= later_s <= one.high_s for one in strokes):
             return False
         bound_s = (0.0, estimate.delay_s + max(one.high_s for one in strokes if one is not None))
-    data.tests = [test.with_unknown_delay(bound_s) for test in data.tests]
+    later = {id(test): test.with_unknown_delay(bound_s) for test in data.tests}
+    data.tests = [later[id(test)] for test in data.tests]
+    data.sources = [(name, [later.get(id(series), series) for series in all_of]) for name, all_of in data.sources]
     data.notes.append("the drive acts later than the recording says: its delay is fitted")
     return True
 

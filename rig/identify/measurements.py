@@ -32,6 +32,7 @@ class Measurements:
     guarded     one sentence for each test in which the guard changed the relay's drive
     supplies    one sentence for each motor supply that differs from the config
     sources     for each recording its name, and its series
+    recording_of  for each of ``tests`` the name of its recording
     further     records beside the tests, for the law of the motor: gain search and breakaway check, as far as they are
                 sound, each with the number of a test of the same run
     stated      for each recording what its bench may be wrong by
@@ -48,18 +49,13 @@ class Measurements:
     sources: list[tuple[str, Sequence[TimeSeries]]] = field(default_factory=list)
     further: list[tuple[TimeSeries, int]] = field(default_factory=list)
     stated: list[StatedErrors] = field(default_factory=list)
+    recording_of: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     @property
     def settled(self) -> list[Cycle]:
         """The limit cycles that were found."""
         return [cycle for cycle in self.cycles if cycle is not None]
-
-    @property
-    def recording_of(self) -> list[str]:
-        """For each of ``tests`` the name of its recording."""
-        names = {id(series): name for name, all_series in self.sources for series in all_series}
-        return [names[id(test)] for test in self.tests]
 
     @property
     def periods_s(self) -> list[float | None]:
@@ -94,9 +90,11 @@ def measurements(
             beside += [(series, (tests or runs)[0]) for series in further]
         for test in tests:
             data.tests.append(test)
+            data.recording_of.append(str(recording.source))
             data.cycles.append(_cycle(test, data) if with_cycles else None)
     if not data.tests:
         data.tests = data.hysteretic
+        data.recording_of = [name for name, series in data.sources for _ in series]
         data.cycles = [None] * len(data.tests)
     if not data.tests:
         raise IdentifyError("every hysteretic run ended before its first drive", "record again: `rig relay CONFIG`")

@@ -40,12 +40,12 @@ class Asked(NamedTuple):
 
     entry     to enter: at most one of a hundred plain motors gets a law (docs/theory.md 12.7)
     stay      to stay
-    predicts  rise for what was not fitted; nothing beyond it: 6 are odds of 20 to 1
+    predicts  rise for what was not fitted; nothing beyond it: 4 are odds of 7 to 1
     """
 
-    entry: float = 14.0
-    stay: float = 7.0
-    predicts: float = 6.0
+    entry: float = 5.0
+    stay: float = 2.5
+    predicts: float = 4.0
 
 
 ASKED = Asked()
