@@ -113,7 +113,7 @@ def show_run(outcome: Outcome) -> None:
         )
     if result.estimates:
         show_estimates(result.estimates, result.truth, result.tracking)
-        show_friction_law(result.friction_law)
+        show_friction_law(result.friction_law, of_plain=bool(result.law))
         show_motor_law(result, result.truth)
         show_friction_map(result.friction_map)
     if result.loop is not None:
@@ -226,11 +226,16 @@ def _tracking_cell(outcome: TrackingResult | None) -> str:
     return f"{outcome.rms_rad:.4f}{true}"
 
 
-def show_friction_law(found: FrictionLawResult | None) -> None:
-    """Show the numbers that the chosen friction law adds; nothing if it adds none."""
+def show_friction_law(found: FrictionLawResult | None, *, of_plain: bool) -> None:
+    """Show the numbers that the chosen friction law adds; nothing if it adds none.
+
+    of_plain   whether the motor has laws, which this friction law does not know
+    """
     rows = law_rows(found)
     if found is not None and rows:
-        show_table(f"friction law: {found.chosen}", LAW_HEADINGS, rows)
+        show_table(
+            f"friction law{' if the motor had no other law' if of_plain else ''}: {found.chosen}", LAW_HEADINGS, rows
+        )
 
 
 def show_motor_law(result: RunResult | IdentificationResult, truth: TrueMotor | None = None) -> None:
@@ -243,12 +248,15 @@ def show_motor_law(result: RunResult | IdentificationResult, truth: TrueMotor | 
         )
         if result.with_law is not None:
             numbers = (f"{name} {_interval(result.with_law, name, truth)}" for name in MAIN)
-            click.echo(f"with it ({result.with_law.verdict}): {', '.join(numbers)}")
+            with_it = "with it" if len(result.law) == 1 else "with them"
+            click.echo(f"{with_it} ({result.with_law.verdict}): {', '.join(numbers)}")
             for reason in result.with_law.reasons:
-                click.echo(f"with it: {reason}")
+                click.echo(f"{with_it}: {reason}")
     elif result.with_law is not None:
         numbers = (f"{name} {_interval(result.with_law, name, truth)}" for name in MAIN)
         click.echo(f"from all records ({result.with_law.verdict}): {', '.join(numbers)}")
+        for reason in result.with_law.reasons:
+            click.echo(f"from all records: {reason}")
     if words := records_in_words(result):
         click.echo(f"fitted to {words}")
     rows = budget_rows(result)

@@ -68,7 +68,7 @@ def identify(
         for note in result.notes:
             click.echo(note)
         show_estimates(result.estimates, None)
-        show_friction_law(result.friction_law)
+        show_friction_law(result.friction_law, of_plain=bool(result.law))
         show_motor_law(result)
         show_friction_map(result.friction_map)
     sys.exit(0 if ok else EXIT_FAILED)

@@ -317,8 +317,13 @@ def _add_motor_law(data: Measurements, found: Identification, each: Sequence[Rec
     found.notes += law.notes()
     for method, estimate in found.estimates.items():
         reservations = law.reservations(estimate, largest_V) if estimate.is_motor else []
-        if reservations and (method == LEADING or estimate.verdict == "ok"):
+        if not reservations or not (method == LEADING or estimate.verdict == "ok"):
+            continue
+        if law.instead_of(estimate, largest_V) is None:
             found.estimates[method] = estimate.judged("doubtful", *reservations)
+        else:  # the law is the cause, so it comes first; what it explains is left out
+            others = _said(disagreement(each)) if law.explains else estimate.reasons
+            found.estimates[method] = replace(estimate, reasons=()).judged("doubtful", *reservations, *others)
 
 
 def other_times_explain(slipped_rad: float, plain_rad: float, with_laws_rad: float) -> bool:
@@ -371,5 +376,7 @@ def _add_friction_law(data: Measurements, static: StaticFriction | None, found: 
     found.friction_law = choice
     found.notes += choice.notes()
     richer = choice.beyond_coulomb
-    if richer is not None:
+    laws = () if found.motor_law is None else found.motor_law.found
+    another = bool(laws) and choice.chosen.law not in {one.law.name for one in laws}  # the laws found say it better
+    if richer is not None and not (another and estimate.verdict != "ok"):
         found.estimates[LEADING] = estimate.judged("doubtful", richer)

@@ -88,6 +88,8 @@ class MotorLaw:
     records         what was fitted
     left_out        a sentence for each record that was not, or not whole
     alone           tau, K and friction of each recording alone, with the laws as they are for all
+    explains        whether laws were found, and nothing but u95 is left against the estimate with them: what else is
+                    wrong with a plain estimate comes from the laws
     """
 
     found: tuple[FoundLaw, ...]
@@ -99,6 +101,7 @@ class MotorLaw:
     left_out: tuple[str, ...] = ()
     alone: tuple[RecordingEstimate, ...] = ()
     motor: FramedMotor | None = None
+    explains: bool = False
 
     def notes(self) -> list[str]:
         """What the tests show, as sentences."""
@@ -110,7 +113,7 @@ class MotorLaw:
 
     def judged(self, largest_V: float, estimate: Estimate) -> MotorLaw:
         """The same with the verdict of ``estimate``, which is its own, and its reservations."""
-        law = replace(self, estimate=estimate)
+        law = replace(self, estimate=estimate, explains=bool(self.found) and estimate.verdict == "ok")
         reservations = law.reservations(estimate, largest_V)
         return replace(law, estimate=estimate.judged("doubtful", *reservations) if reservations else estimate)
 
@@ -119,22 +122,34 @@ class MotorLaw:
         return replace(self, found=(), not_told_apart=(), estimate=None, motor=None)
 
     def reservations(self, estimate: Estimate, largest_V: float) -> list[str]:
-        """Why an estimate of these tests cannot be ok, as sentences: a law that it has not, or too large a u95.
+        """Why an estimate of these tests cannot be ok, as sentences: the laws that it has not, else too large a u95.
+
+        largest_V   largest drive of the tests, V
+        Where an estimate lacks laws, u95 is a matter of the estimate that has them.
+        """
+        instead = self.instead_of(estimate, largest_V)
+        return list(self._too_uncertain(estimate, sizes_of(estimate, largest_V))) if instead is None else [instead]
+
+    def instead_of(self, estimate: Estimate, largest_V: float) -> str | None:
+        """Why to take ``self.estimate`` in place of this one, as a sentence; None if it is as good.
 
         largest_V   largest drive of the tests, V
         """
-        sizes = sizes_of(estimate, largest_V)
-        return [*self._laws_that_it_has_not(estimate, sizes), *self._too_uncertain(estimate, sizes)]
-
-    def _laws_that_it_has_not(self, estimate: Estimate, sizes: Mapping[str, float]) -> Iterator[str]:
         if self.estimate is None or estimate is self.estimate:
-            return
+            return None
+        sizes = sizes_of(estimate, largest_V)
         off = {name: abs(getattr(estimate, name) - getattr(self.estimate, name)) / sizes[name] for name in sizes}
         name = max(off, key=lambda key: off[key])
-        if off[name] > ASKED:
-            laws = " and ".join(one.law.title for one in self.found)
-            why = f"for the motor has {laws}" if laws else "by all records together"
-            yield f"{name} is {100.0 * off[name]:.2g} % off, {why}: take the estimate with it (with_law)"
+        is_off = off[name] > ASKED
+        share = f"{name} is {100.0 * off[name]:.2g} % off"
+        if not self.found:
+            return f"{share}, by all records together: take the estimate from these (with_law)" if is_off else None
+        if not is_off and not (self.explains and estimate.verdict != "ok"):
+            return None
+        *others, last = (one.law.title for one in self.found)
+        laws, them = (f"{', '.join(others)} and {last}", "them") if others else (last, "it")
+        cause = f"{share}, for the motor has {laws}" if is_off else f"the motor has {laws}"
+        return f"{cause}: take the estimate with {them} (with_law)"
 
     def _too_uncertain(self, estimate: Estimate, sizes: Mapping[str, float]) -> Iterator[str]:
         shares = {name: self.budget.u95[name] / size for name, size in sizes.items()}

@@ -214,9 +214,9 @@ def _row_convention(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate
     if shifted and gain > 1.0 + max(0.02, 15.0 / moved.residual.size):
         return estimate.judged(
             "doubtful",
-            f"with the drive {1e3 * abs(slip):.2g} ms {'later' if slip > 0.0 else 'earlier'} the fit is better and "
-            f"{' and '.join(shifted)} outside the interval: t_u_s is not when the drive acted, or rows are missing; "
-            "record every tick",
+            f"with the drive {1e3 * abs(slip):.2g} ms {'later' if slip > 0.0 else 'earlier'} the fit is better, and "
+            f"{' and '.join(shifted)} {'is' if len(shifted) == 1 else 'are'} outside the interval: t_u_s is not when "
+            "the drive acted, or rows are missing; record every tick",
         )
     return estimate
 

@@ -28,7 +28,7 @@ def differences(e: Experiment) -> Iterator[str]:
     if given:
         yield (
             f"the emulated motor has parts that tau, K and f_c leave out (emulated.motor.parts: "
-            f"{', '.join(f'{name} {value:g}' for name, value in given)}): estimates may be off by them"
+            f"{', '.join(f'{name} {value:g}' for name, value in given)}): estimates without these laws may be off"
         )
     stops, hard = e.emulated.motor.stop_rad, e.limits.hard_rad
     if not (stops[0] <= hard[0] and hard[1] <= stops[1]):

@@ -152,8 +152,14 @@ def _hysteretic_runs(e: Experiment) -> _Stage:
 
 
 def _survey(e: Experiment) -> _Stage:
-    """The sweeps of a thorough run."""
-    if not e.identify.thorough or (e.relay.target is None and e.relay.gains is None):
+    """The sweeps of a thorough run, or of `rig survey` where the config has a section for it."""
+    if e.relay.target is None and e.relay.gains is None:
+        return _Stage(())
+    if e.identify.thorough:
+        begin = "stage survey, if the relay tests leave the motor's law open: a relay test of a third amplitude, then"
+    elif "survey" in e.model_fields_set:
+        begin = "stage survey, with `rig survey` alone:"
+    else:
         return _Stage(())
     try:
         plan = expected_sweeps(e)
@@ -161,11 +167,10 @@ def _survey(e: Experiment) -> _Stage:
         return _Stage((f"stage survey: left out, since {error}",))
     speeds = ", ".join(f"{v:.2g}" for v in plan.speeds_rad_s)
     line = (
-        f"stage survey, if the relay tests leave the motor's law open: a relay test of a third amplitude, then sweeps "
-        f"from {plan.low_rad:.3g} to {plan.high_rad:.3g} rad and back, at about {speeds} rad/s (slower ones fewer the "
-        f"noisier the sensor); at most about {e.survey.longest_s:g} s"
+        f"{begin} sweeps from {plan.low_rad:.3g} to {plan.high_rad:.3g} rad and back, at about {speeds} rad/s "
+        f"(faster ones if the sensor is noisy); at most about {e.survey.longest_s:g} s"
     )
-    return _Stage((line,), e.survey.longest_s)
+    return _Stage((line,), e.survey.longest_s if e.identify.thorough else 0.0)
 
 
 _IDENTIFY = _Stage(("stage identify: every method, no motion",))

@@ -66,7 +66,10 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True)
 class Headline:
-    """The result of the run, for the top of the page."""
+    """The result of the run, for the top of the page.
+
+    by_law   whether ``quantities`` are those with the law of the motor, where the plain ones are not ok
+    """
 
     outcome: HeadlineOutcome
     title: str
@@ -75,6 +78,7 @@ class Headline:
     next_steps: tuple[Step, ...]
     method: str
     quantities: tuple[Quantity, ...]
+    by_law: bool = False
 
 
 def rounded(value: float, half_width: float = math.nan) -> str:
@@ -143,7 +147,19 @@ def headline(run: ReportedRun) -> Headline:
     models_from = run.result.models_from or ""
     sentences: list[str] = []
     next_steps: list[Step] = []
-    if outcome == "refused":
+    by_law = _ok_with_law(run) if outcome != "ok" and not models_from else None
+    if by_law is not None:
+        title = f"Identified with the law of the motor; the plain estimate is {outcome}"
+        laws = ", ".join(law.name.replace("_", " ") for law in run.result.law or ())
+        sentences.append(f"The motor has more than tau, K and friction: {laws}. These are its values with that:")
+        quantities = tuple(quantity(p, by_law, run.truth) for p in HEADLINE_PARAMETERS)
+        if run.faults:
+            title += ", and the run ended with a fault"
+            next_steps.append(Step("Cure the fault above first."))
+        next_steps.append(
+            Step("Take the values above: they are ok. Those of the plain motor, in the table below, are not.")
+        )
+    elif outcome == "refused":
         title = "No model: the estimate was refused"
         sentences.append(f"The {name} estimate does not describe this motor. The values below are for diagnosis only.")
         next_steps.append(Step("Do not use these values. Do what each reason says, then run the experiment again."))
@@ -171,7 +187,15 @@ def headline(run: ReportedRun) -> Headline:
     if method != LEADING:
         text = f"These values come from the {name} method. A {LEADING} estimate is more exact; this run has none."
         next_steps.append(Step(text))
-    return Headline(outcome, title, tuple(sentences), reasons, tuple(next_steps), method, quantities)
+    return Headline(
+        outcome, title, tuple(sentences), reasons, tuple(next_steps), method, quantities, by_law is not None
+    )
+
+
+def _ok_with_law(run: ReportedRun) -> EstimateResult | None:
+    """The estimate with the laws that the tests show, if there are any and it is ok."""
+    found = run.result.with_law
+    return found if run.result.law and found is not None and found.verdict == "ok" else None
 
 
 def _plain_words(quantities: tuple[Quantity, ...], run: ReportedRun) -> list[str]:

@@ -233,10 +233,21 @@ def test_a_plain_estimate_far_from_that_with_the_laws_is_not_ok() -> None:
     assert near.reservations(plain, 1.8) == []
 
 
-def test_one_motor_with_a_law_is_not_doubted_because_it_looks_like_two_plain_ones() -> None:
+@cache
+def with_a_load() -> Identification:
     """A load that pulls over the travel: no plain motor explains either test, one motor with the load explains both."""
     kind = next(kind for kind in KINDS if kind.name == "force_over_position 0.2")
-    found = identify(case(Campaign(name="real", experiments=1, seed=1), 1, [kind]).recordings(), ("sampled-data",))
+    return identify(case(Campaign(name="real", experiments=1, seed=1), 1, [kind]).recordings(), ("sampled-data",))
+
+
+def test_where_a_law_explains_the_tests_the_plain_estimate_sends_to_it_before_all_else() -> None:
+    reasons = with_a_load().estimates["sampled-data"].reasons
+    assert reasons[0].endswith("% off, for the motor has force over position: take the estimate with it (with_law)")
+    assert len(reasons) == 2 and "do not agree" in reasons[1]
+
+
+def test_one_motor_with_a_law_is_not_doubted_because_it_looks_like_two_plain_ones() -> None:
+    found = with_a_load()
     assert any("do not agree" in reason for reason in found.estimates["sampled-data"].reasons)
     with_law = found.as_result().with_law
     assert with_law is not None
