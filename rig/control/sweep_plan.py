@@ -14,6 +14,9 @@ from dataclasses import dataclass
 from rig.control.trajectory import Reference
 
 SPEEDS = 5
+COUNTS_1_S = 10.0  # of the sensor that the slowest sweep passes in a second, at least
+BANDWIDTH_DELAYS = 0.09  # of the loop's bandwidth times the time until it reacts
+FASTEST_1_S = 12.0
 TURN = 4.0  # a turn takes so many time constants of the loop,
 SETTLE = 3.0  # and after it the motion settles for so many
 EDGE_SHARE = 0.05  # of the travel between the soft limits, kept free at each end
@@ -24,6 +27,11 @@ SPEED_SHARE = 0.5  # of limits.max_speed_rad_s
 
 class TooShortError(ValueError):
     """There is no room or no time for sweeps. The message says what there is, and what there should be."""
+
+
+def fastest_loop_1_s(reaction_s: float) -> float:
+    """Largest bandwidth of the loop, 1/s, if a drive reacts to a motion ``reaction_s`` later."""
+    return min(BANDWIDTH_DELAYS / reaction_s, FASTEST_1_S)
 
 
 @dataclass(frozen=True)

@@ -11,18 +11,15 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from rig.control.disturbance_observer import DisturbanceObserver
 from rig.control.motion import Standstill
-from rig.control.sweep_plan import SweepPlan
+from rig.control.sweep_plan import SweepPlan, fastest_loop_1_s
 from rig.control.trajectory import Reference, SumOfSines
 from rig.faults import Fault
 from rig.signals import Sample
 
-BANDWIDTH_DELAYS = 0.09  # of the loop's bandwidth times the time until it reacts
-FASTEST_1_S = 12.0
 SLOWEST_1_S = 0.5
 OBSERVER = 3.0  # its bandwidth over the loop's
 NOISE_SHARE = 0.06  # of the breakaway level: the drive's scatter by the sensor's noise
 STEADY = 3.5  # standard deviations of the speed, by noise, that the slowest sweep is away from rest
-COUNTS_1_S = 10.0  # of the sensor that the slowest sweep passes in a second, at least
 ALLOWED = 1.5  # of the breakaway level: the largest drive beside that of the speed
 PUSHED = 1.15  # of the breakaway level: under such a drive the reading has to move
 STANDS_S = 0.15  # longer than that no reading stands still under it,
@@ -65,11 +62,6 @@ class SweepLoop:
     max_V: float
     lost_rad: float
     lsb_rad: float
-
-
-def fastest_loop_1_s(reaction_s: float) -> float:
-    """Largest bandwidth of the loop, 1/s, if a drive reacts to a motion ``reaction_s`` later."""
-    return min(BANDWIDTH_DELAYS / reaction_s, FASTEST_1_S)
 
 
 def loop_bandwidth_1_s(motor: CrudeMotor, loop: SweepLoop, noise_rad: float) -> float:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from rig.control.law import Rest
-from rig.control.sweep_plan import EDGE_SHARE, SweepPlan, TooShortError, sweep_plan
-from rig.control.sweeps import COUNTS_1_S, CrudeMotor, SweepLoop, Sweeps, loop_bandwidth_1_s, slowest_rad_s
+from rig.control.sweep_plan import COUNTS_1_S, EDGE_SHARE, SweepPlan, TooShortError, sweep_plan
+from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps, loop_bandwidth_1_s, slowest_rad_s
 from rig.experiment.stages import REST_S, driving
 from rig.faults import Fault
 from rig.loop.pre_run import PreRunBench, pre_run

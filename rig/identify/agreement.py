@@ -25,7 +25,6 @@ Array = NDArray[np.float64]
 
 CHANCE = 1e-4  # probability of a false alarm for recordings of one motor
 MODEL_ERROR = 0.01  # of each parameter: effects outside a recording's interval, such as speed and temperature
-NUMBERS = 5  # of a plain motor: tau, K, f_c, asymmetry and delay
 NAMES = (("tau", "s"), ("K", "(rad/s)/V"), ("f_c", "V"))
 
 
@@ -75,16 +74,14 @@ def estimates_of_each(recordings: Sequence[tuple[str, Sequence[TimeSeries]]]) ->
 
 
 def are_one_motor(found: Sequence[RecordingEstimate], rms_rad: float, numbers: int) -> bool:
-    """Whether one motor with laws explains the recordings better, by BIC, than a plain motor for each.
+    """Whether one motor with laws explains the recordings better than a plain motor for each.
 
     rms_rad   RMS residual of the one motor, rad
-    numbers   of its laws
+    numbers   of its laws: each must be worth its price in BIC, and that plain motors have more numbers counts for nothing.
+              Another supply or calibration between two recordings is otherwise taken for a law.
     """
     squares, rows = (sum(one.squares[k] for one in found) for k in range(2))
-    if rows == 0:
-        return False
-    more = numbers - NUMBERS * (len(found) - 1)
-    return rows * (rms_rad**2 * rows - squares) + more * math.log(rows) * squares < 0.0
+    return rows > 0 and rows * (rms_rad**2 * rows - squares) + numbers * math.log(rows) * squares < 0.0
 
 
 def disagreement(found: Sequence[RecordingEstimate]) -> str | None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from rig.backends.registry import backend_of
 from rig.config.schema import Experiment
 from rig.config.sensor import count_rad
-from rig.control.sweep_plan import Room, SweepPlan, sweep_plan
-from rig.control.sweeps import COUNTS_1_S, fastest_loop_1_s
+from rig.control.sweep_plan import COUNTS_1_S, Room, SweepPlan, fastest_loop_1_s, sweep_plan
 from rig.preflight.room_to_stop import stopping_terms
 
 

@@ -181,7 +181,7 @@ def test_its_number_is_in_terminal_summary_report_and_export(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = identify([bent(0.15, 1.0, 1), bent(0.15, 1.3, 2)], ["sampled-data"])
-    show_friction_law(found.as_result().friction_law)
+    show_friction_law(found.as_result().friction_law, of_plain=False)
     assert re.search(r"^bend_per_rad +0\.1\d+ ±0\.0\d+ +1/rad +bend of the sensor$", capsys.readouterr().out, re.M)
     assert "bend of the sensor" in Found.of(found).summary()
     run = tmp_path / "run"

@@ -32,6 +32,7 @@ ROBUST = 3.0  # residuals beyond so many standard deviations count by their size
 GROWN = 1.05  # growth of the RMS residual from one length of pieces to the next that ends the growth
 PREDICTED = 2.5  # largest length of a piece that is predicted from others, cycles
 AT_NOISE = 1.05  # scatter of the residual over the sensor's noise of a fit that leaves nothing to explain
+LARGEST = 10.0  # number of a law, in its ranges: beyond it no bench is, and a fit loses its way
 FIRST_STEP = 1.0  # first size of a law, at most so many times its range
 
 
@@ -141,7 +142,8 @@ class Chooser:
         free = self.core + tuple(name for law in laws for name in (*law.numbers, *law.shape))
         limits = limits_of(free, cut, self.delay_s)
         for law in laws:
-            limits |= {name: (0.0, math.inf) for name in law.numbers if law.one_sided}
+            largest = LARGEST * law.range_of(self.bench)
+            limits |= dict.fromkeys(law.numbers, (0.0 if law.one_sided else -largest, largest))
             limits |= law.limits(self.bench)
         return Problem(cut, free, limits, self.sigma_rad, robust_rad)
 
