@@ -77,8 +77,8 @@ def are_one_motor(found: Sequence[RecordingEstimate], rms_rad: float, numbers: i
     """Whether one motor with laws explains the recordings better than a plain motor for each.
 
     rms_rad   RMS residual of the one motor, rad
-    numbers   of its laws: each must be worth its price in BIC, and that plain motors have more numbers counts for nothing.
-              Another supply or calibration between two recordings is otherwise taken for a law.
+    numbers   of its laws: each must be worth its price in BIC. That plain motors have more numbers counts for nothing,
+              else another supply or calibration between two recordings is taken for a law
     """
     squares, rows = (sum(one.squares[k] for one in found) for k in range(2))
     return rows > 0 and rows * (rms_rad**2 * rows - squares) + numbers * math.log(rows) * squares < 0.0

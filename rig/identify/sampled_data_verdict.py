@@ -19,7 +19,7 @@ from rig.recording.series import TimeSeries
 NOISY, TOO_NOISY = 3.0, 8.0  # residual over the sensor's noise
 REPEATED = 0.3  # share of the residual's power that repeats in each cycle
 FREE_RUN, FREE_RUN_FAILS = 0.05, 0.3  # residual of tests predicted whole, over the spread of positions
-EARLY = 0.1  # of a period: drives that seem to act so much before their rows are noise and small laws, not a wrong row
+EARLY = 0.3  # of a period: drives that seem to act so much before their rows are noise and small laws, not a wrong row
 NEGLIGIBLE = 0.003  # residual over the spread of positions, below which it does not matter
 SLIPPED = 0.3  # of a period: largest difference between the recorded times of the drive and those that fit best
 AT_BOUND = 0.9995  # of the longest delay that is looked for

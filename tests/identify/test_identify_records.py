@@ -62,7 +62,7 @@ def test_gain_search_and_breakaway_enter_the_fit_and_make_it_narrower(run: Recor
         assert half_width(found, name) < 0.97 * half_width(tests_alone, name)
     with_law = told(found)["with_law"]
     assert with_law["tau_s"] == pytest.approx(0.17, rel=0.01)
-    assert with_law["reasons"] == ["only 3 settled cycles: record ten"]
+    assert with_law["reasons"] == []  # how few cycles may be is for the intervals and the budget to say
     plain, alone = found.estimates["sampled-data"], tests_alone.estimates["sampled-data"]
     assert (plain.tau_s, plain.K_rad_s_V, plain.fc_V) == (alone.tau_s, alone.K_rad_s_V, alone.fc_V)
     assert tests_alone.breakaway is None
