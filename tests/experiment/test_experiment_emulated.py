@@ -58,4 +58,4 @@ def test_a_bench_that_is_told_otherwise_is_said_at_the_end_of_the_run_and_in_its
     assert result["config_notes"] == [note]
     assert f"note: {note}\n" in shown
     report = next((tmp_path / "runs").glob("*/report.html")).read_text(encoding="utf-8")
-    assert report.index(note.removeprefix("t")) < report.index("The motor is identified")
+    assert report.index(note.removeprefix("t")) < report.index('<section class="headline')
