@@ -11,7 +11,11 @@ import pytest
 import yaml
 from command_line import rig
 
+from rig.backends.modbus.emulated.virtual_io_block import VirtualIoBlock
+from rig.control.sweeps import Sweeps
+from rig.loop.runner import Loop
 from rig.recording.reader import read_run
+from rig.signals import Sample
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.timeout(900)  # identifications with a survey, on a machine that others share
@@ -161,3 +165,43 @@ def test_a_thorough_run_tells_what_the_plain_run_leaves_open(tmp_path: Path) -> 
 
     done = json.loads(rig("replay", outcome["folder"], "--json").stdout)
     assert done["ok"] and done["replayed"] == done["rows"]
+
+
+def test_an_e_stop_in_a_sweep_ends_the_run_without_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measured at the output of an emulated I/O block, which cuts its drive but latches nothing."""
+    blocks: list[VirtualIoBlock] = []
+    begin, step, sweeping = VirtualIoBlock.__init__, Sweeps.step, 0
+
+    def made(block: VirtualIoBlock, *given: Any, **named: Any) -> None:
+        begin(block, *given, **named)
+        blocks.append(block)
+
+    def pressed(law: Sweeps, sample: Sample) -> float:
+        nonlocal sweeping
+        sweeping += 1
+        if sweeping == 300:
+            assert blocks[-1].outputs[-1][1] != 0.0
+            blocks[-1].block.e_stop_open = True
+        return step(law, sample)
+
+    config = yaml.safe_load((ROOT / "config/modbus-rtu.yaml").read_text(encoding="utf-8"))
+    config.pop("tracking", None)
+    config |= {"relay": {"gains": [{"h1_V": 0.42, "h2_V": 0.84}], "cycles": 6}, "survey": {"longest_s": 60}}
+    config["daq"]["port"] = "emulated-virtual"
+    path = tmp_path / "survey.yaml"
+    path.write_text(yaml.safe_dump(config), encoding="utf-8")
+    monkeypatch.setattr(VirtualIoBlock, "__init__", made)
+    original = Loop.run  # only its own sweeps count: the rehearsal before them steps the law, too
+
+    def run(loop: Loop, law: Any, stage: str, *given: Any) -> None:
+        with monkeypatch.context() as patch:
+            if stage == "survey":
+                patch.setattr(Sweeps, "step", pressed)
+            original(loop, law, stage, *given)
+
+    monkeypatch.setattr(Loop, "run", run)
+    result = rig("survey", path, "--out", tmp_path / "runs", "--json")
+    assert [fault["code"] for fault in json.loads(result.stdout)["faults"]] == ["DEVICE_ESTOP"]
+    assert blocks[-1].outputs[-1][1] == 0.0
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert read_run(folder).stages()[-1] in ("survey", "rest")
