@@ -1,7 +1,7 @@
-"""The motor with departures as a bench that rig's own loop drives, in virtual time, from rest and with all its stages.
+"""The motor with departures as a bench that rig's own loop drives, in virtual time, with all its stages.
 
-Only the device around the motor is rig's (``SimulatedDriver``): its watchdog, its travel limits, its drive in steps. Motor
-and sensor are ``departing_motor``'s.
+Only the device around the motor is rig's (``SimulatedDriver``): its watchdog, its travel limits, its drive in steps.
+Motor and sensor are ``departing_motor``'s.
 """
 
 from __future__ import annotations
