@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
-from rig.control.excitation import RelayLaw
+from rig.control.excitation import RelayLaw, SearchStep
 from rig.control.motion import Swings
 from rig.control.relay import DualChannelRelay
 from rig.model.cycle_detector import CycleDetector
@@ -33,15 +32,6 @@ class SwingRoom:
     motion_rad: float
 
 
-class GainStep(NamedTuple):
-    """One change of gains: when, the new gains, and why."""
-
-    t_s: float
-    h1_V: float
-    h2_V: float
-    why: str
-
-
 class RisingGains(RelayLaw[DualChannelRelay]):
     """Raise the relay's gains from the breakaway level until the shaft swings widely; then change between two sizes.
 
@@ -66,12 +56,13 @@ class RisingGains(RelayLaw[DualChannelRelay]):
     def __init__(self, relay: DualChannelRelay, detector: CycleDetector, room: SwingRoom) -> None:
         super().__init__(relay, detector)
         self.room = room
-        self.steps: list[GainStep] = []
+        self.steps: list[SearchStep] = []  # the gains that are over, and why they ended
         self._swings = Swings(detector.min_amplitude_rad)
         self._x_V = self.START * room.friction_V
         self._widest_V = math.inf  # the x that was too much
         self._wide = False
         self._small = False
+        self._retreated = False  # the last change was one
         self._changed_s = math.nan
         self._changed_at = 0  # turning points at that time
         self._peak_rad_s = 0.0  # since then
@@ -81,7 +72,7 @@ class RisingGains(RelayLaw[DualChannelRelay]):
     def step(self, sample: Sample) -> float:
         """Drive of the relay at this sample, V; changes its gains as the shaft swings."""
         if math.isnan(self._changed_s):
-            self._set(sample.t_s, "starts at the breakaway level")
+            self._set(sample.t_s)
         u_V, _ = self._run_relay(sample)
         turned = self._swings.step(sample.y_rad)
         self._peak_rad_s = max(self._peak_rad_s, abs(self.speed_rad_s))
@@ -90,12 +81,12 @@ class RisingGains(RelayLaw[DualChannelRelay]):
         turns = self._swings.count - self._changed_at
         if (was_within and not self._was_within) or abs(self.speed_rad_s) > self.room.top_speed_rad_s:
             # once for each swing: the last change needs one to take effect
-            if self._small_enough(turns):
+            if turns >= 1 or not self._retreated:
                 self._retreat(sample.t_s)
         elif self._wide:
             if turns >= self.TURNS:
                 self._small = not self._small
-                self._set(sample.t_s, "small cycle" if self._small else "wide cycle")
+                self._change(sample.t_s, "now a small cycle" if self._small else "now a wide cycle")
         elif turned and turns >= 1:
             self._grow(sample.t_s)
         elif turns == 0 and sample.t_s - self._changed_s > (self.STICKS_S if self._sticks else self.TREMBLES_S):
@@ -109,9 +100,6 @@ class RisingGains(RelayLaw[DualChannelRelay]):
         """Whether the shaft has not moved since the last change."""
         return self._span_rad[1] - self._span_rad[0] < self.room.motion_rad
 
-    def _small_enough(self, turns: int) -> bool:
-        return turns >= 1 or not self.steps[-1].why.startswith("too")
-
     def _grow(self, t_s: float) -> None:
         half_rad = self._swings.half_way_rad
         swings = self._swings.count >= 2
@@ -119,14 +107,14 @@ class RisingGains(RelayLaw[DualChannelRelay]):
             half_rad >= self.WIDE * self.room.reach_rad or self._peak_rad_s >= self.FAST * self.room.top_speed_rad_s
         ):
             self._wide = True
-            self._set(t_s, "wide cycle")
+            self._changed_at = self._swings.count
             return
         largest_V = self._largest_x_V()
         if self._x_V >= largest_V:
             self._wide = swings
             return
-        self._x_V = min(self._x_V * self.GROWTH, largest_V)
-        self._set(t_s, "no swing yet" if not swings else f"swings by {half_rad:.2f} rad")
+        self._x_V, self._retreated = min(self._x_V * self.GROWTH, largest_V), False
+        self._change(t_s, f"swings by {half_rad:.2f} rad" if swings else "no swing")
 
     def _largest_x_V(self) -> float:
         """Largest x within the drive's range, and below one that was too much, V."""
@@ -137,20 +125,23 @@ class RisingGains(RelayLaw[DualChannelRelay]):
     def _retreat(self, t_s: float) -> None:
         self._widest_V = min(self._widest_V, self._x_V)
         self._x_V *= self.RETREAT
+        self._wide = self._retreated = True
         self.relay.restart()  # both relays inward
-        self._wide = True
-        self._set(t_s, "too wide or too fast")
+        self._change(t_s, "too wide or too fast")
 
-    def _set(self, t_s: float, why: str) -> None:
+    def _change(self, t_s: float, why: str) -> None:
+        """Go over to the gains of the present x; ``why`` those before are over."""
+        self.steps.append(SearchStep(t_s, self.relay.h1_V, self.relay.h2_V, math.nan, math.nan, why))
+        self._set(t_s)
+
+    def _set(self, t_s: float) -> None:
         x_V = self._x_V * (self.SMALL if self._small else 1.0)
         friction_V = self.room.friction_V
-        self.relay.h1_V = max(_H1_LEAST * friction_V, _H1_SHARE * x_V)
-        self.relay.h2_V = friction_V + x_V
-        scale = min(1.0, self.room.sum_max_V / (self.relay.h1_V + self.relay.h2_V))
-        self.relay.h1_V, self.relay.h2_V = self.relay.h1_V * scale, self.relay.h2_V * scale
+        h1_V, h2_V = max(_H1_LEAST * friction_V, _H1_SHARE * x_V), friction_V + x_V
+        scale = min(1.0, self.room.sum_max_V / (h1_V + h2_V))
+        self.relay.h1_V, self.relay.h2_V = h1_V * scale, h2_V * scale
         self._changed_s, self._changed_at, self._peak_rad_s = t_s, self._swings.count, 0.0
         self._span_rad = (math.inf, -math.inf)
-        self.steps.append(GainStep(t_s, self.relay.h1_V, self.relay.h2_V, why))
 
 
 _H1_SHARE = 0.6  # of x: then T ~ 10 tau
