@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rig.design.belief import Belief
 from rig.design.best_test import best_test
 from rig.design.outlook import Task, law_of, told
-from rig.design.planned_test import Design, PlannedTest
+from rig.design.planned_test import Design, RelayGains
 from rig.design.room import Reading, Room
 from rig.design.stop_rule import StopRule
 from rig.identify.live import LiveEstimate, LiveFit, LiveRows, LiveSettings
@@ -129,9 +129,12 @@ class Advisor:
         s = self._settings
         task = Task(belief, seen, self._room, s.reading, s.interval_percent)
         design = best_test(task)
+        if design is None:
+            return None
         if self._given is not None and not self._must_change:
-            law = self._given.test
-            if design.seconds > BETTER * told(task, law_of(law)).seconds:
+            given = self._given.test
+            law = law_of(given if isinstance(given, RelayGains) else given.strokes)
+            if design.seconds > BETTER * told(task, law).seconds:
                 return None
         self._given, self._given_in, self._must_change = design, self._stage, False
         return design

@@ -307,8 +307,6 @@ class _Tests:
             law: Law = relay_test
         else:
             stage = self._numbered(StageKind.STROKES)
-            for stroke in test.strokes:
-                session.note("stroke", stage=stage, u_V=stroke.u_V, turn_rad=stroke.turn_rad)
             timing = StrokeTiming(LONG_S, test.longest_stroke_s)
             law = StrokeTest(test.strokes, timing, e.breakaway.motion_rad)
             self._relay.restart()  # its integral means nothing after strokes
@@ -383,6 +381,8 @@ class _Tests:
         elif advice.design is not None and self._number < MOST_TESTS:
             test, design = advice.design.test, advice.design
             what = "relay" if isinstance(test, RelayGains) else "strokes"
+            for stroke in () if isinstance(test, RelayGains) else test.strokes:
+                self._session.note("stroke", u_V=stroke.u_V, turn_rad=stroke.turn_rad)
             self._session.note(
                 "decided", row=row, by="advice", what=what, test=self._number + 1, **numbers_of(test),
                 expected_s=design.seconds, expected_percent=design.percent,
