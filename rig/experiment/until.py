@@ -22,14 +22,14 @@ from rig.control.rising_gains import RisingGains, SwingRoom
 from rig.control.strokes import StrokeTest, StrokeTiming
 from rig.design.advisor import Advice, Advisor, AdvisorSettings
 from rig.design.planned_test import PlannedTest, RelayGains
-from rig.design.room import Reading, Room
 from rig.experiment.stages import REST_S, checked, relay_and_detector, test_hysteretic
 from rig.faults import Fault
 from rig.identify.live import LiveEstimate, LiveSettings
 from rig.identify.noise import noise_at_rest
-from rig.loop.live_process import LiveProcess
+from rig.experiment.live_process import LiveProcess
 from rig.model.real_motor import FramedMotor
-from rig.preflight.room_to_stop import expected_delay_s, reach_rad, stopping_terms
+from rig.preflight.planned_tests import reading_of, room_of_tests
+from rig.preflight.room_to_stop import expected_delay_s, reach_rad
 from rig.recording.stage import Stage, StageKind
 from rig.results import LiveResult, StoppedResult
 from rig.session import MOST_TESTS, Session
@@ -39,7 +39,6 @@ ADVICE_EVERY_S = 1.0
 AWAIT_DESIGN_S = 10.0  # at rest, for the first test of a known model
 AFTER_BRAKING_S = 3.0  # at rest, for another test than the one in which the guard had to brake
 REACH = 0.85  # of the distance to the nearer soft limit, for the start without a model
-ROOM = 0.95  # of the soft limits, for a designed test
 FAST = 0.95  # of the largest speed
 LONG_S = 3600.0  # a test goes on until something ends it
 
@@ -126,36 +125,23 @@ def _advisers(session: Session) -> Iterator[Advisers]:
 
 def advisor_settings(session: Session, known: FramedMotor | None) -> AdvisorSettings:
     """What the advisor has to know, after the breakaway check. Raises ValueError without one."""
-    e, check, guard = session.experiment, session.found.breakaway, session.loop.guard
+    e, check = session.experiment, session.found.breakaway
     if check is None or e.relay.until is None:
         raise ValueError("tests until the motor is known need relay.until and a breakaway check")
-    delay = session.delay or BenchDelay()
     session.recorder.drain()
     noise = noise_at_rest(session.read())
-    lsb_rad, max_V = e.sensor.curve.lsb_rad, min(e.drive.max_V, 2.0 * e.relay.search.h_max_V)
-    low, high = e.limits.soft_rad
-    room = Room(
-        ROOM * low,
-        ROOM * high,
-        max_V,
-        FAST * e.limits.max_speed_rad_s,
-        max(check.plus_V, check.minus_V),
-        e.limits.hard_rad,
-        sum(rad for _, rad in stopping_terms(e)) / e.limits.max_speed_rad_s + guard.settings.delay_s,
-    )
     return AdvisorSettings(
         e.relay.until.interval_percent,
         LiveSettings(
             period_s=e.period_s,
             noise_rad=noise.std_rad,
-            lsb_rad=lsb_rad,
-            largest_V=max_V,
-            delay_s=None,
+            lsb_rad=e.sensor.curve.lsb_rad,
+            largest_V=e.drive.max_V,
             prior=known,
             prior_percent=e.relay.until.model_doubt_percent,
         ),
-        room,
-        Reading(e.period_s, noise.std_rad, lsb_rad, session.loop.latency_s + expected_delay_s(e, delay)),
+        room_of_tests(e, max(check.plus_V, check.minus_V), session.delay),
+        reading_of(e, noise.std_rad, session.loop.latency_s),
         noise.error,
     )
 

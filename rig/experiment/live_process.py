@@ -1,6 +1,6 @@
 """The advisor in a process of its own, so that it cannot hold up the loop (docs/until.md).
 
-``python -m rig.loop.live_process FOLDER`` reads the growing run folder, as ``rig.recording.follow`` does: no row goes
+``python -m rig.experiment.live_process FOLDER`` reads the growing run folder, as ``rig.recording.follow`` does: no row goes
 from the loop to it. It gets the settings by its standard input, a word when the guard had to brake, and ends at the end
 of that input. Its advice comes by its standard output, which the loop looks at without ever waiting.
 """
@@ -47,7 +47,7 @@ class LiveProcess:
         self._begun_s: float | None = None  # when it was told to begin, or last gave advice
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "rig.loop.live_process", str(folder)],
+                [sys.executable, "-m", "rig.experiment.live_process", str(folder)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
@@ -141,8 +141,10 @@ def main(arguments: list[str]) -> int:
     threading.Thread(target=_listen, args=(told,), daemon=True).start()
     from rig.design.advisor import Advisor
     from rig.design.ready import make_ready
+    from rig.identify.ready import make_ready as make_fit_ready
 
-    make_ready()  # before the first row: compiling would take longer than the tests
+    make_fit_ready(lambda words: None)  # before the first row: compiling would take longer than the tests
+    make_ready()
     settings = told.get()
     if settings is None:
         return 0
