@@ -26,7 +26,7 @@ from rig.preflight.breakaway_strokes import breakaway_strokes
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "simulated.yaml"
 REACH_RAD, FASTEST_RAD_S, LARGEST_V = 0.55, 4.9, 3.0  # room of every motor
-HARD_RAD = 1.3
+HARD_RAD = 1.95  # as in the ready configs: the stops are farther
 FAST = 1.05  # no-load speed of the data sheet over the motor's
 BREAKAWAY_V: Sequence[float] = (1.2, 1.0, 0.9, 0.8, 0.75)  # the first for which unseen travel has a bound
 FORCE_MEMORY_S = 0.1  # of the random force
@@ -35,7 +35,7 @@ FORCE_MEMORY_S = 0.1  # of the random force
 class DepartingShaft:
     """Motor, drive stage and potentiometer, as ``rig.model.bench.BenchModel`` is driven and read.
 
-    furthest_rad   largest position, measured from the middle of the travel, that the shaft ever had
+    furthest_rad   largest position, as an ideal sensor in its place would read it, that the shaft ever had
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class DepartingShaft:
         u_V = self.pin_counts / self.parameters.drive_counts * self.parameters.supply_V
         self._shaft.advance(u_V, self._force_V, self._now_s, dt_s)
         self._now_s += dt_s
-        self.furthest_rad = max(self.furthest_rad, abs(self._shaft.reading_rad))
+        self.furthest_rad = max(self.furthest_rad, abs(self._shaft.reading_rad + self._bench.offset_rad))
 
     @property
     def shaft_rad(self) -> float:

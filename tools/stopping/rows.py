@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +23,8 @@ from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.model.real_motor import Frame, FramedMotor, plain
 from rig.recording.recording import Recording
-from rig.results import ScriptCall
-from rig.session import Session, record
+from rig.session import Session
+from stopping.in_memory import driven
 
 Array = NDArray[np.float64]
 
@@ -43,7 +41,7 @@ class Row:
     known           whether the tests ended because it was known
     why             why they ended, or the fault that ended the run
     tests_s, run_s  how long the tests were, and the run from its start to their end, s
-    error, inside   of the live estimate at the stop: relative errors of tau, K and f_c, and whether its interval holds them
+    error, inside   of the live estimate at the stop: relative errors of tau, K and f_c, and what its interval holds
     verdict         of the identification afterwards; None if it was not asked for
     final_error, final_inside, u95   of it: relative errors, whether u95 holds each, relative u95
     beyond_rad      how far the shaft went beyond the soft limits, rad
@@ -96,20 +94,16 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
     departures = departures_of(campaign, one, kinds)
     e = _experiment(one, bench, asked)
     opened, shaft = open_bench(e, one, departures, bench, LONGEST_S, campaign.seed * 1_000_003 + number)
-    kept: list[Session] = []
 
     def script(session: Session) -> None:
-        kept.append(session)
         drive_until(session, _known(campaign, one) if asked.known else None)
         if asked.identified:
             identify_recorded(session)
 
-    with tempfile.TemporaryDirectory() as folder:
-        outcome = record(e, Path(folder), ScriptCall(name="stopping"), script, None, opened)
-        session = kept[0]
-        recording = session.read()
-        stopped, found = session.found.stopped, session.found.identification
-        truth = _truth(one, departures, recording)
+    session, fault = driven(e, opened, script)
+    recording = session.read()
+    stopped, found = session.found.stopped, session.found.identification
+    truth = _truth(one, departures, recording)
     live = stopped.live[-1] if stopped is not None and stopped.live else None
     error = inside = final_error = final_inside = u95 = verdict = None
     if live is not None:
@@ -130,7 +124,7 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
         number,
         tuple(kind.name for kind in kinds),
         stopped is not None and stopped.known,
-        stopped.why if stopped is not None else outcome.failure,
+        stopped.why if stopped is not None else str(fault),
         None if stopped is None else stopped.tests_s,
         None if stopped is None else stopped.t_s,
         error,
@@ -141,7 +135,7 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
         u95,
         max(shaft.furthest_rad - REACH_RAD, 0.0),
         session.loop.guard.braked_ticks,
-        None if outcome.fault is None else outcome.fault.code,
+        None if fault is None else fault.code,
         time.perf_counter() - began,
     )
 
