@@ -1,4 +1,4 @@
-"""The advisor: from the rows so far to an estimate, the next test, and whether it is enough. Pure, and deterministic."""
+"""The advisor: from the rows so far to an estimate, the next test, and whether it is enough. It reads no clock."""
 
 from __future__ import annotations
 
