@@ -22,9 +22,9 @@ from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.guard import Guard
 from rig.control.law import OwnLaw, Timed
+from rig.control.strokes import Stroke
 from rig.control.sweep_plan import SweepPlan
 from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps
-from rig.control.strokes import Stroke
 from rig.design.advisor import Advice, AdvisorSettings
 from rig.design.planned_test import Design, PlannedTest, Reach, RelayGains, Strokes
 from rig.experiment import BREAKAWAY_LAW, configured_law, stages

@@ -303,9 +303,7 @@ class UntilSection(_Section):
     longest_s: Annotated[float, Field(ge=5.0, le=3600.0)] = Field(
         60.0, description="the tests end after this time at the latest, whatever is known; the breakaway check is apart"
     )
-    most_cycles: Annotated[int, Field(ge=3, le=10_000)] = Field(
-        60, description="or after so many swings to and fro"
-    )
+    most_cycles: Annotated[int, Field(ge=3, le=10_000)] = Field(60, description="or after so many swings to and fro")
     model_doubt_percent: Annotated[float, Field(gt=0.0, le=100.0)] = Field(
         30.0, description="how far a model that `rig run --model` gives may be off, in % (one standard deviation)"
     )

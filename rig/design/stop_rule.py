@@ -60,5 +60,7 @@ class StopRule:
             return f"tau, K and f_c are known to {estimate.worst_percent:.2g} %"
         most = MOST_RESIDUAL + SIGMAS * math.hypot(estimate.residual_error, self.noise_error)
         if not estimate.residual_over_noise <= most:
-            return f"the residual is {estimate.residual_over_noise:.2f} of the noise at rest: the model leaves a part out"
+            return (
+                f"the residual is {estimate.residual_over_noise:.2f} of the noise at rest: the model leaves a part out"
+            )
         return None if estimate.drives_differ else "the drives were too much alike"

@@ -1,8 +1,8 @@
 """The advisor in a process of its own, so that it cannot hold up the loop (docs/until.md).
 
-``python -m rig.experiment.live_process FOLDER`` reads the growing run folder, as ``rig.recording.follow`` does: no row goes
-from the loop to it. It gets the settings by its standard input, a word when the guard had to brake, and ends at the end
-of that input. Its advice comes by its standard output, which the loop looks at without ever waiting.
+``python -m rig.experiment.live_process FOLDER`` reads the growing run folder, as ``rig.recording.follow`` does: no row
+goes from the loop to it. It gets the settings by its standard input, a word when the guard had to brake, and ends at
+the end of that input. Its advice comes by its standard output, which the loop looks at without ever waiting.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 from rig.recording.errors import RecordingError
 
 if TYPE_CHECKING:
-    from rig.design.advisor import Advice, AdvisorSettings
+    from rig.design.advisor import Advice, Advisor, AdvisorSettings
 
 ADVICE_EVERY_S = 1.0
 LOOK_EVERY_S = 0.02
@@ -44,7 +44,8 @@ class LiveProcess:
     def __init__(self, folder: Path) -> None:
         self.trouble = ""
         self._heard = b""
-        self._begun_s: float | None = None  # when it was told to begin, or last gave advice
+        self._heard_s: float | None = None  # when it was told to begin, or last gave advice
+        self._process: subprocess.Popen[bytes] | None = None
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "rig.experiment.live_process", str(folder)],
@@ -56,16 +57,15 @@ class LiveProcess:
                 start_new_session=True,  # Ctrl-C in the terminal is not meant for it
             )
         except OSError as error:
-            self._process = None
             self.trouble = f"its process did not start: {error.strerror}"
             return
-        assert self._process.stdin is not None and self._process.stdout is not None
-        os.set_blocking(self._process.stdin.fileno(), False)
-        os.set_blocking(self._process.stdout.fileno(), False)
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                os.set_blocking(pipe.fileno(), False)
 
     def begin(self, settings: AdvisorSettings) -> None:
         """Tell it what the breakaway check showed."""
-        self._begun_s = time.monotonic()
+        self._heard_s = time.monotonic()
         self._tell(pickle.dumps(settings))
 
     def braked(self) -> None:
@@ -78,12 +78,12 @@ class LiveProcess:
         if process is None or process.stdout is None:
             return None
         with contextlib.suppress(OSError):
-            self._heard += os.read(process.stdout.fileno(), 65536) if not process.stdout.closed else b""
+            self._heard += os.read(process.stdout.fileno(), 65536)
         message, self._heard = _message(self._heard)
         if message is None:
             self._look_after()
             return None
-        self._begun_s, self.trouble = time.monotonic(), ""
+        self._heard_s, self.trouble = time.monotonic(), ""
         advice: Advice = pickle.loads(message)
         return advice
 
@@ -120,7 +120,7 @@ class LiveProcess:
         if status is not None:
             how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
             self.trouble = f"its process {how}"
-        elif self._begun_s is not None and time.monotonic() - self._begun_s > SILENT_S:
+        elif self._heard_s is not None and time.monotonic() - self._heard_s > SILENT_S:
             self.trouble = f"its process has said nothing for {SILENT_S:g} s"
 
 

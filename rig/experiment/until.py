@@ -6,90 +6,34 @@ any row, by advice, by the guard or by the bounds of the config. So the guard an
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
-from typing import NamedTuple, Protocol
+from collections.abc import Callable
+from contextlib import nullcontext
+from typing import NamedTuple
 
-from rig.backends.clock import MonotonicClock
-from rig.config import Experiment
 from rig.config.schema import UntilSection
+from rig.control.bounded import Bounded, Bounds
 from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import RelayTest
 from rig.control.law import Law, Rest
-from rig.control.motion import Swings
 from rig.control.rising_gains import RisingGains, SwingRoom
 from rig.control.strokes import StrokeTest, StrokeTiming
-from rig.design.advisor import Advice, Advisor, AdvisorSettings
+from rig.design.advisor import Advice
 from rig.design.planned_test import PlannedTest, RelayGains
-from rig.experiment.stages import REST_S, checked, relay_and_detector, test_hysteretic
-from rig.faults import Fault
-from rig.identify.live import LiveEstimate, LiveSettings
-from rig.identify.noise import noise_at_rest
-from rig.experiment.live_process import LiveProcess
+from rig.experiment.advisers import Advisers, advisers_of, advisor_settings
+from rig.experiment.stages import REST_S, armed_check, prepared, relay_and_detector, test_hysteretic
+from rig.identify.live import LiveEstimate
 from rig.model.real_motor import FramedMotor
-from rig.preflight.planned_tests import reading_of, room_of_tests
 from rig.preflight.room_to_stop import expected_delay_s, reach_rad
-from rig.recording.stage import Stage, StageKind
+from rig.recording.stage import StageKind
 from rig.results import LiveResult, StoppedResult
 from rig.session import MOST_TESTS, Session
-from rig.signals import BenchDelay, Sample
+from rig.signals import BenchDelay
 
-ADVICE_EVERY_S = 1.0
 AWAIT_DESIGN_S = 10.0  # at rest, for the first test of a known model
 AFTER_BRAKING_S = 3.0  # at rest, for another test than the one in which the guard had to brake
 REACH = 0.85  # of the distance to the nearer soft limit, for the start without a model
 FAST = 0.95  # of the largest speed
 LONG_S = 3600.0  # a test goes on until something ends it
-
-
-class Advisers(Protocol):
-    """Who advises: in virtual time the loop's own process, in real time another one, in a replay the recording."""
-
-    trouble: str
-    """What is wrong with it, in words; empty if nothing is."""
-
-    def begin(self, settings: AdvisorSettings) -> None:
-        """The breakaway check of a run is over: this is what it showed. A replay does not say it."""
-
-    def advice(self, row: int, t_s: float) -> Advice | None:
-        """New advice after row number ``row``, which was sampled at ``t_s``; never waits."""
-
-    def braked(self) -> None:
-        """The guard had to brake in the last designed test: the next ones must use less room."""
-
-
-class InTheLoop:
-    """The advisor in the loop's own process, at fixed times of the run: for virtual time, which waits for it.
-
-    session  whose rows it reads
-    """
-
-    trouble = ""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
-        self._advisor: Advisor | None = None
-        self._due_s = -math.inf
-
-    def begin(self, settings: AdvisorSettings) -> None:
-        """As ``Advisers``."""
-        self._advisor = Advisor(settings)
-
-    def advice(self, row: int, t_s: float) -> Advice | None:
-        """As ``Advisers``: once in ``ADVICE_EVERY_S``."""
-        if self._advisor is None or t_s < self._due_s:
-            return None
-        self._due_s = t_s + ADVICE_EVERY_S
-        self._session.recorder.drain()
-        self._advisor.take(self._session.read())
-        return self._advisor.advise()
-
-    def braked(self) -> None:
-        """As ``Advisers``."""
-        self._due_s = -math.inf
-        if self._advisor is not None:
-            self._advisor.braked()
 
 
 def drive_until(
@@ -104,110 +48,17 @@ def drive_until(
     check     as ``rig.experiment.stages.check_breakaway``
     advisers  of a replay; None: those of a run
     """
-    with _advisers(session) if advisers is None else nullcontext(advisers) as who, checked(session, check):
+    e = session.experiment
+    with advisers_of(session) if advisers is None else nullcontext(advisers) as who, prepared(session):
+        armed_check(session, check)
         if known is not None:
             session.note("known", **known.numbers)  # a replay begins with a rest, too
         if advisers is None:
-            who.begin(advisor_settings(session, known))
-        _Tests(session, who, known is not None).run()
-        session.loop.run(Rest(REST_S), "rest")
-        test_hysteretic(session)
-
-
-@contextmanager
-def _advisers(session: Session) -> Iterator[Advisers]:
-    if isinstance(session.bench.clock, MonotonicClock):
-        with LiveProcess(session.folder) as process:
-            yield process
-    else:
-        yield InTheLoop(session)
-
-
-def advisor_settings(session: Session, known: FramedMotor | None) -> AdvisorSettings:
-    """What the advisor has to know, after the breakaway check. Raises ValueError without one."""
-    e, check = session.experiment, session.found.breakaway
-    if check is None or e.relay.until is None:
-        raise ValueError("tests until the motor is known need relay.until and a breakaway check")
-    session.recorder.drain()
-    noise = noise_at_rest(session.read())
-    return AdvisorSettings(
-        e.relay.until.interval_percent,
-        LiveSettings(
-            period_s=e.period_s,
-            noise_rad=noise.std_rad,
-            lsb_rad=e.sensor.curve.lsb_rad,
-            largest_V=e.drive.max_V,
-            prior=known,
-            prior_percent=e.relay.until.model_doubt_percent,
-        ),
-        room_of_tests(e, max(check.plus_V, check.minus_V), session.delay),
-        reading_of(e, noise.std_rad, session.loop.latency_s),
-        noise.error,
-    )
-
-
-class Bounds:
-    """When the tests end whatever is known.
-
-    until      the config's bounds
-    least_rad  a way back shorter than this is no turning point
-    """
-
-    def __init__(self, until: UntilSection, least_rad: float) -> None:
-        self._until = until
-        self._swings = Swings(least_rad)
-        self._start_s = math.nan
-        self.elapsed_s = 0.0
-
-    @property
-    def cycles(self) -> int:
-        """Swings to and fro so far."""
-        return self._swings.count // 2
-
-    def take(self, sample: Sample) -> None:
-        """Take a sample of a test."""
-        if math.isnan(self._start_s):
-            self._start_s = sample.t_s
-        self.elapsed_s = sample.t_s - self._start_s
-        self._swings.step(sample.y_rad)
-
-    @property
-    def reached(self) -> str:
-        """The bound that is reached, in words; empty if none is."""
-        if self.elapsed_s >= self._until.longest_s:
-            return f"relay.until.longest_s, {self._until.longest_s:g} s, is over"
-        if self.cycles >= self._until.most_cycles:
-            return f"relay.until.most_cycles, {self._until.most_cycles}, are driven"
-        return ""
-
-
-class Bounded:
-    """A law that something else may end at any tick: ``finished`` may be set from outside. It feeds the bounds.
-
-    failed  why the law itself gave up, in words: this test does not work on this motor; empty if it did not
-    """
-
-    def __init__(self, law: Law, bounds: Bounds | None) -> None:
-        self._law = law
-        self._bounds = bounds
-        self.failed = ""
-        self.finished = False
-        self.z_rad_s, self.yd_rad = law.z_rad_s, law.yd_rad
-
-    def step(self, sample: Sample) -> float:
-        """The law's drive, V; 0 V where it gives up."""
-        if self._bounds is not None:
-            self._bounds.take(sample)
-        try:
-            u_V = self._law.step(sample)
-        except Fault as fault:
-            if fault.code != "NO_CYCLE":
-                raise
-            self.failed, self.finished = fault.detail, True
-            return 0.0
-        self.z_rad_s, self.yd_rad = self._law.z_rad_s, self._law.yd_rad
-        self.finished = self.finished or self._law.finished
-        return u_V
+            who.begin(advisor_settings(session, known))  # in the pause: it takes longer than a tick
+        with session.loop.armed(e.device_limits):
+            _Tests(session, who, known is not None).run()
+            session.loop.run(Rest(REST_S), "rest")
+            test_hysteretic(session)
 
 
 class _Next(NamedTuple):
@@ -227,7 +78,7 @@ class _Tests:
         self._who = who
         self._until = e.relay.until or UntilSection()
         self._relay, self._detector = relay_and_detector(e)
-        self._bounds = Bounds(self._until, self._detector.min_amplitude_rad)
+        self._bounds = Bounds(self._until.longest_s, self._until.most_cycles, self._detector.min_amplitude_rad)
         self._number = 0
         self._searched = False
         self._last: LiveEstimate | None = None
@@ -357,7 +208,9 @@ class _Tests:
         """Note the advice, and follow it."""
         if advice is None:
             return
-        if advice.estimate is not None and advice.estimate.seconds_of_data > 0.0:  # else it is what was known beforehand
+        if (
+            advice.estimate is not None and advice.estimate.seconds_of_data > 0.0
+        ):  # else it is what was known beforehand
             self._last = advice.estimate
             live = live_result(advice.estimate)
             self._live.append(live)

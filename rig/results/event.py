@@ -51,7 +51,9 @@ class Decided(Part):
     """The keys of an event ``decided``: what the tests of `relay.until` go over to after a row, and who said so."""
 
     row: Count
-    by: Text = Field(description="advice: by the live estimate; loop: by the guard or a bound, which a replay finds anew")
+    by: Text = Field(
+        description="advice: by the live estimate; loop: by the guard or a bound, which a replay finds anew"
+    )
     what: Text = Field(description="relay, strokes, rest or stop")
     why: Text = ""
     h1_V: Number = None
