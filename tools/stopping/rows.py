@@ -13,7 +13,6 @@ from campaign_real.departing_bench import REACH_RAD, config_of, open_bench
 from campaign_real.departing_motor import Bench, Departures
 from campaign_real.kinds import Kind, departures_of, truth_of
 from rig.campaign.grid import Draw, draw
-from rig.config import Experiment
 from rig.config.campaign import Campaign
 from rig.config.schema import RelaySection, UntilSection
 from rig.estimators import LEADING
@@ -92,14 +91,16 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
     sampling, sensor = campaign.sampling, campaign.sensor
     bench = Bench(sampling.period_s, one.delay_s, sensor.noise_rad, sensor.lsb_rad, one.offset_rad)
     departures = departures_of(campaign, one, kinds)
-    e = _experiment(one, bench, asked)
-    opened, shaft = open_bench(e, one, departures, bench, LONGEST_S, campaign.seed * 1_000_003 + number)
+
+    until = UntilSection(interval_percent=asked.percent, longest_s=LONGEST_S)
 
     def script(session: Session) -> None:
         drive_until(session, _known(campaign, one) if asked.known else None)
         if asked.identified:
             identify_recorded(session)
 
+    e = config_of(one, bench).model_copy(update={"relay": RelaySection(until=until)})
+    opened, shaft = open_bench(e, one, departures, bench, LONGEST_S, campaign.seed * 1_000_003 + number)
     session, fault = driven(e, opened, script)
     recording = session.read()
     stopped, found = session.found.stopped, session.found.identification
@@ -140,17 +141,13 @@ def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) ->
     )
 
 
-def _experiment(one: Draw, bench: Bench, asked: Asked) -> Experiment:
-    until = UntilSection(interval_percent=asked.percent, longest_s=LONGEST_S)
-    return config_of(one, bench).model_copy(update={"relay": RelaySection(until=until)})
-
-
 def _truth(one: Draw, departures: Departures, recording: Recording) -> Array:
     """tau, K and f_c as they are defined for a bench with departures, over the driven travel and time."""
     driven = np.flatnonzero(recording.u_V != 0.0)
-    low_rad, high_rad = (float(np.quantile(recording.y_rad[driven], share)) for share in (0.0, 1.0))
-    course = float(np.mean(recording.t_s[driven])) / LONGEST_S
-    truth = truth_of(one, departures, (low_rad - one.offset_rad, high_rad - one.offset_rad), course)
+    rows = driven if driven.size else slice(None)
+    y_rad = recording.y_rad[rows] - one.offset_rad
+    course = float(np.mean(recording.t_s[rows])) / LONGEST_S
+    truth = truth_of(one, departures, (float(y_rad.min()), float(y_rad.max())), course)
     return np.array([getattr(truth, name) for name in OF])
 
 
