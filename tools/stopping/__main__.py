@@ -7,9 +7,10 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.progress import track
@@ -85,8 +86,8 @@ def _told(file: Path) -> Told:
             entry = json.loads(line)
         except ValueError:
             continue  # torn by an interruption
-        group = entry.pop("group")
-        told[group][entry["number"]] = Row(**{k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()})
+        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
+        told[values.pop("group")][entry["number"]] = Row(**values)
     return told
 
 
@@ -104,7 +105,7 @@ def page(told: Told, percent: float, made: str, new: int) -> str:
         "simulated by a program of its own behind rig's loop and guard, in virtual time, with `relay.until`:",
         f"tests until tau, K and f_c are known to {percent:g} % each (half width of the 95 % interval).",
         "",
-        "*tests*: from the first sample of the search to the stop. *run*: from the run's start, with the breakaway check.",
+        "*tests*: from the first sample of the search to the stop. *run*: from the run's start, breakaway check included.",
         "",
     ]
     for group, rows in told.items():
@@ -127,8 +128,8 @@ def _table(rows: Sequence[Row], percent: float) -> list[str]:
             half, most = np.quantile(times, [0.5, 0.9], method="inverted_cdf")
             lines.append(f"| {name.removesuffix('_s')}, median and 90 % of all motors | {half:.1f} s, {most:.1f} s |")
         held = np.array([one.inside for one in known])
-        errors = 100.0 * np.median(np.abs([one.error for one in known]), axis=0)
-        largest = 100.0 * np.max(np.abs([one.error for one in known]), axis=0)
+        errors = 100.0 * np.median(np.abs([one.error or () for one in known]), axis=0)
+        largest = 100.0 * np.max(np.abs([one.error or () for one in known]), axis=0)
         of = ", ".join(name.split("_")[0] for name in OF)
         low, high = (
             float(beta.ppf(q, held.sum() + s, held.size - held.sum() + 1 - s)) for q, s in ((0.025, 0), (0.975, 1))
@@ -179,11 +180,11 @@ def _kinds(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-def _percents(shares: Sequence[float]) -> str:
+def _percents(shares: Iterable[float]) -> str:
     return ", ".join(f"{100 * share:.1f} %" for share in shares)
 
 
-def _numbers(values: Sequence[float]) -> str:
+def _numbers(values: Iterable[float]) -> str:
     return ", ".join(f"{value:.2f}" for value in values)
 
 
