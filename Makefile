@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: campaign-real emps tracking help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: stopping campaign-real emps tracking help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -41,6 +41,10 @@ bench: .venv/.ready firmware  ## timing ratios, written to bench.json
 campaign-real: .venv/.ready  ## thousands of motors that are not what the plain model says: docs/real-motors-table.md; it resumes
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m campaign_real config/campaign-real.yaml \
 	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(PAIRS),--pairs $(PAIRS)) $(if $(SEED),--seed $(SEED))
+
+stopping: .venv/.ready  ## how soon an experiment knows its motor, on hundreds of motors: docs/stopping-table.md; it resumes
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m stopping \
+	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(KNOWN),--known $(KNOWN)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED))
 
 emps: .venv/.ready  ## a real drive, the benchmark EMPS, beside its published numbers; RIG_EMPS names DATA_EMPS.mat
 	PYTHONPATH=tools .venv/bin/python -m emps

@@ -105,7 +105,7 @@ def page(told: Told, percent: float, made: str, new: int) -> str:
         "simulated by a program of its own behind rig's loop and guard, in virtual time, with `relay.until`:",
         f"tests until tau, K and f_c are known to {percent:g} % each (half width of the 95 % interval).",
         "",
-        "*tests*: from the first sample of the search to the stop. *run*: from the run's start, breakaway check included.",
+        "*tests*: from the first sample of the search to the stop. *run*: from the run's start, with the check.",
         "",
     ]
     for group, rows in told.items():
