@@ -13,6 +13,7 @@ from rig.backends.registry import Bench
 from rig.config import Experiment
 from rig.control.guard import Guard
 from rig.faults import Fault
+from rig.identify import IdentifyError
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.preflight.loop_settings import guard_settings_of
@@ -77,6 +78,8 @@ def driven(e: Experiment, bench: Bench, script: Callable[[Session], None]) -> tu
         script(session)
     except Fault as fault:
         return session, fault
+    except IdentifyError as error:
+        return session, Fault("NOT_IDENTIFIED", f"{error.cause}; {error.cure}")
     finally:
         loop.close()
         bench.driver.close()
