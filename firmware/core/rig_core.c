@@ -152,7 +152,7 @@ static uint8_t status_of(const rig_core *core)
     return (uint8_t)((core->armed ? (unsigned)RIG_STATUS_ARMED : 0u) |
                      (core->latched != 0u ? (unsigned)RIG_STATUS_FAULT : 0u) |
                      (core->recovering != 0 ? (unsigned)RIG_STATUS_RECOVERING : 0u) |
-                     (core->relaying ? (unsigned)RIG_STATUS_RELAY : 0u));
+                     (core->running ? (unsigned)RIG_STATUS_RELAY : 0u));
 }
 
 static void put_state(packet *out, const rig_core *core)
@@ -358,13 +358,13 @@ static void close_block(rig_core *core)
 }
 
 /* One tick of the relay: its drive, unless the tick has already disarmed, and its row. */
-static void relay_tick(rig_core *core)
+static void law_tick(rig_core *core)
 {
     if (core->armed) {
         const int16_t units = relay_step(&core->relay, core->counts);
-        if (units != core->drive || !core->relay_acted) {
+        if (units != core->drive || !core->law_acted) {
             act(core, units);
-            core->relay_acted = true;
+            core->law_acted = true;
             core->delay_us = (uint16_t)(core->t_drive_us - core->t_sample_us);
         }
     }
@@ -372,16 +372,16 @@ static void relay_tick(rig_core *core)
         close_block(core);
     }
     const bool full = blocks_add(&core->blocks, core->t_sample_us, core->counts, core->drive);
-    core->relaying = core->armed; /* or it ends with this row */
+    core->running = core->armed; /* or it ends with this row */
     if (full || !core->armed) {
         close_block(core);
     }
 }
 
 /* Ends the relay between two ticks, after the drive has been set: the rows so far go out with the last block. */
-static void end_relay(rig_core *core)
+static void end_law(rig_core *core)
 {
-    core->relaying = false;
+    core->running = false;
     close_block(core);
 }
 
@@ -443,7 +443,7 @@ static enum rig_code start_relay(rig_core *core, const relay_setup *wanted, uint
     if (core->recovering != 0) {
         return RIG_E_TRAVEL; /* P6: its drive would go either way */
     }
-    if (core->relaying || !relay_is_valid(wanted) || rows < 1u || rows > BLOCK_ROWS_MAX ||
+    if (core->running || !relay_is_valid(wanted) || rows < 1u || rows > BLOCK_ROWS_MAX ||
         !relay_reaches(wanted, core->setup.hard_lo) || !relay_reaches(wanted, core->setup.hard_hi)) {
         return RIG_E_SETUP; /* gains do not change while it runs: DRIVE ends it first */
     }
@@ -458,9 +458,9 @@ static enum rig_code start_relay(rig_core *core, const relay_setup *wanted, uint
     }
     relay_init(&core->relay, wanted);
     blocks_init(&core->blocks, rows, RIG_TICK_US);
-    core->relay_acted = false;
+    core->law_acted = false;
     core->delay_us = 0;
-    core->relaying = true; /* from the next tick on */
+    core->running = true; /* from the next tick on */
     return RIG_OK;
 }
 
@@ -488,8 +488,8 @@ static void on_relay(rig_core *core, uint16_t seq, const uint8_t *body, packet *
 static enum rig_code arm(rig_core *core, uint32_t session)
 {
     disarm(core); /* arming starts from drive 0, also when already armed */
-    if (core->relaying) {
-        end_relay(core);
+    if (core->running) {
+        end_law(core);
     }
     sense(core);
     forget_refusal(core);
@@ -531,8 +531,8 @@ static void on_drive(rig_core *core, uint16_t seq, int16_t units)
     }
     act(core, units);
     core->drive_seq = seq;
-    if (core->relaying) {
-        end_relay(core); /* the host takes over, without a gap in the drive */
+    if (core->running) {
+        end_law(core); /* the host takes over, without a gap in the drive */
     }
 }
 
@@ -601,7 +601,7 @@ static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bo
         break;
     }
     case RIG_READ:
-        if (core->drive == 0 && !core->relaying) {
+        if (core->drive == 0 && !core->running) {
             heard(core); /* P3: what drives is kept up by DRIVE alone: one that got lost must not stay on */
         }
         sample(core);
@@ -616,7 +616,7 @@ static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bo
         on_relay(core, seq, body, out);
         break;
     case RIG_KEEP:
-        if (core->relaying) {
+        if (core->running) {
             heard(core); /* P3: it keeps nothing else alive */
         }
         break;
@@ -627,8 +627,8 @@ static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bo
         on_stop(core, seq, out);
         break;
     }
-    if (core->relaying && !core->armed) {
-        end_relay(core); /* STOP, or what a READ has seen */
+    if (core->running && !core->armed) {
+        end_law(core); /* STOP, or what a READ has seen */
     }
 }
 
@@ -672,8 +672,8 @@ void rig_init(rig_core *core, const rig_board *board, uint8_t reset_cause)
     core->reset_cause = reset_cause;
     core->drive_seq = 0;
     core->farthest = 0;
-    core->relaying = false;
-    core->relay_acted = false;
+    core->running = false;
+    core->law_acted = false;
     core->delay_us = 0;
     blocks_init(&core->blocks, BLOCK_ROWS_MAX, RIG_TICK_US);
     disarm(core); /* P1 */
@@ -700,8 +700,8 @@ void rig_tick(rig_core *core)
             latch(core, RIG_E_WATCHDOG); /* P3 */
         }
     }
-    if (core->relaying) {
-        relay_tick(core);
+    if (core->running) {
+        law_tick(core);
     }
 }
 

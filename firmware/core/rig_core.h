@@ -149,9 +149,9 @@ typedef struct {
     int32_t counts;
     uint16_t tach;
     uint8_t inputs;
-    bool relaying;       /* the relay drives */
-    bool relay_acted;    /* since it was started */
-    uint16_t delay_us;   /* from the sample to the drive, at the relay's last switching */
+    bool running;        /* a law of the device drives */
+    bool law_acted;      /* since it was started */
+    uint16_t delay_us;   /* from the sample to the drive, at its last switching */
     relay relay;
     blocks blocks;
 } rig_core;

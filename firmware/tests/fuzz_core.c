@@ -234,12 +234,12 @@ static void hold(void)
     REQUIRE(core.setup.session == witness.session);                             /* P11 */
     REQUIRE(board.pin == core.drive);
     REQUIRE(!core.armed || witness.permitted);
-    REQUIRE(!core.relaying || core.armed);
+    REQUIRE(!core.running || core.armed);
     if (board.pin != 0) {
         REQUIRE(witness.set_up && witness.permitted && core.armed); /* P1, P7 */
         REQUIRE(size_of(board.pin) <= witness.max_drive);           /* P2 */
     }
-    if (core.relaying) {
+    if (core.running) {
         REQUIRE(core.relay.z <= core.relay.setup.z_bound && core.relay.z >= -core.relay.setup.z_bound);
         REQUIRE(core.blocks.ring[core.blocks.in].n < core.blocks.rows && core.blocks.rows <= BLOCK_ROWS_MAX);
     }
@@ -306,14 +306,14 @@ static uint32_t arrival(void)
 }
 
 /* A valid frame went in: what it was, what came back, and what that permits. */
-static void note_request(const uint8_t *content, size_t n, bool was_armed, bool was_relaying)
+static void note_request(const uint8_t *content, size_t n, bool was_armed, bool was_running)
 {
     const uint8_t type = content[1];
     const bool whole = content[0] == RIG_PROTOCOL;
     const bool is_silent = whole && ((type == RIG_DRIVE && n == FRAME_HEADER + 2u) || (type == RIG_KEEP && n == FRAME_HEADER));
     REQUIRE(board.replies == (is_silent ? 0u : 1u));
     if (is_silent) {
-        if (type == RIG_DRIVE || was_relaying) {
+        if (type == RIG_DRIVE || was_running) {
             witness.t_voice_us = arrival();
         }
         return;
@@ -338,7 +338,7 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
         REQUIRE(board.pin == 0);
         break;
     case RIG_RELAY | RIG_REPLY:
-        REQUIRE(was_armed && !was_relaying && core.relaying);
+        REQUIRE(was_armed && !was_running && core.running);
         witness.t_voice_us = arrival();
         break;
     case RIG_ACK | RIG_REPLY:
@@ -389,7 +389,7 @@ static void send_byte(uint8_t byte)
     const size_t n = reference_receive(&board.to_device, byte, content);
     rig_byte(&core, byte);
     if (n != 0u) {
-        note_request(content, n, before.armed, before.relaying);
+        note_request(content, n, before.armed, before.running);
     } else {
         memcpy(&before.rx, &core.rx, sizeof core.rx);
         REQUIRE(memcmp(&before, &core, sizeof core) == 0); /* P8 */

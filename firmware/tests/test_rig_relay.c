@@ -269,7 +269,7 @@ static void start_as(int direction, int polarity)
 
 static int started(void)
 {
-    return board.reply_length == 22 && board.reply[1] == (RIG_RELAY | RIG_REPLY) && core.relaying;
+    return board.reply_length == 22 && board.reply[1] == (RIG_RELAY | RIG_REPLY) && core.running;
 }
 
 static void tick(void)
@@ -313,7 +313,7 @@ static void test_it_drives_at_each_tick(void)
     board.counts = 513;
     ticks(1);
     CHECK(board.pin == 40);
-    CHECK(core.armed && core.relaying && core.fault == 0);
+    CHECK(core.armed && core.running && core.fault == 0);
 }
 
 static void test_either_direction_and_polarity(void)
@@ -328,7 +328,7 @@ static void test_either_direction_and_polarity(void)
             CHECK(board.pin == -160 * polarity);
             armed(polarity);
             start_as(direction, -polarity);
-            CHECK(refused(RIG_RELAY, RIG_E_POLARITY) && !core.relaying);
+            CHECK(refused(RIG_RELAY, RIG_E_POLARITY) && !core.running);
         }
     }
 }
@@ -346,7 +346,7 @@ static void test_rows_in_blocks(void)
     }
     CHECK(board.blocks == 2);
     send_drive(0);
-    CHECK(board.pin == 0 && board.blocks == 3 && !core.relaying && core.armed);
+    CHECK(board.pin == 0 && board.blocks == 3 && !core.running && core.armed);
     unsigned row = 0;
     for (unsigned b = 0; b < 3u; b++) {
         const told_block *told = &board.block[b];
@@ -449,7 +449,7 @@ static void test_keep_alone_keeps_it_running(void)
         tick();
     }
     tick();
-    CHECK(board.pin == 0 && core.latched != 0u && core.fault == RIG_E_WATCHDOG && !core.relaying);
+    CHECK(board.pin == 0 && core.latched != 0u && core.fault == RIG_E_WATCHDOG && !core.running);
     CHECK(last()->status == RIG_STATUS_FAULT && last()->fault == RIG_E_WATCHDOG && last()->drive[last()->n - 1] == 0);
     const unsigned told = board.blocks;
     send(RIG_KEEP, NULL, 0);
@@ -485,7 +485,7 @@ static void test_faults_end_it(void)
             board.counts = cases[c].counts;
             board.inputs = cases[c].inputs;
             tick();
-            CHECK(board.pin == 0 && core.latched && core.fault == cases[c].code && !core.relaying && !core.armed);
+            CHECK(board.pin == 0 && core.latched && core.fault == cases[c].code && !core.running && !core.armed);
             const told_block *told = last();
             CHECK(told->status == RIG_STATUS_FAULT && told->fault == cases[c].code);
             CHECK(told->n >= 1 && told->counts[told->n - 1] == cases[c].counts && told->drive[told->n - 1] == 0);
@@ -511,7 +511,7 @@ static void test_a_read_sees_the_limit_too(void)
     ticks(4);
     board.counts = LIMIT_HI + 1;
     send(RIG_READ, NULL, 0);
-    CHECK(board.pin == 0 && !core.relaying && last()->n == 4 && last()->fault == RIG_E_TRAVEL);
+    CHECK(board.pin == 0 && !core.running && last()->n == 4 && last()->fault == RIG_E_TRAVEL);
 }
 
 static void test_stop_and_arm_end_it(void)
@@ -524,7 +524,7 @@ static void test_stop_and_arm_end_it(void)
         } else {
             send_arm();
         }
-        CHECK(board.pin == 0 && !core.relaying && core.armed == (which == 1));
+        CHECK(board.pin == 0 && !core.running && core.armed == (which == 1));
         CHECK(board.blocks == 2 && last()->n == 3 && (last()->status & RIG_STATUS_RELAY) == 0);
         ticks(30);
         CHECK(board.pin == 0 && board.blocks == 2);
@@ -536,7 +536,7 @@ static void test_drive_takes_over(void)
     running();
     ticks(10);
     send_drive(-70);
-    CHECK(board.pin == -70 && core.armed && !core.relaying);
+    CHECK(board.pin == -70 && core.armed && !core.running);
     CHECK(last()->number == 1 && last()->n == 0 && last()->status == RIG_STATUS_ARMED); /* the end is told, empty */
     ticks(3);
     CHECK(board.pin == -70);
@@ -545,7 +545,7 @@ static void test_drive_takes_over(void)
     tick();
     CHECK(board.pin == -160);
     send_drive(MOST + 1);
-    CHECK(board.pin == 0 && core.fault == RIG_E_DRIVE_RANGE && !core.relaying);
+    CHECK(board.pin == 0 && core.fault == RIG_E_DRIVE_RANGE && !core.running);
     CHECK(last()->number == 0 && last()->n == 1 && last()->fault == RIG_E_DRIVE_RANGE);
 }
 
@@ -601,10 +601,10 @@ static void test_gains_do_not_change_while_it_runs(void)
     running();
     tick();
     start_as(1, 1);
-    CHECK(refused(RIG_RELAY, RIG_E_SETUP) && core.relaying);
+    CHECK(refused(RIG_RELAY, RIG_E_SETUP) && core.running);
     uint8_t body[30] = {0};
     send(RIG_SETUP, body, 30);
-    CHECK(refused(RIG_SETUP, RIG_E_SETUP) && core.relaying);
+    CHECK(refused(RIG_SETUP, RIG_E_SETUP) && core.running);
 }
 
 static void test_a_reset_forgets_it(void)
@@ -612,7 +612,7 @@ static void test_a_reset_forgets_it(void)
     running();
     ticks(3);
     reset(&BOARD);
-    CHECK(board.pin == 0 && !core.relaying);
+    CHECK(board.pin == 0 && !core.running);
     ticks(30);
     CHECK(board.pin == 0 && board.blocks == 0);
 }
@@ -681,7 +681,7 @@ static void test_a_tick_between_any_two_steps_of_the_main_loop(void)
                 board.tick_at = 0;
                 rig_stream(&core); /* a tick may have closed one more */
                 const bool answered = requests[r] == RIG_DRIVE || board.reply[1] == (requests[r] | RIG_REPLY);
-                CHECK(answered && board.pin == 0 && !core.relaying && core.armed == (requests[r] == RIG_ARM || requests[r] == RIG_DRIVE));
+                CHECK(answered && board.pin == 0 && !core.running && core.armed == (requests[r] == RIG_ARM || requests[r] == RIG_DRIVE));
                 unsigned rows = 0;
                 for (unsigned b = 0; b < board.blocks; b++) {
                     const told_block *told = &board.block[b];

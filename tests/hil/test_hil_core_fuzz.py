@@ -29,7 +29,7 @@ DEFECTS = {
         "? board->arrived_us(board->context)",
         "? board->micros(board->context)",
     ),
-    "P3 kept up by READ": ("rig_core.c", "if (core->drive == 0 && !core->relaying)", "if (true)"),
+    "P3 kept up by READ": ("rig_core.c", "if (core->drive == 0 && !core->running)", "if (true)"),
     "P4 no limits": (
         "rig_core.c",
         "    if (side(core) != 0) {\n        const bool",
