@@ -8,6 +8,10 @@
 #define ACK_LENGTH 1u
 #define DRIVE_LENGTH 2u
 #define RELAY_LENGTH 18u
+#define STROKE_LENGTH 8u /* drive i16, longest time u16, turning point i32 */
+#define PIECE_STROKES 7u /* in a PLAN, at most */
+#define PLAN_LENGTH 58u /* first, n, and room for PIECE_STROKES */
+#define STROKES_LENGTH 4u
 
 /* Recovered means farther inside than this, so that noise on the limit does not latch a fault at once. */
 #define RECOVERED_COUNTS 3u
@@ -119,7 +123,7 @@ static void put_hello(packet *out, const rig_core *core)
     put_u8(out, board->board_id);
     put_u8(out, core->reset_cause);
     put_u8(out, board->bridge);
-    put_u8(out, board->features);
+    put_u8(out, (uint8_t)(board->features | (unsigned)RIG_FEATURE_STROKES));
     put_u32(out, (uint32_t)board->counts_max);
     put_u16(out, board->drive_full);
     put_u32(out, board->micros(board->context));
@@ -152,7 +156,7 @@ static uint8_t status_of(const rig_core *core)
     return (uint8_t)((core->armed ? (unsigned)RIG_STATUS_ARMED : 0u) |
                      (core->latched != 0u ? (unsigned)RIG_STATUS_FAULT : 0u) |
                      (core->recovering != 0 ? (unsigned)RIG_STATUS_RECOVERING : 0u) |
-                     (core->running ? (unsigned)RIG_STATUS_RELAY : 0u));
+                     (core->running ? (unsigned)RIG_STATUS_LAW : 0u));
 }
 
 static void put_state(packet *out, const rig_core *core)
@@ -345,7 +349,7 @@ static void sample(rig_core *core)
     }
 }
 
-/* ---- relay ---- */
+/* ---- the law that runs in the device: relay or strokes ---- */
 
 static void close_block(rig_core *core)
 {
@@ -357,11 +361,12 @@ static void close_block(rig_core *core)
     blocks_close(&core->blocks);
 }
 
-/* One tick of the relay: its drive, unless the tick has already disarmed, and its row. */
+/* One tick of the law: its drive, unless the tick has already disarmed, and its row. */
 static void law_tick(rig_core *core)
 {
     if (core->armed) {
-        const int16_t units = relay_step(&core->relay, core->counts);
+        const int16_t units =
+            core->stroking ? strokes_step(&core->strokes, core->counts) : relay_step(&core->relay, core->counts);
         if (units != core->drive || !core->law_acted) {
             act(core, units);
             core->law_acted = true;
@@ -378,7 +383,7 @@ static void law_tick(rig_core *core)
     }
 }
 
-/* Ends the relay between two ticks, after the drive has been set: the rows so far go out with the last block. */
+/* Ends the law between two ticks, after the drive has been set: the rows so far go out with the last block. */
 static void end_law(rig_core *core)
 {
     core->running = false;
@@ -435,7 +440,8 @@ static bool is_inward(const rig_core *core, const relay_setup *wanted)
     return lowers ? above <= 0 && below >= 0 : above >= 0 && below <= 0;
 }
 
-static enum rig_code start_relay(rig_core *core, const relay_setup *wanted, uint8_t rows)
+/* Whether a law may start, of whatever it is made. */
+static enum rig_code may_start(const rig_core *core, uint8_t rows)
 {
     if (!core->armed) {
         return core->latched != 0u ? core->fault : RIG_E_NOT_ARMED; /* P1, P7 */
@@ -443,13 +449,41 @@ static enum rig_code start_relay(rig_core *core, const relay_setup *wanted, uint
     if (core->recovering != 0) {
         return RIG_E_TRAVEL; /* P6: its drive would go either way */
     }
-    if (core->running || !relay_is_valid(wanted) || rows < 1u || rows > BLOCK_ROWS_MAX ||
-        !relay_reaches(wanted, core->setup.hard_lo) || !relay_reaches(wanted, core->setup.hard_hi)) {
-        return RIG_E_SETUP; /* gains do not change while it runs: DRIVE ends it first */
+    if (core->running || rows < 1u || rows > BLOCK_ROWS_MAX) {
+        return RIG_E_SETUP; /* what runs does not change: DRIVE ends it first */
     }
+    return RIG_OK;
+}
+
+/* From the next tick on. */
+static void start_law(rig_core *core, bool stroking, uint8_t rows)
+{
+    blocks_init(&core->blocks, rows, RIG_TICK_US);
+    core->law_acted = false;
+    core->delay_us = 0;
+    core->stroking = stroking;
+    core->running = true;
+    heard(core);
+}
+
+static bool is_too_much(const rig_core *core, int16_t units)
+{
     const int16_t most = (int16_t)core->setup.max_drive;
+    return units > most || units < -most;
+}
+
+static enum rig_code start_relay(rig_core *core, const relay_setup *wanted, uint8_t rows)
+{
+    const enum rig_code code = may_start(core, rows);
+    if (code != RIG_OK) {
+        return code;
+    }
+    if (!relay_is_valid(wanted) || !relay_reaches(wanted, core->setup.hard_lo) ||
+        !relay_reaches(wanted, core->setup.hard_hi)) {
+        return RIG_E_SETUP;
+    }
     for (uint8_t i = 0; i < 4u; i++) {
-        if (wanted->drive[i] > most || wanted->drive[i] < -most) {
+        if (is_too_much(core, wanted->drive[i])) {
             return RIG_E_DRIVE_RANGE; /* P2 */
         }
     }
@@ -457,10 +491,7 @@ static enum rig_code start_relay(rig_core *core, const relay_setup *wanted, uint
         return RIG_E_POLARITY;
     }
     relay_init(&core->relay, wanted);
-    blocks_init(&core->blocks, rows, RIG_TICK_US);
-    core->law_acted = false;
-    core->delay_us = 0;
-    core->running = true; /* from the next tick on */
+    start_law(core, false, rows);
     return RIG_OK;
 }
 
@@ -478,10 +509,66 @@ static void on_relay(rig_core *core, uint16_t seq, const uint8_t *body, packet *
         refuse(out, RIG_RELAY, seq, code);
         return;
     }
-    heard(core);
     head(out, RIG_RELAY | RIG_REPLY, seq);
     for (uint8_t i = 0; i < RELAY_LENGTH; i++) {
         put_u8(out, body[i]); /* in range, so stored as it came */
+    }
+}
+
+/* A piece of a plan: the first of a new one, or the next. What is neither changes nothing, and STROKES tells. */
+static void on_plan(rig_core *core, const uint8_t *body)
+{
+    const uint8_t first = body[0];
+    const uint8_t n = body[1];
+    if (core->running || n < 1u || n > PIECE_STROKES || first > STROKES_MAX - n ||
+        (first != 0u && first != core->strokes.n)) {
+        return;
+    }
+    if (first == 0u) {
+        strokes_clear(&core->strokes);
+        core->plan_crc = FRAME_CRC_START;
+    }
+    core->plan_crc = frame_crc16(core->plan_crc, &body[2], (uint8_t)(n * STROKE_LENGTH));
+    for (uint8_t i = 0; i < n; i++) {
+        const uint8_t *at = &body[2u + i * STROKE_LENGTH];
+        const stroke next = {get_i32(&at[4]), get_u16(&at[2]), get_i16(at)};
+        strokes_add(&core->strokes, &next);
+    }
+}
+
+static enum rig_code start_strokes(rig_core *core, uint8_t n, uint16_t crc, uint8_t rows)
+{
+    const enum rig_code code = may_start(core, rows);
+    if (code != RIG_OK) {
+        return code;
+    }
+    if (n == 0u || n != core->strokes.n || crc != core->plan_crc) {
+        return RIG_E_PLAN; /* P12: a piece got lost, or it is of another plan */
+    }
+    for (uint8_t i = 0; i < n; i++) {
+        const stroke *one = &core->strokes.plan[i];
+        if (is_too_much(core, one->drive)) {
+            return RIG_E_DRIVE_RANGE; /* P2 */
+        }
+        if (!stroke_is_valid(one) || one->turn < core->setup.hard_lo || one->turn > core->setup.hard_hi) {
+            return RIG_E_SETUP; /* beyond a limit it would never turn */
+        }
+    }
+    strokes_begin(&core->strokes, core->setup.polarity);
+    start_law(core, true, rows);
+    return RIG_OK;
+}
+
+static void on_strokes(rig_core *core, uint16_t seq, const uint8_t *body, packet *out)
+{
+    const enum rig_code code = start_strokes(core, body[0], get_u16(&body[2]), body[1]);
+    if (code != RIG_OK) {
+        refuse(out, RIG_STROKES, seq, code);
+        return;
+    }
+    head(out, RIG_STROKES | RIG_REPLY, seq);
+    for (uint8_t i = 0; i < STROKES_LENGTH; i++) {
+        put_u8(out, body[i]);
     }
 }
 
@@ -518,8 +605,7 @@ static void on_drive(rig_core *core, uint16_t seq, int16_t units)
         core->fault = RIG_E_NOT_ARMED; /* P1 */
         return;
     }
-    const int16_t most = (int16_t)core->setup.max_drive;
-    if (units > most || units < -most) {
+    if (is_too_much(core, units)) {
         latch(core, RIG_E_DRIVE_RANGE); /* P2 */
         return;
     }
@@ -574,6 +660,10 @@ static int8_t body_length(uint8_t type)
         return 0;
     case RIG_RELAY:
         return (int8_t)RELAY_LENGTH;
+    case RIG_PLAN:
+        return (int8_t)PLAN_LENGTH;
+    case RIG_STROKES:
+        return (int8_t)STROKES_LENGTH;
     case RIG_SETUP:
         return (int8_t)SETUP_LENGTH;
     case RIG_ARM:
@@ -615,6 +705,12 @@ static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bo
     case RIG_RELAY:
         on_relay(core, seq, body, out);
         break;
+    case RIG_PLAN:
+        on_plan(core, body);
+        break;
+    case RIG_STROKES:
+        on_strokes(core, seq, body, out);
+        break;
     case RIG_KEEP:
         if (core->running) {
             heard(core); /* P3: it keeps nothing else alive */
@@ -650,7 +746,7 @@ static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
         head(&out, RIG_HELLO | RIG_REPLY, seq);
         put_hello(&out, core);
     } else {
-        rig_stream(core); /* room for the block that ends the relay */
+        rig_stream(core); /* room for the block that ends the law */
         hold(core);
         act_on(core, type, seq, &content[FRAME_HEADER], &out);
         release(core);
@@ -674,7 +770,10 @@ void rig_init(rig_core *core, const rig_board *board, uint8_t reset_cause)
     core->farthest = 0;
     core->running = false;
     core->law_acted = false;
+    core->stroking = false;
     core->delay_us = 0;
+    strokes_clear(&core->strokes);
+    core->plan_crc = FRAME_CRC_START;
     blocks_init(&core->blocks, BLOCK_ROWS_MAX, RIG_TICK_US);
     disarm(core); /* P1 */
     core->latched = 0;

@@ -16,7 +16,7 @@
  *     P1 after a reset the drive is 0, and stays 0 until SETUP and ARM
  *     P2 more drive than max_drive never reaches the pin
  *     P3 host silence longer than watchdog_ms sets the drive to 0, at most one tick later;
- *        while something drives, only DRIVE counts as the host's voice; while the relay runs, only KEEP
+ *        while something drives, only DRIVE counts as the host's voice; while a law of the device runs, only KEEP
  *     P4 a position outside the hard limits sets the drive to 0, at most one tick later
  *     P5 a sensor at its rail sets the drive to 0, at most one tick later
  *     P6 armed outside a hard limit, only drive inward reaches the pin
@@ -27,10 +27,13 @@
  *    P10 the e-stop latches whether armed or not, a reset always; so do, once SETUP has told what they are, the rail and
  *        both end switches at once. Travel and one end switch latch only while armed: P6 recovers from them
  *    P11 ARM names the session that SETUP has begun; a reset ends it
+ *    P12 the device drives only strokes that the host has confirmed by number and checksum, each no longer than its time
  *
- * The relay (relay.h) is started by RELAY and drives at each tick, after P3, P4, P5 and P9 have been looked at. Whatever
- * disarms ends it; so does DRIVE, which takes over. Each of its ticks is a row that goes to the host unasked, in blocks
- * (blocks.h); the last block says by its status that the relay has ended.
+ * Two laws can run in the device, one at a time: the relay (relay.h), started by RELAY, and the stroke test (strokes.h),
+ * whose plan PLAN brings piece by piece and STROKES starts. The law drives at each tick, after P3, P4, P5 and P9 have
+ * been looked at. Whatever disarms ends it; so does DRIVE, which takes over. Each of its ticks is a row that goes to the
+ * host unasked, in blocks (blocks.h); the last block says by its status that the law has ended. After its last stroke the
+ * stroke test goes on at drive 0, until the host ends it.
  */
 #ifndef RIG_CORE_H
 #define RIG_CORE_H
@@ -41,6 +44,7 @@
 #include "blocks.h"
 #include "frames.h"
 #include "relay.h"
+#include "strokes.h"
 
 #define RIG_PROTOCOL 2u
 #define RIG_TICK_US 1000u
@@ -55,9 +59,10 @@ enum rig_bridge { RIG_BRIDGE_NONE = 0, RIG_BRIDGE_PWM_DIR = 1, RIG_BRIDGE_IN1_IN
 
 enum rig_reset_cause { RIG_RESET_POWER_ON = 1, RIG_RESET_EXTERNAL = 2, RIG_RESET_BROWN_OUT = 4, RIG_RESET_WATCHDOG = 8 };
 
-enum rig_feature { RIG_FEATURE_TACHOMETER = 1, RIG_FEATURE_SUPPLY = 2 };
+/* A board's count from the first bit, the core's from the last. */
+enum rig_feature { RIG_FEATURE_TACHOMETER = 1, RIG_FEATURE_SUPPLY = 2, RIG_FEATURE_STROKES = 128 };
 
-enum rig_status { RIG_STATUS_ARMED = 1, RIG_STATUS_FAULT = 2, RIG_STATUS_RECOVERING = 4, RIG_STATUS_RELAY = 8 };
+enum rig_status { RIG_STATUS_ARMED = 1, RIG_STATUS_FAULT = 2, RIG_STATUS_RECOVERING = 4, RIG_STATUS_LAW = 8 };
 
 enum rig_type {
     RIG_HELLO = 0x01,
@@ -68,8 +73,10 @@ enum rig_type {
     RIG_STOP = 0x06,
     RIG_RELAY = 0x07,
     RIG_KEEP = 0x08,
-    RIG_BLOCK = 0x89, /* unasked, while the relay runs */
+    RIG_BLOCK = 0x89, /* unasked, while a law runs */
     RIG_ACK = 0x0A,
+    RIG_PLAN = 0x0B,
+    RIG_STROKES = 0x0C,
     RIG_REPLY = 0x80, /* set in the type of a reply */
     RIG_NACK = 0xFF
 };
@@ -90,7 +97,8 @@ enum rig_code {
     RIG_E_ESTOP = 12,
     RIG_E_END_SWITCH = 13,
     RIG_E_RESET = 14,
-    RIG_E_SESSION = 15 /* the last that a bit of rig_core.latched has room for */
+    RIG_E_SESSION = 15, /* the last that a bit of rig_core.latched has room for */
+    RIG_E_PLAN = 16     /* refuses STROKES, and never latches */
 };
 
 /* Contacts that a board may have; a set bit is a contact that asks for a stop. */
@@ -152,7 +160,10 @@ typedef struct {
     bool running;        /* a law of the device drives */
     bool law_acted;      /* since it was started */
     uint16_t delay_us;   /* from the sample to the drive, at its last switching */
+    bool stroking;       /* that law is the stroke test, else the relay */
+    uint16_t plan_crc;   /* over the bytes of its strokes, as they came */
     relay relay;
+    strokes strokes;
     blocks blocks;
 } rig_core;
 
