@@ -1,8 +1,8 @@
 #include "frames.h"
 
-uint16_t frame_crc16(uint16_t before, const uint8_t *bytes, uint8_t n)
+uint16_t frame_crc16(const uint8_t *bytes, uint8_t n)
 {
-    uint16_t crc = before;
+    uint16_t crc = 0xFFFFu;
     for (uint8_t i = 0; i < n; i++) {
         /* eight steps of the division by 0x1021 at once */
         uint8_t x = (uint8_t)((crc >> 8) ^ bytes[i]);
@@ -18,7 +18,7 @@ uint8_t frame_encode(const uint8_t *content, uint8_t n, uint8_t wire[FRAME_WIRE_
     if (n == 0u || n > FRAME_CONTENT_MAX) {
         return 0;
     }
-    const uint16_t crc = frame_crc16(FRAME_CRC_START, content, n);
+    const uint16_t crc = frame_crc16(content, n);
     uint8_t code_at = 0; /* where the distance to the next zero belongs */
     uint8_t out = 1;
     for (uint8_t i = 0; i < n + FRAME_CRC; i++) {
@@ -75,7 +75,7 @@ static uint8_t check(uint8_t *bytes, uint8_t n)
     }
     const uint8_t content = (uint8_t)(length - FRAME_CRC);
     const uint16_t sent = (uint16_t)(bytes[content] | ((uint16_t)bytes[content + 1u] << 8));
-    return sent == frame_crc16(FRAME_CRC_START, bytes, content) ? content : 0u;
+    return sent == frame_crc16(bytes, content) ? content : 0u;
 }
 
 uint8_t frame_receive(frame_receiver *rx, uint8_t byte)

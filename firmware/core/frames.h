@@ -17,10 +17,7 @@
 #define FRAME_ENCODED_MAX (FRAME_PACKET_MAX + 1u) /* COBS adds one byte to fewer than 255 */
 #define FRAME_WIRE_MAX (FRAME_ENCODED_MAX + 1u)   /* and the 0x00 */
 
-#define FRAME_CRC_START 0xFFFFu
-
-/* The CRC of what went before, which is FRAME_CRC_START for nothing, continued over `n` bytes. */
-uint16_t frame_crc16(uint16_t before, const uint8_t *bytes, uint8_t n);
+uint16_t frame_crc16(const uint8_t *bytes, uint8_t n);
 
 /* Writes the frame of `n` bytes of content, 1 to FRAME_CONTENT_MAX. Returns the bytes written, 0 if n is out of range. */
 uint8_t frame_encode(const uint8_t *content, uint8_t n, uint8_t wire[FRAME_WIRE_MAX]);

@@ -8,10 +8,7 @@
 #define ACK_LENGTH 1u
 #define DRIVE_LENGTH 2u
 #define RELAY_LENGTH 18u
-#define STROKE_LENGTH 8u /* drive i16, longest time u16, turning point i32 */
-#define PIECE_STROKES 7u /* in a PLAN, at most */
-#define PLAN_LENGTH 58u /* first, n, and room for PIECE_STROKES */
-#define STROKES_LENGTH 4u
+#define STROKES_LENGTH 56u /* room for STROKES_MAX strokes */
 
 /* Recovered means farther inside than this, so that noise on the limit does not latch a fault at once. */
 #define RECOVERED_COUNTS 3u
@@ -515,53 +512,52 @@ static void on_relay(rig_core *core, uint16_t seq, const uint8_t *body, packet *
     }
 }
 
-/* A piece of a plan: the first of a new one, or the next. What is neither changes nothing, and STROKES tells. */
-static void on_plan(rig_core *core, const uint8_t *body)
+/* Nothing runs: the plan may be written where it will run from. */
+static void take_plan(rig_core *core, const uint8_t *body)
 {
-    const uint8_t first = body[0];
-    const uint8_t n = body[1];
-    if (core->running || n < 1u || n > PIECE_STROKES || first > STROKES_MAX - n ||
-        (first != 0u && first != core->strokes.n)) {
-        return;
-    }
-    if (first == 0u) {
-        strokes_clear(&core->strokes);
-        core->plan_crc = FRAME_CRC_START;
-    }
-    core->plan_crc = frame_crc16(core->plan_crc, &body[2], (uint8_t)(n * STROKE_LENGTH));
-    for (uint8_t i = 0; i < n; i++) {
-        const uint8_t *at = &body[2u + i * STROKE_LENGTH];
-        const stroke next = {get_i32(&at[4]), get_u16(&at[2]), get_i16(at)};
-        strokes_add(&core->strokes, &next);
+    strokes_setup *wanted = &core->strokes.setup;
+    wanted->n = body[0];
+    wanted->stroke_ticks = get_u16(&body[2]);
+    wanted->still_ticks = get_u16(&body[4]);
+    wanted->still_counts = get_u16(&body[6]);
+    wanted->centre = core->setup.centre;
+    wanted->polarity = core->setup.polarity;
+    for (uint8_t i = 0; i < STROKES_MAX; i++) {
+        const uint8_t *at = &body[8u + 6u * i];
+        wanted->plan[i].drive = get_i16(at);
+        wanted->plan[i].turn = get_i32(&at[2]);
     }
 }
 
-static enum rig_code start_strokes(rig_core *core, uint8_t n, uint16_t crc, uint8_t rows)
+static enum rig_code start_strokes(rig_core *core, const uint8_t *body)
 {
+    const uint8_t rows = body[1];
     const enum rig_code code = may_start(core, rows);
     if (code != RIG_OK) {
         return code;
     }
-    if (n == 0u || n != core->strokes.n || crc != core->plan_crc) {
-        return RIG_E_PLAN; /* P12: a piece got lost, or it is of another plan */
+    take_plan(core, body);
+    const strokes_setup *wanted = &core->strokes.setup;
+    if (!strokes_are_valid(wanted)) {
+        return RIG_E_SETUP;
     }
-    for (uint8_t i = 0; i < n; i++) {
-        const stroke *one = &core->strokes.plan[i];
+    for (uint8_t i = 0; i < wanted->n; i++) {
+        const stroke *one = &wanted->plan[i];
         if (is_too_much(core, one->drive)) {
             return RIG_E_DRIVE_RANGE; /* P2 */
         }
-        if (!stroke_is_valid(one) || one->turn < core->setup.hard_lo || one->turn > core->setup.hard_hi) {
-            return RIG_E_SETUP; /* beyond a limit it would never turn */
+        if (one->turn < core->setup.hard_lo || one->turn > core->setup.hard_hi) {
+            return RIG_E_SETUP; /* it would end at the limit, never at its turning point */
         }
     }
-    strokes_begin(&core->strokes, core->setup.polarity);
+    strokes_begin(&core->strokes);
     start_law(core, true, rows);
     return RIG_OK;
 }
 
 static void on_strokes(rig_core *core, uint16_t seq, const uint8_t *body, packet *out)
 {
-    const enum rig_code code = start_strokes(core, body[0], get_u16(&body[2]), body[1]);
+    const enum rig_code code = start_strokes(core, body);
     if (code != RIG_OK) {
         refuse(out, RIG_STROKES, seq, code);
         return;
@@ -660,8 +656,6 @@ static int8_t body_length(uint8_t type)
         return 0;
     case RIG_RELAY:
         return (int8_t)RELAY_LENGTH;
-    case RIG_PLAN:
-        return (int8_t)PLAN_LENGTH;
     case RIG_STROKES:
         return (int8_t)STROKES_LENGTH;
     case RIG_SETUP:
@@ -704,9 +698,6 @@ static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bo
         break;
     case RIG_RELAY:
         on_relay(core, seq, body, out);
-        break;
-    case RIG_PLAN:
-        on_plan(core, body);
         break;
     case RIG_STROKES:
         on_strokes(core, seq, body, out);
@@ -772,8 +763,6 @@ void rig_init(rig_core *core, const rig_board *board, uint8_t reset_cause)
     core->law_acted = false;
     core->stroking = false;
     core->delay_us = 0;
-    strokes_clear(&core->strokes);
-    core->plan_crc = FRAME_CRC_START;
     blocks_init(&core->blocks, BLOCK_ROWS_MAX, RIG_TICK_US);
     disarm(core); /* P1 */
     core->latched = 0;

@@ -27,13 +27,12 @@
  *    P10 the e-stop latches whether armed or not, a reset always; so do, once SETUP has told what they are, the rail and
  *        both end switches at once. Travel and one end switch latch only while armed: P6 recovers from them
  *    P11 ARM names the session that SETUP has begun; a reset ends it
- *    P12 the device drives only strokes that the host has confirmed by number and checksum, each no longer than its time
+ *    P12 a stroke drives no longer than its time; after two in a row that failed nothing drives
  *
  * Two laws can run in the device, one at a time: the relay (relay.h), started by RELAY, and the stroke test (strokes.h),
- * whose plan PLAN brings piece by piece and STROKES starts. The law drives at each tick, after P3, P4, P5 and P9 have
- * been looked at. Whatever disarms ends it; so does DRIVE, which takes over. Each of its ticks is a row that goes to the
- * host unasked, in blocks (blocks.h); the last block says by its status that the law has ended. After its last stroke the
- * stroke test goes on at drive 0, until the host ends it.
+ * started by STROKES. The law drives at each tick, after P3, P4, P5 and P9 have been looked at. Whatever disarms ends it;
+ * so does DRIVE, which takes over. Each of its ticks is a row that goes to the host unasked, in blocks (blocks.h); the
+ * last block says by its status that the law has ended.
  */
 #ifndef RIG_CORE_H
 #define RIG_CORE_H
@@ -75,8 +74,7 @@ enum rig_type {
     RIG_KEEP = 0x08,
     RIG_BLOCK = 0x89, /* unasked, while a law runs */
     RIG_ACK = 0x0A,
-    RIG_PLAN = 0x0B,
-    RIG_STROKES = 0x0C,
+    RIG_STROKES = 0x0B,
     RIG_REPLY = 0x80, /* set in the type of a reply */
     RIG_NACK = 0xFF
 };
@@ -97,8 +95,7 @@ enum rig_code {
     RIG_E_ESTOP = 12,
     RIG_E_END_SWITCH = 13,
     RIG_E_RESET = 14,
-    RIG_E_SESSION = 15, /* the last that a bit of rig_core.latched has room for */
-    RIG_E_PLAN = 16     /* refuses STROKES, and never latches */
+    RIG_E_SESSION = 15 /* the last that a bit of rig_core.latched has room for */
 };
 
 /* Contacts that a board may have; a set bit is a contact that asks for a stop. */
@@ -161,7 +158,6 @@ typedef struct {
     bool law_acted;      /* since it was started */
     uint16_t delay_us;   /* from the sample to the drive, at its last switching */
     bool stroking;       /* that law is the stroke test, else the relay */
-    uint16_t plan_crc;   /* over the bytes of its strokes, as they came */
     relay relay;
     strokes strokes;
     blocks blocks;

@@ -1,71 +1,46 @@
-/* The stroke test in the device: how its plan gets there, when it may start, what it drives, and what ends it. */
+/* The stroke test in the device: when it may start, what it drives, what ends it, and what the host is told of it. */
 #include "law_board.h"
 
-#define PIECE 7u
-#define PLAN_BODY 58u
+#define BODY 56u
+#define STROKE_TICKS 400u
+#define STILL_TICKS 300u
+#define STILL_COUNTS 9u
 
 typedef struct {
-    int drive, ticks;
+    int drive;
     int32_t turn;
 } told_stroke;
 
-static const told_stroke UP_AND_DOWN[] = {{120, 400, 700}, {-150, 400, 300}, {60, 400, 600}};
+static const told_stroke TO_AND_FRO[] = {{120, 700}, {-150, 300}, {60, 600}, {-80, 400}};
 
-static void write_stroke(uint8_t *at, const told_stroke *one)
+static void fill(uint8_t body[BODY], unsigned n, const told_stroke *of)
 {
-    (void)put32(put16(put16(at, one->drive), one->ticks), (uint32_t)one->turn);
-}
-
-static void send_piece(unsigned first, unsigned n, const told_stroke *of)
-{
-    uint8_t body[PLAN_BODY] = {(uint8_t)first, (uint8_t)n};
-    for (unsigned i = 0; i < n && i < PIECE; i++) {
-        write_stroke(&body[2u + 8u * i], &of[i]);
+    memset(body, 0, BODY);
+    body[0] = (uint8_t)n;
+    body[1] = BLOCK_ROWS_MAX;
+    (void)put16(put16(put16(&body[2], STROKE_TICKS), STILL_TICKS), STILL_COUNTS);
+    for (unsigned i = 0; i < n && i < STROKES_MAX; i++) {
+        (void)put32(put16(&body[8u + 6u * i], of[i].drive), (uint32_t)of[i].turn);
     }
-    send(RIG_PLAN, body, PLAN_BODY);
-    CHECK(board.reply_length == 0); /* the start tells whether it came */
-}
-
-static uint16_t checksum(unsigned n, const told_stroke *of)
-{
-    uint16_t crc = FRAME_CRC_START;
-    for (unsigned i = 0; i < n; i++) {
-        uint8_t bytes[8];
-        write_stroke(bytes, &of[i]);
-        crc = frame_crc16(crc, bytes, 8);
-    }
-    return crc;
-}
-
-static void send_plan(unsigned n, const told_stroke *of)
-{
-    for (unsigned first = 0; first < n; first += PIECE) {
-        send_piece(first, n - first < PIECE ? n - first : PIECE, &of[first]);
-    }
-}
-
-static void send_start(unsigned n, uint16_t crc)
-{
-    uint8_t body[4] = {(uint8_t)n, BLOCK_ROWS_MAX};
-    (void)put16(&body[2], crc);
-    send(RIG_STROKES, body, 4);
 }
 
 static void start(unsigned n, const told_stroke *of)
 {
-    send_plan(n, of);
-    send_start(n, checksum(n, of));
+    uint8_t body[BODY];
+    fill(body, n, of);
+    send(RIG_STROKES, body, BODY);
 }
 
 static int started(void)
 {
-    return board.reply_length == 8 && board.reply[1] == (RIG_STROKES | RIG_REPLY) && core.running;
+    return board.reply_length == FRAME_HEADER + BODY && board.reply[1] == (RIG_STROKES | RIG_REPLY) && core.running;
 }
 
 static void running(void)
 {
     armed(1);
-    start(3, UP_AND_DOWN);
+    board.counts = 504; /* below the centre: the plan's first stroke is inward */
+    start(4, TO_AND_FRO);
     CHECK(started());
 }
 
@@ -87,187 +62,144 @@ static void test_it_drives_each_stroke_to_its_turning_point(void)
     ticks(3);
     board.counts = 600;
     tick();
-    CHECK(board.pin == 0 && core.running && core.armed); /* over, and the rows go on until the host ends it */
-    ticks(20);
-    CHECK(board.pin == 0 && (last()->status & RIG_STATUS_LAW) != 0 && last()->drive[9] == 0);
+    CHECK(board.pin == -80);
+    board.counts = 399;
+    tick();
+    CHECK(board.pin == 120 && core.running && core.armed); /* again and again */
+    board.counts = 700;
+    ticks(2);
+    CHECK(last()->n == 10 && (last()->status & RIG_STATUS_LAW) != 0);
+    static const int16_t driven[] = {120, 120, -150, 60, 60, 60, 60, -80, 120, -150};
+    CHECK(memcmp(last()->drive, driven, sizeof driven) == 0);
     send_drive(0);
     CHECK(core.armed && !core.running && (last()->status & RIG_STATUS_LAW) == 0);
 }
 
+static void test_the_reply_repeats_it(void)
+{
+    uint8_t body[BODY];
+    running();
+    fill(body, 4, TO_AND_FRO);
+    CHECK(memcmp(board.reply + FRAME_HEADER, body, BODY) == 0);
+}
+
 static void test_with_negative_polarity(void)
 {
-    static const told_stroke down = {120, 400, 300}; /* positive drive lowers the counts */
+    static const told_stroke mirrored[] = {{120, 300}, {-150, 700}}; /* positive drive lowers the counts */
     armed(-1);
-    start(1, &down);
+    board.counts = 520;
+    start(2, mirrored);
     CHECK(started());
     tick();
     CHECK(board.pin == 120);
     board.counts = 300;
     tick();
-    CHECK(board.pin == 0);
+    CHECK(board.pin == -150);
 }
 
-/* P12: a stroke that does not turn drives no longer than its time, to the tick. */
-static void test_no_stroke_outlasts_its_time(void)
+/* P12: to the tick, each way, and then nothing until the host starts anew. */
+static void test_a_stroke_that_does_not_turn(void)
 {
-    static const told_stroke two[] = {{120, 30, 700}, {-150, 20, 300}};
-    armed(1);
-    start(2, two);
-    for (int k = 0; k < 60; k++) {
-        tick();
-        CHECK(board.pin == (k < 30 ? 120 : k < 50 ? -150 : 0));
-        if (k % 10 == 0) {
-            send(RIG_KEEP, NULL, 0);
-        }
-    }
-}
-
-static void test_the_longest_plan(void)
-{
-    told_stroke of[STROKES_MAX + 1u];
-    for (unsigned i = 0; i <= STROKES_MAX; i++) {
-        of[i].drive = i % 2u == 0u ? 50 + (int)i : -50 - (int)i;
-        of[i].ticks = 2;
-        of[i].turn = i % 2u == 0u ? 890 : 110;
-    }
-    armed(1);
-    start(STROKES_MAX, of);
-    CHECK(started());
-    for (unsigned i = 0; i < 2u * STROKES_MAX; i++) {
-        tick();
-        CHECK(board.pin == of[i / 2u].drive);
-    }
-    tick();
-    CHECK(board.pin == 0);
-    send_drive(0);
-    start(STROKES_MAX + 1u, of);
-    CHECK(refused(RIG_STROKES, RIG_E_PLAN));
-}
-
-/* P12: only the plan that the host means, whole. */
-static void test_pieces_that_got_lost_or_came_twice(void)
-{
-    told_stroke of[16];
-    for (unsigned i = 0; i < 16u; i++) {
-        of[i] = UP_AND_DOWN[i % 3u];
-    }
-    const uint16_t crc = checksum(16, of);
-    for (unsigned lost = 0; lost < 3u; lost++) {
-        armed(1);
-        for (unsigned piece = 0; piece < 3u; piece++) {
-            if (piece != lost) {
-                send_piece(PIECE * piece, piece < 2u ? PIECE : 2u, &of[PIECE * piece]);
+    for (int moves = 0; moves <= 1; moves++) {
+        const unsigned most = moves != 0 ? STROKE_TICKS : STILL_TICKS;
+        running();
+        for (unsigned k = 0; k <= 2u * most + 1u; k++) {
+            board.counts = 504 + (moves != 0 ? (int32_t)(k % 100u) : 0);
+            tick();
+            CHECK(board.pin == (k <= most ? 120 : -150));
+            if (k % 50u == 0u) {
+                send(RIG_KEEP, NULL, 0);
             }
         }
-        send_start(16, crc);
-        CHECK(refused(RIG_STROKES, RIG_E_PLAN) && !core.running);
-        ticks(3);
-        CHECK(board.pin == 0 && board.blocks == 0);
-        start(16, of); /* sent again, all of it */
+        ticks(2); /* the second stands still from its second tick on */
+        CHECK(board.pin == 0 && core.armed && core.running && core.fault == 0);
+        for (int32_t counts = 290; counts < 710; counts += 5) {
+            board.counts = counts;
+            tick();
+            send(RIG_KEEP, NULL, 0);
+            CHECK(board.pin == 0);
+        }
+        board.counts = 504;
+        send_drive(0);
+        start(4, TO_AND_FRO);
         CHECK(started());
+        tick();
+        CHECK(board.pin == 120);
     }
-    armed(1);
-    send_plan(16, of);
-    send_piece(PIECE, PIECE, &of[PIECE]); /* once more, late: no longer the next */
-    send_start(16, crc);
-    CHECK(started());
-
-    armed(1);
-    send_plan(3, UP_AND_DOWN);
-    send_start(3, (uint16_t)(checksum(3, UP_AND_DOWN) ^ 1u));
-    CHECK(refused(RIG_STROKES, RIG_E_PLAN));
-    send_start(2, checksum(2, UP_AND_DOWN));
-    CHECK(refused(RIG_STROKES, RIG_E_PLAN));
-    send_start(0, FRAME_CRC_START);
-    CHECK(refused(RIG_STROKES, RIG_E_PLAN));
-    send_start(3, checksum(3, UP_AND_DOWN));
-    CHECK(started());
-    send_drive(0);
-    send_start(3, checksum(3, UP_AND_DOWN)); /* the same plan again */
-    CHECK(started());
-    reset(&BOARD);
-    CHECK(core.strokes.n == 0);
-}
-
-static void test_pieces_that_are_none(void)
-{
-    static const unsigned cases[][2] = {{0, 0}, {0, PIECE + 1u}, {0, 255}, {3, 1}, {1, 3}, {255, 1}, {STROKES_MAX, 1}, {254, 7}};
-    for (unsigned c = 0; c < sizeof cases / sizeof cases[0]; c++) {
-        told_stroke of[PIECE] = {{120, 400, 700}};
-        armed(1);
-        send_piece(cases[c][0], cases[c][1], of);
-        CHECK(core.strokes.n == 0);
-    }
-    armed(1);
-    uint8_t body[PLAN_BODY - 1u] = {0, 1};
-    send(RIG_PLAN, body, sizeof body);
-    CHECK(refused(RIG_PLAN, RIG_E_LENGTH));
-    send(RIG_STROKES, body, 3);
-    CHECK(refused(RIG_STROKES, RIG_E_LENGTH));
 }
 
 static void test_when_it_may_not_start(void)
 {
     armed(1);
     send(RIG_STOP, NULL, 0);
-    start(3, UP_AND_DOWN);
+    start(4, TO_AND_FRO);
     CHECK(refused(RIG_STROKES, RIG_E_NOT_ARMED));
 
     armed(1);
     board.counts = LIMIT_HI + 5;
     send_arm();
-    start(3, UP_AND_DOWN);
+    start(4, TO_AND_FRO);
     CHECK(refused(RIG_STROKES, RIG_E_TRAVEL)); /* P6 */
 
     static const struct {
         told_stroke one;
         uint8_t code;
     } cases[] = {
-        {{MOST + 1, 100, 700}, RIG_E_DRIVE_RANGE},
-        {{-(MOST + 1), 100, 300}, RIG_E_DRIVE_RANGE},
-        {{-32768, 100, 300}, RIG_E_DRIVE_RANGE},
-        {{0, 100, 700}, RIG_E_SETUP},
-        {{100, 0, 700}, RIG_E_SETUP},
-        {{100, STROKE_TICKS_MAX + 1, 700}, RIG_E_SETUP},
-        {{100, 100, LIMIT_HI + 1}, RIG_E_SETUP},
-        {{-100, 100, LIMIT_LO - 1}, RIG_E_SETUP},
-        {{-100, 100, -0x7FFFFFFF}, RIG_E_SETUP},
+        {{MOST + 1, 700}, RIG_E_DRIVE_RANGE},
+        {{32767, 700}, RIG_E_DRIVE_RANGE},
+        {{0, 700}, RIG_E_SETUP},
+        {{-1, 700}, RIG_E_SETUP},
+        {{100, LIMIT_HI + 1}, RIG_E_SETUP},
+        {{100, LIMIT_LO - 1}, RIG_E_SETUP},
+        {{100, 0x7FFFFFFF}, RIG_E_SETUP},
+        {{100, -0x7FFFFFFF}, RIG_E_SETUP},
     };
     for (unsigned c = 0; c < sizeof cases / sizeof cases[0]; c++) {
-        for (unsigned at = 0; at < 9u; at += 4u) { /* in either piece */
-            told_stroke of[9];
-            for (unsigned i = 0; i < 9u; i++) {
-                of[i] = i == at ? cases[c].one : UP_AND_DOWN[i % 3u];
+        for (unsigned at = 0; at < STROKES_MAX; at++) {
+            told_stroke of[STROKES_MAX];
+            for (unsigned i = 0; i < STROKES_MAX; i++) {
+                of[i] = i == at ? cases[c].one : TO_AND_FRO[i % 4u];
+                of[i].drive *= i == at && i % 2u == 1u ? -1 : 1; /* the other way there */
             }
             armed(1);
-            start(9, of);
+            start(STROKES_MAX, of);
             CHECK(refused(RIG_STROKES, cases[c].code));
             ticks(3);
             CHECK(board.pin == 0 && core.armed && board.blocks == 0); /* refused, no more */
         }
     }
+    static const struct {
+        uint8_t at;
+        uint16_t value;
+        uint8_t bytes;
+    } fields[] = {{0, 0, 1}, {0, 1, 1},      {0, 3, 1}, {0, 10, 1},     {0, 255, 1}, {1, 0, 1},     {1, BLOCK_ROWS_MAX + 1u, 1},
+                  {2, 0, 2}, {2, 10001, 2}, {4, 0, 2}, {4, 0xFFFFu, 2}, {6, 0, 2}};
+    for (unsigned c = 0; c < sizeof fields / sizeof fields[0]; c++) {
+        uint8_t body[BODY];
+        armed(1);
+        fill(body, 4, TO_AND_FRO);
+        for (uint8_t i = 0; i < fields[c].bytes; i++) {
+            body[fields[c].at + i] = (uint8_t)((fields[c].value >> (8 * i)) & 0xFFu);
+        }
+        send(RIG_STROKES, body, BODY);
+        CHECK(refused(RIG_STROKES, RIG_E_SETUP) && !core.running);
+    }
+    uint8_t body[BODY];
     armed(1);
-    send_plan(3, UP_AND_DOWN);
-    uint8_t body[4] = {3, BLOCK_ROWS_MAX + 1u};
-    (void)put16(&body[2], checksum(3, UP_AND_DOWN));
-    send(RIG_STROKES, body, 4);
-    CHECK(refused(RIG_STROKES, RIG_E_SETUP));
-    body[1] = 0;
-    send(RIG_STROKES, body, 4);
-    CHECK(refused(RIG_STROKES, RIG_E_SETUP));
+    fill(body, 4, TO_AND_FRO);
+    send(RIG_STROKES, body, BODY - 1u);
+    CHECK(refused(RIG_STROKES, RIG_E_LENGTH));
 }
 
 /* What runs does not change: neither its plan nor its law. */
 static void test_nothing_changes_while_it_runs(void)
 {
-    static const told_stroke other = {-10, 9, 110};
+    static const told_stroke other[] = {{10, 800}, {-10, 200}};
     static const uint8_t gains[18] = {0};
     running();
     tick();
-    send_piece(0, 1, &other);
-    CHECK(core.strokes.n == 3 && core.strokes.plan[0].drive == 120);
-    send_start(3, checksum(3, UP_AND_DOWN));
-    CHECK(refused(RIG_STROKES, RIG_E_SETUP) && core.running);
+    start(2, other);
+    CHECK(refused(RIG_STROKES, RIG_E_SETUP) && core.running && core.strokes.setup.plan[0].drive == 120);
     send(RIG_RELAY, gains, 18);
     CHECK(refused(RIG_RELAY, RIG_E_SETUP) && core.running);
     tick();
@@ -276,18 +208,24 @@ static void test_nothing_changes_while_it_runs(void)
 
 static void test_keep_alone_keeps_it_running(void)
 {
-    static const told_stroke slow = {120, STROKE_TICKS_MAX, 700};
-    armed(1);
-    start(1, &slow);
+    running();
     for (int k = 0; k < 10; k++) {
-        ticks(WATCHDOG_TICKS - 1);
-        CHECK(board.pin == 120);
+        for (unsigned t = 0; t < WATCHDOG_TICKS - 2u; t++) {
+            board.counts = t % 2u == 0u ? 450 : 465;
+            tick();
+        }
+        CHECK(board.pin != 0);
         send(RIG_KEEP, NULL, 0);
+        board.counts = k % 2 == 0 ? 710 : 290; /* it turns */
+        tick();
     }
-    for (int k = 0; k < WATCHDOG_TICKS; k++) { /* nothing else counts, a new plan neither */
+    send(RIG_KEEP, NULL, 0);
+    for (int k = 0; k < WATCHDOG_TICKS; k++) { /* nothing else counts */
+        CHECK(board.pin != 0);
+        board.counts = k % 2 == 0 ? 450 : 465;
         send(RIG_READ, NULL, 0);
-        send_piece(0, 1, &slow);
-        send_start(1, checksum(1, &slow));
+        send(RIG_HELLO, NULL, 0);
+        start(4, TO_AND_FRO);
         CHECK(refused(RIG_STROKES, RIG_E_SETUP));
         tick();
     }
@@ -296,31 +234,20 @@ static void test_keep_alone_keeps_it_running(void)
     CHECK(last()->status == RIG_STATUS_FAULT && last()->fault == RIG_E_WATCHDOG && last()->drive[last()->n - 1] == 0);
 }
 
-/* Not even at 0 V, after its last stroke. */
-static void test_reading_keeps_nothing_after_the_last_stroke(void)
+/* Not even at 0 V, after two strokes that failed. */
+static void test_reading_keeps_nothing_after_it_has_failed(void)
 {
-    static const told_stroke brief = {120, 1, 700};
-    armed(1);
-    start(1, &brief);
+    running();
+    for (unsigned k = 0; k <= 2u * STILL_TICKS + 3u; k++) {
+        send(RIG_KEEP, NULL, 0);
+        tick();
+    }
+    CHECK(board.pin == 0 && core.running);
     for (int k = 0; k <= WATCHDOG_TICKS; k++) {
         send(RIG_READ, NULL, 0);
         tick();
     }
     CHECK(core.fault == RIG_E_WATCHDOG && !core.running);
-}
-
-/* A plan keeps no drive alive, and no armed device that stands at 0. */
-static void test_a_plan_is_no_voice(void)
-{
-    for (int units = 0; units <= 50; units += 50) {
-        armed(1);
-        send_drive(units);
-        for (int k = 0; k <= WATCHDOG_TICKS; k++) {
-            send_piece(0, 3, UP_AND_DOWN);
-            tick();
-        }
-        CHECK(board.pin == 0 && core.fault == RIG_E_WATCHDOG);
-    }
 }
 
 static void test_faults_end_it(void)
@@ -347,7 +274,7 @@ static void test_faults_end_it(void)
             board.inputs = 0;
             ticks(30);
             CHECK(board.pin == 0);
-            start(3, UP_AND_DOWN);
+            start(4, TO_AND_FRO);
             CHECK(refused(RIG_STROKES, cases[c].code)); /* P7 */
         }
     }
@@ -388,7 +315,8 @@ static void test_relay_and_strokes_in_turn(void)
         ticks(4);
         CHECK(board.pin == -160);
         send_drive(0);
-        start(3, UP_AND_DOWN);
+        board.counts = 504;
+        start(4, TO_AND_FRO);
         CHECK(started());
         ticks(4);
         CHECK(board.pin == 120);
@@ -397,15 +325,16 @@ static void test_relay_and_strokes_in_turn(void)
     }
 }
 
-/* A tick at any point of the main loop while it takes the plan or starts it: the tick never sees half of either. */
-static void test_a_tick_at_any_point_of_plan_and_start(void)
+/* A tick at any point of the main loop while it takes the request: the tick never sees half of a plan. */
+static void test_a_tick_at_any_point_of_the_start(void)
 {
     unsigned points = 0;
     for (unsigned at = 0; at <= points; at++) { /* first without */
         armed(1);
+        board.counts = 504;
         board.points = 0;
         board.tick_at = at;
-        start(3, UP_AND_DOWN);
+        start(4, TO_AND_FRO);
         points = at == 0 ? board.points : points;
         board.tick_at = 0;
         CHECK(started());
@@ -425,19 +354,16 @@ static void test_a_tick_at_any_point_of_plan_and_start(void)
 int main(void)
 {
     test_it_drives_each_stroke_to_its_turning_point();
+    test_the_reply_repeats_it();
     test_with_negative_polarity();
-    test_no_stroke_outlasts_its_time();
-    test_the_longest_plan();
-    test_pieces_that_got_lost_or_came_twice();
-    test_pieces_that_are_none();
+    test_a_stroke_that_does_not_turn();
     test_when_it_may_not_start();
     test_nothing_changes_while_it_runs();
     test_keep_alone_keeps_it_running();
-    test_reading_keeps_nothing_after_the_last_stroke();
-    test_a_plan_is_no_voice();
+    test_reading_keeps_nothing_after_it_has_failed();
     test_faults_end_it();
     test_stop_arm_and_drive_end_it();
     test_relay_and_strokes_in_turn();
-    test_a_tick_at_any_point_of_plan_and_start();
+    test_a_tick_at_any_point_of_the_start();
     return report("rig_strokes");
 }
