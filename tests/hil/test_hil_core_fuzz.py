@@ -21,8 +21,9 @@ DEFECTS = {
     "code that points past the end": ("frames.c", "code - 1u > (uint8_t)(n - in)", "false"),
     "P1 armed without set-up": ("rig_core.c", "if (!core->has_setup)", "if (false)"),
     "P1 drives without being armed": ("rig_core.c", "core->fault = RIG_E_NOT_ARMED;", "act(core, units);"),
-    "P2 any negative drive": ("rig_core.c", "if (units > most || units < -most)", "if (units > most)"),
-    "P2 any drive of the relay": ("rig_core.c", "wanted->drive[i] < -most", "false"),
+    "P2 any negative drive": ("rig_core.c", "units > most || units < -most", "units > most"),
+    "P2 any drive of the relay": ("rig_core.c", "is_too_much(core, wanted->drive[i])", "false"),
+    "P2 any drive of a stroke": ("rig_core.c", "is_too_much(core, one->drive)", "false"),
     "P3 no watchdog": ("rig_core.c", "latch(core, RIG_E_WATCHDOG);", ""),
     "P3 counts from when the core looks": (
         "rig_core.c",
@@ -89,6 +90,11 @@ DEFECTS = {
         "    hold(core);\n    blocks_sent(&core->blocks); /* all of it is in the packet */\n    release(core);",
         "    blocks_sent(&core->blocks);",
     ),
+    "P12 a stroke without an end": ("strokes.c", "s->driven > s->setup.stroke_ticks", "false"),
+    "P12 a reading that stands still for ever": ("strokes.c", "is_still || ", ""),
+    "P12 strokes that fail and go on": ("strokes.c", "s->failed++;", ""),
+    "a stroke beyond a limit": ("rig_core.c", "one->turn > core->setup.hard_hi", "false"),
+    "two strokes the same way": ("strokes.c", "wants_positive ? drive <= 0 : drive >= 0", "drive == 0"),
     "relay without a bound": ("relay.c", "if (value > bound)", "if (false)"),
     "one row too many": ("blocks.c", "now->n >= b->rows", "now->n > b->rows"),
 }

@@ -22,7 +22,7 @@ from rig.backends.emulated.bench import bench_parameters
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.frames import (
-    STATUS_RELAY,
+    STATUS_LAW,
     Block,
     Code,
     FrameReader,
@@ -130,9 +130,9 @@ def test_what_stops_a_drive_stops_the_relay_within_two_ticks(
         host.wait(0.05)
         numbers, blocks = zip(*told_blocks(host), strict=True)
         assert list(numbers) == list(range(len(numbers)))
-        assert blocks[-1].fault == code and not blocks[-1].status & STATUS_RELAY
+        assert blocks[-1].fault == code and not blocks[-1].status & STATUS_LAW
         assert blocks[-1].rows[-1][1] == 0  # the row of the tick that stopped it
-        assert all(b.status & STATUS_RELAY and b.fault == 0 for b in blocks[:-1])
+        assert all(b.status & STATUS_LAW and b.fault == 0 for b in blocks[:-1])
         assert host.pin_V() == 0.0
 
 

@@ -96,7 +96,7 @@ class RelayStream:
     @property
     def ended(self) -> bool:
         """Whether the last block of the run has come."""
-        return self.last is not None and not self.last.status & frames.STATUS_RELAY
+        return self.last is not None and not self.last.status & frames.STATUS_LAW
 
     def take(self, packet: Packet, now_s: float) -> bool:
         """Take a packet of kind BLOCK; False if it is a repeated one.
