@@ -7,7 +7,8 @@ the config; in meta.json the script and the drive's units; as events the models 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,11 +22,15 @@ from rig.control.breakaway import BreakawayLaw
 from rig.control.breakaway_one_way import OneWayCheck
 from rig.control.guard import Guard
 from rig.control.law import OwnLaw, Timed
+from rig.control.strokes import Stroke
 from rig.control.sweep_plan import SweepPlan
 from rig.control.sweeps import CrudeMotor, SweepLoop, Sweeps
+from rig.design.advisor import Advice, AdvisorSettings
+from rig.design.planned_test import Design, PlannedTest, Reach, RelayGains, Strokes
 from rig.experiment import BREAKAWAY_LAW, configured_law, stages
 from rig.experiment.survey import survey, sweep
 from rig.experiment.thorough import test_once_more
+from rig.experiment.until import drive_until
 from rig.faults import FAULTS, Fault
 from rig.loop.recorded import RecordedClock, RecordedDriver, ReplayLoop, RowComparison
 from rig.loop.replayed_rows import OF_GUARD, Difference, Diverged, RecordEnds, ReplayedRows
@@ -41,13 +46,17 @@ from rig.recording.reader import read_run
 from rig.recording.recording import Recording
 from rig.recording.writer import EVENTS
 from rig.results import (
+    Decided,
     DrivenModel,
+    DrivenStroke,
     DrivenSurvey,
     DrivenSweep,
     FurtherTest,
     JsonObject,
+    KnownModel,
     Part,
     RealTimeReport,
+    RunEvent,
     RunMeta,
     ScriptCall,
 )
@@ -242,6 +251,13 @@ def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
         raise _unknown(recording, "script", None)
     drive: Script
     match what.name:
+        case "run" | "relay" if e.relay.until is not None:
+            drive = partial(
+                drive_until,
+                known=_known(recording),
+                check=_breakaway_law(recording, what, e),
+                advisers=RecordedAdvice(_decisions(recording)),
+            )
         case "run" | "relay":
             drive = partial(stages.drive_tests, check=_breakaway_law(recording, what, e))
         case "survey":
@@ -270,6 +286,70 @@ def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
             stages.track(session, models, further_delay_s)
 
     return script
+
+
+class RecordedAdvice:
+    """The decisions of a run's advisers, as its events tell them, each after the row at which it took effect."""
+
+    trouble = ""
+
+    def __init__(self, decisions: Mapping[int, Advice]) -> None:
+        self._decisions = decisions
+
+    def begin(self, settings: AdvisorSettings) -> None:
+        """As ``Advisers``: there is nothing to know."""
+
+    def advice(self, row: int, t_s: float) -> Advice | None:
+        """As ``Advisers``."""
+        return self._decisions.get(row)
+
+    def braked(self) -> None:
+        """As ``Advisers``: the decisions that follow know it."""
+
+
+def _decisions(recording: Recording) -> dict[int, Advice]:
+    """The decisions by advice, by their rows."""
+    found: dict[int, Advice] = {}
+    strokes: list[Stroke] = []
+    for event in recording.events:
+        if event.kind == "stroke":
+            one = _parsed(recording, event, DrivenStroke)
+            strokes.append(Stroke(one.u_V, one.turn_rad))
+        elif event.kind == "decided":
+            decided = _parsed(recording, event, Decided)
+            if decided.by == "advice":
+                try:
+                    found[decided.row] = _advice(decided, tuple(strokes))
+                except ValueError as error:
+                    raise _broken_event(recording, event, error) from error
+            strokes.clear()
+    return found
+
+
+def _advice(decided: Decided, strokes: tuple[Stroke, ...]) -> Advice:
+    """A decision as advice. Raises ValueError where its event lacks a number."""
+    test: PlannedTest
+    if decided.what == "stop":
+        return Advice(None, stop=decided.why)
+    if decided.what == "relay" and decided.h1_V is not None and decided.h2_V is not None:
+        test = RelayGains(decided.h1_V, decided.h2_V)
+    elif decided.what == "strokes" and decided.longest_stroke_s is not None:
+        test = Strokes(strokes, decided.longest_stroke_s)
+    else:
+        raise ValueError(f"what is decided is {decided.what!r}")
+    return Advice(None, Design(test, math.nan, math.nan, Reach(math.nan, math.nan, math.nan)))
+
+
+def _known(recording: Recording) -> FramedMotor | None:
+    """The model that the run began with; None if it knew none."""
+    for event in recording.events:
+        if event.kind == "known":
+            known = _parsed(recording, event, KnownModel)
+            try:
+                return FramedMotor.of(known.numbers)
+            except ValueError as error:
+                raise _broken_event(recording, event, error) from error
+    return None
 
 
 def _users_law(recording: Recording, what: ScriptCall, e: Experiment, own: OwnLaw | None) -> Timed:
@@ -358,10 +438,18 @@ def _sweeps(recording: Recording, e: Experiment) -> Sweeps | None:
 
 def _events(recording: Recording, kind: str, part: type[_P]) -> list[_P]:
     """The events of one kind. Raises RecordingError where one is broken."""
+    return [_parsed(recording, event, part) for event in recording.events if event.kind == kind]
+
+
+def _parsed(recording: Recording, event: RunEvent, part: type[_P]) -> _P:
     try:
-        return [parsed(part, event.detail) for event in recording.events if event.kind == kind]
+        return parsed(part, event.detail)
     except (DamagedError, ValueError) as error:
-        raise RecordingError(recording.source / EVENTS, f"event {kind} is broken ({error})", _RECORD_AGAIN) from error
+        raise _broken_event(recording, event, error) from error
+
+
+def _broken_event(recording: Recording, event: RunEvent, error: Exception) -> RecordingError:
+    return RecordingError(recording.source / EVENTS, f"event {event.kind} is broken ({error})", _RECORD_AGAIN)
 
 
 def _meta_with(recording: Recording, *names: str) -> RunMeta:

@@ -17,6 +17,7 @@ from rig.config import Experiment
 from rig.config.sensor import full_range_rad
 from rig.control.breakaway import BreakawayLaw
 from rig.control.excitation import GainSearch, SettledCycle
+from rig.control.rising_gains import RisingGains
 from rig.faults import Fault
 from rig.identify import Identification
 from rig.identify.departures import DEPARTURES
@@ -41,6 +42,7 @@ from rig.results import (
     ScriptCall,
     SearchStepResult,
     SensorBelieved,
+    StoppedResult,
     SupplyBelieved,
     TrackingResult,
     TrueLaw,
@@ -61,13 +63,14 @@ class Findings:
     models_from     another run whose models are driven
     tracking        by method; an empty one has come to its end, but nobody has measured its error yet
     real_motors     by method, the models with laws that tracked
+    stopped         why the tests of `relay.until` ended
     shaft           where the emulated shaft really was, in the bench's own time and radians; None if nobody knows
     notes           what else there is to know, in words
     """
 
     real_time: RealTimeReport | None = None
     breakaway: BreakawayLaw | None = None
-    search: GainSearch | None = None
+    search: GainSearch | RisingGains | None = None
     gains_V: tuple[tuple[float, float], ...] = ()
     further_gains_V: tuple[float, float] | None = None
     cycle: SettledCycle | None = None
@@ -77,6 +80,7 @@ class Findings:
     tracking: dict[str, TrackingResult] = field(default_factory=dict)
     real_motors: dict[str, FramedMotor] = field(default_factory=dict)
     shaft: ShaftPath | None = None
+    stopped: StoppedResult | None = None
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -156,6 +160,7 @@ def run_result(
         **({} if own is None or own.motor_law is None else own.motor_law.as_result().law_keys()),
         jog=found.jog,
         search=None if found.search is None else _search(found.search),
+        stopped=found.stopped,
         truth=true_motor(bench),
     )
 
@@ -272,7 +277,7 @@ def _breakaway(check: BreakawayLaw, own: Identification | None) -> BreakawayResu
     return seen.model_copy(update={name: getattr(static, name) for name in type(static).model_fields})
 
 
-def _search(search: GainSearch) -> tuple[SearchStepResult, ...]:
+def _search(search: GainSearch | RisingGains) -> tuple[SearchStepResult, ...]:
     return tuple(
         SearchStepResult(
             t_s=step.t_s,

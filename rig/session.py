@@ -39,6 +39,7 @@ from rig.signals import BenchDelay
 
 Array = NDArray[np.float64]
 
+MOST_TESTS = 40  # designed tests of one run
 FADE_S = 1.5  # of the tracking reference; errors count after it
 SHAFT_GAP_S = 0.02  # by which the path of an emulated shaft may be shorter than the rows
 _LONG_GAP_S = 0.1  # between two readings of a device that latches no e-stop
@@ -237,7 +238,7 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
     if session.found.identification is None:
         try:
             recording = session.read()
-            if any(Stage.parse(stage).is_relay_test for stage in recording.stages()):
+            if any(Stage.parse(stage).is_test for stage in recording.stages()):
                 session.found.identification = identify([recording])
         except (IdentifyError, RecordingError) as error:
             session.found.notes.append(f"{NOTHING_TO_IDENTIFY}: {error.cause}")
@@ -335,6 +336,9 @@ def _supply(experiment: Experiment, bench: Bench) -> SupplyReading:
 def _stages(experiment: Experiment) -> list[str]:
     """Every stage that a run can record."""
     relays = [str(Stage.relay(number)) for number in range(1, 5)]
+    if experiment.relay.until is not None:
+        kinds = (Stage.relay, Stage.strokes)
+        relays = [str(kind(number)) for number in range(1, MOST_TESTS + 2) for kind in kinds]
     if experiment.relay.hysteretic is not None:
         runs = range(1, len(experiment.relay.hysteretic) + 1)
         relays += [str(StageKind.HOMING), *(str(Stage.hysteretic(number)) for number in runs)]

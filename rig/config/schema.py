@@ -10,7 +10,15 @@ import re
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args
 
-from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from rig.backends.modbus.section import ModbusKeys
 from rig.backends.serial.section import SerialKeys
@@ -262,6 +270,9 @@ class Hysteretic(_Section):
         return d_V
 
 
+_WITHOUT_UNTIL = ("target", "gains", "cycles", "second_ratio")
+
+
 class RelayTarget(_Section):
     """The limit cycle that the gain search aims for."""
 
@@ -283,9 +294,27 @@ class GainSearchSection(_Section):
     timeout_s: Positive = Field(90.0, description="longest search")
 
 
-class RelaySection(_Section):
-    """The relay experiment: gains given, or searched for a target; or, or besides, runs of a hysteretic relay."""
+class UntilSection(_Section):
+    """The tests end when the answer is known, and at the latest by two bounds (docs/until.md)."""
 
+    interval_percent: Annotated[float, Field(ge=0.1, le=20.0)] = Field(
+        1.0, description="half width of the 95 % interval of each of tau, K and f_c, in % of its value"
+    )
+    longest_s: Annotated[float, Field(ge=5.0, le=3600.0)] = Field(
+        60.0, description="the tests end after this time at the latest, whatever is known; the breakaway check is apart"
+    )
+    most_cycles: Annotated[int, Field(ge=3, le=10_000)] = Field(60, description="or after so many swings to and fro")
+    model_doubt_percent: Annotated[float, Field(gt=0.0, le=100.0)] = Field(
+        30.0, description="how far a model that `rig run --model` gives may be off, in % (one standard deviation)"
+    )
+
+
+class RelaySection(_Section):
+    """The relay experiment: `until` the motor is known, for a target, or with given gains; or hysteretic runs."""
+
+    until: UntilSection | None = Field(
+        None, description="start without a target, and drive the tests that tell most until the answer is known"
+    )
     target: RelayTarget | None = Field(None, description="search gains that give this limit cycle; or give `gains`")
     gains: Annotated[tuple[RelayGainsSection, ...], Field(min_length=1, max_length=4)] | None = Field(
         None, description="one relay test for each pair; without it the gains are searched"
@@ -321,11 +350,33 @@ class RelaySection(_Section):
 
     @model_validator(mode="after")
     def _what_to_run(self) -> Self:
+        if self.until is not None:
+            given = [f"`{key}`" for key in _WITHOUT_UNTIL if key in self.model_fields_set and getattr(self, key)]
+            if given:
+                raise ValueError(f"`until` chooses its tests by itself: remove {' and '.join(given)}")
+            return self
         if self.target is not None and self.gains is not None:
             raise ValueError("give either `target` (gains are searched) or `gains`, not both")
         if self.target is None and self.gains is None and self.hysteretic is None:
-            raise ValueError("give `target` (gains are searched), `gains`, or `hysteretic` (for least squares)")
+            raise ValueError(
+                "give `until` (the tests end when the answer is known), `target` (gains are searched), `gains`, or "
+                "`hysteretic` (for least squares)"
+            )
         return self
+
+    @model_serializer(mode="wrap")
+    def _without_what_until_replaces(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A dump loads back: it has no defaults of keys that ``until`` excludes."""
+        written: dict[str, Any] = serialise(self)
+        if self.until is not None:
+            for key in _WITHOUT_UNTIL:
+                written.pop(key, None)
+        return written
+
+    @property
+    def has_tests(self) -> bool:
+        """Whether there are tests of the dual-channel relay, and not hysteretic runs alone."""
+        return self.until is not None or self.target is not None or self.gains is not None
 
 
 class SurveySection(_Section):
@@ -340,7 +391,7 @@ class SurveySection(_Section):
 
 
 def _identified(stage: str) -> str:
-    if not re.fullmatch(r"breakaway|search|survey|relay-[1-9][0-9]?", stage):
+    if not re.fullmatch(r"breakaway|search|survey|(relay|strokes)-[1-9][0-9]?", stage):
         raise ValueError(f"identification reads no stage {stage!r}: give breakaway, search, relay-1, relay-2, ...")
     return stage
 

@@ -76,7 +76,7 @@ class Relay(Protocol):
 R = TypeVar("R", bound=Relay)
 
 
-class _RelayLaw(Generic[R]):
+class RelayLaw(Generic[R]):
     """A law that runs the shared relay and watches its cycle.
 
     ahead_s   how far ahead the relay takes the position, s: by the velocity, where drives act that much too late. Its
@@ -105,7 +105,7 @@ class _RelayLaw(Generic[R]):
         return u_V, cycle is not None
 
 
-class GainSearch(_RelayLaw[DualChannelRelay]):
+class GainSearch(RelayLaw[DualChannelRelay]):
     """Raise h2 until a cycle is accepted, then trim h1 and h2 to an amplitude and a period (docs/theory.md 4.2).
 
     relay, detector  shared with the relay tests that follow, so that the cycle goes on
@@ -294,7 +294,7 @@ class GainSearch(_RelayLaw[DualChannelRelay]):
         return h1, h2
 
 
-class RelayTest(_RelayLaw[Relay]):
+class RelayTest(RelayLaw[Relay]):
     """Run the relay at fixed gains until ``cycles`` settled periods have passed.
 
     Once finished, settled_start_s and settled_end_s are the times between which they lie. Raises Fault NO_CYCLE if

@@ -16,9 +16,13 @@ class Law(Protocol):
     z_rad_s (integral of the position) and yd_rad (reference) are recorded beside the drive; nan if the law has none.
     """
 
-    finished: bool
     z_rad_s: float
     yd_rad: float
+
+    @property
+    def finished(self) -> bool:
+        """Whether the law has ended."""
+        ...
 
     def step(self, sample: Sample) -> float:
         """Drive for this sample, V. Raises Fault if the law finds something wrong with the bench."""

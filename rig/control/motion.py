@@ -64,6 +64,42 @@ class Standstill:
         )
 
 
+class Swings:
+    """The turning points of a shaft that goes to and fro; noise makes none.
+
+    least_rad      a way back shorter than this is no turn
+
+    count          turning points so far
+    half_way_rad   half of the way between the last two turning points, rad; nan before the second
+    """
+
+    def __init__(self, least_rad: float) -> None:
+        self.least_rad = least_rad
+        self.count = 0
+        self.half_way_rad = math.nan
+        self._low_rad, self._high_rad = math.inf, -math.inf  # since the last turning point
+        self._way = 0
+        self._last_turn_rad = math.nan
+
+    def step(self, y_rad: float) -> bool:
+        """Take a reading. Returns whether it shows that the shaft has turned."""
+        self._low_rad, self._high_rad = min(self._low_rad, y_rad), max(self._high_rad, y_rad)
+        fallen, risen = self._high_rad - y_rad, y_rad - self._low_rad
+        if self._way == 0:
+            if max(fallen, risen) >= self.least_rad:
+                self._way = 1 if risen > fallen else -1
+            return False
+        turned = (fallen if self._way > 0 else risen) >= self.least_rad
+        if turned:
+            turn_rad = self._high_rad if self._way > 0 else self._low_rad
+            self.half_way_rad = 0.5 * abs(turn_rad - self._last_turn_rad)
+            self._last_turn_rad = turn_rad
+            self._low_rad = self._high_rad = y_rad
+            self._way = -self._way
+            self.count += 1
+        return turned
+
+
 class Gain:
     """The speed that a lasting drive has given the shaft. The shaft keeps it while the drive lasts.
 

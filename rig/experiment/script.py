@@ -23,8 +23,10 @@ from rig.experiment.stages import (
 )
 from rig.experiment.survey import survey
 from rig.experiment.thorough import tell_apart
+from rig.experiment.until import drive_until
 from rig.faults import Fault
 from rig.identify import Identification
+from rig.model.real_motor import FramedMotor
 from rig.preflight.survey_room import expected_sweeps
 from rig.results import ScriptCall
 from rig.session import OnStart, Outcome, Session, record
@@ -32,18 +34,25 @@ from rig.session import OnStart, Outcome, Session, record
 BREAKAWAY_LAW = "balanced pairs"  # in meta.json, so that a replay knows which law ran
 
 
-def run(experiment: Experiment, parent: Path, on_start: OnStart | None = None, again: Bench | None = None) -> Outcome:
+def run(
+    experiment: Experiment,
+    parent: Path,
+    on_start: OnStart | None = None,
+    again: Bench | None = None,
+    known: FramedMotor | None = None,
+) -> Outcome:
     """The whole experiment; if the config has a section `law`: the breakaway check and that law.
 
     parent    folder in which the run folder is made
     on_start  called once with the run folder and the first notes
     again     a bench that the same command has opened already
+    known     with `relay.until`: the motor, as far as an earlier run knows it
     """
     if experiment.law is not None:
         return run_law(experiment, configured_law(experiment.law), parent, on_start, again)
 
     def script(session: Session) -> None:
-        drive_tests(session)
+        _drive_tests(session, known)
         identify_recorded(session)
         if experiment.identify.thorough:
             tell_apart(session)
@@ -109,7 +118,7 @@ def run_relay(experiment: Experiment, parent: Path, on_start: OnStart | None = N
     """Breakaway, gain search and relay tests, then identification; no tracking."""
 
     def script(session: Session) -> None:
-        drive_tests(session)
+        _drive_tests(session)
         identify_recorded(session)
 
     return record(experiment, parent, _named("relay"), script, on_start)
@@ -167,6 +176,13 @@ def jog(
         drive_by_hand(session, u_V, duration_s)
 
     return record(experiment, parent, ScriptCall(name="jog", u_V=u_V, duration_s=duration_s), script, on_start)
+
+
+def _drive_tests(session: Session, known: FramedMotor | None = None) -> None:
+    if session.experiment.relay.until is None:
+        drive_tests(session)
+    else:
+        drive_until(session, known)
 
 
 def _named(script: str) -> ScriptCall:

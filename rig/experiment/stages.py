@@ -54,14 +54,14 @@ HYSTERETIC_TIMEOUT_S = 10.0  # for each
 
 def drive_tests(session: Session, check: BreakawayLaw | None = None) -> None:
     """Breakaway check, relay tests and hysteretic runs: all that is identified; ``check`` as ``check_breakaway``."""
-    with _checked(session, check):
+    with checked(session, check):
         test_relays(session)
         test_hysteretic(session)
 
 
 def drive_one_test(session: Session, check: BreakawayLaw | None = None) -> None:
     """Breakaway check and the first relay test: what a survey needs; ``check`` as ``check_breakaway``."""
-    with _checked(session, check):
+    with checked(session, check):
         test_relays(session, most=1)
 
 
@@ -73,7 +73,7 @@ def drive_check(session: Session, check: BreakawayLaw | None = None) -> None:
 
 def drive_law(session: Session, law: Timed, check: BreakawayLaw | None = None) -> None:
     """A law of a user's own, from rest, after the breakaway check; ``check`` as ``check_breakaway``."""
-    with _checked(session, check):
+    with checked(session, check):
         session.note("law", name=law.name, duration_s=law.duration_s)
         session.loop.run(law, str(StageKind.LAW))
         session.loop.run(Rest(REST_S), "rest")
@@ -100,7 +100,7 @@ def driving(session: Session) -> Iterator[None]:
 
 
 @contextmanager
-def _checked(session: Session, check: BreakawayLaw | None) -> Iterator[None]:
+def checked(session: Session, check: BreakawayLaw | None) -> Iterator[None]:
     """As ``driving``, after the breakaway check, which arms the device with its own watchdog time."""
     with _prepared(session):
         _armed_check(session, check)
@@ -263,7 +263,7 @@ def test_relays(session: Session, most: int | None = None) -> None:
     e = session.experiment
     if e.relay.gains is None and e.relay.target is None:
         return
-    relay, detector = _relay_and_detector(e)
+    relay, detector = relay_and_detector(e)
     if e.relay.gains is not None:
         gains_V = [(g.h1_V, g.h2_V) for g in e.relay.gains]
         expected_period_s = None
@@ -278,14 +278,15 @@ def test_relays(session: Session, most: int | None = None) -> None:
 
 def test_further(session: Session, pair_V: tuple[float, float]) -> None:
     """One more relay test, from rest, at another amplitude than the tests before it; then let the shaft rest."""
-    relay, detector = _relay_and_detector(session.experiment)
+    relay, detector = relay_and_detector(session.experiment)
     number = len(session.found.gains_V) + 1
     period_s = None if session.found.cycle is None else session.found.cycle.period_s
     _test_relay(session, relay, detector, (number, pair_V), period_s)
     _end_relay_tests(session, relay)
 
 
-def _relay_and_detector(e: Experiment) -> tuple[DualChannelRelay, CycleDetector]:
+def relay_and_detector(e: Experiment) -> tuple[DualChannelRelay, CycleDetector]:
+    """The relay, without gains yet, and what finds its cycles."""
     detector = CycleDetector(min_period_s=30.0 * e.period_s, min_amplitude_rad=20.0 * e.sensor.curve.lsb_rad)
     return DualChannelRelay(0.0, 0.0, _integral_bound_rad_s(e)), detector
 
@@ -594,6 +595,9 @@ def _tracking_law(session: Session, motor: Motor | FramedMotor, further_delay_s:
 
 def _integral_bound_rad_s(e: Experiment) -> float:
     """Bound on the relay's integral: four times the largest |z| of any cycle to expect."""
+    if e.relay.until is not None:
+        # a cycle that fills the soft limits takes ten time constants at most
+        return 4.0 * reach_rad(e) * 10.0 * e.limits.coast_tau_s / 6.28
     if e.relay.target is not None:
         # a sine of the wanted period that fills the soft limits
         return 4.0 * reach_rad(e) * e.relay.target.period_s / 6.28

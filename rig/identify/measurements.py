@@ -118,7 +118,7 @@ def _cycle(test: TimeSeries, data: Measurements) -> Cycle | None:
     except IdentifyError as error:
         data.complaints.append(error)
         data.notes.append(f"{error.cause}: no cycle is averaged from it")
-        if test.stage is not None and test.stage.is_relay_test:
+        if test.stage is not None and test.stage.is_test:
             data.unsettled.append(test.name)
         return None
     data.notes += [f"{test.name}: {note}" for note in cycle.notes]
@@ -197,7 +197,7 @@ def _tests_of(recording: Recording, name: str, gone: Collection[str]) -> list[st
     Raises IdentifyError if there are none.
     """
     stages = recording.stages()
-    relays = [stage for stage in stages if Stage.parse(stage).is_relay_test]
+    relays = [stage for stage in stages if Stage.parse(stage).is_test]
     searches = [stage for stage in stages if kind_of(stage) is StageKind.SEARCH] if not relays else []
     kept = [stage for stage in relays or searches if stage not in gone]
     if kept:

@@ -7,17 +7,24 @@ coloured noise is an Ornstein-Uhlenbeck process: a random walk for a long memory
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rig.recording.recording import Recording
+from rig.recording.stage import StageKind
 
 Array = NDArray[np.float64]
 
 NEEDED = 8.0  # twice the gain of log likelihood from which on noise counts as coloured
 GRID = 7  # points of each axis, memory and size, in each round of the search
 ROUNDS = 4
+LEAST_PAUSE_ROWS = 6
+COASTS = 3.0  # times the median variance of all pauses
 
 
 @dataclass(frozen=True)
@@ -88,6 +95,44 @@ def noise_of(residual: Array, t_s: Array, lengths: Sequence[int]) -> Noise:
     if -best < NEEDED:
         return WHITE
     return Noise(float(np.exp(centre[0])), float(np.exp(centre[1])))
+
+
+class RestNoise(NamedTuple):
+    """Noise of a reading at rest.
+
+    std_rad  standard deviation, rad
+    error    its standard error, as a share of it
+    """
+
+    std_rad: float
+    error: float
+
+
+def noise_at_rest(recording: Recording) -> RestNoise:
+    """The noise of all pauses before the first test: the breakaway check's, and the rests around it.
+
+    A pause is rows without drive. Of each the last two thirds count, from ``LEAST_PAUSE_ROWS`` on, and a steady creep
+    does not. Pauses in which the shaft still coasted are left out: their variance is far above the others'.
+    Raises ValueError if there is no pause.
+    """
+    early = np.isin(recording.stage, (str(StageKind.REST), str(StageKind.BREAKAWAY)))
+    rests = early & (recording.u_V == 0.0)
+    edges = np.flatnonzero(np.diff(rests.astype(np.int8), prepend=0, append=0))
+    powers: list[tuple[int, float]] = []  # degrees of freedom, sum of squares
+    for first, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        begin = first + (stop - first) // 3
+        if stop - begin >= LEAST_PAUSE_ROWS:
+            y, x = recording.y_rad[begin:stop], np.arange(stop - begin, dtype=float)
+            x -= x.mean()
+            y = y - y.mean()
+            y = y - x * float(x @ y) / float(x @ x)
+            powers.append((y.size - 2, float(y @ y)))
+    if not powers:
+        raise ValueError("the noise at rest needs a pause before the first test")
+    typical = float(np.median([power / freedom for freedom, power in powers]))
+    kept = [(freedom, power) for freedom, power in powers if power <= COASTS * freedom * typical]
+    freedom = sum(one for one, _ in kept)
+    return RestNoise(math.sqrt(sum(power for _, power in kept) / freedom), 1.0 / math.sqrt(2.0 * freedom))
 
 
 def _starts(lengths: Sequence[int]) -> NDArray[np.int64]:

@@ -25,7 +25,7 @@ LATE_TICKS = 2  # a fault of the sensor or the drive is found within the longest
 
 def names_of(recording: Recording) -> list[str]:
     """Names of the stages that identification reads: the relay tests, and the records beside them."""
-    return [name for name in recording.stages() if Stage.parse(name).is_relay_test or kind_of(name) in FURTHER]
+    return [name for name in recording.stages() if Stage.parse(name).is_test or kind_of(name) in FURTHER]
 
 
 def require_known(recordings: Sequence[Recording], without: Sequence[str]) -> None:

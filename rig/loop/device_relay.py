@@ -35,6 +35,7 @@ class DeviceRelay:
         self._driver: RelayDriver | None = None  # while it drives
         self._tick_s = math.nan
         self._last_row_s = math.nan
+        self.rows = 0  # recorded so far
         self._untaken: deque[RelayRow] = deque()  # rows that have come and are not recorded yet
 
     def start(self, driver: RelayDriver, command: RelayCommand) -> None:
@@ -109,5 +110,6 @@ class DeviceRelay:
         self._last_row_s = sample.t_s
         self._statistics.device_tick(tick_s, missed)
         flags = FLAG_SKIPPED if missed else 0
+        self.rows += 1
         self._record.sample(tick, sample, stage, z_rad_s, yd_rad, row.u_V, math.nan, math.nan, flags)
         self._record.complete(self._since_start_s(row.t_u_s), row.u_V)

@@ -300,7 +300,12 @@ class _AskedDrive:
     def __init__(self, law: Law, replayed: ReplayedRows) -> None:
         self._law = law
         self._replayed = replayed
-        self._copy_state()
+        self.z_rad_s, self.yd_rad = law.z_rad_s, law.yd_rad
+
+    @property
+    def finished(self) -> bool:
+        """Whether the law has ended, or was ended between two steps."""
+        return self._law.finished
 
     def step(self, sample: Sample) -> float:
         """The law's drive, V."""
@@ -308,12 +313,9 @@ class _AskedDrive:
         try:
             u_V = self._law.step(sample)
         finally:
-            self._copy_state()
+            self.z_rad_s, self.yd_rad = self._law.z_rad_s, self._law.yd_rad
         self._replayed.asked_V = u_V
         return u_V
-
-    def _copy_state(self) -> None:
-        self.finished, self.z_rad_s, self.yd_rad = self._law.finished, self._law.z_rad_s, self._law.yd_rad
 
 
 def _same(a: float, b: float) -> bool:

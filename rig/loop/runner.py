@@ -60,6 +60,7 @@ class Loop:
         self._last_t_s = math.nan
         self._newest_t_s = -math.inf  # of any row
         self._relay = DeviceRelay(guard, record, self.statistics, self._since_start_s)
+        self._rows = 0  # of the loop itself
         self.unconfirmed_stops = 0  # stops that the device did not confirm: its watchdog has to stop the drive
         self.latency_s = 0.0  # from sample to effect of the drive, smoothed
 
@@ -71,6 +72,11 @@ class Loop:
     def now_s(self) -> float:
         """Time since the run's start, s."""
         return self._clock.now_s() - self._t0_s
+
+    @property
+    def rows(self) -> int:
+        """Rows recorded so far, those of a relay in the device too."""
+        return self._rows + self._relay.rows
 
     def expect_delay(self, reported_s: float) -> None:
         """Take the delay from a sample to its drive, as the device reports it, s: it may be many ticks."""
@@ -221,6 +227,7 @@ class Loop:
         self._last_t_s, self.last_y_rad = sample.t_s, sample.y_rad
         if self._skipped:
             flags |= FLAG_SKIPPED
+        self._rows += 1
         self._record.sample(self._tick, sample, stage, law.z_rad_s, law.yd_rad, u_V, late_us, io_us, flags)
 
     def _await_tick(self) -> tuple[float, float]:

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
-_NUMBERED = re.compile(r"(relay|hysteretic)-(.*)")
+_NUMBERED = re.compile(r"(relay|strokes|hysteretic)-(.*)")
 _TRACKING = "track:"
 
 
@@ -18,6 +18,7 @@ class StageKind(StrEnum):
     BREAKAWAY = "breakaway"
     SEARCH = "search"
     RELAY = "relay"
+    STROKES = "strokes"
     HOMING = "homing"
     HYSTERETIC = "hysteretic"
     SURVEY = "survey"
@@ -31,7 +32,7 @@ class StageKind(StrEnum):
 _PLAIN = {
     str(kind): kind
     for kind in StageKind
-    if kind not in (StageKind.RELAY, StageKind.HYSTERETIC, StageKind.TRACK, StageKind.OTHER)
+    if kind not in (StageKind.RELAY, StageKind.STROKES, StageKind.HYSTERETIC, StageKind.TRACK, StageKind.OTHER)
 }
 
 
@@ -41,7 +42,7 @@ class Stage:
 
     name    as in the column: ``relay-2``, ``track:sampled-data``
     kind    its kind
-    number  of a relay test or a hysteretic run, from 1; None for other kinds, and if the name has no number
+    number  of a relay test, a stroke test or a hysteretic run, from 1; None for other kinds, and without a number
     method  the estimator whose model a tracking run uses; empty for other kinds
     """
 
@@ -67,6 +68,11 @@ class Stage:
         return cls(f"{StageKind.RELAY}-{number}", StageKind.RELAY, number)
 
     @classmethod
+    def strokes(cls, number: int) -> Stage:
+        """A stroke test, numbered from 1."""
+        return cls(f"{StageKind.STROKES}-{number}", StageKind.STROKES, number)
+
+    @classmethod
     def hysteretic(cls, number: int) -> Stage:
         """A run of a hysteretic relay, numbered from 1."""
         return cls(f"{StageKind.HYSTERETIC}-{number}", StageKind.HYSTERETIC, number)
@@ -77,9 +83,9 @@ class Stage:
         return cls(f"{_TRACKING}{method}", StageKind.TRACK, method=method)
 
     @property
-    def is_relay_test(self) -> bool:
-        """Whether identification reads it: a test of the dual-channel relay, or of a hysteretic one."""
-        return self.kind in (StageKind.RELAY, StageKind.HYSTERETIC)
+    def is_test(self) -> bool:
+        """Whether it was driven to be identified: a test of the dual-channel relay or a hysteretic one, or strokes."""
+        return self.kind in (StageKind.RELAY, StageKind.STROKES, StageKind.HYSTERETIC)
 
     def __str__(self) -> str:
         return self.name

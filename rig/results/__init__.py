@@ -24,7 +24,18 @@ from rig.results.estimates import (
     StaticFrictionResult,
     known,
 )
-from rig.results.event import DrivenModel, DrivenSurvey, DrivenSweep, FurtherTest, MeasuredDelay, RunEvent
+from rig.results.event import (
+    Decided,
+    DrivenModel,
+    DrivenStroke,
+    DrivenSurvey,
+    DrivenSweep,
+    FurtherTest,
+    KnownModel,
+    MeasuredDelay,
+    RunEvent,
+)
+from rig.results.live import LiveResult, StoppedResult
 from rig.results.meta import (
     DeviceSeen,
     RealTimeReport,
@@ -50,9 +61,11 @@ from rig.results.result import (
 __all__ = [
     "BreakawayResult",
     "BudgetEntry",
+    "Decided",
     "DeviceLoop",
     "DeviceSeen",
     "DrivenModel",
+    "DrivenStroke",
     "DrivenSurvey",
     "DrivenSweep",
     "EstimateResult",
@@ -66,11 +79,13 @@ __all__ = [
     "IdentificationResult",
     "JogResult",
     "JsonObject",
+    "KnownModel",
     "LawFit",
     "LawFrameResult",
     "LawNumberResult",
     "MapPositionResult",
     "MapSpeedResult",
+    "LiveResult",
     "LoopResult",
     "MotorLawResult",
     "MeasuredDelay",
@@ -87,6 +102,7 @@ __all__ = [
     "SearchStepResult",
     "SensorBelieved",
     "StaticFrictionResult",
+    "StoppedResult",
     "SupplyBelieved",
     "TrackingResult",
     "TrueLaw",

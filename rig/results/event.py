@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from rig.results.part import JsonObject, Number, Part, Real, Sometimes, Text
+from rig.results.part import Count, JsonObject, Number, Part, Real, Sometimes, Text
 from rig.signals import BenchDelay
 
 
@@ -47,6 +47,27 @@ class FurtherTest(Part):
     h2_V: Real
 
 
+class Decided(Part):
+    """The keys of an event ``decided``: what the tests of `relay.until` go over to after a row, and who said so."""
+
+    row: Count
+    by: Text = Field(
+        description="advice: by the live estimate; loop: by the guard or a bound, which a replay finds anew"
+    )
+    what: Text = Field(description="relay, strokes, rest or stop")
+    why: Text = ""
+    h1_V: Number = None
+    h2_V: Number = None
+    longest_stroke_s: Number = None
+
+
+class DrivenStroke(Part):
+    """The keys of an event ``stroke``: one stroke of the stroke test that is decided next."""
+
+    u_V: Real
+    turn_rad: Real
+
+
 class MeasuredDelay(Part):
     """The keys of an event ``delay``: how late the bench acts, by the strokes of the breakaway check."""
 
@@ -63,15 +84,13 @@ class MeasuredDelay(Part):
         return BenchDelay(self.reported_s, (self.low_s, self.further_s, self.high_s))
 
 
-class DrivenModel(Part):
-    """The keys of an event ``model``: a model that tracked."""
+class KnownModel(Part):
+    """The keys of an event ``known``: the model of an earlier run, with which the tests of `relay.until` began."""
 
-    method: Text
     tau_s: Real
     K_rad_s_V: Real
     fc_V: Real
     bias_V: Real
-    further_delay_s: Real = 0.0
     half_travel_rad: Sometimes[Real] = Field(
         None, description="half the travel that its laws refer to; without it the motor is plain"
     )
@@ -87,3 +106,10 @@ class DrivenModel(Part):
                 raise ValueError(f"{name} is {value!r}, which is no number")
             found[name] = float(value)
         return found
+
+
+class DrivenModel(KnownModel):
+    """The keys of an event ``model``: a model that tracked."""
+
+    method: Text
+    further_delay_s: Real = 0.0

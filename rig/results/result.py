@@ -15,6 +15,7 @@ from rig.results.estimates import (
     MotorLawResult,
     RelayTestResult,
 )
+from rig.results.live import StoppedResult
 from rig.results.meta import RealTimeReport, TrueMotor
 from rig.results.part import NOT_IN_EACH_FILE, VERSION, Count, Number, Part, Sometimes, Text
 
@@ -116,6 +117,7 @@ class _Run(Part):
     friction_map: Sometimes[FrictionMapResult] = Field(None, description="the drive over speed and over position")
     jog: Sometimes[JogResult] = Field(None, description="what `rig jog` did")
     search: Sometimes[tuple[SearchStepResult, ...]] = Field(None, description="the gain search, step by step")
+    stopped: Sometimes[StoppedResult] = Field(None, description="why the tests of `relay.until` ended, and when")
     truth: Sometimes[TrueMotor] = Field(None, description="the emulated motor")
 
 

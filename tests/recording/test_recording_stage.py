@@ -15,6 +15,8 @@ from rig.recording.stage import Stage, StageKind
         ("rest", StageKind.REST, None, ""),
         ("breakaway", StageKind.BREAKAWAY, None, ""),
         ("relay-2", StageKind.RELAY, 2, ""),
+        ("strokes-3", StageKind.STROKES, 3, ""),
+        ("strokes", StageKind.OTHER, None, ""),
         ("hysteretic-12", StageKind.HYSTERETIC, 12, ""),
         ("track:sampled-data", StageKind.TRACK, None, "sampled-data"),
         ("relay-a", StageKind.RELAY, None, ""),
@@ -36,10 +38,10 @@ def test_any_name_is_a_stage_and_stays_its_name(name: str) -> None:
 
 @given(st.integers(1, 99), st.text())
 def test_what_is_built_is_what_is_parsed(number: int, method: str) -> None:
-    for stage in (Stage.relay(number), Stage.hysteretic(number), Stage.track(method)):
+    for stage in (Stage.relay(number), Stage.strokes(number), Stage.hysteretic(number), Stage.track(method)):
         assert Stage.parse(str(stage)) == stage
 
 
-def test_relay_tests_are_those_of_either_relay() -> None:
-    names = ("rest", "relay-1", "search", "hysteretic-2", "track:x")
-    assert [name for name in names if Stage.parse(name).is_relay_test] == ["relay-1", "hysteretic-2"]
+def test_tests_are_those_of_either_relay_and_strokes() -> None:
+    names = ("rest", "relay-1", "search", "strokes-1", "hysteretic-2", "track:x")
+    assert [name for name in names if Stage.parse(name).is_test] == ["relay-1", "strokes-1", "hysteretic-2"]

@@ -36,7 +36,8 @@ class Problem:
     limits     their bounds; without an entry: none
     sigma_rad  standard deviation of the white noise, rad
     robust_rad residuals beyond it count by their size, not by its square (soft L1); inf: least squares
-    noise      coloured noise; without robust_rad only
+    noise      coloured noise; without robust_rad and without weights of rows only
+    known      what is known of free numbers beforehand: mean and standard deviation, of ``POSITIVE`` of the logarithm
     """
 
     cut: Cut
@@ -45,10 +46,14 @@ class Problem:
     sigma_rad: float
     robust_rad: float = math.inf
     noise: Noise = WHITE
+    known: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def whitened(self, rows: Array) -> Array:
         """``rows``, (n,) or (n, k), rad, filtered to unit white noise; each piece has noise of its own."""
-        return self.noise.whiten(rows, self.cut.t_s, self.cut.lengths) / self.sigma_rad
+        white = self.noise.whiten(rows, self.cut.t_s, self.cut.lengths) / self.sigma_rad
+        if self.cut.weight is None:
+            return white
+        return np.asarray(white * (self.cut.weight if rows.ndim == 1 else self.cut.weight[:, None]))
 
     def cost(self, residual: Array) -> float:
         """Sum of squares of the whitened residual, large ones by their size."""
@@ -58,21 +63,48 @@ class Problem:
         share = (residual / self.robust_rad) ** 2
         return 2.0 * (self.robust_rad / self.sigma_rad) ** 2 * float(np.sum(np.sqrt(1.0 + share) - 1.0))
 
+    def surprise(self, motor: RealMotor) -> float:
+        """Sum of squares of how far the motor is from what is known beforehand, in standard deviations."""
+        off = self._off(motor)
+        return float(off @ off)
+
+    def _off(self, motor: RealMotor) -> Array:
+        return np.array([(_scaled(motor, name) - mean) / error for name, (mean, error) in self.known.items()])
+
     def rows(self, motor: RealMotor, starts: Array) -> Rows:
-        """Residual and Jacobian there, whitened, by the logarithms of ``POSITIVE``; ``starts``: rad/s, rad."""
+        """Residual and Jacobian there, whitened, by the logarithms of ``POSITIVE``; ``starts``: rad/s, rad.
+
+        What is known beforehand follows, as further rows of the last piece.
+        """
         found = self.cut.derivatives(motor, starts, [index(name) for name in self.free])
         residual = found.y_rad - self.cut.y_rad
         by_number = found.by_number * [getattr(motor, name) if name in POSITIVE else 1.0 for name in self.free]
         if math.isinf(self.robust_rad):
-            return Rows(
-                residual, self.whitened(residual), self.whitened(by_number), self._starts_whitened(found.by_start)
+            return self._with_known(
+                Rows(residual, self.whitened(residual), self.whitened(by_number), self._by_start(found.by_start)), motor
             )
         weight = (1.0 + (residual / self.robust_rad) ** 2) ** -0.25 / self.sigma_rad
         by = weight[:, None]
         return Rows(residual, weight * residual, by * by_number, by * found.by_start)
 
-    def _starts_whitened(self, by_start: Array) -> Array:
-        return self.whitened(by_start)
+    def _by_start(self, by_start: Array) -> Array:
+        white = self.whitened(by_start)
+        if self.cut.resting is not None:
+            white[self.cut.resting[self.cut.piece], 0] = 0.0
+        return white
+
+    def _with_known(self, rows: Rows, motor: RealMotor) -> Rows:
+        if not self.known:
+            return rows
+        by_number = np.zeros((len(self.known), len(self.free)))
+        for k, (name, (_, error)) in enumerate(self.known.items()):
+            by_number[k, self.free.index(name)] = 1.0 / error
+        return Rows(
+            rows.residual_rad,
+            np.concatenate((rows.residual, self._off(motor))),
+            np.concatenate((rows.by_number, by_number)),
+            np.concatenate((rows.by_start, np.zeros((len(self.known), 2)))),
+        )
 
     def moved(self, motor: RealMotor, change: Array) -> RealMotor:
         """The motor after a step ``change`` of its free numbers, each in its unit, within its limits."""
@@ -147,14 +179,15 @@ def start(problem: Problem, motor: RealMotor) -> Fit:
     """The motor with starts as the record shows them, not yet fitted."""
     starts = problem.cut.guessed()
     residual = problem.cut.readings(motor, starts) - problem.cut.y_rad
-    return Fit(problem, motor, starts, residual, problem.cost(residual), False)
+    return Fit(problem, motor, starts, residual, problem.cost(residual) + problem.surprise(motor), False)
 
 
 def refitted(fit: Fit, problem: Problem | None = None, motor: RealMotor | None = None) -> Fit:
     """``fit`` with another problem, or from another motor, ready for ``solve``. The pieces stay the same."""
     given = replace(fit, problem=problem or fit.problem, motor=motor or fit.motor)
     residual = given.problem.cut.readings(given.motor, given.starts) - given.problem.cut.y_rad
-    return replace(given, residual_rad=residual, cost=given.problem.cost(residual), arrived=False)
+    cost = given.problem.cost(residual) + given.problem.surprise(given.motor)
+    return replace(given, residual_rad=residual, cost=cost, arrived=False)
 
 
 def solve(fit: Fit, iterations: int = ITERATIONS) -> Fit:
@@ -173,7 +206,7 @@ def solve(fit: Fit, iterations: int = ITERATIONS) -> Fit:
             motor = problem.moved(fit.motor, change)
             trial = fit.starts + starts
             residual = problem.cut.readings(motor, trial) - problem.cut.y_rad
-            cost = problem.cost(residual)
+            cost = problem.cost(residual) + problem.surprise(motor)
             if cost < fit.cost:  # false for nan
                 better = Fit(problem, motor, trial, residual, cost, False)
                 break
@@ -189,8 +222,13 @@ def solve(fit: Fit, iterations: int = ITERATIONS) -> Fit:
 
 def unit(fit: Fit) -> float:
     """Variance of a least-squares fit's whitened residual."""
-    freedom = int(fit.residual_rad.size) - 2 * int(fit.starts.shape[0]) - len(fit.problem.free)
+    freedom = fit.problem.cut.freedom - len(fit.problem.free)
     return max(fit.cost / max(freedom, 1), 1e-12)
+
+
+def _scaled(motor: RealMotor, name: str) -> float:
+    value = float(getattr(motor, name))
+    return math.log(value) if name in POSITIVE else value
 
 
 @dataclass(frozen=True, eq=False)

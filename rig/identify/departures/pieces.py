@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.departures.departure import Bench
+from rig.identify.motions import Motion, fitted_rows
 from rig.model.real_motor import Frame, Pieces, Readings, RealMotor, response, response_and_jacobian
 from rig.recording.series import TimeSeries, Window
 
@@ -36,12 +37,16 @@ class Cut:
     frames    for each, what parts over position and time refer to
     rows      for each, the first rows of its pieces; the first one is 0
     most_s    for each, the longest that its pieces may be, s
+    resting   (p,) whether each piece begins with no speed; None: its speed there is fitted
+    weight    (n,) of each row, 0 or 1; None: every row counts
     """
 
     windows: tuple[Window, ...]
     frames: tuple[Frame, ...]
     rows: tuple[Rows, ...]
     most_s: tuple[float, ...]
+    resting: NDArray[np.bool_] | None = None
+    weight: Array | None = None
 
     @classmethod
     def whole(cls, tests: Sequence[TimeSeries], longest_delay_s: float) -> Cut:
@@ -76,12 +81,27 @@ class Cut:
             frames=self.frames + tuple(self.frames[number] for _, number in further),
             rows=self.rows + tuple(_first_rows(window, most_s) for window in windows),
             most_s=self.most_s + tuple(most_s for _ in windows),
+            resting=None,
+            weight=None,
+        )
+
+    @classmethod
+    def of_motions(cls, windows: Sequence[Window], frames: Sequence[Frame], found: Sequence[Sequence[Motion]]) -> Cut:
+        """The motions of each window as pieces; rows at rest do not count."""
+        pieces = [fitted_rows(each, window.t_s.size) for window, each in zip(windows, found, strict=True)]
+        return cls(
+            tuple(windows),
+            tuple(frames),
+            tuple(rows for rows, _, _ in pieces),
+            tuple(math.inf for _ in windows),
+            np.concatenate([resting for _, resting, _ in pieces]),
+            np.concatenate([weight for _, _, weight in pieces]),
         )
 
     def every(self, length_s: float) -> Cut:
         """The same tests in pieces of about ``length_s``, each of at least 12 rows."""
         rows = (_first_rows(w, min(length_s, most_s)) for w, most_s in zip(self.windows, self.most_s, strict=True))
-        return replace(self, rows=tuple(rows))
+        return replace(self, rows=tuple(rows), resting=None, weight=None)
 
     @cached_property
     def t_s(self) -> Array:
@@ -115,6 +135,15 @@ class Cut:
         last = np.append(self.begins[1:], self.t_s.size) - 1
         return np.asarray(self.t_s[last] - self.t_s[self.begins])
 
+    @cached_property
+    def freedom(self) -> int:
+        """Rows that count, less the fitted numbers of the starts of pieces that have any."""
+        if self.weight is None:
+            return int(self.t_s.size - 2 * self.begins.size)
+        counts = np.add.reduceat(self.weight, self.begins) > 0.0
+        speeds = counts if self.resting is None else counts & ~self.resting
+        return int(np.count_nonzero(self.weight) - np.count_nonzero(counts) - np.count_nonzero(speeds))
+
     @property
     def longest_s(self) -> float:
         """Length of the longest piece, s."""
@@ -142,7 +171,10 @@ class Cut:
                 t, y = window.t_s[near] - window.t_s[row], window.y_rad[near]
                 _, slope, offset = np.polyfit(t, y, 2)
                 found.append((float(slope), float(offset)))
-        return np.array(found)
+        starts = np.array(found)
+        if self.resting is not None:
+            starts[self.resting, 0] = 0.0
+        return starts
 
     def readings(self, motor: RealMotor, starts: Array) -> Array:
         """Predicted readings of all rows, rad; ``starts`` is (p, 2) as ``guessed``."""

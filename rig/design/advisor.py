@@ -1,0 +1,160 @@
+"""The advisor: from the rows so far to an estimate, the next test, and whether it is enough. It reads no clock."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.design.belief import Belief
+from rig.design.best_test import best_test
+from rig.design.outlook import Task, law_of, told
+from rig.design.planned_test import Design, RelayGains
+from rig.design.room import Reading, Room
+from rig.design.stop_rule import StopRule
+from rig.identify.live import LiveEstimate, LiveFit, LiveRows, LiveSettings
+from rig.recording.recording import Recording
+from rig.recording.stage import Stage
+
+Array = NDArray[np.float64]
+
+KNOWN_PERCENT = 20.0  # tau, K and f_c must be known so well before a test is designed
+LEAST_S = 1.2  # of a test before another one takes its place
+BETTER = 0.8  # another test must need less than this share of the time that the present one still needs
+LESS_ROOM = 0.85  # after the guard had to brake
+
+
+@dataclass(frozen=True)
+class AdvisorSettings:
+    """What the advisor knows before the first row of a test.
+
+    interval_percent  wanted half width of the 95 % intervals of tau, K and f_c, % of the value
+    live              of the live fit, which may know the motor beforehand
+    room, reading     of the designs
+    noise_error       standard error of the noise at rest, as a share of it
+    """
+
+    interval_percent: float
+    live: LiveSettings
+    room: Room
+    reading: Reading
+    noise_error: float = 0.0
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What the rows so far say.
+
+    estimate  the motor by the rows so far, or as it was known before; None: the advice is a recorded one
+    design    the test to go over to, and what it should bring; None: go on with the present one
+    stop      why it is enough, in words; None: it is not
+    """
+
+    estimate: LiveEstimate | None
+    design: Design | None = None
+    stop: str | None = None
+
+
+class Advisor:
+    """Takes the rows of a run as they come, and advises."""
+
+    def __init__(self, settings: AdvisorSettings) -> None:
+        self._settings = settings
+        self._room = settings.room
+        self._fit = LiveFit(settings.live)
+        self._rule = StopRule(settings.interval_percent, settings.noise_error)
+        self._rows = 0
+        self._stage = ""
+        self._stage_s = math.nan  # its first row
+        self._last_s = math.nan
+        self._given: Design | None = None  # the design given last
+        self._given_in = ""  # the stage at that time: rows of another one are of the test given
+        self._must_change = False
+
+    def take(self, recording: Recording) -> None:
+        """Take the rows that have come since the last call; ``recording``: all rows so far."""
+        new = slice(self._rows, len(recording))
+        if new.start >= new.stop:
+            return
+        self._rows = new.stop
+        stages = recording.stage[new]
+        for t_s, name in zip(recording.t_s[new].tolist(), stages.tolist(), strict=True):
+            if name != self._stage:
+                self._stage, self._stage_s = name, t_s
+        self._last_s = float(recording.t_s[new.stop - 1])
+        self._fit.take(
+            LiveRows(
+                row=np.arange(new.start, new.stop),
+                t_s=recording.t_s[new],
+                y_rad=recording.y_rad[new],
+                t_u_s=recording.t_u_s[new],
+                u_V=recording.u_V[new],
+            )
+        )
+
+    def braked(self) -> None:
+        """The guard had to brake: from now on design for less room, and another test at once."""
+        room = self._room
+        self._room = replace(
+            room,
+            low_rad=LESS_ROOM * room.low_rad,
+            high_rad=LESS_ROOM * room.high_rad,
+            max_speed_rad_s=LESS_ROOM * room.max_speed_rad_s,
+        )
+        self._must_change = True
+
+    def advise(self) -> Advice | None:
+        """The advice after all rows so far; None if there is nothing to say yet."""
+        estimate = self._fit.estimate()
+        if estimate is None:
+            return None
+        stop = self._rule.take(estimate)
+        if stop is not None:
+            return Advice(estimate, stop=stop)
+        return Advice(estimate, self._next(estimate))
+
+    def _next(self, estimate: LiveEstimate) -> Design | None:
+        if self._settings.live.prior is None and not estimate.worst_percent <= KNOWN_PERCENT:
+            return None
+        if self._given is not None and not self._must_change:
+            runs = self._stage != self._given_in and Stage.parse(self._stage).is_test
+            if not runs or self._last_s - self._stage_s < LEAST_S:
+                return None
+        belief = belief_of(estimate)
+        return self._design(belief, information_of(belief))
+
+    def _design(self, belief: Belief, seen: Array) -> Design | None:
+        s = self._settings
+        task = Task(belief, seen, self._room, s.reading, s.interval_percent)
+        design = best_test(task)
+        if design is None:
+            return None
+        if self._given is not None and not self._must_change:
+            given = self._given.test
+            law = law_of(given if isinstance(given, RelayGains) else given.strokes)
+            if design.seconds > BETTER * told(task, law).seconds:
+                return None
+        self._given, self._given_in, self._must_change = design, self._stage, False
+        return design
+
+
+def information_of(belief: Belief) -> Array:
+    """(5, 5): what is known already, as information; of a delay that is known for certain it says nothing."""
+    known = np.zeros((5, 5))
+    free = 4 if belief.delay_is_known else 5
+    known[:free, :free] = np.linalg.inv(belief.covariance[:free, :free])
+    return known
+
+
+def belief_of(estimate: LiveEstimate) -> Belief:
+    """The motor as far as an estimate knows it."""
+    return Belief(
+        estimate.tau_s,
+        estimate.K_rad_s_V,
+        estimate.fc_V,
+        estimate.asym_V,
+        estimate.delay_s,
+        np.asarray(estimate.covariance),
+    )

@@ -1,0 +1,156 @@
+"""What a planned test is expected to do, by exact simulation: how soon it tells enough, and how far the shaft goes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.control.strokes import Stroke
+from rig.design import compiled
+from rig.design.belief import NORMAL_95, Belief
+from rig.design.planned_test import Reach, RelayGains
+from rig.design.room import Reading, Room
+from rig.model.step import State
+
+Array = NDArray[np.float64]
+
+AT_REST = State()
+LOOKED_S = 0.1  # between two looks at the information
+LONGEST_S = 8.0  # of a test; beyond it information is taken to grow as it did until then
+CORNER_S = 12.0  # of the simulation of a possible motor
+PASSES = 2  # of all strokes, by which a motor shows how far it goes
+KNOWN = 1e12  # information on a delay that is known, 1/s^2
+
+
+class Told(NamedTuple):
+    """When a test tells enough, s; and the information (5, 5) by then, with what was there before."""
+
+    seconds: float
+    information: Array
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a test is for.
+
+    belief    the motor as far as it is known
+    seen      (5, 5): the information on log tau, log K, fc, asym and delay that is there before the test
+    room, reading   the bench
+    wanted_percent  half width of the 95 % intervals of tau, K and f_c, %, > 0
+    start     state of the shaft at the test's first sample
+    """
+
+    belief: Belief
+    seen: Array
+    room: Room
+    reading: Reading
+    wanted_percent: float
+    start: State = AT_REST
+
+    @property
+    def delay_s(self) -> float:
+        """From a sample until its drive acts, as far as it is known, s."""
+        return max(self.reading.latency_s + self.belief.delay_s, 0.0)
+
+    @property
+    def wanted(self) -> Array:
+        """(3,): standard deviations of log tau, log K and fc that the wanted intervals have."""
+        share = self.wanted_percent / 100.0 / NORMAL_95
+        return np.array([share, share, share * self.belief.fc_V])
+
+    @property
+    def before(self) -> Array:
+        """``seen``; what is known of a known delay is in it."""
+        before = np.array(self.seen, dtype=float)
+        if self.belief.delay_is_known:
+            before[4, 4] += KNOWN
+        return before
+
+    def percent(self, information: Array) -> float:
+        """The largest half width of the intervals of tau, K and f_c, in % of the value; inf if they stay unknown."""
+        found = np.empty(3)
+        if not compiled.variances(np.ascontiguousarray(information), found):
+            return math.inf
+        return float(self.wanted_percent * np.max(np.sqrt(found) / self.wanted))
+
+
+def law_of(test: RelayGains | Sequence[Stroke]) -> compiled.Law:
+    """A test as the compiled loops take it."""
+    if isinstance(test, RelayGains):
+        return True, np.array([test.h1_V, test.h2_V]), np.zeros(0)
+    u_V, turn_rad = np.array(test, dtype=float).T
+    return False, np.ascontiguousarray(u_V), np.ascontiguousarray(turn_rad)
+
+
+def told(task: Task, law: compiled.Law, longest_s: float = LONGEST_S) -> Told:
+    """How soon a test tells enough. If it takes longer than ``longest_s``: as if information grew evenly."""
+    period_s = task.reading.period_s
+    information = np.zeros((5, 5))
+    rows, ratio = compiled.rows_until(
+        _jacobian(task, law, longest_s),
+        task.reading.noise_rad2,
+        task.before,
+        task.wanted,
+        max(round(LOOKED_S / period_s), 1),
+        information,
+    )
+    # information grows about evenly: so the time is the same whether the last look was a little early or late
+    return Told(rows * period_s * ratio * ratio, information)
+
+
+def information_of(task: Task, law: compiled.Law, seconds: float) -> Array:
+    """What a test of so many seconds tells (5, 5), without what was there before."""
+    jacobian = _jacobian(task, law, seconds)
+    information = np.zeros((5, 5))
+    compiled.known(jacobian.T @ jacobian / task.reading.noise_rad2, np.zeros((5, 5)), information)
+    return information
+
+
+def _jacobian(task: Task, law: compiled.Law, seconds: float) -> Array:
+    """The derivatives (n, 7) of the readings of a test, by log tau, log K, fc, asym, delay and the start."""
+    period_s = task.reading.period_s
+    n = max(round(seconds / period_s), 3)
+    u_V, states, jacobian = np.empty(n), np.empty((n, 2)), np.empty((n, 7))
+    timing = period_s, task.delay_s
+    motor = task.belief.plant(task.room.static_V)
+    compiled.drive(motor, law, timing, tuple(map(float, task.start)), 0, u_V, states)
+    compiled.spread(motor, timing, u_V, states, jacobian)
+    return jacobian
+
+
+class Outcome(NamedTuple):
+    """How far the shaft goes in a test, and by how much that is too much: 0 if all is within the room."""
+
+    reach: Reach
+    excess: float
+    longest_stroke_s: float
+
+
+def outcome(task: Task, law: compiled.Law, motors: Sequence[tuple[float, ...]], strokes: int) -> Outcome:
+    """Simulate a test on each of the motors it may be, with a drive that acts up to one period later.
+
+    strokes  number of strokes; 0 for a relay
+    """
+    room, period_s = task.room, task.reading.period_s
+    late_s = period_s + min(task.belief.delay_doubt_s, period_s)
+    timing, start = (period_s, task.delay_s + late_s), tuple(map(float, task.start))
+    # a shaft that starts farther out is not the test's fault
+    low_rad, high_rad = min(room.low_rad, task.start.y), max(room.high_rad, task.start.y)
+    low = high = speed = excess = longest_s = 0.0
+    n = round(CORNER_S / period_s)
+    u_V, states = np.empty(n), np.empty((n, 2))
+    for motor in motors:
+        rows, longest = compiled.drive(motor, law, timing, start, PASSES * strokes, u_V, states)
+        lowest, highest, fastest, *stops = compiled.bounds(states[:rows], room.horizon_s)
+        low, high, speed = min(low, lowest), max(high, highest), max(speed, fastest)
+        longest_s = max(longest_s, longest * period_s)
+        used = (lowest / low_rad, highest / high_rad, fastest / room.max_speed_rad_s)
+        predicted = (stop / limit for stop, limit in zip(stops, room.stop_rad, strict=True))
+        never_ends = 2.0 if strokes and rows == n else 0.0
+        excess = max(excess, max(*used, *predicted, never_ends) - 1.0)
+    return Outcome(Reach(low, high, speed), excess, longest_s)

@@ -1,0 +1,207 @@
+"""The advisor in a process of its own, so that it cannot hold up the loop (docs/until.md).
+
+``python -m rig.experiment.live_process FOLDER`` reads the growing run folder, as ``rig.recording.follow`` does: no row
+goes from the loop to it. It gets the settings by its standard input, a word when the guard had to brake, and ends at
+the end of that input. Its advice comes by its standard output, which the loop looks at without ever waiting.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import queue
+import struct
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.recording.errors import RecordingError
+
+if TYPE_CHECKING:
+    from rig.design.advisor import Advice, Advisor, AdvisorSettings
+
+ADVICE_EVERY_S = 1.0
+LOOK_EVERY_S = 0.02
+SILENT_S = 15.0  # without advice: it hangs, or the machine has no time for it
+NICE = 10  # the loop, and the process that writes the rows, go first
+BRAKED = b"braked"
+_HEAD = struct.Struct("=I")
+_ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+
+
+class LiveProcess:
+    """The loop's side of the process. Nothing here waits for it, or ends a run for it.
+
+    folder   the run folder
+
+    trouble  what is wrong with the process, in words; empty if nothing is
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.trouble = ""
+        self._heard = b""
+        self._heard_s: float | None = None  # when it was told to begin, or last gave advice
+        self._process: subprocess.Popen[bytes] | None = None
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "rig.experiment.live_process", str(folder)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                bufsize=0,
+                env={**os.environ, **_ONE_THREAD},
+                start_new_session=True,  # Ctrl-C in the terminal is not meant for it
+            )
+        except OSError as error:
+            self.trouble = f"its process did not start: {error.strerror}"
+            return
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                os.set_blocking(pipe.fileno(), False)
+
+    def begin(self, settings: AdvisorSettings) -> None:
+        """Tell it what the breakaway check showed."""
+        self._heard_s = time.monotonic()
+        self._tell(pickle.dumps(settings))
+
+    def braked(self) -> None:
+        """Tell it that the guard had to brake."""
+        self._tell(BRAKED)
+
+    def advice(self, row: int, t_s: float) -> Advice | None:
+        """Advice that has come since the last call; None without any."""
+        process = self._process
+        if process is None or process.stdout is None:
+            return None
+        with contextlib.suppress(OSError):
+            self._heard += os.read(process.stdout.fileno(), 65536)
+        message, self._heard = _message(self._heard)
+        if message is None:
+            self._look_after()
+            return None
+        self._heard_s, self.trouble = time.monotonic(), ""
+        advice: Advice = pickle.loads(message)
+        return advice
+
+    def close(self) -> None:
+        """End the process, whatever it does."""
+        process = self._process
+        if process is None:
+            return
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
+        process.kill()
+        process.wait()
+
+    def __enter__(self) -> LiveProcess:
+        return self
+
+    def __exit__(self, *of_error: object) -> None:
+        self.close()
+
+    def _tell(self, message: bytes) -> None:
+        """Send a message if the pipe takes it at once: it holds 64 kB, and the process reads it soon."""
+        process = self._process
+        if process is None or process.stdin is None:
+            return
+        try:
+            os.write(process.stdin.fileno(), _HEAD.pack(len(message)) + message)
+        except OSError as error:
+            self.trouble = self.trouble or f"its process takes no message: {error.strerror}"
+
+    def _look_after(self) -> None:
+        status = None if self._process is None else self._process.poll()
+        if status is not None:
+            how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
+            self.trouble = f"its process {how}"
+        elif self._heard_s is not None and time.monotonic() - self._heard_s > SILENT_S:
+            self.trouble = f"its process has said nothing for {SILENT_S:g} s"
+
+
+def _message(heard: bytes) -> tuple[bytes | None, bytes]:
+    """The first whole message, None if there is none; and the rest."""
+    if len(heard) < _HEAD.size:
+        return None, heard
+    (size,) = _HEAD.unpack_from(heard)
+    end = _HEAD.size + size
+    return (heard[_HEAD.size : end], heard[end:]) if len(heard) >= end else (None, heard)
+
+
+def main(arguments: list[str]) -> int:
+    """Advise on the run folder ``arguments[0]`` until the input ends."""
+    if hasattr(os, "nice"):
+        os.nice(NICE)
+    told: queue.Queue[bytes | None] = queue.Queue()
+    threading.Thread(target=_listen, args=(told,), daemon=True).start()
+    from rig.design.advisor import Advisor
+    from rig.design.ready import make_ready
+    from rig.identify.ready import make_ready as make_fit_ready
+
+    make_fit_ready(lambda words: None)  # before the first row: compiling would take longer than the tests
+    make_ready()
+    settings = told.get()
+    if settings is None:
+        return 0
+    advisor = Advisor(pickle.loads(settings))
+    _advise(Path(arguments[0]), advisor, told)
+    return 0
+
+
+def _advise(folder: Path, advisor: Advisor, told: queue.Queue[bytes | None]) -> None:
+    from rig.recording.csv_file import read_csv
+    from rig.recording.writer import SAMPLES
+
+    known = None
+    due_s = -1.0  # time of the run
+    while True:
+        with contextlib.suppress(queue.Empty):
+            message = told.get(timeout=LOOK_EVERY_S)
+            if message is None:
+                return
+            advisor.braked()
+            due_s = -1.0
+        try:
+            known = read_csv(folder / SAMPLES, own=True, known=known)
+        except RecordingError:
+            continue  # it holds no three rows yet
+        if known.t_s[-1] < due_s:
+            continue
+        advisor.take(known)
+        due_s = float(known.t_s[-1]) + ADVICE_EVERY_S
+        advice = advisor.advise()
+        if advice is not None and not _say(pickle.dumps(advice)):
+            return
+
+
+def _listen(told: queue.Queue[bytes | None]) -> None:
+    """Put each message of standard input into the queue, and None at its end."""
+    heard = b""
+    with contextlib.suppress(OSError):
+        while data := os.read(0, 65536):
+            heard += data
+            message, heard = _message(heard)
+            while message is not None:
+                told.put(message)
+                message, heard = _message(heard)
+    told.put(None)
+
+
+def _say(message: bytes) -> bool:
+    """Write a message to standard output. Returns whether anybody reads it."""
+    try:
+        data = memoryview(_HEAD.pack(len(message)) + message)
+        while data:
+            data = data[os.write(1, data) :]
+    except OSError:
+        return False
+    return True
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,249 @@
+"""The tests that end when the answer is known: a start without a model, then the tests that tell most (docs/until.md).
+
+Who advises sees the rows, and says which test comes next or that it is enough. This stage drives: it may end a test at
+any row, by advice, by the guard or by the bounds of the config. So the guard and the bounds hold whatever the advice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from typing import NamedTuple
+
+from rig.config.schema import UntilSection
+from rig.control.bounded import Bounded, Bounds
+from rig.control.breakaway import BreakawayLaw
+from rig.control.excitation import RelayTest
+from rig.control.law import Law, Rest
+from rig.control.rising_gains import RisingGains, SwingRoom
+from rig.control.strokes import StrokeTest, StrokeTiming
+from rig.design.advisor import Advice
+from rig.design.planned_test import PlannedTest, RelayGains
+from rig.experiment.advisers import Advisers, advisers_of, advisor_settings
+from rig.experiment.stages import REST_S, checked, relay_and_detector, test_hysteretic
+from rig.identify.live import LiveEstimate
+from rig.model.real_motor import FramedMotor
+from rig.preflight.room_to_stop import expected_delay_s, reach_rad
+from rig.recording.stage import StageKind
+from rig.results import LiveResult, StoppedResult
+from rig.session import MOST_TESTS, Session
+from rig.signals import BenchDelay
+
+AWAIT_DESIGN_S = 10.0  # at rest, for the first test of a known model
+AFTER_BRAKING_S = 3.0  # at rest, for another test than the one in which the guard had to brake
+REACH = 0.85  # of the distance to the nearer soft limit, for the start without a model
+FAST = 0.95  # of the largest speed
+LONG_S = 3600.0  # a test goes on until something ends it
+
+
+def drive_until(
+    session: Session,
+    known: FramedMotor | None = None,
+    check: BreakawayLaw | None = None,
+    advisers: Advisers | None = None,
+) -> None:
+    """Breakaway check, tests until the motor is known, hysteretic runs if the config has some.
+
+    known     the motor, as far as an earlier run knows it: the first test comes at once
+    check     as ``rig.experiment.stages.check_breakaway``
+    advisers  of a replay; None: those of a run
+    """
+    with advisers_of(session) if advisers is None else nullcontext(advisers) as who, checked(session, check):
+        if known is not None:
+            session.note("known", **known.numbers)  # a replay begins with a rest, too
+        if advisers is None:
+            who.begin(advisor_settings(session, known))
+        _Tests(session, who, known is not None).run()
+        session.loop.run(Rest(REST_S), "rest")
+        test_hysteretic(session)
+
+
+class _Next(NamedTuple):
+    """What follows a law: a test, a rest, the start without a model; or the end, and why."""
+
+    test: PlannedTest | None = None
+    rests: bool = False
+    stop: str = ""
+
+
+class _Tests:
+    """The tests of one run, one after another, until they end."""
+
+    def __init__(self, session: Session, who: Advisers, is_known: bool) -> None:
+        e = session.experiment
+        self._session = session
+        self._who = who
+        self._until = e.relay.until or UntilSection()
+        self._relay, self._detector = relay_and_detector(e)
+        self._bounds = Bounds(self._until.longest_s, self._until.most_cycles, self._detector.min_amplitude_rad)
+        self._number = 0
+        self._searched = False
+        self._last: LiveEstimate | None = None
+        self._next = _Next(rests=is_known)
+        self._live: list[LiveResult] = []
+
+    def run(self) -> None:
+        """Drive until the end."""
+        while not self._next.stop:
+            if self._next.rests:
+                law: Law = Rest(AFTER_BRAKING_S if self._number else AWAIT_DESIGN_S)
+                self._drive(Bounded(law, self._bounds if self._number else None), str(StageKind.REST))
+            elif self._next.test is None:
+                self._search()
+            else:
+                self._test(self._next.test)
+
+    def _search(self) -> None:
+        """The start without a model."""
+        session, e, found = self._session, self._session.experiment, self._session.found
+        check = found.breakaway
+        if check is None:
+            raise ValueError("the start needs a breakaway check")
+        self._relay.restart()
+        law = RisingGains(
+            self._relay,
+            self._detector,
+            SwingRoom(
+                0.5 * (check.plus_V + check.minus_V),
+                REACH * reach_rad(e),
+                FAST * e.limits.max_speed_rad_s,
+                e.relay.search.h_max_V,
+                e.drive.max_V,
+                e.breakaway.motion_rad,
+            ),
+        )
+        law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
+        if self._searched:
+            stage = self._numbered(StageKind.RELAY)
+        else:
+            self._searched, stage = True, str(StageKind.SEARCH)
+            found.search = law
+        noted = 0
+
+        def watch() -> None:
+            nonlocal noted
+            for step in law.steps[noted:]:
+                session.note("search", **{name: value for name, value in step._asdict().items() if name != "t_s"})
+            noted = len(law.steps)
+
+        self._drive(Bounded(law, self._bounds), stage, watch)
+
+    def _test(self, test: PlannedTest) -> None:
+        """A designed test."""
+        session, e = self._session, self._session.experiment
+        if isinstance(test, RelayGains):
+            stage = self._numbered(StageKind.RELAY)
+            session.note("gains", stage=stage, h1_V=test.h1_V, h2_V=test.h2_V)
+            gains_V = (test.h1_V, test.h2_V)
+            relay_test = RelayTest(self._relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S)
+            relay_test.watch.wait(round(session.loop.latency_s / e.period_s))
+            relay_test.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
+            law: Law = relay_test
+        else:
+            stage = self._numbered(StageKind.STROKES)
+            timing = StrokeTiming(LONG_S, test.longest_stroke_s)
+            law = StrokeTest(test.strokes, timing, e.breakaway.motion_rad)
+            self._relay.restart()  # its integral means nothing after strokes
+        self._drive(Bounded(law, self._bounds), stage, guarded=True)
+
+    def _numbered(self, kind: StageKind) -> str:
+        self._number += 1
+        return f"{kind}-{self._number}"
+
+    def _drive(self, law: Bounded, stage: str, watch: Callable[[], None] | None = None, guarded: bool = False) -> None:
+        """Run a law until something ends it, and decide what comes next.
+
+        guarded  whether the guard may not brake in it: then the design was for another motor
+        """
+        session, guard = self._session, self._session.loop.guard
+        before = guard.braked_ticks + guard.clipped_ticks
+        self._next = _Next()
+
+        def after(t_s: float) -> None:
+            if watch is not None:
+                watch()
+            if law.finished and not law.failed:
+                return
+            row = session.loop.rows - 1
+            if law.failed:
+                self._give_up(row, law.failed)
+            elif guarded and guard.braked_ticks + guard.clipped_ticks > before:
+                self._give_up(row, "the guard had to brake: the motor is another one than that of the design")
+            elif self._bounds.reached:
+                self._end(row, self._bounds.reached, known=False)
+            else:
+                self._take(self._who.advice(row, t_s), row)
+            law.finished = self._next != _Next()
+
+        session.loop.run(law, stage, after)
+
+    def _give_up(self, row: int, why: str) -> None:
+        """Break a designed test off: rest, and let the next one be designed for less room."""
+        self._who.braked()
+        self._session.note("decided", row=row, by="loop", what="rest", why=why)
+        self._session.found.notes.append(f"a designed test was broken off: {why}")
+        self._next = _Next(rests=True)
+
+    def _end(self, row: int, why: str, *, known: bool) -> None:
+        """The tests end."""
+        session, last = self._session, self._last
+        session.note("decided", row=row, by="advice" if known else "loop", what="stop", why=why)
+        trouble = f"; there was no live estimate: {self._who.trouble}" if self._who.trouble and not known else ""
+        session.found.stopped = StoppedResult(
+            why=why + trouble,
+            known=known,
+            t_s=session.loop.now_s,
+            tests_s=self._bounds.elapsed_s,
+            cycles=self._bounds.cycles,
+            wanted_percent=self._until.interval_percent,
+            interval_percent=None if last is None else last.worst_percent,
+            live=tuple(self._live),
+        )
+        self._next = _Next(stop=why)
+
+    def _take(self, advice: Advice | None, row: int) -> None:
+        """Note the advice, and follow it."""
+        if advice is None:
+            return
+        if (
+            advice.estimate is not None and advice.estimate.seconds_of_data > 0.0
+        ):  # else it is what was known beforehand
+            self._last = advice.estimate
+            live = live_result(advice.estimate)
+            self._live.append(live)
+            self._session.note("live", **live.model_dump())
+        if advice.stop is not None:
+            self._end(row, advice.stop, known=True)
+        elif advice.design is not None and self._number < MOST_TESTS:
+            test, design = advice.design.test, advice.design
+            what = "relay" if isinstance(test, RelayGains) else "strokes"
+            for stroke in () if isinstance(test, RelayGains) else test.strokes:
+                self._session.note("stroke", u_V=stroke.u_V, turn_rad=stroke.turn_rad)
+            self._session.note(
+                "decided", row=row, by="advice", what=what, test=self._number + 1, **numbers_of(test),
+                expected_s=design.seconds, expected_percent=design.percent,
+            )  # fmt: skip
+            self._next = _Next(test)
+
+
+def live_result(estimate: LiveEstimate) -> LiveResult:
+    """A live estimate as result.json and events.jsonl have it."""
+    return LiveResult(
+        row=estimate.row,
+        of_s=estimate.t_s,
+        tau_s=estimate.tau_s,
+        K_rad_s_V=estimate.K_rad_s_V,
+        fc_V=estimate.fc_V,
+        tau_percent=estimate.half_percent["tau_s"],
+        K_percent=estimate.half_percent["K_rad_s_V"],
+        fc_percent=estimate.half_percent["fc_V"],
+        residual_over_noise=estimate.residual_over_noise,
+        drives_differ=estimate.drives_differ,
+    )
+
+
+def numbers_of(test: PlannedTest) -> dict[str, float]:
+    """What a replay needs of a test, but for its strokes, which are events of their own."""
+    if isinstance(test, RelayGains):
+        return {"h1_V": test.h1_V, "h2_V": test.h2_V}
+    return {"longest_stroke_s": test.longest_stroke_s}

@@ -1,0 +1,442 @@
+"""The live fit: what everything driven so far says of the motor, again and again while the run goes on.
+
+Breakaway check, gain search and tests are pieces of one record. Each piece begins where the record is cut or where the
+shaft begins to move (``rig.identify.motions``). A fit begins where the last one ended. So it costs a few milliseconds
+for each second of record, and the same rows in the same portions give the same numbers (docs/theory.md 7.10).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.identify.departures import DEPARTURES
+from rig.identify.departures.choice import LARGEST
+from rig.identify.departures.departure import Departure
+from rig.identify.departures.fit import CORE, DELAY, Fit, Normal, Problem, limits_of, solve, unit
+from rig.identify.departures.fit import start as begin
+from rig.identify.departures.pieces import Cut
+from rig.identify.motions import Motion, motions
+from rig.model.real_motor import Frame, FramedMotor, RealMotor
+from rig.recording.series import FEWEST_ROWS, TimeSeries, Window
+
+Array = NDArray[np.float64]
+
+NORMAL_95 = 1.959964
+GAP_PERIODS = 2.5  # between two rows: from there on the record is cut
+FEWEST_MOVING_ROWS = 40
+ITERATIONS = 12
+COLD_ITERATIONS, POLISHED = 20, 3
+COLD_TAUS, COLD_SHARES = 8, (0.15, 0.4, 0.6, 0.75, 0.88, 0.97)  # of the friction, in the smallest drive that moved
+SURE_PERCENT = 5.0  # half width from which on the fit's valley is the right one
+STRANGE = 1.2  # residual over the noise beyond which another valley is looked for, once the record has doubled
+USABLE_PERCENT = 60.0  # half width beyond which a fit says nothing
+UNEXPLAINED = 0.3  # residual over the spread of positions beyond which a fit says nothing
+DIFFERENT = 1.6  # mean speed of the second quickest swing over that of the second slowest
+ENOUGH_SWINGS = 3  # of either kind
+LARGE_SWING = 15.0  # in standard deviations of the noise: tiny cycles agree with any law
+OF_PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
+
+
+class LiveRows(NamedTuple):
+    """Rows of a run, in order; each an array of n values.
+
+    row     number of the row in the run
+    t_s     time of the sample, s
+    y_rad   position, rad
+    t_u_s   time at which the row's drive took effect, s; nan: the device does not tell
+    u_V     drive as it acted, V
+    """
+
+    row: NDArray[np.int64]
+    t_s: Array
+    y_rad: Array
+    t_u_s: Array
+    u_V: Array
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """What is known before the first row.
+
+    period_s        sampling period, s
+    noise_rad       standard deviation of the reading at rest, rad
+    lsb_rad         step of the reading, rad; 0: none
+    largest_V       largest drive, V
+    delay_s         an unknown constant delay from a sample to the effect of its drive, s: least and most; None: the
+                    rows say when each drive acted
+    prior           the motor as an earlier run shows it, with its laws; None: nothing is known
+    prior_percent   standard deviation of its tau, K and f_c, in % of each
+    """
+
+    period_s: float
+    noise_rad: float
+    lsb_rad: float
+    largest_V: float
+    delay_s: tuple[float, float] | None = None
+    prior: FramedMotor | None = None
+    prior_percent: float = 30.0
+
+    @property
+    def sigma_rad(self) -> float:
+        """Standard deviation of the noise of a moving reading, rad: a reading at rest may hide the sensor's steps."""
+        steps_rad = self.lsb_rad / math.sqrt(12.0)
+        if self.noise_rad >= 0.5 * self.lsb_rad:
+            return max(self.noise_rad, 1e-9)
+        return max(math.hypot(self.noise_rad, steps_rad), 1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class LiveEstimate:
+    """The motor by the rows so far.
+
+    row, t_s        last row that counted, and its time, s
+    tau_s, K_rad_s_V, fc_V, asym_V, delay_s   s, (rad/s)/V, V, V, s; the delay is from t_u_s on if rows tell that
+    half_percent    half width of the 95 % interval of tau_s, K_rad_s_V and fc_V, in % of each
+    covariance      (5, 5), of log tau, log K, f_c, asymmetry and delay; 0 for what is not fitted
+    residual_over_noise   RMS residual of the rows in motion over the noise; 1 for a motor that the law describes
+    residual_error  standard error of that, from the number of rows
+    drives_differ   whether large swings of clearly different speeds were seen
+    laws            names of the laws beyond the plain one that are fitted
+    seconds_of_data how long the shaft moved in these rows, s
+    framed          the motor with its laws
+    """
+
+    row: int
+    t_s: float
+    tau_s: float
+    K_rad_s_V: float
+    fc_V: float
+    asym_V: float
+    delay_s: float
+    half_percent: Mapping[str, float]
+    covariance: Array
+    residual_over_noise: float
+    residual_error: float
+    drives_differ: bool
+    laws: tuple[str, ...]
+    seconds_of_data: float
+    framed: FramedMotor = field(repr=False)
+
+    @property
+    def worst_percent(self) -> float:
+        """Half width of the widest interval, in % of its parameter."""
+        return max(self.half_percent.values())
+
+    def motor(self) -> FramedMotor:
+        """The motor with its laws."""
+        return self.framed
+
+
+class LiveFit:
+    """The fit of everything driven so far. It reads no clock and draws no random numbers."""
+
+    def __init__(self, settings: LiveSettings) -> None:
+        self.settings = settings
+        self._laws = _laws_of(settings.prior)
+        self._rows: list[LiveRows] = []
+        self._count = 0
+        self._last: Fit | None = None
+        self._last_starts: dict[float, Array] = {}
+        self._cold_at = 0.0  # seconds of motion at the last search for a start
+        self._sure = False
+
+    def take(self, rows: LiveRows) -> None:
+        """Append rows. Raises ValueError on columns of unequal length."""
+        if any(column.shape != rows.row.shape or column.ndim != 1 for column in rows):
+            raise ValueError("every column needs one value a row")
+        if rows.row.size:
+            self._rows.append(rows)
+            self._count += int(rows.row.size)
+
+    def estimate(self) -> LiveEstimate | None:
+        """What the rows so far say; None if they say next to nothing, and nothing was known beforehand."""
+        record = self._record()
+        if record is None:
+            return self._of_prior()
+        cut, found = record
+        moving = float(np.sum(weight_of(cut))) * self.settings.period_s
+        fit = self._warm(cut)
+        if fit is None or self._looks_elsewhere(fit, moving):
+            self._cold_at = moving
+            others = [solve(trial, COLD_ITERATIONS) for trial in self._cold(cut)]
+            fits = [one for one in (fit, *others) if one is not None and math.isfinite(one.cost)]
+            fit = min(fits, key=_cost) if fits else None
+        if fit is None:
+            return self._of_prior()
+        estimate = self._estimate(fit, found, moving)
+        if estimate is None:
+            return self._of_prior()
+        self._last, self._sure = fit, estimate.worst_percent <= SURE_PERCENT
+        self._last_starts = dict(zip(fit.problem.cut.t_s[fit.problem.cut.begins].tolist(), fit.starts, strict=True))
+        return estimate
+
+    def _record(self) -> tuple[Cut, list[list[Motion]]] | None:
+        """The rows so far as pieces, and the motions in each window; None if the shaft has hardly moved."""
+        if self._count < FEWEST_ROWS:
+            return None
+        self._rows = [LiveRows(*(np.concatenate(columns) for columns in zip(*self._rows, strict=True)))]
+        windows: list[Window] = []
+        found: list[list[Motion]] = []
+        for series in self._series(self._rows[0]):
+            latest_s = 0.0 if series.delay_s is None else series.delay_s[1]
+            if len(series) - np.searchsorted(series.t_s, series.edge_s[0] + latest_s) < FEWEST_ROWS:
+                continue
+            window = series.predictable(latest_s)
+            moved = motions(window, self.settings.sigma_rad, self.settings.lsb_rad)
+            if moved:
+                windows.append(window)
+                found.append(moved)
+        if sum(motion.stop - motion.first for each in found for motion in each) < FEWEST_MOVING_ROWS:
+            return None
+        return Cut.of_motions(windows, [self._frame(windows)] * len(windows), found), found
+
+    def _series(self, rows: LiveRows) -> list[TimeSeries]:
+        """The rows between gaps of the record."""
+        gaps = np.flatnonzero(np.diff(rows.t_s) > GAP_PERIODS * self.settings.period_s) + 1
+        out = []
+        for part in np.split(np.arange(rows.t_s.size), gaps):
+            known = np.isfinite(rows.t_u_s[part])
+            tells = self.settings.delay_s is None and bool(known.any())
+            kept = part[known] if tells else part
+            if kept.size < FEWEST_ROWS:
+                continue
+            t_u_s = np.maximum.accumulate(rows.t_u_s[kept]) if tells or known.all() else None
+            series = TimeSeries(rows.t_s[kept], rows.y_rad[kept], t_u_s, rows.u_V[kept], int(rows.row[kept[0]]))
+            out.append(series if tells else series.with_unknown_delay(self._delay_s))
+        return out
+
+    @property
+    def _delay_s(self) -> tuple[float, float]:
+        """Bounds of the delay that is fitted, s."""
+        return self.settings.delay_s or (0.0, 2.0 * self.settings.period_s)
+
+    def _frame(self, windows: Sequence[Window]) -> Frame:
+        start_s = float(windows[0].t_s[0])
+        prior = self.settings.prior
+        frame = Frame() if prior is None else prior.frame
+        return frame._replace(start_s=start_s, duration_s=max(float(windows[-1].t_s[-1]) - start_s, 1e-9))
+
+    def _problem(self, cut: Cut) -> Problem:
+        """The fit as least squares; a prior motor is known to its percentage."""
+        free_delay = any(window.series.t_u_s is None for window in cut.windows)
+        core = (*CORE, DELAY) if free_delay else CORE
+        free = core + tuple(name for law in self._laws for name in (*law.numbers, *law.shape))
+        limits = limits_of(free, cut, self._delay_s)
+        limits["fc_V"] = (0.0, self.settings.largest_V)
+        limits["tau_s"] = (0.2 * self.settings.period_s, 100.0)
+        prior = self.settings.prior
+        known: dict[str, tuple[float, float]] = {}
+        if prior is not None:
+            share, motor = 0.01 * self.settings.prior_percent, prior.motor
+            known = {"tau_s": (math.log(motor.tau_s), share), "K_rad_s_V": (math.log(motor.K_rad_s_V), share)}
+            known["fc_V"] = (motor.fc_V, share * max(motor.fc_V, 1e-3 * self.settings.largest_V))
+            bench = cut.bench(motor, 0.0)
+            for law in self._laws:
+                largest = LARGEST * law.range_of(bench)
+                limits |= dict.fromkeys(law.numbers, (0.0 if law.one_sided else -largest, largest))
+                limits |= law.limits(bench)
+        return Problem(cut, free, limits, self.settings.sigma_rad, known=known)
+
+    def _warm(self, cut: Cut) -> Fit | None:
+        """The fit from the last one on, or from the prior motor; None without either."""
+        prior = self.settings.prior
+        motor = self._last.motor if self._last is not None else None if prior is None else self._first(prior)
+        if motor is None:
+            return None
+        fit = begin(self._problem(cut), motor)
+        for k, t_s in enumerate(cut.t_s[cut.begins].tolist()):
+            if t_s in self._last_starts:
+                fit.starts[k] = self._last_starts[t_s]
+        residual = cut.readings(fit.motor, fit.starts) - cut.y_rad
+        fit = replace(fit, residual_rad=residual, cost=fit.problem.cost(residual) + fit.problem.surprise(fit.motor))
+        return solve(fit, ITERATIONS)
+
+    def _first(self, prior: FramedMotor) -> RealMotor:
+        return prior.motor._replace(delay_s=sum(self._delay_s) / 2.0 if self.settings.delay_s is not None else 0.0)
+
+    def _looks_elsewhere(self, fit: Fit, moving_s: float) -> bool:
+        """Whether another start is tried, too: until the fit is sure, and where its residual is strange."""
+        if self.settings.prior is not None:
+            return False
+        if not self._sure:
+            return moving_s > 1.25 * self._cold_at
+        return math.sqrt(unit(fit)) > STRANGE and moving_s > 2.0 * self._cold_at
+
+    def _cold(self, cut: Cut) -> list[Fit]:
+        """Fits to start from where nothing is known: the best of a grid of tau and friction, each with its gain."""
+        problem = self._problem(cut)
+        weight = weight_of(cut)
+        guessed = cut.guessed()
+        moved_V = _least_drive(cut)
+        longest_s = max(0.1 * cut.longest_s, 40.0 * self.settings.period_s)
+        scored: list[tuple[float, float, float, float]] = []
+        counts = np.maximum(np.add.reduceat(weight, cut.begins), 1.0)
+
+        def centred(y: Array) -> Array:
+            """Without the mean of each piece."""
+            means = np.add.reduceat(weight * y, cut.begins) / counts
+            return np.asarray(weight * (y - means[cut.piece]))
+
+        seen = centred(cut.y_rad)
+        for tau in np.geomspace(1.5 * self.settings.period_s, longest_s, COLD_TAUS).tolist():
+            for share in COLD_SHARES:
+                gain, cost = 0.3 * float(np.ptp(cut.y_rad)) / (longest_s * moved_V), math.inf
+                for _ in range(2):
+                    motor = RealMotor(tau, gain, share * moved_V, 0.0, float(np.mean(self._delay_s)))
+                    shape = centred(cut.readings(motor, guessed))
+                    power = float(shape @ shape)
+                    if power <= 0.0 or (ratio := float(shape @ seen) / power) <= 0.0:
+                        break
+                    off = seen - ratio * shape
+                    gain, cost = gain * ratio, float(off @ off)
+                scored.append((cost, tau, gain, share * moved_V))
+        scored.sort()
+        delay_s = float(np.mean(self._delay_s)) if DELAY in problem.free else 0.0
+        return [
+            begin(problem, RealMotor(tau, gain, friction_V, 0.0, delay_s))
+            for cost, tau, gain, friction_V in scored[:POLISHED]
+            if math.isfinite(cost)
+        ]
+
+    def _estimate(self, fit: Fit, found: list[list[Motion]], moving_s: float) -> LiveEstimate | None:
+        """The fit with its intervals; None if it says nothing."""
+        problem, motor, cut = fit.problem, fit.motor, fit.problem.cut
+        rows = problem.rows(motor, fit.starts)
+        if not rows.are_finite:
+            return None
+        counted = weight_of(cut) > 0.0
+        freedom = max(cut.freedom - len(problem.free), 1)
+        ratio = math.sqrt(float(np.sum(fit.residual_rad[counted] ** 2)) / freedom) / problem.sigma_rad
+        spread = float(np.std(cut.y_rad[counted]))
+        inverse = _inverse(Normal.of(rows, cut).matrix)
+        if inverse is None or ratio * problem.sigma_rad > UNEXPLAINED * spread + 3.0 * problem.sigma_rad:
+            return None
+        core = (*CORE, DELAY)
+        at = [problem.free.index(name) for name in core if name in problem.free]
+        to = [k for k, name in enumerate(core) if name in problem.free]
+        covariance = np.zeros((5, 5))
+        covariance[np.ix_(to, to)] = inverse[np.ix_(at, at)] * max(1.0, ratio) ** 2
+        sizes = (1.0, 1.0, max(motor.fc_V, 1e-12))
+        errors = np.sqrt(np.diag(covariance)[:3]) / sizes
+        half = {name: 100.0 * NORMAL_95 * float(error) for name, error in zip(OF_PARAMETERS, errors, strict=True)}
+        prior = self.settings.prior
+        if max(half.values()) > (USABLE_PERCENT if prior is None else 1e3):
+            return None
+        return LiveEstimate(
+            int(self._rows[0].row[-1]),
+            float(self._rows[0].t_s[-1]),
+            motor.tau_s,
+            motor.K_rad_s_V,
+            motor.fc_V,
+            motor.bias_V,
+            motor.delay_s,
+            half,
+            covariance,
+            ratio,
+            1.0 / math.sqrt(2.0 * freedom),
+            drives_differ(cut, found, problem.sigma_rad),
+            tuple(law.name for law in self._laws),
+            moving_s,
+            FramedMotor(motor, cut.frames[0]),
+        )
+
+    def _of_prior(self) -> LiveEstimate | None:
+        """The prior motor as an estimate; None without one."""
+        prior = self.settings.prior
+        if prior is None:
+            return None
+        motor, share = self._first(prior), 0.01 * self.settings.prior_percent
+        asym_V = share * max(motor.fc_V, 0.05 * self.settings.largest_V)
+        delay = 0.0 if self.settings.delay_s is None else (self._delay_s[1] - self._delay_s[0]) / math.sqrt(12.0)
+        rows = self._rows[-1] if self._rows else None
+        return LiveEstimate(
+            -1 if rows is None else int(rows.row[-1]),
+            math.nan if rows is None else float(rows.t_s[-1]),
+            motor.tau_s,
+            motor.K_rad_s_V,
+            motor.fc_V,
+            motor.bias_V,
+            motor.delay_s,
+            dict.fromkeys(OF_PARAMETERS, 100.0 * NORMAL_95 * share),
+            np.diag(np.array([share, share, share * motor.fc_V, asym_V, delay]) ** 2),
+            math.nan,
+            math.inf,
+            False,
+            tuple(law.name for law in self._laws),
+            0.0,
+            replace(prior, motor=motor),
+        )
+
+
+def drives_differ(cut: Cut, found: Sequence[Sequence[Motion]], noise_rad: float) -> bool:
+    """Whether the motions have large swings of clearly different mean speeds."""
+    speeds: list[float] = []
+    for window, each in zip(cut.windows, found, strict=True):
+        for motion in each:
+            part = slice(motion.first, motion.stop)
+            speeds += _swings(window.t_s[part], window.y_rad[part], LARGE_SWING * noise_rad)
+    if len(speeds) < 2 * ENOUGH_SWINGS:
+        return False
+    speeds.sort()
+    return speeds[-ENOUGH_SWINGS] > DIFFERENT * speeds[ENOUGH_SWINGS - 1]
+
+
+def _swings(t_s: Array, y_rad: Array, least_rad: float) -> list[float]:
+    """Mean speeds of the swings of at least ``least_rad``, rad/s."""
+    speeds = []
+    low = high = turn = 0
+    way = 0
+    for k in range(1, y_rad.size):
+        high = k if y_rad[k] > y_rad[high] else high
+        low = k if y_rad[k] < y_rad[low] else low
+        if way >= 0 and y_rad[high] - y_rad[k] > least_rad:
+            if way > 0:
+                speeds.append(float((y_rad[high] - y_rad[turn]) / max(t_s[high] - t_s[turn], 1e-9)))
+            way, turn, low = -1, high, k
+        elif way <= 0 and y_rad[k] - y_rad[low] > least_rad:
+            if way < 0:
+                speeds.append(float((y_rad[turn] - y_rad[low]) / max(t_s[low] - t_s[turn], 1e-9)))
+            way, turn, high = 1, low, k
+    return speeds
+
+
+def weight_of(cut: Cut) -> Array:
+    """Weight of each row, 0 or 1, (n,)."""
+    return np.ones(cut.t_s.size) if cut.weight is None else cut.weight
+
+
+def _cost(fit: Fit) -> float:
+    return fit.cost
+
+
+def _least_drive(cut: Cut) -> float:
+    """The smallest of the largest drives of all pieces that count, V: friction is below it."""
+    weight = weight_of(cut)
+    drives = []
+    for window in cut.windows:
+        edge_s, u_V = window.steps
+        drives.append(np.abs(u_V[np.maximum(np.searchsorted(edge_s, window.t_s, side="right") - 1, 0)]))
+    largest = np.maximum.reduceat(weight * np.concatenate(drives), cut.begins)
+    return float(np.min(largest[largest > 0.0], initial=math.inf))
+
+
+def _inverse(matrix: Array) -> Array | None:
+    """Inverse of normal equations; None if they do not tell the numbers."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    if values[0] < 1e-11 * values[-1]:
+        return None
+    return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
+
+
+def _laws_of(prior: FramedMotor | None) -> tuple[Departure, ...]:
+    """The laws that a prior motor has; but for drift, which belongs to its own run."""
+    if prior is None:
+        return ()
+    return tuple(law for law in DEPARTURES if law.name in prior.parts and law.name != "drift")
