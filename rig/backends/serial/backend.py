@@ -138,9 +138,9 @@ class SerialBackend(LineBackend):
 
     @override
     def relay_rules(self, e: Experiment, drive_map: DriveMap, clock_ratio: float) -> RelayRules:
-        from rig.backends.serial.relay_stream import FirmwareRelayRules
+        from rig.backends.serial.law_stream import FirmwareLawRules
 
-        return FirmwareRelayRules(e.sensor.curve, drive_map, clock_ratio)
+        return FirmwareLawRules(e.sensor.curve, drive_map, clock_ratio)
 
 
 def _device_drives(e: Experiment) -> Iterator[str]:

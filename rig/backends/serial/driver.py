@@ -15,12 +15,12 @@ from statistics import median
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow, Timeouts, Transport
 from rig.backends.serial import frames
 from rig.backends.serial.device_clock import DeviceClock, TimedExchange, fit_device_clock
-from rig.backends.serial.device_relay import RelayRun
+from rig.backends.serial.law_run import LawRun
 from rig.backends.serial.exchange import ATTEMPTS, Exchange
 from rig.backends.serial.fit import PLAIN_BOARD, Board, Expected, check_fit, measured_supply_V
 from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Packet, Setup
 from rig.backends.serial.introduction import await_introduction, refusal
-from rig.backends.serial.relay_stream import FirmwareRelay, FirmwareRelayRules, RelayStream
+from rig.backends.serial.law_stream import FirmwareRelay, FirmwareLawRules, LawStream
 from rig.calibration import (
     Calibration,
     DriveMap,
@@ -146,7 +146,7 @@ class SerialDriver:
         self._again_in_a_row = 0
         self._drives_lost = 0
         self._lost_in_a_row = 0
-        self._relay: RelayRun | None = None  # while it runs
+        self._relay: LawRun | None = None  # while it runs
 
     @property
     def link_statistics(self) -> Mapping[str, int]:
@@ -351,12 +351,12 @@ class SerialDriver:
         return self._relay_rules.tick_s
 
     def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
-        """The command for these gains; raises as ``FirmwareRelayRules.relay_command``."""
+        """The command for these gains; raises as ``FirmwareLawRules.relay_command``."""
         return self._relay_rules.relay_command(h1_V, h2_V, z_bound_rad_s)
 
     @property
-    def _relay_rules(self) -> FirmwareRelayRules:
-        return FirmwareRelayRules(self.calibration, self.drive_map, self._clock.ratio)
+    def _relay_rules(self) -> FirmwareLawRules:
+        return FirmwareLawRules(self.calibration, self.drive_map, self._clock.ratio)
 
     def start_relay(self, command: RelayCommand) -> None:
         """Let the device's relay drive from its next tick on, from 0 V. Call ``keep`` regularly from then on.
@@ -367,8 +367,8 @@ class SerialDriver:
             raise TypeError("a command of another driver")
         self._unconfirmed = None
         self._relay = None
-        stream = RelayStream(self.calibration, self.drive_map, self._clock, self._session, self._exchange.now_s())
-        self._relay = RelayRun.start(self._exchange, command.setup, stream)
+        stream = LawStream(self.calibration, self.drive_map, self._clock, self._session, self._exchange.now_s())
+        self._relay = LawRun.start(self._exchange, command.setup, stream)
 
     def keep(self) -> None:
         """Tell the device that the host lives. Without this its watchdog ends the relay."""
@@ -410,7 +410,7 @@ class SerialDriver:
         self._relay = None
         return relay.rows()
 
-    def _running_relay(self) -> RelayRun:
+    def _running_relay(self) -> LawRun:
         if self._relay is None:
             raise ValueError("no relay runs in the device")
         return self._relay

@@ -9,23 +9,23 @@ from rig.backends.serial import frames
 from rig.backends.serial.exchange import ATTEMPTS, Exchange
 from rig.backends.serial.frames import DeviceState, Kind, RelaySetup
 from rig.backends.serial.introduction import STALE_READS, refusal
-from rig.backends.serial.relay_stream import TICK_S, RelayStream
+from rig.backends.serial.law_stream import TICK_S, LawStream
 from rig.faults import Fault
 
 
-class RelayRun:
+class LawRun:
     """One run of the relay in the device. ``start`` constructs it.
 
     exchange  with the device
     stream    of its blocks
     """
 
-    def __init__(self, exchange: Exchange, stream: RelayStream) -> None:
+    def __init__(self, exchange: Exchange, stream: LawStream) -> None:
         self._exchange = exchange
         self._stream = stream
 
     @classmethod
-    def start(cls, exchange: Exchange, setup: RelaySetup, stream: RelayStream) -> Self:
+    def start(cls, exchange: Exchange, setup: RelaySetup, stream: LawStream) -> Self:
         """Let the relay drive from the device's next tick on, from 0 V.
 
         Raises Fault ARM_READBACK, LINK_TIMEOUT, or the refusal of the device.

@@ -25,7 +25,7 @@ class FirmwareRelay(RelayCommand):
 
 
 @dataclass(frozen=True)
-class FirmwareRelayRules:
+class FirmwareLawRules:
     """What the firmware makes of the gains of a relay: drives in whole units, the integral in counts and ticks.
 
     calibration  a straight line
@@ -73,7 +73,7 @@ class FirmwareRelayRules:
         )
 
 
-class RelayStream:
+class LawStream:
     """The blocks of one run of the relay in the device.
 
     heard_s  host time at which the last block came, s; before the first block, that of the start
