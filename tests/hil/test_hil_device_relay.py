@@ -33,7 +33,7 @@ from rig.backends.serial.frames import (
     Setup,
     encode,
 )
-from rig.backends.serial.law_stream import FirmwareRelay
+from rig.backends.serial.firmware_laws import FirmwareRelay
 from rig.config import load
 from rig.config.schema import Experiment, RelayGainsSection, RelaySection
 from rig.control.excitation import RelayTest

@@ -12,7 +12,7 @@ from rig.backends import registry
 from rig.backends.backend import Backend
 from rig.backends.driver import RelayRules
 from rig.backends.serial.backend import SerialBackend
-from rig.backends.serial.law_stream import FirmwareLawRules
+from rig.backends.serial.firmware_laws import FirmwareLawRules
 from rig.calibration import DriveMap
 from rig.config.schema import Experiment
 from rig.recording.errors import RecordingError

@@ -138,7 +138,7 @@ class SerialBackend(LineBackend):
 
     @override
     def relay_rules(self, e: Experiment, drive_map: DriveMap, clock_ratio: float) -> RelayRules:
-        from rig.backends.serial.law_stream import FirmwareLawRules
+        from rig.backends.serial.firmware_laws import FirmwareLawRules
 
         return FirmwareLawRules(e.sensor.curve, drive_map, clock_ratio)
 

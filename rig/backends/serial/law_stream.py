@@ -1,80 +1,17 @@
-"""The relay in the device, seen from the host: its command, and its ticks, which come back in blocks."""
+"""The ticks of a law in the device, which come back in blocks."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from rig.backends.driver import RelayCommand, RelayRow
+from rig.backends.driver import RelayRow
 from rig.backends.serial import frames
 from rig.backends.serial.device_clock import DeviceClock
-from rig.backends.serial.frames import BLOCK_ROWS, Block, Packet, RelaySetup
+from rig.backends.serial.frames import Block, Packet
 from rig.calibration import Calibration, DriveMap
 from rig.faults import Fault
 
-TICK_S = 1e-3  # of the device, in its own time
-_CENTRE_STEPS = 16  # to a count
-_INTEGRAL_STEPS = 32  # to a count tick
-_LARGEST_INTEGRAL = 2**30
-
-
-@dataclass(frozen=True)
-class FirmwareRelay(RelayCommand):
-    """The command, with the ``setup`` that goes over the wire."""
-
-    setup: RelaySetup
-
-
-@dataclass(frozen=True)
-class FirmwareLawRules:
-    """What the firmware makes of the gains of a relay: drives in whole units, the integral in counts and ticks.
-
-    calibration  a straight line
-    drive_map    with the device's units
-    clock_ratio  device seconds in a second of the host
-    """
-
-    calibration: Calibration
-    drive_map: DriveMap
-    clock_ratio: float
-
-    @property
-    def tick_s(self) -> float:
-        """The device's tick in host time, s."""
-        return TICK_S / self.clock_ratio
-
-    def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> FirmwareRelay:
-        """The command for these gains.
-
-        Raises ValueError for drives beyond the bridge's; Fault CONFIG_MISMATCH where the integral does not fit the
-        device.
-        """
-        calibration, drive_map = self.calibration, self.drive_map
-        count_tick_rad_s = calibration.lsb_rad * self.tick_s
-        z_bound = round(_INTEGRAL_STEPS * z_bound_rad_s / count_tick_rad_s)
-        if not 1 <= z_bound <= _LARGEST_INTEGRAL:
-            raise Fault(
-                "CONFIG_MISMATCH",
-                f"the bound on the relay's integral, {z_bound_rad_s:g} rad s, is not within what the device can hold, "
-                f"{_LARGEST_INTEGRAL / _INTEGRAL_STEPS * count_tick_rad_s:g} rad s: use a shorter cycle, or "
-                "relay.where: host",
-            )
-        units = tuple(drive_map.to_units(-h1_V * y - h2_V * z) for y, z in ((1, 1), (1, -1), (-1, 1), (-1, -1)))
-        drive = (units[0], units[1], units[2], units[3])
-        volts = tuple(map(drive_map.to_volts, drive))
-        centre = round(_CENTRE_STEPS * calibration.to_counts(0.0))
-        setup = RelaySetup(drive, centre, z_bound, calibration.direction, BLOCK_ROWS)
-        return FirmwareRelay(
-            drives_V=(volts[0], volts[1], volts[2], volts[3]),
-            count_tick_rad_s=count_tick_rad_s,
-            centre_counts=setup.centre / _CENTRE_STEPS,
-            z_bound_count_ticks=setup.z_bound / _INTEGRAL_STEPS,
-            direction=calibration.direction,
-            setup=setup,
-        )
-
 
 class LawStream:
-    """The blocks of one run of the relay in the device.
+    """The blocks of one run of a law in the device.
 
     heard_s  host time at which the last block came, s; before the first block, that of the start
     last     the last block; None before the first
