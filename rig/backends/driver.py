@@ -272,7 +272,7 @@ class RelayRules(Protocol):
 
 
 @runtime_checkable
-class StrokeRules(Protocol):
+class StrokeRules(RelayRules, Protocol):
     """What a device that runs strokes by itself makes of them: a replay asks it again."""
 
     def strokes_command(
@@ -313,7 +313,7 @@ class RelayDriver(Driver, RelayRules, Protocol):
 
 @runtime_checkable
 class StrokeDriver(RelayDriver, StrokeRules, Protocol):
-    """A driver whose device can run strokes by itself, too. ``keep``, ``read_rows`` and ``stop_relay`` serve both laws."""
+    """A driver whose device can run strokes, too. ``keep``, ``read_rows`` and ``stop_relay`` serve both laws."""
 
     def start_strokes(self, command: StrokesCommand) -> None:
         """Let the strokes drive. Raises Fault where the device refuses, or on any fault of the link."""

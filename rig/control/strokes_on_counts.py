@@ -12,7 +12,7 @@ from rig.signals import Sample
 
 
 class CountedTimes(NamedTuple):
-    """Longest times of one stroke, in ticks of the device: until its turning point, and with a reading that is still."""
+    """Longest times of one stroke, ticks of the device: until its turning point, and with a reading that is still."""
 
     stroke_ticks: int
     still_ticks: int

@@ -84,8 +84,8 @@ class FirmwareLawRules:
     ) -> FirmwareStrokes:
         """The command for these strokes (drive, V; turning point, rad).
 
-        Raises ValueError for drives beyond the bridge's, or so small that no unit drives; Fault CONFIG_MISMATCH for more
-        strokes, or longer ones, than the device takes.
+        Raises ValueError for drives beyond the bridge's, or so small that no unit drives; Fault CONFIG_MISMATCH for
+        more strokes, or longer ones, than the device takes.
         """
         if len(strokes) > MAX_STROKES:
             raise Fault(
