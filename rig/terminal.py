@@ -105,6 +105,10 @@ def show_run(outcome: Outcome) -> None:
             f"{test.stage}: h1 {test.h1_V:.3f} V, h2 {test.h2_V:.3f} V -> "
             f"amplitude {test.amplitude_rad:.3f} rad, period {test.period_s:.3f} s, {test.cycles} cycles"
         )
+    if result.stopped is not None:
+        click.echo(
+            f"tests: {known(result.stopped.tests_s):.1f} s, {result.stopped.cycles} swings; ended: {result.stopped.why}"
+        )
     for run in result.hysteretic or ():
         switched = "no switching" if run.switched_s is None else f"switches after {run.switched_s:.3f} s"
         click.echo(

@@ -10,8 +10,9 @@ import click
 from rich.console import Console
 
 from rig.cli.driving import checked_bench, compiled, perform
-from rig.cli.failure import EXIT_FAILED, faults
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input, faults
 from rig.cli.options import CONFIG, JSON, OUT
+from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
 from rig.terminal import show_scatter
 
@@ -25,13 +26,33 @@ from rig.terminal import show_scatter
     default=1,
     help="Run it N times and show the scatter between runs. An emulated bench takes seed, seed + 1, ...",
 )
+@click.option(
+    "--model",
+    "model_run",
+    type=click.Path(path_type=Path),
+    help="With relay.until: begin with the motor of this run folder, or of this result.json.",
+)
 @JSON
-def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
+def run(config_path: Path, out: Path, repeat: int, model_run: Path | None, as_json: bool) -> None:
     """Run the whole experiment, identify the motor, write a report.
 
-    The stages: breakaway, search, relay, identify, verify, report.
+    The stages: breakaway, search, tests, identify, verify, report.
     """
     experiment = checked_bench(config_path)
+    known = None
+    if model_run is not None:
+        if experiment.relay.until is None or experiment.law is not None:
+            fail(
+                EXIT_BAD_INPUT,
+                f"--model needs relay.until in {config_path}: only there the tests depend on what is known",
+                "set relay.until (docs/until.md), or leave --model out",
+            )
+        from rig.identify.known_model import known_model
+
+        try:
+            known = known_model(model_run)
+        except RecordingError as error:
+            fail_input(error)
     if experiment.law is None:
         compiled()
     if Console(stderr=True).is_terminal and not as_json:
@@ -39,7 +60,7 @@ def run(config_path: Path, out: Path, repeat: int, as_json: bool) -> None:
     from rig import experiment as script
 
     with faults():
-        outcomes = script.repeated(experiment, repeat, out, partial(perform, as_json=as_json))
+        outcomes = script.repeated(experiment, repeat, out, partial(perform, as_json=as_json), known)
     if as_json:
         results = [outcome.as_json() for outcome in outcomes]
         ok = all(result["ok"] for result in results)

@@ -305,7 +305,7 @@ class UntilSection(_Section):
     )
     most_cycles: Annotated[int, Field(ge=3, le=10_000)] = Field(60, description="or after so many swings to and fro")
     model_doubt_percent: Annotated[float, Field(gt=0.0, le=100.0)] = Field(
-        30.0, description="how far a model that `rig run --model` gives may be off, in % (one standard deviation)"
+        30.0, description="`rig run --model`: the motor is that model within so much of tau, K and f_c, in % (at 95 %)"
     )
 
 

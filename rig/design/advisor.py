@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.design.belief import Belief
-from rig.design.best_test import best_test
+from rig.design.best_test import KINDS, Kind, best_test
 from rig.design.outlook import Task, law_of, told
-from rig.design.planned_test import Design, RelayGains
+from rig.design.planned_test import Design, PlannedTest, RelayGains
 from rig.design.room import Reading, Room
 from rig.design.stop_rule import StopRule
 from rig.identify.live import LiveEstimate, LiveFit, LiveRows, LiveSettings
@@ -34,6 +34,7 @@ class AdvisorSettings:
     live              of the live fit, which may know the motor beforehand
     room, reading     of the designs
     noise_error       standard error of the noise at rest, as a share of it
+    kinds             of tests that the bench can drive
     """
 
     interval_percent: float
@@ -41,6 +42,7 @@ class AdvisorSettings:
     room: Room
     reading: Reading
     noise_error: float = 0.0
+    kinds: tuple[Kind, ...] = KINDS
 
 
 @dataclass(frozen=True)
@@ -116,28 +118,44 @@ class Advisor:
         return Advice(estimate, self._next(estimate))
 
     def _next(self, estimate: LiveEstimate) -> Design | None:
-        if self._settings.live.prior is None and not estimate.worst_percent <= KNOWN_PERCENT:
-            return None
-        if self._given is not None and not self._must_change:
-            runs = self._stage != self._given_in and Stage.parse(self._stage).is_test
-            if not runs or self._last_s - self._stage_s < LEAST_S:
-                return None
-        belief = belief_of(estimate)
-        return self._design(belief, information_of(belief))
-
-    def _design(self, belief: Belief, seen: Array) -> Design | None:
+        """The test to go over to; None: go on with the present one."""
         s = self._settings
-        task = Task(belief, seen, self._room, s.reading, s.interval_percent)
-        design = best_test(task)
-        if design is None:
+        if s.live.prior is None and not estimate.worst_percent <= KNOWN_PERCENT:
             return None
-        if self._given is not None and not self._must_change:
-            given = self._given.test
-            law = law_of(given if isinstance(given, RelayGains) else given.strokes)
-            if design.seconds > BETTER * told(task, law).seconds:
-                return None
+        if not self._must_change and self._given is not None and not self._has_run():
+            return None
+        wanted_percent, kinds = s.interval_percent, s.kinds
+        if estimate.worst_percent <= wanted_percent:
+            if estimate.drives_differ or self._given is None:
+                return None  # the next estimate may say that it is enough
+            # known well by drives that are too much alike: now the other kind
+            wanted_percent = LESS_ROOM * estimate.worst_percent
+            kinds = tuple(kind for kind in s.kinds if kind != kind_of(self._given.test)) or s.kinds
+        belief = belief_of(estimate)
+        task = Task(belief, information_of(belief), self._room, s.reading, wanted_percent)
+        design = best_test(task, kinds)
+        if design is None or (kinds == s.kinds and not self._is_better(design, task)):
+            return None
         self._given, self._given_in, self._must_change = design, self._stage, False
         return design
+
+    def _has_run(self) -> bool:
+        """Whether the test given last runs, and has run for a while."""
+        runs = self._stage != self._given_in and Stage.parse(self._stage).is_test
+        return runs and self._last_s - self._stage_s >= LEAST_S
+
+    def _is_better(self, design: Design, task: Task) -> bool:
+        """Whether a design needs clearly less time than the test that runs still does."""
+        if self._given is None or self._must_change:
+            return True
+        test = self._given.test
+        law = law_of(test if isinstance(test, RelayGains) else test.strokes)
+        return design.seconds <= BETTER * told(task, law).seconds
+
+
+def kind_of(test: PlannedTest) -> Kind:
+    """The kind of a test."""
+    return "relay" if isinstance(test, RelayGains) else "strokes"
 
 
 def information_of(belief: Belief) -> Array:

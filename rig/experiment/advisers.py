@@ -10,7 +10,7 @@ from typing import Protocol
 from rig.backends.clock import MonotonicClock
 from rig.design.advisor import Advice, Advisor, AdvisorSettings
 from rig.experiment.live_process import LiveProcess
-from rig.identify.live import LiveSettings
+from rig.identify.live import NORMAL_95, LiveSettings
 from rig.identify.noise import noise_at_rest
 from rig.model.real_motor import FramedMotor
 from rig.preflight.planned_tests import reading_of, room_of_tests
@@ -93,7 +93,7 @@ def advisor_settings(session: Session, known: FramedMotor | None) -> AdvisorSett
             lsb_rad=e.sensor.curve.lsb_rad,
             largest_V=e.drive.max_V,
             prior=known,
-            prior_percent=e.relay.until.model_doubt_percent,
+            prior_percent=e.relay.until.model_doubt_percent / NORMAL_95,
         ),
         room_of_tests(e, max(check.plus_V, check.minus_V), session.delay),
         reading_of(e, noise.std_rad, session.loop.latency_s),

@@ -82,7 +82,11 @@ def configured_law(section: LawSection) -> Timed:
 
 
 def repeated(
-    experiment: Experiment, number: int, parent: Path, perform: Callable[[Callable[[OnStart], Outcome]], Outcome]
+    experiment: Experiment,
+    number: int,
+    parent: Path,
+    perform: Callable[[Callable[[OnStart], Outcome]], Outcome],
+    known: FramedMotor | None = None,
 ) -> list[Outcome]:
     """Do ``run`` ``number`` times, each through ``perform``. A fault, a failure or a signal ends the series.
 
@@ -94,7 +98,7 @@ def repeated(
     outcomes: list[Outcome] = []
 
     def one(e: Experiment, bench: Bench | None) -> bool:
-        outcomes.append(perform(lambda on_start: run(e, parent, on_start, bench)))
+        outcomes.append(perform(lambda on_start: run(e, parent, on_start, bench, known)))
         return outcomes[-1].fault is None and not outcomes[-1].failures
 
     if number == 1:

@@ -54,26 +54,26 @@ HYSTERETIC_TIMEOUT_S = 10.0  # for each
 
 def drive_tests(session: Session, check: BreakawayLaw | None = None) -> None:
     """Breakaway check, relay tests and hysteretic runs: all that is identified; ``check`` as ``check_breakaway``."""
-    with checked(session, check):
+    with _checked(session, check):
         test_relays(session)
         test_hysteretic(session)
 
 
 def drive_one_test(session: Session, check: BreakawayLaw | None = None) -> None:
     """Breakaway check and the first relay test: what a survey needs; ``check`` as ``check_breakaway``."""
-    with checked(session, check):
+    with _checked(session, check):
         test_relays(session, most=1)
 
 
 def drive_check(session: Session, check: BreakawayLaw | None = None) -> None:
     """The breakaway check alone; ``check`` as ``check_breakaway``."""
-    with _prepared(session):
-        _armed_check(session, check)
+    with prepared(session):
+        armed_check(session, check)
 
 
 def drive_law(session: Session, law: Timed, check: BreakawayLaw | None = None) -> None:
     """A law of a user's own, from rest, after the breakaway check; ``check`` as ``check_breakaway``."""
-    with checked(session, check):
+    with _checked(session, check):
         session.note("law", name=law.name, duration_s=law.duration_s)
         session.loop.run(law, str(StageKind.LAW))
         session.loop.run(Rest(REST_S), "rest")
@@ -95,20 +95,20 @@ def drive_by_hand(session: Session, u_V: float, duration_s: float) -> None:
 @contextmanager
 def driving(session: Session) -> Iterator[None]:
     """Arm the device for the block. If time is real, set this process up for real time."""
-    with _prepared(session), session.loop.armed(session.experiment.device_limits):
+    with prepared(session), session.loop.armed(session.experiment.device_limits):
         yield
 
 
 @contextmanager
-def checked(session: Session, check: BreakawayLaw | None) -> Iterator[None]:
+def _checked(session: Session, check: BreakawayLaw | None) -> Iterator[None]:
     """As ``driving``, after the breakaway check, which arms the device with its own watchdog time."""
-    with _prepared(session):
-        _armed_check(session, check)
+    with prepared(session):
+        armed_check(session, check)
         with session.loop.armed(session.experiment.device_limits):
             yield
 
 
-def _armed_check(session: Session, check: BreakawayLaw | None) -> None:
+def armed_check(session: Session, check: BreakawayLaw | None) -> None:
     """The breakaway check, armed with a short watchdog: it bounds unseen travel even if the host dies in a stroke."""
     e = session.experiment
     limits = e.device_limits
@@ -185,7 +185,7 @@ def _delay_of(session: Session, reported_s: float, noise_rad: float) -> BenchDel
 
 
 @contextmanager
-def _prepared(session: Session) -> Iterator[None]:
+def prepared(session: Session) -> Iterator[None]:
     """Set this process up for real time during the block, if time is real."""
     if not isinstance(session.bench.clock, MonotonicClock):
         _note_real_time(session, RealTime(["virtual time: lateness means nothing here"]))

@@ -20,7 +20,7 @@ from rig.control.strokes import StrokeTest, StrokeTiming
 from rig.design.advisor import Advice
 from rig.design.planned_test import PlannedTest, RelayGains
 from rig.experiment.advisers import Advisers, advisers_of, advisor_settings
-from rig.experiment.stages import REST_S, checked, relay_and_detector, test_hysteretic
+from rig.experiment.stages import REST_S, armed_check, prepared, relay_and_detector, test_hysteretic
 from rig.identify.live import LiveEstimate
 from rig.model.real_motor import FramedMotor
 from rig.preflight.room_to_stop import expected_delay_s, reach_rad
@@ -48,14 +48,17 @@ def drive_until(
     check     as ``rig.experiment.stages.check_breakaway``
     advisers  of a replay; None: those of a run
     """
-    with advisers_of(session) if advisers is None else nullcontext(advisers) as who, checked(session, check):
+    e = session.experiment
+    with advisers_of(session) if advisers is None else nullcontext(advisers) as who, prepared(session):
+        armed_check(session, check)
         if known is not None:
             session.note("known", **known.numbers)  # a replay begins with a rest, too
         if advisers is None:
-            who.begin(advisor_settings(session, known))
-        _Tests(session, who, known is not None).run()
-        session.loop.run(Rest(REST_S), "rest")
-        test_hysteretic(session)
+            who.begin(advisor_settings(session, known))  # in the pause: it takes longer than a tick
+        with session.loop.armed(e.device_limits):
+            _Tests(session, who, known is not None).run()
+            session.loop.run(Rest(REST_S), "rest")
+            test_hysteretic(session)
 
 
 class _Next(NamedTuple):

@@ -21,7 +21,7 @@ from rig.identify.departures.departure import Departure
 from rig.identify.departures.fit import CORE, DELAY, Fit, Normal, Problem, limits_of, solve, unit
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.pieces import Cut
-from rig.identify.motions import Motion, motions
+from rig.identify.motions import Motion, in_parts, motions
 from rig.model.real_motor import Frame, FramedMotor, RealMotor
 from rig.recording.series import FEWEST_ROWS, TimeSeries, Window
 
@@ -31,6 +31,8 @@ NORMAL_95 = 1.959964
 GAP_PERIODS = 2.5  # between two rows: from there on the record is cut
 FEWEST_MOVING_ROWS = 40
 ITERATIONS = 12
+PART_S = 3.0  # of a motion at first: over so little of it a fit finds its valley, and errors of the model do not add up
+GROWN = 1.04  # growth of the residual from parts to whole motions up to which these are fitted: they say more
 COLD_ITERATIONS, POLISHED = 20, 3
 COLD_TAUS, COLD_SHARES = 8, (0.15, 0.4, 0.6, 0.75, 0.88, 0.97)  # of the friction, in the smallest drive that moved
 SURE_PERCENT = 5.0  # half width from which on the fit's valley is the right one
@@ -142,7 +144,7 @@ class LiveFit:
         self._rows: list[LiveRows] = []
         self._count = 0
         self._last: Fit | None = None
-        self._last_starts: dict[float, Array] = {}
+        self._starts: dict[float, Array] = {}
         self._cold_at = 0.0  # seconds of motion at the last search for a start
         self._sure = False
 
@@ -159,7 +161,9 @@ class LiveFit:
         record = self._record()
         if record is None:
             return self._of_prior()
-        cut, found = record
+        windows, found = record
+        longest = max(FEWEST_MOVING_ROWS, round(PART_S / self.settings.period_s))
+        cut = self._cut(windows, [in_parts(each, longest) for each in found])
         moving = float(np.sum(weight_of(cut))) * self.settings.period_s
         fit = self._warm(cut)
         if fit is None or self._looks_elsewhere(fit, moving):
@@ -169,15 +173,31 @@ class LiveFit:
             fit = min(fits, key=_cost) if fits else None
         if fit is None:
             return self._of_prior()
+        self._keep(fit)
+        whole = self._cut(windows, found)
+        if whole.begins.size < cut.begins.size:
+            longer = self._warm(whole)
+            if longer is not None and unit(longer) < GROWN**2 * max(unit(fit), 1.0):
+                fit = longer
+                self._keep(fit)
         estimate = self._estimate(fit, found, moving)
         if estimate is None:
+            self._last = None
             return self._of_prior()
-        self._last, self._sure = fit, estimate.worst_percent <= SURE_PERCENT
-        self._last_starts = dict(zip(fit.problem.cut.t_s[fit.problem.cut.begins].tolist(), fit.starts, strict=True))
+        self._sure = estimate.worst_percent <= SURE_PERCENT
         return estimate
 
-    def _record(self) -> tuple[Cut, list[list[Motion]]] | None:
-        """The rows so far as pieces, and the motions in each window; None if the shaft has hardly moved."""
+    def _keep(self, fit: Fit) -> None:
+        """Take this fit as the start of the next one."""
+        self._last = fit
+        begins_s = fit.problem.cut.t_s[fit.problem.cut.begins]
+        self._starts |= dict(zip(begins_s.tolist(), fit.starts, strict=True))
+
+    def _cut(self, windows: Sequence[Window], found: Sequence[Sequence[Motion]]) -> Cut:
+        return Cut.of_motions(windows, [self._frame(windows)] * len(windows), found)
+
+    def _record(self) -> tuple[list[Window], list[list[Motion]]] | None:
+        """The rows so far between gaps, and the motions in each part; None if the shaft has hardly moved."""
         if self._count < FEWEST_ROWS:
             return None
         self._rows = [LiveRows(*(np.concatenate(columns) for columns in zip(*self._rows, strict=True)))]
@@ -194,7 +214,7 @@ class LiveFit:
                 found.append(moved)
         if sum(motion.stop - motion.first for each in found for motion in each) < FEWEST_MOVING_ROWS:
             return None
-        return Cut.of_motions(windows, [self._frame(windows)] * len(windows), found), found
+        return windows, found
 
     def _series(self, rows: LiveRows) -> list[TimeSeries]:
         """The rows between gaps of the record."""
@@ -251,8 +271,8 @@ class LiveFit:
             return None
         fit = begin(self._problem(cut), motor)
         for k, t_s in enumerate(cut.t_s[cut.begins].tolist()):
-            if t_s in self._last_starts:
-                fit.starts[k] = self._last_starts[t_s]
+            if t_s in self._starts:
+                fit.starts[k] = self._starts[t_s]
         residual = cut.readings(fit.motor, fit.starts) - cut.y_rad
         fit = replace(fit, residual_rad=residual, cost=fit.problem.cost(residual) + fit.problem.surprise(fit.motor))
         return solve(fit, ITERATIONS)

@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +24,10 @@ Rows = NDArray[np.int64]
 
 SHORTEST_REST_S, FEWEST_AT_REST = 0.12, 9  # a rest takes as long, and as many rows
 SEEN = 2.5  # standard deviations beyond which a change of the position shows
-QUIET = 0.25  # of the drive that moves the shaft: below it, friction surely holds a shaft at rest
+OFF = 0.005  # of the largest drive: below it the drive is off, and a shaft at rest stays there
 LEAST_TRAVEL = 6.0  # of a motion, in standard deviations of the noise
 REST_ROWS = 8  # rows at rest that are fitted beside a motion
 DITHERED = 0.4  # noise over the sensor's step from which on several readings say more than one
-LONGEST_S = 3.0  # of a piece: over longer ones what the model leaves out adds up
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,12 @@ class Motion:
 def motions(window: Window, noise_rad: float, lsb_rad: float) -> list[Motion]:
     """The motions of a window, in order; none if the shaft never moved.
 
+    A motion lasts until the shaft is seen at rest again: a relay test is one.
+
     noise_rad   standard deviation of the sensor's noise, rad, > 0
     lsb_rad     step of the reading, rad; 0: none
     """
-    t_s, y_rad = window.t_s, window.y_rad
-    u_V = _drives(window)
+    y_rad, drive = window.y_rad, _Drive.of(window)
     span = max(FEWEST_AT_REST, math.ceil(SHORTEST_REST_S / window.period_s))
     still = at_rest(y_rad, noise_rad, lsb_rad, span)
     keeps = REST_ROWS if noise_rad >= DITHERED * lsb_rad else 1
@@ -62,13 +63,13 @@ def motions(window: Window, noise_rad: float, lsb_rad: float) -> list[Motion]:
         begin = stop
         if float(np.ptp(y_rad[first:stop])) < LEAST_TRAVEL * noise_rad + lsb_rad:
             continue
-        start, from_rest = _start(before, first, y_rad, u_V, span // 3, keeps)
+        start, from_rest = _start(before, first, drive, y_rad, span, keeps)
         if found and start < found[-1].stop:
             found[-1] = Motion(found[-1].first, start, found[-1].from_rest)
         end = min(stop + span // 3, y_rad.size)  # a rest is seen to begin early
-        loud = np.flatnonzero(np.abs(u_V[end : end + keeps]) > QUIET * float(np.abs(u_V[first:stop]).max()))
-        end = min(end + (int(loud[0]) if loud.size else keeps), y_rad.size)
-        found += _cut(t_s, Motion(start, end, from_rest))
+        driven = np.flatnonzero(~drive.off[end : end + keeps])
+        end = min(end + (int(driven[0]) if driven.size else keeps), y_rad.size)
+        found.append(Motion(start, end, from_rest))
     return found
 
 
@@ -95,43 +96,55 @@ def at_rest(y_rad: Array, noise_rad: float, lsb_rad: float, span: int) -> NDArra
     return np.asarray(np.cumsum(count)[:-1] > 0)
 
 
-def _drives(window: Window) -> Array:
-    """The drive at each sample of the window, V."""
-    edge_s, u_V = window.steps
-    return u_V[np.maximum(np.searchsorted(edge_s, window.t_s, side="right") - 1, 0)]
+class _Drive(NamedTuple):
+    """The drive at each sample, V, and whether it is off there."""
+
+    u_V: Array
+    off: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, window: Window) -> _Drive:
+        edge_s, u_V = window.steps
+        at = u_V[np.maximum(np.searchsorted(edge_s, window.t_s, side="right") - 1, 0)]
+        return cls(at, np.abs(at) <= OFF * float(np.abs(u_V).max()))
 
 
-def _start(before: slice, first: int, y_rad: Array, u_V: Array, third: int, keeps: int) -> tuple[int, bool]:
+def _start(before: slice, first: int, drive: _Drive, y_rad: Array, span: int, keeps: int) -> tuple[int, bool]:
     """First row of a motion that shows from row ``first`` on, and whether it begins with no speed.
 
     before   rows of the rest before it
+    span     rows of the shortest rest
+    keeps    most rows of the rest that are fitted
     """
-    if before.stop <= before.start:
+    low, third = before.start, span // 3
+    if before.stop <= low:
         return first, False
-    low = before.start
     seen = min(first + third, y_rad.size - 1)
     way = np.sign(y_rad[seen] - float(np.mean(y_rad[low:first][-2 * third :])))
-    pushes = np.flatnonzero(way * u_V[low : seen + 1] > 0.0)
+    pushes = np.flatnonzero(way * drive.u_V[low : seen + 1] > 0.0)
     if pushes.size == 0:
         return max(low, first - third), False
     # back along the drive that pushes, to where it began
     row = low + int(pushes[-1])
-    while row > low and way * u_V[row - 1] > QUIET * abs(u_V[row]):
+    while row > low and way * drive.u_V[row - 1] > 0.0 and not drive.off[row - 1]:
         row -= 1
-    quiet = np.abs(u_V[low:row]) <= QUIET * float(np.abs(u_V[row : seen + 1]).max())
-    held = int(np.argmin(quiet[::-1])) if not quiet.all() else quiet.size
-    if held >= third:
-        return row - min(held, keeps), True
-    # it was held by friction under a drive of some size: it began to move where that drive last rose
-    rises = np.flatnonzero(way * np.diff(u_V[max(low, row - 1) : seen + 1]) > 0.0)
+    held = low + int(np.flatnonzero(~drive.off[low:row])[-1]) + 1 if not drive.off[low:row].all() else low
+    if row - held >= span:
+        return row - keeps, True
+    # friction held it under a drive of some size: it began to move where that drive last rose
+    rises = np.flatnonzero(way * np.diff(drive.u_V[max(low, row - 1) : seen + 1]) > 0.0)
     return (max(low, row - 1) + int(rises[-1]) if rises.size else max(low, first - third)), False
 
 
-def _cut(t_s: Array, whole: Motion) -> list[Motion]:
-    """A motion in pieces that are not too long."""
-    count = max(1, round(float(t_s[whole.stop - 1] - t_s[whole.first]) / LONGEST_S))
-    rows = np.round(np.linspace(whole.first, whole.stop, count + 1)).astype(int).tolist()
-    return [Motion(first, stop, whole.from_rest and k == 0) for k, (first, stop) in enumerate(pairwise(rows))]
+def in_parts(found: Sequence[Motion], longest: int) -> list[Motion]:
+    """The motions in parts of about ``longest`` rows at most: over longer ones what a model leaves out adds up."""
+    parts = []
+    for whole in found:
+        count = max(1, round((whole.stop - whole.first) / longest))
+        rows = np.round(np.linspace(whole.first, whole.stop, count + 1)).astype(int).tolist()
+        for k, (first, stop) in enumerate(pairwise(rows)):
+            parts.append(Motion(first, stop, whole.from_rest and k == 0))
+    return parts
 
 
 def fitted_rows(found: Sequence[Motion], rows: int) -> tuple[Rows, NDArray[np.bool_], Array]:

@@ -101,6 +101,10 @@ class Progress:
             self.detail = f"h1 {event['h1_V']:.2f} V, h2 {event['h2_V']:.2f} V: {event['outcome']}"
             if event.get("amplitude_rad") is not None:
                 self.detail += f", {event['amplitude_rad']:.2f} rad, {event['period_s']:.2f} s"
+        elif kind == "live":
+            self.detail = live_words(event)
+        elif kind == "decided" and event.get("what") in ("stop", "rest"):
+            self.detail = "; ".join(filter(None, (self.detail, decided_words(event))))
         elif kind == "cycle":
             settled = "settled" if event["settled"] else "settling"
             self.detail = (
@@ -140,10 +144,41 @@ class Progress:
         return table
 
 
+def live_words(event: dict[str, Any]) -> str:
+    """A live estimate: each value with half its 95 % interval."""
+    values = (
+        ("tau", "tau_s", "tau_percent", "s"),
+        ("K", "K_rad_s_V", "K_percent", ""),
+        ("f_c", "fc_V", "fc_percent", "V"),
+    )
+    shown = []
+    for title, name, half, unit in values:
+        value, percent = event.get(name), event.get(half)
+        if value is not None and percent is not None:
+            shown.append(f"{title} {value:.4g}{' ' + unit if unit else ''} ±{percent:.2g} %")
+    return ", ".join(shown)
+
+
+def decided_words(event: dict[str, Any]) -> str:
+    """What the tests go over to, and why."""
+    what, why = event.get("what"), event.get("why") or ""
+    if what == "stop":
+        return f"enough: {why}" if event.get("by") == "advice" else f"over: {why}"
+    if what == "rest":
+        return f"broken off: {why}"
+    seconds = event.get("expected_s")
+    expected = f", {event['expected_percent']:.2g} % expected within {seconds:.1f} s" if seconds is not None else ""
+    return f"next: {what}{expected}"
+
+
 def stage_line(event: dict[str, Any]) -> str | None:
-    """One plain line for the begin of a stage or for a fault; None for other events and for rests between stages."""
+    """One plain line for the begin of a stage, a live estimate, why tests end, a fault; None for other events."""
     if event.get("kind") == "stage" and event["name"] != "rest":
         words = event["name"]
+    elif event.get("kind") == "live":
+        words = f"  {live_words(event)}"
+    elif event.get("kind") == "decided" and event.get("what") in ("stop", "rest"):
+        words = f"  {decided_words(event)}"
     elif event.get("kind") == "fault":
         words = f"{event['code']}: {event['cause']}"
     else:

@@ -325,19 +325,15 @@ def gain_search(run: ReportedRun) -> Picture:
     steps = _search_steps(run)
     if not steps:
         raise AbsentError("The config gave the gains, or the run ended before the search noted a step.")
-    t, h1, h2, amplitude, period = (
+    t, amplitude, period = (
         np.array([known(value) for value in values])
-        for values in zip(*((s.t_s, s.h1_V, s.h2_V, s.amplitude_rad, s.period_s) for s in steps), strict=True)
+        for values in zip(*((s.t_s, s.amplitude_rad, s.period_s) for s in steps), strict=True)
     )
+    if run.result.stopped is not None and not np.isfinite(amplitude).any():
+        return _rising_gains(run, steps)
     figure = new_figure(4.3)
     gains, size, length = figure.subplots(3, 1, sharex=True, height_ratios=(1.3, 1, 1))
-    # the run notes a step when it is over: its gains held since the step before
-    begin = min((float(run.rows.t_s[s.first]) for s in run.spans("search")), default=float(t[0]))
-    edges = np.concatenate(([begin], t))
-    gains.stairs(h1, edges, baseline=None, color="#0072B2", lw=1.6, label="h1 (position)")
-    gains.stairs(h2, edges, baseline=None, color="#D55E00", lw=1.6, ls="--", label="h2 (integral)")
-    gains.set_ylabel("gain, V")
-    gains.legend(loc="upper left", ncols=2)
+    begin = _draw_gains(run, steps, gains)
     tolerance = known(run.config.tolerance)
     for axes, values, aim, words in (
         (size, amplitude, run.config.wanted_amplitude_rad, "amplitude A, rad"),
@@ -355,7 +351,7 @@ def gain_search(run: ReportedRun) -> Picture:
             axes.set_yticks([])
         axes.set_ylabel(words)
     length.set_xlabel("time since the start, s")
-    gains.set_xlim(edges[0], edges[-1] + 0.02 * (edges[-1] - edges[0]))
+    gains.set_xlim(begin, t[-1] + 0.02 * (t[-1] - begin))
     settled = int(np.isfinite(amplitude).sum())
     why = {s.outcome for s, a in zip(steps, amplitude, strict=True) if not math.isfinite(a)} - {""}
     others = f" The others: {'; '.join(sorted(why))}." if why else ""
@@ -365,6 +361,35 @@ def gain_search(run: ReportedRun) -> Picture:
         f"period (green). It tried {len(steps)} pairs of gains; a dot marks each of the {settled} that settled."
         + others,
     )  # fmt: skip
+
+
+def _rising_gains(run: ReportedRun, steps: list[SearchStepResult]) -> Picture:
+    """The path of a start without a target: its gains alone."""
+    figure = new_figure(2.6)
+    gains = figure.subplots()
+    _draw_gains(run, steps, gains)
+    gains.set_xlabel("time since the start, s")
+    return render(
+        figure, run.backend, "Path of the start without a target: gains over time.",
+        f"The start needs no model and no target: both gains grow from the breakaway level until the shaft swings "
+        f"widely, in {len(steps)} steps. What it drove is identified, too.",
+    )  # fmt: skip
+
+
+def _draw_gains(run: ReportedRun, steps: list[SearchStepResult], axes: Axes) -> float:
+    """Draw h1 and h2 over time; returns when the search began, s."""
+    t, h1, h2 = (
+        np.array([known(value) for value in values])
+        for values in zip(*((s.t_s, s.h1_V, s.h2_V) for s in steps), strict=True)
+    )
+    # the run notes a step when it is over: its gains held since the step before
+    begin = min((float(run.rows.t_s[s.first]) for s in run.spans("search")), default=float(t[0]))
+    edges = np.concatenate(([begin], t))
+    axes.stairs(h1, edges, baseline=None, color="#0072B2", lw=1.6, label="h1 (position)")
+    axes.stairs(h2, edges, baseline=None, color="#D55E00", lw=1.6, ls="--", label="h2 (integral)")
+    axes.set_ylabel("gain, V")
+    axes.legend(loc="upper left", ncols=2)
+    return begin
 
 
 def _search_steps(run: ReportedRun) -> list[SearchStepResult]:

@@ -14,12 +14,12 @@ from rig.package import VERSION
 from rig.recording.errors import RecordingError
 from rig.recording.folder import write_whole
 from rig.recording.recording import Recording
-from rig.report import checked, fitted, friction_map, measured, tables, transient
+from rig.report import checked, fitted, friction_map, measured, narrowing, tables, transient
 from rig.report.fit import fits_of
 from rig.report.source import ReportedRun, load
 from rig.report.style import AbsentError, Picture, colour, style
 from rig.report.words import headline, rounded
-from rig.results import RunResult
+from rig.results import LiveResult, RunResult
 
 REPORT = "report.html"
 TEMPLATE = "report.html.j2"
@@ -99,6 +99,7 @@ def render_page(run: ReportedRun, identification: Identification | None = None) 
         records=tables.records(run),
         budget=tables.budget(run),
         hysteretic=tables.hysteretic(run),
+        why_it_ended=narrowing.why_it_ended(run),
         tracking=tables.tracking(run),
         tracking_heads=tables.tracking_heads(run),
         law_used=tables.law_used(run),
@@ -127,10 +128,16 @@ def draw(run: ReportedRun, identification: Identification | None = None) -> dict
                 return []
             return [_figure(lambda: friction_map.over_speed(run)), _figure(lambda: friction_map.over_position(run))]
 
+        def narrowed() -> list[Figure]:
+            if run.result.stopped is None and not run.events_of("live", LiveResult):
+                return []
+            return [_figure(lambda: narrowing.narrowing(run))]
+
         cycles = [_figure(lambda span=span: fitted.averaged_cycle(run, span)) for span in relays]  # type: ignore[misc]
         return {
             "whole": [_figure(lambda: measured.whole_run(run))],
             "breakaway": [_figure(lambda: measured.breakaway(run))],
+            "narrowing": narrowed(),
             "search": [_figure(lambda: measured.gain_search(run))],
             "relays": [_figure(lambda: measured.relay_tests(run))],
             "portraits": [_figure(lambda: measured.portraits(run))],

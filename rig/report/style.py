@@ -40,6 +40,7 @@ BANDS = {
     "breakaway": "#eceef1",
     "search": "#f8efd6",
     "relay": "#dfecf6",
+    "strokes": "#e9e3f4",
     "homing": "#f4f1ec",
     "hysteretic": "#f6e6f0",
     "survey": "#e6f0df",
