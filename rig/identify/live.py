@@ -32,7 +32,7 @@ GAP_PERIODS = 2.5  # between two rows: from there on the record is cut
 FEWEST_MOVING_ROWS = 40
 ITERATIONS = 12
 PART_S = 3.0  # of a motion at first: over so little of it a fit finds its valley, and errors of the model do not add up
-GROWN = 1.04  # growth of the residual from parts to whole motions up to which these are fitted: they say more
+GROWN = 3.0  # standard deviations by which the squares may grow from parts to whole motions for these to be fitted
 COLD_ITERATIONS, POLISHED = 20, 3
 COLD_TAUS, COLD_SHARES = 8, (0.15, 0.4, 0.6, 0.75, 0.88, 0.97)  # of the friction, in the smallest drive that moved
 SURE_PERCENT = 5.0  # half width from which on the fit's valley is the right one
@@ -175,12 +175,10 @@ class LiveFit:
         if fit is None:
             return self._of_prior()
         self._keep(fit)
-        whole = self._cut(windows, found)
-        if whole.begins.size < cut.begins.size:
-            longer = self._warm(whole)
-            if longer is not None and unit(longer) < GROWN**2 * max(unit(fit), 1.0):
-                fit = longer
-                self._keep(fit)
+        longer = self._warm(self._cut(windows, self._motions(windows, through=True)))
+        if longer is not None and _holds(longer, fit):
+            fit = longer
+            self._keep(fit)
         estimate = self._estimate(fit, found, moving)
         if estimate is None:
             self._last = None
@@ -203,19 +201,21 @@ class LiveFit:
             return None
         self._rows = [LiveRows(*(np.concatenate(columns) for columns in zip(*self._rows, strict=True)))]
         windows: list[Window] = []
-        found: list[list[Motion]] = []
         for series in self._series(self._rows[0]):
             latest_s = 0.0 if series.delay_s is None else series.delay_s[1]
             if len(series) - np.searchsorted(series.t_s, series.edge_s[0] + latest_s) < FEWEST_ROWS:
                 continue
-            window = series.predictable(latest_s)
-            moved = motions(window, self.settings.sigma_rad, self.settings.lsb_rad)
-            if moved:
-                windows.append(window)
-                found.append(moved)
+            windows.append(series.predictable(latest_s))
+        found = self._motions(windows)
+        windows = [window for window, each in zip(windows, found, strict=True) if each]
+        found = [each for each in found if each]
         if sum(motion.stop - motion.first for each in found for motion in each) < FEWEST_MOVING_ROWS:
             return None
         return windows, found
+
+    def _motions(self, windows: Sequence[Window], *, through: bool = False) -> list[list[Motion]]:
+        sensor = self.settings.sigma_rad, self.settings.lsb_rad
+        return [motions(window, *sensor, through=through) for window in windows]
 
     def _series(self, rows: LiveRows) -> list[TimeSeries]:
         """The rows between gaps of the record."""
@@ -433,6 +433,14 @@ def _swings(t_s: Array, y_rad: Array, least_rad: float) -> list[float]:
 def weight_of(cut: Cut) -> Array:
     """Weight of each row, 0 or 1, (n,)."""
     return np.ones(cut.t_s.size) if cut.weight is None else cut.weight
+
+
+def _holds(longer: Fit, parts: Fit) -> bool:
+    """Whether the motor bears the longer pieces: their squares are what the noise of the parts lets expect."""
+    variance = max(unit(parts), 1.0)
+    added = longer.problem.cut.freedom - parts.problem.cut.freedom
+    expected = parts.cost + variance * (added + GROWN * math.sqrt(2.0 * max(added, 1)))
+    return longer.cost <= expected
 
 
 def _cost(fit: Fit) -> float:
