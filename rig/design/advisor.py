@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.control.motion import Swings
 from rig.design.belief import Belief
 from rig.design.best_test import KINDS, Kind, best_test
 from rig.design.outlook import Task, law_of, told
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 
 KNOWN_PERCENT = 20.0  # tau, K and f_c must be known so well before a test is designed
 LEAST_S = 1.2  # of a test before another one takes its place
+LEAST_TURNS = 2  # turning points in that test
 BETTER = 0.8  # another test must need less than this share of the time that the present one still needs
 LESS_ROOM = 0.85  # after the guard had to brake
 
@@ -33,6 +35,7 @@ class AdvisorSettings:
     interval_percent  wanted half width of the 95 % intervals of tau, K and f_c, % of the value
     live              of the live fit, which may know the motor beforehand
     room, reading     of the designs
+    turn_rad          a way back shorter than this is no turning point
     noise_error       standard error of the noise at rest, as a share of it
     kinds             of tests that the bench can drive
     """
@@ -41,6 +44,7 @@ class AdvisorSettings:
     live: LiveSettings
     room: Room
     reading: Reading
+    turn_rad: float
     noise_error: float = 0.0
     kinds: tuple[Kind, ...] = KINDS
 
@@ -71,6 +75,7 @@ class Advisor:
         self._stage = ""
         self._stage_s = math.nan  # its first row
         self._last_s = math.nan
+        self._swings = Swings(settings.turn_rad)  # of the stage
         self._given: Design | None = None  # the design given last
         self._given_in = ""  # the stage at that time: rows of another one are of the test given
         self._must_change = False
@@ -82,9 +87,12 @@ class Advisor:
             return
         self._rows = new.stop
         stages = recording.stage[new]
-        for t_s, name in zip(recording.t_s[new].tolist(), stages.tolist(), strict=True):
+        columns = (recording.t_s[new].tolist(), recording.y_rad[new].tolist(), stages.tolist())
+        for t_s, y_rad, name in zip(*columns, strict=True):
             if name != self._stage:
                 self._stage, self._stage_s = name, t_s
+                self._swings = Swings(self._settings.turn_rad)
+            self._swings.step(y_rad)
         self._last_s = float(recording.t_s[new.stop - 1])
         self._fit.take(
             LiveRows(
@@ -142,7 +150,7 @@ class Advisor:
     def _has_run(self) -> bool:
         """Whether the test given last runs, and has run for a while."""
         runs = self._stage != self._given_in and Stage.parse(self._stage).is_test
-        return runs and self._last_s - self._stage_s >= LEAST_S
+        return runs and self._last_s - self._stage_s >= LEAST_S and self._swings.count >= LEAST_TURNS
 
     def _is_better(self, design: Design, task: Task) -> bool:
         """Whether a design needs clearly less time than the test that runs still does."""

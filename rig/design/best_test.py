@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Sequence
 from typing import Literal
 
 from rig.design.outlook import Task
@@ -14,7 +14,7 @@ Kind = Literal["strokes", "relay"]
 KINDS: tuple[Kind, ...] = ("strokes", "relay")
 
 
-def best_test(task: Task, kinds: Collection[Kind] = KINDS) -> Design | None:
+def best_test(task: Task, kinds: Sequence[Kind] = KINDS) -> Design | None:
     """The test that should tell enough soonest, of these kinds, within the room for every motor that it may be.
 
     None where there is no such test: too little is known yet, or the room is too small. Deterministic; strokes take

@@ -139,18 +139,17 @@ def variances(information: Array, out: Array) -> bool:
 
 
 @kernel
-def rows_until(
-    jacobian: Array, noise_rad2: float, seen: Array, wanted: Array, every: int, information: Array
-) -> tuple[int, float]:
-    """Rows until the deviations of log tau, log K and fc are within ``wanted`` (3,), and the largest ratio to it.
+def rows_until(jacobian: Array, noise_rad2: float, seen: Array, wanted: Array, every: int, information: Array) -> float:
+    """Rows until the deviations of log tau, log K and fc are within ``wanted`` (3,).
 
     ``seen`` is the information before the first row. At the end ``information`` (5, 5) is all that there is. It looks
-    after each ``every`` rows, and at the last. Without an end within the rows: all of them, and a ratio above 1.
+    after each ``every`` rows, and at the last; between two looks the logarithm of the deviation falls evenly. If the
+    rows are too few: as many as it takes if information goes on as it came in until then.
     """
     n, width = jacobian.shape
     full = np.zeros((width, width))
     found = np.empty(wanted.size)
-    ratio = math.inf
+    ratio = before = math.inf
     for k in range(n):
         for a in range(width):
             for b in range(a + 1):
@@ -160,14 +159,15 @@ def rows_until(
                 for b in range(a):
                     full[b, a] = full[a, b]
             known(full, seen, information)
-            ratio = math.inf
+            before, ratio = ratio, math.inf
             if variances(information, found):
                 ratio = 0.0
                 for i in range(wanted.size):
                     ratio = max(ratio, math.sqrt(found[i]) / wanted[i])
             if ratio <= 1.0:
-                return k + 1, ratio
-    return n, ratio
+                share = math.log(before) / math.log(before / ratio) if before < math.inf else 1.0
+                return float(k + 1 - every * (1.0 - share))
+    return float(n * ratio * ratio)
 
 
 @kernel

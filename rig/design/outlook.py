@@ -24,11 +24,12 @@ LOOKED_S = 0.1  # between two looks at the information
 LONGEST_S = 8.0  # of a test; beyond it information is taken to grow as it did until then
 CORNER_S = 12.0  # of the simulation of a possible motor
 PASSES = 2  # of all strokes, by which a motor shows how far it goes
+LEAST_SWING = 16.0  # standard deviations of the reading: tiny swings agree with any law, and tell of none
 KNOWN = 1e12  # information on a delay that is known, 1/s^2
 
 
 class Told(NamedTuple):
-    """When a test tells enough, s; and the information (5, 5) by then, with what was there before."""
+    """When a test tells enough, s; and the information (5, 5) a moment later, with what was there before."""
 
     seconds: float
     information: Array
@@ -56,6 +57,11 @@ class Task:
     def delay_s(self) -> float:
         """From a sample until its drive acts, as far as it is known, s."""
         return max(self.reading.latency_s + self.belief.delay_s, 0.0)
+
+    @property
+    def least_swing_rad(self) -> float:
+        """The least that a swing must go to and fro, rad."""
+        return LEAST_SWING * math.sqrt(self.reading.noise_rad2)
 
     @property
     def wanted(self) -> Array:
@@ -91,7 +97,7 @@ def told(task: Task, law: compiled.Law, longest_s: float = LONGEST_S) -> Told:
     """How soon a test tells enough. If it takes longer than ``longest_s``: as if information grew evenly."""
     period_s = task.reading.period_s
     information = np.zeros((5, 5))
-    rows, ratio = compiled.rows_until(
+    rows = compiled.rows_until(
         _jacobian(task, law, longest_s),
         task.reading.noise_rad2,
         task.before,
@@ -99,8 +105,7 @@ def told(task: Task, law: compiled.Law, longest_s: float = LONGEST_S) -> Told:
         max(round(LOOKED_S / period_s), 1),
         information,
     )
-    # information grows about evenly: so the time is the same whether the last look was a little early or late
-    return Told(rows * period_s * ratio * ratio, information)
+    return Told(rows * period_s, information)
 
 
 def information_of(task: Task, law: compiled.Law, seconds: float) -> Array:
@@ -124,7 +129,7 @@ def _jacobian(task: Task, law: compiled.Law, seconds: float) -> Array:
 
 
 class Outcome(NamedTuple):
-    """How far the shaft goes in a test, and by how much that is too much: 0 if all is within the room."""
+    """How far the shaft goes in a test, and by what share that is too much, or too little; 0 if all is well."""
 
     reach: Reach
     excess: float
@@ -150,7 +155,8 @@ def outcome(task: Task, law: compiled.Law, motors: Sequence[tuple[float, ...]], 
         low, high, speed = min(low, lowest), max(high, highest), max(speed, fastest)
         longest_s = max(longest_s, longest * period_s)
         used = (lowest / low_rad, highest / high_rad, fastest / room.max_speed_rad_s)
+        too_small = task.least_swing_rad / max(highest - lowest, 1e-9)
         predicted = (stop / limit for stop, limit in zip(stops, room.stop_rad, strict=True))
         never_ends = 2.0 if strokes and rows == n else 0.0
-        excess = max(excess, max(*used, *predicted, never_ends) - 1.0)
+        excess = max(excess, max(*used, *predicted, too_small, never_ends) - 1.0)
     return Outcome(Reach(low, high, speed), excess, longest_s)

@@ -15,9 +15,9 @@ from rig.design.planned_test import Design, Strokes
 Array = NDArray[np.float64]
 
 STROKES = 6  # in a plan, an even number
-STARTS = 3  # searches from different beginnings; the best counts
-FIRST = 40  # plans at random, the best of which a search begins with
-STEPS = 240  # changes of one stroke that it tries
+STARTS = 4  # searches from different beginnings; the best counts
+FIRST = 80  # plans at random, the best of which a search begins with
+STEPS = 300  # changes of one stroke that it tries
 SLOWEST_RAD_S = 0.5  # final speed of the softest stroke to try
 FASTEST = 3.0  # times the largest speed: final speed of the hardest, which is ended long before
 TOO_FAR_S = 1e4  # cost of a plan that leaves the room
@@ -66,7 +66,18 @@ class _Search:
             np.minimum(np.exp(log_speed), self.task.room.max_speed_rad_s) * tau_s * self.rng.uniform(0.0, 1.5, STROKES)
         )
         turn = np.clip(self.reach * self.rng.uniform(0.3, 1.0, STROKES) - gone, -0.5 * self.reach, self.reach)
-        return _Plan(log_speed, turn)
+        return _Plan(log_speed, self.apart(turn))
+
+    def apart(self, turn_rad: Array) -> Array:
+        """Turning points so far apart that each stroke is one for certain, whatever the noise at its begin.
+
+        A stroke begins where the one before has passed its turning point, or beyond.
+        """
+        least = self.task.least_swing_rad
+        for i in range(STROKES):
+            turn_rad[i] = min(max(turn_rad[i], least - turn_rad[i - 1]), self.reach[i])
+        turn_rad[0] = max(turn_rad[0], least - turn_rad[-1])
+        return turn_rad
 
     def changed(self, plan: _Plan, size: float) -> _Plan:
         log_speed, turn = plan.log_speed.copy(), plan.turn_rad.copy()
@@ -75,7 +86,9 @@ class _Search:
             log_speed[i] = np.clip(log_speed[i] + 0.5 * size * self.rng.standard_normal(), self.low[i], self.high[i])
         else:
             turn[i] = np.clip(
-                turn[i] + 0.25 * size * self.reach[i] * self.rng.standard_normal(), -0.8 * self.reach[i], self.reach[i]
+                turn[i] + 0.25 * size * self.reach[i] * self.rng.standard_normal(),
+                self.task.least_swing_rad - min(turn[i - 1], turn[(i + 1) % STROKES]),
+                self.reach[i],
             )
         return _Plan(log_speed, turn)
 

@@ -17,6 +17,7 @@ from rig.preflight.planned_tests import reading_of, room_of_tests
 from rig.session import Session
 
 ADVICE_EVERY_S = 1.0
+SMALLEST_TURN_LSB = 20.0  # as a relay test's smallest cycle
 
 
 class Advisers(Protocol):
@@ -97,5 +98,6 @@ def advisor_settings(session: Session, known: FramedMotor | None) -> AdvisorSett
         ),
         room_of_tests(e, max(check.plus_V, check.minus_V), session.delay),
         reading_of(e, noise.std_rad, session.loop.latency_s),
+        SMALLEST_TURN_LSB * e.sensor.curve.lsb_rad,
         noise.error,
     )

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 ADVICE_EVERY_S = 1.0
 LOOK_EVERY_S = 0.02
-SILENT_S = 15.0  # without advice: it hangs, or the machine has no time for it
+SILENT_S = 5.0  # without advice: it hangs, or the machine has no time for it
 NICE = 10  # the loop, and the process that writes the rows, go first
 BRAKED = b"braked"
 _HEAD = struct.Struct("=I")

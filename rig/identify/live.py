@@ -33,14 +33,15 @@ QUICK = 0.5  # of the period: rows closer than that are of a law in the device
 FEWEST_MOVING_ROWS = 40
 ITERATIONS = 12
 PART_S = 3.0  # of a motion at first: over so little of it a fit finds its valley, and errors of the model do not add up
-GROWN = 1.04  # growth of the residual from parts to whole motions up to which these are fitted: they say more
+GROWN = 3.0  # standard deviations by which the squares may grow from parts to whole motions for these to be fitted
 COLD_ITERATIONS, POLISHED = 20, 3
 COLD_TAUS, COLD_SHARES = 8, (0.15, 0.4, 0.6, 0.75, 0.88, 0.97)  # of the friction, in the smallest drive that moved
 SURE_PERCENT = 5.0  # half width from which on the fit's valley is the right one
 STRANGE = 1.2  # residual over the noise beyond which another valley is looked for, once the record has doubled
 USABLE_PERCENT = 60.0  # half width beyond which a fit says nothing
 UNEXPLAINED = 0.3  # residual over the spread of positions beyond which a fit says nothing
-DIFFERENT = 1.6  # mean speed of the second quickest swing over that of the second slowest
+DIFFERENT = 1.6  # mean speed of quick swings over that of slow ones
+FEWEST_SWINGS = 4
 ENOUGH_SWINGS = 3  # of either kind
 LARGE_SWING = 15.0  # in standard deviations of the noise: tiny cycles agree with any law
 OF_PARAMETERS = ("tau_s", "K_rad_s_V", "fc_V")
@@ -175,12 +176,10 @@ class LiveFit:
         if fit is None:
             return self._of_prior()
         self._keep(fit)
-        whole = self._cut(windows, found)
-        if whole.begins.size < cut.begins.size:
-            longer = self._warm(whole)
-            if longer is not None and unit(longer) < GROWN**2 * max(unit(fit), 1.0):
-                fit = longer
-                self._keep(fit)
+        longer = self._warm(self._cut(windows, self._motions(windows, through=True)))
+        if longer is not None and _holds(longer, fit):
+            fit = longer
+            self._keep(fit)
         estimate = self._estimate(fit, found, moving)
         if estimate is None:
             self._last = None
@@ -203,19 +202,21 @@ class LiveFit:
             return None
         self._rows = [LiveRows(*(np.concatenate(columns) for columns in zip(*self._rows, strict=True)))]
         windows: list[Window] = []
-        found: list[list[Motion]] = []
         for series in self._series(self._rows[0]):
             latest_s = 0.0 if series.delay_s is None else series.delay_s[1]
             if len(series) - np.searchsorted(series.t_s, series.edge_s[0] + latest_s) < FEWEST_ROWS:
                 continue
-            window = series.predictable(latest_s)
-            moved = motions(window, self.settings.sigma_rad, self.settings.lsb_rad)
-            if moved:
-                windows.append(window)
-                found.append(moved)
+            windows.append(series.predictable(latest_s))
+        found = self._motions(windows)
+        windows = [window for window, each in zip(windows, found, strict=True) if each]
+        found = [each for each in found if each]
         if sum(motion.stop - motion.first for each in found for motion in each) < FEWEST_MOVING_ROWS:
             return None
         return windows, found
+
+    def _motions(self, windows: Sequence[Window], *, through: bool = False) -> list[list[Motion]]:
+        sensor = self.settings.sigma_rad, self.settings.lsb_rad
+        return [motions(window, *sensor, through=through) for window in windows]
 
     def _series(self, rows: LiveRows) -> list[TimeSeries]:
         """The rows between gaps of the record, each part at one rate."""
@@ -406,9 +407,12 @@ def drives_differ(cut: Cut, found: Sequence[Sequence[Motion]], noise_rad: float)
     """Whether the motions have large swings of clearly different mean speeds."""
     speeds: list[float] = []
     for window, each in zip(cut.windows, found, strict=True):
+        # one swing may be several motions; standstills between them take no time
+        step_s = np.diff(window.t_s, prepend=window.t_s[0])
+        moves = np.zeros(step_s.size, dtype=bool)
         for motion in each:
-            part = slice(motion.first, motion.stop)
-            speeds += _swings(window.t_s[part], window.y_rad[part], LARGE_SWING * noise_rad)
+            moves[motion.first : motion.stop] = True
+        speeds += _swings(np.cumsum(np.where(moves, step_s, 0.0)), window.y_rad, LARGE_SWING * noise_rad)
     if len(speeds) < 2 * ENOUGH_SWINGS:
         return False
     speeds.sort()
@@ -437,6 +441,14 @@ def _swings(t_s: Array, y_rad: Array, least_rad: float) -> list[float]:
 def weight_of(cut: Cut) -> Array:
     """Weight of each row, 0 or 1, (n,)."""
     return np.ones(cut.t_s.size) if cut.weight is None else cut.weight
+
+
+def _holds(longer: Fit, parts: Fit) -> bool:
+    """Whether the motor bears the longer pieces: their squares are what the noise of the parts lets expect."""
+    variance = max(unit(parts), 1.0)
+    added = longer.problem.cut.freedom - parts.problem.cut.freedom
+    expected = parts.cost + variance * (added + GROWN * math.sqrt(2.0 * max(added, 1)))
+    return longer.cost <= expected
 
 
 def _cost(fit: Fit) -> float:

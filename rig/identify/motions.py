@@ -43,17 +43,19 @@ class Motion:
     from_rest: bool
 
 
-def motions(window: Window, noise_rad: float, lsb_rad: float) -> list[Motion]:
+def motions(window: Window, noise_rad: float, lsb_rad: float, *, through: bool = False) -> list[Motion]:
     """The motions of a window, in order; none if the shaft never moved.
-
-    A motion lasts until the shaft is seen at rest again: a relay test is one.
 
     noise_rad   standard deviation of the sensor's noise, rad, > 0
     lsb_rad     step of the reading, rad; 0: none
+    through     whether a motion goes on through rests under a drive: there a slow reversal looks like a rest, and of
+                a motor whose static friction is its moving one a rest says as much as a motion
     """
     y_rad, drive = window.y_rad, _Drive.of(window)
     span = max(FEWEST_AT_REST, math.ceil(SHORTEST_REST_S / window.period_s))
     still = at_rest(y_rad, noise_rad, lsb_rad, span)
+    if through:
+        still &= drive.off
     keeps = REST_ROWS if noise_rad >= DITHERED * lsb_rad else 1
     edges = np.flatnonzero(np.diff(np.concatenate(([True], still, [True])).astype(np.int8)))
     found: list[Motion] = []

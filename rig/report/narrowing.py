@@ -16,6 +16,7 @@ SHOWN = (
     ("K_rad_s_V", "K_percent", "K", "#D55E00", "s--"),
     ("fc_V", "fc_percent", "$f_c$", "#009E73", "^-."),
 )
+BESIDE_S = 0.06
 WIDEST_PERCENT = 30.0  # an interval that is wider says next to nothing: it is not drawn
 
 
@@ -33,13 +34,14 @@ def narrowing(run: ReportedRun) -> Picture:
     widths, values = figure.subplots(1, 2, width_ratios=(1.0, 1.0), sharex=True)
     for axes in (widths, values):
         _shade_stages(run, axes)
-    for name, half, symbol, ink, mark in SHOWN:
+    for k, (name, half, symbol, ink, mark) in enumerate(SHOWN):
         percent = np.array([known(getattr(one, half)) for one in live])
         value = np.array([known(getattr(one, name)) for one in live])
         widths.semilogy(t, percent, mark, color=ink, ms=4, lw=1.1, label=symbol)
         off = 100.0 * (value / value[-1] - 1.0)
         drawn = percent <= WIDEST_PERCENT
-        values.errorbar(t[drawn], off[drawn], percent[drawn], fmt=mark, ms=4, color=ink, capsize=2, lw=0.9)
+        beside = t[drawn] + (k - 1) * BESIDE_S  # so that no bar hides another
+        values.errorbar(beside, off[drawn], percent[drawn], fmt=mark, ms=4, color=ink, capsize=2, lw=0.9)
         true = run.truth.get(name)
         if true is not None and value[-1] > 0.0:
             values.axhline(100.0 * (true / value[-1] - 1.0), color=ink, lw=0.9, ls=(0, (1, 2)))
@@ -58,6 +60,7 @@ def narrowing(run: ReportedRun) -> Picture:
     values.axhline(0.0, color=MUTED, lw=0.7)
     for axes in (widths, values):
         axes.set_xlabel("time since the start, s")
+    widths.yaxis.set_major_formatter("{x:g}")
     widths.legend(loc="upper right", ncols=3)
     dotted = " Dotted: the emulated motor's values." if run.truth else ""
     return render(

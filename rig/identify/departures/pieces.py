@@ -8,16 +8,20 @@ pieces that a motor bears say how random it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.identify.departures.departure import Bench
 from rig.identify.motions import Motion, fitted_rows
-from rig.model.real_motor import Frame, Pieces, Readings, RealMotor, response, response_and_jacobian
+from rig.model.real_motor import Frame, Pieces, Readings, RealMotor, index, response, response_and_jacobian
+from rig.model.sensitivity import Theta
+from rig.model.sensitivity import position as plain_position
+from rig.model.sensitivity import position_and_jacobian as plain_derivatives
 from rig.recording.series import TimeSeries, Window
 
 Array = NDArray[np.float64]
@@ -26,6 +30,7 @@ Rows = NDArray[np.int64]
 FEWEST_ROWS = 12  # of a piece
 NEAR_ROWS = 4  # rows on either side that show a piece's start
 TAIL = 1e-3  # share of the samples on either side that may lie beyond the driven travel: noise
+PLAIN = tuple(index(name) for name in ("tau_s", "K_rad_s_V", "fc_V", "bias_V", "delay_s"))  # in the order of ``Theta``
 BENT_WITHIN = 0.02  # of the largest speed: bristles of a faster shaft are bent fully
 
 
@@ -178,6 +183,8 @@ class Cut:
 
     def readings(self, motor: RealMotor, starts: Array) -> Array:
         """Predicted readings of all rows, rad; ``starts`` is (p, 2) as ``guessed``."""
+        if is_plain(motor):
+            return np.concatenate([plain_position(*piece) for piece in self._plainly(motor, starts)])
         found = []
         for window, frame, pieces in self._with(starts):
             found.append(response(motor, frame, window.steps, window.t_s, pieces))
@@ -185,11 +192,25 @@ class Cut:
 
     def derivatives(self, motor: RealMotor, starts: Array, free: Sequence[int]) -> Readings:
         """Predicted readings of all rows, rad, with their derivatives by the numbers ``free`` and the starts."""
+        if is_plain(motor) and set(free) <= set(PLAIN):
+            y_rad, columns = zip(*(plain_derivatives(*piece) for piece in self._plainly(motor, starts)), strict=True)
+            jacobian = np.concatenate(columns)
+            by_number = np.ascontiguousarray(jacobian[:, [PLAIN.index(k) for k in free]])
+            return Readings(np.concatenate(y_rad), by_number, np.ascontiguousarray(jacobian[:, len(PLAIN) :]))
         found = [
             response_and_jacobian(motor, frame, window.steps, window.t_s, pieces, free)
             for window, frame, pieces in self._with(starts)
         ]
         return Readings(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
+
+    def _plainly(self, motor: RealMotor, starts: Array) -> Iterator[tuple[Theta, Array, Array, Array]]:
+        """Each piece of a plain motor: a motor without laws has a closed form, which is ten times faster."""
+        at = 0
+        for window, rows in zip(self.windows, self.rows, strict=True):
+            for first, stop in pairwise([*rows.tolist(), window.t_s.size]):
+                numbers = (motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V, motor.delay_s)
+                yield Theta(*numbers, *starts[at].tolist()), *window.steps, window.t_s[first:stop]
+                at += 1
 
     def _with(self, starts: Array) -> list[tuple[Window, Frame, Pieces]]:
         top = max(float(np.abs(starts[:, 0]).max()), 1e-9)
@@ -201,6 +222,11 @@ class Cut:
             out.append((window, frame, Pieces(rows, v0, y0, np.sign(v0), bent)))
             at += rows.size
         return out
+
+
+def is_plain(motor: RealMotor) -> bool:
+    """Whether the motor has no law beyond Coulomb friction and a bias."""
+    return not any(value for k, value in enumerate(motor) if k not in PLAIN)
 
 
 def _first_rows(window: Window, length_s: float) -> Rows:
