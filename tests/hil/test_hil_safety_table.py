@@ -36,7 +36,7 @@ def test_what_is_promised_is_what_was_asked_for() -> None:
     assert bounds_s["put beyond a hard limit"] == bounds_s["wiper wire broken"] == 2 * tick_s
     assert bounds_s["e-stop opens"] == tick_s
     for what in ("host silent", "hang: main loop", "put beyond a hard limit", "e-stop opens", "end switch opens"):
-        assert {promise.way.where for promise in PROMISES if promise.what == what} == {"host", "device"}
+        assert {promise.way.where for promise in PROMISES if promise.what == what} == {"host", "device", "strokes"}
     assert {promise.way.baud for promise in PROMISES if promise.what == "host silent"} == {115200, 1_000_000}
 
 
