@@ -1,4 +1,4 @@
-"""An emulated Uno that drives a shaft at a steady speed, kept at it by a host's loop, or by the relay or the strokes in the device.
+"""An emulated Uno that drives a shaft at a steady speed, kept at it by a host's loop or by a law in the device.
 
 The bench, its limits and its largest speed are those of config/demo.yaml; the potentiometer has no offset, so that a
 limit is where it reads.
