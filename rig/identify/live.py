@@ -398,9 +398,12 @@ def drives_differ(cut: Cut, found: Sequence[Sequence[Motion]], noise_rad: float)
     """Whether the motions have large swings of clearly different mean speeds."""
     speeds: list[float] = []
     for window, each in zip(cut.windows, found, strict=True):
+        # one swing may be several motions; standstills between them take no time
+        step_s = np.diff(window.t_s, prepend=window.t_s[0])
+        moves = np.zeros(step_s.size, dtype=bool)
         for motion in each:
-            part = slice(motion.first, motion.stop)
-            speeds += _swings(window.t_s[part], window.y_rad[part], LARGE_SWING * noise_rad)
+            moves[motion.first : motion.stop] = True
+        speeds += _swings(np.cumsum(np.where(moves, step_s, 0.0)), window.y_rad, LARGE_SWING * noise_rad)
     if len(speeds) < 2 * ENOUGH_SWINGS:
         return False
     speeds.sort()
