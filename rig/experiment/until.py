@@ -204,6 +204,8 @@ class _Tests:
                 self._give_up(row, law.failed)
             elif guarded and guard.braked_ticks + guard.clipped_ticks > before:
                 self._give_up(row, "the guard had to brake: the motor is another one than that of the design")
+            elif guarded and abs(guard.velocity_rad_s) > guard.settings.max_speed_rad_s:
+                self._give_up(row, "the shaft got too fast: the motor is another one than that of the design")
             elif self._bounds.reached:
                 self._end(row, self._bounds.reached, known=False)
             else:
