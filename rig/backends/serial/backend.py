@@ -89,8 +89,11 @@ class SerialBackend(LineBackend):
         yield f"delay: a drive acts up to {delay_ms:.2f} ms after its sample, plus the host's own time"
         if e.relay.where == "device":
             block = link_budget.block_sum(e.daq.baud)
-            yield f"relay in the device: decides every ms; {block}; the gain search runs in the host"
-            yield from _device_drives(e)
+            if e.relay.until is None:
+                yield f"relay in the device: decides every ms; {block}; the gain search runs in the host"
+                yield from _device_drives(e)
+            else:
+                yield f"relay and strokes in the device: decide every ms; {block}; what comes before them runs in the host"
 
     @override
     def notes(self, e: Experiment) -> Iterator[str]:
