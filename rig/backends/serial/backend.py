@@ -93,7 +93,7 @@ class SerialBackend(LineBackend):
                 yield f"relay in the device: decides every ms; {block}; the gain search runs in the host"
                 yield from _device_drives(e)
             else:
-                yield f"relay and strokes in the device: decide every ms; {block}; what comes before them runs in the host"
+                yield f"relay and strokes in the device: decide every ms; {block}; the rest runs in the host"
 
     @override
     def notes(self, e: Experiment) -> Iterator[str]:
