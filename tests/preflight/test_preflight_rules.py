@@ -24,9 +24,10 @@ from rig.preflight import check, preflight
 from rig.preflight.loop_settings import guard_settings_of
 from rig.preflight.room_to_stop import counted_delay_s, room_for_delay_s, stopping_terms
 from rig.signals import BenchDelay
+from wanted_cycle import wanted_cycle
 
 CONFIGS = Path(__file__).parents[2] / "config"
-DEMO = (CONFIGS / "demo.yaml").read_text(encoding="utf-8")
+DEMO = wanted_cycle("demo.yaml")
 
 
 def demo(**changes: Any) -> dict[str, Any]:
