@@ -10,13 +10,13 @@ import pytest
 import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from wanted_cycle import wanted_cycle
 
 from rig.config import ConfigError, Experiment, dump, load
 from rig.config.problems import Problem
 from rig.config.units import converted, stem_of, unit_of
 from rig.config.yaml12 import emit, parse
 from rig.preflight import check
-from wanted_cycle import wanted_cycle
 
 CONFIGS = Path(__file__).parents[2] / "config"
 DEMO = wanted_cycle("demo.yaml")
@@ -143,7 +143,7 @@ BROKEN = {
     ),
     "an interval below what a run can tell": (
         "target: {amplitude_rad: 0.5, period_s: 1.0}\n  cycles: 12", "until: {interval_percent: 0.01}",
-        "interval_percent", "relay.until.interval_percent", "must be at least 0.1", "",
+        "0.01", "relay.until.interval_percent", "must be at least 0.1", "",
     ),
     "neither target nor gains": (
         "  target: {amplitude_rad: 0.5, period_s: 1.0}\n", "", "cycles: 12", "relay", "give `until` (the tests", ""

@@ -12,6 +12,7 @@ import yaml
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
+from wanted_cycle import wanted_cycle
 
 from rig.backends.serial import driver as serial_link
 from rig.backends.serial import frames
@@ -24,7 +25,6 @@ from rig.preflight import check, preflight
 from rig.preflight.loop_settings import guard_settings_of
 from rig.preflight.room_to_stop import counted_delay_s, room_for_delay_s, stopping_terms
 from rig.signals import BenchDelay
-from wanted_cycle import wanted_cycle
 
 CONFIGS = Path(__file__).parents[2] / "config"
 DEMO = wanted_cycle("demo.yaml")
