@@ -1,4 +1,4 @@
-"""A ready config whose tests end when the motor is known, with a wanted limit cycle instead: for tests of the search."""
+"""A ready config with a wanted limit cycle, where its tests end when the motor is known: for tests of the search."""
 
 from __future__ import annotations
 

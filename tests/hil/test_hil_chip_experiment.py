@@ -13,6 +13,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, SCALING, ListSink, break_away
+from wanted_cycle import wanted_cycle
 
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import UnoOptions
