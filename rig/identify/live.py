@@ -163,9 +163,9 @@ class LiveFit:
         if record is None:
             return self._of_prior()
         windows, found = record
-        longest = max(FEWEST_MOVING_ROWS, round(PART_S / self.settings.period_s))
-        cut = self._cut(windows, [in_parts(each, longest) for each in found])
-        moving = float(np.sum(weight_of(cut))) * self.settings.period_s
+        longest = [max(FEWEST_MOVING_ROWS, round(PART_S / window.period_s)) for window in windows]
+        cut = self._cut(windows, [in_parts(each, rows) for each, rows in zip(found, longest, strict=True)])
+        moving = sum((m.stop - m.first) * w.period_s for w, each in zip(windows, found, strict=True) for m in each)
         fit = self._warm(cut)
         if fit is None or self._looks_elsewhere(fit, moving):
             self._cold_at = moving

@@ -180,6 +180,10 @@ def _series_of(
         if len(short) < len(chosen):
             notes += [f"{label}: left out, because fewer than {FEWEST_ROWS} of its rows can be used" for label in short]
             chosen = [(label, rows) for label, rows in chosen if label not in short]
+        one_drive = [label for label, rows in chosen if np.ptp(recording.u_V[rows]) == 0.0]
+        if len(one_drive) < len(chosen):
+            notes += [f"{label}: left out, because its drive never changes" for label in one_drive]
+            chosen = [(label, rows) for label, rows in chosen if label not in one_drive]
     tests: list[TimeSeries] = []
     runs: list[TimeSeries] = []
     for label, rows in chosen:
