@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Literal, Unpack
 
 import numpy as np
@@ -13,7 +15,9 @@ from raised import fault_of
 from simulated_bench import DEMO, GUARD, LIMITS, PERIOD_S, SCALING, ListSink
 from virtual_host import BENCH, HELD, LSB_RAD, SETUP, TICK_S, BoardOptions, VirtualHost, armed_host
 
+import rig.experiment
 from rig.backends.driver import RelayRow, StrokeDriver, StrokesCommand, StrokeTimes
+from rig.backends.emulated.bench import bench_parameters
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
 from rig.backends.serial.firmware_laws import FirmwareStrokes
@@ -23,22 +27,35 @@ from rig.backends.serial.frames import (
     Block,
     Code,
     FrameReader,
+    Hello,
     Kind,
     Nack,
     Setup,
     StrokesSetup,
     encode,
 )
+from rig.config import load
+from rig.config.schema import Experiment, RelaySection, UntilSection
 from rig.control.bounded import Bounded
 from rig.control.guard import Guard, GuardSettings
 from rig.control.law import Law, Rest
+from rig.control.strokes import Stroke
 from rig.control.strokes_on_counts import CountedTimes, StrokesOnCounts
+from rig.design.advisor import Advice, AdvisorSettings
+from rig.design.planned_test import Design, PlannedTest, Reach, RelayGains, Strokes
+from rig.experiment.script import BREAKAWAY_LAW
+from rig.experiment.until import drive_until
 from rig.faults import Fault
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest
 from rig.model.bench import BenchParameters, SensorWiring
 from rig.model.friction import coulomb
 from rig.model.motor import Motor
+from rig.recording.reader import read_run
+from rig.replay import replay
+from rig.results import ScriptCall
+from rig.session import record
+from rig.testing.line import on_device
 
 STROKES = StrokesSetup(((80, 600), (-90, 420), (60, 560), (-70, 470)), 2000, 2000, 5, 10)
 LEVELS_V = ((0.9, 0.35), (-1.0, -0.35), (0.8, 0.2), (-0.7, -0.2))  # drive, V; turning point, rad
@@ -394,3 +411,84 @@ def test_however_it_ends_the_pin_is_at_zero(end: str) -> None:
         "signal": "INTERRUPTED", "exception": "", "broken wire": "DEVICE_SENSOR", "reset": "DEVICE_RESET"
     }[end]  # fmt: skip
     assert bench.board.truth().pin_V == 0.0 and not bench.board.truth().armed
+
+
+# ---------------------------------------------------------------------- tests until the motor is known
+
+
+def board_of(experiment: Experiment) -> VirtualBoard:
+    """The emulated board of a config, in virtual time."""
+    assert experiment.emulated is not None
+    bench, error_ppm = bench_parameters(experiment.emulated), experiment.emulated.clock_error_ppm
+    return VirtualBoard(bench, experiment.seed, clock_error_ppm=error_ppm)
+
+
+class Scripted:
+    """An adviser that gives designs at fixed times of the tests, whatever the rows say."""
+
+    trouble = ""
+
+    def __init__(self, script: Sequence[tuple[float, PlannedTest | str]]) -> None:
+        self._script = list(script)
+        self._began_s = math.nan
+        self.braked_tests = 0
+
+    def begin(self, settings: AdvisorSettings) -> None:
+        pass
+
+    def advice(self, row: int, t_s: float) -> Advice | None:
+        if math.isnan(self._began_s):
+            self._began_s = t_s
+        if not self._script or t_s - self._began_s < self._script[0][0]:
+            return None
+        _, what = self._script.pop(0)
+        if isinstance(what, str):
+            return Advice(None, stop=what)
+        return Advice(None, Design(what, math.nan, math.nan, Reach(math.nan, math.nan, math.nan)))
+
+    def braked(self) -> None:
+        self.braked_tests += 1
+
+
+PLAN = Strokes(tuple(Stroke(*level) for level in LEVELS_V), 1.5)
+TOO_FAR = Strokes((Stroke(0.6, 1.0), Stroke(-0.6, -1.0)), 0.2)  # no stroke gets there in time
+HARD = Strokes((Stroke(1.16, 0.9), Stroke(-1.16, -0.9)), 1.5)  # the guard has to brake in the first one
+IN_TURN: tuple[tuple[float, PlannedTest | str], ...] = (
+    (0.5, PLAN), (2.0, RelayGains(0.4, 0.85)), (3.5, PLAN), (4.0, TOO_FAR), (6.0, HARD), (8.0, PLAN), (9.0, "enough"),
+)  # fmt: skip
+
+
+def test_tests_that_are_designed_on_the_way_run_in_the_device_and_replay_tick_for_tick(tmp_path: Path) -> None:
+    config = load(Path(__file__).parents[2] / "config" / "device-relay.yaml")
+    relay = RelaySection(where="device", until=UntilSection(interval_percent=1.0))
+    experiment = config.model_copy(update={"relay": relay})
+    who = Scripted(IN_TURN)
+    what = ScriptCall(name="relay", breakaway=BREAKAWAY_LAW)
+    with on_device(board_of):
+        outcome = record(experiment, tmp_path, what, lambda session: drive_until(session, advisers=who), None)
+    assert outcome.fault is None
+    run = read_run(outcome.folder)
+    tests = [stage for stage in run.stages() if stage.startswith(("strokes", "relay"))]
+    assert tests == ["strokes-1", "relay-2", "strokes-3", "strokes-4", "strokes-5", "strokes-6"]
+    for stage in tests:
+        step_s = np.diff(run.t_s[run.stage_rows(stage)])
+        assert step_s == pytest.approx(0.001 / 1.004, abs=3e-6)
+    assert {round(abs(u_V), 2) for u_V in run.u_V[run.stage_rows("relay-2")]} == {0.45, 1.25}
+    broken = [note for note in outcome.result.notes if "broken off" in note]
+    assert who.braked_tests == len(broken) == 2
+    assert "two strokes in a row did not come to their turning points" in broken[0] and "guard" in broken[1]
+    assert np.abs(run.y_rad).max() < experiment.limits.soft_rad[1]
+    assert outcome.result.stopped is not None and outcome.result.stopped.why == "enough"
+    again = replay(outcome.folder)
+    assert again.is_same and again.compared > 6000, again.difference
+
+
+def test_old_firmware_is_refused_before_anything_is_driven(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = load(Path(__file__).parents[2] / "config" / "device-relay.yaml")
+    relay = RelaySection(where="device", until=UntilSection(interval_percent=1.0))
+    unpack = Hello.unpack
+    monkeypatch.setattr(Hello, "unpack", lambda body: unpack(body)._replace(features=0))
+    with on_device(board_of), pytest.raises(Fault) as caught:
+        rig.experiment.run_relay(config.model_copy(update={"relay": relay}), tmp_path)
+    assert caught.value.code == "CONFIG_MISMATCH" and "rig flash" in str(caught.value)
+    assert not list(tmp_path.iterdir())
