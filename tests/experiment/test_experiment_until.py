@@ -121,8 +121,8 @@ def test_what_is_not_known_in_time_ends_at_its_bound_and_is_identified(
 
 
 def test_a_sensor_that_sticks_in_a_test_ends_the_run_and_what_was_recorded_is_identified(tmp_path: Path) -> None:
-    # it counts from each arming: the check takes less, these tests more
-    config = written(tmp_path, {"interval_percent": 0.1}, wiring={"sensor": "stuck", "fault_after_s": 5.7})
+    # the check takes 5.4 s
+    config = written(tmp_path, {"interval_percent": 0.1}, wiring={"sensor": "stuck", "fault_after_s": 8.5})
     folder, result = run(config, tmp_path, status=1)
     assert [fault.code for fault in result.faults] == ["SENSOR_STUCK"]
     assert result.stopped is None and "sampled-data" in result.estimates
