@@ -41,6 +41,7 @@ from rig.identify.output_error import refit
 from rig.model.real_motor import Frame, RealMotor
 from rig.model.sensitivity import Theta
 from rig.recording.series import TimeSeries, Window, spread_rad
+from rig.recording.stage import StageKind
 
 Array = NDArray[np.float64]
 
@@ -84,29 +85,34 @@ class _Sensor:
 
 
 def together(estimate: Estimate, tests: Sequence[TimeSeries], beside: Sequence[TimeSeries]) -> Together:
-    """The tests' ``estimate`` and the records ``beside`` them as one estimate."""
+    """The tests' ``estimate`` and the records ``beside`` them as one estimate.
+
+    A gain search that stands for tests is itself cut into its motions: its estimate is only where the fit starts.
+    """
     usable = estimate.verdict != "refused" and bool(np.all(np.isfinite(estimate.covariance)))
     if not usable or not estimate.fc_V > 0.0 or estimate.rms_rad < EXACT * spread_rad(_whole(tests)):
         return Together(estimate)
     latest_s = max(test.longest_delay_s for test in tests) if estimate.fits_delay else 0.0
+    is_search = all(test.stage is not None and test.stage.kind is StageKind.SEARCH for test in tests)
     sensor = _Sensor.of(estimate, tests)
-    windows = [series.predictable(latest_s) for series in beside if _long_enough(series, latest_s)]
+    series = [*tests, *beside] if is_search else beside
+    windows = [one.predictable(latest_s) for one in series if _long_enough(one, latest_s)]
     found = [_parts(window, sensor) for window in windows]
     remarks: list[str] = []
     while sum(motion.stop - motion.first for each in found for motion in each) >= FEWEST_ROWS:
-        fit = _fit(estimate, windows, found, sensor)
+        fit = _fit(estimate, windows, found, sensor, known=not is_search)
         strange = _strange(fit, windows, found, sensor)
         if strange is None:
             if not remarks:
                 whole = [motions(window, sensor.noise_rad, sensor.lsb_rad, through=True) for window in windows]
-                longer = _fit(estimate, windows, whole, sensor)
+                longer = _fit(estimate, windows, whole, sensor, known=not is_search)
                 fit = longer if bears(longer, fit) else fit
             return _joined(estimate, fit, tests, sensor, tuple(remarks))
         k, motion, rms_rad = strange
         row = windows[k].series.first_row + windows[k].first + motion.first
         remarks.append(
-            f"{windows[k].series.name}: not in the fit with the tests from row {row} on: there the residual is "
-            f"{1e3 * rms_rad:.2g} mrad, in the tests {1e3 * estimate.rms_rad:.2g} mrad"
+            f"{windows[k].series.name}: not in the plain motor's fit from row {row} on: there the residual is "
+            f"{1e3 * rms_rad:.2g} mrad, of noise it would be {1e3 * sensor.noise_rad:.2g} mrad"
         )
         found[k] = [one for one in found[k] if one.stop <= motion.first]
     return Together(estimate, tuple(remarks))
@@ -133,8 +139,15 @@ def _parts(window: Window, sensor: _Sensor) -> list[Motion]:
     return in_parts(motions(window, sensor.noise_rad, sensor.lsb_rad), rows)
 
 
-def _fit(estimate: Estimate, windows: Sequence[Window], found: Sequence[Sequence[Motion]], sensor: _Sensor) -> Fit:
-    """The records beside the tests as pieces, the tests' estimate known beforehand."""
+def _fit(
+    estimate: Estimate,
+    windows: Sequence[Window],
+    found: Sequence[Sequence[Motion]],
+    sensor: _Sensor,
+    *,
+    known: bool,
+) -> Fit:
+    """The records as pieces, from the tests' estimate on; ``known``: whether that is known beforehand."""
     free = (*CORE, DELAY) if estimate.fits_delay else CORE
     cut = Cut.of_motions(windows, [Frame()] * len(windows), found)
     values = [estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, estimate.delay_s][: len(free)]
@@ -149,7 +162,7 @@ def _fit(estimate: Estimate, windows: Sequence[Window], found: Sequence[Sequence
         limits_of(free, cut, delay_s),
         sensor.noise_rad,
         noise=sensor.wander,
-        known=Known.of(free, mean, covariance),
+        known=Known.of(free, mean, covariance) if known else None,
     )
     delay = estimate.delay_s if estimate.fits_delay else 0.0
     motor = RealMotor(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, delay)
@@ -184,15 +197,15 @@ def _joined(
     problem, motor = fit.problem, fit.motor
     scatter = max(1.0, _own_unit(fit))
     normal = Normal.of(replace(problem, known=None).rows(motor, fit.starts), problem.cut)
-    known = problem.known
-    assert known is not None  # _fit gives it
-    both = known.root.T @ known.root + normal.matrix / scatter
-    inverse = np.linalg.inv(both)
-    names = list(dict.fromkeys(window.series.name for window in problem.cut.windows))
-    opinions = _opinions(estimate, normal, scatter, fit, " and ".join(names))
-    if not agree(opinions):
-        return Together(estimate, remarks, (_objection(opinions),))
-    inverse = inverse * _widened(opinions)
+    matrix = normal.matrix / scatter
+    if problem.known is None:
+        inverse = np.linalg.inv(matrix)
+    else:
+        names = " and ".join(dict.fromkeys(window.series.name for window in problem.cut.windows))
+        opinions = _opinions(estimate, normal, scatter, fit, names)
+        if not agree(opinions):
+            return Together(estimate, remarks, (_objection(opinions),))
+        inverse = np.linalg.inv(problem.known.root.T @ problem.known.root + matrix) * _widened(opinions)
     size = np.array([getattr(motor, name) if name in POSITIVE else 1.0 for name in problem.free])
     covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     covariance[: size.size, : size.size] = inverse * np.outer(size, size)
