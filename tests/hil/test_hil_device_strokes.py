@@ -332,7 +332,8 @@ def test_the_loop_records_every_tick_and_the_laws_agree() -> None:
     assert all(row["flags"] == 0 for row in rows) and bench.strokes.ended > 6
     assert (bench.record.rows[-1]["stage"], bench.record.rows[-1]["u_V"]) == ("rest", 0.0)
     assert bench.board.truth().pin_V == 0.0
-    assert bench.loop.statistics.summary().as_json()["device"]["ticks"] == len(rows)
+    told: dict[str, Any] = bench.loop.statistics.summary().as_json()
+    assert told["device"]["ticks"] == len(rows)
 
 
 def test_a_device_that_decides_otherwise_is_found_out() -> None:
