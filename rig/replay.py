@@ -251,7 +251,7 @@ def _script(recording: Recording, e: Experiment, own: OwnLaw | None) -> Script:
         raise _unknown(recording, "script", None)
     drive: Script
     match what.name:
-        case "run" | "relay" if e.relay.until is not None:
+        case "run" | "relay" | "survey" if e.relay.until is not None:
             drive = partial(
                 drive_until,
                 known=_known(recording),

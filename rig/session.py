@@ -238,7 +238,7 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
     if session.found.identification is None:
         try:
             recording = session.read()
-            if any(Stage.parse(stage).is_test for stage in recording.stages()):
+            if any(Stage.parse(stage).tells_motor for stage in recording.stages()):
                 session.found.identification = identify([recording])
         except (IdentifyError, RecordingError) as error:
             session.found.notes.append(f"{NOTHING_TO_IDENTIFY}: {error.cause}")

@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 KNOWN_PERCENT = 20.0  # tau, K and f_c must be known so well before a test is designed
 LEAST_S = 1.2  # of a test before another one takes its place
 LEAST_TURNS = 2  # turning points in that test
+TOO_SLOW_S = 5.0  # a test that has not swung by then tells too little
 BETTER = 0.8  # another test must need less than this share of the time that the present one still needs
 LESS_ROOM = 0.85  # after the guard had to brake
 
@@ -149,8 +150,9 @@ class Advisor:
 
     def _has_run(self) -> bool:
         """Whether the test given last runs, and has run for a while."""
-        runs = self._stage != self._given_in and Stage.parse(self._stage).is_test
-        return runs and self._last_s - self._stage_s >= LEAST_S and self._swings.count >= LEAST_TURNS
+        runs_s = self._last_s - self._stage_s
+        runs = self._stage != self._given_in and Stage.parse(self._stage).is_test and runs_s >= LEAST_S
+        return runs and (self._swings.count >= LEAST_TURNS or runs_s >= TOO_SLOW_S)
 
     def _is_better(self, design: Design, task: Task) -> bool:
         """Whether a design needs clearly less time than the test that runs still does."""

@@ -1,4 +1,4 @@
-"""When it is enough: the rule by which a live estimate ends the tests (docs/until.md, theory 14.3)."""
+"""When it is enough: the rule by which a live estimate ends the tests (docs/until.md)."""
 
 from __future__ import annotations
 

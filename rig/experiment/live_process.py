@@ -17,7 +17,7 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 from rig.recording.errors import RecordingError
 
@@ -43,7 +43,7 @@ class LiveProcess:
 
     def __init__(self, folder: Path) -> None:
         self.trouble = ""
-        self._heard = b""
+        self._said: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._heard_s: float | None = None  # when it was told to begin, or last gave advice
         self._process: subprocess.Popen[bytes] | None = None
         try:
@@ -59,9 +59,8 @@ class LiveProcess:
         except OSError as error:
             self.trouble = f"its process did not start: {error.strerror}"
             return
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                os.set_blocking(pipe.fileno(), False)
+        # a thread waits for its words, because not every system can poll a pipe
+        threading.Thread(target=_listen, args=(self._said, self._process.stdout), daemon=True).start()
 
     def begin(self, settings: AdvisorSettings) -> None:
         """Tell it what the breakaway check showed."""
@@ -74,12 +73,9 @@ class LiveProcess:
 
     def advice(self, row: int, t_s: float) -> Advice | None:
         """Advice that has come since the last call; None without any."""
-        process = self._process
-        if process is None or process.stdout is None:
-            return None
-        with contextlib.suppress(OSError):
-            self._heard += os.read(process.stdout.fileno(), 65536)
-        message, self._heard = _message(self._heard)
+        message = None
+        with contextlib.suppress(queue.Empty):
+            message = self._said.get_nowait()
         if message is None:
             self._look_after()
             return None
@@ -92,11 +88,10 @@ class LiveProcess:
         process = self._process
         if process is None:
             return
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                with contextlib.suppress(OSError):
-                    pipe.close()
-        process.kill()
+        if process.stdin is not None:
+            with contextlib.suppress(OSError):
+                process.stdin.close()
+        process.kill()  # the thread then hears the end of its words
         process.wait()
 
     def __enter__(self) -> LiveProcess:
@@ -106,12 +101,12 @@ class LiveProcess:
         self.close()
 
     def _tell(self, message: bytes) -> None:
-        """Send a message if the pipe takes it at once: it holds 64 kB, and the process reads it soon."""
+        """Send a message. All messages of a run fit into the pipe, so nothing waits even if nobody reads them."""
         process = self._process
         if process is None or process.stdin is None:
             return
         try:
-            os.write(process.stdin.fileno(), _HEAD.pack(len(message)) + message)
+            process.stdin.write(_HEAD.pack(len(message)) + message)
         except OSError as error:
             self.trouble = self.trouble or f"its process takes no message: {error.strerror}"
 
@@ -124,21 +119,12 @@ class LiveProcess:
             self.trouble = f"its process has said nothing for {SILENT_S:g} s"
 
 
-def _message(heard: bytes) -> tuple[bytes | None, bytes]:
-    """The first whole message, None if there is none; and the rest."""
-    if len(heard) < _HEAD.size:
-        return None, heard
-    (size,) = _HEAD.unpack_from(heard)
-    end = _HEAD.size + size
-    return (heard[_HEAD.size : end], heard[end:]) if len(heard) >= end else (None, heard)
-
-
 def main(arguments: list[str]) -> int:
     """Advise on the run folder ``arguments[0]`` until the input ends."""
     if hasattr(os, "nice"):
         os.nice(NICE)
-    told: queue.Queue[bytes | None] = queue.Queue()
-    threading.Thread(target=_listen, args=(told,), daemon=True).start()
+    told: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(told, os.fdopen(0, "rb", buffering=0)), daemon=True).start()
     from rig.design.advisor import Advisor
     from rig.design.ready import make_ready
     from rig.identify.ready import make_ready as make_fit_ready
@@ -153,7 +139,7 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _advise(folder: Path, advisor: Advisor, told: queue.Queue[bytes | None]) -> None:
+def _advise(folder: Path, advisor: Advisor, told: queue.SimpleQueue[bytes | None]) -> None:
     from rig.recording.csv_file import read_csv
     from rig.recording.writer import SAMPLES
 
@@ -179,17 +165,26 @@ def _advise(folder: Path, advisor: Advisor, told: queue.Queue[bytes | None]) -> 
             return
 
 
-def _listen(told: queue.Queue[bytes | None]) -> None:
-    """Put each message of standard input into the queue, and None at its end."""
-    heard = b""
-    with contextlib.suppress(OSError):
-        while data := os.read(0, 65536):
-            heard += data
-            message, heard = _message(heard)
-            while message is not None:
-                told.put(message)
-                message, heard = _message(heard)
-    told.put(None)
+def _listen(heard: queue.SimpleQueue[bytes | None], pipe: IO[bytes] | None) -> None:
+    """Put each message of a pipe into a queue, and None at its end."""
+    if pipe is not None:
+        with contextlib.suppress(OSError, ValueError):  # it was closed meanwhile
+            while head := _whole(pipe, _HEAD.size):
+                message = _whole(pipe, *_HEAD.unpack(head))
+                if message is not None:
+                    heard.put(message)
+    heard.put(None)
+
+
+def _whole(pipe: IO[bytes], size: int) -> bytes | None:
+    """So many bytes of a pipe; None at its end."""
+    data = b""
+    while len(data) < size:
+        more = pipe.read(size - len(data))
+        if not more:
+            return None
+        data += more
+    return data
 
 
 def _say(message: bytes) -> bool:

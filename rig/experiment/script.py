@@ -137,11 +137,14 @@ def run_survey(experiment: Experiment, parent: Path, on_start: OnStart | None = 
         expected_sweeps(experiment)
     except TooShortError as error:
         raise Fault("NO_SWEEPS", str(error)) from error
-    if experiment.relay.target is None and experiment.relay.gains is None:
-        raise Fault("NO_SWEEPS", "the sweeps need a relay test before them: give relay.target or relay.gains")
+    if not experiment.relay.has_tests:
+        raise Fault("NO_SWEEPS", "the sweeps need a test before them: give relay.until, relay.target or relay.gains")
 
     def script(session: Session) -> None:
-        drive_one_test(session)
+        if experiment.relay.until is None:
+            drive_one_test(session)
+        else:
+            drive_until(session)
         survey(session)
         identify_recorded(session)
 

@@ -15,6 +15,7 @@ from rig.model.friction import coulomb
 from rig.model.motor import Motor
 from rig.preflight.survey_room import survey_room
 from rig.recording.stage import StageKind
+from rig.results import known
 from rig.session import Session
 from rig.signals import BenchDelay
 
@@ -58,16 +59,24 @@ def sweep(session: Session, sweeps: Sweeps) -> None:
 
 
 def crude_motor(session: Session) -> CrudeMotor:
-    """The motor by the describing function of the last relay test. Raises ValueError without one."""
-    breakaway, cycle = session.found.breakaway, session.found.cycle
+    """The motor by the last live estimate, or by the describing function of the last relay test.
+
+    Raises Fault NO_SWEEPS where tests until the motor is known gave no estimate; ValueError without any test.
+    """
+    found, breakaway, cycle = session.found, session.found.breakaway, session.found.cycle
+    if breakaway is not None and found.stopped is not None:
+        if not found.stopped.live:
+            raise Fault("NO_SWEEPS", "the tests gave no live estimate to plan sweeps by")
+        last = found.stopped.live[-1]
+        return CrudeMotor(known(last.tau_s), known(last.K_rad_s_V), breakaway.plus_V, breakaway.minus_V)
     if breakaway is None or cycle is None:
         raise ValueError("a survey needs a breakaway check and a relay test")
     friction_V = 0.45 * (breakaway.plus_V + breakaway.minus_V)
     beyond_V = max(cycle.h2_V - friction_V, FEWEST_V)
-    found = linear_part(
+    linear = linear_part(
         Oscillation(2.0 * math.pi / cycle.period_s, cycle.amplitude_rad), cycle.h2_V - beyond_V, cycle.h1_V, cycle.h2_V
     )
-    return CrudeMotor(found.tau_s, found.K_rad_s_V, breakaway.plus_V, breakaway.minus_V)
+    return CrudeMotor(linear.tau_s, linear.K_rad_s_V, breakaway.plus_V, breakaway.minus_V)
 
 
 def _sweep_loop(session: Session) -> SweepLoop:

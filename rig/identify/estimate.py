@@ -69,6 +69,7 @@ class Estimate:
     repeated: float = 0.0
     coloured: tuple[float, float] | None = None
     cycles: tuple[Cycle, ...] = field(default=(), repr=False)
+    remarks: tuple[str, ...] = ()
 
     @property
     def correlation(self) -> Array:

@@ -9,7 +9,7 @@ from importlib import import_module
 import numpy as np
 
 from rig.estimators import ESTIMATORS, LEADING, EstimatorEntry
-from rig.identify.agreement import RecordingEstimate, are_one_motor, disagreement, estimates_of_each
+from rig.identify.agreement import are_one_motor, disagreement, estimates_of_each
 from rig.identify.breakaway import StaticFriction, breakaway
 from rig.identify.estimate import Estimate
 from rig.identify.estimator import Estimator
@@ -19,12 +19,13 @@ from rig.identify.least_squares import Transient
 from rig.identify.mean_cycle import Cycle
 from rig.identify.measurements import Measurements, measurements
 from rig.identify.motor_law import MotorLaw, motor_law
+from rig.identify.opinion import RecordingEstimate
 from rig.identify.plausibility import judge_motor, judge_records
 from rig.identify.preprocessing import from_recording
 from rig.identify.records import left_out, require_known
 from rig.identify.sampled_data_verdict import judge_with_laws, late_s, slipped_rms_rad
 from rig.identify.stroke_delay import strokes_delay
-from rig.identify.verdict import largest_drive_V, settled
+from rig.identify.verdict import largest_drive_V
 from rig.model.real_motor import Frame, FramedMotor, RealMotor
 from rig.recording.errors import IdentifyError
 from rig.recording.recording import Recording
@@ -308,7 +309,7 @@ def _add_motor_law(data: Measurements, found: Identification, each: Sequence[Rec
         law = law.without_laws()  # the plain verdict says so
     largest_V = largest_drive_V(data.tests)
     if law.estimate is not None:
-        judged = _with_causes(settled(judge_with_laws(law.estimate, data.tests, law.growth[-1]), data), data.tests)
+        judged = _with_causes(judge_with_laws(law.estimate, data.tests, law.growth[-1]), data.tests)
         numbers = sum(len(one.numbers) for one in law.found)
         odd = None if are_one_motor(each, law.estimate.rms_rad, numbers) else disagreement(each)
         objections = [*_said(odd or disagreement(law.alone)), *data.supplies]
@@ -359,7 +360,7 @@ def _doubt(found: Identification, cause: str) -> None:
 def _may_have_laws(plain: Estimate, data: Measurements) -> bool:
     """Whether the plain estimate is near a motor, whatever its residual. No law mends wrong columns."""
     fine = replace(plain, rms_rad=0.0, repeated=0.0, verdict="ok", reasons=())
-    judged = settled(judge_with_laws(fine, data.tests, (0.0, 0.0)), data)
+    judged = judge_with_laws(fine, data.tests, (0.0, 0.0))
     return _with_causes(judged, data.tests).verdict != "refused"
 
 

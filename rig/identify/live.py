@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.choice import LARGEST
 from rig.identify.departures.departure import Departure
-from rig.identify.departures.fit import CORE, DELAY, Fit, Normal, Problem, limits_of, solve, unit
+from rig.identify.departures.fit import CORE, DELAY, Fit, Known, Normal, Problem, limits_of, solve, unit
 from rig.identify.departures.fit import start as begin
 from rig.identify.departures.pieces import Cut
+from rig.identify.driven import PART_S, bears
 from rig.identify.motions import Motion, in_parts, motions
 from rig.model.real_motor import Frame, FramedMotor, RealMotor
 from rig.recording.series import FEWEST_ROWS, TimeSeries, Window
@@ -29,10 +30,9 @@ Array = NDArray[np.float64]
 
 NORMAL_95 = 1.959964
 GAP_PERIODS = 2.5  # between two rows: from there on the record is cut
+QUICK = 0.5  # of the period: rows closer than that are of a law in the device
 FEWEST_MOVING_ROWS = 40
 ITERATIONS = 12
-PART_S = 3.0  # of a motion at first: over so little of it a fit finds its valley, and errors of the model do not add up
-GROWN = 3.0  # standard deviations by which the squares may grow from parts to whole motions for these to be fitted
 COLD_ITERATIONS, POLISHED = 20, 3
 COLD_TAUS, COLD_SHARES = 8, (0.15, 0.4, 0.6, 0.75, 0.88, 0.97)  # of the friction, in the smallest drive that moved
 SURE_PERCENT = 5.0  # half width from which on the fit's valley is the right one
@@ -163,9 +163,9 @@ class LiveFit:
         if record is None:
             return self._of_prior()
         windows, found = record
-        longest = max(FEWEST_MOVING_ROWS, round(PART_S / self.settings.period_s))
-        cut = self._cut(windows, [in_parts(each, longest) for each in found])
-        moving = float(np.sum(weight_of(cut))) * self.settings.period_s
+        longest = [max(FEWEST_MOVING_ROWS, round(PART_S / window.period_s)) for window in windows]
+        cut = self._cut(windows, [in_parts(each, rows) for each, rows in zip(found, longest, strict=True)])
+        moving = sum((m.stop - m.first) * w.period_s for w, each in zip(windows, found, strict=True) for m in each)
         fit = self._warm(cut)
         if fit is None or self._looks_elsewhere(fit, moving):
             self._cold_at = moving
@@ -176,7 +176,7 @@ class LiveFit:
             return self._of_prior()
         self._keep(fit)
         longer = self._warm(self._cut(windows, self._motions(windows, through=True)))
-        if longer is not None and _holds(longer, fit):
+        if longer is not None and bears(longer, fit):
             fit = longer
             self._keep(fit)
         estimate = self._estimate(fit, found, moving)
@@ -218,10 +218,9 @@ class LiveFit:
         return [motions(window, *sensor, through=through) for window in windows]
 
     def _series(self, rows: LiveRows) -> list[TimeSeries]:
-        """The rows between gaps of the record."""
-        gaps = np.flatnonzero(np.diff(rows.t_s) > GAP_PERIODS * self.settings.period_s) + 1
+        """The rows between gaps of the record, each part at one rate."""
         out = []
-        for part in np.split(np.arange(rows.t_s.size), gaps):
+        for part in np.split(np.arange(rows.t_s.size), _cuts(rows.t_s, self.settings.period_s)):
             known = np.isfinite(rows.t_u_s[part])
             tells = self.settings.delay_s is None and bool(known.any())
             kept = part[known] if tells else part
@@ -252,11 +251,12 @@ class LiveFit:
         limits["fc_V"] = (0.0, self.settings.largest_V)
         limits["tau_s"] = (0.2 * self.settings.period_s, 100.0)
         prior = self.settings.prior
-        known: dict[str, tuple[float, float]] = {}
+        known = None
         if prior is not None:
             share, motor = 0.01 * self.settings.prior_percent, prior.motor
-            known = {"tau_s": (math.log(motor.tau_s), share), "K_rad_s_V": (math.log(motor.K_rad_s_V), share)}
-            known["fc_V"] = (motor.fc_V, share * max(motor.fc_V, 1e-3 * self.settings.largest_V))
+            errors = [share, share, share * max(motor.fc_V, 1e-3 * self.settings.largest_V)]
+            mean = [math.log(motor.tau_s), math.log(motor.K_rad_s_V), motor.fc_V]
+            known = Known.of(CORE[:3], mean, np.diag(np.square(errors)))
             bench = cut.bench(motor, 0.0)
             for law in self._laws:
                 largest = LARGEST * law.range_of(bench)
@@ -395,13 +395,24 @@ class LiveFit:
         )
 
 
+def _cuts(t_s: Array, period_s: float) -> NDArray[np.int64]:
+    """Rows at which a record is cut: after a gap, and where its rate changes, as a law in the device has its own."""
+    step_s = np.diff(t_s)
+    is_quick = step_s < QUICK * period_s
+    changes = np.concatenate(([False], is_quick[1:] != is_quick[:-1]))[: step_s.size]
+    return np.asarray(np.flatnonzero((step_s > GAP_PERIODS * period_s) | changes) + 1)
+
+
 def drives_differ(cut: Cut, found: Sequence[Sequence[Motion]], noise_rad: float) -> bool:
     """Whether the motions have large swings of clearly different mean speeds."""
     speeds: list[float] = []
     for window, each in zip(cut.windows, found, strict=True):
+        # one swing may be several motions; standstills between them take no time
+        step_s = np.diff(window.t_s, prepend=window.t_s[0])
+        moves = np.zeros(step_s.size, dtype=bool)
         for motion in each:
-            part = slice(motion.first, motion.stop)
-            speeds += _swings(window.t_s[part], window.y_rad[part], LARGE_SWING * noise_rad)
+            moves[motion.first : motion.stop] = True
+        speeds += _swings(np.cumsum(np.where(moves, step_s, 0.0)), window.y_rad, LARGE_SWING * noise_rad)
     if len(speeds) < 2 * ENOUGH_SWINGS:
         return False
     speeds.sort()
@@ -430,14 +441,6 @@ def _swings(t_s: Array, y_rad: Array, least_rad: float) -> list[float]:
 def weight_of(cut: Cut) -> Array:
     """Weight of each row, 0 or 1, (n,)."""
     return np.ones(cut.t_s.size) if cut.weight is None else cut.weight
-
-
-def _holds(longer: Fit, parts: Fit) -> bool:
-    """Whether the motor bears the longer pieces: their squares are what the noise of the parts lets expect."""
-    variance = max(unit(parts), 1.0)
-    added = longer.problem.cut.freedom - parts.problem.cut.freedom
-    expected = parts.cost + variance * (added + GROWN * math.sqrt(2.0 * max(added, 1)))
-    return longer.cost <= expected
 
 
 def _cost(fit: Fit) -> float:

@@ -62,6 +62,12 @@ class Measurements:
         """For each of ``tests`` the period of its cycle, s; None if it has no cycle."""
         return [None if cycle is None else cycle.period_s for cycle in self.cycles]
 
+    @property
+    def beside(self) -> list[TimeSeries]:
+        """Breakaway check and gain search, as far as they are sound. A survey is too slow for a plain motor."""
+        kinds = (StageKind.BREAKAWAY, StageKind.SEARCH)
+        return [series for series, _ in self.further if series.stage is not None and series.stage.kind in kinds]
+
     def take_unknown_delay(self, delay_s: tuple[float, float]) -> None:
         """From now on the drives of all series act an unknown constant delay later, s: at least and at most."""
         known = [*self.tests, *(series for series, _ in self.further)]
@@ -174,6 +180,10 @@ def _series_of(
         if len(short) < len(chosen):
             notes += [f"{label}: left out, because fewer than {FEWEST_ROWS} of its rows can be used" for label in short]
             chosen = [(label, rows) for label, rows in chosen if label not in short]
+        one_drive = [label for label, rows in chosen if np.ptp(recording.u_V[rows]) == 0.0]
+        if len(one_drive) < len(chosen):
+            notes += [f"{label}: left out, because its drive never changes" for label in one_drive]
+            chosen = [(label, rows) for label, rows in chosen if label not in one_drive]
     tests: list[TimeSeries] = []
     runs: list[TimeSeries] = []
     for label, rows in chosen:
@@ -192,14 +202,15 @@ def _series_of(
 
 
 def _tests_of(recording: Recording, name: str, gone: Collection[str]) -> list[str]:
-    """The stages that are tests: the relay tests; of a run that ended before the first one, its gain search.
+    """The stages that are tests; of a run that ended before the first one, or soon after it began, its gain search.
 
     Raises IdentifyError if there are none.
     """
     stages = recording.stages()
     relays = [stage for stage in stages if Stage.parse(stage).is_test]
-    searches = [stage for stage in stages if kind_of(stage) is StageKind.SEARCH] if not relays else []
-    kept = [stage for stage in relays or searches if stage not in gone]
+    short = [stage for stage in relays if _rows_of(recording, stage) < FEWEST_ROWS]
+    searches = [stage for stage in stages if kind_of(stage) is StageKind.SEARCH] if short == relays else []
+    kept = [stage for stage in searches or relays if stage not in gone] or [one for one in relays if one not in gone]
     if kept:
         return kept
     if relays:
@@ -208,6 +219,11 @@ def _tests_of(recording: Recording, name: str, gone: Collection[str]) -> list[st
         f"{name} has no relay test (stages: {', '.join(stages)})",
         "run `rig relay CONFIG` or `rig run CONFIG`, and identify that",
     )
+
+
+def _rows_of(recording: Recording, stage: str) -> int:
+    rows = sound_rows(recording, stage)[0]
+    return int(rows.stop) - int(rows.start)
 
 
 def _further_of(

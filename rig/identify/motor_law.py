@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from rig.identify.agreement import RecordingEstimate
 from rig.identify.departures import DEPARTURES
 from rig.identify.departures.budget import OTHER, Budget, budget
 from rig.identify.departures.choice import Chooser, loss, with_own_noise
@@ -28,6 +27,7 @@ from rig.identify.departures.prediction import sums_of_pieces
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.further import Further, agreeing
 from rig.identify.noise import WHITE
+from rig.identify.opinion import RecordingEstimate
 from rig.identify.repetition import repeated_share, repetitions
 from rig.identify.stated_errors import ScaleErrors, StatedErrors
 from rig.identify.verdict import ASKED, beside, sizes_of

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from rig.identify.driven import together
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.estimator import Estimator
 from rig.identify.measurements import Measurements
@@ -23,7 +24,6 @@ from rig.identify.output_error import SHARED, OutputErrorProblem, Solution, cova
 from rig.identify.repetition import repeated_share, repetitions, with_repetition
 from rig.identify.sampled_data_verdict import confounding, judge
 from rig.identify.starts import Start, grid_starts, ridge_starts
-from rig.identify.verdict import settled
 from rig.model.sensitivity import Theta, position
 from rig.recording.errors import IdentifyError
 from rig.recording.series import TimeSeries, Window, joined_times_s, spread_rad
@@ -44,20 +44,23 @@ class SampledData(Estimator):
     name = METHOD
 
     def fit(self, data: Measurements) -> Estimate:
-        """Start along the ridge of the first cycle; without a cycle, from a coarse grid."""
+        """From everything driven. Start along the ridge of the first cycle; without a cycle, from a coarse grid."""
         starts = None
         if data.settled:
             first = data.settled[0]
             starts = ridge_starts(first.omega_rad_s, first.amplitude_rad, first.h1_V, first.h2_V)
-        return fit(data.tests, starts, periods_s=data.periods_s)
+        of_tests = fit(data.tests, starts, periods_s=data.periods_s)
+        found = together(of_tests, data.tests, data.beside)
+        estimate = replace(found.estimate, remarks=found.remarks)
+        return estimate.judged("doubtful", *found.objections) if found.objections else estimate
 
     def judge(self, estimate: Estimate, data: Measurements, earlier: Mapping[str, Estimate]) -> Estimate:
         """Judge it by the motion in every sample."""
-        return settled(judge(estimate, data.tests, data.settled), data)
+        return judge(estimate, data.tests)
 
     def notes(self, estimate: Estimate, data: Measurements) -> list[str]:
-        """The cost of an unknown delay, and changes of the drive by the guard."""
-        return [*filter(None, [confounding(estimate)]), *data.guarded]
+        """Records left out, the cost of an unknown delay, and changes of the drive by the guard."""
+        return [*estimate.remarks, *filter(None, [confounding(estimate)]), *data.guarded]
 
 
 def fit(

@@ -8,9 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rig.identify.estimate import PARAMETERS, Estimate
-from rig.identify.mean_cycle import Cycle
-from rig.identify.output_error import Solution, refit
-from rig.identify.verdict import enough_cycles, intervals, spread_rad
+from rig.identify.output_error import Solution, covariance_of, refit
+from rig.identify.verdict import intervals, spread_rad
 from rig.model.motor import State
 from rig.model.sensitivity import Theta
 from rig.recording.errors import IdentifyError
@@ -25,15 +24,18 @@ SLIPPED = 0.3  # of a period: largest difference between the recorded times of t
 AT_BOUND = 0.9995  # of the longest delay that is looked for
 REACH_PERIODS = 2.5  # periods: differences that are looked for
 TRANSFER = 1.5  # residual of a test predicted by the first test's model, over the residual of its own fit
+VAGUE = 4.0  # times the scatter of a prediction: two standard deviations
 STUCK = 0.3  # share of the time in which the motor stands still
 
 
-def judge(estimate: Estimate, tests: Sequence[TimeSeries], cycles: Sequence[Cycle]) -> Estimate:
-    """The sampled-data estimate with its verdict: intervals, bounds, residual, row convention, sticking, transfer."""
+def judge(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
+    """The sampled-data estimate with its verdict: intervals, bounds, residual, row convention, sticking, transfer.
+
+    It needs no settled cycle: whether the motion is enough, intervals and budget say.
+    """
     estimate = intervals(estimate, tests)
     estimate = _bounds(estimate, tests)
     estimate = _residual(estimate, tests)
-    estimate = enough_cycles(estimate, cycles)
     estimate = _asymmetry(estimate)
     if estimate.verdict == "refused":
         return estimate
@@ -246,7 +248,10 @@ def _sticking(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
 
 
 def _transfer(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
-    """The model of the first test must predict the other tests nearly as well as their own models do."""
+    """The model of the first test must predict the other tests nearly as well as their own models do.
+
+    A short test knows its model badly, and predicts badly for that reason: so much more is no objection.
+    """
     if len(tests) < 2:
         return estimate
     theta = Theta(estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V, estimate.asym_V, estimate.delay_s)
@@ -256,14 +261,19 @@ def _transfer(estimate: Estimate, tests: Sequence[TimeSeries]) -> Estimate:
     theta = theta if unknown else theta._replace(delay_s=0.0)
     try:
         first = refit(tests[:1], theta, free, bounds)
+        first_free = [*(PARAMETERS.index(name) for name in free), len(PARAMETERS), len(PARAMETERS) + 1]
         model = Theta(math.exp(first.x[0]), math.exp(first.x[1]), *(float(x) for x in first.x[2:5]))
+        scatter, _ = covariance_of(first.jacobian[:, first_free], first.residual)
         ratios = []
         for test in tests[1:]:
             own = refit([test], theta, free, bounds)
             given = refit([test], model)
             rms = math.sqrt(given.cost / given.residual.size)
+            by_model = given.jacobian[:, first_free[:-2]]
+            vague = float(np.einsum("ni,ij,nj", by_model, scatter[: len(by_model.T), : len(by_model.T)], by_model))
             if rms > NEGLIGIBLE * spread_rad([test]):
-                ratios.append(math.sqrt(given.cost / own.cost) if own.cost > 0.0 else math.inf)
+                expected = own.cost + (VAGUE * vague if math.isfinite(vague) else math.inf)
+                ratios.append(math.sqrt(given.cost / expected) if expected > 0.0 else math.inf)
     except IdentifyError:
         return estimate  # a test is too short for a fit of its own
     if ratios and max(ratios) > TRANSFER:

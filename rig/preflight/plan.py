@@ -15,6 +15,7 @@ from rig.preflight.differences import differences
 from rig.preflight.room_to_stop import (
     overshoot_terms,
     peak_speed_rad_s,
+    reach_rad,
     room_for_delay_s,
     room_rad,
     stopping_sum,
@@ -89,7 +90,8 @@ def _stage_lines(e: Experiment) -> Iterator[str]:
     stages = (_breakaway(e), _relay_tests(e), _hysteretic_runs(e), _IDENTIFY, _survey(e), _verify(e))
     for stage in stages:
         yield from stage.lines
-    unknown = "" if e.relay.target is not None and e.relay.hysteretic is None else ", and the relay tests"
+    bounded = e.relay.target is not None or e.relay.until is not None
+    unknown = "" if bounded and e.relay.hysteretic is None else ", and the relay tests"
     clock = backend_of(e).seconds_words(e)
     total_s = sum(stage.longest_s for stage in stages)
     yield f"together at most about {total_s:.0f} s{clock}{unknown}, plus settling and rests"
@@ -116,6 +118,16 @@ def _breakaway(e: Experiment) -> _Stage:
 def _relay_tests(e: Experiment) -> _Stage:
     """The search for the target's gains and the tests with them, or the tests with the given gains."""
     r = e.relay
+    if r.until is not None:
+        u = r.until
+        lines = (
+            f"stage search: a relay whose gains grow from the breakaway level, within {reach_rad(e):g} rad and "
+            f"{e.limits.max_speed_rad_s:g} rad/s; with `--model` it is left out",
+            "stages relay, strokes: the tests that tell most, by simulation on the estimate so far; they end when tau, "
+            f"K and f_c are known to {u.interval_percent:g} %, after {u.longest_s:g} s at the latest, or "
+            f"{u.most_cycles} swings",
+        )
+        return _Stage(lines, u.longest_s)
     if r.target is not None:
         amplitudes = r.target.amplitude_rad, r.target.amplitude_rad * r.second_ratio
         tests_s = 2.0 * r.cycles * r.target.period_s
@@ -153,7 +165,7 @@ def _hysteretic_runs(e: Experiment) -> _Stage:
 
 def _survey(e: Experiment) -> _Stage:
     """The sweeps of a thorough run, or of `rig survey` where the config has a section for it."""
-    if e.relay.target is None and e.relay.gains is None:
+    if not e.relay.has_tests:
         return _Stage(())
     if e.identify.thorough:
         begin = "stage survey, if the relay tests leave the motor's law open: a relay test of a third amplitude, then"

@@ -247,7 +247,7 @@ def _largest(fits: Callable[[float], bool], below: float) -> float:
 def _gains(e: Experiment) -> Iterator[Problem]:
     s = e.relay.search
     if e.relay.gains is None and e.relay.target is None:
-        return
+        return  # `until` starts from the breakaway level
     if e.relay.gains is None:
         start = RelayGainsSection(h1_V=s.h1_start_V, h2_V=s.h2_start_V)
         pairs: list[tuple[Path, RelayGainsSection, str]] = [(("relay", "search"), start, "_start_V")]

@@ -87,6 +87,11 @@ class Stage:
         """Whether it was driven to be identified: a test of the dual-channel relay or a hysteretic one, or strokes."""
         return self.kind in (StageKind.RELAY, StageKind.STROKES, StageKind.HYSTERETIC)
 
+    @property
+    def tells_motor(self) -> bool:
+        """Whether it can be identified: a test, or the gain search before the tests."""
+        return self.is_test or self.kind is StageKind.SEARCH
+
     def __str__(self) -> str:
         return self.name
 

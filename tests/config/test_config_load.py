@@ -10,6 +10,7 @@ import pytest
 import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from wanted_cycle import wanted_cycle
 
 from rig.config import ConfigError, Experiment, dump, load
 from rig.config.problems import Problem
@@ -18,7 +19,7 @@ from rig.config.yaml12 import emit, parse
 from rig.preflight import check
 
 CONFIGS = Path(__file__).parents[2] / "config"
-DEMO = (CONFIGS / "demo.yaml").read_text(encoding="utf-8")
+DEMO = wanted_cycle("demo.yaml")
 
 
 def changed(old: str, new: str, text: str = DEMO) -> str:
@@ -40,7 +41,7 @@ def problems_of(text: str | bytes, folder: Path) -> tuple[Problem, ...]:
 # its message; words of its hint
 BROKEN = {
     "unknown key": ("cycles: 12", "cyles: 12", "cyles", "relay.cyles", "unknown key", "did you mean 'cycles'?"),
-    "unknown key, nothing like it": ("cycles: 12", "qqq: 12", "qqq", "relay.qqq", "unknown key", "known here: target"),
+    "unknown key, nothing like it": ("cycles: 12", "qqq: 12", "qqq", "relay.qqq", "unknown key", "known here: until"),
     "unit in the key": (
         "period_s: 0.010", "period_ms: 10", "period_ms", "period_ms", "unknown key",
         "did you mean 'period_s'? (seconds, 10 ms is 0.01)",
@@ -137,8 +138,15 @@ BROKEN = {
         "counts: 1000,", "counts: 1024,", "- {counts: 24", "sensor.calibration", "more than sensor.counts_max", ""
     ),
     "rails upside down": ("[5, 1018]", "[1018, 5]", "[1018", "sensor.rail_counts", "0 <= low < high <= 1023", ""),
+    "until and a target": (
+        "cycles: 12", "until: {}", "target", "relay", "`until` chooses its tests by itself: remove `target`", ""
+    ),
+    "an interval below what a run can tell": (
+        "target: {amplitude_rad: 0.5, period_s: 1.0}\n  cycles: 12", "until: {interval_percent: 0.01}",
+        "0.01", "relay.until.interval_percent", "must be at least 0.1", "",
+    ),
     "neither target nor gains": (
-        "  target: {amplitude_rad: 0.5, period_s: 1.0}\n", "", "cycles: 12", "relay", "give `target` (gains", ""
+        "  target: {amplitude_rad: 0.5, period_s: 1.0}\n", "", "cycles: 12", "relay", "give `until` (the tests", ""
     ),
     "key twice": (
         "supply_V: 12.0", "supply_V: 12.0\n  supply_V: 24.0", "supply_V: 24.0", "drive.supply_V",
@@ -289,7 +297,8 @@ def test_scalars_are_those_of_yaml_1_2(text: str, value: object) -> None:
 def test_byte_order_mark_and_windows_line_ends_are_read(tmp_path: Path) -> None:
     path = tmp_path / "windows.yaml"
     path.write_bytes(b"\xef\xbb\xbf" + DEMO.replace("\n", "\r\n").encode())
-    assert load(path) == load(CONFIGS / "demo.yaml")
+    (tmp_path / "unix.yaml").write_text(DEMO, encoding="utf-8")
+    assert load(path) == load(tmp_path / "unix.yaml")
 
 
 @pytest.mark.parametrize("name", ["demo", "simulated", "uno"])

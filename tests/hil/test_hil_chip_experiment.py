@@ -13,6 +13,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from simulated_bench import CALIBRATION, DEMO, GUARD, LIMITS, SCALING, ListSink, break_away
+from wanted_cycle import wanted_cycle
 
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import UnoOptions
@@ -31,8 +32,8 @@ UNO_FULL = 400
 
 
 def run_on_chip(folder: Path, daq: dict[str, object] | None = None, **relay: object) -> dict[str, Any]:
-    """config/demo.yaml on the chip; changes of its sections ``daq`` and ``relay``."""
-    config = yaml.safe_load((ROOT / "config/demo.yaml").read_text(encoding="utf-8"))
+    """config/demo.yaml with a wanted cycle on the chip; changes of its sections ``daq`` and ``relay``."""
+    config = yaml.safe_load(wanted_cycle("demo.yaml"))
     config["daq"] |= {"port": "emulated-chip"} | (daq or {})
     config["limits"]["max_speed_rad_s"] = 4.7 if daq is None else 4.5  # an adapter needs room, too
     config["relay"] |= relay

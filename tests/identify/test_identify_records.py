@@ -64,7 +64,11 @@ def test_gain_search_and_breakaway_enter_the_fit_and_make_it_narrower(run: Recor
     assert with_law["tau_s"] == pytest.approx(0.17, rel=0.01)
     assert with_law["reasons"] == []  # how few cycles may be is for the intervals and the budget to say
     plain, alone = found.estimates["sampled-data"], tests_alone.estimates["sampled-data"]
-    assert (plain.tau_s, plain.K_rad_s_V, plain.fc_V) == (alone.tau_s, alone.K_rad_s_V, alone.fc_V)
+    for name, true in (("tau_s", 0.17), ("K_rad_s_V", 6.5), ("fc_V", 0.48)):
+        widths = [one.ci95[name][1] - one.ci95[name][0] for one in (plain, alone)]
+        assert widths[0] < 0.6 * widths[1]  # the plain estimate is of everything driven
+        assert plain.ci95[name][0] < true < plain.ci95[name][1]
+    assert plain.verdict == "ok"  # although its tests have three and four settled cycles: the intervals say enough
     assert tests_alone.breakaway is None
 
 
@@ -122,6 +126,15 @@ def test_a_run_that_ended_in_its_second_test_gives_its_first(run: Recording) -> 
     found = identify([ended(run, "INTERRUPTED", "relay-2", 15)], LED_BY, choose_law=False)
     assert found.estimates["sampled-data"].verdict != "refused"
     assert "relay-2: left out, because fewer than 20 of its rows can be used" in found.notes
+
+
+def test_a_test_that_ended_in_its_first_stroke_is_left_out(run: Recording) -> None:
+    """Of a law in the device these are many rows."""
+    u_V = run.u_V.copy()
+    u_V[run.stage_rows("relay-2")] = 1.0
+    found = identify([replace(run, u_V=u_V)], LED_BY, choose_law=False)
+    assert "relay-2: left out, because its drive never changes" in found.notes
+    assert [relay.stage for relay in found.relays] == ["relay-1"]
 
 
 def test_a_run_that_ended_in_the_gain_search_gives_the_search(run: Recording) -> None:

@@ -12,6 +12,7 @@ import yaml
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
+from wanted_cycle import wanted_cycle
 
 from rig.backends.serial import driver as serial_link
 from rig.backends.serial import frames
@@ -26,7 +27,7 @@ from rig.preflight.room_to_stop import counted_delay_s, room_for_delay_s, stoppi
 from rig.signals import BenchDelay
 
 CONFIGS = Path(__file__).parents[2] / "config"
-DEMO = (CONFIGS / "demo.yaml").read_text(encoding="utf-8")
+DEMO = wanted_cycle("demo.yaml")
 
 
 def demo(**changes: Any) -> dict[str, Any]:

@@ -19,10 +19,12 @@ class Board:
 
     bridge        the bridge at the board's outputs, a value of ``frames.BRIDGES``; None: not given
     flashing      how to flash it, with the whole command, for people
+    runs_strokes  its firmware must run stroke tests: they may be driven in the device
     """
 
     bridge: str | None = None
     flashing: str = "flash it with the options that its wiring asks for: docs/real-bench.md"
+    runs_strokes: bool = False
 
 
 PLAIN_BOARD = Board()
@@ -65,6 +67,12 @@ def check_fit(hello: Hello, expected: Expected) -> None:
     if scaling.tachometer is not None and not hello.features & frames.FEATURE_TACHOMETER:
         raise Fault("CONFIG_MISMATCH", "the config has a section `tachometer`, but the device has no such channel")
     _check_bridge(hello, expected)
+    if expected.board.runs_strokes and not hello.features & frames.FEATURE_STROKES:
+        raise Fault(
+            "CONFIG_MISMATCH",
+            f"relay.where is device, and relay.until drives strokes there, too, but the device's firmware, "
+            f"{hello.build_text}, cannot: {expected.board.flashing}; or set relay.where to host",
+        )
 
 
 def _check_bridge(hello: Hello, expected: Expected) -> None:

@@ -28,6 +28,31 @@ BOUNDLESS: tuple[float, float] = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True, eq=False)
+class Known:
+    """What is known of some numbers of a motor before a fit.
+
+    names   fields of ``RealMotor``
+    mean    (k,) of ``POSITIVE`` the logarithm
+    root    (k, k): root.T @ root is the inverse of their covariance
+    """
+
+    names: tuple[str, ...]
+    mean: Array
+    root: Array
+
+    @classmethod
+    def of(cls, names: Sequence[str], mean: Sequence[float], covariance: Array) -> Known:
+        """From a covariance, (k, k), that has an inverse."""
+        return cls(tuple(names), np.array(mean), np.linalg.inv(np.linalg.cholesky(covariance)))
+
+    def off(self, motor: RealMotor) -> Array:
+        """How far the motor is from it, (k,), in independent standard deviations."""
+        values = [getattr(motor, name) for name in self.names]
+        scaled = [math.log(v) if name in POSITIVE else v for name, v in zip(self.names, values, strict=True)]
+        return np.asarray(self.root @ (np.array(scaled) - self.mean))
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
     """What is fitted to what.
 
@@ -36,8 +61,8 @@ class Problem:
     limits     their bounds; without an entry: none
     sigma_rad  standard deviation of the white noise, rad
     robust_rad residuals beyond it count by their size, not by its square (soft L1); inf: least squares
-    noise      coloured noise; without robust_rad and without weights of rows only
-    known      what is known of free numbers beforehand: mean and standard deviation, of ``POSITIVE`` of the logarithm
+    noise      coloured noise; without robust_rad only. Rows without weight stand at the end of a piece
+    known      what is known of free numbers beforehand; None: nothing
     """
 
     cut: Cut
@@ -46,7 +71,7 @@ class Problem:
     sigma_rad: float
     robust_rad: float = math.inf
     noise: Noise = WHITE
-    known: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    known: Known | None = None
 
     def whitened(self, rows: Array) -> Array:
         """``rows``, (n,) or (n, k), rad, filtered to unit white noise; each piece has noise of its own."""
@@ -65,11 +90,10 @@ class Problem:
 
     def surprise(self, motor: RealMotor) -> float:
         """Sum of squares of how far the motor is from what is known beforehand, in standard deviations."""
-        off = self._off(motor)
+        if self.known is None:
+            return 0.0
+        off = self.known.off(motor)
         return float(off @ off)
-
-    def _off(self, motor: RealMotor) -> Array:
-        return np.array([(_scaled(motor, name) - mean) / error for name, (mean, error) in self.known.items()])
 
     def rows(self, motor: RealMotor, starts: Array) -> Rows:
         """Residual and Jacobian there, whitened, by the logarithms of ``POSITIVE``; ``starts``: rad/s, rad.
@@ -94,16 +118,15 @@ class Problem:
         return white
 
     def _with_known(self, rows: Rows, motor: RealMotor) -> Rows:
-        if not self.known:
+        if self.known is None:
             return rows
-        by_number = np.zeros((len(self.known), len(self.free)))
-        for k, (name, (_, error)) in enumerate(self.known.items()):
-            by_number[k, self.free.index(name)] = 1.0 / error
+        by_number = np.zeros((len(self.known.names), len(self.free)))
+        by_number[:, [self.free.index(name) for name in self.known.names]] = self.known.root
         return Rows(
             rows.residual_rad,
-            np.concatenate((rows.residual, self._off(motor))),
+            np.concatenate((rows.residual, self.known.off(motor))),
             np.concatenate((rows.by_number, by_number)),
-            np.concatenate((rows.by_start, np.zeros((len(self.known), 2)))),
+            np.concatenate((rows.by_start, np.zeros((len(self.known.names), 2)))),
         )
 
     def moved(self, motor: RealMotor, change: Array) -> RealMotor:
@@ -224,11 +247,6 @@ def unit(fit: Fit) -> float:
     """Variance of a least-squares fit's whitened residual."""
     freedom = fit.problem.cut.freedom - len(fit.problem.free)
     return max(fit.cost / max(freedom, 1), 1e-12)
-
-
-def _scaled(motor: RealMotor, name: str) -> float:
-    value = float(getattr(motor, name))
-    return math.log(value) if name in POSITIVE else value
 
 
 @dataclass(frozen=True, eq=False)

@@ -319,6 +319,16 @@ def test_a_config_that_does_not_fit_the_device(hello: HelloFields, scaling: Scal
     assert words in fault.detail
 
 
+def test_firmware_that_cannot_run_strokes_is_refused() -> None:
+    """By its name, and what to do; only where strokes may be driven in the device."""
+    wants = Board(flashing="type: this line", runs_strokes=True)
+    fault = fault_of(make(ScriptedPort(features=0), board=wants).open)
+    assert fault.code == "CONFIG_MISMATCH"
+    assert "the device's firmware, test-1, cannot: type: this line; or set relay.where to host" in fault.detail
+    make(ScriptedPort(features=frames.FEATURE_STROKES), board=wants).open()
+    make(ScriptedPort(features=0)).open()
+
+
 @pytest.mark.parametrize(
     ("told", "config", "words"),
     [

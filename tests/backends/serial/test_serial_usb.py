@@ -259,7 +259,7 @@ def test_a_time_out_too_short_for_the_adapter_is_refused_with_a_quicker_one(tmp_
     document = config(adapter="ftdi", watchdog_s=0.3)
     document |= {"period_s": 0.05}
     document["limits"]["max_speed_rad_s"] = 2.5
-    document["relay"]["target"] |= {"amplitude_rad": 0.3, "period_s": 2.0}
+    document["relay"] = {"target": {"amplitude_rad": 0.3, "period_s": 2.0}}
     document["tracking"]["trajectory"] = [{"amplitude_rad": 0.5, "omega_rad_s": 1.5}]
     document["breakaway"] |= {"rest_s": 0.6}
     document["motor"] |= {"no_load_speed_rad_s": 20.0}

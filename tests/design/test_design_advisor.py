@@ -1,0 +1,180 @@
+"""The advisor's choices: the fit and the search for a test are stand-ins, which say what they are told to say."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.control.strokes import Stroke
+from rig.design import advisor as module
+from rig.design.advisor import Advisor, AdvisorSettings
+from rig.design.best_test import Kind
+from rig.design.outlook import Task
+from rig.design.planned_test import Design, PlannedTest, Reach, RelayGains, Strokes
+from rig.design.room import Reading, Room
+from rig.identify.live import LiveEstimate, LiveSettings
+from rig.model.real_motor import Frame, FramedMotor, RealMotor
+from rig.recording.recording import Recording, assembled
+
+MOTOR = FramedMotor(RealMotor(0.17, 6.5, 0.48, 0.0), Frame())
+RELAY, STROKES = RelayGains(0.4, 0.8), Strokes((Stroke(1.0, 0.3), Stroke(-1.0, -0.3)), 0.5)
+
+
+def estimate(percent: float, *, differ: bool = True, residual: float = 1.0) -> LiveEstimate:
+    share = percent / 196.0
+    return LiveEstimate(
+        row=0, t_s=0.0, tau_s=0.17, K_rad_s_V=6.5, fc_V=0.48, asym_V=0.0, delay_s=0.0,
+        half_percent={"tau_s": percent, "K_rad_s_V": percent, "fc_V": percent},
+        covariance=np.diag([share, share, share * 0.48, share * 0.48, 0.0]) ** 2,
+        residual_over_noise=residual, residual_error=0.0, drives_differ=differ, laws=(),
+        seconds_of_data=1.0, framed=MOTOR,
+    )  # fmt: skip
+
+
+@dataclass
+class Bench:
+    """A run of 0.1 s a row, and what the stand-ins say."""
+
+    settings: AdvisorSettings
+    monkeypatch: pytest.MonkeyPatch
+    says: LiveEstimate | None = None
+    design: PlannedTest | None = STROKES
+    seconds: float = 1.0
+    left_s: float = 10.0
+    asked: list[tuple[Task, Collection[Kind]]] = field(default_factory=list)
+    rows: list[tuple[float, float, str]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        bench = self
+
+        class Fit:
+            def __init__(self, settings: LiveSettings) -> None:
+                self.taken = 0
+
+            def take(self, rows: Any) -> None:
+                assert rows.row[0] == self.taken
+                self.taken = int(rows.row[-1]) + 1
+
+            def estimate(self) -> LiveEstimate | None:
+                return bench.says
+
+        def best(task: Task, kinds: Collection[Kind]) -> Design | None:
+            bench.asked.append((task, kinds))
+            if bench.design is None:
+                return None
+            return Design(bench.design, bench.seconds, 1.0, Reach(-0.5, 0.5, 3.0))
+
+        @dataclass
+        class Told:
+            seconds: float
+
+        self.monkeypatch.setattr(module, "LiveFit", Fit)
+        self.monkeypatch.setattr(module, "best_test", best)
+        self.monkeypatch.setattr(module, "told", lambda task, law: Told(bench.left_s))
+        self.advisor = Advisor(self.settings)
+
+    def drive(self, stage: str, seconds: float) -> None:
+        """So many seconds of a swing every second."""
+        for _ in range(round(10 * seconds)):
+            k = len(self.rows)
+            self.rows.append((0.1 * k, 0.3 * float(np.sin(2 * np.pi * 0.1 * k)), stage))
+        self.advisor.take(self.recording)
+
+    @property
+    def recording(self) -> Recording:
+        t, y, stage = zip(*self.rows, strict=True)
+        columns: dict[str, Any] = {"t_s": np.array(t), "y_rad": np.array(y), "u_V": np.zeros(len(t))}
+        return assembled(Path("run"), columns | {"stage": np.array(stage)}, range(len(t)), columns_present=("t_s",))
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
+    settings = AdvisorSettings(
+        1.0, LiveSettings(0.01, 0.003, 0.0, 3.0), Room(-1.0, 1.0, 3.0, 4.9), Reading(0.01, 0.003), turn_rad=0.08
+    )
+    return Bench(settings, monkeypatch)
+
+
+def test_nothing_is_said_before_there_is_an_estimate(bench: Bench) -> None:
+    bench.drive("search", 1.0)
+    assert bench.advisor.advise() is None
+
+
+def test_the_first_test_is_designed_as_soon_as_all_is_known_to_a_fifth(bench: Bench) -> None:
+    bench.drive("search", 1.0)
+    bench.says = estimate(25.0)
+    advice = bench.advisor.advise()
+    assert advice is not None and advice.design is None and not bench.asked
+    bench.says = estimate(19.0)
+    advice = bench.advisor.advise()
+    assert advice is not None and advice.design is not None and advice.design.test == STROKES
+    task, kinds = bench.asked[-1]
+    assert task.wanted_percent == 1.0 and set(kinds) == {"relay", "strokes"} and task.belief.delay_is_known
+    assert task.seen[0, 0] == pytest.approx((196.0 / 19.0) ** 2) and task.seen[4, 4] == 0.0
+
+
+def test_a_known_motor_gets_its_first_test_without_any_row_in_motion(bench: Bench) -> None:
+    live = replace(bench.settings.live, prior=MOTOR)
+    known = Bench(replace(bench.settings, live=live), bench.monkeypatch)
+    known.drive("rest", 0.5)
+    known.says = estimate(30.0)
+    advice = known.advisor.advise()
+    assert advice is not None and advice.design is not None
+
+
+def started(bench: Bench, stage: str = "strokes-1", seconds: float = 3.0) -> None:
+    """The first test is given, and has run for a while."""
+    bench.drive("search", 1.0)
+    bench.says = estimate(10.0)
+    bench.advisor.advise()
+    bench.drive(stage, seconds)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "left_s", "changes"), [(3.0, 10.0, True), (3.0, 1.2, False), (1.0, 10.0, False), (0.0, 10.0, False)]
+)
+def test_another_test_takes_its_place_only_once_it_ran_and_if_it_is_clearly_quicker(
+    bench: Bench, seconds: float, left_s: float, *, changes: bool
+) -> None:
+    """One second is less than a test has to run; none: the stage before it still runs."""
+    started(bench, seconds=seconds)
+    bench.says, bench.left_s, bench.design = estimate(3.0), left_s, RELAY
+    advice = bench.advisor.advise()
+    assert advice is not None and (advice.design is not None) == changes
+
+
+def test_after_braking_the_next_test_comes_at_once_and_within_less_room(bench: Bench) -> None:
+    started(bench, seconds=0.5)
+    bench.advisor.braked()
+    advice = bench.advisor.advise()
+    assert advice is not None and advice.design is not None
+    room = bench.asked[-1][0].room
+    assert (room.low_rad, room.high_rad) == pytest.approx((-0.85, 0.85)) and room.max_speed_rad_s < 4.2
+
+
+def test_well_known_by_drives_that_are_alike_asks_for_the_other_kind(bench: Bench) -> None:
+    started(bench)
+    bench.says, bench.design = estimate(0.8, differ=False), RELAY
+    advice = bench.advisor.advise()
+    assert advice is not None and advice.design is not None and advice.design.test == RELAY
+    assert tuple(bench.asked[-1][1]) == ("relay",)
+
+
+def test_enough_is_said_once_it_is_enough_twice_and_no_test_meanwhile(bench: Bench) -> None:
+    started(bench)
+    bench.says = estimate(0.8)
+    first, second = bench.advisor.advise(), bench.advisor.advise()
+    assert first is not None and first.stop is None and first.design is None
+    assert second is not None and second.stop is not None and second.design is None
+
+
+def test_without_any_test_that_fits_the_present_one_goes_on(bench: Bench) -> None:
+    started(bench)
+    bench.design, bench.says = None, estimate(3.0)
+    advice = bench.advisor.advise()
+    assert advice is not None and advice.design is None and advice.stop is None

@@ -1,0 +1,49 @@
+"""When it is enough: each thing that an estimate may lack, and two in a row."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import pytest
+
+from rig.design.stop_rule import StopRule
+
+
+@dataclass(frozen=True)
+class Seen:
+    worst_percent: float = 0.9
+    residual_over_noise: float = 1.0
+    residual_error: float = 0.02
+    drives_differ: bool = True
+
+
+def test_two_estimates_in_a_row_are_enough_and_one_is_not() -> None:
+    rule = StopRule(1.0)
+    assert rule.take(Seen()) is None
+    assert rule.take(Seen(worst_percent=1.01)) is None
+    assert rule.take(Seen()) is None
+    why = rule.take(Seen(worst_percent=0.8))
+    assert why is not None and "0.80 %" in why and "1 % were asked for" in why
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"worst_percent": 1.2}, "known to 1.2 %"),
+        ({"worst_percent": math.nan}, "known to"),
+        ({"residual_over_noise": 1.2}, "the residual is 1.20"),
+        ({"residual_over_noise": math.nan}, "the residual"),
+        ({"drives_differ": False}, "too much alike"),
+    ],
+)
+def test_estimates_that_agree_are_not_enough_while_something_lacks(change: dict[str, float], words: str) -> None:
+    rule, seen = StopRule(1.0), replace(Seen(), **change)  # type: ignore[arg-type]
+    assert words in (rule.lacks(seen) or "")
+    assert all(rule.take(seen) is None for _ in range(20))
+
+
+def test_the_residual_may_be_larger_by_what_few_rows_make_of_it() -> None:
+    few, many = Seen(residual_over_noise=1.09, residual_error=0.03), Seen(residual_over_noise=1.09, residual_error=0.01)
+    assert StopRule(1.0).lacks(few) is None and StopRule(1.0).lacks(many) is not None
+    assert StopRule(1.0, noise_error=0.04).lacks(many) is None  # so does a noise at rest that few rows tell

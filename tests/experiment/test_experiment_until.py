@@ -1,0 +1,157 @@
+"""Tests that end when the motor is known, in virtual time, as a user runs them; and each run replayed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from command_line import rig
+
+from rig.experiment.advisers import InTheLoop
+from rig.recording.reader import read_run
+from rig.replay import replay
+from rig.results import RunResult
+
+ROOT = Path(__file__).resolve().parents[2]
+SOFT_RAD = 1.1
+
+
+def written(folder: Path, relay: dict[str, Any] | None = None, **changes: Any) -> Path:
+    """config/simulated.yaml with other bounds, and other keys of the emulated bench; without tracking."""
+    data = yaml.safe_load((ROOT / "config/simulated.yaml").read_text(encoding="utf-8"))
+    data["relay"]["until"] |= relay or {}
+    del data["tracking"]
+    for name, value in changes.items():
+        data["emulated"][name] = data["emulated"].get(name, {}) | value
+    path = folder / "changed.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path
+
+
+def run(config: Path, folder: Path, *more: object, status: int = 0) -> tuple[Path, RunResult]:
+    done = rig("run", config, "--out", folder / "runs", "--json", *more)
+    assert done.exit_code == status, done.output
+    outcome = json.loads(done.stdout)
+    return Path(outcome["folder"]), RunResult.model_validate(
+        {name: value for name, value in outcome.items() if name not in ("ok", "folder", "cause", "cure")}
+    )
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunResult]:
+    """A run from nothing, whole: with its tracking."""
+    return run(ROOT / "config/simulated.yaml", tmp_path_factory.mktemp("known"))
+
+
+def test_from_nothing_the_tests_end_when_the_motor_is_known_and_the_run_says_why(known: tuple[Path, RunResult]) -> None:
+    folder, result = known
+    stopped = result.stopped
+    assert stopped is not None and stopped.known and "1 % were asked for" in stopped.why
+    assert stopped.interval_percent is not None and stopped.interval_percent <= 1.0 == stopped.wanted_percent
+    assert stopped.tests_s is not None and stopped.tests_s < 20.0  # 60 s are allowed
+    rows = [live.row for live in stopped.live]
+    assert len(rows) >= 3 and rows == sorted(set(rows)) and rows[-1] < len(read_run(folder))
+    estimate, truth = result.estimates["sampled-data"], result.truth
+    assert estimate.verdict == "ok" and truth is not None
+    for name, largest in (("tau_s", 0.01), ("K_rad_s_V", 0.01), ("fc_V", 0.01)):
+        assert estimate.value(name) == pytest.approx(truth.value(name), rel=largest)
+    assert result.tracking["sampled-data"].rms_rad is not None
+
+
+def test_all_of_it_is_replayed_tick_for_tick_the_decisions_from_the_events(known: tuple[Path, RunResult]) -> None:
+    folder, _ = known
+    done = replay(folder)
+    assert done.is_same and done.ending == "its end", done.difference
+    stages = read_run(folder).stages()
+    assert stages[:3] == ["rest", "breakaway", "search"]
+    assert any(stage.startswith(("relay-", "strokes-")) for stage in stages)
+
+
+def test_no_test_leaves_the_soft_limits(known: tuple[Path, RunResult]) -> None:
+    recording = read_run(known[0])
+    assert float(np.abs(recording.y_rad).max()) < SOFT_RAD
+    assert not recording.flags.any()  # the guard had nothing to do
+
+
+def test_a_seed_gives_the_same_run(known: tuple[Path, RunResult], tmp_path: Path) -> None:
+    again, _ = run(ROOT / "config/simulated.yaml", tmp_path)
+    for name in ("samples.csv", "events.jsonl"):
+        assert (again / name).read_text() == (known[0] / name).read_text()
+
+
+def test_a_known_motor_gets_its_first_test_at_once(known: tuple[Path, RunResult], tmp_path: Path) -> None:
+    for model in (known[0], known[0] / "result.json"):
+        folder, result = run(written(tmp_path), tmp_path, "--model", model)
+        assert "search" not in read_run(folder).stages() and result.search is None
+        assert result.stopped is not None and result.stopped.known
+        assert replay(folder).is_same
+
+
+def test_a_model_of_another_motor_breaks_a_test_off_and_never_the_run(
+    known: tuple[Path, RunResult], tmp_path: Path
+) -> None:
+    """Three times the gain that is believed: strokes as designed would end beyond the limits."""
+    wrong = json.loads((known[0] / "result.json").read_text(encoding="utf-8"))
+    wrong["estimates"]["sampled-data"]["K_rad_s_V"] /= 3.0
+    wrong.pop("law", None)
+    (tmp_path / "result.json").write_text(json.dumps(wrong), encoding="utf-8")
+    folder, result = run(written(tmp_path), tmp_path, "--model", tmp_path / "result.json")
+    recording = read_run(folder)
+    assert float(np.abs(recording.y_rad).max()) < SOFT_RAD
+    assert result.stopped is not None and result.stopped.known and not result.faults
+    assert replay(folder).is_same
+
+
+@pytest.mark.parametrize(
+    ("bounds", "words"),
+    [({"longest_s": 5.0}, "relay.until.longest_s, 5 s, is over"), ({"most_cycles": 3}, "most_cycles, 3, are driven")],
+)
+def test_what_is_not_known_in_time_ends_at_its_bound_and_is_identified(
+    bounds: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    folder, result = run(written(tmp_path, {"interval_percent": 0.1, **bounds}), tmp_path)
+    stopped = result.stopped
+    assert stopped is not None and not stopped.known and words in stopped.why
+    assert "sampled-data" in result.estimates and not result.faults
+    assert replay(folder).is_same
+
+
+def test_a_sensor_that_sticks_in_a_test_ends_the_run_and_what_was_recorded_is_identified(tmp_path: Path) -> None:
+    # the check takes 5.4 s
+    config = written(tmp_path, {"interval_percent": 0.1}, wiring={"sensor": "stuck", "fault_after_s": 8.5})
+    folder, result = run(config, tmp_path, status=1)
+    assert [fault.code for fault in result.faults] == ["SENSOR_STUCK"]
+    assert result.stopped is None and "sampled-data" in result.estimates
+    assert replay(folder).is_same
+
+
+def test_advice_that_never_comes_ends_at_the_bound_with_two_sizes_of_drive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+
+    monkeypatch.setattr(InTheLoop, "advice", lambda self, row, t_s: None)
+    monkeypatch.setattr(InTheLoop, "trouble", "its process was killed by signal 9")
+    folder, result = run(written(tmp_path, {"longest_s": 25.0}), tmp_path)
+    stopped = result.stopped
+    assert stopped is not None and "there was no live estimate: its process was killed" in stopped.why
+    assert result.search is not None and {"now a small cycle"} <= {step.outcome for step in result.search}
+    assert result.estimates["sampled-data"].verdict in ("ok", "doubtful")
+    assert replay(folder).is_same
+
+
+def test_without_relay_until_a_model_is_refused(known: tuple[Path, RunResult]) -> None:
+    done = rig("run", ROOT / "config/limit-cycle.yaml", "--model", known[0])
+    assert done.exit_code == 2 and "--model needs relay.until" in done.output
+
+
+def test_a_run_without_a_usable_estimate_is_no_model(known: tuple[Path, RunResult], tmp_path: Path) -> None:
+    text = (known[0] / "result.json").read_text(encoding="utf-8")
+    (tmp_path / "result.json").write_text(text.replace('"verdict": "ok"', '"verdict": "refused"'), encoding="utf-8")
+    done = rig("run", ROOT / "config/simulated.yaml", "--model", tmp_path / "result.json", "--out", tmp_path)
+    assert done.exit_code == 2 and "holds no sampled-data estimate that was not refused" in done.output
+    done = rig("run", ROOT / "config/simulated.yaml", "--model", tmp_path / "nothing", "--out", tmp_path)
+    assert done.exit_code == 2 and "is not there" in done.output

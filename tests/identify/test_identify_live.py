@@ -1,0 +1,198 @@
+"""The live fit: what everything driven so far says, again and again, of a run whose motor is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import LSB_RAD, Bench, Samples, dcr, simulate
+
+from rig.identify.live import OF_PARAMETERS, LiveEstimate, LiveFit, LiveRows, LiveSettings
+from rig.model.friction import coulomb
+from rig.model.motor import Motor
+from rig.model.real_motor import Frame, FramedMotor, RealMotor
+from rig.recording.reader import read_run
+from rig.recording.recording import Recording
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+TRUTH = {"tau_s": 0.17, "K_rad_s_V": 6.5, "fc_V": 0.48}
+NOISE_RAD = 0.0032  # of the golden sensor at rest, its steps included
+SETTINGS = LiveSettings(0.01, NOISE_RAD, LSB_RAD, 3.0)
+SEARCH_ENDS, TESTS_END = 2363, 3420  # rows of the golden run
+
+
+@pytest.fixture(scope="module")
+def golden() -> Recording:
+    return read_run(GOLDEN / "simulated")
+
+
+def rows_of(run: Recording, first: int, stop: int) -> LiveRows:
+    part = slice(first, stop)
+    return LiveRows(np.arange(first, stop), run.t_s[part], run.y_rad[part], run.t_u_s[part], run.u_V[part])
+
+
+def live_rows(samples: Samples, told: bool = True) -> LiveRows:
+    n = samples.t_s.size
+    t_u_s = samples.t_u_s if told else np.full(n, math.nan)
+    return LiveRows(np.arange(n), samples.t_s, samples.y_rad, t_u_s, samples.u_V)
+
+
+def errors(estimate: LiveEstimate, truth: dict[str, float]) -> dict[str, float]:
+    """In half widths of the interval."""
+    off = {name: 100.0 * abs(getattr(estimate, name) / value - 1.0) for name, value in truth.items()}
+    return {name: off[name] / estimate.half_percent[name] for name in OF_PARAMETERS}
+
+
+def estimated(rows: LiveRows, settings: LiveSettings = SETTINGS) -> LiveEstimate:
+    fit = LiveFit(settings)
+    fit.take(rows)
+    estimate = fit.estimate()
+    assert estimate is not None
+    return estimate
+
+
+def test_the_gain_search_alone_tells_the_motor(golden: Recording) -> None:
+    estimate = estimated(rows_of(golden, 0, SEARCH_ENDS))
+    assert max(errors(estimate, TRUTH).values()) < 1.5
+    assert estimate.worst_percent < 0.5
+    assert estimate.drives_differ
+    assert estimate.residual_over_noise == pytest.approx(1.0, abs=0.05)
+    assert estimate.row == SEARCH_ENDS - 1
+
+
+def test_the_interval_narrows_and_holds_the_truth_from_the_third_second_of_motion_on(golden: Recording) -> None:
+    fit = LiveFit(SETTINGS)
+    widths = []
+    for first in range(0, TESTS_END, 100):
+        fit.take(rows_of(golden, first, min(first + 100, TESTS_END)))
+        estimate = fit.estimate()
+        if estimate is None:
+            assert first < 800
+            continue
+        widths.append(estimate.worst_percent)
+        assert max(errors(estimate, TRUTH).values()) < 2.0
+        assert estimate.seconds_of_data < estimate.t_s
+    assert widths[0] < 60.0
+    assert widths[-1] < 0.25
+    assert np.mean(np.diff(widths) < 0.02) > 0.9
+
+
+def test_rows_in_portions_tell_what_they_tell_at_once(golden: Recording) -> None:
+    """Warm starts find the minimum that a start from nothing finds."""
+    whole = estimated(rows_of(golden, 0, TESTS_END))
+    fit = LiveFit(SETTINGS)
+    for first in range(0, TESTS_END, 190):
+        fit.take(rows_of(golden, first, min(first + 190, TESTS_END)))
+        portions = fit.estimate()
+    assert portions is not None
+    for name in OF_PARAMETERS:
+        apart = 100.0 * abs(getattr(portions, name) / getattr(whole, name) - 1.0)
+        assert apart < 0.02 * whole.half_percent[name]
+        assert portions.half_percent[name] == pytest.approx(whole.half_percent[name], rel=1e-3)
+
+
+def test_the_same_portions_give_the_same_numbers(golden: Recording) -> None:
+    def numbers() -> list[float]:
+        fit = LiveFit(SETTINGS)
+        found = []
+        for first in range(500, 1500, 100):
+            fit.take(rows_of(golden, first, first + 100))
+            estimate = fit.estimate()
+            found += [] if estimate is None else [estimate.tau_s, estimate.K_rad_s_V, estimate.fc_V]
+        return found
+
+    assert numbers() == numbers() != []
+
+
+def test_a_delay_beyond_what_the_rows_tell_is_fitted_and_costs_certainty(golden: Recording) -> None:
+    rows = rows_of(golden, 0, SEARCH_ENDS)
+    told = estimated(rows)
+    untold = estimated(rows, replace(SETTINGS, delay_s=(0.0, 0.02)))
+    assert told.delay_s == 0.0
+    assert untold.delay_s == pytest.approx(0.0012, abs=0.0005)
+    assert untold.half_percent["tau_s"] > 1.2 * told.half_percent["tau_s"]
+    assert max(errors(untold, TRUTH).values()) < 1.5
+
+
+def test_a_gap_between_rows_is_no_motion(golden: Recording) -> None:
+    """Of a link that lost a second of rows: what lies between is not predicted."""
+    whole = rows_of(golden, 0, SEARCH_ENDS)
+    kept = np.r_[0:1500, 1613:SEARCH_ENDS]
+    estimate = estimated(LiveRows(*(column[kept] for column in whole)))
+    assert max(errors(estimate, TRUTH).values()) < 1.5
+
+
+def test_rows_of_a_law_in_the_device_come_ten_times_as_often() -> None:
+    """Search at 10 ms, tests at 1 ms: what is at rest depends on the rate, so the record is cut where it changes."""
+    run = read_run(GOLDEN / "chip-relay-in-device")
+    estimate = estimated(rows_of(run, 0, len(run)))
+    assert all(abs(error) < 1.0 for error in errors(estimate, TRUTH).values())
+    assert estimate.residual_over_noise < 1.05 and estimate.worst_percent < 0.8
+    assert estimate.seconds_of_data == pytest.approx(6.7, abs=0.5)  # of 7.8 s with search and tests
+
+
+def test_a_shaft_that_does_not_move_tells_nothing(golden: Recording) -> None:
+    fit = LiveFit(SETTINGS)
+    assert fit.estimate() is None
+    fit.take(rows_of(golden, 0, 400))
+    assert fit.estimate() is None
+
+
+def test_columns_of_unequal_length_are_refused(golden: Recording) -> None:
+    rows = rows_of(golden, 0, 100)
+    with pytest.raises(ValueError, match="one value a row"):
+        LiveFit(SETTINGS).take(rows._replace(u_V=rows.u_V[1:]))
+
+
+def test_a_known_motor_is_the_estimate_until_rows_say_more(golden: Recording) -> None:
+    prior = FramedMotor(RealMotor(0.2, 5.5, 0.55), Frame())
+    fit = LiveFit(LiveSettings(0.01, NOISE_RAD, LSB_RAD, 3.0, prior=prior))
+    before = fit.estimate()
+    assert before is not None
+    assert before.motor().motor.tau_s == 0.2
+    assert before.worst_percent == pytest.approx(58.8, abs=0.1)
+    fit.take(rows_of(golden, 0, 800))
+    early = fit.estimate()
+    assert early is not None
+    assert early.worst_percent < 0.7 * before.worst_percent
+    fit.take(rows_of(golden, 800, SEARCH_ENDS))
+    late = fit.estimate()
+    assert late is not None
+    assert max(errors(late, TRUTH).values()) < 1.5
+
+
+def test_the_laws_of_a_known_motor_are_fitted_too() -> None:
+    true = Motor(0.2, 5.0, coulomb(0.4), 0.02)
+    prior = FramedMotor(RealMotor(0.22, 4.5, 0.45, viscous_by_direction_V_s_rad=1e-3), Frame())
+    rows = live_rows(simulate(true, dcr(0.6, 0.9), 1500, Bench(noise_rad=0.003)))
+    estimate = estimated(rows, LiveSettings(0.01, 0.003, 0.0, 3.0, prior=prior))
+    assert estimate.laws == ("viscous_by_direction",)
+    assert abs(estimate.motor().motor.viscous_by_direction_V_s_rad) < 1e-3
+    assert max(errors(estimate, {"tau_s": 0.2, "K_rad_s_V": 5.0, "fc_V": 0.4}).values()) < 1.5
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_intervals_hold_the_truth_at_any_length(told: bool) -> None:
+    """Of 20 motors, each at three lengths of record: 95 % of the intervals, within chance."""
+    rng = np.random.default_rng(3)
+    inside, all_of_them = 0, 0
+    for seed in range(20):
+        tau, fc = math.exp(rng.uniform(math.log(0.08), math.log(0.5))), rng.uniform(0.1, 0.5)
+        h2 = fc + rng.uniform(0.3, 1.0)
+        gain = 0.8 * 0.7 / (tau * (h2 - fc) ** 2) * h2 * 0.8
+        truth = {"tau_s": tau, "K_rad_s_V": gain, "fc_V": fc}
+        bench = Bench(delay_s=0.004, noise_rad=0.003, lsb_rad=LSB_RAD, seed=seed)
+        rows = live_rows(simulate(Motor(tau, gain, coulomb(fc), 0.01), dcr(0.7 * h2, h2), 1200, bench), told)
+        fit = LiveFit(LiveSettings(0.01, NOISE_RAD, LSB_RAD, 3.0))
+        for first in range(0, 1200, 400):
+            fit.take(LiveRows(*(column[first : first + 400] for column in rows)))
+            estimate = fit.estimate()
+            if estimate is not None:
+                off = errors(estimate, truth)
+                inside += sum(value <= 1.0 for value in off.values())
+                all_of_them += len(off)
+    assert all_of_them > 100
+    assert inside / all_of_them > 0.88
