@@ -1,0 +1,68 @@
+"""The model that an earlier run left: what `rig run --model` begins with, and `rig design --model` designs for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from shlex import quote
+
+from rig.estimators import LEADING
+from rig.model.real_motor import FramedMotor
+from rig.recording.errors import RecordingError
+from rig.recording.folder import RESULT
+from rig.recording.path_kind import no_run
+from rig.recording.reader import read_result
+from rig.results import EstimateResult, RunResult
+
+
+def known_model(path: Path) -> FramedMotor:
+    """The motor of a run folder, or of its result.json: the leading estimate, with the laws that the run shows.
+
+    Raises RecordingError where there is none, or where it was refused.
+    """
+    folder = path.parent if path.name == RESULT else path
+    result, _ = read_result(folder)
+    if result is None:
+        if (folder / "samples.csv").exists():
+            raise RecordingError(
+                folder,
+                f"has no {RESULT}: the run was killed before its motor was identified",
+                "give another run; `rig identify` reads what this one recorded",
+            )
+        raise no_run(path)
+    try:
+        motor = _with_laws(result) or _plain(result.estimates.get(LEADING))
+    except ValueError as error:
+        raise RecordingError(
+            folder / RESULT, f"holds a model that no motor has: {error}", "give another run"
+        ) from error
+    if motor is None:
+        raise RecordingError(
+            folder / RESULT,
+            f"holds no {LEADING} estimate that was not refused",
+            f"see why: `rig identify {quote(str(folder))}`; or run without --model",
+        )
+    return motor
+
+
+def _plain(estimate: EstimateResult | None) -> FramedMotor | None:
+    """The plain motor of an estimate; None without a usable one. Raises ValueError on numbers out of range."""
+    if estimate is None or estimate.verdict == "refused":
+        return None
+    numbers = {
+        "tau_s": estimate.tau_s,
+        "K_rad_s_V": estimate.K_rad_s_V,
+        "fc_V": estimate.fc_V,
+        "bias_V": estimate.asym_V or 0.0,
+    }
+    return FramedMotor.of({name: value for name, value in numbers.items() if value is not None})
+
+
+def _with_laws(result: RunResult) -> FramedMotor | None:
+    """The motor with its laws; None if the run shows none. Raises ValueError on numbers out of range."""
+    plain, frame = _plain(result.with_law), result.law_frame
+    if plain is None or not result.law or frame is None:
+        return None
+    numbers = {name: value for law in result.law for name, value in law.numbers.items() if value is not None}
+    places = {"centre_rad": frame.centre_rad, "half_travel_rad": frame.half_travel_rad}
+    known = {name: value for name, value in places.items() if value is not None}
+    return FramedMotor.of(plain.numbers | numbers | known)
