@@ -37,11 +37,8 @@ NO_TEST = (
 @click.option("--to", "file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
     help="Write the picture: .png, .svg or .pdf.",
 )  # fmt: skip
-@click.option("--force", is_flag=True, help="Replace FILE if it is there already.")
 @JSON
-def design(
-    config_path: Path, model_run: Path, percent: float, doubt: float, file: Path | None, force: bool, as_json: bool
-) -> None:
+def design(config_path: Path, model_run: Path, percent: float, doubt: float, file: Path | None, as_json: bool) -> None:
     """Design relay gains and strokes for a known motor.
 
     By exact simulation, within the limits of CONFIG: how long a test takes until the 95 % intervals of tau, K and f_c
@@ -56,8 +53,8 @@ def design(
 
     if file is not None and file.suffix.lower() not in picture.FORMATS:
         fail(EXIT_BAD_INPUT, f"{file}: rig writes no such picture", f"give one of {', '.join(picture.FORMATS)}")
-    if file is not None and file.exists() and not force:
-        fail(EXIT_BAD_INPUT, f"{file} is there already", "give another name, or --force to replace it")
+    if file is not None and file.exists():
+        fail(EXIT_BAD_INPUT, f"{file} is there already", "remove it, or give another name")
     try:
         motor = known_model(model_run).motor
         result, _ = read_result(model_run.parent if model_run.is_file() else model_run)

@@ -78,7 +78,10 @@ class Task:
         return before
 
     def percent(self, information: Array) -> float:
-        """The largest half width of the intervals of tau, K and f_c, in % of the value; inf if they stay unknown."""
+        """The largest half width of the intervals of tau, K and f_c, in % of the value; inf if they stay unknown.
+
+        information  (5, 5), of log tau, log K, fc (V), asym (V) and delay (s)
+        """
         found = np.empty(3)
         if not compiled.variances(np.ascontiguousarray(information), found):
             return math.inf
