@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from rig.backends.registry import backend_of
 from rig.config.schema import Experiment
+from rig.design.belief import Belief
+from rig.design.outlook import Task
 from rig.design.room import Reading, Room
+from rig.model.real_motor import RealMotor
 from rig.preflight.room_to_stop import counted_delay_s, known_reaction_s
+from rig.results import BreakawayResult, RunResult
 from rig.signals import BenchDelay
 
+STATIC = 1.1  # times f_c: level at which a shaft breaks away, where no check has seen it
 INSIDE = 0.95  # part of the soft limits, the speed and the stop that a plan uses: the rest is for noise
 
 
@@ -37,3 +45,24 @@ def reading_of(e: Experiment, noise_rad: float, latency_s: float) -> Reading:
     """
     step_rad = e.sensor.curve.lsb_rad
     return Reading(e.period_s, max(noise_rad, step_rad / 12.0**0.5), 0.0, latency_s)
+
+
+def task_of_run(
+    e: Experiment, motor: RealMotor, result: RunResult | None, doubt_percent: float, percent: float
+) -> Task:
+    """The task of a design for the motor that a run has found, on the bench of a config.
+
+    result         of that run: what its breakaway check saw
+    doubt_percent  by how many % tau, K and f_c may all be wrong
+    percent        wanted half width of their 95 % intervals, %
+    The device says when its drives act. Raises ValueError for a motor without friction.
+    """
+    seen = BreakawayResult() if result is None or result.breakaway is None else result.breakaway
+    identified, moved = (seen.static_plus_V, seen.static_minus_V), (seen.seen_plus_V, seen.seen_minus_V)
+    levels = next((each for each in (identified, moved) if None not in each), (STATIC * motor.fc_V,))
+    static_V = max(level for level in levels if level is not None)
+    noise_rad = 0.0 if seen.noise_rad is None else seen.noise_rad
+    latency_s = (1.5 if backend_of(e).writes_first(e) else 0.5) * e.period_s
+    reading = reading_of(e, noise_rad, latency_s)
+    belief = Belief.within((motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V), doubt_percent, motor.delay_s, 0.0)
+    return Task(belief, np.zeros((5, 5)), room_of_tests(e, static_V), reading, percent)
