@@ -109,6 +109,14 @@ def _watchdog(e: Experiment) -> Iterator[Problem]:
 
 
 def _limits(e: Experiment) -> Iterator[Problem]:
+    if e.limits.is_endless:
+        if e.sensor.encoder is None:
+            yield wrong(
+                "limits.travel",
+                "a shaft that turns without end needs `sensor.encoder`: a potentiometer has ends",
+                "give soft_rad and hard_rad",
+            )
+        return
     soft, hard = e.limits.soft_rad, e.limits.hard_rad
     if not soft[0] < 0.0 < soft[1]:
         yield wrong(

@@ -45,7 +45,7 @@ SETUP = setup_for(
     LIMITS,
     CALIBRATION,
     DriveMap(EXPERIMENT.drive.supply_V, full_units=DRIVE_FULL),
-    EXPERIMENT.sensor.rail_counts,
+    EXPERIMENT.sensor.rails,
     SESSION,
 )
 

@@ -22,6 +22,7 @@ from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Packet, S
 from rig.backends.serial.introduction import await_introduction, refusal
 from rig.backends.serial.relay_stream import FirmwareRelay, FirmwareRelayRules, RelayStream
 from rig.calibration import (
+    ALL_COUNTS,
     Calibration,
     DriveMap,
     Scaling,
@@ -64,6 +65,11 @@ _FAULT_OF_CODE: dict[int, str] = {
     Code.NO_SETUP: "DEVICE_RESET",
     Code.RESET: "DEVICE_RESET",
     Code.SESSION: "DEVICE_RESET",
+    Code.ENCODER_LOST: "DEVICE_ENCODER_LOST",
+    Code.ENCODER_RATE: "DEVICE_ENCODER_RATE",
+    Code.ENCODER_STILL: "DEVICE_ENCODER_STILL",
+    Code.NO_ZERO: "DEVICE_NO_ZERO",
+    Code.E_STOP_UNTRIED: "DEVICE_ESTOP_UNTRIED",
 }
 _MOST_LATCHED = 16  # faults that a device can have latched
 _RESET_BEFORE_S = 0.25  # opening a port takes less: a device that started since then was reset by it
@@ -79,7 +85,7 @@ def setup_for(
     ``largest_drive_in_units``, and for a watchdog time outside 1 ms to 1 s.
     """
     hard_lo, hard_hi = hard_limits_in_counts(limits, calibration, drive_map, rail_counts)
-    rail_lo, rail_hi = rail_counts
+    rail_lo, rail_hi = (0, 0) if rail_counts == ALL_COUNTS else rail_counts
     max_drive = largest_drive_in_units(limits, drive_map)
     watchdog_ms = round(1000.0 * limits.watchdog_s)
     if not 1 <= watchdog_ms <= round(1000.0 * LONGEST_WATCHDOG_S):
@@ -107,6 +113,8 @@ class SerialDriver:
     session    number of this session, 1 to 2**32 - 1; None: a random one
     name       of the port, for ``backend``
     emulated   True where it is known that no real motor is behind the port
+    here_rad   of an encoder: the position at which the shaft stands when the device is opened. None: what
+               ``set_zero`` has told the device since its reset, else ``arm`` raises Fault DEVICE_NO_ZERO
     """
 
     order: Order = "sample_first"
@@ -122,6 +130,7 @@ class SerialDriver:
         session: int | None = None,
         name: str = "serial",
         emulated: bool = False,
+        here_rad: float | None = None,
     ) -> None:
         self.calibration = scaling.calibration
         self.drive_map = scaling.drive_map
@@ -134,6 +143,7 @@ class SerialDriver:
         self._timeout_s = timeouts.reply_s
         self._open_timeout_s = timeouts.open_s
         self._name = name
+        self._here_rad = here_rad
         self._clock = DeviceClock(0.0, 0, 1.0)
         self._session = secrets.randbelow(2**32 - 1) + 1 if session is None else session
         self._setup: Setup | None = None  # that the device has confirmed
@@ -176,6 +186,8 @@ class SerialDriver:
         hello = self._meet()
         check_fit(hello, self._expected)
         acknowledged = self._acknowledge(hello)
+        if self._here_rad is not None and self._expected.scaling.is_encoder:
+            self.set_zero(self._here_rad)
         self.drive_map = replace(self.drive_map, full_units=hello.drive_full)
         exchanges = self._time_exchanges()
         try:
@@ -199,13 +211,33 @@ class SerialDriver:
             acknowledged=acknowledged,
         )
 
+    def set_zero(self, here_rad: float) -> None:
+        """Tell a disarmed device with an encoder that its shaft stands at ``here_rad``, until its next reset.
+
+        Raises Fault LINK_TIMEOUT, or the refusal of the device.
+        """
+        counts = round(self.calibration.to_counts(here_rad))
+        self._exchange.request(Kind.ZERO, frames.pack_zero(counts), Kind.ZERO_REPLY)
+
     def arm(self, limits: Limits) -> None:
         """Stop, send the limits if the device does not have them yet, read them back, arm.
 
         It refuses if the device has latched a fault since it was opened, or has lost this session: it was reset.
         Raises ValueError as ``setup_for``; Fault ARM_READBACK, LINK_TIMEOUT, or the refusal of the device.
         """
-        setup = setup_for(limits, self.calibration, self.drive_map, self._expected.scaling.rail_counts, self._session)
+        self._arm(
+            setup_for(limits, self.calibration, self.drive_map, self._expected.scaling.rail_counts, self._session)
+        )
+
+    def arm_to_home(self, limits: Limits) -> None:
+        """As ``arm``, for an encoder that has no zero yet: the limits count from where it was switched on.
+
+        No relay runs in the device then.
+        """
+        setup = setup_for(limits, self.calibration, self.drive_map, ALL_COUNTS, self._session)
+        self._arm(setup._replace(homing=1))
+
+    def _arm(self, setup: Setup) -> None:
         self._armed = False
         state = DeviceState.unpack(self._exchange.request(Kind.STOP, b"", Kind.STOP_REPLY).body)
         self._check_pause(state)

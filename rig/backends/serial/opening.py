@@ -51,7 +51,7 @@ def serial_line(e: Experiment) -> Iterator[Line]:
 
 
 def _line_of_port(e: Experiment, port: str, *, emulated: bool = False) -> Line:
-    transport = SerialPort(port, e.daq.baud)
+    transport = SerialPort(port, e.daq.baud, keeps_on=e.sensor.encoder is not None)
     if not emulated:
         try:
             check_adapter(port, adapter_of(e))
@@ -72,7 +72,18 @@ def serial_driver(e: Experiment, line: Line) -> SerialDriver:
         session=random.Random(e.seed).randrange(1, 2**32) if line.emulated else None,
         name=line.name,
         emulated=line.emulated,
+        here_rad=_here_rad(e, line),
     )
+
+
+def _here_rad(e: Experiment, line: Line) -> float | None:
+    """Where the shaft stands when the device is opened: without travel limits that is zero.
+
+    An emulated device that starts with the command has a hand that knows; else nobody does but `rig home`.
+    """
+    if e.limits.is_endless:
+        return 0.0
+    return emulated_of(e).motor.start_rad if line.emulated else None
 
 
 def emulated_chip(e: Experiment) -> VirtualChip:
