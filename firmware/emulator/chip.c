@@ -97,6 +97,7 @@ struct virtual_board {
     uint32_t sampled_channel;
     uint8_t open_pins;       /* of port D */
     int64_t shown_steps;     /* of the encoder, at its pins */
+    uint8_t shown_open;      /* contacts, at theirs */
     bool look_again;         /* a byte for the host, or a reset: what the run waits for may have changed */
     uint8_t dead_of_timer2;  /* bits of TIMSK2, until the next reset */
     bool converter_is_dead;  /* the same */
@@ -433,7 +434,8 @@ static void tell_contacts(virtual_board *b)
 {
     const bool has_encoder = b->params.encoder != 0;
     const unsigned levels = has_encoder ? bench_encoder_levels(&b->bench, b->shown_steps) << 2 : 0u;
-    const uint8_t high = (uint8_t)((open_contacts(b) & b->avr->data[PORTD] & CONTACTS) | levels);
+    b->shown_open = open_contacts(b);
+    const uint8_t high = (uint8_t)((b->shown_open & b->avr->data[PORTD] & CONTACTS) | levels);
     const uint8_t mask = has_encoder ? CONTACTS | CHANNELS : CONTACTS;
     avr_ioport_external_t pulls = {.name = 'D', .mask = mask, .value = high};
     avr_ioctl(b->avr, AVR_IOCTL_IOPORT_SET_EXTERNAL('D'), &pulls);
@@ -450,12 +452,11 @@ static avr_cycle_count_t look_at_shaft(avr_t *avr, avr_cycle_count_t when, void 
 {
     virtual_board *b = context;
     (void)when;
-    const uint8_t open_before = open_contacts(b);
     advance_bench(b);
     double to_next;
     const int64_t steps = bench_encoder_steps(&b->bench, &to_next);
     const int64_t behind = steps > b->shown_steps ? steps - b->shown_steps : b->shown_steps - steps;
-    if (behind != 0 || open_contacts(b) != open_before) {
+    if (behind != 0 || open_contacts(b) != b->shown_open) {
         b->shown_steps += steps > b->shown_steps ? 1 : steps < b->shown_steps ? -1 : 0;
         tell_contacts(b);
     }

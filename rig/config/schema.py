@@ -618,7 +618,7 @@ class Emulated(_Section):
     potentiometer: EmulatedPotentiometer = Field(EmulatedPotentiometer(), description="the true potentiometer")
     encoder: EmulatedEncoder | None = Field(
         None,
-        description="the true encoder; default: where section sensor has one; there a hand tries the e-stop for 0.05 s "
+        description="the true encoder; default: where section sensor has one; there a hand tries the e-stop for 0.01 s "
         "if there are no travel limits",
     )
     supply_V: Positive | None = Field(None, description="true motor supply; default: drive.supply_V")
@@ -716,7 +716,7 @@ class Experiment(_Section):
         return self
 
 
-_TRIES_ESTOP_S = 0.05
+_TRIES_ESTOP_S = 0.01  # over before the host has asked who it is
 _NO_STOPS = (-1e9, 1e9)  # rad: finite, as every number of a config
 
 _AnySection = TypeVar("_AnySection", bound=_Section)

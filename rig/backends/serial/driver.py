@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from statistics import median
 
 from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow, Timeouts, Transport
@@ -103,6 +103,18 @@ def setup_for(
     )
 
 
+@dataclass(frozen=True)
+class ByHand:
+    """What a hand has done to the shaft of an encoder before the device is opened.
+
+    here_rad     position at which the shaft stands
+    tried_estop  of an emulated bench: the e-stop, since the device's start
+    """
+
+    here_rad: float
+    tried_estop: bool = False
+
+
 class SerialDriver:
     """The firmware behind a transport, as a ``Driver``. Times of samples are in the transport's clock, s.
 
@@ -113,8 +125,8 @@ class SerialDriver:
     session    number of this session, 1 to 2**32 - 1; None: a random one
     name       of the port, for ``backend``
     emulated   True where it is known that no real motor is behind the port
-    here_rad   of an encoder: the position at which the shaft stands when the device is opened. None: what
-               ``set_zero`` has told the device since its reset, else ``arm`` raises Fault DEVICE_NO_ZERO
+    by_hand    what is known of an encoder's shaft when the device is opened. None: what ``set_zero`` has told the device
+               since its reset, else ``arm`` raises Fault DEVICE_NO_ZERO
     """
 
     order: Order = "sample_first"
@@ -130,7 +142,7 @@ class SerialDriver:
         session: int | None = None,
         name: str = "serial",
         emulated: bool = False,
-        here_rad: float | None = None,
+        by_hand: ByHand | None = None,
     ) -> None:
         self.calibration = scaling.calibration
         self.drive_map = scaling.drive_map
@@ -143,7 +155,7 @@ class SerialDriver:
         self._timeout_s = timeouts.reply_s
         self._open_timeout_s = timeouts.open_s
         self._name = name
-        self._here_rad = here_rad
+        self._by_hand = by_hand
         self._clock = DeviceClock(0.0, 0, 1.0)
         self._session = secrets.randbelow(2**32 - 1) + 1 if session is None else session
         self._setup: Setup | None = None  # that the device has confirmed
@@ -186,8 +198,8 @@ class SerialDriver:
         hello = self._meet()
         check_fit(hello, self._expected)
         acknowledged = self._acknowledge(hello)
-        if self._here_rad is not None and self._expected.scaling.is_encoder:
-            self.set_zero(self._here_rad)
+        if self._by_hand is not None and self._expected.scaling.is_encoder:
+            self.set_zero(self._by_hand.here_rad)
         self.drive_map = replace(self.drive_map, full_units=hello.drive_full)
         exchanges = self._time_exchanges()
         try:
@@ -475,7 +487,8 @@ class SerialDriver:
             if not state.status & frames.STATUS_FAULT or code in cleared or not self._is_cleared(code):
                 break
             cleared.append(code)
-            if code == Code.RESET and was_reset_now:
+            tried_estop = self._by_hand is not None and self._by_hand.tried_estop
+            if code == Code.RESET and was_reset_now and not tried_estop:
                 break
         return tuple(_FAULT_OF_CODE.get(code, "LINK_REJECTED") for code in cleared if code != Code.RESET)
 

@@ -16,7 +16,7 @@ from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.emulated.shaft import traced
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.usb_port import check_adapter
-from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.driver import ByHand, SerialDriver
 from rig.backends.serial.emulated.behind_usb import BehindUsb
 from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.backends.serial.emulated.host_board import HostBoard
@@ -72,18 +72,20 @@ def serial_driver(e: Experiment, line: Line) -> SerialDriver:
         session=random.Random(e.seed).randrange(1, 2**32) if line.emulated else None,
         name=line.name,
         emulated=line.emulated,
-        here_rad=_here_rad(e, line),
+        by_hand=_by_hand(e, line),
     )
 
 
-def _here_rad(e: Experiment, line: Line) -> float | None:
-    """Where the shaft stands when the device is opened: without travel limits that is zero.
+def _by_hand(e: Experiment, line: Line) -> ByHand | None:
+    """Without travel limits zero is where the shaft stands. With them nobody knows but `rig home`.
 
-    An emulated device that starts with the command has a hand that knows; else nobody does but `rig home`.
+    An emulated device that starts with the command has a hand, which does what a person would do.
     """
+    if e.sensor.encoder is None:
+        return None
     if e.limits.is_endless:
-        return 0.0
-    return emulated_of(e).motor.start_rad if line.emulated else None
+        return ByHand(0.0, tried_estop=line.emulated)
+    return ByHand(emulated_of(e).motor.start_rad) if line.emulated else None
 
 
 def emulated_chip(e: Experiment) -> VirtualChip:
