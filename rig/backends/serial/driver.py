@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
-from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow, Timeouts, Transport
+from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow, Stopped, Timeouts, Transport
 from rig.backends.serial import frames
 from rig.backends.serial.device_clock import DeviceClock, TimedExchange, fit_device_clock
 from rig.backends.serial.device_relay import RelayRun
@@ -125,8 +125,8 @@ class SerialDriver:
     session    number of this session, 1 to 2**32 - 1; None: a random one
     name       of the port, for ``backend``
     emulated   True where it is known that no real motor is behind the port
-    by_hand    what is known of an encoder's shaft when the device is opened. None: what ``set_zero`` has told the device
-               since its reset, else ``arm`` raises Fault DEVICE_NO_ZERO
+    by_hand    what is known of an encoder's shaft when the device is opened. None: what ``set_zero`` has told the
+               device since its reset, else ``arm`` raises Fault DEVICE_NO_ZERO
     """
 
     order: Order = "sample_first"
@@ -156,6 +156,8 @@ class SerialDriver:
         self._open_timeout_s = timeouts.open_s
         self._name = name
         self._by_hand = by_hand
+        self.homing = False
+        self.stopped: Stopped | None = None
         self._clock = DeviceClock(0.0, 0, 1.0)
         self._session = secrets.randbelow(2**32 - 1) + 1 if session is None else session
         self._setup: Setup | None = None  # that the device has confirmed
@@ -231,25 +233,22 @@ class SerialDriver:
         counts = round(self.calibration.to_counts(here_rad))
         self._exchange.request(Kind.ZERO, frames.pack_zero(counts), Kind.ZERO_REPLY)
 
+    def leave_switch(self) -> None:
+        """Acknowledge the end switch that a homing has reached. Raises the fault that is latched besides."""
+        if not self._is_cleared(Code.END_SWITCH):
+            raise Fault("DEVICE_END_SWITCH", "both end switches are open")
+        state = DeviceState.unpack(self._exchange.request(Kind.READ, b"", Kind.STATE).body)
+        if state.status & frames.STATUS_FAULT:
+            raise self._device_fault(state)
+
     def arm(self, limits: Limits) -> None:
         """Stop, send the limits if the device does not have them yet, read them back, arm.
 
         It refuses if the device has latched a fault since it was opened, or has lost this session: it was reset.
         Raises ValueError as ``setup_for``; Fault ARM_READBACK, LINK_TIMEOUT, or the refusal of the device.
         """
-        self._arm(
-            setup_for(limits, self.calibration, self.drive_map, self._expected.scaling.rail_counts, self._session)
-        )
-
-    def arm_to_home(self, limits: Limits) -> None:
-        """As ``arm``, for an encoder that has no zero yet: the limits count from where it was switched on.
-
-        No relay runs in the device then.
-        """
-        setup = setup_for(limits, self.calibration, self.drive_map, ALL_COUNTS, self._session)
-        self._arm(setup._replace(homing=1))
-
-    def _arm(self, setup: Setup) -> None:
+        setup = setup_for(limits, self.calibration, self.drive_map, self._expected.scaling.rail_counts, self._session)
+        setup = setup._replace(homing=int(self.homing))
         self._armed = False
         state = DeviceState.unpack(self._exchange.request(Kind.STOP, b"", Kind.STOP_REPLY).body)
         self._check_pause(state)
@@ -290,7 +289,7 @@ class SerialDriver:
                 raise self._device_fault(state)
         elif self._unconfirmed is not None and state.fault:
             raise self._device_fault(state)
-        elif self._setup is not None:
+        elif self._setup is not None and not self.homing:
             self._check_pause(state)
 
         if self._unconfirmed is not None:
@@ -544,7 +543,12 @@ class SerialDriver:
             raise self._device_fault(state)
 
     def _device_fault(self, state: DeviceState) -> Fault:
-        """The fault in a STATE, with the numbers of this case."""
+        """The fault in a STATE, with the numbers of this case; notes when the device stopped."""
+        now_s = self._exchange.now_s()
+        sample = Sample(
+            self._clock.to_host_s(state.t_sample_us, now_s), self.calibration.to_rad(state.counts), state.counts
+        )
+        self.stopped = Stopped(self._clock.to_host_s(state.t_drive_us, now_s), sample)
         if self._setup is not None and state.session != self._session:
             return Fault("DEVICE_RESET", f"the device has lost its session; at {self._where(state)}")
         if self._armed and not state.status & frames.STATUS_FAULT:
