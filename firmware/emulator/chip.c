@@ -1052,7 +1052,9 @@ double virtual_longest_pulse_s(virtual_board *b)
 const char *virtual_rewire(virtual_board *b, const char *drive, const char *sensor)
 {
     advance_bench(b);
-    return bench_rewire(&b->bench, drive, sensor);
+    const char *wrong = bench_rewire(&b->bench, drive, sensor);
+    tell_contacts(b);
+    return wrong;
 }
 
 void virtual_place(virtual_board *b, double y_rad, double v_rad_per_s)

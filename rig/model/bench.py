@@ -215,7 +215,7 @@ class BenchModel:
         counts = math.floor((-offset_counts if wiring == "reversed" else offset_counts) + 0.5)
         if wiring not in ("stuck", "still"):
             self._stuck_counts = None
-            return counts
+            return counts + 2 if wiring == "jumped" else counts
         if self._stuck_counts is None:
             self._stuck_counts = counts
         if wiring == "stuck":

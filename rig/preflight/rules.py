@@ -462,9 +462,16 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
                 "start inside",
             )
             break
+    fault = e.emulated.wiring.sensor
+    foreign = _NO_ENCODER_HAS if e.sensor.encoder is not None else _ENCODERS_ALONE
+    if fault in foreign:
+        yield wrong("emulated.wiring.sensor", f"this sensor has no fault `{fault}`", "another, or ok")
     if e.emulated.tachometer and e.tachometer is None:
         yield wrong("emulated.tachometer", "needs the section `tachometer` with its scale")
 
+
+_NO_ENCODER_HAS = ("broken_low", "broken_high", "noisy")
+_ENCODERS_ALONE = ("still",)
 
 _RULES: tuple[Rule, ...] = (
     device_rules,

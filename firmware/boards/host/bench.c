@@ -319,9 +319,9 @@ int64_t bench_encoder_steps(bench *b, double *to_next)
 
 unsigned bench_encoder_levels(bench *b, int64_t steps)
 {
-    const unsigned phase = (unsigned)(steps & 3);
-    const unsigned levels = (phase == 1u || phase == 2u ? 1u : 0u) | (phase >= 2u ? 2u : 0u);
     const int32_t wiring = bench_is_faulty(b) ? b->p.sensor_wiring : BENCH_SENSOR_OK;
+    const unsigned phase = (unsigned)((steps + (wiring == BENCH_SENSOR_JUMPED ? 2 : 0)) & 3);
+    const unsigned levels = (phase == 1u || phase == 2u ? 1u : 0u) | (phase >= 2u ? 2u : 0u);
     if (wiring != BENCH_SENSOR_STUCK && wiring != BENCH_SENSOR_STILL) {
         b->held_levels = -1;
         return levels;

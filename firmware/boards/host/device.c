@@ -41,6 +41,10 @@ static void count_edge(device *d, unsigned levels)
     if (changed == 0u) {
         return;
     }
+    if (changed == 3u) {
+        d->encoder.troubles |= (uint8_t)RIG_ENCODER_LOST;
+        return;
+    }
     const bool differ = levels == 1u || levels == 2u;
     d->encoder.counts += (changed == 1u) == differ ? 1 : -1;
     d->encoder.alone = changed == 1u ? d->encoder.alone + 1u : 0u;
@@ -58,6 +62,7 @@ static void look_at_encoder(device *d)
 {
     double to_next;
     const int64_t now = bench_encoder_steps(&d->bench, &to_next);
+    count_edge(d, bench_encoder_levels(&d->bench, d->encoder.steps)); /* the wiring may have changed */
     while (d->encoder.steps != now) {
         d->encoder.steps += d->encoder.steps < now ? 1 : -1;
         count_edge(d, bench_encoder_levels(&d->bench, d->encoder.steps));
