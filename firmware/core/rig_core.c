@@ -253,8 +253,10 @@ static bool is_set(const rig_core *core, enum rig_input contact)
 
 static bool at_rail(const rig_core *core)
 {
-    return !has_encoder(core->board) &&
-           (core->counts <= core->setup.rail_lo || core->counts >= core->setup.rail_hi);
+    if (has_encoder(core->board)) {
+        return false;
+    }
+    return core->counts <= core->setup.rail_lo || core->counts >= core->setup.rail_hi;
 }
 
 /* Past the hard limit there, or on its end switch. */

@@ -1,4 +1,4 @@
-"""An encoder: what is counted at the Uno's pins D2 and D3, and what a fault of it does to the drive, in virtual time."""
+"""An encoder at the Uno's pins D2 and D3: what is counted, and what its faults do to the drive, in virtual time."""
 
 from __future__ import annotations
 
