@@ -208,8 +208,8 @@ def hard_limits_in_counts(
     low, high = sorted((calibration.to_counts(low_rad), calibration.to_counts(high_rad)))
     hard_lo, hard_hi = math.ceil(low - 1e-9), math.floor(high + 1e-9)
     rail_lo, rail_hi = rail_counts
-    within_sensor = rail_lo < hard_lo <= hard_hi < rail_hi and (rail_lo >= 0 or rail_counts == ALL_COUNTS)
-    if not within_sensor:
+    least = ALL_COUNTS[0] if rail_counts == ALL_COUNTS else 0
+    if not least <= rail_lo < hard_lo <= hard_hi < rail_hi:
         raise ValueError(
             f"hard limits {low_rad:g} to {high_rad:g} rad read {low:.1f} to {high:.1f} counts, which must lie "
             f"inside the sensor's rails at {rail_lo} and {rail_hi} counts"

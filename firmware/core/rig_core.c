@@ -314,7 +314,7 @@ static void sense_encoder(rig_core *core)
     if ((troubles & (unsigned)RIG_ENCODER_STILL) != 0u && core->armed) {
         latch_encoder(core, RIG_E_ENCODER_STILL); /* at rest a shaft may tremble on an edge of one channel */
     }
-    if (is_set(core, RIG_INPUT_ESTOP)) {
+    if (is_in_the_way(core, RIG_E_ESTOP)) {
         core->estop_tried = true; /* P13 */
     }
 }

@@ -155,7 +155,7 @@ static const rig_board BOARD = {
     .drive_full = BRIDGE_FULL,
     .board_id = RIG_BOARD_UNO,
     .bridge = (uint8_t)RIG_BRIDGE,
-    .features = (RIG_TACHOMETER ? (uint8_t)RIG_FEATURE_TACHOMETER : 0u) | (RIG_SUPPLY ? (uint8_t)RIG_FEATURE_SUPPLY : 0u) |
+    .features = ((RIG_TACHOMETER ? (uint8_t)RIG_FEATURE_TACHOMETER : 0u) | (RIG_SUPPLY ? (uint8_t)RIG_FEATURE_SUPPLY : 0u)) +
                 (RIG_ENCODER ? (uint8_t)RIG_FEATURE_ENCODER : 0u),
     .arrived_us = arrived_us,
     .supply = RIG_SUPPLY ? supply : NULL,
