@@ -14,18 +14,16 @@
 
 static volatile uint16_t count; /* modulo 2^16 */
 static volatile uint8_t troubles;
-static volatile uint16_t of_tick;
-static volatile clock_stamp of_tick_at;
-static volatile bool is_fresh; /* of_tick has not been taken yet */
+static volatile uint16_t count_of_tick;
+static volatile clock_stamp count_taken_at;
+static volatile bool has_sample; /* count_of_tick has not been taken yet */
 
 /* Of the interrupts alone. */
-static uint8_t levels;     /* of both channels, at the last edge */
-static uint8_t last;       /* channel of that edge */
-static uint8_t alone;      /* edges of that channel in a row */
-static uint8_t edges;      /* in this millisecond */
+static uint8_t levels; /* of both channels, at the last edge */
+static uint8_t edges;  /* in this millisecond */
 
 /* Of the tick, and of the main loop that holds it. */
-static uint32_t position; /* modulo 2^32, at `taken` */
+static uint32_t unwrapped; /* modulo 2^32, at `taken` */
 static uint16_t taken;
 
 static void begin_counting(void)
@@ -44,6 +42,8 @@ void encoder_init(void)
 /* One channel for A, another for B: forward is A before B. */
 static inline void take_edge(void)
 {
+    static uint8_t last;  /* channel of the last edge */
+    static uint8_t alone; /* edges of that channel in a row */
     const uint8_t now = (uint8_t)(PIND & CHANNELS);
     const uint8_t changed = (uint8_t)(now ^ levels);
     levels = now;
@@ -86,10 +86,10 @@ ISR(INT1_vect)
 void encoder_begin_tick(void)
 {
     const clock_stamp now = clock_now();
-    of_tick = count;
-    of_tick_at.tick = now.tick;
-    of_tick_at.count = now.count;
-    is_fresh = true;
+    count_of_tick = count;
+    count_taken_at.tick = now.tick;
+    count_taken_at.count = now.count;
+    has_sample = true;
     edges = 0;
     if (EIMSK == 0u) {
         begin_counting();
@@ -100,17 +100,17 @@ void encoder_begin_tick(void)
 static void follow(uint16_t now)
 {
     const uint16_t gone = (uint16_t)(now - taken);
-    position += gone;
+    unwrapped += gone;
     if (gone > 0x7FFFu) {
-        position -= 0x10000UL;
+        unwrapped -= (uint32_t)0x10000;
     }
     taken = now;
 }
 
 static int32_t signed_position(void)
 {
-    const uint32_t below = ~position; /* how far below -1 */
-    return position < 0x80000000UL ? (int32_t)position : -1 - (int32_t)below;
+    const uint32_t below = ~unwrapped; /* how far below -1 */
+    return unwrapped < 0x80000000UL ? (int32_t)unwrapped : -1 - (int32_t)below;
 }
 
 encoder_sample encoder_tick_sample(void)
@@ -119,9 +119,9 @@ encoder_sample encoder_tick_sample(void)
     uint16_t now;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
-        now = of_tick;
-        at.tick = of_tick_at.tick;
-        at.count = of_tick_at.count;
+        now = count_of_tick;
+        at.tick = count_taken_at.tick;
+        at.count = count_taken_at.count;
     }
     follow(now);
     const encoder_sample sample = {signed_position(), clock_us_of(at)};
@@ -149,7 +149,7 @@ encoder_sample encoder_newest_sample(void)
 void encoder_set(int32_t counts)
 {
     taken = count_now();
-    position = (uint32_t)counts;
+    unwrapped = (uint32_t)counts;
 }
 
 uint8_t encoder_take_troubles(void)
@@ -165,10 +165,10 @@ uint8_t encoder_take_troubles(void)
 
 bool encoder_take_tick(void)
 {
-    if (!is_fresh) {
+    if (!has_sample) {
         return false;
     }
-    is_fresh = false;
+    has_sample = false;
     return true;
 }
 
