@@ -24,6 +24,7 @@ from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
 @click.option("--tachometer", is_flag=True, help="A tachometer is wired to A1.")
 @click.option("--supply", is_flag=True, help="The motor supply is wired to A2, through a divider by 4.")
 @click.option("--end-switches", is_flag=True, help="End switches are wired to D5 and D6.")
+@click.option("--encoder", is_flag=True, help="An encoder is wired to D2 and D3, instead of the potentiometer.")
 @click.option(
     "--hex", "hex_file", type=click.Path(path_type=Path, exists=True, dir_okay=False), default=None,
     help="Write this file. Default: build it here, for the options above.",
@@ -36,6 +37,7 @@ def flash(
     tachometer: bool,
     supply: bool,
     end_switches: bool,
+    encoder: bool,
     hex_file: Path | None,
     dry_run: bool,
 ) -> None:
@@ -48,7 +50,7 @@ def flash(
     from rig.backends.serial import flash as uno
     from rig.backends.serial.emulated.firmware_build import UnoOptions, build_uno
 
-    options = UnoOptions(bridge.upper().replace("-", "_"), int(baud), tachometer, supply, end_switches)
+    options = UnoOptions(bridge.upper().replace("-", "_"), int(baud), tachometer, supply, end_switches, encoder)
     if hex_file is not None and options != UnoOptions(baud=int(baud)):
         fail(
             EXIT_BAD_INPUT,

@@ -10,7 +10,7 @@ from rig.design.belief import Belief
 from rig.design.outlook import Task
 from rig.design.room import Reading, Room
 from rig.model.real_motor import RealMotor
-from rig.preflight.room_to_stop import counted_delay_s, known_reaction_s
+from rig.preflight.room_to_stop import counted_delay_s, known_reaction_s, swing_rad
 from rig.results import BreakawayResult, RunResult
 from rig.signals import BenchDelay
 
@@ -24,7 +24,8 @@ def room_of_tests(e: Experiment, static_V: float, delay: BenchDelay | None = Non
     static_V  level that the shaft breaks away at, V
     delay     of the bench, as its breakaway check shows it
     """
-    (low, high), (stop_low, stop_high) = e.limits.soft_rad, e.limits.hard_rad
+    low, high = (-swing_rad(e), swing_rad(e)) if e.limits.is_endless else e.limits.soft_rad
+    stop_low, stop_high = e.limits.hard_rad
     delay_s = 0.0 if delay is None else counted_delay_s(e, delay)
     return Room(
         INSIDE * low,

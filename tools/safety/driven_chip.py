@@ -25,13 +25,15 @@ from rig.backends.serial.frames import (
     Kind,
     Packet,
     RelaySetup,
+    Setup,
     StrokesSetup,
     encode,
     pack_ack,
     pack_arm,
     pack_drive,
+    pack_zero,
 )
-from rig.calibration import DriveMap
+from rig.calibration import ALL_COUNTS, Calibration, DriveMap
 from rig.model.bench import BenchParameters
 from rig.preflight import check
 
@@ -43,17 +45,16 @@ TICK_S = 1e-3
 PERIOD_S = EXPERIMENT.period_s
 WATCHDOG_S = LIMITS.watchdog_s
 SESSION = 1
-SETUP = setup_for(
-    LIMITS,
-    CALIBRATION,
-    DriveMap(EXPERIMENT.drive.supply_V, full_units=DRIVE_FULL),
-    EXPERIMENT.sensor.rail_counts,
-    SESSION,
-)
+DRIVE = DriveMap(EXPERIMENT.drive.supply_V, full_units=DRIVE_FULL)
+SETUP = setup_for(LIMITS, CALIBRATION, DRIVE, EXPERIMENT.sensor.rails, SESSION)
+COUNTS_PER_TURN = 3200  # of an encoder instead of the potentiometer
+ENCODER = Calibration([(0, 0.0), (COUNTS_PER_TURN, math.tau)])
+ENCODER_SETUP = setup_for(LIMITS, ENCODER, DRIVE, ALL_COUNTS, SESSION)
 
 _FLOOD_S = 2e-3  # of garbage a write
 _ASK_S = 0.05
 _START_RAD = 0.9
+_HAND_S = 0.2  # for the encoder of a shaft that is put elsewhere: it turns by 20,000 edges a second
 _LARGEST_Z = 2**30
 
 Where = Literal["host", "device", "strokes"]
@@ -68,12 +69,14 @@ def demo_bench() -> BenchParameters:
 
 
 BENCH = demo_bench()
+ENCODER_BENCH = replace(BENCH, encoder=True, rad_per_count=math.tau / COUNTS_PER_TURN, centre_counts=0.0, noise_rad=0.0)
 
 
-def limit_rad(direction: int) -> float:
+def limit_rad(direction: int, *, encoder: bool = False) -> float:
     """Where the reading passes the hard limit, rad, without noise."""
-    last = SETUP.hard_hi + 0.5 if direction > 0 else SETUP.hard_lo - 0.5
-    return CALIBRATION.to_rad(last)
+    setup, calibration = (ENCODER_SETUP, ENCODER) if encoder else (SETUP, CALIBRATION)
+    last = setup.hard_hi + 0.5 if direction > 0 else setup.hard_lo - 0.5
+    return calibration.to_rad(last)
 
 
 def steady(direction: int) -> tuple[int, float]:
@@ -94,6 +97,7 @@ class Way(NamedTuple):
     floods  the host fills the wire with garbage besides
     noisy   the potentiometer has the demo's noise
     full    with drive.max_V, else with the drive that keeps the speed
+    encoder  instead of the potentiometer
     """
 
     where: Where = "host"
@@ -103,6 +107,12 @@ class Way(NamedTuple):
     end_switches: bool = False
     noisy: bool = True
     full: bool = False
+    encoder: bool = False
+
+    @property
+    def setup(self) -> Setup:
+        """What the chip is armed with."""
+        return ENCODER_SETUP if self.encoder else SETUP
 
 
 class DrivenChip:
@@ -113,8 +123,9 @@ class DrivenChip:
 
     def __init__(self, way: Way, rng: random.Random) -> None:
         self.way = way
-        options = UnoOptions(bridge=way.bridge, baud=way.baud, end_switches=way.end_switches)
+        options = UnoOptions(bridge=way.bridge, baud=way.baud, end_switches=way.end_switches, encoder=way.encoder)
         bench = BENCH if way.noisy else replace(BENCH, noise_rad=0.0)
+        bench = ENCODER_BENCH if way.encoder else bench
         self.chip = VirtualChip(bench, rng.randrange(2**32), options=options)
         self.heard_s = 0.0
         self.direction = 1
@@ -177,8 +188,10 @@ class DrivenChip:
         self._units, self.speed_rad_s = steady(direction)
         if self.way.full:
             self._units = direction * SETUP.max_drive
-        self.chip.place(-direction * _START_RAD)
-        self.chip.sleep_until(self.chip.now_s() + 5 * TICK_S)
+        far_rad = -direction * _START_RAD
+        first_rad = start_rad if self.way.encoder and start_rad is not None else far_rad
+        self.chip.place(first_rad)
+        self.chip.sleep_until(self.chip.now_s() + (_HAND_S if self.way.encoder else 5 * TICK_S))
         self.arm()
         if self.way.where == "device":
             self._start_relay()
@@ -189,7 +202,6 @@ class DrivenChip:
         self.chip.sleep_until(self.chip.now_s() + 5 * TICK_S)
         if self.truth().pin_V == 0.0:
             raise RuntimeError("the chip does not drive")
-        far_rad = -direction * _START_RAD
         self.chip.place(far_rad if start_rad is None else start_rad, self.speed_rad_s)
 
     def arm(self) -> None:
@@ -197,21 +209,23 @@ class DrivenChip:
         state = DeviceState.unpack(self.ask(Kind.STOP).body)
         while state.status & STATUS_FAULT:
             state = DeviceState.unpack(self.ask(Kind.ACK, pack_ack(state.fault)).body)
-        if self.ask(Kind.SETUP, SETUP.pack()).kind != Kind.SETUP_REPLY:
+        if self.ask(Kind.SETUP, self.way.setup.pack()).kind != Kind.SETUP_REPLY:
             raise RuntimeError("the chip does not take the limits")
+        if self.way.encoder:
+            self.ask(Kind.ZERO, pack_zero(math.floor(ENCODER.to_counts(self.truth().y_rad) + 0.5)))
         if self.ask(Kind.ARM, pack_arm(SESSION)).body[0] != Code.NONE:
             raise RuntimeError("the chip does not arm")
 
     def _start_relay(self) -> None:
         """A relay that drives outward as long as the integral has not followed the position: beyond the limit."""
-        u, centre = self._units, SETUP.hard_hi if self.direction > 0 else SETUP.hard_lo
+        u, centre = self._units, self.way.setup.hard_hi if self.direction > 0 else self.way.setup.hard_lo
         drive = (-u, u, -u, u) if self.direction > 0 else (u, -u, u, -u)
         if self.ask(Kind.RELAY, RelaySetup(drive, 16 * centre, _LARGEST_Z, 1, 10).pack()).kind != Kind.RELAY_REPLY:
             raise RuntimeError("the chip does not start the relay")
 
     def _start_strokes(self) -> None:
         """A stroke outward up to the limit; the way back is never driven."""
-        u, low, high = self._units, SETUP.hard_lo, SETUP.hard_hi
+        u, low, high = self._units, self.way.setup.hard_lo, self.way.setup.hard_hi
         to, fro = (high, low) if self.direction > 0 else (low, high)
         strokes = StrokesSetup(((u, to), (-u, fro)), MAX_STROKE_TICKS, MAX_STROKE_TICKS, 5, 10)
         if self.ask(Kind.STROKES, strokes.pack()).kind != Kind.STROKES_REPLY:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable
 from typing import NamedTuple
@@ -9,7 +10,18 @@ from typing import NamedTuple
 from rig.backends.serial.emulated.virtual_chip import Hang
 from rig.backends.serial.frames import Kind, encode
 from rig.model.motor import State
-from safety.driven_chip import BENCH, PERIOD_S, TICK_S, WATCHDOG_S, DrivenChip, Voice, Way, limit_rad, steady
+from safety.driven_chip import (
+    BENCH,
+    COUNTS_PER_TURN,
+    PERIOD_S,
+    TICK_S,
+    WATCHDOG_S,
+    DrivenChip,
+    Voice,
+    Way,
+    limit_rad,
+    steady,
+)
 
 HANG_S = 0.150
 _REST_S = 0.6  # from 10 rad/s; the host goes on meanwhile, to no avail
@@ -93,11 +105,23 @@ def _beyond(driven: DrivenChip, rng: random.Random) -> float:
 def _crossing(driven: DrivenChip, rng: random.Random) -> float:
     """The shaft runs over the limit by itself."""
     truth = driven.truth()
-    return truth.t_s + (limit_rad(driven.direction) - truth.y_rad) / driven.speed_rad_s
+    edge_rad = limit_rad(driven.direction, encoder=driven.way.encoder)
+    return truth.t_s + (edge_rad - truth.y_rad) / driven.speed_rad_s
 
 
 def _broken_wire(driven: DrivenChip, rng: random.Random) -> float:
     driven.chip.rewire(sensor=rng.choice(("broken_low", "broken_high")))
+    return driven.chip.now_s()
+
+
+def _lost_edge(driven: DrivenChip, rng: random.Random) -> float:
+    """Both channels of the encoder change at once."""
+    driven.chip.rewire(sensor="jumped")
+    return driven.chip.now_s()
+
+
+def _still_channel(driven: DrivenChip, rng: random.Random) -> float:
+    driven.chip.rewire(sensor="still")
     return driven.chip.now_s()
 
 
@@ -122,6 +146,10 @@ FAST_DEVICE = Way("device", baud=1_000_000)
 FLOOD = Way(baud=1_000_000, floods=True)
 OTHER_BRIDGE = Way(bridge="IN1_IN2")
 IN_TURN = (HOST, DEVICE, STROKES)
+COUNTED, DEVICE_COUNTED, STROKES_COUNTED = (way._replace(encoder=True) for way in IN_TURN)
+FLOOD_COUNTED = Way(baud=1_000_000, floods=True, encoder=True)
+_STILL_COUNTS = 66  # of travel: 33 edges of the channel that still changes
+STILL_S = _STILL_COUNTS * math.tau / COUNTS_PER_TURN / min(abs(steady(way)[1]) for way in (1, -1)) + 2 * TICK_S
 SILENT_S = WATCHDOG_S + TICK_S
 RUN_UP_S = (0.005, 0.025)
 
@@ -148,6 +176,21 @@ PROMISES = (
     ),
     Promise("runs over a hard limit, noise may hide a reading", _crossing, 3 * TICK_S, HOST, run_up_s=RUN_UP_S),
     *(Promise("wiper wire broken", _broken_wire, 2 * TICK_S, way) for way in (*IN_TURN, FLOOD)),
+    *(
+        Promise("runs over a hard limit, counted by an encoder", _crossing, 2 * TICK_S, way, run_up_s=RUN_UP_S)
+        for way in (COUNTED, DEVICE_COUNTED, FLOOD_COUNTED)
+    ),
+    *(
+        Promise("encoder: both channels change at once", _lost_edge, 2 * TICK_S, way)
+        for way in (COUNTED, DEVICE_COUNTED, STROKES_COUNTED, FLOOD_COUNTED)
+    ),
+    *(
+        Promise("encoder: one channel stands still", _still_channel, STILL_S, way)
+        for way in (COUNTED, DEVICE_COUNTED, STROKES_COUNTED)
+    ),
+    Promise("host silent, encoder", _silence, SILENT_S, COUNTED, "none"),
+    Promise("e-stop opens, encoder", _e_stop, TICK_S, COUNTED),
+    Promise("hang: everything, encoder", _hang("everything"), HANG_S, COUNTED),
     *(Promise("e-stop opens", _e_stop, TICK_S, way) for way in (*IN_TURN, FLOOD, OTHER_BRIDGE)),
     *(Promise("end switch opens", _end_switch, 2 * TICK_S, way._replace(end_switches=True)) for way in IN_TURN),
     *(Promise("reset: power-on, external, brown-out", _reset, TICK_S, way) for way in (*IN_TURN, OTHER_BRIDGE)),
@@ -168,7 +211,9 @@ def _phase(promise: Promise, driven: DrivenChip, rng: random.Random) -> _Phase:
     direction = rng.choice((1, -1))
     start_rad = None
     if promise.run_up_s is not None:
-        start_rad = limit_rad(direction) - rng.uniform(*promise.run_up_s) * steady(direction)[1]
+        start_rad = (
+            limit_rad(direction, encoder=promise.way.encoder) - rng.uniform(*promise.run_up_s) * steady(direction)[1]
+        )
     driven.start(direction, start_rad)
     changed_s = driven.truth().pin_changed_s
     if promise.run_up_s is None:

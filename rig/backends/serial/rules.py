@@ -122,7 +122,7 @@ def _device_relay(e: Experiment) -> Iterator[Problem]:
             f"too slow for the samples of a relay in the device: {block_sum(e.daq.baud)}; {LINK_SHARE:.0%} may be used",
             f"daq.baud {fitting} fits, or relay.where: host",
         )
-    points = sorted((p.counts, p.rad) for p in e.sensor.calibration)
+    points = e.sensor.points
     (c0, r0), (c1, r1) = points[0], points[-1]
     bend_rad = max(abs(r - r0 - (c - c0) * (r1 - r0) / (c1 - c0)) for c, r in points)
     if bend_rad > 0.5 * count_rad(e):

@@ -29,6 +29,7 @@ class UnoOptions(NamedTuple):
     bridge  "PWM_DIR" or "IN1_IN2"
     baud    115200 or 1000000
     tachometer, supply, end_switches  whether they are wired
+    encoder  instead of the potentiometer
     """
 
     bridge: str = "PWM_DIR"
@@ -36,6 +37,7 @@ class UnoOptions(NamedTuple):
     tachometer: bool = False
     supply: bool = False
     end_switches: bool = False
+    encoder: bool = False
 
     @property
     def name(self) -> str:
@@ -45,13 +47,18 @@ class UnoOptions(NamedTuple):
             parts.append(self.bridge.lower())
         if self.baud != 115200:
             parts.append(str(self.baud))
-        words = {"tachometer": self.tachometer, "supply": self.supply, "ends": self.end_switches}
+        words = {
+            "tachometer": self.tachometer,
+            "supply": self.supply,
+            "ends": self.end_switches,
+            "encoder": self.encoder,
+        }
         return "-".join(parts + [word for word, wired in words.items() if wired])
 
     def variables(self) -> list[str]:
         """For make."""
         flags = f"TACHOMETER={self.tachometer:d}", f"SUPPLY={self.supply:d}", f"END_SWITCHES={self.end_switches:d}"
-        return [f"BRIDGE={self.bridge}", f"BAUD={self.baud}", *flags]
+        return [f"BRIDGE={self.bridge}", f"BAUD={self.baud}", *flags, f"ENCODER={self.encoder:d}"]
 
 
 PLAIN_UNO = UnoOptions()
