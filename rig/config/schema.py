@@ -539,8 +539,8 @@ class TrackingSection(_Section):
     )
     turn_rad_s: float = Field(
         0.0,
-        description="without travel limits: the reference turns on at this speed, from where each check begins, with the "
-        "sines on top",
+        description="without travel limits: the reference turns on at this speed, from where each check begins, with "
+        "the sines on top",
     )
     methods: tuple[Method, ...] = Field(
         tuple(entry.name for entry in ESTIMATORS if entry.finds_motor),

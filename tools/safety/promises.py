@@ -26,6 +26,7 @@ from safety.driven_chip import (
 HANG_S = 0.150
 _REST_S = 0.6  # from 10 rad/s; the host goes on meanwhile, to no avail
 _GIVE_UP_S = 1.0
+_LOOK_S = 50e-6  # longer than an interrupt may wait
 _BEYOND_COUNTS = 6  # eight times the noise
 
 Event = Callable[[DrivenChip, random.Random], float]
@@ -115,9 +116,19 @@ def _broken_wire(driven: DrivenChip, rng: random.Random) -> float:
 
 
 def _lost_edge(driven: DrivenChip, rng: random.Random) -> float:
-    """Both channels of the encoder change at once."""
+    """Both channels of the encoder change at once, and no third edge: those three look like one the other way."""
+    while _to_edge_s(driven) < _LOOK_S:
+        driven.go_on(driven.chip.now_s() + _LOOK_S)
     driven.chip.rewire(sensor="jumped")
     return driven.chip.now_s()
+
+
+def _to_edge_s(driven: DrivenChip) -> float:
+    """From the nearest edge of the encoder, s."""
+    truth = driven.truth()
+    steps = truth.y_rad * COUNTS_PER_TURN / math.tau + 0.5
+    away = abs(steps - round(steps)) * math.tau / COUNTS_PER_TURN
+    return away / max(abs(truth.v_rad_per_s), 1e-3)
 
 
 def _still_channel(driven: DrivenChip, rng: random.Random) -> float:
