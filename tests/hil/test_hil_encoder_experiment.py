@@ -17,6 +17,8 @@ from rig.cli import main
 from rig.config.load import load
 from rig.experiment import zero
 from rig.faults import Fault
+from rig.recording.reader import read_run
+from rig.replay import replay
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config/encoder.yaml"
@@ -82,6 +84,24 @@ def test_a_shaft_without_limits_is_identified_and_turned_on_and_on(tmp_path: Pat
     rows = (folder / "samples.csv").read_text(encoding="utf-8").splitlines()
     last_rad = float(rows[-1].split(",")[rows[0].split(",").index("y_rad")])
     assert last_rad > 2.0 * 2.0 * math.pi  # from where the command found the shaft
+
+
+@pytest.mark.parametrize("limits", [{}, ENDLESS], ids=["limits", "endless"])
+def test_tests_until_the_motor_is_known_run_in_the_device_on_counts(tmp_path: Path, limits: dict[str, Any]) -> None:
+    relay = {"target": None, "cycles": None, "until": {"interval_percent": 0.1}, "where": "device"}
+    motor = yaml.safe_load(CONFIG.read_text())["emulated"]["motor"] | {"start_rad": 700.0 if limits else 0.1}
+    outcome = run(tmp_path, changed(tmp_path, limits=limits, relay=relay, tracking=None, emulated={"motor": motor}))
+    assert outcome["stopped"]["known"], outcome["stopped"]["why"]
+    estimate, truth = outcome["estimates"]["sampled-data"], outcome["truth"]
+    assert estimate["verdict"] == "ok", estimate["reasons"]
+    for name in PARAMETERS:
+        assert estimate[name] == pytest.approx(truth[name], rel=0.002)
+    (folder,) = (tmp_path / "runs").iterdir()
+    recording = read_run(folder)
+    assert "strokes-1" in recording.stages()
+    assert limits or float(abs(recording.y_rad).max()) < 1.1  # the soft limits
+    done = replay(folder)
+    assert done.is_same, done.difference
 
 
 def test_home_by_an_end_switch_finds_zero_to_a_few_counts(tmp_path: Path) -> None:
