@@ -462,10 +462,11 @@ static avr_cycle_count_t look_at_shaft(avr_t *avr, avr_cycle_count_t when, void 
         b->shown_steps += steps > b->shown_steps ? 1 : steps < b->shown_steps ? -1 : 0;
         tell_contacts(b);
     }
-    const double cycles = to_next / fabs(b->bench.v_rad_per_s / b->params.rad_per_count) * b->hz;
-    if (behind > 1) {
-        return avr->cycle + (cycles < HAND_CYCLES ? (avr_cycle_count_t)cycles + 1u : HAND_CYCLES);
+    const double period = b->hz / fabs(b->bench.v_rad_per_s / b->params.rad_per_count);
+    if (behind > 1) { /* it was put here, or pushed: no two edges come closer than those of its speed */
+        return avr->cycle + (period < HAND_CYCLES ? (avr_cycle_count_t)period + 1u : HAND_CYCLES);
     }
+    const double cycles = behind == 1 ? fmax(to_next, 0.5) * period : to_next * period;
     return avr->cycle + (cycles < LOOK_CYCLES ? (avr_cycle_count_t)cycles + 1u : LOOK_CYCLES);
 }
 
