@@ -27,6 +27,8 @@ need avr-gcc gcc-avr
 need avr-objcopy binutils-avr
 need /usr/lib/avr/include/avr/io.h avr-libc
 need /usr/include/simavr/sim_avr.h libsimavr-dev
+# the Pico's firmware; the C library that Debian recommends with it is not needed
+need arm-none-eabi-gcc gcc-arm-none-eabi binutils-arm-none-eabi
 # static analysis and fuzzing of the firmware
 need cppcheck cppcheck
 need clang clang
