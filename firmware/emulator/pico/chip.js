@@ -201,6 +201,11 @@ class Chip {
 
   #connectPins() {
     const { mcu } = this;
+    const pwmWrite = this.pwm.writeUint32.bind(this.pwm);
+    this.pwm.writeUint32 = (offset, value) => {
+      pwmWrite(offset, value);
+      this.#pinsChanged();
+    };
     const after = (part) => {
       const write = part.writeUint32.bind(part);
       part.writeUint32 = (offset, value) => {
@@ -501,7 +506,8 @@ class Chip {
 
   // ---- what is true of it
 
-  #stackBytes() {
+  // Greatest depth of the stack since power on.
+  stack_bytes() {
     const { sramView } = this.mcu;
     let [longest, length, end] = [0, 0, RAM_END - RAM];
     for (let at = 0; at < BOOT2_AT - RAM; at += 4) {
@@ -527,7 +533,6 @@ class Chip {
       led: this.#output(PIN_LED) === 1,
       resets: this.resets,
       overruns: this.overruns + this.uart.overruns,
-      stack_bytes: this.#stackBytes(),
     };
   }
 
