@@ -68,8 +68,6 @@
 #define FUNCTION_PWM 4u
 #define FUNCTION_SIO 5u
 #define OUTPUT_INVERTED (1u << 8)
-#define OUTPUT_LOW (2u << 8)
-#define OUTPUT_HIGH (3u << 8)
 #define IO_INTR1 0x400140F4u        /* pins 8 to 15, four bits each */
 #define IO_PROC0_INTE1 0x40014104u
 #define EDGE_HIGH(pin) (1u << (4u * ((pin) - 8u) + 3u))

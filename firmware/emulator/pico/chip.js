@@ -59,6 +59,9 @@ class Chip {
   // uf2: path; byte_ns: that a byte takes the host; addon: path of the bench (bench_for_node.c), and its options as
   // [name, value]; bridge: PWM_DIR or IN1_IN2; dead_time_s of the bridge, once in a PWM period; clock_error_ppm of the chip's clock
   constructor({ uf2, byte_ns, addon, options, bridge, dead_time_s, clock_error_ppm }) {
+    const given = Object.fromEntries(options);
+    if (given["counts-max"] !== String(ADC_MAX)) throw new Error(`the chip's converter reads 0 to ${ADC_MAX}`);
+    if (given["clock-start-us"] !== undefined && given["clock-start-us"] !== "0") throw new Error("the chip's clock starts at 0");
     this.flash = readUf2(uf2);
     this.bench = require(addon);
     this.motor = this.bench.make([...options, ["drive-counts", String(DRIVE_STEPS)]]);

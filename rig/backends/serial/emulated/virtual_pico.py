@@ -207,6 +207,8 @@ class VirtualPico(Plug):
     def _say(self, what: Mapping[str, Any]) -> dict[str, Any]:
         """One line there and one back. Raises EmulationError with the emulator's words where it fails."""
         assert self._process.stdin is not None and self._process.stdout is not None
+        if self._process.stdin.closed:
+            raise EmulationError("this emulated Pico has ended")
         try:
             self._process.stdin.write(json.dumps(dict(what)).encode() + b"\n")
             self._process.stdin.flush()
