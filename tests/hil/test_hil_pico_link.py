@@ -17,7 +17,8 @@ from rig.backends.driver import Transport
 from rig.backends.emulated.errors import EmulationError
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.firmware_build import UnoOptions
-from rig.backends.serial.emulated.virtual_pico import VirtualPico, pico_parameters
+from rig.backends.serial.emulated.pico_parameters import pico_parameters
+from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.backends.serial.frames import Block, Code, FrameReader, Kind, RelaySetup, encode
 from rig.calibration import Calibration, DriveMap, Scaling, TachometerScale
 from rig.faults import Fault

@@ -22,9 +22,10 @@ from rig.backends.serial.emulated.behind_usb import BehindUsb
 from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.backends.serial.emulated.host_board import HostBoard
 from rig.backends.serial.emulated.pico_board import PicoBoard
+from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.usb_board import UsbBoard
 from rig.backends.serial.emulated.virtual_chip import VirtualChip, uno_options
-from rig.backends.serial.emulated.virtual_pico import VirtualPico, pico_parameters
+from rig.backends.serial.emulated.virtual_pico import VirtualPico
 from rig.backends.serial.fit import Board
 from rig.backends.serial.flashing import flash_line
 from rig.backends.serial.ports import CHIP_PORTS, EMULATED_PORTS, PICO_PORTS, adapter_of
