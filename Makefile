@@ -69,8 +69,8 @@ faults: .venv/.ready firmware  ## what goes wrong, on every emulated device, and
 mutants: .venv/.ready firmware  ## defects put in on purpose, one at a time: each must fail a test: docs/mutant-table.md
 	PYTHONPATH=tools .venv/bin/python -m mutants
 
-firmware: .venv/.ready  ## the Uno's firmware (build/firmware/uno/rig_uno.hex), and the emulated board and chip
-	@$(MAKE) --no-print-directory -C firmware host uno chip
+firmware: .venv/.ready  ## the firmware (build/firmware/uno/rig_uno.hex, pico/rig_pico.uf2), and the emulated board and chips
+	@$(MAKE) --no-print-directory -C firmware host uno chip pico pico-chip
 
 golden: .venv/.ready firmware  ## the golden recordings that live in virtual time, anew: docs/replay.md
 	.venv/bin/python tools/golden.py
@@ -82,8 +82,8 @@ lock: .venv/.ready  ## lock the packages anew
 clean:  ## remove what was built; run folders stay
 	$(MAKE) --no-print-directory -C firmware clean
 	rm -rf build dist .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
-	rm -rf tests/hil/avr8js/node_modules
+	rm -rf tests/hil/avr8js/node_modules firmware/emulator/pico/node_modules
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-.venv/.ready: pyproject.toml requirements.lock tests/hil/avr8js/package-lock.json tools/setup.sh
+.venv/.ready: pyproject.toml requirements.lock tests/hil/avr8js/package-lock.json firmware/emulator/pico/package-lock.json tools/setup.sh
 	./tools/setup.sh

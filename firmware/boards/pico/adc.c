@@ -5,7 +5,7 @@
 
 #define PATIENCE 100u /* looks at the converter, some 8 us; a conversion takes 2 */
 
-static adc_sample position;
+static adc_sample newest;
 static volatile uint16_t tachometer;
 static volatile uint16_t motor_supply;
 
@@ -30,7 +30,7 @@ static bool take_position(void)
     if (!convert(CHANNEL_POSITION, &fresh.counts)) {
         return false;
     }
-    position = fresh;
+    newest = fresh;
     return true;
 }
 
@@ -68,12 +68,12 @@ bool adc_take_all(void)
 adc_sample adc_position_now(void)
 {
     (void)take_position();
-    return position;
+    return newest;
 }
 
 adc_sample adc_position(void)
 {
-    return position;
+    return newest;
 }
 
 uint16_t adc_tachometer(void)

@@ -57,7 +57,10 @@ static inline void drive(uint32_t size, bool reverse)
 
 static inline void drive(uint32_t size, bool reverse)
 {
-    const uint32_t pin = reverse ? PIN_PWM_A : PIN_PWM_B;
+    uint32_t pin = PIN_PWM_B;
+    if (reverse) {
+        pin = PIN_PWM_A;
+    }
     if (driving != pin) {
         off();
     }

@@ -7,6 +7,7 @@
 /* An alarm fires when the counter equals it, and one that is over fires an hour later (4.6.3): it lies so far ahead at
  * least, interrupts masked meanwhile. */
 #define AHEAD_US 3u
+#define BELOW_0 0x7FFFFFFFu /* differences of times above it are negative */
 
 static volatile uint32_t due_us; /* of the running tick, or the last */
 
@@ -15,8 +16,10 @@ static void set_alarm(uint32_t after_us)
 {
     const uint32_t before = cpu_hold_interrupts();
     uint32_t next_us = after_us + RIG_TICK_US;
-    while ((int32_t)(next_us - clock_us()) < (int32_t)AHEAD_US) {
+    uint32_t ahead_us = next_us - clock_us();
+    while (ahead_us < AHEAD_US || ahead_us > BELOW_0) {
         next_us += RIG_TICK_US;
+        ahead_us += RIG_TICK_US;
     }
     REG(TIMER_ALARM0) = next_us;
     cpu_restore_interrupts(before);
@@ -32,14 +35,14 @@ void clock_init(void)
 
 void clock_hold_tick(void)
 {
-    REG(NVIC_ICER) = 1u << IRQ_TIMER_0;
+    REG(NVIC_ICER) = BIT(IRQ_TIMER_0);
     cpu_barrier();
 }
 
 void clock_release_tick(void)
 {
     cpu_barrier();
-    REG(NVIC_ISER) = 1u << IRQ_TIMER_0;
+    REG(NVIC_ISER) = BIT(IRQ_TIMER_0);
 }
 
 void clock_begin_tick(void)

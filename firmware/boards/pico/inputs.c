@@ -22,7 +22,7 @@ void inputs_init(void)
         wire_pin(PIN_END_HIGH, PAD_CONTACT, FUNCTION_SIO);
     }
     REG(IO_PROC0_INTE1) = EDGE_HIGH(PIN_ESTOP);
-    REG(NVIC_ISER) = 1u << IRQ_IO_BANK0;
+    REG(NVIC_ISER) = BIT(IRQ_IO_BANK0);
 }
 
 /* The core latches the fault in its next tick; the bridge does not wait for that. The edge is kept by the chip: it counts

@@ -6,6 +6,7 @@
 
 #include <stdint.h>
 
+#define BIT(n) ((uint32_t)1u << (n))
 #define REG(address) (*(volatile uint32_t *)(address))
 /* Writes to these change the bits given and no others, in one step that no interrupt can split: section 2.1.2. */
 #define SET_BITS(address, bits) (REG((address) + 0x2000u) = (bits))
@@ -13,8 +14,8 @@
 
 /* 2.12.8 chip-level reset */
 #define CHIP_RESET 0x40064008u
-#define HAD_POR (1u << 8)
-#define HAD_RUN (1u << 16)
+#define HAD_POR BIT(8)
+#define HAD_RUN BIT(16)
 
 /* 2.13.6 power-on state machine */
 #define PSM_WDSEL 0x40010008u
@@ -23,14 +24,14 @@
 /* 2.14.3 subsystem resets */
 #define RESETS_RESET 0x4000C000u
 #define RESETS_DONE 0x4000C008u
-#define RESETS_ADC (1u << 0)
-#define RESETS_IO_BANK0 (1u << 5)
-#define RESETS_PADS_BANK0 (1u << 8)
-#define RESETS_PLL_SYS (1u << 12)
-#define RESETS_PLL_USB (1u << 13)
-#define RESETS_PWM (1u << 14)
-#define RESETS_TIMER (1u << 21)
-#define RESETS_UART0 (1u << 22)
+#define RESETS_ADC BIT(0)
+#define RESETS_IO_BANK0 BIT(5)
+#define RESETS_PADS_BANK0 BIT(8)
+#define RESETS_PLL_SYS BIT(12)
+#define RESETS_PLL_USB BIT(13)
+#define RESETS_PWM BIT(14)
+#define RESETS_TIMER BIT(21)
+#define RESETS_UART0 BIT(22)
 
 /* 2.15.7 clocks */
 #define CLK_REF_CTRL 0x40008030u
@@ -41,14 +42,14 @@
 #define CLK_SYS_AUX 1u /* its source 0: the system PLL */
 #define CLK_PERI_CTRL 0x40008048u
 #define CLK_ADC_CTRL 0x40008060u
-#define CLK_ENABLE (1u << 11) /* from source 0: of CLK_PERI the system clock, of CLK_ADC the USB PLL */
+#define CLK_ENABLE BIT(11) /* from source 0: of CLK_PERI the system clock, of CLK_ADC the USB PLL */
 
 /* 2.16.7 crystal oscillator */
 #define XOSC_CTRL 0x40024000u
 #define XOSC_STATUS 0x40024004u
 #define XOSC_STARTUP 0x4002400Cu
 #define XOSC_ENABLE_1_15_MHZ 0x00FABAA0u
-#define XOSC_STABLE (1u << 31)
+#define XOSC_STABLE BIT(31)
 
 /* 2.18.4 PLLs */
 #define PLL_SYS 0x40028000u
@@ -57,29 +58,29 @@
 #define PLL_PWR 0x4u
 #define PLL_FBDIV_INT 0x8u
 #define PLL_PRIM 0xCu
-#define PLL_LOCK (1u << 31)
-#define PLL_PD (1u << 0)
-#define PLL_POSTDIVPD (1u << 3)
-#define PLL_VCOPD (1u << 5)
+#define PLL_LOCK BIT(31)
+#define PLL_PD BIT(0)
+#define PLL_POSTDIVPD BIT(3)
+#define PLL_VCOPD BIT(5)
 
 /* 2.19.6.1 pins: their functions and interrupts */
 #define GPIO_CTRL(pin) (0x40014004u + 8u * (pin))
 #define FUNCTION_UART 2u
 #define FUNCTION_PWM 4u
 #define FUNCTION_SIO 5u
-#define OUTPUT_INVERTED (1u << 8)
+#define OUTPUT_INVERTED BIT(8)
 #define IO_INTR1 0x400140F4u        /* pins 8 to 15, four bits each */
 #define IO_PROC0_INTE1 0x40014104u
-#define EDGE_HIGH(pin) (1u << (4u * ((pin) - 8u) + 3u))
+#define EDGE_HIGH(pin) BIT(4u * ((pin) - 8u) + 3u)
 
 /* 2.19.6.3 pads */
 #define PADS_GPIO(pin) (0x4001C004u + 4u * (pin))
-#define PAD_SCHMITT (1u << 1)
-#define PAD_PULL_DOWN (1u << 2)
-#define PAD_PULL_UP (1u << 3)
-#define PAD_4_MA (1u << 4)
-#define PAD_INPUT (1u << 6)
-#define PAD_OUTPUT_DISABLED (1u << 7)
+#define PAD_SCHMITT BIT(1)
+#define PAD_PULL_DOWN BIT(2)
+#define PAD_PULL_UP BIT(3)
+#define PAD_4_MA BIT(4)
+#define PAD_INPUT BIT(6)
+#define PAD_OUTPUT_DISABLED BIT(7)
 
 /* 2.3.1.7 single-cycle I/O */
 #define SIO_GPIO_IN 0xD0000004u
@@ -107,44 +108,44 @@
 #define UART0_CR 0x40034030u
 #define UART0_IMSC 0x40034038u
 #define UART0_ICR 0x40034044u
-#define UART_FR_RXFE (1u << 4)
-#define UART_FR_TXFF (1u << 5)
-#define UART_LCR_H_8_BITS (3u << 5)
-#define UART_CR_UARTEN (1u << 0)
-#define UART_CR_TXE (1u << 8)
-#define UART_CR_RXE (1u << 9)
-#define UART_RX (1u << 4)
-#define UART_TX (1u << 5)
+#define UART_FR_RXFE BIT(4)
+#define UART_FR_TXFF BIT(5)
+#define UART_LCR_H_8_BITS 0x60u
+#define UART_CR_UARTEN BIT(0)
+#define UART_CR_TXE BIT(8)
+#define UART_CR_RXE BIT(9)
+#define UART_RX BIT(4)
+#define UART_TX BIT(5)
 
 /* 4.5.3 PWM */
 #define PWM_CH0_CSR 0x40050000u
 #define PWM_CH0_CTR 0x40050008u
 #define PWM_CH0_CC 0x4005000Cu
 #define PWM_CH0_TOP 0x40050010u
-#define PWM_EN (1u << 0)
+#define PWM_EN BIT(0)
 
 /* 4.6.5 timer */
 #define TIMER_ALARM0 0x40054010u
 #define TIMER_TIMERAWL 0x40054028u
 #define TIMER_INTR 0x40054034u
 #define TIMER_INTE 0x40054038u
-#define ALARM_0 (1u << 0)
+#define ALARM_0 BIT(0)
 
 /* 4.7.6 watchdog */
 #define WATCHDOG_CTRL 0x40058000u
 #define WATCHDOG_LOAD 0x40058004u
 #define WATCHDOG_REASON 0x40058008u
 #define WATCHDOG_TICK 0x4005802Cu
-#define WATCHDOG_ENABLE (1u << 30)
-#define WATCHDOG_TICK_ENABLE (1u << 9)
+#define WATCHDOG_ENABLE BIT(30)
+#define WATCHDOG_TICK_ENABLE BIT(9)
 
 /* 4.9.6 converter */
 #define ADC_CS 0x4004C000u
 #define ADC_RESULT 0x4004C004u
-#define ADC_EN (1u << 0)
-#define ADC_START_ONE (1u << 2)
-#define ADC_READY (1u << 8)
-#define ADC_ERR (1u << 9)
+#define ADC_EN BIT(0)
+#define ADC_START_ONE BIT(2)
+#define ADC_READY BIT(8)
+#define ADC_ERR BIT(9)
 #define ADC_AINSEL(channel) ((channel) << 12)
 
 #endif

@@ -34,12 +34,16 @@ void hang(void)
 __attribute__((section(".start"), noreturn)) void start(void)
 {
     const volatile uint32_t *from = &_program_in_flash;
-    for (volatile uint32_t *to = &_program; to != &_program_end; to++) {
+    volatile uint32_t *to = &_program;
+    while (to != &_program_end) {
         *to = *from;
+        to++;
         from++;
     }
-    for (volatile uint32_t *to = &_bss; to != &_bss_end; to++) {
+    to = &_bss;
+    while (to != &_bss_end) {
         *to = 0;
+        to++;
     }
     REG(VTOR) = (uint32_t)&_program;
     int (*const program)(void) = main; /* by its address: memory is far from flash */

@@ -34,13 +34,13 @@ void system_init(void)
     while ((REG(XOSC_STATUS) & XOSC_STABLE) == 0u) {
     }
     REG(CLK_REF_CTRL) = CLK_REF_XOSC;
-    while ((REG(CLK_REF_SELECTED) & (1u << CLK_REF_XOSC)) == 0u) {
+    while ((REG(CLK_REF_SELECTED) & BIT(CLK_REF_XOSC)) == 0u) {
     }
     bring_up(RESETS_PLL_SYS | RESETS_PLL_USB);
     start_pll(PLL_SYS, 125u, 6u, 2u); /* 1500 MHz, 125 MHz */
     start_pll(PLL_USB, 100u, 5u, 5u); /* 1200 MHz, 48 MHz */
     REG(CLK_SYS_CTRL) = CLK_SYS_AUX;
-    while ((REG(CLK_SYS_SELECTED) & (1u << CLK_SYS_AUX)) == 0u) {
+    while ((REG(CLK_SYS_SELECTED) & BIT(CLK_SYS_AUX)) == 0u) {
     }
     REG(CLK_PERI_CTRL) = CLK_ENABLE;
     REG(CLK_ADC_CTRL) = CLK_ENABLE;

@@ -36,7 +36,7 @@ void uart_init(void)
     REG(UART0_LCR_H) = UART_LCR_H_8_BITS; /* after the divisor, which it brings into force */
     REG(UART0_CR) = UART_CR_UARTEN | UART_CR_TXE | UART_CR_RXE;
     REG(UART0_IMSC) = UART_RX | UART_TX;
-    REG(NVIC_ISER) = 1u << IRQ_UART0;
+    REG(NVIC_ISER) = BIT(IRQ_UART0);
 }
 
 /* The port asks for the next byte only after it has had one: the first of a frame is given to it unasked. */
@@ -96,8 +96,8 @@ void uart_send(const uint8_t *bytes, uint8_t n)
         in++;
     }
     to_send.in = in; /* whole frames only */
-    REG(NVIC_ICER) = 1u << IRQ_UART0;
+    REG(NVIC_ICER) = BIT(IRQ_UART0);
     cpu_barrier();
     send_next();
-    REG(NVIC_ISER) = 1u << IRQ_UART0;
+    REG(NVIC_ISER) = BIT(IRQ_UART0);
 }

@@ -37,7 +37,6 @@
 #define CHANNEL_TACHOMETER 1u
 #define CHANNEL_SUPPLY 2u
 
-#define BIT(pin) (1u << (pin))
 #define CLOCK_HZ 125000000u
 
 /* A pad that pulls up, for a contact or a line that is high at rest; one that drives; one that only measures. */

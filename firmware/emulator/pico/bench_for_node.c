@@ -48,9 +48,9 @@ static bench *bench_of(napi_env env, const arguments *given)
 
 static double number_of(napi_env env, napi_value value)
 {
-    double number = 0.0;
-    (void)napi_get_value_double(env, value, &number);
-    return number;
+    double given = 0.0;
+    (void)napi_get_value_double(env, value, &given);
+    return given;
 }
 
 static void text_of(napi_env env, napi_value value, char text[TEXT_MAX])
