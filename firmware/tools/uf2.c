@@ -2,8 +2,8 @@
  *
  *     uf2 PROGRAM.bin PROGRAM.uf2
  *
- * The checksum that the boot program compares is put into the last four of the first 256 bytes (data sheet, 2.8.1.3.1). A block of
- * the file is 512 bytes, of which 256 are the program's (https://github.com/microsoft/uf2, and 2.8.4.2).
+ * The checksum that the boot program compares is put into the last four of the first 256 bytes (data sheet, 2.8.1). A block of
+ * the file is 512 bytes, of which 256 are the program's (https://github.com/microsoft/uf2, and 2.8.4).
  */
 #include <stdint.h>
 #include <stdio.h>

@@ -1,5 +1,5 @@
 /* The first 256 bytes of flash. The chip's own boot program copies them to memory, compares their checksum, which uf2.c puts
- * into the last four, and runs them (data sheet, 2.8.1.2 and 2.8.1.3). They make the flash readable as memory and start the program.
+ * into the last four, and runs them (data sheet, 2.8.1). They make the flash readable as memory and start the program.
  *
  * By the slowest command, 03h, which every flash chip knows: the program runs from memory and reads the flash just once.
  */

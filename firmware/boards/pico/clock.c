@@ -4,7 +4,7 @@
 #include "rig_core.h"
 #include "rp2040.h"
 
-/* An alarm fires when the counter equals it, and one that is over fires an hour later (4.6.3): it lies so far ahead at
+/* An alarm fires when the counter equals it, and one that is over fires an hour later (4.6): it lies so far ahead at
  * least, interrupts masked meanwhile. */
 #define AHEAD_US 3u
 #define BELOW_0 0x7FFFFFFFu /* differences of times above it are negative */

@@ -152,7 +152,9 @@ int main(void)
     system_init();
     bridge_init();
     inputs_init();
-    REG(SIO_GPIO_OE_SET) = BIT(PIN_LED);
+    REG(SIO_GPIO_OUT_SET) = BIT(PIN_QUIET_SUPPLY);
+    REG(SIO_GPIO_OE_SET) = BIT(PIN_LED) | BIT(PIN_QUIET_SUPPLY);
+    wire_pin(PIN_QUIET_SUPPLY, PAD_OUTPUT, FUNCTION_SIO);
     wire_pin(PIN_LED, PAD_OUTPUT, FUNCTION_SIO);
     adc_init();
     uart_init();

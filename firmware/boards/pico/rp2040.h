@@ -12,16 +12,16 @@
 #define SET_BITS(address, bits) (REG((address) + 0x2000u) = (bits))
 #define CLEAR_BITS(address, bits) (REG((address) + 0x3000u) = (bits))
 
-/* 2.12.8 chip-level reset */
+/* 2.12 chip-level reset */
 #define CHIP_RESET 0x40064008u
 #define HAD_POR BIT(8)
 #define HAD_RUN BIT(16)
 
-/* 2.13.6 power-on state machine */
+/* 2.13 power-on state machine */
 #define PSM_WDSEL 0x40010008u
 #define PSM_ALL_BUT_OSCILLATORS 0x0001FFFCu
 
-/* 2.14.3 subsystem resets */
+/* 2.14 subsystem resets */
 #define RESETS_RESET 0x4000C000u
 #define RESETS_DONE 0x4000C008u
 #define RESETS_ADC BIT(0)
@@ -33,7 +33,7 @@
 #define RESETS_TIMER BIT(21)
 #define RESETS_UART0 BIT(22)
 
-/* 2.15.7 clocks */
+/* 2.15 clocks */
 #define CLK_REF_CTRL 0x40008030u
 #define CLK_REF_SELECTED 0x40008038u
 #define CLK_REF_XOSC 2u
@@ -44,14 +44,14 @@
 #define CLK_ADC_CTRL 0x40008060u
 #define CLK_ENABLE BIT(11) /* from source 0: of CLK_PERI the system clock, of CLK_ADC the USB PLL */
 
-/* 2.16.7 crystal oscillator */
+/* 2.16 crystal oscillator */
 #define XOSC_CTRL 0x40024000u
 #define XOSC_STATUS 0x40024004u
 #define XOSC_STARTUP 0x4002400Cu
 #define XOSC_ENABLE_1_15_MHZ 0x00FABAA0u
 #define XOSC_STABLE BIT(31)
 
-/* 2.18.4 PLLs */
+/* 2.18 PLLs */
 #define PLL_SYS 0x40028000u
 #define PLL_USB 0x4002C000u
 #define PLL_CS 0x0u
@@ -63,7 +63,7 @@
 #define PLL_POSTDIVPD BIT(3)
 #define PLL_VCOPD BIT(5)
 
-/* 2.19.6.1 pins: their functions and interrupts */
+/* 2.19 pins: their functions and interrupts */
 #define GPIO_CTRL(pin) (0x40014004u + 8u * (pin))
 #define FUNCTION_UART 2u
 #define FUNCTION_PWM 4u
@@ -73,7 +73,7 @@
 #define IO_PROC0_INTE1 0x40014104u
 #define EDGE_HIGH(pin) BIT(4u * ((pin) - 8u) + 3u)
 
-/* 2.19.6.3 pads */
+/* 2.19 pads */
 #define PADS_GPIO(pin) (0x4001C004u + 4u * (pin))
 #define PAD_SCHMITT BIT(1)
 #define PAD_PULL_DOWN BIT(2)
@@ -82,7 +82,7 @@
 #define PAD_INPUT BIT(6)
 #define PAD_OUTPUT_DISABLED BIT(7)
 
-/* 2.3.1.7 single-cycle I/O */
+/* 2.3.1 single-cycle I/O */
 #define SIO_GPIO_IN 0xD0000004u
 #define SIO_GPIO_OUT_SET 0xD0000014u
 #define SIO_GPIO_OUT_CLR 0xD0000018u
@@ -99,7 +99,7 @@
 #define IRQS 26u
 #define PRIORITY_LOWEST 0xC0u
 
-/* 4.2.8 UART */
+/* 4.2 UART */
 #define UART0_DR 0x40034000u
 #define UART0_FR 0x40034018u
 #define UART0_IBRD 0x40034024u
@@ -117,29 +117,30 @@
 #define UART_RX BIT(4)
 #define UART_TX BIT(5)
 
-/* 4.5.3 PWM */
+/* 4.5 PWM */
 #define PWM_CH0_CSR 0x40050000u
 #define PWM_CH0_CTR 0x40050008u
 #define PWM_CH0_CC 0x4005000Cu
 #define PWM_CH0_TOP 0x40050010u
 #define PWM_EN BIT(0)
 
-/* 4.6.5 timer */
+/* 4.6 timer */
 #define TIMER_ALARM0 0x40054010u
 #define TIMER_TIMERAWL 0x40054028u
 #define TIMER_INTR 0x40054034u
 #define TIMER_INTE 0x40054038u
 #define ALARM_0 BIT(0)
 
-/* 4.7.6 watchdog */
+/* 4.7 watchdog */
 #define WATCHDOG_CTRL 0x40058000u
 #define WATCHDOG_LOAD 0x40058004u
 #define WATCHDOG_REASON 0x40058008u
+#define WATCHDOG_SCRATCH0 0x4005800Cu
 #define WATCHDOG_TICK 0x4005802Cu
 #define WATCHDOG_ENABLE BIT(30)
 #define WATCHDOG_TICK_ENABLE BIT(9)
 
-/* 4.9.6 converter */
+/* 4.9 converter */
 #define ADC_CS 0x4004C000u
 #define ADC_RESULT 0x4004C004u
 #define ADC_EN BIT(0)

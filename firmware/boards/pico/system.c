@@ -1,11 +1,14 @@
 #include "system.h"
 
+#include <stdbool.h>
+
 #include "rig_core.h"
 #include "rp2040.h"
 
-#define XOSC_MS_1 47u /* in 256 periods of the 12 MHz: 2.16.3 */
+#define XOSC_MS_1 47u /* in 256 periods of the 12 MHz: 2.16 */
 #define TICK_CYCLES 12u /* of the crystal: 1 us */
 #define WATCHDOG_LOAD_120_MS 240000u /* it counts down by 2 each microsecond: erratum RP2040-E1 */
+#define OURS 0x52494721u /* in a register that outlives all resets but a hard one */
 #define USED (RESETS_IO_BANK0 | RESETS_PADS_BANK0 | RESETS_PWM | RESETS_TIMER | RESETS_UART0)
 
 static void bring_up(uint32_t peripherals)
@@ -50,7 +53,10 @@ void system_init(void)
 
 uint8_t system_reset_cause(void)
 {
-    if (REG(WATCHDOG_REASON) != 0u) {
+    /* The boot program, too, restarts the chip by the watchdog: after it has written a new program. */
+    const bool was_ours = REG(WATCHDOG_SCRATCH0) == OURS;
+    REG(WATCHDOG_SCRATCH0) = 0;
+    if (REG(WATCHDOG_REASON) != 0u && was_ours) {
         return (uint8_t)RIG_RESET_WATCHDOG;
     }
     const uint32_t had = REG(CHIP_RESET);
@@ -61,6 +67,7 @@ uint8_t system_reset_cause(void)
 void system_start_watchdog(void)
 {
     REG(PSM_WDSEL) = PSM_ALL_BUT_OSCILLATORS;
+    REG(WATCHDOG_SCRATCH0) = OURS;
     system_feed_watchdog();
     REG(WATCHDOG_CTRL) = WATCHDOG_ENABLE; /* and no pause while a debugger holds the processor: the bridge would drive on */
 }

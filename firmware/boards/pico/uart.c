@@ -4,7 +4,7 @@
 #include "cpu.h"
 #include "wiring.h"
 
-/* In 64ths: 4.2.3.2.1 */
+/* In 64ths: 4.2 */
 #define DIVISOR ((CLOCK_HZ / 16u * 64u + (RIG_BAUD) / 2u) / (RIG_BAUD))
 #if DIVISOR < 64u || CLOCK_HZ / 16u * 64u / DIVISOR > (RIG_BAUD) + (RIG_BAUD) / 100u
 #error "this baud rate cannot be made from 125 MHz to 1 %"

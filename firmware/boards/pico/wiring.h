@@ -28,6 +28,7 @@
 #define PIN_ESTOP 14u
 #define PIN_PWM_A 16u
 #define PIN_PWM_B 17u
+#define PIN_QUIET_SUPPLY 23u /* high: the board's 3.3 V have less ripple, and the converter less noise */
 #define PIN_LED 25u
 #define PIN_POSITION 26u
 #define PIN_TACHOMETER 27u

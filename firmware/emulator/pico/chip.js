@@ -170,6 +170,8 @@ class Chip {
     this.conductsFrom = 0;
     const watchdog = mcu.peripherals[WATCHDOG];
     watchdog.reason = watchdogReason;
+    if (watchdogReason !== 0) watchdog.scratchData.set(this.scratch);
+    this.scratch = watchdog.scratchData; // outlives a reset by the watchdog: 4.7.4
     watchdog.onWatchdogTrigger = () => {
       watchdog.alarm.enable = false;
       this.pendingReset = true;

@@ -24,7 +24,7 @@ function readUf2(path) {
   return flash;
 }
 
-// Whether the first 256 bytes end with the checksum of the others, without which the chip starts nothing: 2.8.1.3.1.
+// Whether the first 256 bytes end with the checksum of the others, without which the chip starts nothing: 2.8.1.
 function boot2Fits(flash) {
   let crc = 0xffffffff;
   for (const byte of flash.subarray(0, BOOT2_BYTES - 4)) {

@@ -104,16 +104,16 @@ class Uart extends Peripheral {
         break;
       case IBRD:
       case FBRD:
-        this.hold(!this.#is_on, "the serial port's rate changed while it is on, section 4.2.7.1");
+        this.hold(!this.#is_on, "the serial port's rate changed while it is on, section 4.2");
         this.divisor[offset === IBRD ? 0 : 1] = value;
         break;
       case LCR_H:
-        this.hold(!this.#is_on, "the serial port set up while it is on, section 4.2.7.1");
+        this.hold(!this.#is_on, "the serial port set up while it is on, section 4.2");
         this.hold(value === EIGHT_BITS, "a serial line that this emulator does not have: 8 bits, no parity, no FIFOs");
         this.line = value;
         break;
       case CR:
-        this.hold(this.line === EIGHT_BITS && this.divisor[0] > 0, "the serial port on before it is set up, section 4.2.7.1");
+        this.hold(this.line === EIGHT_BITS && this.divisor[0] > 0, "the serial port on before it is set up, section 4.2");
         this.control = value;
         break;
       case IMSC:
@@ -128,7 +128,7 @@ class Uart extends Peripheral {
 
   #write(byte) {
     this.hold(this.#is_on && (this.control & SENDS) !== 0, "a byte sent while the serial port is off, section 4.2");
-    this.hold(this.next === null, "a byte sent where there is no room: TXFF, section 4.2.8");
+    this.hold(this.next === null, "a byte sent where there is no room: TXFF, section 4.2");
     this.raw &= ~TX;
     if (this.leaving) this.next = byte;
     else this.#begin(byte);
