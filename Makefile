@@ -54,8 +54,8 @@ paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/rep
 figures: .venv/.ready  ## the figures of README and docs/theory.md: docs/figures
 	PYTHONPATH=tools .venv/bin/python tools/figures.py
 
-safety: .venv/.ready firmware  ## what stops the drive, and how soon, on the Uno's emulated chip: docs/safety-table.md
-	PYTHONPATH=tools .venv/bin/python -m safety
+safety: .venv/.ready firmware  ## what stops the drive, and how soon, on the Uno's emulated chip; BOARD=pico: on the Pico's: docs/safety-table.md
+	PYTHONPATH=tools .venv/bin/python -m safety $(if $(BOARD),--board $(BOARD))
 
 soak: .venv/.ready firmware  ## HOURS=8 of the devices' time, run after run, with faults at random; half an hour or so
 	PYTHONPATH=tools .venv/bin/python -m faults.soak --hours $(or $(HOURS),8)

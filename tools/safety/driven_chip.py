@@ -1,7 +1,7 @@
-"""An emulated Uno that drives a shaft at a steady speed, kept at it by a host's loop or by the relay in the device.
+"""An emulated board that drives a shaft at a steady speed, kept at it by a host's loop or by the relay in the device.
 
-The bench, its limits and its largest speed are those of config/demo.yaml; the potentiometer has no offset, so that a
-limit is where it reads.
+The bench, its limits and its largest speed are those of config/demo.yaml, for the Pico of demo-pico.yaml; the
+potentiometer has no offset, so that a limit is where it reads.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from typing import Literal, NamedTuple
 from rig.backends.backend import truth_of
 from rig.backends.serial.driver import setup_for
 from rig.backends.serial.emulated.firmware_build import UnoOptions
+from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.virtual_chip import ChipTruth, VirtualChip
+from rig.backends.serial.emulated.virtual_pico import PicoTruth, VirtualPico
 from rig.backends.serial.frames import (
     STATUS_FAULT,
     Code,
@@ -24,64 +26,73 @@ from rig.backends.serial.frames import (
     Kind,
     Packet,
     RelaySetup,
+    Setup,
     encode,
     pack_ack,
     pack_arm,
     pack_drive,
 )
 from rig.calibration import DriveMap
+from rig.config.schema import Experiment
 from rig.model.bench import BenchParameters
 from rig.preflight import check
 
-EXPERIMENT = check(Path(__file__).resolve().parents[2] / "config" / "demo.yaml")[0]
-CALIBRATION = EXPERIMENT.sensor.curve
-LIMITS = EXPERIMENT.device_limits
-DRIVE_FULL = 400
 TICK_S = 1e-3
-PERIOD_S = EXPERIMENT.period_s
-WATCHDOG_S = LIMITS.watchdog_s
 SESSION = 1
-SETUP = setup_for(
-    LIMITS,
-    CALIBRATION,
-    DriveMap(EXPERIMENT.drive.supply_V, full_units=DRIVE_FULL),
-    EXPERIMENT.sensor.rail_counts,
-    SESSION,
-)
 
 _FLOOD_S = 2e-3  # of garbage a write
 _ASK_S = 0.05
 _START_RAD = 0.9
 _LARGEST_Z = 2**30
 
+Board = Literal["uno", "pico"]
 Where = Literal["host", "device"]
 Voice = Literal["drives", "reads", "garbage", "none"]
 
 
-def demo_bench() -> BenchParameters:
-    """Of config/demo.yaml, without the potentiometer's offset."""
-    truth = truth_of(EXPERIMENT)
+class Stand(NamedTuple):
+    """What a board drives, and the limits that it is told.
+
+    full  units of its drive at full duty
+    """
+
+    board: Board
+    experiment: Experiment
+    full: int
+    bench: BenchParameters
+    setup: Setup
+
+    def limit_rad(self, direction: int) -> float:
+        """Where the reading passes the hard limit, rad, without noise."""
+        last = self.setup.hard_hi + 0.5 if direction > 0 else self.setup.hard_lo - 0.5
+        return self.experiment.sensor.curve.to_rad(last)
+
+    def steady(self, direction: int) -> tuple[int, float]:
+        """The largest drive that keeps the shaft below limits.max_speed_rad_s, units, and its speed, rad/s.
+
+        Both are signed.
+        """
+        motor = self.bench.motor
+        friction_V = motor.friction.plus_V if direction > 0 else motor.friction.minus_V
+        against_V = friction_V - direction * motor.bias_V
+        unit_V = self.bench.supply_V / self.full
+        units = math.floor((self.experiment.limits.max_speed_rad_s / motor.K_rad_s_V + against_V) / unit_V)
+        return direction * units, direction * motor.K_rad_s_V * (units * unit_V - against_V)
+
+
+def _stand(board: Board, config: str, full: int) -> Stand:
+    e = check(Path(__file__).resolve().parents[2] / "config" / config)[0]
+    truth = truth_of(e)
     assert truth is not None
-    return replace(truth, offset_rad=0.0)
+    drive_map = DriveMap(e.drive.supply_V, full_units=full)
+    setup = setup_for(e.device_limits, e.sensor.curve, drive_map, e.sensor.rail_counts, SESSION)
+    return Stand(board, e, full, replace(truth, offset_rad=0.0), setup)
 
 
-BENCH = demo_bench()
-
-
-def limit_rad(direction: int) -> float:
-    """Where the reading passes the hard limit, rad, without noise."""
-    last = SETUP.hard_hi + 0.5 if direction > 0 else SETUP.hard_lo - 0.5
-    return CALIBRATION.to_rad(last)
-
-
-def steady(direction: int) -> tuple[int, float]:
-    """The largest drive that keeps the shaft below limits.max_speed_rad_s, units, and its speed, rad/s; both signed."""
-    motor = BENCH.motor
-    friction_V = motor.friction.plus_V if direction > 0 else motor.friction.minus_V
-    against_V = friction_V - direction * motor.bias_V
-    unit_V = BENCH.supply_V / DRIVE_FULL
-    units = math.floor((EXPERIMENT.limits.max_speed_rad_s / motor.K_rad_s_V + against_V) / unit_V)
-    return direction * units, direction * motor.K_rad_s_V * (units * unit_V - against_V)
+UNO = _stand("uno", "demo.yaml", 400)
+PICO = _stand("pico", "demo-pico.yaml", 6250)
+PERIOD_S = UNO.experiment.period_s
+WATCHDOG_S = UNO.experiment.device_limits.watchdog_s
 
 
 class Way(NamedTuple):
@@ -91,6 +102,7 @@ class Way(NamedTuple):
     floods  the host fills the wire with garbage besides
     noisy   the potentiometer has the demo's noise
     full    with drive.max_V, else with the drive that keeps the speed
+    stand   the board, and the bench behind it
     """
 
     where: Where = "host"
@@ -100,6 +112,7 @@ class Way(NamedTuple):
     end_switches: bool = False
     noisy: bool = True
     full: bool = False
+    stand: Stand = UNO
 
 
 class DrivenChip:
@@ -111,8 +124,14 @@ class DrivenChip:
     def __init__(self, way: Way, rng: random.Random) -> None:
         self.way = way
         options = UnoOptions(bridge=way.bridge, baud=way.baud, end_switches=way.end_switches)
-        bench = BENCH if way.noisy else replace(BENCH, noise_rad=0.0)
-        self.chip = VirtualChip(bench, rng.randrange(2**32), options=options)
+        self.stand = way.stand
+        bench = self.stand.bench if way.noisy else replace(self.stand.bench, noise_rad=0.0)
+        seed = rng.randrange(2**32)
+        self.chip: VirtualChip | VirtualPico
+        if self.stand.board == "uno":
+            self.chip = VirtualChip(bench, seed, options=options)
+        else:
+            self.chip = VirtualPico(pico_parameters(bench, seed, options=options))
         self.heard_s = 0.0
         self.direction = 1
         self.speed_rad_s = 0.0
@@ -126,7 +145,7 @@ class DrivenChip:
 
     # ------------------------------------------------------------------ wire
 
-    def truth(self) -> ChipTruth:
+    def truth(self) -> ChipTruth | PicoTruth:
         """What is the case at the pins and at the shaft."""
         return self.chip.truth()
 
@@ -171,9 +190,9 @@ class DrivenChip:
     def start(self, direction: int, start_rad: float | None = None) -> None:
         """Arm, drive, and give the shaft the speed of ``steady``, at ``start_rad`` (default: far inside)."""
         self.direction = direction
-        self._units, self.speed_rad_s = steady(direction)
+        self._units, self.speed_rad_s = self.stand.steady(direction)
         if self.way.full:
-            self._units = direction * SETUP.max_drive
+            self._units = direction * self.stand.setup.max_drive
         self.chip.place(-direction * _START_RAD)
         self.chip.sleep_until(self.chip.now_s() + 5 * TICK_S)
         self.arm()
@@ -192,14 +211,14 @@ class DrivenChip:
         state = DeviceState.unpack(self.ask(Kind.STOP).body)
         while state.status & STATUS_FAULT:
             state = DeviceState.unpack(self.ask(Kind.ACK, pack_ack(state.fault)).body)
-        if self.ask(Kind.SETUP, SETUP.pack()).kind != Kind.SETUP_REPLY:
+        if self.ask(Kind.SETUP, self.stand.setup.pack()).kind != Kind.SETUP_REPLY:
             raise RuntimeError("the chip does not take the limits")
         if self.ask(Kind.ARM, pack_arm(SESSION)).body[0] != Code.NONE:
             raise RuntimeError("the chip does not arm")
 
     def _start_relay(self) -> None:
         """A relay that drives outward as long as the integral has not followed the position: beyond the limit."""
-        u, centre = self._units, SETUP.hard_hi if self.direction > 0 else SETUP.hard_lo
+        u, centre = self._units, self.stand.setup.hard_hi if self.direction > 0 else self.stand.setup.hard_lo
         drive = (-u, u, -u, u) if self.direction > 0 else (u, -u, u, -u)
         if self.ask(Kind.RELAY, RelaySetup(drive, 16 * centre, _LARGEST_Z, 1, 10).pack()).kind != Kind.RELAY_REPLY:
             raise RuntimeError("the chip does not start the relay")
@@ -222,6 +241,14 @@ class DrivenChip:
             self.chip.read(0.0)
             self._next_s += _FLOOD_S if floods else PERIOD_S
         self.chip.sleep_until(until_s)
+
+    def is_sound(self) -> bool:
+        """Whether the program has neither left its code nor broken a rule of the data sheet. The chip's last act."""
+        truth = self.truth()
+        kept = self.chip.broken_rule() == "" and not (isinstance(truth, ChipTruth) and truth.crashed)
+        if isinstance(self.chip, VirtualPico):
+            self.chip.end()
+        return kept
 
     def stop(self) -> None:
         """Off, and all that has been broken is whole again."""
