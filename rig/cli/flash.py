@@ -39,6 +39,7 @@ if TYPE_CHECKING:  # it loads slowly
 @click.option("--tachometer", is_flag=True, help="A tachometer is wired to A1 (Pico: GP27).")
 @click.option("--supply", is_flag=True, help="The motor supply is wired to A2 (Pico: GP28), through its divider.")
 @click.option("--end-switches", is_flag=True, help="End switches are wired to D5 and D6 (Pico: GP12 and GP13).")
+@click.option("--encoder", is_flag=True, help="An encoder is wired to D2 and D3, instead of the potentiometer (Uno).")
 @click.option(
     "--hex", "hex_file", type=click.Path(path_type=Path, exists=True, dir_okay=False), default=None,
     help="Write this file to the Uno. Default: build it here, for the options above.",
@@ -57,6 +58,7 @@ def flash(
     tachometer: bool,
     supply: bool,
     end_switches: bool,
+    encoder: bool,
     hex_file: Path | None,
     uf2: Path | None,
     dry_run: bool,
@@ -71,7 +73,7 @@ def flash(
     from rig.backends.serial.emulated.firmware_build import UnoOptions
     from rig.backends.serial.flash import FlashError
 
-    options = UnoOptions(bridge.upper().replace("-", "_"), int(baud), tachometer, supply, end_switches)
+    options = UnoOptions(bridge.upper().replace("-", "_"), int(baud), tachometer, supply, end_switches, encoder)
     given, name = (hex_file, "--hex") if board == "uno" else (uf2, "--uf2")
     _refuse_the_other_boards(board, hex_file, uf2, drive)
     if given is not None and options != UnoOptions(baud=int(baud)):

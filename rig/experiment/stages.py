@@ -46,6 +46,7 @@ from rig.signals import BenchDelay
 
 REST_S = 0.7
 RELAY_TIMEOUT_PERIODS = 5.0  # for each cycle that a relay test is to record
+_WIDEST_CYCLE_RAD = 2.0 * math.pi  # of a shaft without travel limits: a turn either way
 HOMING_TIMEOUT_S = 40.0
 START_REST_S = 0.5  # recorded before a hysteretic relay's first drive
 HYSTERETIC_SWITCHINGS = 6  # least squares takes the motion up to the first, the sampled-data estimator all of it
@@ -515,7 +516,7 @@ def _why_not(session: Session, model: Motor | FramedMotor, trusted: Motor | Fram
         further_delay_s=_further_delay_s(session),
         calibration=e.sensor.curve,
         drive_map=e.drive.map,
-        rail_counts=e.sensor.rail_counts,
+        rail_counts=e.sensor.rails,
         period_s=e.period_s,
         order=session.bench.driver.order,
     )
@@ -594,12 +595,13 @@ def _tracking_law(session: Session, motor: Motor | FramedMotor, further_delay_s:
 
 def _integral_bound_rad_s(e: Experiment) -> float:
     """Bound on the relay's integral: four times the largest |z| of any cycle to expect."""
+    widest_rad = _WIDEST_CYCLE_RAD if e.limits.is_endless else reach_rad(e)
     if e.relay.target is not None:
         # a sine of the wanted period that fills the soft limits
-        return 4.0 * reach_rad(e) * e.relay.target.period_s / 6.28
+        return 4.0 * widest_rad * e.relay.target.period_s / 6.28
     # |z| = A/w with w = h1/(tau (h2 - f_c)) >= h1/(tau h2)
     longest_s = max(e.limits.coast_tau_s * g.h2_V / g.h1_V for g in e.relay.gains or ())
-    return 4.0 * reach_rad(e) * longest_s
+    return 4.0 * widest_rad * longest_s
 
 
 def _watch_cycles(session: Session, detector: CycleDetector, stage: str) -> Callable[[float], None]:

@@ -50,7 +50,9 @@ def known_reaction_s(experiment: Experiment) -> float:
 
 
 def limits_are_ordered(e: Experiment) -> bool:
-    """Whether the hard limits are outside the soft ones, and 0 rad within both."""
+    """Whether the hard limits are outside the soft ones, and 0 rad within both; or there are none."""
+    if e.limits.is_endless:
+        return True
     (soft_low, soft_high), (hard_low, hard_high) = e.limits.soft_rad, e.limits.hard_rad
     return hard_low < soft_low < 0.0 < soft_high < hard_high
 

@@ -109,6 +109,14 @@ def _watchdog(e: Experiment) -> Iterator[Problem]:
 
 
 def _limits(e: Experiment) -> Iterator[Problem]:
+    if e.limits.is_endless:
+        if e.sensor.encoder is None:
+            yield wrong(
+                "limits.travel",
+                "a shaft that turns without end needs `sensor.encoder`: a potentiometer has ends",
+                "give soft_rad and hard_rad",
+            )
+        return
     soft, hard = e.limits.soft_rad, e.limits.hard_rad
     if not soft[0] < 0.0 < soft[1]:
         yield wrong(
@@ -454,9 +462,16 @@ def _emulated(e: Experiment) -> Iterator[Problem]:
                 "start inside",
             )
             break
+    fault = e.emulated.wiring.sensor
+    foreign = _NO_ENCODER_HAS if e.sensor.encoder is not None else _ENCODERS_ALONE
+    if fault in foreign:
+        yield wrong("emulated.wiring.sensor", f"this sensor has no fault `{fault}`", "another, or ok")
     if e.emulated.tachometer and e.tachometer is None:
         yield wrong("emulated.tachometer", "needs the section `tachometer` with its scale")
 
+
+_NO_ENCODER_HAS = ("broken_low", "broken_high", "noisy")
+_ENCODERS_ALONE = ("still",)
 
 _RULES: tuple[Rule, ...] = (
     device_rules,

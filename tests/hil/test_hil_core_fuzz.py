@@ -48,7 +48,7 @@ DEFECTS = {
         "    if (core->latched != 0u) {\n        return core->fault;",
         "    if (false) {\n        return core->fault;",
     ),
-    "P7 ACK clears all": ("rig_core.c", "core->latched &= (uint16_t)~bit_of(code);", "core->latched = 0;"),
+    "P7 ACK clears all": ("rig_core.c", "core->latched &= ~bit_of(code);", "core->latched = 0;"),
     "P7 ACK while the cause lasts": (
         "rig_core.c",
         "    if (is_in_the_way(core, code)) {\n        refuse",

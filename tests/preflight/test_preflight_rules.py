@@ -360,7 +360,7 @@ def test_sensor_range_is_that_of_the_calibration_used_by_the_driver(tmp_path: Pa
     """A falling table with a bend: the range printed is the positions of the readings just inside the rails."""
     table = [{"counts": 0, "rad": 2.5}, {"counts": 500, "rad": 0.1}, {"counts": 1023, "rad": -2.2}]
     e = experiment(sensor__calibration=table, sensor__rail_counts=[40, 1000])
-    calibration = Calibration((p.counts, p.rad) for p in e.sensor.calibration)
+    calibration = Calibration(e.sensor.points)
     low, high = calibration.to_rad(999), calibration.to_rad(41)
     text = "\n".join(preflight(e).lines)
     assert f"sensor [{low:.4g}, {high:.4g}] rad" in text

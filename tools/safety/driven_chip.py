@@ -85,7 +85,7 @@ def _stand(board: Board, config: str, full: int) -> Stand:
     truth = truth_of(e)
     assert truth is not None
     drive_map = DriveMap(e.drive.supply_V, full_units=full)
-    setup = setup_for(e.device_limits, e.sensor.curve, drive_map, e.sensor.rail_counts, SESSION)
+    setup = setup_for(e.device_limits, e.sensor.curve, drive_map, e.sensor.rails, SESSION)
     return Stand(board, e, full, replace(truth, offset_rad=0.0), setup)
 
 

@@ -16,6 +16,7 @@ PICO_CFLAGS := -mcpu=cortex-m0plus -mthumb -std=c99 -O2 -ffreestanding -fno-tree
 .PHONY: pico pico-size
 
 pico: $(PICO).uf2
+$(PICO).elf: | $(if $(filter 1,$(ENCODER)),no-encoder-on-the-pico-yet)
 
 $(PICO).elf: $(PICO_SOURCES) $(PICO_HEADERS) boards/pico/pico.ld Makefile boards/pico/pico.mk | $(BUILD)/pico
 	$(ARM)gcc $(PICO_CPPFLAGS) $(PICO_CFLAGS) -nostdlib -T boards/pico/pico.ld -Wl,--gc-sections -o $@ $(PICO_SOURCES) -lgcc

@@ -1,5 +1,5 @@
 # The firmware of the Arduino Uno; needs gcc-avr, avr-libc and binutils-avr.
-#   make uno [BRIDGE=PWM_DIR|IN1_IN2] [BAUD=115200|1000000] [TACHOMETER=1] [SUPPLY=1] [END_SWITCHES=1]
+#   make uno [BRIDGE=PWM_DIR|IN1_IN2] [BAUD=115200|1000000] [TACHOMETER=1] [SUPPLY=1] [END_SWITCHES=1] [ENCODER=1]
 #   make size    flash, RAM and stack of it
 # A variant is named by what differs from the default: rig_uno-in1_in2-1000000.hex. Wiring: boards/uno/wiring.h.
 
@@ -9,7 +9,8 @@ UNO_OBJECTS := $(UNO).o
 UNO_SOURCES := $(wildcard boards/uno/*.c) $(CORE)
 UNO_HEADERS := $(wildcard boards/uno/*.h core/*.h)
 UNO_CPPFLAGS := -Icore -Iboards/uno -DF_CPU=16000000UL -DRIG_BUILD='"uno $(VERSION)"' -DRIG_BAUD=$(BAUD)UL \
-	-DRIG_BRIDGE=BRIDGE_$(BRIDGE) -DRIG_TACHOMETER=$(TACHOMETER) -DRIG_SUPPLY=$(SUPPLY) -DRIG_END_SWITCHES=$(END_SWITCHES)
+	-DRIG_BRIDGE=BRIDGE_$(BRIDGE) -DRIG_TACHOMETER=$(TACHOMETER) -DRIG_SUPPLY=$(SUPPLY) -DRIG_END_SWITCHES=$(END_SWITCHES) \
+	-DRIG_ENCODER=$(ENCODER)
 UNO_CFLAGS := -mmcu=atmega328p -std=c99 -O2 -flto -fuse-linker-plugin -fno-fat-lto-objects -ffunction-sections \
 	-fdata-sections -Wl,--gc-sections $(WARNINGS)
 

@@ -50,6 +50,23 @@ def check_fit(hello: Hello, expected: Expected) -> None:
             f"the device reports a full drive of {hello.drive_full} units; it must be {_LEAST_FULL_UNITS} to 32767",
         )
     scaling = expected.scaling
+    _check_sensor(hello, expected)
+    if scaling.tachometer is not None and not hello.features & frames.FEATURE_TACHOMETER:
+        raise Fault("CONFIG_MISMATCH", "the config has a section `tachometer`, but the device has no such channel")
+    _check_bridge(hello, expected)
+
+
+def _check_sensor(hello: Hello, expected: Expected) -> None:
+    scaling, flashing = expected.scaling, expected.board.flashing
+    counts_an_encoder = bool(hello.features & frames.FEATURE_ENCODER)
+    if scaling.is_encoder != counts_an_encoder:
+        has, believed = ("an encoder", "a potentiometer") if counts_an_encoder else ("a potentiometer", "an encoder")
+        raise Fault(
+            "CONFIG_MISMATCH",
+            f"section `sensor` describes {believed}, but the device's firmware is for {has}: {flashing}",
+        )
+    if counts_an_encoder:
+        return
     if scaling.counts_max is not None and hello.counts_max != scaling.counts_max:
         raise Fault(
             "CONFIG_MISMATCH",
@@ -62,9 +79,6 @@ def check_fit(hello: Hello, expected: Expected) -> None:
             "CONFIG_MISMATCH",
             f"sensor.rail_counts {low}, {high} must lie within the device's 0 to {hello.counts_max}",
         )
-    if scaling.tachometer is not None and not hello.features & frames.FEATURE_TACHOMETER:
-        raise Fault("CONFIG_MISMATCH", "the config has a section `tachometer`, but the device has no such channel")
-    _check_bridge(hello, expected)
 
 
 def _check_bridge(hello: Hello, expected: Expected) -> None:

@@ -17,7 +17,7 @@ from rig.backends.emulated.board_process import BoardProcess
 from rig.backends.emulated.shaft import traced
 from rig.backends.links.serial_port import SerialPort
 from rig.backends.links.usb_port import check_adapter
-from rig.backends.serial.driver import SerialDriver
+from rig.backends.serial.driver import ByHand, SerialDriver
 from rig.backends.serial.emulated.behind_usb import BehindUsb
 from rig.backends.serial.emulated.chip_board import ChipBoard
 from rig.backends.serial.emulated.host_board import HostBoard
@@ -55,7 +55,7 @@ def serial_line(e: Experiment) -> Iterator[Line]:
 
 
 def _line_of_port(e: Experiment, port: str, *, emulated: bool = False) -> Line:
-    transport = SerialPort(port, e.daq.baud)
+    transport = SerialPort(port, e.daq.baud, keeps_on=e.sensor.encoder is not None)
     if not emulated:
         try:
             check_adapter(port, adapter_of(e))
@@ -76,7 +76,20 @@ def serial_driver(e: Experiment, line: Line) -> SerialDriver:
         session=random.Random(e.seed).randrange(1, 2**32) if line.emulated else None,
         name=line.name,
         emulated=line.emulated,
+        by_hand=_by_hand(e, line),
     )
+
+
+def _by_hand(e: Experiment, line: Line) -> ByHand | None:
+    """Without travel limits zero is where the shaft stands. With them nobody knows but `rig home`.
+
+    An emulated device that starts with the command has a hand, which does what a person would do.
+    """
+    if e.sensor.encoder is None:
+        return None
+    if e.limits.is_endless:
+        return ByHand(0.0, tried_estop=line.emulated)
+    return ByHand(emulated_of(e).motor.start_rad) if line.emulated else None
 
 
 def emulated_chip(e: Experiment) -> VirtualChip:

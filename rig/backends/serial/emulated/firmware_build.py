@@ -30,6 +30,7 @@ class UnoOptions(NamedTuple):
     bridge  "PWM_DIR" or "IN1_IN2"
     baud    115200 or 1000000
     tachometer, supply, end_switches  whether they are wired
+    encoder  instead of the potentiometer
     """
 
     bridge: str = "PWM_DIR"
@@ -37,6 +38,7 @@ class UnoOptions(NamedTuple):
     tachometer: bool = False
     supply: bool = False
     end_switches: bool = False
+    encoder: bool = False
 
     @property
     def name(self) -> str:
@@ -50,13 +52,18 @@ class UnoOptions(NamedTuple):
             parts.append(self.bridge.lower())
         if self.baud != 115200:
             parts.append(str(self.baud))
-        words = {"tachometer": self.tachometer, "supply": self.supply, "ends": self.end_switches}
+        words = {
+            "tachometer": self.tachometer,
+            "supply": self.supply,
+            "ends": self.end_switches,
+            "encoder": self.encoder,
+        }
         return "-".join(parts + [word for word, wired in words.items() if wired])
 
     def variables(self) -> list[str]:
         """For make."""
         flags = f"TACHOMETER={self.tachometer:d}", f"SUPPLY={self.supply:d}", f"END_SWITCHES={self.end_switches:d}"
-        return [f"BRIDGE={self.bridge}", f"BAUD={self.baud}", *flags]
+        return [f"BRIDGE={self.bridge}", f"BAUD={self.baud}", *flags, f"ENCODER={self.encoder:d}"]
 
 
 PLAIN_UNO = UnoOptions()
@@ -127,8 +134,9 @@ def build_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None
 def build_pico(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None) -> Path:
     """Build the Pico's firmware, as ``build`` does; the .uf2 to copy.
 
-    Raises EmulationError also where arm-none-eabi-gcc is missing.
+    Raises EmulationError also where arm-none-eabi-gcc is missing, or the options have an encoder.
     """
+    _refuse_an_encoder(options)
     folder = _make(build_folder, ["pico", *options.variables()], _PICO_TOOLS)
     return folder / "pico" / f"{options.name_for('pico')}.uf2"
 
@@ -137,8 +145,9 @@ def build_pico_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None =
     """Build the Pico's firmware and what its emulated chip needs, as ``build`` does.
 
     Raises EmulationError also where arm-none-eabi-gcc, node or rp2040js is missing, or the repository: what is
-    installed has no emulated chip.
+    installed has no emulated chip; and where the options have an encoder.
     """
+    _refuse_an_encoder(options)
     emulator = source_folder() / "emulator" / "pico"
     if not (emulator / "chip.js").is_file():
         raise EmulationError("the emulated Pico is in rig's repository only: run from there")
@@ -148,6 +157,11 @@ def build_pico_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None =
         raise EmulationError(f"{missing} is missing, on which the emulated Pico runs: run tools/setup.sh")
     folder = _make(build_folder, ["pico-chip", *options.variables()], _PICO_TOOLS) / "pico"
     return PicoFirmware(folder / f"{options.name_for('pico')}.uf2", node, emulator / "main.js", folder / "bench.node")
+
+
+def _refuse_an_encoder(options: UnoOptions) -> None:
+    if options.encoder:
+        raise EmulationError("the Pico's firmware counts no encoder yet: take an Uno, or a potentiometer")
 
 
 def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) -> Path:
