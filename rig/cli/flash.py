@@ -39,7 +39,7 @@ if TYPE_CHECKING:  # it loads slowly
 @click.option("--tachometer", is_flag=True, help="A tachometer is wired to A1 (Pico: GP27).")
 @click.option("--supply", is_flag=True, help="The motor supply is wired to A2 (Pico: GP28), through its divider.")
 @click.option("--end-switches", is_flag=True, help="End switches are wired to D5 and D6 (Pico: GP12 and GP13).")
-@click.option("--encoder", is_flag=True, help="An encoder is wired to D2 and D3, instead of the potentiometer (Uno).")
+@click.option("--encoder", is_flag=True, help="An encoder is wired to D2 and D3 (Pico: GP2 and GP3).")
 @click.option(
     "--hex", "hex_file", type=click.Path(path_type=Path, exists=True, dir_okay=False), default=None,
     help="Write this file to the Uno. Default: build it here, for the options above.",

@@ -47,7 +47,7 @@ void adc_init(void)
 bool adc_take_all(void)
 {
     uint16_t counts = 0;
-    if (!take_position()) {
+    if (!RIG_ENCODER && !take_position()) {
         return false;
     }
     if (RIG_TACHOMETER) {

@@ -2,6 +2,7 @@
 
 #include "bridge.h"
 #include "cpu.h"
+#include "encoder.h"
 #include "rig_core.h"
 #include "wiring.h"
 
@@ -22,6 +23,7 @@ void inputs_init(void)
         wire_pin(PIN_END_HIGH, PAD_CONTACT, FUNCTION_SIO);
     }
     REG(IO_PROC0_INTE1) = EDGE_HIGH(PIN_ESTOP);
+    REG(NVIC_IPR3) = SECOND_OF_IO_BANK0; /* edges that storm in do not keep received bytes waiting */
     REG(NVIC_ISER) = BIT(IRQ_IO_BANK0);
 }
 
@@ -29,9 +31,14 @@ void inputs_init(void)
  * even if the contact is closed again. */
 void io_bank0_interrupt(void)
 {
-    REG(IO_INTR1) = EDGE_HIGH(PIN_ESTOP);
-    bridge_drive(0);
-    stopped = true;
+    if ((REG(IO_PROC0_INTS1) & EDGE_HIGH(PIN_ESTOP)) != 0u) {
+        REG(IO_INTR1) = EDGE_HIGH(PIN_ESTOP);
+        bridge_drive(0);
+        stopped = true;
+    }
+    if (RIG_ENCODER && (REG(IO_PROC0_INTS0) & EDGES_OF_ENCODER) != 0u) {
+        encoder_take_edge();
+    }
 }
 
 bool inputs_have_stopped(void)

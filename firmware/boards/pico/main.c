@@ -3,7 +3,7 @@
  * The control tick (sample, checks, relay, drive) is an interrupt of the timer; all others come between, and are short.
  * The main loop takes requests, answers them, sends what the tick has collected, and sleeps when there is nothing to do.
  * The hardware watchdog is fed by a tick with a fresh sample after a round of the main loop: that takes the timer, its
- * interrupt, the converter and the main loop.
+ * interrupt, the converter where it converts anything, and the main loop.
  */
 #include <stddef.h>
 
@@ -11,6 +11,7 @@
 #include "bridge.h"
 #include "clock.h"
 #include "cpu.h"
+#include "encoder.h"
 #include "inputs.h"
 #include "rig_core.h"
 #include "system.h"
@@ -18,6 +19,12 @@
 #include "wiring.h"
 
 #define BLINK_TICKS 128u
+#define CONVERTED ((RIG_TACHOMETER ? (uint8_t)RIG_FEATURE_TACHOMETER : 0u) | (RIG_SUPPLY ? (uint8_t)RIG_FEATURE_SUPPLY : 0u))
+#if RIG_ENCODER
+#define FEATURES (CONVERTED | (uint8_t)RIG_FEATURE_ENCODER)
+#else
+#define FEATURES CONVERTED
+#endif
 
 int main(void);
 void timer_0_interrupt(void);
@@ -40,6 +47,30 @@ static uint32_t arrived_us(void *context)
     return arrived;
 }
 
+#if RIG_ENCODER
+
+static int32_t position(void *context, uint32_t *t_us)
+{
+    (void)context;
+    const encoder_sample sample = in_tick ? encoder_tick_sample() : encoder_newest_sample();
+    *t_us = sample.t_us;
+    return sample.counts;
+}
+
+static void set_position(void *context, int32_t counts)
+{
+    (void)context;
+    encoder_set(counts);
+}
+
+static uint8_t encoder_troubles(void *context)
+{
+    (void)context;
+    return encoder_take_troubles();
+}
+
+#else
+
 static int32_t position(void *context, uint32_t *t_us)
 {
     (void)context;
@@ -47,6 +78,8 @@ static int32_t position(void *context, uint32_t *t_us)
     *t_us = sample.t_us;
     return (int32_t)sample.counts;
 }
+
+#endif
 
 static uint16_t tach_counts(void *context)
 {
@@ -102,13 +135,17 @@ static const rig_board BOARD = {
     .transmit = transmit,
     .inputs = inputs,
     .build = RIG_BUILD,
-    .counts_max = (int32_t)ADC_MAX,
+    .counts_max = RIG_ENCODER ? 0 : (int32_t)ADC_MAX,
     .drive_full = BRIDGE_FULL,
     .board_id = RIG_BOARD_PICO,
     .bridge = (uint8_t)RIG_BRIDGE,
-    .features = (RIG_TACHOMETER ? (uint8_t)RIG_FEATURE_TACHOMETER : 0u) | (RIG_SUPPLY ? (uint8_t)RIG_FEATURE_SUPPLY : 0u),
+    .features = FEATURES,
     .arrived_us = arrived_us,
     .supply = RIG_SUPPLY ? supply : NULL,
+#if RIG_ENCODER
+    .set_position = set_position,
+    .encoder_troubles = encoder_troubles,
+#endif
     .hold_tick = hold_tick,
     .release_tick = release_tick,
 };
@@ -123,6 +160,9 @@ static void show(void)
 
 void timer_0_interrupt(void)
 {
+    if (RIG_ENCODER) {
+        encoder_begin_tick();
+    }
     clock_begin_tick();
     if (!adc_take_all()) {
         return; /* nothing to decide on; the next row's time tells, and a dead converter the hardware watchdog */
@@ -157,6 +197,9 @@ int main(void)
     wire_pin(PIN_QUIET_SUPPLY, PAD_OUTPUT, FUNCTION_SIO);
     wire_pin(PIN_LED, PAD_OUTPUT, FUNCTION_SIO);
     adc_init();
+    if (RIG_ENCODER) {
+        encoder_init();
+    }
     uart_init();
     rig_init(&core, &BOARD, cause);
     system_start_watchdog();

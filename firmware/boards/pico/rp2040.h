@@ -69,8 +69,13 @@
 #define FUNCTION_PWM 4u
 #define FUNCTION_SIO 5u
 #define OUTPUT_INVERTED BIT(8)
+#define IO_INTR0 0x400140F0u        /* pins 0 to 7 */
+#define IO_PROC0_INTE0 0x40014100u
+#define IO_PROC0_INTS0 0x40014120u
+#define BOTH_EDGES(pin) ((uint32_t)0xCu << (4u * (pin)))
 #define IO_INTR1 0x400140F4u        /* pins 8 to 15, four bits each */
 #define IO_PROC0_INTE1 0x40014104u
+#define IO_PROC0_INTS1 0x40014124u
 #define EDGE_HIGH(pin) BIT(4u * ((pin) - 8u) + 3u)
 
 /* 2.19 pads */
@@ -92,12 +97,14 @@
 #define NVIC_ISER 0xE000E100u
 #define NVIC_ICER 0xE000E180u
 #define NVIC_IPR0 0xE000E400u
+#define NVIC_IPR3 0xE000E40Cu
 #define VTOR 0xE000ED08u
 #define IRQ_TIMER_0 0u
 #define IRQ_IO_BANK0 13u
 #define IRQ_UART0 20u
 #define IRQS 26u
 #define PRIORITY_LOWEST 0xC0u
+#define SECOND_OF_IO_BANK0 0x4000u /* of four, in NVIC_IPR3 */
 
 /* 4.2 UART */
 #define UART0_DR 0x40034000u

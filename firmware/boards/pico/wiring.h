@@ -5,7 +5,8 @@
  *     GP27 (32)  tachometer (TACHOMETER=1)       GP12 (16)  end switch at falling counts, closed to ground (END_SWITCHES=1)
  *     GP28 (34)  motor supply / 6 (SUPPLY=1)     GP13 (17)  end switch at rising counts, closed to ground (END_SWITCHES=1)
  *     GP0   (1)  serial port, to the adapter     GP25       LED: lit while armed, blinks while a fault is latched
- *     GP1   (2)  serial port, from the adapter
+ *     GP1   (2)  serial port, from the adapter   GP2, GP3 (4, 5)  encoder, channels A and B (ENCODER=1, instead of the
+ *                                                potentiometer)
  *
  *     BRIDGE=PWM_DIR                             BRIDGE=IN1_IN2
  *     GP16 (21)  PWM (slice 0, A)                GP16 (21)  IN1 (slice 0, A)
@@ -23,6 +24,8 @@
 
 #define PIN_TX 0u
 #define PIN_RX 1u
+#define PIN_ENCODER_A 2u
+#define PIN_ENCODER_B 3u
 #define PIN_END_LOW 12u
 #define PIN_END_HIGH 13u
 #define PIN_ESTOP 14u
@@ -38,6 +41,7 @@
 #define CHANNEL_TACHOMETER 1u
 #define CHANNEL_SUPPLY 2u
 
+#define EDGES_OF_ENCODER (BOTH_EDGES(PIN_ENCODER_A) | BOTH_EDGES(PIN_ENCODER_B))
 #define CLOCK_HZ 125000000u
 
 /* A pad that pulls up, for a contact or a line that is high at rest; one that drives; one that only measures. */

@@ -5,9 +5,13 @@
  *     advance(bench, t_s)            then all others speak of that time
  *     drive(bench, units)            arm(bench)
  *     position(bench)                tachometer(bench): counts, negative where there is none
+ *     encoder(bench)                 [steps, how far to the next one, counts/s]
+ *     levels(bench, steps)           of the encoder's channels: 1 for A, 2 for B
+ *     contacts(bench)                that are open: 1 the e-stop's, 2 and 4 the ends' at falling and at rising counts
  *     rewire(bench, drive, sensor)   place(bench, y_rad, v_rad_per_s)
  *     look(bench)                    [pin_V, motor_V, y_rad, v_rad_per_s, supply_V]
  */
+#include <math.h>
 #include <node_api.h>
 #include <stdlib.h>
 
@@ -155,6 +159,47 @@ static napi_value tachometer(napi_env env, napi_callback_info info)
     return b != NULL ? number(env, bench_tachometer_counts(b)) : NULL;
 }
 
+static napi_value numbers(napi_env env, const double *values, uint32_t count)
+{
+    napi_value made = NULL;
+    (void)napi_create_array(env, &made);
+    for (uint32_t i = 0; i < count; i++) {
+        (void)napi_set_element(env, made, i, number(env, values[i]));
+    }
+    return made;
+}
+
+static napi_value encoder(napi_env env, napi_callback_info info)
+{
+    const arguments given = take(env, info);
+    bench *b = bench_of(env, &given);
+    if (b == NULL) {
+        return NULL;
+    }
+    double to_next;
+    const int64_t steps = bench_encoder_steps(b, &to_next);
+    const double seen[] = {(double)steps, to_next, fabs(b->v_rad_per_s / b->p.rad_per_count)};
+    return numbers(env, seen, 3);
+}
+
+static napi_value levels(napi_env env, napi_callback_info info)
+{
+    const arguments given = take(env, info);
+    bench *b = bench_of(env, &given);
+    return b != NULL ? number(env, bench_encoder_levels(b, (int64_t)number_of(env, given.at[1]))) : NULL;
+}
+
+static napi_value contacts(napi_env env, napi_callback_info info)
+{
+    const arguments given = take(env, info);
+    const bench *b = bench_of(env, &given);
+    if (b == NULL) {
+        return NULL;
+    }
+    return number(env, (bench_estop_is_open(b) ? 1.0 : 0.0) + (bench_end_is_open(b, false) ? 2.0 : 0.0) +
+                           (bench_end_is_open(b, true) ? 4.0 : 0.0));
+}
+
 static napi_value rewire(napi_env env, napi_callback_info info)
 {
     const arguments given = take(env, info);
@@ -191,12 +236,7 @@ static napi_value look(napi_env env, napi_callback_info info)
         return NULL;
     }
     const double seen[] = {bench_pin_V(b), bench_motor_V(b), b->y_rad, b->v_rad_per_s, b->p.supply_V};
-    napi_value values = NULL;
-    (void)napi_create_array(env, &values);
-    for (uint32_t i = 0; i < sizeof seen / sizeof seen[0]; i++) {
-        (void)napi_set_element(env, values, i, number(env, seen[i]));
-    }
-    return values;
+    return numbers(env, seen, sizeof seen / sizeof seen[0]);
 }
 
 NAPI_MODULE_INIT()
@@ -205,7 +245,8 @@ NAPI_MODULE_INIT()
         const char *name;
         napi_callback function;
     } ALL[] = {{"make", make},         {"advance", advance}, {"drive", drive}, {"arm", arm},  {"position", position},
-               {"tachometer", tachometer}, {"rewire", rewire},   {"place", place}, {"look", look}};
+               {"tachometer", tachometer}, {"rewire", rewire},   {"place", place}, {"look", look},
+               {"encoder", encoder},   {"levels", levels},   {"contacts", contacts}};
     for (unsigned i = 0; i < sizeof ALL / sizeof ALL[0]; i++) {
         napi_value function = NULL;
         (void)napi_create_function(env, ALL[i].name, NAPI_AUTO_LENGTH, ALL[i].function, NULL, &function);

@@ -32,7 +32,10 @@ const [RESET, RESET_DONE, ALL_RESETS] = [0x0, 0x8, 0x1ffffff];
 const [TIMER_IRQ, UART_IRQ] = [0, 20];
 const [NULL, FUNCTION_PWM, FUNCTION_SIO] = [0x1f, 4, 5];
 const [PIN_A, PIN_B, PIN_LED] = [16, 17, 25]; // boards/pico/wiring.h
-const CONTACTS = { end_low: 12, end_high: 13, e_stop: 14 };
+const CONTACTS = { e_stop: [14, 1], end_low: [12, 2], end_high: [13, 4] }; // pins, and bits of the bench's contacts
+const CHANNELS = [2, 3]; // of an encoder
+const LOOK_NS = 100e3; // at the shaft, at least so often
+const HAND_NS = 50e3; // between two edges of a shaft that was put elsewhere
 const ENTRY_CYCLES = 15;
 const EXIT_CYCLES = 13;
 const ENDLESS = 0xe7fe; // an instruction that jumps to itself: where a program without an end is sent when it ends
@@ -60,7 +63,8 @@ class Chip {
   // [name, value]; bridge: PWM_DIR or IN1_IN2; dead_time_s of the bridge, once in a PWM period; clock_error_ppm of the chip's clock
   constructor({ uf2, byte_ns, addon, options, bridge, dead_time_s, clock_error_ppm }) {
     const given = Object.fromEntries(options);
-    if (given["counts-max"] !== String(ADC_MAX)) throw new Error(`the chip's converter reads 0 to ${ADC_MAX}`);
+    this.encoder = given.encoder === "1";
+    if (!this.encoder && given["counts-max"] !== String(ADC_MAX)) throw new Error(`the chip's converter reads 0 to ${ADC_MAX}`);
     if (given["clock-start-us"] !== undefined && given["clock-start-us"] !== "0") throw new Error("the chip's clock starts at 0");
     this.flash = readUf2(uf2);
     this.bench = require(addon);
@@ -75,6 +79,7 @@ class Chip {
     this.open = new Set(); // contacts
     this.resets = this.overruns = this.crashed = 0;
     this.brokenRule = "";
+    this.shownSteps = this.encoder ? this.bench.encoder(this.motor)[0] : 0; // of the encoder, at its pins
     this.units = 0; // of DRIVE_STEPS
     this.pinChanged_ns = -1;
     this.conducts = 0; // the bridge, now: -1, 0, 1
@@ -121,6 +126,10 @@ class Chip {
     this.#connect(watchdogReason);
     this.#boot();
     this.#pinsChanged();
+    if (this.encoder) {
+      this.shaft = this.clock.createAlarm(() => this.#lookAtShaft());
+      this.shaft.schedule(0);
+    }
   }
 
   #log(words) {
@@ -358,11 +367,29 @@ class Chip {
 
   // A contact is closed to ground; an open one is pulled up where the pad does.
   #tellContacts() {
-    for (const [name, pin] of Object.entries(CONTACTS)) {
-      const gpio = this.mcu.gpio[pin];
-      const isHigh = this.open.has(name) && gpio.pullupEnabled;
-      if (isHigh !== gpio.rawInputValue) gpio.setInputValue(isHigh);
+    const byBench = this.encoder ? this.bench.contacts(this.motor) : 0;
+    for (const [name, [pin, bit]] of Object.entries(CONTACTS)) {
+      const isOpen = this.open.has(name) || (byBench & bit) !== 0;
+      this.#setInput(pin, isOpen && this.mcu.gpio[pin].pullupEnabled);
     }
+  }
+
+  #setInput(pin, isHigh) {
+    const gpio = this.mcu.gpio[pin];
+    if (isHigh !== gpio.rawInputValue) gpio.setInputValue(isHigh);
+  }
+
+  // Turns the encoder's pins by one edge, if the shaft has, and comes again when the next one is due.
+  #lookAtShaft() {
+    this.#advanceBench();
+    const [steps, toNext, rate] = this.bench.encoder(this.motor);
+    const behind = Math.abs(steps - this.shownSteps);
+    this.shownSteps += Math.sign(steps - this.shownSteps);
+    const levels = this.bench.levels(this.motor, this.shownSteps);
+    CHANNELS.forEach((pin, bit) => this.#setInput(pin, ((levels >> bit) & 1) !== 0));
+    this.#tellContacts();
+    const due_ns = rate > 0 ? ((1e9 * toNext) / rate) * this.rate + 1 : Infinity;
+    this.shaft.schedule(Math.min(due_ns, behind > 1 ? HAND_NS : LOOK_NS));
   }
 
   // ---- running

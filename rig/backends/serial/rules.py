@@ -18,7 +18,7 @@ from rig.backends.serial.link_budget import (
     reply_delay_s,
     tick_budget,
 )
-from rig.backends.serial.ports import CHIP_BAUDS, CHIP_PORTS, EMULATED_PORTS, PICO_PORTS, adapter_of
+from rig.backends.serial.ports import CHIP_BAUDS, CHIP_PORTS, EMULATED_PORTS, adapter_of
 from rig.config.problems import Problem, wrong
 from rig.config.schema import Experiment
 from rig.config.sensor import count_rad
@@ -44,8 +44,6 @@ def _keys(e: Experiment) -> Iterator[Problem]:
         yield wrong("emulated", f"`port: {d.port}` needs this section", "describe the bench: see config/demo.yaml")
     if e.emulated is not None and e.emulated.motor.delay_s is not None and d.port in EMULATED_PORTS:
         yield wrong("emulated.motor.delay_s", "an emulated board has no such delay", "use driver simulated or modbus")
-    if d.port in PICO_PORTS and e.sensor.encoder is not None:
-        yield wrong("sensor.encoder", "the Pico's firmware counts no encoder yet", "port: emulated-chip, an Uno's")
     if d.port in CHIP_PORTS and d.baud not in CHIP_BAUDS:
         yield wrong("daq.baud", f"the board's firmware does not speak {d.baud} baud", "115200 or 1000000")
 

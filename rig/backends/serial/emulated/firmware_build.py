@@ -134,9 +134,8 @@ def build_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None
 def build_pico(options: UnoOptions = PLAIN_UNO, build_folder: Path | None = None) -> Path:
     """Build the Pico's firmware, as ``build`` does; the .uf2 to copy.
 
-    Raises EmulationError also where arm-none-eabi-gcc is missing, or the options have an encoder.
+    Raises EmulationError also where arm-none-eabi-gcc is missing.
     """
-    _refuse_an_encoder(options)
     folder = _make(build_folder, ["pico", *options.variables()], _PICO_TOOLS)
     return folder / "pico" / f"{options.name_for('pico')}.uf2"
 
@@ -145,9 +144,8 @@ def build_pico_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None =
     """Build the Pico's firmware and what its emulated chip needs, as ``build`` does.
 
     Raises EmulationError also where arm-none-eabi-gcc, node or rp2040js is missing, or the repository: what is
-    installed has no emulated chip; and where the options have an encoder.
+    installed has no emulated chip.
     """
-    _refuse_an_encoder(options)
     emulator = source_folder() / "emulator" / "pico"
     if not (emulator / "chip.js").is_file():
         raise EmulationError("the emulated Pico is in rig's repository only: run from there")
@@ -157,11 +155,6 @@ def build_pico_chip(options: UnoOptions = PLAIN_UNO, build_folder: Path | None =
         raise EmulationError(f"{missing} is missing, on which the emulated Pico runs: run tools/setup.sh")
     folder = _make(build_folder, ["pico-chip", *options.variables()], _PICO_TOOLS) / "pico"
     return PicoFirmware(folder / f"{options.name_for('pico')}.uf2", node, emulator / "main.js", folder / "bench.node")
-
-
-def _refuse_an_encoder(options: UnoOptions) -> None:
-    if options.encoder:
-        raise EmulationError("the Pico's firmware counts no encoder yet: take an Uno, or a potentiometer")
 
 
 def _make(build_folder: Path | None, targets: list[str], tools: dict[str, str]) -> Path:
