@@ -21,7 +21,7 @@ from rig.backends.serial.emulated import firmware_build
 from rig.backends.serial.emulated.firmware_build import PicoFirmware, UnoOptions
 from rig.backends.serial.emulated.pico_parameters import pico_parameters
 from rig.backends.serial.emulated.virtual_pico import VirtualPico
-from rig.backends.serial.frames import Code
+from rig.backends.serial.frames import Block, Code, FrameReader, Kind, RelaySetup
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "pico.md"
@@ -151,10 +151,14 @@ def test_a_tick_that_goes_before_the_others_keeps_the_e_stop_waiting(build_with:
         host.setup(SETUP)
         assert host.arm() == Code.NONE
         slowest_s = 0.0
+        host.send(Kind.RELAY, RelaySetup((-900, 300, -300, 900), 2048 * 16, 12_000_000, 1, 10).pack())
+        host.wait(0.03)
+        told = [Block.unpack(p.body) for p in FrameReader().feed(host.board.read(0.0)) if p.kind == Kind.BLOCK]
+        tick_s = 1e-6 * (told[-1].t_first_us % 1000)  # of each millisecond: its rows' samples, first thing in the tick
         for k in range(40):
             host.drive(900)
             now_s = host.board.now_s()
-            host.board.sleep_until(1e-3 * int(1e3 * now_s + 1) + 0.14e-3 + 0.25e-6 * k)  # about the tick's beginning
+            host.board.sleep_until(1e-3 * int(1e3 * now_s + 1) + tick_s + 0.2e-6 * (k - 10))
             host.board.contact("e_stop", is_open=True)
             opened_s = host.board.now_s()
             host.wait(0.0005)
