@@ -209,8 +209,10 @@ static void unlatch(rig_core *core, enum rig_code code)
     core->latched &= ~bit_of(code);
     if (core->fault == code) {
         uint8_t next = (uint8_t)RIG_OK;
+        uint32_t bit = 1u;
         for (uint8_t other = 1; other <= (uint8_t)RIG_E_ESTOP_UNTRIED; other++) {
-            if (next == (uint8_t)RIG_OK && (core->latched & bit_of((enum rig_code)other)) != 0u) {
+            bit <<= 1;
+            if (next == (uint8_t)RIG_OK && (core->latched & bit) != 0u) {
                 next = other;
             }
         }

@@ -98,6 +98,7 @@ struct virtual_board {
     uint8_t open_pins;       /* of port D */
     int64_t shown_steps;     /* of the encoder, at its pins */
     uint8_t shown_open;      /* contacts, at theirs */
+    bool looks;              /* at the shaft, again and again */
     bool look_again;         /* a byte for the host, or a reset: what the run waits for may have changed */
     uint8_t dead_of_timer2;  /* bits of TIMSK2, until the next reset */
     bool converter_is_dead;  /* the same */
@@ -439,10 +440,11 @@ static void tell_contacts(virtual_board *b)
     const uint8_t mask = has_encoder ? CONTACTS | CHANNELS : CONTACTS;
     avr_ioport_external_t pulls = {.name = 'D', .mask = mask, .value = high};
     avr_ioctl(b->avr, AVR_IOCTL_IOPORT_SET_EXTERNAL('D'), &pulls);
-    const uint8_t changed = (uint8_t)(b->avr->data[PIND] ^ high);
-    for (int pin = 0; pin < 8; pin++) {
-        if (has(mask & changed, (unsigned)pin)) { /* libsimavr takes any notice for a change */
-            avr_raise_irq(b->port_d + pin, has(high, (unsigned)pin) ? 1u : 0u);
+    for (unsigned pin = 0; pin < 8u; pin++) {
+        const uint32_t level = has(high, pin) ? 1u : 0u;
+        if (has(mask, pin) && (b->port_d[pin].value != level || has(b->avr->data[PIND], pin) != has(high, pin))) {
+            b->port_d[pin].value = 1u - level; /* a reset clears PIND and not this, and what is equal is not told */
+            avr_raise_irq(b->port_d + pin, level);
         }
     }
 }
@@ -469,7 +471,8 @@ static avr_cycle_count_t look_at_shaft(avr_t *avr, avr_cycle_count_t when, void 
 
 static void begin_to_look(virtual_board *b)
 {
-    if (b->params.encoder != 0) {
+    if (b->params.encoder != 0 && !b->looks) {
+        b->looks = true;
         avr_cycle_timer_register(b->avr, 1u, look_at_shaft, b);
     }
 }
@@ -585,7 +588,7 @@ static void after_reset(avr_t *avr)
     b->stop = 0;
     expect_byte(b);
     pins_may_have_changed(b);
-    begin_to_look(b);
+    b->looks = false; /* not here: libsimavr may be in the midst of its timers */
 }
 
 static avr_uart_t *find_uart(avr_t *avr)
@@ -719,7 +722,6 @@ const char *virtual_start(virtual_board *b, int64_t byte_ns)
     double to_next;
     b->shown_steps = bench_encoder_steps(&b->bench, &to_next);
     tell_contacts(b);
-    begin_to_look(b);
     memset(b->avr->data + RAM, PAINT, b->avr->ramend + 1u - RAM);
     b->avr->custom.data = b;
     b->chip_reset = b->avr->reset;
@@ -883,6 +885,7 @@ void virtual_run(virtual_board *b, int64_t until_ns, int32_t until_byte)
             expect_byte(b);
         }
         b->look_again = false;
+        begin_to_look(b);
         stop_at(b, next_ns);
         const avr_cycle_count_t stop = cycle_of(b, next_ns);
         while (b->avr->cycle < stop && !b->look_again) {

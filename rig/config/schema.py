@@ -494,6 +494,11 @@ class TrackingSection(_Section):
     trajectory: Annotated[tuple[Sine, ...], Field(min_length=1)] = Field(
         description="the reference: a sum of sines about the centre of travel"
     )
+    turn_rad_s: float = Field(
+        0.0,
+        description="without travel limits: the reference turns on at this speed, from where each check begins, with "
+        "the sines on top",
+    )
     methods: tuple[Method, ...] = Field(
         tuple(entry.name for entry in ESTIMATORS if entry.finds_motor),
         description="estimators whose models are compared, each on the same trajectory",

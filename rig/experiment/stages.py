@@ -585,7 +585,11 @@ def _tracking_law(session: Session, motor: Motor | FramedMotor, further_delay_s:
     return Tracking(
         motor,
         observer,
-        SumOfSines([(c.amplitude_rad, c.omega_rad_s) for c in e.tracking.trajectory], fade_s=FADE_S),
+        SumOfSines(
+            [(c.amplitude_rad, c.omega_rad_s) for c in e.tracking.trajectory],
+            fade_s=FADE_S,
+            turn_rad_s=e.tracking.turn_rad_s,
+        ),
         e.tracking.k1_1_s,
         e.tracking.k2_1_s2,
         e.tracking.duration_s,

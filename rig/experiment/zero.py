@@ -43,6 +43,12 @@ def by_hand(e: Experiment, at_rad: float) -> Zero:
 
 
 def by_switch(e: Experiment) -> Zero:
+    """As ``find_by_switch``, on the bench of the config. Raises Fault LINK_*, CONFIG_MISMATCH, too."""
+    with connect(e) as bench:
+        return find_by_switch(e, bench)
+
+
+def find_by_switch(e: Experiment, bench: Bench) -> Zero:
     """Drive the shaft to the end switch of ``sensor.encoder.home``, set the zero, and drive it back inside.
 
     Nothing is recorded. Raises Fault NO_MOTION, POLARITY, NOT_HOME, INTERRUPTED, and those of guard, link and device;
@@ -51,7 +57,7 @@ def by_switch(e: Experiment) -> Zero:
     switch = None if e.sensor.encoder is None else e.sensor.encoder.home
     if switch is None:
         raise ValueError("no end switch is given")
-    with stop_on_signals() as stop, connect(e) as bench:
+    with stop_on_signals() as stop:
         driver = _encoder_driver(bench)
         before = driver.read()
         at_switch_rad = _drive_to_switch(e, bench, switch, stop)

@@ -31,18 +31,21 @@ from rig.backends.serial.frames import (
     pack_ack,
     pack_arm,
     pack_drive,
+    pack_zero,
 )
-from rig.calibration import DriveMap
+from rig.calibration import ALL_COUNTS, Calibration, DriveMap
 from rig.config.schema import Experiment
 from rig.model.bench import BenchParameters
 from rig.preflight import check
 
 TICK_S = 1e-3
 SESSION = 1
+COUNTS_PER_TURN = 3200  # of an encoder instead of the potentiometer
 
 _FLOOD_S = 2e-3  # of garbage a write
 _ASK_S = 0.05
 _START_RAD = 0.9
+_HAND_S = 0.2  # for the encoder of a shaft that is put elsewhere: it turns by 20,000 edges a second
 _LARGEST_Z = 2**30
 
 Board = Literal["uno", "pico"]
@@ -59,13 +62,14 @@ class Stand(NamedTuple):
     board: Board
     experiment: Experiment
     full: int
+    curve: Calibration
     bench: BenchParameters
     setup: Setup
 
     def limit_rad(self, direction: int) -> float:
         """Where the reading passes the hard limit, rad, without noise."""
         last = self.setup.hard_hi + 0.5 if direction > 0 else self.setup.hard_lo - 0.5
-        return self.experiment.sensor.curve.to_rad(last)
+        return self.curve.to_rad(last)
 
     def steady(self, direction: int) -> tuple[int, float]:
         """The largest drive that keeps the shaft below limits.max_speed_rad_s, units, and its speed, rad/s.
@@ -86,11 +90,24 @@ def _stand(board: Board, config: str, full: int) -> Stand:
     assert truth is not None
     drive_map = DriveMap(e.drive.supply_V, full_units=full)
     setup = setup_for(e.device_limits, e.sensor.curve, drive_map, e.sensor.rails, SESSION)
-    return Stand(board, e, full, replace(truth, offset_rad=0.0), setup)
+    return Stand(board, e, full, e.sensor.curve, replace(truth, offset_rad=0.0), setup)
+
+
+def _with_encoder(stand: Stand) -> Stand:
+    e = stand.experiment
+    curve = Calibration([(0, 0.0), (COUNTS_PER_TURN, math.tau)])
+    drive_map = DriveMap(e.drive.supply_V, full_units=stand.full)
+    bench = replace(
+        stand.bench, encoder=True, rad_per_count=math.tau / COUNTS_PER_TURN, centre_counts=0.0, noise_rad=0.0
+    )
+    return stand._replace(
+        curve=curve, bench=bench, setup=setup_for(e.device_limits, curve, drive_map, ALL_COUNTS, SESSION)
+    )
 
 
 UNO = _stand("uno", "demo.yaml", 400)
 PICO = _stand("pico", "demo-pico.yaml", 6250)
+UNO_ENCODER = _with_encoder(UNO)
 PERIOD_S = UNO.experiment.period_s
 WATCHDOG_S = UNO.experiment.device_limits.watchdog_s
 
@@ -114,6 +131,11 @@ class Way(NamedTuple):
     full: bool = False
     stand: Stand = UNO
 
+    @property
+    def encoder(self) -> bool:
+        """Whether it counts an encoder instead of converting a potentiometer's voltage."""
+        return self.stand.bench.encoder
+
 
 class DrivenChip:
     """One chip, driven again and again.
@@ -123,7 +145,7 @@ class DrivenChip:
 
     def __init__(self, way: Way, rng: random.Random) -> None:
         self.way = way
-        options = UnoOptions(bridge=way.bridge, baud=way.baud, end_switches=way.end_switches)
+        options = UnoOptions(bridge=way.bridge, baud=way.baud, end_switches=way.end_switches, encoder=way.encoder)
         self.stand = way.stand
         bench = self.stand.bench if way.noisy else replace(self.stand.bench, noise_rad=0.0)
         seed = rng.randrange(2**32)
@@ -193,8 +215,10 @@ class DrivenChip:
         self._units, self.speed_rad_s = self.stand.steady(direction)
         if self.way.full:
             self._units = direction * self.stand.setup.max_drive
-        self.chip.place(-direction * _START_RAD)
-        self.chip.sleep_until(self.chip.now_s() + 5 * TICK_S)
+        far_rad = -direction * _START_RAD
+        first_rad = start_rad if self.way.encoder and start_rad is not None else far_rad
+        self.chip.place(first_rad)
+        self.chip.sleep_until(self.chip.now_s() + (_HAND_S if self.way.encoder else 5 * TICK_S))
         self.arm()
         if self.way.where == "device":
             self._start_relay()
@@ -203,7 +227,6 @@ class DrivenChip:
         self.chip.sleep_until(self.chip.now_s() + 5 * TICK_S)
         if self.truth().pin_V == 0.0:
             raise RuntimeError("the chip does not drive")
-        far_rad = -direction * _START_RAD
         self.chip.place(far_rad if start_rad is None else start_rad, self.speed_rad_s)
 
     def arm(self) -> None:
@@ -213,6 +236,8 @@ class DrivenChip:
             state = DeviceState.unpack(self.ask(Kind.ACK, pack_ack(state.fault)).body)
         if self.ask(Kind.SETUP, self.stand.setup.pack()).kind != Kind.SETUP_REPLY:
             raise RuntimeError("the chip does not take the limits")
+        if self.way.encoder:
+            self.ask(Kind.ZERO, pack_zero(math.floor(self.stand.curve.to_counts(self.truth().y_rad) + 0.5)))
         if self.ask(Kind.ARM, pack_arm(SESSION)).body[0] != Code.NONE:
             raise RuntimeError("the chip does not arm")
 

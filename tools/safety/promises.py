@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable
 from typing import NamedTuple
@@ -9,11 +10,23 @@ from typing import NamedTuple
 from rig.backends.serial.emulated.virtual_chip import Hang, VirtualChip
 from rig.backends.serial.frames import Kind, encode
 from rig.model.motor import State
-from safety.driven_chip import PERIOD_S, PICO, TICK_S, UNO, WATCHDOG_S, DrivenChip, Voice, Way
+from safety.driven_chip import (
+    COUNTS_PER_TURN,
+    PERIOD_S,
+    PICO,
+    TICK_S,
+    UNO,
+    UNO_ENCODER,
+    WATCHDOG_S,
+    DrivenChip,
+    Voice,
+    Way,
+)
 
 HANG_S = 0.150
 _REST_S = 0.6  # from 10 rad/s; the host goes on meanwhile, to no avail
 _GIVE_UP_S = 1.0
+_LOOK_S = 50e-6  # longer than an interrupt may wait
 _BEYOND_RAD = 6 * abs(UNO.bench.rad_per_count)  # eight times the noise
 
 Event = Callable[[DrivenChip, random.Random], float]
@@ -105,6 +118,27 @@ def _broken_wire(driven: DrivenChip, rng: random.Random) -> float:
     return driven.chip.now_s()
 
 
+def _lost_edge(driven: DrivenChip, rng: random.Random) -> float:
+    """Both channels change at once, and none besides: three edges at once look like one the other way."""
+    while _to_edge_s(driven) < _LOOK_S:
+        driven.go_on(driven.chip.now_s() + _LOOK_S)
+    driven.chip.rewire(sensor="jumped")
+    return driven.chip.now_s()
+
+
+def _to_edge_s(driven: DrivenChip) -> float:
+    """From the nearest edge of the encoder, s."""
+    truth = driven.truth()
+    steps = truth.y_rad * COUNTS_PER_TURN / math.tau + 0.5
+    away = abs(steps - round(steps)) * math.tau / COUNTS_PER_TURN
+    return away / max(abs(truth.v_rad_per_s), 1e-3)
+
+
+def _still_channel(driven: DrivenChip, rng: random.Random) -> float:
+    driven.chip.rewire(sensor="still")
+    return driven.chip.now_s()
+
+
 def _e_stop(driven: DrivenChip, rng: random.Random) -> float:
     driven.chip.contact("e_stop", is_open=True)
     return driven.chip.now_s()
@@ -127,6 +161,10 @@ FLOOD = Way(baud=1_000_000, floods=True)
 OTHER_BRIDGE = Way(bridge="IN1_IN2")
 HOST_FULL, DEVICE_FULL = Way(full=True), Way("device", full=True)
 ENDS, DEVICE_ENDS = Way(end_switches=True), Way("device", end_switches=True)
+COUNTED, DEVICE_COUNTED = Way(stand=UNO_ENCODER), Way("device", stand=UNO_ENCODER)
+FLOOD_COUNTED = FLOOD._replace(stand=UNO_ENCODER)
+_STILL_COUNTS = 66  # of travel: 33 edges of the channel that still changes
+STILL_S = _STILL_COUNTS * math.tau / COUNTS_PER_TURN / min(abs(UNO.steady(way)[1]) for way in (1, -1)) + 2 * TICK_S
 SILENT_S = WATCHDOG_S + TICK_S
 RUN_UP_S = (0.005, 0.025)
 
@@ -153,14 +191,28 @@ PROMISES = (
     ),
     Promise("runs over a hard limit, noise may hide a reading", _crossing, 3 * TICK_S, HOST, run_up_s=RUN_UP_S),
     *(Promise("wiper wire broken", _broken_wire, 2 * TICK_S, way) for way in (HOST, DEVICE, FLOOD)),
+    *(
+        Promise("runs over a hard limit, counted by an encoder", _crossing, 2 * TICK_S, way, run_up_s=RUN_UP_S)
+        for way in (COUNTED, DEVICE_COUNTED, FLOOD_COUNTED)
+    ),
+    *(
+        Promise("encoder: both channels change at once", _lost_edge, 2 * TICK_S, way)
+        for way in (COUNTED, DEVICE_COUNTED, FLOOD_COUNTED)
+    ),
+    *(Promise("encoder: one channel stands still", _still_channel, STILL_S, way) for way in (COUNTED, DEVICE_COUNTED)),
+    Promise("host silent, encoder", _silence, SILENT_S, COUNTED, "none"),
+    Promise("e-stop opens, encoder", _e_stop, TICK_S, COUNTED),
+    Promise("hang: everything, encoder", _hang("everything"), HANG_S, COUNTED),
     *(Promise("e-stop opens", _e_stop, TICK_S, way) for way in (HOST, DEVICE, FLOOD, OTHER_BRIDGE)),
     *(Promise("end switch opens", _end_switch, 2 * TICK_S, way) for way in (ENDS, DEVICE_ENDS)),
     *(Promise("reset: power-on, external, brown-out", _reset, TICK_S, way) for way in (HOST, DEVICE, OTHER_BRIDGE)),
 )
 
-# A Pico has one interrupt for clock and tick.
+# A Pico has one interrupt for clock and tick. Its encoder is measured in test_hil_pico_encoder.
 PICO_PROMISES = tuple(
-    promise._replace(way=promise.way._replace(stand=PICO)) for promise in PROMISES if promise.what != "hang: clock"
+    promise._replace(way=promise.way._replace(stand=PICO))
+    for promise in PROMISES
+    if promise.what != "hang: clock" and not promise.way.encoder
 )
 
 
