@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,24 +18,24 @@ from rig.cli import main
 from rig.config.schema import Experiment
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "demo-pico.yaml"
-AT_S = 6.5  # in the relay test
+FROM_S = 6.5  # in the relay test
 
 
 class Troubled(VirtualPico):
-    """A Pico to which something happens at ``AT_S``."""
+    """A Pico to which something happens while it drives, from ``FROM_S`` on."""
 
     def __init__(self, parameters: dict[str, Any], trouble: Callable[[VirtualPico], None]) -> None:
         super().__init__(parameters)
         self._trouble: Callable[[VirtualPico], None] | None = trouble
-        self.off_s = -1.0
+        self.at_s = math.inf
 
     def sleep_until(self, t_s: float) -> float:
-        if self._trouble is not None and t_s >= AT_S:
-            super().sleep_until(AT_S)
-            assert self.truth().pin_V != 0.0
+        now_s = super().sleep_until(t_s)
+        if self._trouble is not None and now_s >= FROM_S and self.truth().pin_V != 0.0:
+            self.at_s = now_s
             self._trouble(self)
             self._trouble = None
-        return super().sleep_until(t_s)
+        return now_s
 
 
 def config(folder: Path) -> Path:
@@ -73,7 +74,7 @@ def test_the_run_ends_by_its_code_with_the_pins_at_0(
     [pico] = picos
     VirtualPico.sleep_until(pico, pico.now_s() + 0.3)
     truth = pico.truth()
-    assert truth.pin_V == 0.0 and truth.pin_changed_s - AT_S <= within_s + 2e-6
+    assert truth.pin_V == 0.0 and truth.pin_changed_s - pico.at_s <= within_s + 2e-6
     [run] = (tmp_path / "runs").iterdir()
     found = json.loads((run / "result.json").read_text(encoding="utf-8"))
     assert [fault["code"] for fault in found["faults"]] == [code]
