@@ -143,7 +143,7 @@ FAULTS: dict[str, FaultEntry] = {
     ),
     "DEVICE_ESTOP_UNTRIED": FaultEntry(
         "without travel limits the device arms only after its e-stop has been tried",
-        "press the e-stop and release it, then type the command again. A reset of the board asks for it again",
+        "press the e-stop and release it, then type `rig run CONFIG` again. A reset of the board asks for it again",
     ),
     "DEVICE_RELAY": FaultEntry(
         "the relay in the device decided otherwise than rig's law on the same counts",

@@ -119,7 +119,7 @@ def _broken_wire(driven: DrivenChip, rng: random.Random) -> float:
 
 
 def _lost_edge(driven: DrivenChip, rng: random.Random) -> float:
-    """Both channels change at once, and none besides: three edges at once look like one the other way."""
+    """Both channels of the encoder change at once, and no third edge: those three look like one the other way."""
     while _to_edge_s(driven) < _LOOK_S:
         driven.go_on(driven.chip.now_s() + _LOOK_S)
     driven.chip.rewire(sensor="jumped")

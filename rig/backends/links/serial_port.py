@@ -17,16 +17,12 @@ class SerialPort:
     """A serial port of this machine, or a pseudo-terminal; held exclusively.
 
     parity       N, E or O
-    keeps_on     leave DTR as it is when the port is closed: the next opening then does not reset an Arduino, and its
-                 encoder keeps its zero
     low_latency  whether the port's driver took the request not to batch what arrives; pseudo-terminals
                  and some USB chips have no such mode
     Raises Fault LINK_OPEN if the port cannot be opened.
     """
 
-    def __init__(
-        self, port: str, baud: int = 115200, parity: str = "N", stop_bits: int = 1, *, keeps_on: bool = False
-    ) -> None:
+    def __init__(self, port: str, baud: int = 115200, parity: str = "N", stop_bits: int = 1) -> None:
         if sys.platform == "win32":
             raise Fault(
                 "LINK_OPEN",
@@ -41,8 +37,6 @@ class SerialPort:
             raise Fault("LINK_OPEN", f"{port}: {_why_not_open(error)}") from error
         self._port = port
         self._fd: int = self._serial.fileno()
-        if keeps_on:
-            _keep_on(self._fd)
         try:
             self._serial.set_low_latency_mode(True)
             self.low_latency = True
@@ -53,6 +47,14 @@ class SerialPort:
     def descriptor(self) -> int:
         """Number of the open file; -1 once it is closed."""
         return self._fd
+
+    def keep_on(self) -> None:
+        """Leave DTR on when the port is closed: the next opening resets no Arduino, and its encoder keeps its zero."""
+        import termios  # not everywhere
+
+        attributes = termios.tcgetattr(self._fd)
+        attributes[2] &= ~termios.HUPCL
+        termios.tcsetattr(self._fd, termios.TCSANOW, attributes)
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``; LINK_LOST if the port is dead or takes no more."""
@@ -83,15 +85,6 @@ class SerialPort:
         """Give the port back. May be called twice."""
         self._fd = -1  # the number may soon be another file's
         self._serial.close()
-
-
-def _keep_on(fd: int) -> None:
-    """No hang-up when the last descriptor is closed."""
-    import termios  # not everywhere
-
-    attributes = termios.tcgetattr(fd)
-    attributes[2] &= ~termios.HUPCL
-    termios.tcsetattr(fd, termios.TCSANOW, attributes)
 
 
 def _why_not_open(error: OSError | ValueError) -> str:

@@ -55,7 +55,9 @@ def serial_line(e: Experiment) -> Iterator[Line]:
 
 
 def _line_of_port(e: Experiment, port: str, *, emulated: bool = False) -> Line:
-    transport = SerialPort(port, e.daq.baud, keeps_on=e.sensor.encoder is not None)
+    transport = SerialPort(port, e.daq.baud)
+    if e.sensor.encoder is not None:
+        transport.keep_on()
     if not emulated:
         try:
             check_adapter(port, adapter_of(e))
