@@ -54,7 +54,7 @@
 #define RIG_BUILD_LENGTH 16u
 #define RIG_WATCHDOG_MAX_MS 1000u
 
-enum rig_board_id { RIG_BOARD_HOST = 1, RIG_BOARD_UNO = 2 };
+enum rig_board_id { RIG_BOARD_HOST = 1, RIG_BOARD_UNO = 2, RIG_BOARD_PICO = 3 };
 
 /* What the board's outputs are wired for. */
 enum rig_bridge { RIG_BRIDGE_NONE = 0, RIG_BRIDGE_PWM_DIR = 1, RIG_BRIDGE_IN1_IN2 = 2 };

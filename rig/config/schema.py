@@ -60,8 +60,8 @@ class Link(_Section):
         None,
         description="serial port such as /dev/ttyACM0; or `emulated`: start the device of section `emulated`; "
         "or, with that bench behind it, the Uno's firmware on its emulated chip: `emulated-chip` in virtual time, "
-        "`emulated-chip-realtime` in real time. For modbus: /dev/ttyUSB0 (RTU) or tcp://host:502; `emulated` (RTU), "
-        "`emulated-tcp`, or `emulated-virtual` in virtual time",
+        "`emulated-chip-realtime` in real time; the Pico's: `emulated-pico`, `emulated-pico-realtime`. For modbus: "
+        "/dev/ttyUSB0 (RTU) or tcp://host:502; `emulated` (RTU), `emulated-tcp`, or `emulated-virtual` in virtual time",
     )
     baud: Annotated[int, Field(ge=9600, le=4_000_000)] = Field(
         115200, description="bits per second of the serial link, as the firmware was built"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from rig.identify.plausibility import judge_records
 from rig.recording.series import TimeSeries
@@ -13,7 +14,7 @@ STEP_RAD = 2.0 * np.pi / 3200.0
 
 def to_and_fro(noise_rad: float, end_rad: float = np.inf) -> TimeSeries:
     """A millisecond's rows of a shaft that turns back again and again, read in steps, up to the end of a sensor."""
-    t_s = 1e-3 * np.arange(3000)
+    t_s: NDArray[np.float64] = np.linspace(0.0, 3.0, 3001)
     noise = noise_rad * np.random.default_rng(1).normal(size=t_s.size)
     y_rad = STEP_RAD * np.round((0.25 * np.sin(12.0 * t_s) + noise) / STEP_RAD)
     return TimeSeries(t_s, np.minimum(y_rad, end_rad), t_s, np.sign(np.sin(12.0 * t_s)))

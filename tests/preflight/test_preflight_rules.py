@@ -310,7 +310,7 @@ def test_each_rule_refuses_with_one_line_at_its_key(case: str, tmp_path: Path) -
     assert preflight(experiment(**changes)).lines
 
 
-@pytest.mark.parametrize("name", ["demo", "demo-chip", "simulated", "uno", "device-relay"])
+@pytest.mark.parametrize("name", ["demo", "demo-chip", "demo-pico", "simulated", "uno", "pico", "device-relay"])
 def test_the_ready_configs_pass_and_say_what_would_happen(name: str) -> None:
     loaded, found = check(CONFIGS / f"{name}.yaml")
     assert loaded.name == name
@@ -318,8 +318,8 @@ def test_the_ready_configs_pass_and_say_what_would_happen(name: str) -> None:
     text = "\n".join(found.lines)
     for word in ("backend:", "breakaway", "stage search", "relay", "verify", "limits:", "stopping", "failsafe"):
         assert word in text
-    assert ("REAL MOTOR" in text) == (name == "uno")
-    assert ("emulated chip" in text) == (name == "demo-chip")
+    assert ("REAL MOTOR" in text) == (name in ("uno", "pico"))
+    assert ("emulated chip" in text) == (name in ("demo-chip", "demo-pico"))
     assert ("link:" in text) == (name != "simulated")
 
 

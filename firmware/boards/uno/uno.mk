@@ -3,18 +3,8 @@
 #   make size    flash, RAM and stack of it
 # A variant is named by what differs from the default: rig_uno-in1_in2-1000000.hex. Wiring: boards/uno/wiring.h.
 
-BRIDGE ?= PWM_DIR
-BAUD ?= 115200
-TACHOMETER ?= 0
-SUPPLY ?= 0
-END_SWITCHES ?= 0
-ENCODER ?= 0
-
 AVR_CC := avr-gcc
-UNO_SUFFIX := $(if $(filter IN1_IN2,$(BRIDGE)),-in1_in2)$(if $(filter-out 115200,$(BAUD)),-$(BAUD))$(if \
-	$(filter 1,$(TACHOMETER)),-tachometer)$(if $(filter 1,$(SUPPLY)),-supply)$(if $(filter 1,$(END_SWITCHES)),-ends)$(if \
-	$(filter 1,$(ENCODER)),-encoder)
-UNO := $(BUILD)/uno/rig_uno$(UNO_SUFFIX)
+UNO := $(BUILD)/uno/rig_uno$(VARIANT)
 UNO_OBJECTS := $(UNO).o
 UNO_SOURCES := $(wildcard boards/uno/*.c) $(CORE)
 UNO_HEADERS := $(wildcard boards/uno/*.h core/*.h)

@@ -7,6 +7,7 @@ import shlex
 from rig.backends.serial.ports import CHIP_BAUDS
 from rig.config.schema import BRIDGES, Experiment
 
+_PICO_COUNTS = 4095  # the Uno's converter has 10 bits
 WRONG_BRIDGE = "with the wrong one 0 V can be full drive"
 
 
@@ -19,10 +20,11 @@ def flash_line(e: Experiment) -> str:
         home = e.sensor.encoder.home
         parts += " --encoder" + ("" if home is None else " --end-switches")
 
+    board = " --board pico" if e.sensor.counts_max == _PICO_COUNTS else ""
     port = shlex.quote(e.daq.port or "PORT")
 
     def line(bridge: str) -> str:
-        return f"rig flash --port {port} --bridge {bridge} --baud {baud}{parts}"
+        return f"rig flash{board} --port {port} --bridge {bridge} --baud {baud}{parts}"
 
     if e.drive.bridge is not None:
         words = line(e.drive.bridge)

@@ -38,7 +38,7 @@ SUPPLY_UNIT_V = 20.0 / 255.0  # of the motor supply in HELLO
 SUPPLY_FULL = 255  # the largest reading: so much or more
 
 RESET_CAUSES = {1: "power-on", 2: "external", 4: "brown-out", 8: "watchdog"}
-BOARDS = {1: "host", 2: "uno"}
+BOARDS = {1: "host", 2: "uno", 3: "pico"}
 BRIDGES = {1: "pwm-dir", 2: "in1-in2"}  # what a board's outputs are wired for; 0: it has no such
 EMULATED_BOARDS = frozenset({1})
 

@@ -45,7 +45,7 @@ def _keys(e: Experiment) -> Iterator[Problem]:
     if e.emulated is not None and e.emulated.motor.delay_s is not None and d.port in EMULATED_PORTS:
         yield wrong("emulated.motor.delay_s", "an emulated board has no such delay", "use driver simulated or modbus")
     if d.port in CHIP_PORTS and d.baud not in CHIP_BAUDS:
-        yield wrong("daq.baud", f"the Uno's firmware does not speak {d.baud} baud", "115200 or 1000000")
+        yield wrong("daq.baud", f"the board's firmware does not speak {d.baud} baud", "115200 or 1000000")
 
 
 def _bridge(e: Experiment) -> Iterator[Problem]:
