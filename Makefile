@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: campaign-real emps tracking help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: campaign-real design emps tracking help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -47,6 +47,9 @@ emps: .venv/.ready  ## a real drive, the benchmark EMPS, beside its published nu
 
 tracking: .venv/.ready  ## tracking with and without the laws of the motor: docs/tracking-table.md
 	PYTHONPATH=tools .venv/bin/python tools/tracking_table.py
+
+design: .venv/.ready  ## how soon designed tests tell enough, beside a free optimum: docs/design-table.md
+	PYTHONPATH=tools .venv/bin/python tools/design_table.py
 
 paper: .venv/.ready  ## the paper's examples redone: one report, build/paper/report.html
 	PYTHONPATH=tools .venv/bin/python -m paper

@@ -28,6 +28,7 @@ from rig.results import (
     known,
 )
 from rig.results.budget_lines import budget_lines, that_matter
+from rig.results.design import DesignResult
 
 if TYPE_CHECKING:  # each loads slowly
     from rig.campaign.summary import Summary
@@ -188,6 +189,38 @@ def show_prediction(prediction: PredictedCycle) -> None:
         click.echo(f"stability (Theorem 2.2): {stable}; eigenvalues of J: {eigenvalues}")
     if sine is not None:
         click.echo(f"describing function: period {sine.period_s:.6f} s, amplitude {sine.amplitude_rad:.6f} rad")
+
+
+def show_design(found: DesignResult) -> None:
+    """Show a design: motor and room, how long for what interval, the best gains and strokes."""
+    motor, room = found.motor, found.room
+    click.echo(
+        f"motor: tau {motor.tau_s:.4g} s, K {motor.K_rad_s_V:.4g} (rad/s)/V, f_c {motor.fc_V:.3g} V, all of them wrong "
+        f"by {motor.doubt_percent:g} % at most; breaks away at {motor.static_V:.3g} V"
+    )
+    click.echo(
+        f"room: {room.low_rad:.3g} to {room.high_rad:.3g} rad, {room.max_speed_rad_s:.3g} rad/s, {room.max_V:g} V; "
+        f"the guard looks {room.horizon_s:.2g} s ahead; noise {1e3 * motor.noise_rad:.2g} mrad"
+    )
+    rows = [
+        [f"{one.interval_percent:g} %", *map(_seconds, (one.strokes_s, one.pair_s, one.single_s))]
+        for one in found.until
+    ]
+    headings = ["interval", "strokes, s", "two pairs of gains, s", "one pair of gains, s"]
+    show_table("seconds of test until the 95 % intervals of tau, K and f_c are so narrow", headings, rows)
+    if found.gains:
+        names = ("hard", "soft") if len(found.gains) > 1 else ("gains",)
+        words = [f"{name} h1 {g.h1_V:.3f} V, h2 {g.h2_V:.3f} V" for name, g in zip(names, found.gains, strict=True)]
+        tried = len(found.map.h1_V) * len(found.map.h2_V)
+        click.echo(f"gains: {'; '.join(words)} ({found.map.inside} of {tried} pairs stay inside the room)")
+    else:
+        click.echo("gains: no pair stays inside the room")
+    strokes = ", ".join(f"{one.u_V:+.3f} V to {one.turn_rad:+.3f} rad" for one in found.strokes)
+    click.echo(f"strokes: {strokes or 'none stay inside the room'}")
+
+
+def _seconds(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"
 
 
 def show_estimates(

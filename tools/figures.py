@@ -47,6 +47,17 @@ def report(to: Path) -> None:
         photograph(next(Path(folder).glob("runs/*/report.html")), to)
 
 
+def design(to: Path) -> None:
+    """The picture of `rig design` for the motor of `rig run config/simulated.yaml`."""
+    config = str(ROOT / "config" / "simulated.yaml")
+    with tempfile.TemporaryDirectory() as folder:
+        for command in (("run", config), ("design", config, "--model", "run", "--to", "design.png")):
+            subprocess.run([sys.executable, "-m", "rig", *command], cwd=folder, check=True, capture_output=True)
+            for run in Path(folder).glob("runs/*"):
+                run.rename(Path(folder) / "run")  # a name without a date: the picture says it
+        shutil.copyfile(Path(folder) / "design.png", to)
+
+
 def friction_map(to: Path) -> None:
     """The map over the position of `rig survey config/survey.yaml`."""
     with tempfile.TemporaryDirectory() as folder:
@@ -130,6 +141,7 @@ FILES: dict[str, Callable[[Path], None]] = {
     "sampling.svg": drawn(sampling_figure),
     "friction-map.svg": friction_map,
     "report.png": report,
+    "design.png": design,
 }
 
 

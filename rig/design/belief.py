@@ -43,15 +43,17 @@ class Belief:
             raise ValueError("a design needs a covariance of log tau, log K, fc, asym and delay")
 
     @classmethod
-    def within(cls, motor: tuple[float, float, float, float], percent: float, delay_s: float = 0.0) -> Belief:
+    def within(
+        cls, motor: tuple[float, float, float, float], percent: float, delay_s: float = 0.0, late_s: float = 0.003
+    ) -> Belief:
         """A motor (tau, K, fc, asym) of which tau, K and fc may all be wrong by ``percent`` % at once.
 
-        So may be the friction of either direction; the delay by 3 ms, one standard deviation.
+        So may be the friction of either direction. ``late_s``: standard deviation of the delay, s.
         """
         tau_s, K_rad_s_V, fc_V, asym_V = motor
         share = percent / 100.0 * TOGETHER / RADIUS
         each_V = share * fc_V / math.sqrt(2.0)  # of the mean of both directions, and of half their difference
-        deviations = np.array([share, share, each_V, each_V, 0.003])
+        deviations = np.array([share, share, each_V, each_V, late_s])
         return cls(tau_s, K_rad_s_V, fc_V, asym_V, delay_s, np.diag(deviations**2))
 
     @property

@@ -75,7 +75,10 @@ def keep(value: float, previous: float) -> float:
 
 @kernel
 def spread(motor: Numbers, timing: Timing, u_V: Array, states: Array, jacobian: Array) -> None:
-    """Fill ``jacobian`` (n, 7): of the positions by log tau, log K, fc, asym, delay, v0, y0."""
+    """Fill ``jacobian`` (n, 7): of the positions by log tau, log K, fc, asym, delay, v0, y0; rad over their units.
+
+    ``states`` (n, 2), velocity, rad/s, and position, rad: the first one is the start.
+    """
     period_s, delay_s = timing
     n = u_V.size
     edge_s, drives_V = np.empty(n + 1), np.empty(n + 1)
@@ -142,7 +145,8 @@ def variances(information: Array, out: Array) -> bool:
 def rows_until(jacobian: Array, noise_rad2: float, seen: Array, wanted: Array, every: int, information: Array) -> float:
     """Rows until the deviations of log tau, log K and fc are within ``wanted`` (3,).
 
-    ``seen`` is the information before the first row. At the end ``information`` (5, 5) is all that there is. It looks
+    ``jacobian`` is that of ``spread``, and ``noise_rad2`` the variance of a reading, rad^2. ``seen`` is the information
+    before the first row. At the end ``information`` (5, 5) is all that there is. It looks
     after each ``every`` rows, and at the last; between two looks the logarithm of the deviation falls evenly. If the
     rows are too few: as many as it takes if information goes on as it came in until then.
     """
@@ -172,7 +176,10 @@ def rows_until(jacobian: Array, noise_rad2: float, seen: Array, wanted: Array, e
 
 @kernel
 def bounds(states: Array, horizon_s: float) -> tuple[float, float, float, float, float]:
-    """Lowest and highest position, largest speed, lowest and highest stop that a guard predicts."""
+    """Lowest and highest position, rad, largest speed, rad/s, lowest and highest stop that a guard predicts, rad.
+
+    ``states`` (n, 2): velocity, rad/s, and position, rad.
+    """
     low = high = speed = first = last = 0.0
     for k in range(states.shape[0]):
         v, y = states[k, 0], states[k, 1]

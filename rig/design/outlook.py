@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ AT_REST = State()
 LOOKED_S = 0.1  # between two looks at the information
 LONGEST_S = 8.0  # of a test; beyond it information is taken to grow as it did until then
 CORNER_S = 12.0  # of the simulation of a possible motor
+FAR_OUT = 0.85  # of the room
 PASSES = 2  # of all strokes, by which a motor shows how far it goes
 LEAST_SWING = 16.0  # standard deviations of the reading: tiny swings agree with any law, and tell of none
 KNOWN = 1e12  # information on a delay that is known, 1/s^2
@@ -78,7 +80,10 @@ class Task:
         return before
 
     def percent(self, information: Array) -> float:
-        """The largest half width of the intervals of tau, K and f_c, in % of the value; inf if they stay unknown."""
+        """The largest half width of the intervals of tau, K and f_c, in % of the value; inf if they stay unknown.
+
+        information  (5, 5), of log tau, log K, fc (V), asym (V) and delay (s)
+        """
         found = np.empty(3)
         if not compiled.variances(np.ascontiguousarray(information), found):
             return math.inf
@@ -108,6 +113,26 @@ def told(task: Task, law: compiled.Law, longest_s: float = LONGEST_S) -> Told:
     return Told(rows * period_s, information)
 
 
+def told_in_turn(task: Task, laws: Sequence[compiled.Law], longest_s: float = LONGEST_S) -> float:
+    """How soon tests that share the time evenly tell enough, s; each begins as ``task`` says.
+
+    Beyond ``longest_s`` for each of them information is taken to grow evenly.
+    """
+
+    def percent(seconds: float) -> float:
+        parts = (information_of(task, law, seconds / len(laws)) for law in laws)
+        return task.percent(task.before + np.sum(list(parts), axis=0))
+
+    low_s, high_s = 0.0, longest_s * len(laws)
+    at_last = percent(high_s)
+    if at_last > task.wanted_percent:
+        return high_s * (at_last / task.wanted_percent) ** 2
+    while high_s - low_s > LOOKED_S:
+        middle_s = 0.5 * (low_s + high_s)
+        low_s, high_s = (low_s, middle_s) if percent(middle_s) <= task.wanted_percent else (middle_s, high_s)
+    return high_s
+
+
 def information_of(task: Task, law: compiled.Law, seconds: float) -> Array:
     """What a test of so many seconds tells (5, 5), without what was there before."""
     jacobian = _jacobian(task, law, seconds)
@@ -116,15 +141,28 @@ def information_of(task: Task, law: compiled.Law, seconds: float) -> Array:
     return information
 
 
-def _jacobian(task: Task, law: compiled.Law, seconds: float) -> Array:
-    """The derivatives (n, 7) of the readings of a test, by log tau, log K, fc, asym, delay and the start."""
-    period_s = task.reading.period_s
-    n = max(round(seconds / period_s), 3)
-    u_V, states, jacobian = np.empty(n), np.empty((n, 2)), np.empty((n, 7))
-    timing = period_s, task.delay_s
+def driven(task: Task, law: compiled.Law, seconds: float) -> tuple[Array, Array, Array]:
+    """Times, s, positions, rad, and drives, V, of a test of so many seconds, by the believed motor."""
+    u_V, states = _driven(task, law, seconds)
+    return task.reading.period_s * np.arange(float(u_V.size)), states[:, 1], u_V
+
+
+def _driven(task: Task, law: compiled.Law, seconds: float) -> tuple[Array, Array]:
+    """Drives (n,) and states (n, 2) of a test."""
+    n = max(round(seconds / task.reading.period_s), 3)
+    u_V, states = np.empty(n), np.empty((n, 2))
+    timing = task.reading.period_s, task.delay_s
     motor = task.belief.plant(task.room.static_V)
     compiled.drive(motor, law, timing, tuple(map(float, task.start)), 0, u_V, states)
-    compiled.spread(motor, timing, u_V, states, jacobian)
+    return u_V, states
+
+
+def _jacobian(task: Task, law: compiled.Law, seconds: float) -> Array:
+    """The derivatives (n, 7) of the readings of a test, by log tau, log K, fc, asym, delay and the start."""
+    u_V, states = _driven(task, law, seconds)
+    jacobian = np.empty((u_V.size, 7))
+    motor = task.belief.plant(task.room.static_V)
+    compiled.spread(motor, (task.reading.period_s, task.delay_s), u_V, states, jacobian)
     return jacobian
 
 
@@ -136,21 +174,27 @@ class Outcome(NamedTuple):
     longest_stroke_s: float
 
 
-def outcome(task: Task, law: compiled.Law, motors: Sequence[tuple[float, ...]], strokes: int) -> Outcome:
+def outcome(
+    task: Task, law: compiled.Law, motors: Sequence[tuple[float, ...]], strokes: int, *, anywhere: bool = False
+) -> Outcome:
     """Simulate a test on each of the motors it may be, with a drive that acts up to one period later.
 
-    strokes  number of strokes; 0 for a relay
+    strokes   number of strokes; 0 for a relay
+    anywhere  whether the test may also begin far out, where another test turned that gives way to it
     """
+    starts = [task.start]
+    if anywhere:
+        starts += [State(y=FAR_OUT * task.room.low_rad), State(y=FAR_OUT * task.room.high_rad)]
     room, period_s = task.room, task.reading.period_s
     late_s = period_s + min(task.belief.delay_doubt_s, period_s)
-    timing, start = (period_s, task.delay_s + late_s), tuple(map(float, task.start))
+    timing = period_s, task.delay_s + late_s
     # a shaft that starts farther out is not the test's fault
     low_rad, high_rad = min(room.low_rad, task.start.y), max(room.high_rad, task.start.y)
     low = high = speed = excess = longest_s = 0.0
     n = round(CORNER_S / period_s)
     u_V, states = np.empty(n), np.empty((n, 2))
-    for motor in motors:
-        rows, longest = compiled.drive(motor, law, timing, start, PASSES * strokes, u_V, states)
+    for motor, start in product(motors, starts):
+        rows, longest = compiled.drive(motor, law, timing, tuple(map(float, start)), PASSES * strokes, u_V, states)
         lowest, highest, fastest, *stops = compiled.bounds(states[:rows], room.horizon_s)
         low, high, speed = min(low, lowest), max(high, highest), max(speed, fastest)
         longest_s = max(longest_s, longest * period_s)

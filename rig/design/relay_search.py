@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.design.outlook import Outcome, Task, information_of, law_of, outcome
+from rig.design.outlook import Outcome, Task, information_of, law_of, outcome, told, told_in_turn
 from rig.design.planned_test import Design, RelayGains
 
 Array = NDArray[np.float64]
@@ -19,6 +20,7 @@ GRID = 12  # values of each gain
 SOFTEST_V = 0.02  # least gain to try, V
 OFTEN = 40  # halvings of a time
 LONGEST_S = 1e4
+SHORT_LIST = 6
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ def seconds_of(task: Task, rates: Array) -> Array:
 
 @dataclass(frozen=True)
 class BestGains:
-    """The best single pair of gains, and the best two that take turns, with the seconds each needs.
+    """The best single pair of gains, and the best two that take turns, with the seconds each needs by simulation.
 
     ``pair`` is None where only one can be used; its first entry is the harder one.
     """
@@ -114,21 +116,31 @@ class BestGains:
 
 
 def best_of(task: Task, grid: GainGrid) -> BestGains | None:
-    """The best of a grid's gains, alone and in turn; None where none may be used."""
+    """The best of a grid's gains, alone and in turn; None where none may be used.
+
+    Information per second, from a test of ``WINDOW_S``, makes a short list of pairs; whole tests decide.
+    """
     inside = grid.inside
     if not inside:
         return None
     rates = np.array([one.rate for one in inside])
-    alone_s = seconds_of(task, rates)
-    best = int(np.argmin(alone_s))
+    single, single_s = _soonest_alone(task, inside)
     couples = list(combinations(range(len(inside)), 2))
     if not couples:
-        return BestGains(inside[best], float(alone_s[best]), None, math.inf)
+        return BestGains(single, single_s, None, math.inf)
     first, second = np.array(couples).T
-    both_s = seconds_of(task, 0.5 * (rates[first] + rates[second]))
-    at = int(np.argmin(both_s))
-    pair = sorted((inside[first[at]], inside[second[at]]), key=lambda one: -one.gains.h1_V - one.gains.h2_V)
-    return BestGains(inside[best], float(alone_s[best]), (pair[0], pair[1]), float(both_s[at]))
+    order = np.argsort(seconds_of(task, 0.5 * (rates[first] + rates[second])))[:SHORT_LIST]
+    pairs = [(inside[first[k]], inside[second[k]]) for k in order]
+    pairs_s = [told_in_turn(task, [law_of(one.gains) for one in pair]) for pair in pairs]
+    hard, soft = sorted(pairs[int(np.argmin(pairs_s))], key=lambda one: -one.gains.h1_V - one.gains.h2_V)
+    return BestGains(single, single_s, (hard, soft), min(pairs_s))
+
+
+def _soonest_alone(task: Task, gains: Sequence[TriedGains]) -> tuple[TriedGains, float]:
+    """Of several gains those that tell enough soonest, and their seconds."""
+    seconds = [told(task, law_of(one.gains)).seconds for one in gains]
+    best = int(np.argmin(seconds))
+    return gains[best], seconds[best]
 
 
 def best_gains(task: Task) -> Design | None:
@@ -139,11 +151,8 @@ def best_gains(task: Task) -> Design | None:
     found = best_of(task, gain_grid(task))
     if found is None or not math.isfinite(min(found.single_s, found.pair_s)):
         return None
-    if found.pair is None or found.single_s <= found.pair_s:
-        one, seconds, rate = found.single, found.single_s, found.single.rate
-    else:
-        # of both, the one that brings the interval down faster by itself
-        alone_s = seconds_of(task, np.array([other.rate for other in found.pair]))
-        one, seconds = found.pair[int(np.argmin(alone_s))], found.pair_s
-        rate = 0.5 * (found.pair[0].rate + found.pair[1].rate)
-    return Design(one.gains, seconds, task.percent(task.before + rate * seconds), one.far.reach)
+    one, seconds = found.single, found.single_s
+    if found.pair is not None and found.pair_s < found.single_s:
+        seconds = found.pair_s
+        one, _ = _soonest_alone(task, found.pair)  # of both, the one that tells more by itself
+    return Design(one.gains, seconds, task.wanted_percent, one.far.reach)

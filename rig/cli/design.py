@@ -1,0 +1,82 @@
+"""`rig design`: which test would tell most about a motor that is roughly known."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from rig.cli.driving import checked
+from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
+from rig.cli.options import CONFIG, JSON
+from rig.recording.errors import RecordingError
+from rig.recording.folder import json_text
+from rig.terminal import patience, show_design
+
+NO_TEST = (
+    "rig: no test stays inside the room for every motor within the doubt\n"
+    "     lower --doubt, widen limits.soft_rad or raise limits.max_speed_rad_s; or run with relay.target"
+)
+
+
+@click.command()
+@CONFIG
+@click.option(
+    "--model", "model_run", required=True, type=click.Path(path_type=Path),
+    help="Run folder, or its result.json, from which the motor comes.",
+)  # fmt: skip
+@click.option(
+    "--interval", "percent", type=click.FloatRange(0.01, 50.0), default=1.0, show_default=True,
+    help="Half width of the 95 % intervals of tau, K and f_c to design for, in %.",
+)  # fmt: skip
+@click.option(
+    "--doubt", type=click.FloatRange(1.0, 90.0), default=10.0, show_default=True,
+    help="By how many % tau, K and f_c may all be wrong. No motor within that leaves the limits.",
+)  # fmt: skip
+@click.option("--to", "file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
+    help="Write the picture: .png, .svg or .pdf.",
+)  # fmt: skip
+@JSON
+def design(config_path: Path, model_run: Path, percent: float, doubt: float, file: Path | None, as_json: bool) -> None:
+    """Design relay gains and strokes for a known motor.
+
+    By exact simulation, within the limits of CONFIG: how long a test takes until the 95 % intervals of tau, K and f_c
+    are as narrow as you want. No device is opened.
+    """
+    experiment = checked(config_path)
+    from rig.design.design_map import design_map
+    from rig.identify.known_model import known_model
+    from rig.preflight.planned_tests import task_of_run
+    from rig.recording.reader import read_result
+    from rig.report import design_map as picture
+
+    if file is not None and file.suffix.lower() not in picture.FORMATS:
+        fail(EXIT_BAD_INPUT, f"{file}: rig writes no such picture", f"give one of {', '.join(picture.FORMATS)}")
+    if file is not None and file.exists():
+        fail(EXIT_BAD_INPUT, f"{file} is there already", "remove it, or give another name")
+    try:
+        motor = known_model(model_run).motor
+        result, _ = read_result(model_run.parent if model_run.is_file() else model_run)
+        task = task_of_run(experiment, motor, result, doubt, percent)
+    except RecordingError as error:
+        fail_input(error)
+    except ValueError as error:
+        fail(EXIT_BAD_INPUT, f"{model_run}: {error}", "give another run")
+    with patience("simulating tests"):
+        found = design_map(task, doubt)
+    if file is not None:
+        try:
+            picture.save(found, f"{experiment.name}: tests for the motor of {model_run}", file)
+        except OSError as error:
+            fail(EXIT_FAILED, f"{file}: {error.strerror}", "choose a folder that you may write to")
+    ok = bool(found.strokes or found.gains)
+    if as_json:
+        click.echo(json_text({"ok": ok, "model": str(model_run), **found.as_json()}), nl=False)
+    else:
+        show_design(found)
+        if file is not None:
+            click.echo(f"picture: {file}")
+    if not ok:
+        click.echo(NO_TEST, err=True)
+    sys.exit(0 if ok else EXIT_FAILED)

@@ -1,0 +1,112 @@
+"""The map of a design: what each pair of gains and the best strokes would tell, and how long they take for what."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from rig.control.strokes import Stroke
+from rig.design.outlook import AT_REST, Task, driven, law_of, told
+from rig.design.planned_test import Design, RelayGains, Strokes
+from rig.design.relay_search import GainGrid, best_of, gain_grid
+from rig.design.stroke_search import best_strokes
+from rig.results.design import (
+    BelievedMotor,
+    DesignedGains,
+    DesignedMap,
+    DesignedMotion,
+    DesignedSeconds,
+    DesignedStroke,
+    DesignResult,
+    DesignRoom,
+)
+
+SIZE = 20  # gains of each axis
+PERCENTS = (10.0, 3.0, 1.0, 0.5)  # half widths to say the time for, %
+SHOWN = 1.1  # of the strokes' time: as much of their motion is shown
+
+
+def design_map(
+    task: Task, doubt_percent: float, size: int = SIZE, percents: Sequence[float] = PERCENTS
+) -> DesignResult:
+    """Try ``size`` by ``size`` pairs of gains, and search strokes for each interval: some seconds. Deterministic.
+
+    doubt_percent  by which ``task.belief`` may be wrong, to be told with the result
+    """
+    grid = gain_grid(task, size)
+    gains, strokes = best_of(task, grid), best_strokes(task)
+    pair = () if gains is None else gains.pair or (gains.single,)
+    return DesignResult(
+        motor=_motor(task, doubt_percent),
+        room=DesignRoom(
+            low_rad=task.room.low_rad,
+            high_rad=task.room.high_rad,
+            max_V=task.room.max_V,
+            max_speed_rad_s=task.room.max_speed_rad_s,
+            horizon_s=task.room.horizon_s,
+        ),
+        wanted_percent=task.wanted_percent,
+        strokes=tuple(DesignedStroke(u_V=one.u_V, turn_rad=one.turn_rad) for one in _strokes_of(strokes)),
+        gains=tuple(_gains(one.gains) for one in pair),
+        single=None if gains is None else _gains(gains.single.gains),
+        until=tuple(_until(task, grid, strokes, percent) for percent in sorted({*percents, task.wanted_percent})[::-1]),
+        map=_map(task, grid),
+        motion=_motion(task, strokes),
+    )
+
+
+def _motor(task: Task, doubt_percent: float) -> BelievedMotor:
+    b = task.belief
+    return BelievedMotor(
+        tau_s=b.tau_s,
+        K_rad_s_V=b.K_rad_s_V,
+        fc_V=b.fc_V,
+        asym_V=b.asym_V,
+        static_V=task.room.static_V,
+        doubt_percent=doubt_percent,
+        noise_rad=math.sqrt(task.reading.noise_rad2),
+        delay_s=task.delay_s,
+    )
+
+
+def _gains(gains: RelayGains) -> DesignedGains:
+    return DesignedGains(h1_V=gains.h1_V, h2_V=gains.h2_V)
+
+
+def _strokes_of(design: Design | None) -> tuple[Stroke, ...]:
+    return design.test.strokes if design is not None and isinstance(design.test, Strokes) else ()
+
+
+def _map(task: Task, grid: GainGrid) -> DesignedMap:
+    rows = [
+        [told(task, law_of(one.gains)).seconds if one is not None and one.is_inside else math.nan for one in row]
+        for row in grid.tried
+    ]
+    return DesignedMap(
+        h1_V=tuple(grid.h1_V.tolist()),
+        h2_V=tuple(grid.h2_V.tolist()),
+        seconds=tuple(map(tuple, rows)),
+        inside=len(grid.inside),
+    )
+
+
+def _until(task: Task, grid: GainGrid, strokes: Design | None, percent: float) -> DesignedSeconds:
+    wish = replace(task, wanted_percent=percent)
+    gains = best_of(wish, grid)
+    # strokes that are good for one interval are not the best for another
+    plan = strokes if percent == task.wanted_percent else best_strokes(wish)
+    return DesignedSeconds(
+        interval_percent=percent,
+        strokes_s=None if plan is None else plan.seconds,
+        pair_s=None if gains is None else gains.pair_s,
+        single_s=None if gains is None else gains.single_s,
+    )
+
+
+def _motion(task: Task, design: Design | None) -> DesignedMotion | None:
+    strokes = _strokes_of(design)
+    if design is None or not strokes:
+        return None
+    t_s, y_rad, u_V = driven(replace(task, start=AT_REST), law_of(strokes), SHOWN * design.seconds)
+    return DesignedMotion(t_s=tuple(t_s.tolist()), y_rad=tuple(y_rad.tolist()), u_V=tuple(u_V.tolist()))
