@@ -103,7 +103,8 @@ def _columns(test: TimeSeries) -> list[Objection]:
         return [
             Objection(
                 "refused",
-                f"{name}: the motor turns against its drive: reverse the sign of u_V or y_rad, or are they swapped?",
+                f"{name}: the motor turns against its drive: reverse the sign of u_V or y_rad (where units are given: "
+                "--reversed), or are they swapped?",
             )
         ]
     return []

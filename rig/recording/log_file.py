@@ -14,7 +14,7 @@ import numpy as np
 
 from rig.recording.csv_table import CsvTable, CsvText, is_number, shown
 from rig.recording.errors import RecordingError
-from rig.recording.log_format import OWN_NAMES, UNITS, LogColumn, LogFormat
+from rig.recording.log_format import LARGEST, OWN_NAMES, UNITS, LogColumn, LogFormat
 from rig.recording.recording import MIN_ROWS, Columns, Floats, Recording, assembled
 
 # First words of the usual names of each column, in small letters: "Time (ms)", "pwm", "encoder_counts", "rpm".
@@ -63,6 +63,11 @@ def read_log(path: Path, log: LogFormat) -> Recording:
         frozenset(OWN_NAMES.values()),
     )
     raw = table.columns()
+    for name, values in raw.items():
+        if float(np.abs(values).max()) > LARGEST:
+            row = int(np.argmax(np.abs(values)))
+            column = table.called[table.names.index(name)]
+            raise RecordingError(path, f"column {column}: {values[row]:g} is too large", "correct this line", rows[row])
     notes = [*text.notes, *notes, _taken(choices, {q: called[place] for q, place in places.items()}, log)]
     columns = _in_own_units(raw, choices, log, notes)
     names = tuple(columns)
@@ -117,7 +122,7 @@ def _usual_place(path: Path, line: int, first: Sequence[str], quantity: str, one
     """The place of the only column with a usual name of this quantity."""
     free = [k for k in range(len(first)) if k not in taken]
     exact = [k for k in free if first[k] in (OWN_NAMES[quantity], one.unit)]
-    usual = exact or [k for k in free if {word.lower() for word in _WORD.findall(first[k])[:1]} & _USUAL[quantity]]
+    usual = exact or [k for k in free if _sounds_like(first[k], quantity)]
     if len(usual) == 1:
         return usual[0]
     if usual:
@@ -127,9 +132,15 @@ def _usual_place(path: Path, line: int, first: Sequence[str], quantity: str, one
     raise RecordingError(path, cause, _say_which(quantity, [first[k] for k in usual or free]), line)
 
 
+def _sounds_like(name: str, quantity: str) -> bool:
+    """Whether the first word of a column's name is a usual one for this quantity."""
+    return any(word.lower() in _USUAL[quantity] for word in _WORD.findall(name)[:1])
+
+
 def _say_which(quantity: str, names: Sequence[str]) -> str:
     """What to type to name a column."""
-    name = next((name for name in names if name), "1")
+    usual = [name for name in names if _sounds_like(name, quantity)]
+    name = next((name for name in (*usual, *names) if name), "1")
     quoted = f"'{name}:UNIT'" if " " in name else f"{name}:UNIT"
     return f"say which, for example --{quantity} {quoted}, with one of the units {', '.join(UNITS[quantity])}"
 

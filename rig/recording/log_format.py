@@ -21,6 +21,7 @@ UNITS: Final[dict[str, dict[str, float | None]]] = {
         "counts/s": None,
     },
 }
+LARGEST: Final = 1e18  # number in a log, above microseconds since 1970
 OWN_NAMES: Final = {"time": "t_s", "drive": "u_V", "position": "y_rad", "velocity": "v_rad_per_s"}
 """The column of samples.csv that each quantity becomes; a log may have it under this name."""
 
@@ -106,7 +107,7 @@ class LogFormat:
                     f"{option} is for {' and '.join(needed_by)}, and this log has {unit}",
                     "leave it out, or correct the unit",
                 )
-            if value is not None and not (math.isfinite(value) and value > 0.0):
+            if value is not None and not 0.0 < value < LARGEST:
                 raise LogFormatError(f"{option} {value:g} is not above 0", f"{_MEANING[option]}: {option} {example}")
 
     def columns(self) -> dict[str, LogColumn]:
