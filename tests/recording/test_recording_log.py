@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -164,13 +165,14 @@ def test_a_format_that_cannot_be_says_what_to_type() -> None:
         with pytest.raises(LogFormatError, match=words):
             LogColumn.parse(quantity, text)
     counts, pwm = LogColumn("counts"), LogColumn("pwm")
-    for make, words in (
-        (lambda: LogFormat(position=counts), "needs --counts-per-turn.*--counts-per-turn 1440"),
-        (lambda: LogFormat(drive=pwm, supply_V=12), "needs --full"),
-        (lambda: LogFormat(drive=pwm, full=255), "needs --supply-V"),
-        (lambda: LogFormat(full=255), "--full is for pwm, and this log has V"),
-        (lambda: LogFormat(drive=pwm, full=0, supply_V=12), "--full 0 is not above 0"),
-        (lambda: LogFormat(position=counts, velocity=LogColumn("rpm"), counts_per_turn=4), "both given"),
-    ):
+    cannot: tuple[tuple[dict[str, Any], str], ...] = (
+        ({"position": counts}, "needs --counts-per-turn.*--counts-per-turn 1440"),
+        ({"drive": pwm, "supply_V": 12}, "needs --full"),
+        ({"drive": pwm, "full": 255}, "needs --supply-V"),
+        ({"full": 255}, "--full is for pwm, and this log has V"),
+        ({"drive": pwm, "full": 0, "supply_V": 12}, "--full 0 is not above 0"),
+        ({"position": counts, "velocity": LogColumn("rpm"), "counts_per_turn": 4}, "both given"),
+    )
+    for given, words in cannot:
         with pytest.raises(LogFormatError, match=f"(?s){words}"):
-            make()
+            LogFormat(**given)
