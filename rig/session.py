@@ -166,7 +166,7 @@ def _begin(
     guard = Guard(guard_settings_of(experiment))
     recorder = Recorder(folder, _stages(experiment))
     loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
-    first_notes = [since_the_last_run(code) for code in bench.info.acknowledged]
+    first_notes = [*bench.info.remarks, *(since_the_last_run(code) for code in bench.info.acknowledged)]
     supply = _supply(experiment, bench).objection
     first_notes += [] if supply is None else [supply]
     return Session(experiment, folder, bench, recorder, loop, meta, Findings(notes=first_notes)), recorder

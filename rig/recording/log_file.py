@@ -25,6 +25,7 @@ _USUAL: Final = {
     "velocity": {"v", "vel", "velocity", "speed", "omega", "rpm", "w"},
 }
 _WORD: Final = re.compile(r"[^\W\d_]+")
+_FEW_STEPS, _FEWEST_MOVES = 10.5, 10  # of a counter, between two rows, for a velocity to show them
 _CLOCK_TURNS: Final = 2.0**32  # millis() and micros() of an Arduino
 _COUNTER_TURNS: Final = 2.0**16  # counts in an int of a small chip
 
@@ -35,8 +36,7 @@ def read_log(path: Path, log: LogFormat) -> Recording:
     Separators, comments and decimal commas are as for ``read_csv``. Without a line of names the columns are numbered
     from 1; if there are no others than those of ``log``, they are time, drive, and position or velocity, in this order.
     A first line with fewer fields than the second is torn, and is left out. A clock of 32 bits may begin anew, a
-    counter of 16 bits may wrap, and so may an angle within one turn. A velocity is summed up to a position: each value
-    holds since the row before.
+    counter of 16 bits may wrap, and so may an angle within one turn. A velocity is summed up to a position.
 
     The notes say which column was taken for what. Raises RecordingError.
     """
@@ -171,15 +171,34 @@ def _in_own_units(raw: Columns, choices: Mapping[str, LogColumn], log: LogFormat
     t_s = scaled["time"] * _unwrapped_clock(raw["t_s"], choices["time"].unit, notes)
     columns: Columns = {"t_s": t_s, "u_V": scaled["drive"] * raw["u_V"]}
     if "velocity" in choices:
-        v_rad_per_s = scaled["velocity"] * raw["v_rad_per_s"]
-        steps_s = np.diff(t_s, prepend=t_s[0])
-        columns["y_rad"] = np.cumsum(v_rad_per_s * steps_s)
-        notes.append("the position is the sum of the velocities, from 0: each holds since the row before")
+        columns["y_rad"] = _summed_up(scaled["velocity"] * raw["v_rad_per_s"], t_s, notes)
     else:
         unit = choices["position"].unit
         turn = 2.0 * np.pi / abs(scaled["position"])
         columns["y_rad"] = scaled["position"] * _unwrapped_position(raw["y_rad"], unit, turn, notes)
     return columns
+
+
+def _summed_up(v_rad_per_s: Floats, t_s: Floats, notes: list[str]) -> Floats:
+    """The position from velocities, rad, from 0 on.
+
+    A velocity is the mean since the row before if it comes from a counter: then each row moves by whole steps. Else it
+    is a sample, and in between it changes evenly.
+    """
+    periods_s = np.diff(t_s, prepend=t_s[0])
+    moved = v_rad_per_s * periods_s
+    steps = np.abs(moved[moved != 0.0])
+    of_counter = False
+    if steps.size:
+        one = float(np.median(steps[steps < 1.5 * steps.min()]))
+        few = steps[steps < _FEW_STEPS * one] / one
+        of_counter = few.size >= _FEWEST_MOVES and float(np.mean(np.abs(few - np.round(few)) < 0.1)) > 0.9
+    if of_counter:
+        notes.append("the position is the sum of the velocities, from 0: each is the mean since the row before")
+        return np.asarray(np.cumsum(moved))
+    notes.append("the position is the integral of the velocities, from 0: each is a sample, as of a tachometer")
+    middle = 0.5 * (v_rad_per_s[1:] + v_rad_per_s[:-1])
+    return np.concatenate(([0.0], np.cumsum(middle * periods_s[1:])))
 
 
 def _unwrapped_clock(t: Floats, unit: str, notes: list[str]) -> Floats:

@@ -89,12 +89,24 @@ def test_a_unit_that_is_left_out_is_that_of_samples_csv(tmp_path: Path) -> None:
         parse(tmp_path, "t,u_V,angle\n0,1,0\n1,1,180\n2,1,90\n", log)
 
 
-def test_a_velocity_is_summed_up(tmp_path: Path) -> None:
-    """Differences of counts over time give back the counts: each value holds since the row before."""
+def test_a_velocity_from_a_counter_gives_back_its_counts(tmp_path: Path) -> None:
+    """Differences of counts over time, as a sketch has them, rounded, with rows that come at uneven times."""
+    rng = np.random.default_rng(2)
+    t_ms = np.cumsum(rng.integers(8, 13, 60))
+    counts = np.cumsum(rng.integers(-3, 6, 60))
+    rpm = np.diff(counts, prepend=counts[0]) / np.diff(t_ms, prepend=t_ms[0] - 10) * 60e3 / 1440
     log = LogFormat(LogColumn("ms"), LogColumn("pwm"), velocity=LogColumn("rpm"), full=255, supply_V=12)
-    recording = parse(tmp_path, "0,1,0\n10,1,60\n30,1,-30\n", log)
-    assert recording.y_rad.tolist() == pytest.approx([0.0, 0.01 * TURN, 0.0])
-    assert any("sum of the velocities" in note for note in recording.notes)
+    recording = parse(tmp_path, "".join(f"{t},1,{v:.1f}\n" for t, v in zip(t_ms, rpm, strict=True)), log)
+    assert recording.y_rad == pytest.approx((counts - counts[0]) * TURN / 1440, abs=0.1 * TURN / 1440)
+    assert any("the mean since the row before" in note for note in recording.notes)
+
+
+def test_samples_of_a_velocity_change_evenly_in_between(tmp_path: Path) -> None:
+    t_s = 0.01 * np.arange(60)
+    log = LogFormat(LogColumn("s"), LogColumn("V"), velocity=LogColumn("rad/s"))
+    recording = parse(tmp_path, "".join(f"{t:.2f},1,{3.1 * t + 0.7}\n" for t in t_s), log)
+    assert recording.y_rad == pytest.approx(0.5 * 3.1 * t_s**2 + 0.7 * t_s)
+    assert any("as of a tachometer" in note for note in recording.notes)
 
 
 def test_a_clock_and_a_counter_that_wrap_go_on(tmp_path: Path) -> None:
