@@ -147,12 +147,12 @@ def test_what_the_device_had_latched_since_the_last_run_is_said(
     @contextmanager
     def cleared(experiment: Experiment) -> Iterator[Bench]:
         with original(experiment) as bench:
-            yield replace(bench, info=replace(bench.info, acknowledged=("DEVICE_ESTOP",)))
+            yield replace(bench, info=replace(bench.info, acknowledged=("DEVICE_ESTOP",), remarks=("of old",)))
 
     monkeypatch.setattr(session, "connect", cleared)
     said = rig("jog", quick(tmp_path), "--u-V", 0.3, "--out", tmp_path / "runs", "--json")
     notes = json.loads(said.stdout)["notes"]
-    assert notes[0] == "e-stop pressed since the last run: the device had latched DEVICE_ESTOP"
+    assert notes[:2] == ["of old", "e-stop pressed since the last run: the device had latched DEVICE_ESTOP"]
 
 
 @pytest.mark.parametrize(
