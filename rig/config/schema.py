@@ -507,7 +507,7 @@ class Emulated(_Section):
     )
     coasting: bool | None = Field(
         None,
-        description="the bridge lets the motor run free while PWM is low (an L298 with PWM on its enable); default: false",
+        description="the bridge lets the motor run free while PWM is low (L298, PWM on its enable); default: false",
     )
     reversed: bool | None = Field(
         None, description="positive duty truly turns the shaft to falling positions; default: drive.reversed"
