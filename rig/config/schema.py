@@ -556,8 +556,9 @@ class Emulated(_Section):
     dead_band_duty: DeadBand | None = Field(
         None, description="duty below which the bridge truly passes nothing; default: drive.dead_band_duty"
     )
-    coasting: bool = Field(
-        False, description="the bridge lets the motor run free while PWM is low, as an L298 with PWM on its enable"
+    coasting: bool | None = Field(
+        None,
+        description="the bridge lets the motor run free while PWM is low (L298, PWM on its enable); default: false",
     )
     reversed: bool | None = Field(
         None, description="positive duty truly turns the shaft to falling positions; default: drive.reversed"
@@ -577,7 +578,9 @@ class Emulated(_Section):
     @model_validator(mode="after")
     def _coasts_without_parts(self) -> Self:
         if self.coasting and self.motor.parts is not None:
-            raise ValueError("a coasting bridge takes a motor without parts: leave out coasting or motor.parts")
+            raise ValueError(
+                "a coasting bridge takes a motor without parts: leave out emulated.coasting or emulated.motor.parts"
+            )
         return self
 
 
