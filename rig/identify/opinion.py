@@ -39,7 +39,10 @@ class RecordingEstimate:
 
     @classmethod
     def of(cls, name: str, estimate: Estimate, model_error: float = MODEL_ERROR) -> RecordingEstimate | None:
-        """From a sampled-data estimate; None if that was refused or has no finite covariance."""
+        """From a sampled-data estimate; None if that was refused or has no finite covariance.
+
+        model_error   as ``at``
+        """
         scale = np.array([1.0 / estimate.tau_s, 1.0 / estimate.K_rad_s_V, 1.0])
         values = np.array([math.log(estimate.tau_s), math.log(estimate.K_rad_s_V), estimate.fc_V])
         found = cls.at(name, values, estimate.covariance[:3, :3] * np.outer(scale, scale), model_error)
@@ -52,7 +55,7 @@ class RecordingEstimate:
     def at(cls, name: str, values: Array, covariance: Array, model_error: float = MODEL_ERROR) -> RecordingEstimate:
         """From ``values``, (3,): ln tau, ln K, f_c in V; and from their covariance, (3, 3), by the noise alone.
 
-        model_error   of each parameter, relative: it is added
+        model_error   standard deviation of a further error of each parameter, relative, at least 0
         """
         return cls(name, values, covariance + np.diag(model_error * np.array([1.0, 1.0, float(values[2])])) ** 2)
 
@@ -72,7 +75,10 @@ def agree(found: Sequence[RecordingEstimate], chance: float = CHANCE) -> bool:
 
 
 def differences(odd: RecordingEstimate, mean: Array, covariance: Array) -> str:
-    """The parameters that differ by three standard errors or more; at least the one that differs most."""
+    """The parameters that differ by three standard errors or more, in words; at least the one that differs most.
+
+    mean, covariance   of the others, as ``RecordingEstimate``: (3,) and (3, 3)
+    """
     errors = np.sqrt(np.diag(odd.covariance + covariance))
     distances = np.abs(odd.values - mean) / errors
     told: list[str] = []
