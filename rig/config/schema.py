@@ -298,7 +298,9 @@ class UntilSection(_Section):
     """The tests end when the answer is known, and at the latest by two bounds (docs/until.md)."""
 
     interval_percent: Annotated[float, Field(ge=0.1, le=20.0)] = Field(
-        1.0, description="half width of the 95 % interval of each of tau, K and f_c, in % of its value"
+        0.4,
+        description="half width of the 95 % interval of each of tau, K and f_c, in % of its value; with the default a "
+        "plain motor is mostly ok, which asks for more than an interval",
     )
     longest_s: Annotated[float, Field(ge=5.0, le=3600.0)] = Field(
         60.0, description="the tests end after this time at the latest, whatever is known; the breakaway check is apart"

@@ -105,7 +105,8 @@ def measurements(
         for test in tests:
             data.tests.append(test)
             data.recording_of.append(str(recording.source))
-            data.cycles.append(_cycle(test, data) if with_cycles else None)
+            has_cycle = with_cycles and (test.stage is None or test.stage.kind is not StageKind.STROKES)
+            data.cycles.append(_cycle(test, data) if has_cycle else None)
     if not data.tests:
         data.tests = data.hysteretic
         data.recording_of = [name for name, series in data.sources for _ in series]
