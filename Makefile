@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: campaign-real design emps tracking help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: stopping campaign-real design emps tracking wheel help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -42,6 +42,10 @@ campaign-real: .venv/.ready  ## thousands of motors that are not what the plain 
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m campaign_real config/campaign-real.yaml \
 	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(PAIRS),--pairs $(PAIRS)) $(if $(SEED),--seed $(SEED))
 
+stopping: .venv/.ready  ## how soon an experiment knows its motor, on hundreds of motors: docs/stopping-table.md; it resumes
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tools .venv/bin/python -m stopping \
+	    $(if $(MOTORS),--motors $(MOTORS)) $(if $(KNOWN),--known $(KNOWN)) $(if $(DEPARTING),--departing $(DEPARTING)) $(if $(SEED),--seed $(SEED))
+
 emps: .venv/.ready  ## a real drive, the benchmark EMPS, beside its published numbers; RIG_EMPS names DATA_EMPS.mat
 	PYTHONPATH=tools .venv/bin/python -m emps
 
@@ -74,6 +78,9 @@ mutants: .venv/.ready firmware  ## defects put in on purpose, one at a time: eac
 
 firmware: .venv/.ready  ## the Uno's firmware (build/firmware/uno/rig_uno.hex), and the emulated board and chip
 	@$(MAKE) --no-print-directory -C firmware host uno chip
+
+wheel: .venv/.ready  ## a wheel with the Uno's firmware of every variant: dist
+	RIG_FIRMWARE=required .venv/bin/uv build --quiet --wheel -o dist
 
 golden: .venv/.ready firmware  ## the golden recordings that live in virtual time, anew: docs/replay.md
 	.venv/bin/python tools/golden.py

@@ -50,7 +50,7 @@ FAULTS: dict[str, FaultEntry] = {
         "addresses from 0",
     ),
     "LINK_GAP": FaultEntry(
-        "samples of the relay in the device were lost on the way",
+        "samples of the relay or the stroke test in the device were lost on the way",
         "check cable and plug, close other programs that read the port, or set relay.where to host",
     ),
     "LINK_HELLO": FaultEntry(
@@ -124,12 +124,12 @@ FAULTS: dict[str, FaultEntry] = {
         "check the wires",
     ),
     "DEVICE_RELAY": FaultEntry(
-        "the relay in the device decided otherwise than rig's law on the same counts",
+        "the relay or the stroke test in the device decided otherwise than rig's law on the same counts",
         "flash the firmware of this rig (`rig flash`). If the device has it already, report this run, and set "
         "relay.where to host meanwhile",
     ),
     "RELAY_STOPPED": FaultEntry(
-        "the relay in the device drove where the guard forbids it",
+        "the relay or the stroke test in the device drove where the guard forbids it",
         "lower relay.target.amplitude_rad or relay.gains, or widen limits.hard_rad. If it ran well before, check the "
         "motor's wires",
     ),

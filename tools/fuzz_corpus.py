@@ -11,7 +11,18 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from rig.backends.serial.frames import VERSION, Code, Kind, RelaySetup, Setup, encode, pack_ack, pack_arm, pack_drive
+from rig.backends.serial.frames import (
+    VERSION,
+    Code,
+    Kind,
+    RelaySetup,
+    Setup,
+    StrokesSetup,
+    encode,
+    pack_ack,
+    pack_arm,
+    pack_drive,
+)
 
 CORPUS = Path(__file__).resolve().parent.parent / "firmware" / "tests" / "corpus"
 
@@ -28,6 +39,7 @@ SETUP = Setup(
     polarity=1,
 )
 RELAY = RelaySetup(drive=(-160, 40, -40, 160), centre=512 * 16, z_bound=30000, direction=1, rows=10)
+STROKES = StrokesSetup(((120, 600), (-150, 420), (60, 560), (-90, 450)), 40, 30, 4, rows=10)
 
 # the board's byte: 10-bit converter with contacts and supply; + what a situation changes
 BOARD = 4 | 8
@@ -115,6 +127,21 @@ def relay(setup: RelaySetup = RELAY) -> bytes:
     return frame(Kind.RELAY, setup.pack())
 
 
+def strokes(setup: StrokesSetup = STROKES) -> bytes:
+    """A STROKES frame."""
+    return frame(Kind.STROKES, setup.pack())
+
+
+def to_and_fro(rounds: int, low: int = 410, high: int = 610) -> bytes:
+    """Strokes that turn, kept alive."""
+    return b"".join(reading((high, low)[i % 2]) + ticks(3) + KEEP + reading(512 + i) + ticks(9) for i in range(rounds))
+
+
+def stuck(rounds: int) -> bytes:
+    """A reading that does not change, kept alive."""
+    return (ticks(15) + KEEP) * rounds
+
+
 def kept(rounds: int) -> bytes:
     """A relay that swings, kept alive."""
     return b"".join(reading(520 - 16 * (i % 2)) + ticks(12) + KEEP for i in range(rounds))
@@ -195,6 +222,40 @@ def core_corpus() -> dict[str, bytes]:
         "relay_falling": armed(falling) + relay(swapped) + kept(2) + contacts(ESTOP) + READ,
         "relay_not_streamed": armed() + relay() + board(streams=False) + kept(3) + board() + ticks(1) + STOP,
         "relay_off_grid": armed() + relay() + ticks(4) + wait(300) + ticks(4) + KEEP + wait(160) + ticks(11),
+        "strokes": reading(500) + armed() + strokes() + to_and_fro(6) + STOP + READ,
+        "strokes_slow": reading(500) + armed() + strokes()
+        + b"".join(reading(501 + i) + ticks(2) + (KEEP if i % 5 == 0 else b"") for i in range(50)) + STOP,
+        "strokes_stuck": reading(500) + armed() + strokes() + stuck(6) + drive(0) + strokes() + stuck(2) + STOP,
+        "strokes_full_and_stuck": reading(500) + armed() + strokes(STROKES._replace(still_ticks=300)) + stuck(7) + READ,
+        "strokes_refused": reading(500) + strokes() + armed()
+        + b"".join(
+            strokes(wrong)
+            for wrong in (
+                STROKES._replace(strokes=((201, 600), (-150, 420))),
+                STROKES._replace(strokes=((120, 600), (-201, 420))),
+                STROKES._replace(strokes=((120, 901), (-150, 420))),
+                STROKES._replace(strokes=((120, 600), (-150, 99))),
+                STROKES._replace(strokes=((120, 600), (150, 420))),
+                STROKES._replace(strokes=((120, 600), (0, 420))),
+                STROKES._replace(strokes=((120, 600),)),
+                STROKES._replace(stroke_ticks=0),
+                STROKES._replace(still_ticks=10001),
+                STROKES._replace(still_counts=0),
+                STROKES._replace(rows=11),
+            )
+        )
+        + ticks(2),
+        "strokes_silent": reading(500) + armed() + strokes() + ticks(30) + READ,
+        "strokes_read_keeps_nothing": reading(500) + armed() + strokes() + (ticks(8) + READ) * 4,
+        "strokes_limit": reading(500) + armed() + strokes() + to_and_fro(1) + reading(950) + ticks(2) + ALL_SEEN + ARM
+        + strokes() + drive(-50) + ticks(1),
+        "strokes_estop": reading(500) + armed() + strokes() + to_and_fro(2) + contacts(ESTOP) + ticks(1) + READ,
+        "strokes_falling": reading(500) + armed(falling) + strokes(STROKES._replace(strokes=((120, 420), (-150, 600))))
+        + to_and_fro(3) + contacts(END_HIGH) + ticks(1),
+        "strokes_and_relay": reading(500) + armed() + strokes() + to_and_fro(1) + relay() + drive(20) + relay()
+        + kept(1) + strokes() + drive(0) + reading(500) + strokes() + to_and_fro(2) + ARM + strokes() + ticks(2) + STOP,
+        "strokes_not_streamed": reading(500) + armed() + strokes() + board(streams=False) + to_and_fro(3) + board()
+        + ticks(1) + STOP,
         "reset": armed() + drive(100) + board(reset=True) + drive(100) + ticks(1) + ARM + ALL_SEEN + ARM,
         "damaged": damaged(Kind.SETUP, SETUP.pack()) + armed() + damaged(Kind.DRIVE, pack_drive(90)) + ticks(1)
         + damaged(Kind.DRIVE, pack_drive(90), where=9, bits=0) + ticks(1),
@@ -235,6 +296,14 @@ def core_corpus() -> dict[str, bytes]:
             + KEEP
             + STOP,
         ),
+        "far_strokes": (
+            ENCODER,
+            reading(10**9)
+            + armed(far)
+            + strokes(STROKES._replace(strokes=((120, 10**9 + 40000), (-150, 10**9 - 40000)), still_counts=65535))
+            + to_and_fro(2, 10**9 - 41000, 10**9 + 41000)
+            + STOP,
+        ),
         "no_contacts": (NO_CONTACTS, armed() + contacts(ESTOP) + drive(100) + ticks(3)),
         "twelve_bits": (TWELVE_BITS, armed(twelve) + drive(100) + reading(3601) + ticks(2)),
         "clock_wraps": (BEFORE_WRAP, armed() + ticks(10) + drive(100) + ticks(15) + drive(90) + ticks(25)),
@@ -253,6 +322,7 @@ def frames_corpus() -> dict[str, bytes]:
         "read": encode(Kind.READ, 1),
         "run_in": setup + encode(Kind.ARM, 2) + encode(Kind.DRIVE, 3, pack_drive(-120)) + encode(Kind.READ, 4),
         "relay": b"\0" + relay_frame + encode(Kind.KEEP, 10),
+        "strokes": encode(Kind.STROKES, 11, STROKES.pack()) + encode(Kind.KEEP, 12),
         "cut": setup[9:] + setup[:7] + setup,
         "longest": longest + longest[:-1] + b"\x41\0" + b"\x41" * 70 + b"\0" + setup,
         "past_end": b"\x09\x01\x02\0" + b"\x04\x01\x04\x03\0" + encode(Kind.READ, 1),

@@ -8,6 +8,7 @@
 #define ACK_LENGTH 1u
 #define DRIVE_LENGTH 2u
 #define RELAY_LENGTH 18u
+#define STROKES_LENGTH 56u /* room for STROKES_MAX strokes */
 
 /* Recovered means farther inside than this, so that noise on the limit does not latch a fault at once. */
 #define RECOVERED_COUNTS 3u
@@ -119,7 +120,7 @@ static void put_hello(packet *out, const rig_core *core)
     put_u8(out, board->board_id);
     put_u8(out, core->reset_cause);
     put_u8(out, board->bridge);
-    put_u8(out, board->features);
+    put_u8(out, (uint8_t)(board->features | (unsigned)RIG_FEATURE_STROKES));
     put_u32(out, (uint32_t)board->counts_max);
     put_u16(out, board->drive_full);
     put_u32(out, board->micros(board->context));
@@ -152,7 +153,7 @@ static uint8_t status_of(const rig_core *core)
     return (uint8_t)((core->armed ? (unsigned)RIG_STATUS_ARMED : 0u) |
                      (core->latched != 0u ? (unsigned)RIG_STATUS_FAULT : 0u) |
                      (core->recovering != 0 ? (unsigned)RIG_STATUS_RECOVERING : 0u) |
-                     (core->relaying ? (unsigned)RIG_STATUS_RELAY : 0u));
+                     (core->running ? (unsigned)RIG_STATUS_LAW : 0u));
 }
 
 static void put_state(packet *out, const rig_core *core)
@@ -345,7 +346,7 @@ static void sample(rig_core *core)
     }
 }
 
-/* ---- relay ---- */
+/* ---- the law that runs in the device: relay or strokes ---- */
 
 static void close_block(rig_core *core)
 {
@@ -357,14 +358,15 @@ static void close_block(rig_core *core)
     blocks_close(&core->blocks);
 }
 
-/* One tick of the relay: its drive, unless the tick has already disarmed, and its row. */
-static void relay_tick(rig_core *core)
+/* One tick of the law: its drive, unless the tick has already disarmed, and its row. */
+static void law_tick(rig_core *core)
 {
     if (core->armed) {
-        const int16_t units = relay_step(&core->relay, core->counts);
-        if (units != core->drive || !core->relay_acted) {
+        const int16_t units =
+            core->stroking ? strokes_step(&core->strokes, core->counts) : relay_step(&core->relay, core->counts);
+        if (units != core->drive || !core->law_acted) {
             act(core, units);
-            core->relay_acted = true;
+            core->law_acted = true;
             core->delay_us = (uint16_t)(core->t_drive_us - core->t_sample_us);
         }
     }
@@ -372,16 +374,16 @@ static void relay_tick(rig_core *core)
         close_block(core);
     }
     const bool full = blocks_add(&core->blocks, core->t_sample_us, core->counts, core->drive);
-    core->relaying = core->armed; /* or it ends with this row */
+    core->running = core->armed; /* or it ends with this row */
     if (full || !core->armed) {
         close_block(core);
     }
 }
 
-/* Ends the relay between two ticks, after the drive has been set: the rows so far go out with the last block. */
-static void end_relay(rig_core *core)
+/* Ends the law between two ticks, after the drive has been set: the rows so far go out with the last block. */
+static void end_law(rig_core *core)
 {
-    core->relaying = false;
+    core->running = false;
     close_block(core);
 }
 
@@ -435,7 +437,8 @@ static bool is_inward(const rig_core *core, const relay_setup *wanted)
     return lowers ? above <= 0 && below >= 0 : above >= 0 && below <= 0;
 }
 
-static enum rig_code start_relay(rig_core *core, const relay_setup *wanted, uint8_t rows)
+/* Whether a law may start, of whatever it is made. */
+static enum rig_code may_start(const rig_core *core, uint8_t rows)
 {
     if (!core->armed) {
         return core->latched != 0u ? core->fault : RIG_E_NOT_ARMED; /* P1, P7 */
@@ -443,13 +446,41 @@ static enum rig_code start_relay(rig_core *core, const relay_setup *wanted, uint
     if (core->recovering != 0) {
         return RIG_E_TRAVEL; /* P6: its drive would go either way */
     }
-    if (core->relaying || !relay_is_valid(wanted) || rows < 1u || rows > BLOCK_ROWS_MAX ||
-        !relay_reaches(wanted, core->setup.hard_lo) || !relay_reaches(wanted, core->setup.hard_hi)) {
-        return RIG_E_SETUP; /* gains do not change while it runs: DRIVE ends it first */
+    if (core->running || rows < 1u || rows > BLOCK_ROWS_MAX) {
+        return RIG_E_SETUP; /* what runs does not change: DRIVE ends it first */
     }
+    return RIG_OK;
+}
+
+/* From the next tick on. */
+static void start_law(rig_core *core, bool stroking, uint8_t rows)
+{
+    blocks_init(&core->blocks, rows, RIG_TICK_US);
+    core->law_acted = false;
+    core->delay_us = 0;
+    core->stroking = stroking;
+    core->running = true;
+    heard(core);
+}
+
+static bool is_too_much(const rig_core *core, int16_t units)
+{
     const int16_t most = (int16_t)core->setup.max_drive;
+    return units > most || units < -most;
+}
+
+static enum rig_code start_relay(rig_core *core, const relay_setup *wanted, uint8_t rows)
+{
+    const enum rig_code code = may_start(core, rows);
+    if (code != RIG_OK) {
+        return code;
+    }
+    if (!relay_is_valid(wanted) || !relay_reaches(wanted, core->setup.hard_lo) ||
+        !relay_reaches(wanted, core->setup.hard_hi)) {
+        return RIG_E_SETUP;
+    }
     for (uint8_t i = 0; i < 4u; i++) {
-        if (wanted->drive[i] > most || wanted->drive[i] < -most) {
+        if (is_too_much(core, wanted->drive[i])) {
             return RIG_E_DRIVE_RANGE; /* P2 */
         }
     }
@@ -457,10 +488,7 @@ static enum rig_code start_relay(rig_core *core, const relay_setup *wanted, uint
         return RIG_E_POLARITY;
     }
     relay_init(&core->relay, wanted);
-    blocks_init(&core->blocks, rows, RIG_TICK_US);
-    core->relay_acted = false;
-    core->delay_us = 0;
-    core->relaying = true; /* from the next tick on */
+    start_law(core, false, rows);
     return RIG_OK;
 }
 
@@ -478,18 +506,73 @@ static void on_relay(rig_core *core, uint16_t seq, const uint8_t *body, packet *
         refuse(out, RIG_RELAY, seq, code);
         return;
     }
-    heard(core);
     head(out, RIG_RELAY | RIG_REPLY, seq);
     for (uint8_t i = 0; i < RELAY_LENGTH; i++) {
         put_u8(out, body[i]); /* in range, so stored as it came */
     }
 }
 
+/* Nothing runs: the plan may be written where it will run from. */
+static void take_plan(rig_core *core, const uint8_t *body)
+{
+    strokes_setup *wanted = &core->strokes.setup;
+    wanted->n = body[0];
+    wanted->stroke_ticks = get_u16(&body[2]);
+    wanted->still_ticks = get_u16(&body[4]);
+    wanted->still_counts = get_u16(&body[6]);
+    wanted->centre = core->setup.centre;
+    wanted->polarity = core->setup.polarity;
+    for (uint8_t i = 0; i < STROKES_MAX; i++) {
+        const uint8_t *at = &body[8u + 6u * i];
+        wanted->plan[i].drive = get_i16(at);
+        wanted->plan[i].turn = get_i32(&at[2]);
+    }
+}
+
+static enum rig_code start_strokes(rig_core *core, const uint8_t *body)
+{
+    const uint8_t rows = body[1];
+    const enum rig_code code = may_start(core, rows);
+    if (code != RIG_OK) {
+        return code;
+    }
+    take_plan(core, body);
+    const strokes_setup *wanted = &core->strokes.setup;
+    if (!strokes_are_valid(wanted)) {
+        return RIG_E_SETUP;
+    }
+    for (uint8_t i = 0; i < wanted->n; i++) {
+        const stroke *one = &wanted->plan[i];
+        if (is_too_much(core, one->drive)) {
+            return RIG_E_DRIVE_RANGE; /* P2 */
+        }
+        if (one->turn < core->setup.hard_lo || one->turn > core->setup.hard_hi) {
+            return RIG_E_SETUP; /* it would end at the limit, never at its turning point */
+        }
+    }
+    strokes_begin(&core->strokes);
+    start_law(core, true, rows);
+    return RIG_OK;
+}
+
+static void on_strokes(rig_core *core, uint16_t seq, const uint8_t *body, packet *out)
+{
+    const enum rig_code code = start_strokes(core, body);
+    if (code != RIG_OK) {
+        refuse(out, RIG_STROKES, seq, code);
+        return;
+    }
+    head(out, RIG_STROKES | RIG_REPLY, seq);
+    for (uint8_t i = 0; i < STROKES_LENGTH; i++) {
+        put_u8(out, body[i]);
+    }
+}
+
 static enum rig_code arm(rig_core *core, uint32_t session)
 {
     disarm(core); /* arming starts from drive 0, also when already armed */
-    if (core->relaying) {
-        end_relay(core);
+    if (core->running) {
+        end_law(core);
     }
     sense(core);
     forget_refusal(core);
@@ -518,8 +601,7 @@ static void on_drive(rig_core *core, uint16_t seq, int16_t units)
         core->fault = RIG_E_NOT_ARMED; /* P1 */
         return;
     }
-    const int16_t most = (int16_t)core->setup.max_drive;
-    if (units > most || units < -most) {
+    if (is_too_much(core, units)) {
         latch(core, RIG_E_DRIVE_RANGE); /* P2 */
         return;
     }
@@ -531,8 +613,8 @@ static void on_drive(rig_core *core, uint16_t seq, int16_t units)
     }
     act(core, units);
     core->drive_seq = seq;
-    if (core->relaying) {
-        end_relay(core); /* the host takes over, without a gap in the drive */
+    if (core->running) {
+        end_law(core); /* the host takes over, without a gap in the drive */
     }
 }
 
@@ -574,6 +656,8 @@ static int8_t body_length(uint8_t type)
         return 0;
     case RIG_RELAY:
         return (int8_t)RELAY_LENGTH;
+    case RIG_STROKES:
+        return (int8_t)STROKES_LENGTH;
     case RIG_SETUP:
         return (int8_t)SETUP_LENGTH;
     case RIG_ARM:
@@ -601,7 +685,7 @@ static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bo
         break;
     }
     case RIG_READ:
-        if (core->drive == 0 && !core->relaying) {
+        if (core->drive == 0 && !core->running) {
             heard(core); /* P3: what drives is kept up by DRIVE alone: one that got lost must not stay on */
         }
         sample(core);
@@ -615,8 +699,11 @@ static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bo
     case RIG_RELAY:
         on_relay(core, seq, body, out);
         break;
+    case RIG_STROKES:
+        on_strokes(core, seq, body, out);
+        break;
     case RIG_KEEP:
-        if (core->relaying) {
+        if (core->running) {
             heard(core); /* P3: it keeps nothing else alive */
         }
         break;
@@ -627,8 +714,8 @@ static void act_on(rig_core *core, uint8_t type, uint16_t seq, const uint8_t *bo
         on_stop(core, seq, out);
         break;
     }
-    if (core->relaying && !core->armed) {
-        end_relay(core); /* STOP, or what a READ has seen */
+    if (core->running && !core->armed) {
+        end_law(core); /* STOP, or what a READ has seen */
     }
 }
 
@@ -650,7 +737,7 @@ static void on_request(rig_core *core, const uint8_t *content, uint8_t n)
         head(&out, RIG_HELLO | RIG_REPLY, seq);
         put_hello(&out, core);
     } else {
-        rig_stream(core); /* room for the block that ends the relay */
+        rig_stream(core); /* room for the block that ends the law */
         hold(core);
         act_on(core, type, seq, &content[FRAME_HEADER], &out);
         release(core);
@@ -672,8 +759,9 @@ void rig_init(rig_core *core, const rig_board *board, uint8_t reset_cause)
     core->reset_cause = reset_cause;
     core->drive_seq = 0;
     core->farthest = 0;
-    core->relaying = false;
-    core->relay_acted = false;
+    core->running = false;
+    core->law_acted = false;
+    core->stroking = false;
     core->delay_us = 0;
     blocks_init(&core->blocks, BLOCK_ROWS_MAX, RIG_TICK_US);
     disarm(core); /* P1 */
@@ -700,8 +788,8 @@ void rig_tick(rig_core *core)
             latch(core, RIG_E_WATCHDOG); /* P3 */
         }
     }
-    if (core->relaying) {
-        relay_tick(core);
+    if (core->running) {
+        law_tick(core);
     }
 }
 

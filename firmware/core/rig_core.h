@@ -16,7 +16,7 @@
  *     P1 after a reset the drive is 0, and stays 0 until SETUP and ARM
  *     P2 more drive than max_drive never reaches the pin
  *     P3 host silence longer than watchdog_ms sets the drive to 0, at most one tick later;
- *        while something drives, only DRIVE counts as the host's voice; while the relay runs, only KEEP
+ *        while something drives, only DRIVE counts as the host's voice; while a law of the device runs, only KEEP
  *     P4 a position outside the hard limits sets the drive to 0, at most one tick later
  *     P5 a sensor at its rail sets the drive to 0, at most one tick later
  *     P6 armed outside a hard limit, only drive inward reaches the pin
@@ -27,10 +27,12 @@
  *    P10 the e-stop latches whether armed or not, a reset always; so do, once SETUP has told what they are, the rail and
  *        both end switches at once. Travel and one end switch latch only while armed: P6 recovers from them
  *    P11 ARM names the session that SETUP has begun; a reset ends it
+ *    P12 a stroke drives no longer than its time; after two in a row that failed nothing drives
  *
- * The relay (relay.h) is started by RELAY and drives at each tick, after P3, P4, P5 and P9 have been looked at. Whatever
- * disarms ends it; so does DRIVE, which takes over. Each of its ticks is a row that goes to the host unasked, in blocks
- * (blocks.h); the last block says by its status that the relay has ended.
+ * Two laws can run in the device, one at a time: the relay (relay.h), started by RELAY, and the stroke test (strokes.h),
+ * started by STROKES. The law drives at each tick, after P3, P4, P5 and P9 have been looked at. Whatever disarms ends it;
+ * so does DRIVE, which takes over. Each of its ticks is a row that goes to the host unasked, in blocks (blocks.h); the
+ * last block says by its status that the law has ended.
  */
 #ifndef RIG_CORE_H
 #define RIG_CORE_H
@@ -41,6 +43,7 @@
 #include "blocks.h"
 #include "frames.h"
 #include "relay.h"
+#include "strokes.h"
 
 #define RIG_PROTOCOL 2u
 #define RIG_TICK_US 1000u
@@ -55,9 +58,10 @@ enum rig_bridge { RIG_BRIDGE_NONE = 0, RIG_BRIDGE_PWM_DIR = 1, RIG_BRIDGE_IN1_IN
 
 enum rig_reset_cause { RIG_RESET_POWER_ON = 1, RIG_RESET_EXTERNAL = 2, RIG_RESET_BROWN_OUT = 4, RIG_RESET_WATCHDOG = 8 };
 
-enum rig_feature { RIG_FEATURE_TACHOMETER = 1, RIG_FEATURE_SUPPLY = 2 };
+/* A board's count from the first bit, the core's from the last. */
+enum rig_feature { RIG_FEATURE_TACHOMETER = 1, RIG_FEATURE_SUPPLY = 2, RIG_FEATURE_STROKES = 128 };
 
-enum rig_status { RIG_STATUS_ARMED = 1, RIG_STATUS_FAULT = 2, RIG_STATUS_RECOVERING = 4, RIG_STATUS_RELAY = 8 };
+enum rig_status { RIG_STATUS_ARMED = 1, RIG_STATUS_FAULT = 2, RIG_STATUS_RECOVERING = 4, RIG_STATUS_LAW = 8 };
 
 enum rig_type {
     RIG_HELLO = 0x01,
@@ -68,8 +72,9 @@ enum rig_type {
     RIG_STOP = 0x06,
     RIG_RELAY = 0x07,
     RIG_KEEP = 0x08,
-    RIG_BLOCK = 0x89, /* unasked, while the relay runs */
+    RIG_BLOCK = 0x89, /* unasked, while a law runs */
     RIG_ACK = 0x0A,
+    RIG_STROKES = 0x0B,
     RIG_REPLY = 0x80, /* set in the type of a reply */
     RIG_NACK = 0xFF
 };
@@ -149,10 +154,12 @@ typedef struct {
     int32_t counts;
     uint16_t tach;
     uint8_t inputs;
-    bool relaying;       /* the relay drives */
-    bool relay_acted;    /* since it was started */
-    uint16_t delay_us;   /* from the sample to the drive, at the relay's last switching */
+    bool running;        /* a law of the device drives */
+    bool law_acted;      /* since it was started */
+    uint16_t delay_us;   /* from the sample to the drive, at its last switching */
+    bool stroking;       /* that law is the stroke test, else the relay */
     relay relay;
+    strokes strokes;
     blocks blocks;
 } rig_core;
 

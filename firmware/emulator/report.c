@@ -1,6 +1,6 @@
 /* What the firmware takes of the chip, measured on the emulated one: stack, time awake, in the tick, in interrupts, with
- * interrupts masked, and bytes lost, while the host asks for everything as fast as the wire carries it and a relay runs.
- * Fails beyond the bounds below.
+ * interrupts masked, and bytes lost, while the host asks for everything as fast as the wire carries it and a relay runs,
+ * and while strokes run. Fails beyond the bounds below.
  *
  *     report HEX [BAUD]
  */
@@ -20,6 +20,7 @@ static const uint8_t WATCHDOG[1] = {RIG_E_WATCHDOG};
 /* +-60 and +-20 units about 512 counts, blocks of ten rows */
 static const uint8_t RELAY[18] = {0xC4, 0xFF, 0xEC, 0xFF, 20, 0, 60, 0, 0, 32, 0, 0, 0, 0, 0, 16, 1, 10};
 static const uint8_t DRIVE[2] = {10, 0}; /* 0.3 V: the shaft stays */
+
 
 #define TICK_SHARE_MAX 0.30
 #define MASKED_MAX_US 15.0 /* one and a half bytes at 1 Mbaud: the receiver holds two */
@@ -44,6 +45,17 @@ static uint32_t pause(virtual_board *b, int64_t ns)
     uint8_t bytes[4096];
     virtual_run(b, virtual_now_ns(b) + ns, 0);
     return virtual_read(b, bytes, sizeof bytes);
+}
+
+/* To and fro, with as many strokes as there may be. */
+static void start_strokes(virtual_board *b)
+{
+    static const uint8_t to_and_fro[2][6] = {{60, 0, 0x58, 2, 0, 0}, {0xC4, 0xFF, 0xA8, 1, 0, 0}};
+    uint8_t body[56] = {STROKES_MAX, BLOCK_ROWS_MAX, 200, 0, 200, 0, 9, 0};
+    for (unsigned i = 0; i < STROKES_MAX; i++) {
+        memcpy(body + 8u + 6u * i, to_and_fro[i % 2u], 6);
+    }
+    ask(b, RIG_STROKES, body, sizeof body);
 }
 
 static void arm(virtual_board *b)
@@ -108,11 +120,19 @@ int main(int argc, char **argv)
         (void)pause(b, 40 * byte_ns); /* the longer answers need longer */
     }
     (void)pause(b, 200000000); /* the watchdog ends it */
+    arm(b);
+    start_strokes(b);
+    uint32_t stroke_bytes = 0;
+    for (unsigned i = 0; i < 40u; i++) {
+        ask(b, RIG_KEEP, NULL, 0);
+        stroke_bytes += pause(b, 10000000);
+    }
+    (void)pause(b, 200000000); /* the watchdog ends it */
     virtual_look(b, &view);
     printf("stack     %4ld bytes at most\n", (long)view.stack_bytes);
     printf("awake     %4.1f %% of the time when idle, %.1f %% while the relay runs\n", 100.0 * idle.awake_share,
            100.0 * relay_awake);
-    printf("tick      %4.1f us at most, relay included, without the interrupts that come between\n", view.tick_us);
+    printf("tick      %4.1f us at most, relay or strokes included, without the interrupts that come between\n", view.tick_us);
     printf("1 kHz     %4.1f %% of a tick at most: that and the interrupts of clock and converter\n",
            100.0 * view.timed_share);
     printf("relay     %4.1f %% of a tick at most in all interrupts, the serial port's included, while the relay runs\n",
@@ -121,9 +141,10 @@ int main(int argc, char **argv)
            100.0 * view.interrupt_share);
     printf("masked    %4.1f us at most\n", view.masked_us);
     printf("held      %4.1f us at most: the tick, by the main loop, other interrupts included\n", virtual_held_us(b));
-    printf("lost      %4ld bytes received, of the relay's 2 s %lu bytes came\n", (long)view.overruns,
-           (unsigned long)bytes);
+    printf("lost      %4ld bytes received, of the relay's 2 s %lu bytes came, of the strokes' 0.4 s %lu\n", (long)view.overruns,
+           (unsigned long)bytes, (unsigned long)stroke_bytes);
     const bool is_well = view.overruns == 0 && view.resets == 0 && !view.crashed && bytes > 200u * 50u &&
+                         stroke_bytes > 40u * 50u &&
                          view.timed_share < TICK_SHARE_MAX && view.masked_us < MASKED_MAX_US;
     virtual_free(b);
     if (!is_well) {

@@ -49,6 +49,14 @@ static struct {
     unsigned latched; /* bits of what must not be forgotten until it is acknowledged */
     bool positive_raises;
     uint32_t t_voice_us; /* of the last frame that may keep up a drive */
+    struct {
+        bool run;
+        uint8_t body[56];        /* as they were confirmed */
+        int way;                 /* of the drive at the last tick: +1, -1 or 0 */
+        unsigned one_way;        /* ticks in a row that it drives this way */
+        int32_t counts;          /* at the last tick */
+        unsigned still;          /* ticks in a row in which the reading did not change and no stroke could turn */
+    } strokes;
 } witness;
 
 static rig_core core;
@@ -234,12 +242,12 @@ static void hold(void)
     REQUIRE(core.setup.session == witness.session);                             /* P11 */
     REQUIRE(board.pin == core.drive);
     REQUIRE(!core.armed || witness.permitted);
-    REQUIRE(!core.relaying || core.armed);
+    REQUIRE(!core.running || core.armed);
     if (board.pin != 0) {
         REQUIRE(witness.set_up && witness.permitted && core.armed); /* P1, P7 */
         REQUIRE(size_of(board.pin) <= witness.max_drive);           /* P2 */
     }
-    if (core.relaying) {
+    if (core.running) {
         REQUIRE(core.relay.z <= core.relay.setup.z_bound && core.relay.z >= -core.relay.setup.z_bound);
         REQUIRE(core.blocks.ring[core.blocks.in].n < core.blocks.rows && core.blocks.rows <= BLOCK_ROWS_MAX);
     }
@@ -270,6 +278,54 @@ static void hold_after_tick(void)
     }
 }
 
+static int stroke_drive(unsigned i)
+{
+    return (int16_t)u16(witness.strokes.body + 8 + 6 * i);
+}
+
+static int32_t stroke_turn(unsigned i)
+{
+    return (int32_t)u32(witness.strokes.body + 10 + 6 * i);
+}
+
+static bool may_turn_at(int32_t counts)
+{
+    for (unsigned i = 0; i < witness.strokes.body[0]; i++) {
+        const bool rises = (stroke_drive(i) > 0) == witness.positive_raises;
+        if (rises ? counts >= stroke_turn(i) : counts <= stroke_turn(i)) {
+            return true;
+        }
+    }
+    return false;
+}
+
+static bool is_of_a_stroke(int units)
+{
+    for (unsigned i = 0; i < witness.strokes.body[0]; i++) {
+        if (units == stroke_drive(i)) {
+            return true;
+        }
+    }
+    return units == 0;
+}
+
+/* P12, after a tick. */
+static void hold_strokes(void)
+{
+    if (!core.running || !witness.strokes.run) {
+        return;
+    }
+    const int way = (board.pin > 0) - (board.pin < 0);
+    REQUIRE(is_of_a_stroke(board.pin));
+    witness.strokes.one_way = way == witness.strokes.way ? witness.strokes.one_way + 1u : 1u;
+    REQUIRE(way == 0 || witness.strokes.one_way <= u16(witness.strokes.body + 2) + 1u);
+    const bool is_still = board.counts == witness.strokes.counts && !may_turn_at(board.counts);
+    witness.strokes.still = is_still ? witness.strokes.still + 1u : 0u;
+    REQUIRE(way == 0 || witness.strokes.still <= 2u * (u16(witness.strokes.body + 4) + 2u));
+    witness.strokes.way = way;
+    witness.strokes.counts = board.counts;
+}
+
 /* ---- requests and their answers ---- */
 
 static void note_setup(const uint8_t *body)
@@ -290,6 +346,23 @@ static void note_setup(const uint8_t *body)
     REQUIRE(witness.watchdog_ms >= 1u && witness.watchdog_ms <= RIG_WATCHDOG_MAX_MS);
 }
 
+static void note_strokes(const uint8_t *body)
+{
+    REQUIRE(memcmp(board.reply + FRAME_HEADER, body, sizeof witness.strokes.body) == 0); /* what runs is what was sent */
+    memcpy(witness.strokes.body, body, sizeof witness.strokes.body);
+    REQUIRE(body[0] >= 2u && body[0] <= STROKES_MAX);
+    for (unsigned i = 0; i < body[0]; i++) {
+        REQUIRE(size_of(stroke_drive(i)) <= witness.max_drive); /* P2 */
+        REQUIRE(stroke_drive(i) != 0 && ((stroke_drive(i) > 0) == (stroke_drive(0) > 0)) == (i % 2u == 0u));
+        REQUIRE(stroke_turn(i) >= witness.hard_lo && stroke_turn(i) <= witness.hard_hi);
+    }
+    witness.strokes.run = true;
+    witness.strokes.way = 0;
+    witness.strokes.one_way = 0;
+    witness.strokes.still = 0;
+    witness.strokes.counts = board.counts;
+}
+
 static void note_state(void)
 {
     const uint8_t *body = board.reply + FRAME_HEADER;
@@ -306,14 +379,14 @@ static uint32_t arrival(void)
 }
 
 /* A valid frame went in: what it was, what came back, and what that permits. */
-static void note_request(const uint8_t *content, size_t n, bool was_armed, bool was_relaying)
+static void note_request(const uint8_t *content, size_t n, bool was_armed, bool was_running)
 {
     const uint8_t type = content[1];
     const bool whole = content[0] == RIG_PROTOCOL;
     const bool is_silent = whole && ((type == RIG_DRIVE && n == FRAME_HEADER + 2u) || (type == RIG_KEEP && n == FRAME_HEADER));
     REQUIRE(board.replies == (is_silent ? 0u : 1u));
     if (is_silent) {
-        if (type == RIG_DRIVE || was_relaying) {
+        if (type == RIG_DRIVE || was_running) {
             witness.t_voice_us = arrival();
         }
         return;
@@ -338,8 +411,13 @@ static void note_request(const uint8_t *content, size_t n, bool was_armed, bool 
         REQUIRE(board.pin == 0);
         break;
     case RIG_RELAY | RIG_REPLY:
-        REQUIRE(was_armed && !was_relaying && core.relaying);
+    case RIG_STROKES | RIG_REPLY:
+        REQUIRE(was_armed && !was_running && core.running);
         witness.t_voice_us = arrival();
+        witness.strokes.run = false;
+        if (type == RIG_STROKES) {
+            note_strokes(content + FRAME_HEADER);
+        }
         break;
     case RIG_ACK | RIG_REPLY:
         REQUIRE(!is_in_the_way(content[FRAME_HEADER]));
@@ -389,7 +467,7 @@ static void send_byte(uint8_t byte)
     const size_t n = reference_receive(&board.to_device, byte, content);
     rig_byte(&core, byte);
     if (n != 0u) {
-        note_request(content, n, before.armed, before.relaying);
+        note_request(content, n, before.armed, before.running);
     } else {
         memcpy(&before.rx, &core.rx, sizeof core.rx);
         REQUIRE(memcmp(&before, &core, sizeof core) == 0); /* P8 */
@@ -423,6 +501,7 @@ static void tick(void)
     memcpy(&seen, &core, sizeof core);
     REQUIRE(board.replies == 0u && board.blocks == 0u);
     hold_after_tick();
+    hold_strokes();
     let_stream();
 }
 

@@ -286,7 +286,7 @@ static void test_hello(void)
     send_raw(RIG_PROTOCOL, RIG_HELLO, NULL, 0);
     CHECK(replied(RIG_HELLO | RIG_REPLY, 31));
     CHECK(board.got[4] == RIG_BOARD_HOST && board.got[5] == RIG_RESET_BROWN_OUT);
-    CHECK(board.got[6] == RIG_BRIDGE_IN1_IN2 && board.got[7] == RIG_FEATURE_TACHOMETER);
+    CHECK(board.got[6] == RIG_BRIDGE_IN1_IN2 && board.got[7] == (RIG_FEATURE_TACHOMETER | RIG_FEATURE_STROKES));
     CHECK(got_u32(4) == 1023 && got_u16(8) == FULL && got_u32(10) == 0xFEDCBA98u && board.got[18] == 0);
     CHECK(memcmp(board.got + 19, "build 1234567890", 16) == 0);
 }

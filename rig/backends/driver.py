@@ -6,7 +6,7 @@ A run is ``open``, ``arm``, then ``read`` and ``write`` each tick, then ``safe_s
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import index
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -28,6 +28,7 @@ class DeviceInfo:
     supply_V     motor supply as the device measures it, V; nan where it does not
     supply_at_least  that reading is at the end of its range: the supply may be higher
     drive_units  steps of the drive at full duty: u_V of a sample is a whole number of them; None: no such steps
+    remarks      what people should know of this device before it drives, a sentence each
     acknowledged codes of the faults that the device had latched before, and that opening it has cleared
     """
 
@@ -41,6 +42,7 @@ class DeviceInfo:
     supply_at_least: bool = False
     drive_units: int | None = None
     acknowledged: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         # these texts come from the device and go to terminals
@@ -78,7 +80,7 @@ class DriverSettings:
 
 
 class RelayRow(NamedTuple):
-    """One tick of the relay in the device.
+    """One tick of a law in the device, the relay or the strokes.
 
     t_s       when the position was sampled, s in host time
     t_u_s     time from which the drive decided on it acts, s
@@ -111,6 +113,33 @@ class RelayCommand:
     centre_counts: float
     z_bound_count_ticks: float
     direction: int
+
+
+@dataclass(frozen=True)
+class StrokesCommand:
+    """A stroke test for a device, in counts, ticks and V.
+
+    strokes        (drive, V; turning point, counts) of each, to and fro
+    centre_counts  reading at y = 0, rounded: the first stroke is that of the first two that drives towards it
+    direction      +1 where counts rise with the position, else -1
+    stroke_ticks   longest time of a stroke
+    still_ticks    longest time for which the reading may stand still under one drive
+    still_counts   readings less than this apart are one position
+    """
+
+    strokes: tuple[tuple[float, int], ...]
+    centre_counts: int
+    direction: int
+    stroke_ticks: int
+    still_ticks: int
+    still_counts: int
+
+
+class StrokeTimes(NamedTuple):
+    """Longest times of one stroke in a device, s: until its turning point, and with a reading that stands still."""
+
+    stroke_s: float
+    still_s: float
 
 
 class Timeouts(NamedTuple):
@@ -245,6 +274,22 @@ class RelayRules(Protocol):
 
 
 @runtime_checkable
+class StrokeRules(RelayRules, Protocol):
+    """What a device that runs strokes by itself makes of them: a replay asks it again."""
+
+    def strokes_command(
+        self, strokes: Sequence[tuple[float, float]], times: StrokeTimes, motion_rad: float
+    ) -> StrokesCommand:
+        """The command for these strokes.
+
+        strokes     (drive, V; turning point, rad) of each, to and fro
+        motion_rad  readings within this span stand still, rad
+        Raises Fault CONFIG_MISMATCH or ValueError where the device cannot run them.
+        """
+        ...
+
+
+@runtime_checkable
 class RelayDriver(Driver, RelayRules, Protocol):
     """A driver whose device can run the dual-channel relay by itself, at each of its ticks."""
 
@@ -265,4 +310,20 @@ class RelayDriver(Driver, RelayRules, Protocol):
 
     def stop_relay(self) -> list[RelayRow]:
         """End the relay with 0 V, still armed; returns its last ticks. Raises Fault on any fault of the link."""
+        ...
+
+
+@runtime_checkable
+class StrokeDriver(RelayDriver, StrokeRules, Protocol):
+    """A driver whose device can run strokes, too. ``keep``, ``read_rows`` and ``stop_relay`` serve both laws."""
+
+    def start_strokes(self, command: StrokesCommand) -> None:
+        """Let the strokes drive. Raises Fault where the device refuses, or on any fault of the link."""
+        ...
+
+    def row_after_stop(self) -> RelayRow | None:
+        """After ``stop_relay``: the shaft now, and since when 0 V acts, which is before that; None: unknown.
+
+        Raises Fault as ``read``.
+        """
         ...

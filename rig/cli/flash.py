@@ -26,9 +26,9 @@ from rig.cli.failure import EXIT_BAD_INPUT, fail, faults
 @click.option("--end-switches", is_flag=True, help="End switches are wired to D5 and D6.")
 @click.option(
     "--hex", "hex_file", type=click.Path(path_type=Path, exists=True, dir_okay=False), default=None,
-    help="Write this file. Default: build it here, for the options above.",
+    help="Write this file. Default: the one that came with rig for the options above; without one it is built here.",
 )  # fmt: skip
-@click.option("--dry-run", is_flag=True, help="Build, and print the command; touch no board.")
+@click.option("--dry-run", is_flag=True, help="Print the command; touch no board.")
 def flash(
     port: str | None,
     baud: str,
@@ -39,9 +39,10 @@ def flash(
     hex_file: Path | None,
     dry_run: bool,
 ) -> None:
-    """Build the Arduino Uno's firmware and write it to the board.
+    """Write the firmware to an Arduino Uno.
 
-    avrdude writes it; then rig asks the board which firmware it runs.
+    rig's wheel carries it, for any of these options; in the repository it is built. avrdude writes it; then rig asks
+    the board which firmware it runs.
 
     Switch off the motor's supply first: while a board is written, its pins float.
     """
@@ -71,7 +72,13 @@ def flash(
                 else:
                     click.echo(f"found: {found}")
                     port = found.device
-            command = uno.avrdude_command(avrdude or "avrdude", port, hex_file or build_uno(options))
+            shipped = None if hex_file is not None else uno.prebuilt(options.name)
+            if shipped is not None:
+                click.echo(str(shipped))
+                if uno.REAL_CHIP_REPORT is None:
+                    click.echo(uno.NEVER_RUN)
+            file = hex_file or (build_uno(options) if shipped is None else shipped.path)
+            command = uno.avrdude_command(avrdude or "avrdude", port, file)
             if dry_run:
                 click.echo(f"would run: {shlex.join(command)}")
                 if avrdude is None:
@@ -81,8 +88,10 @@ def flash(
             click.echo(f"running: {shlex.join(command)}")
             uno.write(command, port, partial(click.echo, nl=False, err=True))
             click.echo("written; waiting for the board to answer ...")
-            click.echo(f"{port}: {uno.in_words(uno.meet(port, int(baud)))}")
+            hello = uno.meet(port, int(baud))
+            click.echo(f"{port}: {uno.in_words(hello)}")
             if hex_file is None:
+                uno.check_build(hello)
                 click.echo(f"before you switch on the motor's supply: {uno.AT_REST[bridge]}")
     except uno.FlashError as error:
         fail(error.status, error.cause, error.cure)

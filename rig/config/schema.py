@@ -558,6 +558,10 @@ class Emulated(_Section):
     dead_band_duty: DeadBand | None = Field(
         None, description="duty below which the bridge truly passes nothing; default: drive.dead_band_duty"
     )
+    coasting: bool | None = Field(
+        None,
+        description="the bridge lets the motor run free while PWM is low (L298, PWM on its enable); default: false",
+    )
     reversed: bool | None = Field(
         None, description="positive duty truly turns the shaft to falling positions; default: drive.reversed"
     )
@@ -572,6 +576,14 @@ class Emulated(_Section):
         description="has a velocity channel, scaled as in section tachometer; default: where there is that section",
     )
     wiring: EmulatedWiring = Field(EmulatedWiring(), description="faults that the bench is built with")
+
+    @model_validator(mode="after")
+    def _coasts_without_parts(self) -> Self:
+        if self.coasting and self.motor.parts is not None:
+            raise ValueError(
+                "a coasting bridge takes a motor without parts: leave out emulated.coasting or emulated.motor.parts"
+            )
+        return self
 
 
 class Experiment(_Section):

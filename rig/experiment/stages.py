@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from rig.backends.clock import MonotonicClock
-from rig.backends.driver import RelayDriver
 from rig.config import Experiment
 from rig.config.schema import Method
 from rig.control.breakaway import BreakawayCheck, BreakawayFound, BreakawayLaw, StrokePlan
@@ -23,10 +22,11 @@ from rig.control.hysteretic import HystereticRun
 from rig.control.known_motor import NOT_COMPENSATED
 from rig.control.law import Constant, Rest, Timed
 from rig.control.observer import MotorObserver
-from rig.control.relay import DualChannelRelay, HystereticRelay, RelayOnCounts
+from rig.control.relay import DualChannelRelay, HystereticRelay
 from rig.control.tracking import Tracking
 from rig.control.trajectory import SumOfSines
 from rig.estimators import LEADING
+from rig.experiment.in_device import relay_in_device
 from rig.faults import Fault
 from rig.identify import Identification, identify
 from rig.identify.stroke_delay import strokes_delay
@@ -41,7 +41,7 @@ from rig.preflight.room_to_stop import counted_delay_s, expected_delay_s, reach_
 from rig.recording.folder import write_meta
 from rig.recording.stage import Stage, StageKind
 from rig.results import JogResult, RealTimeReport, TrackingResult
-from rig.session import FADE_S, Session
+from rig.session import FADE_S, Session, beside_data_sheet
 from rig.signals import BenchDelay
 
 REST_S = 0.7
@@ -288,7 +288,7 @@ def test_further(session: Session, pair_V: tuple[float, float]) -> None:
 def relay_and_detector(e: Experiment) -> tuple[DualChannelRelay, CycleDetector]:
     """The relay, without gains yet, and what finds its cycles."""
     detector = CycleDetector(min_period_s=30.0 * e.period_s, min_amplitude_rad=20.0 * e.sensor.curve.lsb_rad)
-    return DualChannelRelay(0.0, 0.0, _integral_bound_rad_s(e)), detector
+    return DualChannelRelay(0.0, 0.0, integral_bound_rad_s(e)), detector
 
 
 def _test_relay(
@@ -334,18 +334,8 @@ def run_in_device(
 
     Raises Fault CONFIG_MISMATCH if the device has no relay, and what the loop raises.
     """
-    e, driver = session.experiment, session.bench.driver
-    if not isinstance(driver, RelayDriver):
-        raise Fault("CONFIG_MISMATCH", f"relay.where is device, but {driver.backend} has no relay")
-    command = driver.relay_command(*gains_V, _integral_bound_rad_s(e))
-    relay = RelayOnCounts(
-        command.centre_counts,
-        command.direction,
-        command.z_bound_count_ticks,
-        command.drives_V,
-        command.count_tick_rad_s,
-        gains_V,
-    )
+    e = session.experiment
+    command, relay = relay_in_device(session, gains_V, integral_bound_rad_s(e))
     test = RelayTest(relay, detector, gains_V, e.relay.cycles, timeout_s)
     session.loop.run_in_device(test, command, stage, watch)
     if relay.bound_reached:
@@ -434,21 +424,8 @@ def identify_recorded(session: Session) -> None:
     session.recorder.drain()
     session.note("stage", name="identify")
     identification = session.found.identification = identify([session.read()])
-    _compare_with_data_sheet(session, identification)
+    session.found.notes += beside_data_sheet(session.experiment, identification)
     session.loop.check_stop()
-
-
-def _compare_with_data_sheet(session: Session, identification: Identification) -> None:
-    """Note if the motor is faster than the config says: the bound on unseen travel depends on that speed."""
-    e, best = session.experiment, identification.best
-    if e.motor is None or best is None:
-        return
-    no_load_rad_s = best.K_rad_s_V * (e.drive.supply_V - best.fc_V)
-    if no_load_rad_s > 1.1 * e.motor.no_load_speed_rad_s:
-        session.found.notes.append(
-            f"motor.no_load_speed_rad_s is {e.motor.no_load_speed_rad_s:g}, but by this estimate the shaft would reach "
-            f"{no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V: correct it; the breakaway check's strokes rely on it"
-        )
 
 
 def verify_models(session: Session) -> None:
@@ -593,7 +570,7 @@ def _tracking_law(session: Session, motor: Motor | FramedMotor, further_delay_s:
     )
 
 
-def _integral_bound_rad_s(e: Experiment) -> float:
+def integral_bound_rad_s(e: Experiment) -> float:
     """Bound on the relay's integral: four times the largest |z| of any cycle to expect."""
     if e.relay.until is not None:
         # a cycle that fills the soft limits takes ten time constants at most

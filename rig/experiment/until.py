@@ -10,6 +10,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from typing import NamedTuple
 
+from rig.backends.driver import RelayCommand, StrokesCommand
 from rig.config.schema import UntilSection
 from rig.control.bounded import Bounded, Bounds
 from rig.control.breakaway import BreakawayLaw
@@ -18,9 +19,17 @@ from rig.control.law import Law, Rest
 from rig.control.rising_gains import RisingGains, SwingRoom
 from rig.control.strokes import StrokeTest, StrokeTiming
 from rig.design.advisor import Advice
-from rig.design.planned_test import PlannedTest, RelayGains
+from rig.design.planned_test import PlannedTest, RelayGains, Strokes
 from rig.experiment.advisers import Advisers, advisers_of, advisor_settings
-from rig.experiment.stages import REST_S, armed_check, prepared, relay_and_detector, test_hysteretic
+from rig.experiment.in_device import relay_in_device, strokes_in_device
+from rig.experiment.stages import (
+    REST_S,
+    armed_check,
+    integral_bound_rad_s,
+    prepared,
+    relay_and_detector,
+    test_hysteretic,
+)
 from rig.identify.live import LiveEstimate
 from rig.model.real_motor import FramedMotor
 from rig.preflight.room_to_stop import expected_delay_s, reach_rad
@@ -134,30 +143,53 @@ class _Tests:
 
     def _test(self, test: PlannedTest) -> None:
         """A designed test."""
-        session, e = self._session, self._session.experiment
         if isinstance(test, RelayGains):
-            stage = self._numbered(StageKind.RELAY)
-            session.note("gains", stage=stage, h1_V=test.h1_V, h2_V=test.h2_V)
-            gains_V = (test.h1_V, test.h2_V)
-            relay_test = RelayTest(self._relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S)
-            relay_test.watch.wait(round(session.loop.latency_s / e.period_s))
-            relay_test.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
-            law: Law = relay_test
+            self._relay_test(test)
         else:
-            stage = self._numbered(StageKind.STROKES)
-            timing = StrokeTiming(LONG_S, test.longest_stroke_s)
-            law = StrokeTest(test.strokes, timing, e.breakaway.motion_rad)
-            self._relay.restart()  # its integral means nothing after strokes
+            self._stroke_test(test)
+
+    def _relay_test(self, test: RelayGains) -> None:
+        session, e = self._session, self._session.experiment
+        stage, gains_V = self._numbered(StageKind.RELAY), (test.h1_V, test.h2_V)
+        session.note("gains", stage=stage, h1_V=test.h1_V, h2_V=test.h2_V)
+        if e.relay.where == "device":
+            command, relay = relay_in_device(session, gains_V, integral_bound_rad_s(e))
+            on_counts = RelayTest(relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S)
+            self._drive(Bounded(on_counts, self._bounds), stage, guarded=True, command=command)
+            return
+        law = RelayTest(self._relay, self._detector, gains_V, cycles=10**9, timeout_s=LONG_S)
+        law.watch.wait(round(session.loop.latency_s / e.period_s))
+        law.ahead_s = expected_delay_s(e, session.delay or BenchDelay())
+        self._drive(Bounded(law, self._bounds), stage, guarded=True)
+
+    def _stroke_test(self, test: Strokes) -> None:
+        session, e = self._session, self._session.experiment
+        stage, timing = self._numbered(StageKind.STROKES), StrokeTiming(LONG_S, test.longest_stroke_s)
+        self._relay.restart()  # its integral means nothing after strokes
+        if e.relay.where == "device":
+            command, on_counts = strokes_in_device(session, test.strokes, timing)
+            self._drive(Bounded(on_counts, self._bounds), stage, guarded=True, command=command)
+            return
+        law = StrokeTest(test.strokes, timing, e.breakaway.motion_rad)
         self._drive(Bounded(law, self._bounds), stage, guarded=True)
 
     def _numbered(self, kind: StageKind) -> str:
         self._number += 1
         return f"{kind}-{self._number}"
 
-    def _drive(self, law: Bounded, stage: str, watch: Callable[[], None] | None = None, guarded: bool = False) -> None:
+    def _drive(
+        self,
+        law: Bounded,
+        stage: str,
+        watch: Callable[[], None] | None = None,
+        *,
+        guarded: bool = False,
+        command: RelayCommand | StrokesCommand | None = None,
+    ) -> None:
         """Run a law until something ends it, and decide what comes next.
 
         guarded  whether the guard may not brake in it: then the design was for another motor
+        command  of a law that the device runs; None: the loop runs it
         """
         session, guard = self._session, self._session.loop.guard
         before = guard.braked_ticks + guard.clipped_ticks
@@ -166,8 +198,8 @@ class _Tests:
         def after(t_s: float) -> None:
             if watch is not None:
                 watch()
-            if law.finished and not law.failed:
-                return
+            if self._next != _Next() or (law.finished and not law.failed):
+                return  # it is decided already: of a law in the device some more rows come
             row = session.loop.rows - 1
             if law.failed:
                 self._give_up(row, law.failed)
@@ -181,7 +213,10 @@ class _Tests:
                 self._take(self._who.advice(row, t_s), row)
             law.finished = self._next != _Next()
 
-        session.loop.run(law, stage, after)
+        if command is None:
+            session.loop.run(law, stage, after)
+        else:
+            session.loop.run_in_device(law, command, stage, after, guard_ends_run=False)
 
     def _give_up(self, row: int, why: str) -> None:
         """Break a designed test off: rest, and let the next one be designed for less room."""

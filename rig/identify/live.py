@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 
 NORMAL_95 = 1.959964
 GAP_PERIODS = 2.5  # between two rows: from there on the record is cut
+QUICK = 0.5  # of the period: rows closer than that are of a law in the device
 FEWEST_MOVING_ROWS = 40
 ITERATIONS = 12
 COLD_ITERATIONS, POLISHED = 20, 3
@@ -162,9 +163,9 @@ class LiveFit:
         if record is None:
             return self._of_prior()
         windows, found = record
-        longest = max(FEWEST_MOVING_ROWS, round(PART_S / self.settings.period_s))
-        cut = self._cut(windows, [in_parts(each, longest) for each in found])
-        moving = float(np.sum(weight_of(cut))) * self.settings.period_s
+        longest = [max(FEWEST_MOVING_ROWS, round(PART_S / window.period_s)) for window in windows]
+        cut = self._cut(windows, [in_parts(each, rows) for each, rows in zip(found, longest, strict=True)])
+        moving = sum((m.stop - m.first) * w.period_s for w, each in zip(windows, found, strict=True) for m in each)
         fit = self._warm(cut)
         if fit is None or self._looks_elsewhere(fit, moving):
             self._cold_at = moving
@@ -217,10 +218,9 @@ class LiveFit:
         return [motions(window, *sensor, through=through) for window in windows]
 
     def _series(self, rows: LiveRows) -> list[TimeSeries]:
-        """The rows between gaps of the record."""
-        gaps = np.flatnonzero(np.diff(rows.t_s) > GAP_PERIODS * self.settings.period_s) + 1
+        """The rows between gaps of the record, each part at one rate."""
         out = []
-        for part in np.split(np.arange(rows.t_s.size), gaps):
+        for part in np.split(np.arange(rows.t_s.size), _cuts(rows.t_s, self.settings.period_s)):
             known = np.isfinite(rows.t_u_s[part])
             tells = self.settings.delay_s is None and bool(known.any())
             kept = part[known] if tells else part
@@ -393,6 +393,14 @@ class LiveFit:
             0.0,
             replace(prior, motor=motor),
         )
+
+
+def _cuts(t_s: Array, period_s: float) -> NDArray[np.int64]:
+    """Rows at which a record is cut: after a gap, and where its rate changes, as a law in the device has its own."""
+    step_s = np.diff(t_s)
+    is_quick = step_s < QUICK * period_s
+    changes = np.concatenate(([False], is_quick[1:] != is_quick[:-1]))[: step_s.size]
+    return np.asarray(np.flatnonzero((step_s > GAP_PERIODS * period_s) | changes) + 1)
 
 
 def drives_differ(cut: Cut, found: Sequence[Sequence[Motion]], noise_rad: float) -> bool:

@@ -105,7 +105,8 @@ def _columns(test: TimeSeries) -> list[Objection]:
         return [
             Objection(
                 "refused",
-                f"{name}: the motor turns against its drive: reverse the sign of u_V or y_rad, or are they swapped?",
+                f"{name}: the motor turns against its drive: reverse the sign of u_V or y_rad (where units are given: "
+                "--reversed), or are they swapped?",
             )
         ]
     return []
@@ -137,7 +138,9 @@ def _units(test: TimeSeries) -> list[Objection]:
         object_to("doubtful", f"the whole recording lasts {duration:.3g} s: is t_s in seconds?")
 
     step = test.resolution_rad()
-    if span > 2.0 and bool(np.all(y == np.round(y))):
+    if test.units_stated and span > SMALLEST_SPAN_RAD:
+        pass  # any number of turns, in steps of any size: ``_information`` asks for enough steps
+    elif span > 2.0 and bool(np.all(y == np.round(y))):
         object_to("refused", f"all positions are whole numbers over {span:g}: is y_rad in raw counts or degrees?")
     elif span > LARGEST_SPAN_RAD:
         object_to("refused", f"positions span {span:.3g} rad: is y_rad in degrees or milliradians?")

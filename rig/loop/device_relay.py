@@ -1,4 +1,4 @@
-"""The relay in the device while it drives: the loop records each of its ticks, and checks it by law and guard."""
+"""A law in the device while it drives: the loop records each of its ticks, and checks it by law and guard."""
 
 from __future__ import annotations
 
@@ -6,23 +6,26 @@ import math
 from collections import deque
 from collections.abc import Callable
 
-from rig.backends.driver import RelayCommand, RelayDriver, RelayRow
+from rig.backends.driver import RelayCommand, RelayDriver, RelayRow, StrokeDriver, StrokesCommand
 from rig.control.guard import Guard
 from rig.control.law import Law
 from rig.faults import Fault
 from rig.loop.statistics import LoopStatistics
 from rig.recording.sink import RowSink
+from rig.recording.stage import StageKind
 from rig.signals import FLAG_SKIPPED, Sample
 
 STOPPING = "stopping"  # stage of the rows between the end of the run and the stop of the relay in the device
 
 
 class DeviceRelay:
-    """Follows the relay in the device. The loop keeps the device's watchdog quiet and fetches the rows.
+    """Follows the relay in the device, or the strokes. The loop keeps the device's watchdog quiet and fetches the rows.
 
     guard, record   the loop's own
     statistics      counts the device's ticks
     since_start_s   converts a time of the driver to the run's time, s
+
+    refused  the first drive that the guard would not let out, in words, where that does not end the run; "": none yet
     """
 
     def __init__(
@@ -35,21 +38,42 @@ class DeviceRelay:
         self._driver: RelayDriver | None = None  # while it drives
         self._tick_s = math.nan
         self._last_row_s = math.nan
+        self._last_u_s = math.nan  # since when the last row's drive acts
+        self._ends_run = True  # a drive that the guard would not let out
+        self.refused = ""
         self.rows = 0  # recorded so far
         self._untaken: deque[RelayRow] = deque()  # rows that have come and are not recorded yet
 
-    def start(self, driver: RelayDriver, command: RelayCommand) -> None:
-        """Start the relay."""
+    def start(self, driver: RelayDriver, command: RelayCommand | StrokesCommand, *, ends_run: bool = True) -> None:
+        """Start the law.
+
+        ends_run  a drive that the guard would not let out ends the run; False: it is noted in ``refused``
+        Raises ValueError if the driver has no such law, and Fault as it.
+        """
         self._tick_s = driver.tick_s
         self._last_row_s = math.nan
-        driver.start_relay(command)
+        self._ends_run = ends_run
+        self.refused = ""
+        if isinstance(command, RelayCommand):
+            driver.start_relay(command)
+        elif isinstance(driver, StrokeDriver):
+            driver.start_strokes(command)
+        else:
+            raise ValueError(f"no strokes in the device behind {driver.backend}")
         self._driver = driver
 
     def stop(self, driver: RelayDriver) -> list[RelayRow]:
-        """Stop the relay. Returns its last rows. Raises Fault as the driver does."""
+        """Stop the law. Returns its last rows. Raises Fault as the driver does."""
         last_rows = driver.stop_relay()
         self._driver = None  # all of its rows have come
         return last_rows
+
+    def record_stop(self, driver: RelayDriver, tick: int) -> None:
+        """Record since when the drive is 0 V, where the driver tells it: by a row of stage ``rest``."""
+        row = driver.row_after_stop() if isinstance(driver, StrokeDriver) else None
+        if row is not None:
+            at_rest = row._replace(t_u_s=max(row.t_u_s, self._last_u_s))
+            self._record_row(at_rest, self._sample(row), tick, str(StageKind.REST), math.nan, math.nan, 0)
 
     def take(
         self, rows: list[RelayRow], tick: int, law: Law, stage: str, watch: Callable[[float], None] | None
@@ -74,7 +98,7 @@ class DeviceRelay:
         try:
             decided_V = law.step(sample)
         finally:
-            self._record_row(row, sample, tick, stage, law.z_rad_s, law.yd_rad)
+            self._record_row(row, sample, tick, stage, law.z_rad_s, law.yd_rad, self._count_tick(sample))
         if row.u_V != decided_V:
             if self._driver is not None:
                 # if the device stopped by itself, this raises its reason
@@ -82,15 +106,17 @@ class DeviceRelay:
             raise Fault("DEVICE_RELAY", f"{row.u_V:+.3f} V at {row.y_counts} counts, not {decided_V:+.3f} V")
         passed_V, _ = self._guard.allow(sample, row.u_V)
         if passed_V != row.u_V:
-            raise Fault(
-                "RELAY_STOPPED",
+            refused = (
                 f"{row.u_V:+.2f} V at {sample.y_rad:.3f} rad, {self._guard.velocity_rad_s:+.2f} rad/s, "
-                f"predicted stop {self._guard.predicted_stop_rad:.3f} rad",
+                f"predicted stop {self._guard.predicted_stop_rad:.3f} rad"
             )
+            if self._ends_run:
+                raise Fault("RELAY_STOPPED", refused)
+            self.refused = self.refused or refused
         return sample
 
     def record_last_rows(self, tick: int, now_s: float) -> None:
-        """Record the rows that are left when the run ends while the relay drives; nothing checks them."""
+        """Record the rows that are left when the run ends while the law drives; nothing checks them."""
         driver, self._driver = self._driver, None
         if driver is not None:
             try:
@@ -99,17 +125,24 @@ class DeviceRelay:
                 self._record.event(now_s, "rows_lost", error=repr(error))
         while self._untaken:
             row = self._untaken.popleft()
-            self._record_row(row, self._sample(row), tick, STOPPING, math.nan, math.nan)
+            sample = self._sample(row)
+            self._record_row(row, sample, tick, STOPPING, math.nan, math.nan, self._count_tick(sample))
 
     def _sample(self, row: RelayRow) -> Sample:
         return Sample(self._since_start_s(row.t_s), row.y_rad, row.y_counts, seq=row.block)
 
-    def _record_row(self, row: RelayRow, sample: Sample, tick: int, stage: str, z_rad_s: float, yd_rad: float) -> None:
+    def _count_tick(self, sample: Sample) -> int:
+        """Count a tick of the device, and those before it that it did not run. Returns the flags of its row."""
         since_s, tick_s = sample.t_s - self._last_row_s, self._tick_s
         missed = max(round(since_s / tick_s) - 1, 0) if math.isfinite(since_s) else 0
         self._last_row_s = sample.t_s
         self._statistics.device_tick(tick_s, missed)
-        flags = FLAG_SKIPPED if missed else 0
+        return FLAG_SKIPPED if missed else 0
+
+    def _record_row(
+        self, row: RelayRow, sample: Sample, tick: int, stage: str, z_rad_s: float, yd_rad: float, flags: int
+    ) -> None:
+        self._last_u_s = row.t_u_s
         self.rows += 1
         self._record.sample(tick, sample, stage, z_rad_s, yd_rad, row.u_V, math.nan, math.nan, flags)
         self._record.complete(self._since_start_s(row.t_u_s), row.u_V)

@@ -8,15 +8,25 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
-from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow, RelayRules
+from rig.backends.driver import (
+    DeviceInfo,
+    DeviceWatchdog,
+    RelayCommand,
+    RelayRow,
+    RelayRules,
+    StrokeRules,
+    StrokesCommand,
+    StrokeTimes,
+)
 from rig.calibration import DriveMap
 from rig.control.law import Law
 from rig.faults import Fault
 from rig.loop.replayed_rows import AFTER_DRIVING, OF_LAW_OR_GUARD, By, ReplayedRows
 from rig.loop.runner import Loop
 from rig.recording.sink import NullSink, Row
+from rig.recording.stage import StageKind
 from rig.signals import FLAG_GUARD_BRAKED, FLAG_GUARD_CLIPPED, FLAG_SATURATED, FLAG_SKIPPED, Limits, Order, Sample
 
 KEPT_DRIVES = 512  # decided last: those that may still wait in the device
@@ -127,6 +137,14 @@ class RecordedDriver:
         """The command that the device got; raises as ``RelayRules.relay_command``."""
         return self._relay.relay_command(h1_V, h2_V, z_bound_rad_s)
 
+    def strokes_command(
+        self, strokes: Sequence[tuple[float, float]], times: StrokeTimes, motion_rad: float
+    ) -> StrokesCommand:
+        """The command that the device got; raises as ``StrokeRules.strokes_command``."""
+        if not isinstance(self._rules, StrokeRules):
+            raise Fault("CONFIG_MISMATCH", "relay.where is device, but its driver does not say how strokes run there")
+        return self._rules.strokes_command(strokes, times, motion_rad)
+
     @property
     def _relay(self) -> RelayRules:
         if self._rules is None:
@@ -136,24 +154,31 @@ class RecordedDriver:
     def start_relay(self, command: RelayCommand) -> None:
         """Go on at the relay's first row.
 
-        Raises as ``ReplayedRows.end``; Diverged if the next row does not come from a relay in the device.
+        Raises as ``ReplayedRows.end``; Diverged if the next row does not come from a law in the device.
         """
+        self._start_law("the relay in the device starts")
+
+    def start_strokes(self, command: StrokesCommand) -> None:
+        """Go on at the first row of the strokes; raises as ``start_relay``."""
+        self._start_law("the strokes in the device start")
+
+    def _start_law(self, what: str) -> None:
         if self._replayed.is_over:
             self._replayed.end()
         row = self._replayed.next
         if not self._replayed[row].in_device:
-            raise self._replayed.diverged(row, "record", "a tick of the loop", "the relay in the device starts")
+            raise self._replayed.diverged(row, "record", "a tick of the loop", what)
         self._device_stage = self._replayed[row].stage
         self._replayed.set_clock()
 
     def keep(self) -> None:
-        """The relay goes on. Raises as ``ReplayedRows.end``; Diverged if it had ended here in the run."""
+        """The law goes on. Raises as ``ReplayedRows.end``; Diverged if it had ended here in the run."""
         replayed = self._replayed
         if replayed.is_over:
             replayed.end()
         if not self._is_of_relay(replayed.next):
             raise replayed.diverged(
-                replayed.next, "law", "the relay in the device has ended", f"{self._device_stage} goes on"
+                replayed.next, "law", "the law in the device has ended", f"{self._device_stage} goes on"
             )
 
     def read_rows(self) -> list[RelayRow]:
@@ -169,11 +194,18 @@ class RecordedDriver:
         return self._rows(first, end)
 
     def stop_relay(self) -> list[RelayRow]:
-        """The relay's last rows."""
+        """The law's last rows."""
         first = end = self._replayed.next
         while end < len(self._replayed) and self._is_of_relay(end):
             end += 1
         return self._rows(first, end)
+
+    def row_after_stop(self) -> RelayRow | None:
+        """The row that tells since when the drive was 0 V; None: the run has not recorded one."""
+        row = self._replayed.next
+        if row < len(self._replayed) and self._replayed[row].in_device and self._replayed[row].stage == StageKind.REST:
+            return self._rows(row, row + 1)[0]
+        return None
 
     def _is_of_relay(self, row: int) -> bool:
         recorded = self._replayed[row]
@@ -285,10 +317,17 @@ class ReplayLoop(Loop):
         super().run(_AskedDrive(law, self.replayed), stage, watch)
 
     def run_in_device(
-        self, law: Law, command: RelayCommand, stage: str, watch: Callable[[float], None] | None = None
+        self,
+        law: Law,
+        command: RelayCommand | StrokesCommand,
+        stage: str,
+        watch: Callable[[float], None] | None = None,
+        *,
+        guard_ends_run: bool = True,
     ) -> None:
         """As ``Loop.run_in_device``."""
-        super().run_in_device(_AskedDrive(law, self.replayed), command, stage, watch)
+        asked = _AskedDrive(law, self.replayed)
+        super().run_in_device(asked, command, stage, watch, guard_ends_run=guard_ends_run)
 
     def _record_last_rows(self) -> None:
         """Record none: a replay ends where the loop gives up."""

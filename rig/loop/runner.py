@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rig.backends.driver import Clock, Driver, RelayCommand, RelayDriver, RelayRow
+from rig.backends.driver import Clock, Driver, RelayCommand, RelayDriver, RelayRow, StrokesCommand
 from rig.control.guard import WINDOW_S, Guard
 from rig.control.law import Law
 from rig.control.motion import is_obeyed
@@ -153,14 +153,21 @@ class Loop:
                 watch(sample.t_s)
 
     def run_in_device(
-        self, law: Law, command: RelayCommand, stage: str, watch: Callable[[float], None] | None = None
+        self,
+        law: Law,
+        command: RelayCommand | StrokesCommand,
+        stage: str,
+        watch: Callable[[float], None] | None = None,
+        *,
+        guard_ends_run: bool = True,
     ) -> None:
-        """Let the relay in the device drive until ``law`` has ended; inside ``armed``, with the shaft about at rest.
+        """Let a law in the device drive until ``law`` has ended; inside ``armed``. The shaft may be in motion.
 
         ``law`` takes each tick of the device, and must decide the drive that the device drove. The guard checks each
-        tick, too. It cannot change the device's drive: if it would have to, it ends the run. Each tick of the loop
+        tick, too. It cannot change the device's drive: if it would have to, it ends the run; or, if
+        ``guard_ends_run`` is False, the law alone: the next law's drive is the guard's again. Each tick of the loop
         keeps the device's watchdog quiet and fetches the rows that have come.
-        Raises Fault as ``run``, and DEVICE_RELAY, RELAY_STOPPED, LINK_GAP; ValueError if the driver has no relay.
+        Raises Fault as ``run``, and DEVICE_RELAY, RELAY_STOPPED, LINK_GAP; ValueError if the device has no such law.
         """
         driver = self._driver
         if not isinstance(driver, RelayDriver):
@@ -168,15 +175,16 @@ class Loop:
         self._record.event(self.now_s, "stage", name=stage)
         self._finish_row()
         self.guard.pace(driver.tick_s, max(4.0 * self._period_s, WINDOW_S))
-        self._relay.start(driver, command)
+        self._relay.start(driver, command, ends_run=guard_ends_run)
         self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))
-        while not law.finished:
+        while not (law.finished or self._relay.refused):
             due_s, woke_s = self._await_tick()
             driver.keep()
             self._take_rows(driver.read_rows(), law, stage, watch)
             self.statistics.tick((woke_s - due_s) * 1e6, (self._clock.now_s() - woke_s) * 1e6)
             self._end_tick(due_s)
         self._take_rows(self._relay.stop(driver), law, stage, watch)
+        self._relay.record_stop(driver, self._tick)
         self.guard.pace(self._period_s)
         self._last_t_s = math.nan
         self._tick = max(self._tick, math.ceil(self.now_s / self._period_s))

@@ -11,7 +11,7 @@ from device_relay import DeviceRelay
 from virtual_host import SETUP, TICK_S
 
 from rig.backends.serial.emulated.firmware_build import PLAIN_UNO, UnoOptions
-from rig.backends.serial.frames import STATUS_ARMED, STATUS_RELAY, Block, Code, FrameReader, Kind, RelaySetup, encode
+from rig.backends.serial.frames import STATUS_ARMED, STATUS_LAW, Block, Code, FrameReader, Kind, RelaySetup, encode
 
 RELAY = RelaySetup((-50, 16, -16, 50), 512 * 16, 3_000_000, 1, 10)
 BITE = RelaySetup((-50, 16, -16, 50), 512 * 16, 200, 1, 10)  # the integral follows the position at once
@@ -92,7 +92,7 @@ def test_the_relay_goes_on_while_the_main_loop_is_busy(stall_ms: float) -> None:
     running.assert_decided_by_the_law()
     if stall_ms > BLOCKS_MS / 2:
         assert within > 0  # it has switched meanwhile
-    assert running.host.truth().resets == 0 and running.host.state().status == STATUS_ARMED | STATUS_RELAY
+    assert running.host.truth().resets == 0 and running.host.state().status == STATUS_ARMED | STATUS_LAW
 
 
 def test_what_the_main_loop_is_too_late_to_send_is_missed() -> None:

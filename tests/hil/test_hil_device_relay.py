@@ -21,8 +21,9 @@ from rig.backends.driver import RelayCommand, RelayDriver, RelayRow
 from rig.backends.emulated.bench import bench_parameters
 from rig.backends.serial.driver import SerialDriver
 from rig.backends.serial.emulated.virtual_board import VirtualBoard
+from rig.backends.serial.firmware_laws import FirmwareRelay
 from rig.backends.serial.frames import (
-    STATUS_RELAY,
+    STATUS_LAW,
     Block,
     Code,
     FrameReader,
@@ -33,7 +34,6 @@ from rig.backends.serial.frames import (
     Setup,
     encode,
 )
-from rig.backends.serial.relay_stream import FirmwareRelay
 from rig.config import load
 from rig.config.schema import Experiment, RelayGainsSection, RelaySection
 from rig.control.excitation import RelayTest
@@ -130,9 +130,9 @@ def test_what_stops_a_drive_stops_the_relay_within_two_ticks(
         host.wait(0.05)
         numbers, blocks = zip(*told_blocks(host), strict=True)
         assert list(numbers) == list(range(len(numbers)))
-        assert blocks[-1].fault == code and not blocks[-1].status & STATUS_RELAY
+        assert blocks[-1].fault == code and not blocks[-1].status & STATUS_LAW
         assert blocks[-1].rows[-1][1] == 0  # the row of the tick that stopped it
-        assert all(b.status & STATUS_RELAY and b.fault == 0 for b in blocks[:-1])
+        assert all(b.status & STATUS_LAW and b.fault == 0 for b in blocks[:-1])
         assert host.pin_V() == 0.0
 
 
@@ -405,7 +405,7 @@ class DeviceBench:
 def test_the_loop_records_every_tick_with_the_laws_own_integral() -> None:
     bench = DeviceBench()
     bench.run()
-    rows = bench.record.rows
+    rows = [row for row in bench.record.rows if row["stage"] == "relay-1"]
     t_s, y_rad = np.array([row["t_s"] for row in rows]), np.array([row["y_rad"] for row in rows])
     assert np.diff(t_s) == pytest.approx(bench.driver.tick_s, abs=3e-6)
     assert all(row["flags"] == 0 for row in rows)
@@ -420,6 +420,25 @@ def test_the_loop_records_every_tick_with_the_laws_own_integral() -> None:
     assert summary["device"] == {"period_s": bench.driver.tick_s, "ticks": len(rows), "missed": 0}
     assert bench.board.truth().pin_V == 0.0
     assert bench.record.events[-1]["confirmed"] is True
+
+
+def test_the_record_tells_since_when_0_V_act_after_a_test() -> None:
+    """One row more, of stage rest, whose drive began before its sample; so what follows finds the drive as it was."""
+    bench = DeviceBench()
+    changed_s: list[float] = []
+    stop_relay = bench.driver.stop_relay
+
+    def stopping() -> list[RelayRow]:
+        rows = stop_relay()
+        changed_s.append(bench.loop.since_start_s(bench.board.truth().pin_changed_s))
+        return rows
+
+    bench.driver.stop_relay = stopping  # type: ignore[method-assign]  # of this driver alone
+    bench.run()
+    last, before = bench.record.rows[-1], bench.record.rows[-2]
+    assert (last["stage"], last["u_V"], before["stage"]) == ("rest", 0.0, "relay-1") and before["u_V"] != 0.0
+    assert last["t_u_s"] == pytest.approx(changed_s[0], abs=1e-4)
+    assert before["t_u_s"] < last["t_u_s"] < last["t_s"] < last["t_u_s"] + 0.02
 
 
 def test_one_test_follows_the_other_in_motion() -> None:

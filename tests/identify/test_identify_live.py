@@ -125,6 +125,15 @@ def test_a_gap_between_rows_is_no_motion(golden: Recording) -> None:
     assert max(errors(estimate, TRUTH).values()) < 1.5
 
 
+def test_rows_of_a_law_in_the_device_come_ten_times_as_often() -> None:
+    """Search at 10 ms, tests at 1 ms: what is at rest depends on the rate, so the record is cut where it changes."""
+    run = read_run(GOLDEN / "chip-relay-in-device")
+    estimate = estimated(rows_of(run, 0, len(run)))
+    assert all(abs(error) < 1.0 for error in errors(estimate, TRUTH).values())
+    assert estimate.residual_over_noise < 1.05 and estimate.worst_percent < 0.8
+    assert estimate.seconds_of_data == pytest.approx(6.7, abs=0.5)  # of 7.8 s with search and tests
+
+
 def test_a_shaft_that_does_not_move_tells_nothing(golden: Recording) -> None:
     fit = LiveFit(SETTINGS)
     assert fit.estimate() is None

@@ -128,6 +128,15 @@ def test_a_run_that_ended_in_its_second_test_gives_its_first(run: Recording) -> 
     assert "relay-2: left out, because fewer than 20 of its rows can be used" in found.notes
 
 
+def test_a_test_that_ended_in_its_first_stroke_is_left_out(run: Recording) -> None:
+    """Of a law in the device these are many rows."""
+    u_V = run.u_V.copy()
+    u_V[run.stage_rows("relay-2")] = 1.0
+    found = identify([replace(run, u_V=u_V)], LED_BY, choose_law=False)
+    assert "relay-2: left out, because its drive never changed" in found.notes
+    assert [relay.stage for relay in found.relays] == ["relay-1"]
+
+
 def test_a_run_that_ended_in_the_gain_search_gives_the_search(run: Recording) -> None:
     rows = run.stage_rows("search")
     found = identify([ended(run, "NO_CYCLE", "search", rows.stop - rows.start)], LED_BY, choose_law=False)

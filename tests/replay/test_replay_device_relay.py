@@ -12,7 +12,7 @@ from rig.backends import registry
 from rig.backends.backend import Backend
 from rig.backends.driver import RelayRules
 from rig.backends.serial.backend import SerialBackend
-from rig.backends.serial.relay_stream import FirmwareRelayRules
+from rig.backends.serial.firmware_laws import FirmwareLawRules
 from rig.calibration import DriveMap
 from rig.config.schema import Experiment
 from rig.recording.errors import RecordingError
@@ -28,7 +28,7 @@ class OtherSupply(Clone):
     """One that drives as on another supply."""
 
     def relay_rules(self, e: Experiment, drive_map: DriveMap, clock_ratio: float) -> RelayRules:
-        return FirmwareRelayRules(e.sensor.curve, DriveMap(1.1 * drive_map.supply_V), clock_ratio)
+        return FirmwareLawRules(e.sensor.curve, DriveMap(1.1 * drive_map.supply_V), clock_ratio)
 
 
 class Silent(Clone):

@@ -12,17 +12,16 @@ import numpy as np
 import pytest
 
 from campaign_real import __main__ as command
-from campaign_real.kinds import case
+from campaign_real.kinds import KINDS, case
 from campaign_real.rows import Row, kinds_of, row
+from campaign_real.shown import expected_gains
 from rig.config.campaign import Campaign
 
 CAMPAIGN = Campaign(name="real", experiments=4, seed=1)
 
 
 def _row(number: int, kind: str, error: float, verdict: str = "ok", found: tuple[str, ...] = ()) -> Row:
-    return Row(
-        number, (kind,), verdict, (0.0, error, 0.0), (True, True, True), (0.01, 0.01, 0.01), found, (), 1e3, "", 1
-    )
+    return Row(number, (kind,), verdict, (0.0, error, 0.0), (True, True, True), (0.01, 0.01, 0.01), found, (), "", 1)
 
 
 def test_a_number_is_always_the_same_motor() -> None:
@@ -43,16 +42,30 @@ def test_wrong_is_called_ok_and_more_than_5_percent_off() -> None:
     assert command.is_wrong(_row(0, "sag 3", 0.06))
     assert not command.is_wrong(_row(0, "sag 3", 0.04))
     assert not command.is_wrong(_row(0, "sag 3", 0.06, "doubtful"))
-    assert command.is_named(_row(0, "sag 3", 0.0, found=("sag",)))
-    assert not command.is_named(_row(0, "sag 3", 0.0, found=("drag",)))
-    assert command.can_be_seen(_row(0, "sag 3", 0.0))
-    assert not command.can_be_seen(_row(0, "random_force 0.03", 0.0))  # is no law
-    assert not command.can_be_seen(replace(_row(0, "sag 3", 0.0), bic_gain=4.0))
+
+
+def test_a_law_is_named_alone_or_in_a_small_group_if_it_can_be_seen() -> None:
+    found = {(False, k): {"sag": 1e3} for k in range(2)} | {(False, 2): {"sag": 4.0}, (False, 3): {}}
+    rows = [_row(k, "sag 3", 0.0, found=("sag",) if k == 0 else ("drag",)) for k in range(3)]
+    assert command.named_of([*rows, _row(3, "random_force 0.03", 0.0)], found) == (1, 2)
+    beside = replace(rows[1], groups=(("drag", "sag"),))
+    assert command.named_of([rows[0], beside], found) == (2, 2)
+    of_many = replace(rows[1], groups=(("drag", "sag", "static", "lag"),))
+    assert command.named_of([rows[0], of_many], found) == (1, 2)
+
+
+def test_a_law_is_expected_to_gain_what_it_does_beside_the_others() -> None:
+    large, small = (next(kind for kind in KINDS if kind.name == name) for name in ("sag 3", "static 0.1"))
+    gains = expected_gains(CAMPAIGN, 2, (large, small))
+    assert gains["sag"] > 100.0
+    assert gains["static"] < 5.0  # a relay test never rests: it shows no static friction
+    assert expected_gains(CAMPAIGN, 2, (large,))["sag"] == pytest.approx(gains["sag"], rel=0.1)
 
 
 def test_the_page_counts_and_bounds() -> None:
     rows = {k: _row(k, "sag 3", 0.06 if k < 2 else 0.0, found=("sag",)) for k in range(100)}
-    text = command.page(CAMPAIGN, {False: rows, True: {}}, "abc", 1.0, 100)
+    shown = {(False, k): {"sag": 1e3} for k in rows}
+    text = command.page(CAMPAIGN, {False: rows, True: {}}, shown, "abc", 1.0, 100)
     assert "| 2; with 95 % confidence at most 6.16 % | **no** |" in text  # beta.ppf(0.95, 3, 98)
     assert "| 100 of 100: 100.0 % | yes |" in text
 

@@ -16,16 +16,23 @@ import numpy as np
 from rich.progress import track
 from scipy.stats import beta, binom
 
-from campaign_real.rows import Row, row
+from campaign_real.rows import Row, kinds_of, row
+from campaign_real.shown import expected_gains
 from rig.config.campaign import Campaign
 from rig.config.load import load_campaign
-from rig.identify.departures import DEPARTURES
 from rig.identify.departures.choice import ASKED
 from shared.cases import spread
 
 HERE = Path(__file__).resolve().parents[2]
 PAGE = HERE / "docs" / "real-motors-table.md"
-ROOMS = ("rig/identify", "rig/model", "rig/recording", "tools/campaign_real")  # rows of another code start anew
+MADE_BY = (  # rows of another code start anew
+    "rig/identify",
+    "rig/model",
+    "rig/recording",
+    *(f"tools/campaign_real/{name}.py" for name in ("before_the_tests", "departing_motor", "kinds", "rows", "shown")),
+)
+Found = dict[bool, dict[int, Row]]  # by whether it is a pair, and by number
+Shown = dict[tuple[bool, int], dict[str, float]]  # what each law could gain, by the same
 WRONG = 0.05  # relative error beyond which a number called ok is wrong
 
 
@@ -43,11 +50,11 @@ def main() -> int:
         config = config.model_copy(update={"seed": given.seed})
     motors = config.experiments if given.motors is None else given.motors
     pairs = config.experiments if given.pairs is None else given.pairs
-    commit = _git("rev-parse", "--short", "HEAD") + ("+" if _git("status", "--porcelain", *ROOMS) else "")
-    code = sha256("".join(_git("rev-parse", f"HEAD:{room}") for room in ROOMS).encode()).hexdigest()[:8]
+    commit = _git("rev-parse", "--short", "HEAD") + ("+" if _git("status", "--porcelain", *MADE_BY) else "")
+    code = sha256("".join(_git("rev-parse", f"HEAD:{room}") for room in MADE_BY).encode()).hexdigest()[:8]
     rows_file = HERE / "runs" / f"campaign-real-{config.seed}-{code}" / "rows.jsonl"
     began = time.time()
-    found: dict[bool, dict[int, Row]] = {False: {}, True: {}}
+    found: Found = {False: {}, True: {}}
     rows_file.parent.mkdir(parents=True, exist_ok=True)
     if rows_file.exists():
         for line in rows_file.read_text(encoding="utf-8").splitlines():
@@ -60,7 +67,8 @@ def main() -> int:
             file.write(json.dumps({**one.as_json(), "pair": len(one.kinds) > 1}) + "\n")
             file.flush()
             found[len(one.kinds) > 1][one.number] = one
-    text = page(config, found, commit, time.time() - began, len(jobs))
+    shown = _shown(config, found, rows_file.with_name("gains.jsonl"))
+    text = page(config, found, shown, commit, time.time() - began, len(jobs))
     given.page.write_text(text, encoding="utf-8")
     print(text)
     failed = [one for rows in found.values() for one in rows.values() if one.verdict == "failed"]
@@ -69,7 +77,30 @@ def main() -> int:
     return 1 if failed else 0
 
 
-def _keep(found: dict[bool, dict[int, Row]], line: str) -> None:
+def _shown(config: Campaign, found: Found, file: Path) -> Shown:
+    """What each law of each motor could show: from the file, and what is missing there."""
+    shown: Shown = {}
+    if file.exists():
+        for line in file.read_text(encoding="utf-8").splitlines():
+            try:
+                told = json.loads(line)
+            except ValueError:
+                continue  # torn by an interruption
+            shown[told["pair"], told["number"]] = told["gains"]
+    wanted = [(pair, number) for pair, rows in found.items() for number in rows if (pair, number) not in shown]
+    jobs = [(config, number, kinds_of(number, pair, config.seed)) for pair, number in wanted]
+    with file.open("a", encoding="utf-8") as out:
+        for k, gains in track(
+            spread(expected_gains, jobs, batch=10), "laws", total=len(jobs), disable=not sys.stderr.isatty()
+        ):
+            pair, number = wanted[k]
+            shown[pair, number] = gains
+            out.write(json.dumps({"pair": pair, "number": number, "gains": gains}) + "\n")
+            out.flush()
+    return shown
+
+
+def _keep(found: Found, line: str) -> None:
     try:
         told = json.loads(line)
     except ValueError:
@@ -86,7 +117,7 @@ def _git(*words: str) -> str:
     return subprocess.run(["git", "-C", str(HERE), *words], capture_output=True, text=True, check=True).stdout.strip()
 
 
-def page(config: Campaign, found: dict[bool, dict[int, Row]], commit: str, took_s: float, new: int) -> str:
+def page(config: Campaign, found: Found, shown: Shown, commit: str, took_s: float, new: int) -> str:
     """The table as Markdown."""
     lines = [
         "# Motors that are not what the plain model says",
@@ -96,29 +127,30 @@ def page(config: Campaign, found: dict[bool, dict[int, Row]], commit: str, took_
         "its own (tools/campaign_real), identified as `rig identify` does two CSV files.",
         "",
         "*wrong*: called ok, and tau, K or f_c more than 5 % off. *inside*: share of u95 that hold the truth, of those",
-        "called ok, for tau, K, f_c. *named*: its law is found, alone or in a group of at most three, of those motors",
-        f"whose law can lower BIC by more than the {ASKED.entry:g} that it needs to enter. *u95* and *errors*: medians",
-        "of those called ok, in %. *seconds*: median of one identification.",
+        "called ok, for tau, K, f_c. *named*: laws that are found, alone or in a group of at most three, of those that",
+        f"should lower BIC by more than the {ASKED.entry:g} that a law needs to enter, beside the motor's other",
+        "laws (tools/campaign_real/shown.py); motors with a random force are not counted there. *u95* and *errors*:",
+        "medians of those called ok, in %. *seconds*: median of one identification.",
         "",
     ]
     for pair, title in ((False, "One departure"), (True, "Two departures")):
         rows = sorted(found[pair].values(), key=lambda one: one.number)
         if rows:
-            lines += [f"## {title}", "", *_table(rows, pair), "", *_asked(rows, pair), ""]
+            lines += [f"## {title}", "", *_table(rows, shown, pair), "", *_asked(rows, shown, pair), ""]
     return "\n".join(lines)
 
 
-def _table(rows: list[Row], pair: bool) -> list[str]:
+def _table(rows: list[Row], shown: Shown, pair: bool) -> list[str]:
     head = ["departure", "motors", "ok", "wrong", "inside", "named", "u95", "errors", "seconds"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     names = ["two"] if pair else list(dict.fromkeys(kind for one in rows for kind in one.kinds))
     groups = [(name, [one for one in rows if pair or name in one.kinds]) for name in names]
     if not pair:
         groups.append(("all", rows))
-    return lines + ["| " + " | ".join(_cells(name, some)) + " |" for name, some in groups]
+    return lines + ["| " + " | ".join(_cells(name, some, shown)) + " |" for name, some in groups]
 
 
-def _asked(rows: list[Row], pair: bool) -> list[str]:
+def _asked(rows: list[Row], shown: Shown, pair: bool) -> list[str]:
     """What is asked of the campaign, and what came of it."""
     departing = [one for one in rows if one.kinds != ("plain",)]
     ok = called_ok(departing)
@@ -126,10 +158,9 @@ def _asked(rows: list[Row], pair: bool) -> list[str]:
     bound = float(beta.ppf(0.95, wrong + 1, max(len(rows) - wrong, 1)))
     allowed = (4 if pair else 2) * len(rows) / 2000.0
     held = [inside for one in called_ok(rows) for inside in one.inside or ()]
-    seen = [one for one in departing if can_be_seen(one)]
-    named = sum(map(is_named, seen))
+    named, seen = named_of(departing, shown)
     errors = 100.0 * np.median(np.abs([one.error or () for one in ok]), axis=0) if ok else np.full(3, np.nan)
-    shares = (len(ok) / max(len(departing), 1), float(np.mean(held)) if held else math.nan, named / max(len(seen), 1))
+    shares = (len(ok) / max(len(departing), 1), float(np.mean(held)) if held else math.nan, named / max(seen, 1))
     fewest = 0.5 if pair else 0.75
     narrow = [name for name in dict.fromkeys(k for one in rows for k in one.kinds) if is_narrow(name, rows)]
     asked = [
@@ -142,7 +173,7 @@ def _asked(rows: list[Row], pair: bool) -> list[str]:
         ("no kind whose u95 holds in less than 90 % (p < 0.001)", ", ".join(narrow) or "none", not narrow),
         (f"departures called ok: at least {100 * fewest:g} %", f"{100 * shares[0]:.1f} %", shares[0] >= fewest),
         ("median errors at most 1 %", ", ".join(f"{e:.2f}" for e in errors), bool(np.all(errors <= 1.0))),
-        ("named: at least 90 %", f"{named} of {len(seen)}: {100 * shares[2]:.1f} %", shares[2] >= 0.9),
+        ("named: at least 90 %", f"{named} of {seen}: {100 * shares[2]:.1f} %", shares[2] >= 0.9),
     ]
     plain = [one for one in rows if one.kinds == ("plain",)]
     if plain:
@@ -164,21 +195,17 @@ def is_wrong(one: Row) -> bool:
     return one.verdict == "ok" and one.error is not None and max(map(abs, one.error)) > WRONG
 
 
-def can_be_seen(one: Row) -> bool:
-    """Whether its laws can lower BIC by more than a law needs to enter. A random force is no law."""
-    known = {law.name for law in DEPARTURES}
-    return one.bic_gain > ASKED.entry and laws_of(one) <= known
-
-
-def laws_of(one: Row) -> set[str]:
-    """Names of the laws that it has."""
-    return {name.rsplit(" ", 1)[0] for name in one.kinds if name != "plain"}
-
-
-def is_named(one: Row) -> bool:
-    """Whether each of its laws is found, alone or in a group of at most three."""
-    small = {name for group in one.groups if len(group) <= 3 for name in group}
-    return laws_of(one) <= set(one.found) | small
+def named_of(rows: Sequence[Row], shown: Shown) -> tuple[int, int]:
+    """How many laws are found, alone or in a group of at most three, and of how many that can be seen."""
+    named = seen = 0
+    for one in rows:
+        if any(name.startswith("random_force") for name in one.kinds):
+            continue
+        small = {name for group in one.groups if len(group) <= 3 for name in group}
+        laws = [law for law, gain in shown[len(one.kinds) > 1, one.number].items() if gain > ASKED.entry]
+        seen += len(laws)
+        named += sum(law in one.found or law in small for law in laws)
+    return named, seen
 
 
 def is_narrow(kind: str, rows: Sequence[Row]) -> bool:
@@ -187,13 +214,12 @@ def is_narrow(kind: str, rows: Sequence[Row]) -> bool:
     return bool(held) and float(binom.cdf(sum(held), len(held), 0.9)) < 0.001
 
 
-def _cells(name: str, some: list[Row]) -> list[str]:
+def _cells(name: str, some: list[Row], shown: Shown) -> list[str]:
     ok = called_ok(some)
-    seen = [one for one in some if can_be_seen(one)]
     inside = np.mean([one.inside or () for one in ok], axis=0) if ok else np.full(3, np.nan)
     errors = 100.0 * np.median(np.abs([one.error or () for one in ok]), axis=0) if ok else np.full(3, np.nan)
     u95 = 100.0 * np.median([one.u95 or () for one in ok], axis=0) if ok else np.full(3, np.nan)
-    named = f"{sum(map(is_named, seen))} of {len(seen)}" if name != "plain" else ""
+    named = "{} of {}".format(*named_of(some, shown))
     if name == "plain":
         named = f"{sum(bool(one.found) for one in some)} falsely"
     return [

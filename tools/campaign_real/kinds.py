@@ -163,10 +163,7 @@ def case(campaign: Campaign, number: int, kinds: Sequence[Kind], *, whole_run: b
     """
     one = draw(campaign, number)
     seeds = np.random.SeedSequence(campaign.seed, spawn_key=(number, 77))
-    rng = np.random.default_rng(np.random.SeedSequence(campaign.seed, spawn_key=(number, 78)))
-    departures = Departures()
-    for kind in kinds:
-        departures = _joined(departures, kind.make(rng, one))
+    departures = departures_of(campaign, one, kinds)
     motor = PlainMotor(one.tau_s, one.K_rad_s_V, one.fc_V, one.asym_V)
     bench = Bench(
         campaign.sampling.period_s, one.delay_s, campaign.sensor.noise_rad, campaign.sensor.lsb_rad, one.offset_rad
@@ -191,6 +188,15 @@ def case(campaign: Campaign, number: int, kinds: Sequence[Kind], *, whole_run: b
         (first, second),
         before,
     )
+
+
+def departures_of(campaign: Campaign, one: Draw, kinds: Sequence[Kind]) -> Departures:
+    """The departures of these kinds, with the random signs and phases that this motor has."""
+    rng = np.random.default_rng(np.random.SeedSequence(campaign.seed, spawn_key=(one.number, 78)))
+    departures = Departures()
+    for kind in kinds:
+        departures = _joined(departures, kind.make(rng, one))
+    return departures
 
 
 def _recorded(record: Record, begin_s: float) -> Record:
@@ -220,9 +226,14 @@ def _joined(a: Departures, b: Departures) -> Departures:
 def _truth(motor: PlainMotor, d: Departures, records: Sequence[Record], whole_s: float) -> Truth:
     """tau, K and f_c as they are defined for a bench with departures (docs/theory.md 12)."""
     travel = np.concatenate([record.true_y_rad for record in records])
-    even = np.linspace(float(travel.min()), float(travel.max()), 2001)
+    times_s = np.concatenate([record.t_s for record in records])
+    return truth_of(motor, d, (float(travel.min()), float(travel.max())), float(np.mean(times_s)) / whole_s)
+
+
+def truth_of(motor: PlainMotor | Draw, d: Departures, travel_rad: tuple[float, float], course: float) -> Truth:
+    """The same from the driven travel, rad, and the mean time of the record as a share of the drift's."""
+    even = np.linspace(*travel_rad, 2001)
     slope = float(np.polyfit(even, reading(even, d), 1)[0])
     friction = motor.fc_V * (1.0 + d.friction_share * float(np.mean(np.sin(even + d.friction_phase_rad))))
-    course = float(np.mean(np.concatenate([record.t_s for record in records]))) / whole_s - 0.5
-    friction *= 1.0 + d.drift * course
+    friction *= 1.0 + d.drift * (course - 0.5)
     return Truth(motor.tau_s, motor.K_rad_s_V * slope, friction)

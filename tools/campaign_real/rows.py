@@ -12,7 +12,6 @@ from campaign_real.kinds import KINDS, Case, Kind, case
 from rig.config.campaign import Campaign
 from rig.estimators import LEADING
 from rig.identify import IdentifyError, identify
-from rig.identify.departures import DEPARTURES
 
 OF = ("tau_s", "K_rad_s_V", "fc_V")
 
@@ -28,7 +27,6 @@ class Row:
     u95             relative u95 of each, 1
     found           names of the laws that were found
     groups          names that are not told apart
-    bic_gain        fall of BIC if the motor's laws explained all of the plain motor's residual: what there is to see
     """
 
     number: int
@@ -39,7 +37,6 @@ class Row:
     u95: tuple[float, ...] | None
     found: tuple[str, ...]
     groups: tuple[tuple[str, ...], ...]
-    bic_gain: float
     reasons: str
     seconds: float
 
@@ -74,7 +71,6 @@ def row(campaign: Campaign, number: int, pair: bool) -> Row:
 
 def _identified(one: Case, number: int, names: tuple[str, ...]) -> Row:
     recordings = one.recordings()
-    plain = identify(recordings, (LEADING,), choose_law=False).estimates[LEADING]
     began = time.perf_counter()
     found = identify(recordings, (LEADING,))
     took = time.perf_counter() - began
@@ -83,10 +79,6 @@ def _identified(one: Case, number: int, names: tuple[str, ...]) -> Row:
     truth = np.array([getattr(one.truth, name) for name in OF])
     value = np.array([getattr(estimate, name) for name in OF])
     u95 = np.array([law.budget.u95[name] for name in OF]) if law is not None else np.full(3, np.nan)
-    sigma = np.hypot(one.bench.noise_rad, one.bench.lsb_rad / np.sqrt(12.0))
-    samples = plain.residual_rad.size
-    laws = [law for law in DEPARTURES if law.name in {kind.law for kind in one.kinds}]
-    price = sum(len(law.numbers + law.shape) for law in laws) * np.log(samples)
     return Row(
         number,
         names,
@@ -96,11 +88,10 @@ def _identified(one: Case, number: int, names: tuple[str, ...]) -> Row:
         tuple((u95 / value).tolist()),
         tuple(one.law.name for one in law.found) if law is not None else (),
         law.not_told_apart if law is not None else (),
-        float(samples * ((plain.rms_rad / sigma) ** 2 - 1.0) - price),
         " | ".join(estimate.reasons),
         took,
     )
 
 
 def _without(number: int, names: Sequence[str], verdict: str, reason: str, began: float) -> Row:
-    return Row(number, tuple(names), verdict, None, None, None, (), (), 0.0, reason, time.perf_counter() - began)
+    return Row(number, tuple(names), verdict, None, None, None, (), (), reason, time.perf_counter() - began)

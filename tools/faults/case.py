@@ -409,11 +409,14 @@ def _decided(rows: list[dict[str, str]]) -> list[tuple[str, ...]]:
 
 
 def recorded_keys(rows: list[dict[str, str]]) -> set[tuple[int, int]]:
-    """Key of each recorded sample, and its row in a block of the relay in the device, else ASKED."""
+    """Key of each recorded sample, and its row in a block of the relay in the device, else ASKED.
+
+    The row at rest after the relay in the device was asked for, too, though the loop had no tick for it.
+    """
     in_block: Counter[int] = Counter()
     keys = set()
     for row in rows:
-        key, unasked = int(row["seq"]), row["io_us"] == ""
+        key, unasked = int(row["seq"]), row["io_us"] == "" and kind_of(row["stage"]) is not StageKind.REST
         keys.add((key, in_block[key] if unasked else ASKED))
         in_block[key] += unasked
     return keys

@@ -9,6 +9,8 @@ from rig.backends.modbus.emulated.rtu_slave import check_sum
 from rig.backends.serial import frames
 from rig.backends.serial.frames import Block, DeviceState, FrameReader, Kind
 
+_STARTS = (Kind.RELAY, Kind.STROKES)  # of a law in the device
+
 ASKED = -1
 
 
@@ -51,7 +53,7 @@ class Language(Protocol):
         ...
 
     def hands_over(self, request: bytes) -> bool:
-        """Whether a request lets a relay in the device drive from now on."""
+        """Whether a request lets a law in the device drive from now on."""
         ...
 
     def readings(self, reply: bytes) -> list[Reading]:
@@ -78,10 +80,10 @@ class SerialLanguage:
         return packet.seq if packet is not None and packet.kind == Kind.READ else None
 
     def drive_V(self, request: bytes) -> float | None:
-        """DRIVE; a STOP is 0 V; RELAY and KEEP let the device choose."""
+        """DRIVE; a STOP is 0 V; RELAY, STROKES and KEEP let the device choose."""
         packet = _packet(request)
-        if packet is not None and packet.kind in (Kind.RELAY, Kind.KEEP):
-            self._next_block = 0 if packet.kind == Kind.RELAY else self._next_block
+        if packet is not None and packet.kind in (*_STARTS, Kind.KEEP):
+            self._next_block = 0 if packet.kind in _STARTS else self._next_block
             return math.nan
         if packet is None or packet.kind not in (Kind.DRIVE, Kind.STOP):
             return None
@@ -98,9 +100,9 @@ class SerialLanguage:
         return packet is not None and packet.kind == Kind.ARM
 
     def hands_over(self, request: bytes) -> bool:
-        """RELAY."""
+        """RELAY, STROKES."""
         packet = _packet(request)
-        return packet is not None and packet.kind == Kind.RELAY
+        return packet is not None and packet.kind in _STARTS
 
     def readings(self, reply: bytes) -> list[Reading]:
         """STATE; BLOCK if it is the next one. After a missing block, no further block is recorded."""

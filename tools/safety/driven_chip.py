@@ -1,4 +1,4 @@
-"""An emulated Uno that drives a shaft at a steady speed, kept at it by a host's loop or by the relay in the device.
+"""An emulated Uno that drives a shaft at a steady speed, kept at it by a host's loop or by a law in the device.
 
 The bench, its limits and its largest speed are those of config/demo.yaml; the potentiometer has no offset, so that a
 limit is where it reads.
@@ -17,6 +17,7 @@ from rig.backends.serial.driver import setup_for
 from rig.backends.serial.emulated.firmware_build import UnoOptions
 from rig.backends.serial.emulated.virtual_chip import ChipTruth, VirtualChip
 from rig.backends.serial.frames import (
+    MAX_STROKE_TICKS,
     STATUS_FAULT,
     Code,
     DeviceState,
@@ -24,6 +25,7 @@ from rig.backends.serial.frames import (
     Kind,
     Packet,
     RelaySetup,
+    StrokesSetup,
     encode,
     pack_ack,
     pack_arm,
@@ -54,7 +56,7 @@ _ASK_S = 0.05
 _START_RAD = 0.9
 _LARGEST_Z = 2**30
 
-Where = Literal["host", "device"]
+Where = Literal["host", "device", "strokes"]
 Voice = Literal["drives", "reads", "garbage", "none"]
 
 
@@ -87,7 +89,8 @@ def steady(direction: int) -> tuple[int, float]:
 class Way(NamedTuple):
     """How the chip is driven.
 
-    where   the relay that drives is in the host (DRIVE each 10 ms) or in the device (RELAY, and KEEP each 10 ms)
+    where   what drives: the host (DRIVE each 10 ms), the relay in the device (RELAY, and KEEP each 10 ms) or the
+            strokes in it (STROKES, and KEEP)
     floods  the host fills the wire with garbage besides
     noisy   the potentiometer has the demo's noise
     full    with drive.max_V, else with the drive that keeps the speed
@@ -160,10 +163,10 @@ class DrivenChip:
 
     def keep_alive(self) -> None:
         """The frame that the drive lives by."""
-        if self.way.where == "device":
-            self.send(Kind.KEEP)
-        else:
+        if self.way.where == "host":
             self.send(Kind.DRIVE, pack_drive(self._units))
+        else:
+            self.send(Kind.KEEP)
         self.heard_s = self._free_s
 
     # ------------------------------------------------------------------ driving
@@ -179,6 +182,8 @@ class DrivenChip:
         self.arm()
         if self.way.where == "device":
             self._start_relay()
+        elif self.way.where == "strokes":
+            self._start_strokes()
         self.keep_alive()
         self._next_s = self.chip.now_s() + self._rng.uniform(0.2, 1.0) * PERIOD_S
         self.chip.sleep_until(self.chip.now_s() + 5 * TICK_S)
@@ -203,6 +208,14 @@ class DrivenChip:
         drive = (-u, u, -u, u) if self.direction > 0 else (u, -u, u, -u)
         if self.ask(Kind.RELAY, RelaySetup(drive, 16 * centre, _LARGEST_Z, 1, 10).pack()).kind != Kind.RELAY_REPLY:
             raise RuntimeError("the chip does not start the relay")
+
+    def _start_strokes(self) -> None:
+        """A stroke outward up to the limit; the way back is never driven."""
+        u, low, high = self._units, SETUP.hard_lo, SETUP.hard_hi
+        to, fro = (high, low) if self.direction > 0 else (low, high)
+        strokes = StrokesSetup(((u, to), (-u, fro)), MAX_STROKE_TICKS, MAX_STROKE_TICKS, 5, 10)
+        if self.ask(Kind.STROKES, strokes.pack()).kind != Kind.STROKES_REPLY:
+            raise RuntimeError("the chip does not start the strokes")
 
     def go_on(self, until_s: float, voice: Voice = "drives") -> None:
         """Let time pass while the host's loop goes on: drives, reads alone, sends nothing but garbage, or is silent."""

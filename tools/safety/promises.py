@@ -116,42 +116,41 @@ def _reset(driven: DrivenChip, rng: random.Random) -> float:
     return driven.chip.now_s()
 
 
-HOST, DEVICE = Way(), Way("device")
+HOST, DEVICE, STROKES = Way(), Way("device"), Way("strokes")
 FAST = Way(baud=1_000_000)
 FAST_DEVICE = Way("device", baud=1_000_000)
 FLOOD = Way(baud=1_000_000, floods=True)
 OTHER_BRIDGE = Way(bridge="IN1_IN2")
-HOST_FULL, DEVICE_FULL = Way(full=True), Way("device", full=True)
-ENDS, DEVICE_ENDS = Way(end_switches=True), Way("device", end_switches=True)
+IN_TURN = (HOST, DEVICE, STROKES)
 SILENT_S = WATCHDOG_S + TICK_S
 RUN_UP_S = (0.005, 0.025)
 
 PROMISES = (
     *(
         Promise("host silent", _silence, SILENT_S, way, "none")
-        for way in (HOST, DEVICE, FAST, FAST_DEVICE, OTHER_BRIDGE)
+        for way in (HOST, DEVICE, STROKES, FAST, FAST_DEVICE, OTHER_BRIDGE)
     ),
-    *(Promise("host silent, at full drive", _silence, SILENT_S, way, "none") for way in (HOST_FULL, DEVICE_FULL)),
-    *(Promise("host reads on, but drives no more", _last_frame, SILENT_S, way, "reads") for way in (HOST, DEVICE)),
+    *(Promise("host silent, at full drive", _silence, SILENT_S, way._replace(full=True), "none") for way in IN_TURN),
+    *(Promise("host reads on, but drives no more", _last_frame, SILENT_S, way, "reads") for way in IN_TURN),
     *(
         Promise("nothing but garbage from the host", _last_frame, SILENT_S, way, "garbage")
-        for way in (FLOOD, FLOOD._replace(where="device"))
+        for way in (FLOOD, FLOOD._replace(where="device"), FLOOD._replace(where="strokes"))
     ),
     *(
         Promise(f"hang: {what}", _hang(what), HANG_S, way)
         for what in ("main loop", "everything", "clock", "tick", "converter")
-        for way in (HOST, DEVICE)
+        for way in IN_TURN
     ),
-    *(Promise("put beyond a hard limit", _beyond, 2 * TICK_S, way) for way in (HOST, DEVICE, FLOOD)),
+    *(Promise("put beyond a hard limit", _beyond, 2 * TICK_S, way) for way in (*IN_TURN, FLOOD)),
     *(
         Promise("runs over a hard limit, sensor without noise", _crossing, 2 * TICK_S, way, run_up_s=RUN_UP_S)
         for way in (HOST._replace(noisy=False), DEVICE._replace(noisy=False), FLOOD._replace(noisy=False))
     ),
     Promise("runs over a hard limit, noise may hide a reading", _crossing, 3 * TICK_S, HOST, run_up_s=RUN_UP_S),
-    *(Promise("wiper wire broken", _broken_wire, 2 * TICK_S, way) for way in (HOST, DEVICE, FLOOD)),
-    *(Promise("e-stop opens", _e_stop, TICK_S, way) for way in (HOST, DEVICE, FLOOD, OTHER_BRIDGE)),
-    *(Promise("end switch opens", _end_switch, 2 * TICK_S, way) for way in (ENDS, DEVICE_ENDS)),
-    *(Promise("reset: power-on, external, brown-out", _reset, TICK_S, way) for way in (HOST, DEVICE, OTHER_BRIDGE)),
+    *(Promise("wiper wire broken", _broken_wire, 2 * TICK_S, way) for way in (*IN_TURN, FLOOD)),
+    *(Promise("e-stop opens", _e_stop, TICK_S, way) for way in (*IN_TURN, FLOOD, OTHER_BRIDGE)),
+    *(Promise("end switch opens", _end_switch, 2 * TICK_S, way._replace(end_switches=True)) for way in IN_TURN),
+    *(Promise("reset: power-on, external, brown-out", _reset, TICK_S, way) for way in (*IN_TURN, OTHER_BRIDGE)),
 )
 
 

@@ -1,6 +1,7 @@
 # The firmware of the Arduino Uno; needs gcc-avr, avr-libc and binutils-avr.
 #   make uno [BRIDGE=PWM_DIR|IN1_IN2] [BAUD=115200|1000000] [TACHOMETER=1] [SUPPLY=1] [END_SWITCHES=1]
 #   make size    flash, RAM and stack of it
+#   make prebuilt    every variant, and the hash of each, in $(BUILD)/prebuilt: what a wheel of rig carries
 # A variant is named by what differs from the default: rig_uno-in1_in2-1000000.hex. Wiring: boards/uno/wiring.h.
 
 BRIDGE ?= PWM_DIR
@@ -21,7 +22,10 @@ UNO_CPPFLAGS := -Icore -Iboards/uno -DF_CPU=16000000UL -DRIG_BUILD='"uno $(VERSI
 UNO_CFLAGS := -mmcu=atmega328p -std=c99 -O2 -flto -fuse-linker-plugin -fno-fat-lto-objects -ffunction-sections \
 	-fdata-sections -Wl,--gc-sections $(WARNINGS)
 
-.PHONY: uno size
+# bridge, baud rate, tachometer, supply, end switches
+VARIANTS := $(foreach b,PWM_DIR IN1_IN2,$(foreach r,115200 1000000,$(foreach t,0 1,$(foreach s,0 1,$(foreach e,0 1,$b.$r.$t.$s.$e)))))
+
+.PHONY: uno size prebuilt $(VARIANTS)
 
 uno: $(UNO).hex
 
@@ -32,6 +36,17 @@ $(UNO).hex: $(UNO).elf
 	avr-objcopy -O ihex -R .eeprom $< $@
 
 $(BUILD)/uno:
+	mkdir -p $@
+
+$(VARIANTS):
+	@$(MAKE) --no-print-directory uno BRIDGE=$(word 1,$(subst ., ,$@)) BAUD=$(word 2,$(subst ., ,$@)) \
+		TACHOMETER=$(word 3,$(subst ., ,$@)) SUPPLY=$(word 4,$(subst ., ,$@)) END_SWITCHES=$(word 5,$(subst ., ,$@))
+
+prebuilt: $(VARIANTS) | $(BUILD)/prebuilt
+	cp $(BUILD)/uno/*.hex $(BUILD)/prebuilt/
+	cd $(BUILD)/prebuilt && sha256sum *.hex > SHA256SUMS
+
+$(BUILD)/prebuilt:
 	mkdir -p $@
 
 size: $(UNO).elf

@@ -89,8 +89,11 @@ class SerialBackend(LineBackend):
         yield f"delay: a drive acts up to {delay_ms:.2f} ms after its sample, plus the host's own time"
         if e.relay.where == "device":
             block = link_budget.block_sum(e.daq.baud)
-            yield f"relay in the device: decides every ms; {block}; the gain search runs in the host"
-            yield from _device_drives(e)
+            if e.relay.until is None:
+                yield f"relay in the device: decides every ms; {block}; the gain search runs in the host"
+                yield from _device_drives(e)
+            else:
+                yield f"relay and strokes in the device: decide every ms; {block}; the rest runs in the host"
 
     @override
     def notes(self, e: Experiment) -> Iterator[str]:
@@ -138,9 +141,9 @@ class SerialBackend(LineBackend):
 
     @override
     def relay_rules(self, e: Experiment, drive_map: DriveMap, clock_ratio: float) -> RelayRules:
-        from rig.backends.serial.relay_stream import FirmwareRelayRules
+        from rig.backends.serial.firmware_laws import FirmwareLawRules
 
-        return FirmwareRelayRules(e.sensor.curve, drive_map, clock_ratio)
+        return FirmwareLawRules(e.sensor.curve, drive_map, clock_ratio)
 
 
 def _device_drives(e: Experiment) -> Iterator[str]:

@@ -12,15 +12,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from statistics import median
 
-from rig.backends.driver import DeviceInfo, DeviceWatchdog, RelayCommand, RelayRow, Timeouts, Transport
+from rig.backends.driver import (
+    DeviceInfo,
+    DeviceWatchdog,
+    RelayCommand,
+    RelayRow,
+    StrokesCommand,
+    StrokeTimes,
+    Timeouts,
+    Transport,
+)
 from rig.backends.serial import frames
 from rig.backends.serial.device_clock import DeviceClock, TimedExchange, fit_device_clock
-from rig.backends.serial.device_relay import RelayRun
 from rig.backends.serial.exchange import ATTEMPTS, Exchange
-from rig.backends.serial.fit import PLAIN_BOARD, Board, Expected, check_fit, measured_supply_V
-from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Packet, Setup
+from rig.backends.serial.firmware_laws import FirmwareLawRules, FirmwareRelay, FirmwareStrokes
+from rig.backends.serial.fit import PLAIN_BOARD, Board, Expected, check_fit, measured_supply_V, other_version
+from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Packet, RelaySetup, Setup, StrokesSetup
 from rig.backends.serial.introduction import await_introduction, refusal
-from rig.backends.serial.relay_stream import FirmwareRelay, FirmwareRelayRules, RelayStream
+from rig.backends.serial.law_run import LawRun
+from rig.backends.serial.law_stream import LawStream
 from rig.calibration import (
     Calibration,
     DriveMap,
@@ -146,7 +156,7 @@ class SerialDriver:
         self._again_in_a_row = 0
         self._drives_lost = 0
         self._lost_in_a_row = 0
-        self._relay: RelayRun | None = None  # while it runs
+        self._law: LawRun | None = None  # while it runs
 
     @property
     def link_statistics(self) -> Mapping[str, int]:
@@ -183,6 +193,7 @@ class SerialDriver:
         except ValueError as error:
             raise Fault("DEVICE_RESET", f"while its clock was measured: {error}") from error
         supply_V, supply_at_least = self._measured_supply_V(hello)
+        version = other_version(hello, self._expected.board)
         told_board = frames.BOARDS.get(hello.board, f"number {hello.board}")
         emulated = self._expected.emulated or hello.board in frames.EMULATED_BOARDS
         self.backend = f"{self._name} ({'emulated ' if emulated else ''}{told_board} board, build {hello.build_text})"
@@ -197,6 +208,7 @@ class SerialDriver:
             supply_at_least=supply_at_least,
             drive_units=hello.drive_full,
             acknowledged=acknowledged,
+            remarks=() if version is None else (version,),
         )
 
     def arm(self, limits: Limits) -> None:
@@ -222,7 +234,7 @@ class SerialDriver:
         self._lost_in_a_row = 0
         self._again_in_a_row = 0
         self._driven = False
-        self._relay = None
+        self._law = None
         self._exchange.blocks()  # of an earlier run
         self._armed = True
 
@@ -315,14 +327,14 @@ class SerialDriver:
     def safe_stop(self) -> bool:
         """Tell the device to stop, up to three times; True once it confirms 0 drive, disarmed.
 
-        If False (or if the host dies) the device's watchdog stops it. ``read_rows`` returns the last ticks of a relay
-        that ran.
+        If False (or if the host dies) the device's watchdog stops it. ``read_rows`` returns the last ticks of a law
+        that ran in the device.
         """
         self._armed = False
         self._unconfirmed = None
         stopped = self._is_stopped()
-        if self._relay is not None:
-            self._relay.hear_last(self._exchange.now_s() + (self._timeout_s if stopped else 0.0))
+        if self._law is not None:
+            self._law.hear_last(self._exchange.now_s() + (self._timeout_s if stopped else 0.0))
         return stopped
 
     def _is_stopped(self) -> bool:
@@ -343,20 +355,26 @@ class SerialDriver:
             self.safe_stop()
         self._exchange.transport.close()
 
-    # ------------------------------------------------------------------ the relay in the device
+    # ------------------------------------------------------------------ the laws in the device
 
     @property
     def tick_s(self) -> float:
         """The device's tick in host time, s."""
-        return self._relay_rules.tick_s
+        return self._law_rules.tick_s
 
     def relay_command(self, h1_V: float, h2_V: float, z_bound_rad_s: float) -> RelayCommand:
-        """The command for these gains; raises as ``FirmwareRelayRules.relay_command``."""
-        return self._relay_rules.relay_command(h1_V, h2_V, z_bound_rad_s)
+        """The command for these gains; raises as ``FirmwareLawRules.relay_command``."""
+        return self._law_rules.relay_command(h1_V, h2_V, z_bound_rad_s)
+
+    def strokes_command(
+        self, strokes: Sequence[tuple[float, float]], times: StrokeTimes, motion_rad: float
+    ) -> StrokesCommand:
+        """The command for these strokes; raises as ``FirmwareLawRules.strokes_command``."""
+        return self._law_rules.strokes_command(strokes, times, motion_rad)
 
     @property
-    def _relay_rules(self) -> FirmwareRelayRules:
-        return FirmwareRelayRules(self.calibration, self.drive_map, self._clock.ratio)
+    def _law_rules(self) -> FirmwareLawRules:
+        return FirmwareLawRules(self.calibration, self.drive_map, self._clock.ratio)
 
     def start_relay(self, command: RelayCommand) -> None:
         """Let the device's relay drive from its next tick on, from 0 V. Call ``keep`` regularly from then on.
@@ -365,55 +383,70 @@ class SerialDriver:
         """
         if not isinstance(command, FirmwareRelay):
             raise TypeError("a command of another driver")
+        self._start_law(command.setup)
+
+    def start_strokes(self, command: StrokesCommand) -> None:
+        """Let the device's stroke test drive; as ``start_relay``."""
+        if not isinstance(command, FirmwareStrokes):
+            raise TypeError("a command of another driver")
+        self._start_law(command.setup)
+
+    def _start_law(self, setup: RelaySetup | StrokesSetup) -> None:
         self._unconfirmed = None
-        self._relay = None
-        stream = RelayStream(self.calibration, self.drive_map, self._clock, self._session, self._exchange.now_s())
-        self._relay = RelayRun.start(self._exchange, command.setup, stream)
+        self._law = None
+        stream = LawStream(self.calibration, self.drive_map, self._clock, self._session, self._exchange.now_s())
+        self._law = LawRun.start(self._exchange, setup, stream)
 
     def keep(self) -> None:
-        """Tell the device that the host lives. Without this its watchdog ends the relay."""
+        """Tell the device that the host lives. Without this its watchdog ends the law that runs there."""
         self._exchange.send(Kind.KEEP)
 
     def read_rows(self) -> list[RelayRow]:
-        """The relay's ticks since the last call; does not wait. After a ``safe_stop``: its last ticks.
+        """The ticks of the law since the last call; does not wait. After a ``safe_stop``: its last ticks.
 
         If there are none, it raises Fault LINK_GAP, LINK_LOST, LINK_TIMEOUT where blocks stay away, DEVICE_RESET, or
         the fault that the device latched.
         """
-        relay = self._running_relay()
+        law = self._running_law()
         if not self._armed:
-            self._relay = None
-            return relay.rows()
-        relay.hear()
-        rows = relay.rows()
+            self._law = None
+            return law.rows()
+        law.hear()
+        rows = law.rows()
         if rows:
             return rows
-        if relay.ended is not None:
-            raise self._device_fault(relay.ended)
-        if silent_s := relay.missed_s:
+        if law.ended is not None:
+            raise self._device_fault(law.ended)
+        if silent_s := law.missed_s:
             sample = self.read()  # the device may say why
             raise Fault(
                 "LINK_TIMEOUT",
-                f"the relay runs, but no block came for {1e3 * silent_s:.0f} ms; {sample.y_rad:.4f} rad, "
+                f"the device runs its law, but no block came for {1e3 * silent_s:.0f} ms; {sample.y_rad:.4f} rad, "
                 f"{sample.y_counts} counts",
             )
         return rows
 
     def stop_relay(self) -> list[RelayRow]:
-        """End the device's relay with 0 V, still armed. Returns its last ticks.
+        """End the device's law, relay or strokes, with 0 V, still armed. Returns its last ticks.
 
         If the device has latched a fault meanwhile, the next ``read`` raises it. Raises Fault LINK_GAP, LINK_LOST,
         LINK_TIMEOUT.
         """
-        relay = self._running_relay()
-        relay.stop()
-        self._relay = None
-        return relay.rows()
+        law = self._running_law()
+        law.stop()
+        self._law = None
+        return law.rows()
 
-    def _running_relay(self) -> RelayRun:
-        if self._relay is None:
-            raise ValueError("no relay runs in the device")
-        return self._relay
+    def row_after_stop(self) -> RelayRow | None:
+        """The shaft now, and since when the 0 V of ``stop_relay`` act. Raises Fault as ``read``."""
+        self._driven = True  # the law has ended: so the device has accepted the DRIVE that ended it
+        sample = self.read()
+        return RelayRow(sample.t_s, sample.t_u_s, sample.y_rad, sample.y_counts, sample.u_V, sample.seq)
+
+    def _running_law(self) -> LawRun:
+        if self._law is None:
+            raise ValueError("no law runs in the device")
+        return self._law
 
     # ------------------------------------------------------------------ meeting the device
 

@@ -71,7 +71,7 @@ class Exchange:
                     and packet.version == frames.VERSION
                 ):
                     reply = packet
-                    if kind == Kind.RELAY_REPLY:
+                    if kind in (Kind.RELAY_REPLY, Kind.STROKES_REPLY):
                         self._blocks.clear()  # of an earlier run
                 else:
                     self._sort([packet])

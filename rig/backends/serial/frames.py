@@ -26,10 +26,11 @@ NO_TACHOMETER = 0xFFFF
 STATUS_ARMED = 1
 STATUS_FAULT = 2  # a fault is latched
 STATUS_RECOVERING = 4  # armed outside a hard limit: only inward drive passes
-STATUS_RELAY = 8  # the relay in the device drives
+STATUS_LAW = 8  # a law in the device runs: the relay or the strokes
 
 FEATURE_TACHOMETER = 1
 FEATURE_SUPPLY = 2
+FEATURE_STROKES = 128
 SUPPLY_UNIT_V = 20.0 / 255.0  # of the motor supply in HELLO
 SUPPLY_FULL = 255  # the largest reading: so much or more
 
@@ -56,6 +57,7 @@ class Kind(IntEnum):
     RELAY = 0x07
     KEEP = 0x08
     ACK = 0x0A
+    STROKES = 0x0B
     HELLO_REPLY = 0x81
     SETUP_REPLY = 0x82
     ARM_REPLY = 0x83
@@ -64,6 +66,7 @@ class Kind(IntEnum):
     RELAY_REPLY = 0x87
     BLOCK = 0x89
     ACK_REPLY = 0x8A
+    STROKES_REPLY = 0x8B
     NACK = 0xFF
 
 
@@ -112,7 +115,7 @@ class Hello(NamedTuple):
     board        key of BOARDS
     reset_cause  bits of RESET_CAUSES
     bridge       key of BRIDGES; 0: none
-    features     bit 0: has a tachometer channel; bit 1: measures the motor supply
+    features     FEATURE_* bits: has a tachometer channel, measures the motor supply, runs strokes
     counts_max   largest reading of the position sensor, counts
     drive_full   drive units at full duty
     now_us       device clock, us, wraps at 2**32
@@ -244,12 +247,44 @@ class RelaySetup(NamedTuple):
         return cls((a, b, c, d), centre, z_bound, direction, rows)
 
 
+class StrokesSetup(NamedTuple):
+    """Body of STROKES and of its read-back STROKES_REPLY: the stroke test in the device (firmware/core/strokes.h).
+
+    strokes       (drive units, turning point in counts) of each, an even number of 2 to MAX_STROKES, to and fro
+    stroke_ticks  longest time of a stroke, 1 to MAX_STROKE_TICKS
+    still_ticks   longest time for which the reading may stand still under one drive, 1 to MAX_STROKE_TICKS
+    still_counts  readings less than this apart are one position, 1 to 65535
+    rows          of a block, 1 to 10
+    """
+
+    strokes: tuple[tuple[int, int], ...]
+    stroke_ticks: int
+    still_ticks: int
+    still_counts: int
+    rows: int
+
+    def pack(self) -> bytes:
+        """The body's bytes; struct.error outside a field's range. Raises ValueError for more strokes than fit."""
+        n = len(self.strokes)
+        if n > MAX_STROKES:
+            raise ValueError(f"a device takes at most {MAX_STROKES} strokes, not {n}")
+        head = _STROKES.pack(n, self.rows, self.stroke_ticks, self.still_ticks, self.still_counts)
+        return head + b"".join(_STROKE.pack(*stroke) for stroke in (*self.strokes, *((0, 0),) * (MAX_STROKES - n)))
+
+    @classmethod
+    def unpack(cls, body: bytes) -> Self:
+        """From a body of the right length (struct.error otherwise)."""
+        n, rows, stroke_ticks, still_ticks, still_counts = _STROKES.unpack_from(body)
+        drives_and_turns = tuple((drive, turn) for drive, turn in _STROKE.iter_unpack(body[_STROKES.size :]))
+        return cls(drives_and_turns[:n], stroke_ticks, still_ticks, still_counts, rows)
+
+
 class Block(NamedTuple):
-    """Body of BLOCK: ticks of the relay in the device, sent unasked. The packet's seq counts blocks from 0.
+    """Body of BLOCK: ticks of a law in the device, sent unasked. The packet's seq counts blocks from 0.
 
     t_first_us  device time of the first row's sample, us; the others follow every ``period_us``
     delay_us    from a row's sample until its drive acts
-    status      STATUS_* bits when the block was closed; without STATUS_RELAY it is the last one
+    status      STATUS_* bits when the block was closed; without STATUS_LAW it is the last one
     fault       as in DeviceState
     session     as in DeviceState
     rows        (position reading, drive units from then on) of each tick; the last block may have none. On the wire a
@@ -301,9 +336,14 @@ _ACK = struct.Struct("<B")
 _NACK = struct.Struct("<BB")
 _DRIVE = struct.Struct("<h")
 _RELAY = struct.Struct("<hhhhiIbB")
+_STROKES = struct.Struct("<BBHHH")
+_STROKE = struct.Struct("<hi")
 _BLOCK = struct.Struct("<IHHBBIi")
 _ROW = struct.Struct("<hh")
 BLOCK_ROWS = 10  # in a block, at most
+MAX_STROKES = 8
+MAX_STROKE_TICKS = 10_000
+_STROKES_LENGTH = _STROKES.size + MAX_STROKES * _STROKE.size
 
 BODY_LENGTH: dict[int, int] = {
     Kind.HELLO: 0,
@@ -315,6 +355,7 @@ BODY_LENGTH: dict[int, int] = {
     Kind.RELAY: _RELAY.size,
     Kind.KEEP: 0,
     Kind.ACK: _ACK.size,
+    Kind.STROKES: _STROKES_LENGTH,
     Kind.HELLO_REPLY: _HELLO.size,
     Kind.SETUP_REPLY: _SETUP.size,
     Kind.ARM_REPLY: 1,
@@ -322,6 +363,7 @@ BODY_LENGTH: dict[int, int] = {
     Kind.STOP_REPLY: _STATE.size,
     Kind.RELAY_REPLY: _RELAY.size,
     Kind.ACK_REPLY: _STATE.size,
+    Kind.STROKES_REPLY: _STROKES_LENGTH,
     Kind.NACK: _NACK.size,
 }
 

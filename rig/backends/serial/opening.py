@@ -67,7 +67,9 @@ def serial_driver(e: Experiment, line: Line) -> SerialDriver:
         line.transport,
         e.scaling,
         Timeouts(e.daq.timeout_s, e.daq.open_timeout_s),
-        board=Board(e.drive.bridge, flash_line(e)),
+        board=Board(
+            e.drive.bridge, flash_line(e), runs_strokes=e.relay.where == "device" and e.relay.until is not None
+        ),
         # a chip takes longer over some numbers than over others: an emulated run is the same by its seed
         session=random.Random(e.seed).randrange(1, 2**32) if line.emulated else None,
         name=line.name,

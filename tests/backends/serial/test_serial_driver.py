@@ -21,6 +21,7 @@ from rig.calibration import Calibration, DriveMap, Scaling, TachometerScale
 from rig.cli import main
 from rig.config import Experiment, load
 from rig.faults import Fault
+from rig.package import VERSION
 from rig.signals import Limits
 from rig.testing.line import on_device
 
@@ -319,6 +320,16 @@ def test_a_config_that_does_not_fit_the_device(hello: HelloFields, scaling: Scal
     assert words in fault.detail
 
 
+def test_firmware_that_cannot_run_strokes_is_refused() -> None:
+    """By its name, and what to do; only where strokes may be driven in the device."""
+    wants = Board(flashing="type: this line", runs_strokes=True)
+    fault = fault_of(make(ScriptedPort(features=0), board=wants).open)
+    assert fault.code == "CONFIG_MISMATCH"
+    assert "the device's firmware, test-1, cannot: type: this line; or set relay.where to host" in fault.detail
+    make(ScriptedPort(features=frames.FEATURE_STROKES), board=wants).open()
+    make(ScriptedPort(features=0)).open()
+
+
 @pytest.mark.parametrize(
     ("told", "config", "words"),
     [
@@ -404,6 +415,17 @@ def test_what_lasts_stays_latched() -> None:
     port, codes = meeting(Code.RESET, Code.E_STOP, refuses=[Code.E_STOP])
     assert make(port).open().acknowledged == ()
     assert codes == [Code.E_STOP]
+
+
+@pytest.mark.parametrize(
+    ("build", "is_said"), [("uno 0.0.9", True), (f"uno {VERSION}", False), ("test-1", False), ("uno, my own", False)]
+)
+def test_the_firmware_of_another_version_of_rig_is_said_with_what_to_type(build: str, is_said: bool) -> None:
+    port = ScriptedPort()
+    port.hello = port.hello._replace(build=build.encode().ljust(16, b"\0"))
+    remarks = make(port, board=Board(flashing="type: rig flash --bridge in1-in2")).open().remarks
+    said = f"the board runs the firmware of rig 0.0.9, and this is rig {VERSION}: type: rig flash --bridge in1-in2"
+    assert remarks == ((said,) if is_said else ())
 
 
 def test_a_device_that_takes_long_to_answer_is_opened_all_the_same() -> None:

@@ -1,4 +1,4 @@
-"""The relay while it runs in the device: start it, take its blocks, stop it."""
+"""A law while it runs in the device: start it, take its blocks, stop it."""
 
 from __future__ import annotations
 
@@ -7,42 +7,47 @@ from typing import Self
 from rig.backends.driver import RelayRow
 from rig.backends.serial import frames
 from rig.backends.serial.exchange import ATTEMPTS, Exchange
-from rig.backends.serial.frames import DeviceState, Kind, RelaySetup
+from rig.backends.serial.firmware_laws import TICK_S
+from rig.backends.serial.frames import DeviceState, Kind, RelaySetup, StrokesSetup
 from rig.backends.serial.introduction import STALE_READS, refusal
-from rig.backends.serial.relay_stream import TICK_S, RelayStream
+from rig.backends.serial.law_stream import LawStream
 from rig.faults import Fault
 
 
-class RelayRun:
-    """One run of the relay in the device. ``start`` constructs it.
+class LawRun:
+    """One run of the relay or the strokes in the device. ``start`` constructs it.
 
     exchange  with the device
     stream    of its blocks
     """
 
-    def __init__(self, exchange: Exchange, stream: RelayStream) -> None:
+    def __init__(self, exchange: Exchange, stream: LawStream) -> None:
         self._exchange = exchange
         self._stream = stream
 
     @classmethod
-    def start(cls, exchange: Exchange, setup: RelaySetup, stream: RelayStream) -> Self:
-        """Let the relay drive from the device's next tick on, from 0 V.
+    def start(cls, exchange: Exchange, setup: RelaySetup | StrokesSetup, stream: LawStream) -> Self:
+        """Let the law drive from the device's next tick on, from 0 V.
 
         Raises Fault ARM_READBACK, LINK_TIMEOUT, or the refusal of the device.
         """
+        kind, reply = (
+            (Kind.RELAY, Kind.RELAY_REPLY) if isinstance(setup, RelaySetup) else (Kind.STROKES, Kind.STROKES_REPLY)
+        )
         for _ in range(ATTEMPTS):
-            # a relay whose confirmation was lost runs already: this ends it
+            # a law whose confirmation was lost runs already: this ends it
             exchange.send(Kind.DRIVE, frames.pack_drive(0))
-            packet = exchange.answer(exchange.send(Kind.RELAY, setup.pack()), Kind.RELAY_REPLY)
+            packet = exchange.answer(exchange.send(kind, setup.pack()), reply)
             if packet is None:
                 continue
             if packet.kind == Kind.NACK:
                 raise refusal(packet)
-            if RelaySetup.unpack(packet.body) != setup:
-                raise Fault("ARM_READBACK", f"sent {setup}, stored {RelaySetup.unpack(packet.body)}")
+            stored = setup.unpack(packet.body)
+            if stored != setup:
+                raise Fault("ARM_READBACK", f"sent {setup}, stored {stored}")
             stream.heard_s = exchange.now_s()
             return cls(exchange, stream)
-        raise exchange.silence(Kind.RELAY)
+        raise exchange.silence(kind)
 
     def rows(self) -> list[RelayRow]:
         """The ticks, since the last call, of the blocks taken so far."""
@@ -56,7 +61,7 @@ class RelayRun:
         self._take_blocks()
 
     def hear_last(self, until_s: float) -> None:
-        """Take the last blocks of a relay that was stopped, up to the first missing one. Raises nothing."""
+        """Take the last blocks of a law that was stopped, up to the first missing one. Raises nothing."""
         try:
             self._take_blocks()
             self._until_ended(until_s)
@@ -74,7 +79,7 @@ class RelayRun:
 
     @property
     def ended(self) -> DeviceState | None:
-        """The state in the last block of a relay that has ended; None while it runs."""
+        """The state in the last block of a law that has ended; None while it runs."""
         block = self._stream.last
         if block is None or not self._stream.ended:
             return None

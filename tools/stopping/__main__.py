@@ -1,0 +1,192 @@
+"""`make stopping`: random motors from rest, until rig says that it knows them. It goes on where it was interrupted."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.progress import track
+from scipy.stats import beta
+
+from campaign_real.kinds import KINDS
+from campaign_real.rows import kinds_of
+from rig.config.campaign import Campaign
+from shared.cases import spread
+from stopping.rows import OF, Asked, Row, row
+
+HERE = Path(__file__).resolve().parents[2]
+PAGE = HERE / "docs" / "stopping-table.md"
+MADE_BY = (  # rows of another code start anew
+    *(f"rig/{room}" for room in ("control", "design", "experiment", "identify", "loop", "model")),
+    "tools/stopping/rows.py",
+    "tools/stopping/in_memory.py",
+    *(f"tools/campaign_real/{name}.py" for name in ("departing_bench", "departing_motor", "kinds")),
+)
+WRONG = 0.05  # relative error beyond which a number called ok is wrong
+PLAIN, KNOWN, DEPARTING = "plain", "known", "departing"
+TITLES = {
+    PLAIN: "From rest, nothing known",
+    KNOWN: "From a model that is known to 30 %",
+    DEPARTING: "With one departure from the plain model each, identified afterwards",
+}
+Told = dict[str, dict[int, Row]]
+
+
+def main() -> int:
+    """Run what is missing, and write the page. Exit status 1 if an experiment failed with an exception."""
+    parser = argparse.ArgumentParser(prog="make stopping", description=__doc__)
+    parser.add_argument("--motors", type=int, default=500, help="plain motors from rest, nothing known")
+    parser.add_argument("--known", type=int, default=100, help="plain motors that are known to 30 %%")
+    parser.add_argument("--departing", type=int, default=0, help="motors with one departure each")
+    parser.add_argument("--seed", type=int, default=3)
+    parser.add_argument("--percent", type=float, default=1.0, help="wanted half width of the 95 %% intervals")
+    parser.add_argument("--page", type=Path, default=PAGE, help="where the table goes")
+    given = parser.parse_args()
+    campaign = Campaign(name="stopping", experiments=max(given.motors, given.known, given.departing, 1), seed=given.seed)
+    commit = _git("rev-parse", "--short", "HEAD") + ("+" if _git("status", "--porcelain", *MADE_BY) else "")
+    code = sha256("".join(_git("rev-parse", f"HEAD:{part}") for part in MADE_BY).encode()).hexdigest()[:8]
+    file = HERE / "runs" / f"stopping-{given.seed}-{given.percent:g}-{code}" / "rows.jsonl"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    told = _told(file)
+    began = time.time()
+    plans = {
+        PLAIN: (given.motors, Asked(given.percent)),
+        KNOWN: (given.known, Asked(given.percent, known=True)),
+        DEPARTING: (given.departing, Asked(given.percent, identified=True)),
+    }
+    wanted = [(group, k) for group, (count, _) in plans.items() for k in range(count) if k not in told[group]]
+    jobs = [
+        (campaign, k, kinds_of(k, False, given.seed) if group == DEPARTING else (), plans[group][1])
+        for group, k in wanted
+    ]
+    with file.open("a", encoding="utf-8") as out:
+        for n, one in track(spread(row, jobs), "motors", total=len(jobs), disable=not sys.stderr.isatty()):
+            group = wanted[n][0]
+            told[group][one.number] = one
+            out.write(json.dumps({**one.as_json(), "group": group}) + "\n")
+            out.flush()
+    text = page(told, given.percent, f"seed {given.seed}, commit {commit}, {time.time() - began:.0f} s", len(jobs))
+    given.page.write_text(text, encoding="utf-8")
+    print(text)
+    return 0
+
+
+def _told(file: Path) -> Told:
+    told: Told = {PLAIN: {}, KNOWN: {}, DEPARTING: {}}
+    for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
+        try:
+            entry = json.loads(line)
+        except ValueError:
+            continue  # torn by an interruption
+        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
+        told[values.pop("group")][entry["number"]] = Row(**values)
+    return told
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(["git", "-C", str(HERE), *words], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def page(told: Told, percent: float, made: str, new: int) -> str:
+    """The page as Markdown."""
+    lines = [
+        "# How soon an experiment knows its motor",
+        "",
+        f"Made by `make stopping`: {made} for {new} motors.",
+        "Motors of the campaign's grid (10 ms, 3 mrad of noise, 10 bits; within ±0.55 rad, 4.9 rad/s and 3 V),",
+        "simulated by a program of its own behind rig's loop and guard, in virtual time, with `relay.until`:",
+        f"tests until tau, K and f_c are known to {percent:g} % each (half width of the 95 % interval).",
+        "",
+        "*tests*: from the first sample of the search to the stop. *run*: from the run's start, with the check.",
+        "",
+    ]
+    for group, rows in told.items():
+        if rows:
+            some = [rows[k] for k in sorted(rows)]
+            lines += [f"## {TITLES[group]}", "", *_table(some, percent), ""]
+            if group == DEPARTING:
+                lines += [*_kinds(some), ""]
+    return "\n".join(lines)
+
+
+def _table(rows: Sequence[Row], percent: float) -> list[str]:
+    known = [one for one in rows if one.known]
+    ended = [one for one in rows if not one.known]
+    lines = ["| | |", "|---|---|", f"| motors | {len(rows)} |", f"| stopped because known | {len(known)} |"]
+    if known:
+        for name in ("tests_s", "run_s"):
+            # a motor that was never known counts as the slowest
+            times = np.array([getattr(one, name) for one in known] + [np.inf] * len(ended), dtype=float)
+            half, most = np.quantile(times, [0.5, 0.9], method="inverted_cdf")
+            lines.append(f"| {name.removesuffix('_s')}, median and 90 % of all motors | {half:.1f} s, {most:.1f} s |")
+        held = np.array([one.inside for one in known])
+        errors = 100.0 * np.median(np.abs([one.error or () for one in known]), axis=0)
+        largest = 100.0 * np.max(np.abs([one.error or () for one in known]), axis=0)
+        of = ", ".join(name.split("_")[0] for name in OF)
+        low, high = (
+            float(beta.ppf(q, held.sum() + s, held.size - held.sum() + 1 - s)) for q, s in ((0.025, 0), (0.975, 1))
+        )
+        lines += [
+            f"| intervals at the stop that hold the truth: {of} | {_percents(np.mean(held, axis=0))} |",
+            f"| pooled | {100 * held.mean():.2f} % (if independent, 95 %: {100 * low:.1f} to {100 * high:.1f} %) |",
+            f"| errors at the stop, median | {_numbers(errors)} % |",
+            f"| errors at the stop, largest | {_numbers(largest)} % |",
+        ]
+    judged = [one for one in rows if one.verdict is not None]
+    if judged:
+        ok = [one for one in judged if one.verdict == "ok"]
+        wrong = [one for one in ok if max(map(abs, one.final_error or (0.0,))) > WRONG]
+        bound = float(beta.ppf(0.95, len(wrong) + 1, max(len(rows) - len(wrong), 1)))
+        lines.append(f"| identified afterwards: called ok | {len(ok)} of {len(judged)} |")
+        lines.append(f"| of these more than 5 % off | {len(wrong)}; with 95 % confidence at most {100 * bound:.2f} % |")
+        if ok:
+            lines.append(f"| u95 that hold the truth | {100 * np.mean([one.final_inside for one in ok]):.1f} % |")
+    beyond = [one for one in rows if one.beyond_rad > 0.0]
+    lines.append(f"| motors whose shaft left the soft limits | {len(beyond)}{_most(beyond)} |")
+    lines.append(f"| motors whose guard braked | {sum(one.braked > 0 for one in rows)} |")
+    faults = sorted({one.fault or "by its bounds" for one in ended})
+    for fault in faults:
+        count = sum((one.fault or "by its bounds") == fault for one in ended)
+        lines.append(f"| ended otherwise: {fault} | {count} |")
+    lines.append(f"| seconds of computing for a motor, median | {np.median([one.seconds for one in rows]):.1f} |")
+    return lines
+
+
+def _most(rows: Sequence[Row]) -> str:
+    return f", by at most {1e3 * max(one.beyond_rad for one in rows):.0f} mrad" if rows else ""
+
+
+def _kinds(rows: Sequence[Row]) -> list[str]:
+    lines = ["| departure | motors | known | ok | wrong | tests, median |", "|---|---|---|---|---|---|"]
+    for kind in KINDS:
+        some = [one for one in rows if one.kinds == (kind.name,)]
+        if not some:
+            continue
+        ok = [one for one in some if one.verdict == "ok"]
+        wrong = sum(max(map(abs, one.final_error or (0.0,))) > WRONG for one in ok)
+        tests = [one.tests_s for one in some if one.tests_s is not None]
+        median = f"{np.median(tests):.1f} s" if tests else "-"
+        lines.append(
+            f"| {kind.name} | {len(some)} | {sum(one.known for one in some)} | {len(ok)} | {wrong} | {median} |"
+        )
+    return lines
+
+
+def _percents(shares: Iterable[float]) -> str:
+    return ", ".join(f"{100 * share:.1f} %" for share in shares)
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return ", ".join(f"{value:.2f}" for value in values)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,159 @@
+"""One random motor, driven from rest with nothing known until rig says that it knows, beside its truth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from campaign_real.departing_bench import REACH_RAD, config_of, open_bench
+from campaign_real.departing_motor import Bench, Departures
+from campaign_real.kinds import Kind, departures_of, truth_of
+from rig.campaign.grid import Draw, draw
+from rig.config.campaign import Campaign
+from rig.config.schema import RelaySection, UntilSection
+from rig.estimators import LEADING
+from rig.experiment.stages import identify_recorded
+from rig.experiment.until import drive_until
+from rig.model.friction import coulomb
+from rig.model.motor import Motor
+from rig.model.real_motor import Frame, FramedMotor, plain
+from rig.recording.recording import Recording
+from rig.session import Session
+from stopping.in_memory import driven
+
+Array = NDArray[np.float64]
+
+OF = ("tau_s", "K_rad_s_V", "fc_V")
+PERCENT_OF = {"tau_s": "tau_percent", "K_rad_s_V": "K_percent", "fc_V": "fc_percent"}
+LONGEST_S = 60.0  # of the tests; friction drifts over it
+DOUBT = 0.30  # of a model that is known beforehand
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came of one motor.
+
+    known           whether the tests ended because it was known
+    why             why they ended, or the fault that ended the run
+    tests_s, run_s  how long the tests were, and the run from its start to their end, s
+    error, inside   of the live estimate at the stop: relative errors of tau, K and f_c, and what its interval holds
+    verdict         of the identification afterwards; None if it was not asked for
+    final_error, final_inside, u95   of it: relative errors, whether u95 holds each, relative u95
+    beyond_rad      how far the shaft went beyond the soft limits, rad
+    braked          ticks in which the guard braked
+    seconds         of computing, s
+    """
+
+    number: int
+    kinds: tuple[str, ...]
+    known: bool
+    why: str
+    tests_s: float | None
+    run_s: float | None
+    error: tuple[float, ...] | None
+    inside: tuple[bool, ...] | None
+    verdict: str | None
+    final_error: tuple[float, ...] | None
+    final_inside: tuple[bool, ...] | None
+    u95: tuple[float, ...] | None
+    beyond_rad: float
+    braked: int
+    fault: str | None
+    seconds: float
+
+    def as_json(self) -> dict[str, object]:
+        """As a line of rows.jsonl."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """How the motors are driven.
+
+    percent     wanted half width of the 95 % intervals, %
+    identified  whether each run is identified afterwards
+    known       whether the motor is known to 30 % beforehand
+    """
+
+    percent: float = 1.0
+    identified: bool = False
+    known: bool = False
+
+
+def row(campaign: Campaign, number: int, kinds: Sequence[Kind], asked: Asked) -> Row:
+    """The row of motor ``number`` of the campaign, with these departures."""
+    began = time.perf_counter()
+    one = draw(campaign, number)
+    sampling, sensor = campaign.sampling, campaign.sensor
+    bench = Bench(sampling.period_s, one.delay_s, sensor.noise_rad, sensor.lsb_rad, one.offset_rad)
+    departures = departures_of(campaign, one, kinds)
+
+    until = UntilSection(interval_percent=asked.percent, longest_s=LONGEST_S)
+
+    def script(session: Session) -> None:
+        drive_until(session, _known(campaign, one) if asked.known else None)
+        if asked.identified:
+            identify_recorded(session)
+
+    e = config_of(one, bench).model_copy(update={"relay": RelaySection(until=until)})
+    opened, shaft = open_bench(e, one, departures, bench, LONGEST_S, campaign.seed * 1_000_003 + number)
+    session, fault = driven(e, opened, script)
+    recording = session.read()
+    stopped, found = session.found.stopped, session.found.identification
+    truth = _truth(one, departures, recording)
+    live = stopped.live[-1] if stopped is not None and stopped.live else None
+    error = inside = final_error = final_inside = u95 = verdict = None
+    if live is not None:
+        values = np.array([getattr(live, name) for name in OF])
+        half = 0.01 * values * np.array([getattr(live, PERCENT_OF[name]) for name in OF])
+        error = tuple((values / truth - 1.0).tolist())
+        inside = tuple((np.abs(values - truth) <= half).tolist())
+    if found is not None and LEADING in found.estimates:
+        law = found.motor_law
+        estimate = (None if law is None else law.estimate) or found.estimates[LEADING]
+        values = np.array([getattr(estimate, name) for name in OF])
+        wide = np.array([law.budget.u95[name] for name in OF]) if law is not None else np.full(3, np.nan)
+        verdict = estimate.verdict
+        final_error = tuple((values / truth - 1.0).tolist())
+        final_inside = tuple((np.abs(values - truth) <= wide).tolist())
+        u95 = tuple((wide / values).tolist())
+    return Row(
+        number,
+        tuple(kind.name for kind in kinds),
+        stopped is not None and stopped.known,
+        stopped.why if stopped is not None else str(fault),
+        None if stopped is None else stopped.tests_s,
+        None if stopped is None else stopped.t_s,
+        error,
+        inside,
+        verdict,
+        final_error,
+        final_inside,
+        u95,
+        max(shaft.furthest_rad - REACH_RAD, 0.0),
+        session.loop.guard.braked_ticks,
+        None if fault is None else fault.code,
+        time.perf_counter() - began,
+    )
+
+
+def _truth(one: Draw, departures: Departures, recording: Recording) -> Array:
+    """tau, K and f_c as they are defined for a bench with departures, over the driven travel and time."""
+    driven = np.flatnonzero(recording.u_V != 0.0)
+    rows = driven if driven.size else slice(None)
+    y_rad = recording.y_rad[rows] - one.offset_rad
+    course = float(np.mean(recording.t_s[rows])) / LONGEST_S
+    truth = truth_of(one, departures, (float(y_rad.min()), float(y_rad.max())), course)
+    return np.array([getattr(truth, name) for name in OF])
+
+
+def _known(campaign: Campaign, one: Draw) -> FramedMotor:
+    """The motor as an earlier run might know it: tau, K and f_c each off by 30 %, one standard deviation."""
+    rng = np.random.default_rng(np.random.SeedSequence(campaign.seed, spawn_key=(one.number, 91)))
+    off = np.exp(DOUBT * np.clip(rng.standard_normal(3), -2.0, 2.0))
+    motor = Motor(one.tau_s * off[0], one.K_rad_s_V * off[1], coulomb(one.fc_V * off[2]), 0.0)
+    return FramedMotor(plain(motor), Frame())
