@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
 
@@ -111,6 +111,15 @@ def told(task: Task, law: compiled.Law, longest_s: float = LONGEST_S) -> Told:
         information,
     )
     return Told(rows * period_s, information)
+
+
+def told_either_way(task: Task, law: compiled.Law, longest_s: float = LONGEST_S) -> Told:
+    """As ``told``, for strokes: where noise decides with which of the first two they begin, the slower way."""
+    y_rad = task.start.y
+    if abs(y_rad) > task.least_swing_rad:
+        return told(task, law, longest_s)
+    ways = (told(replace(task, start=task.start._replace(y=side)), law, longest_s) for side in (-1e-9, 1e-9))
+    return max(ways, key=lambda one: one.seconds)
 
 
 def told_in_turn(task: Task, laws: Sequence[compiled.Law], longest_s: float = LONGEST_S) -> float:

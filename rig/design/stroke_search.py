@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.control.strokes import Stroke
-from rig.design.outlook import LONGEST_S, Task, law_of, outcome, told
+from rig.design.outlook import LONGEST_S, Task, law_of, outcome, told_either_way
 from rig.design.planned_test import Design, Strokes
 
 Array = NDArray[np.float64]
@@ -101,7 +101,7 @@ class _Search:
         far = outcome(self.task, law, self.nominal, STROKES)
         if far.excess > 0.0:
             return 10.0 * TOO_FAR_S * (1.0 + far.excess)
-        seconds = told(self.task, law, min(LONGEST_S, best + 0.2)).seconds
+        seconds = told_either_way(self.task, law, min(LONGEST_S, best + 0.2)).seconds
         if seconds >= best:
             return seconds
         far = outcome(self.task, law, self.corners, STROKES, anywhere=True)
@@ -126,6 +126,6 @@ def best_strokes(task: Task) -> Design | None:
         return None
     law = law_of(search.strokes(best))
     far = outcome(task, law, search.corners, STROKES)
-    found = told(task, law)
+    found = told_either_way(task, law)
     test = Strokes(search.strokes(best), far.longest_stroke_s)
     return Design(test, found.seconds, task.percent(found.information), far.reach)
