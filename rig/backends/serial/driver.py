@@ -386,7 +386,7 @@ class SerialDriver:
         self._start_law(command.setup)
 
     def start_strokes(self, command: StrokesCommand) -> None:
-        """Let the device's stroke test drive; as ``start_relay``."""
+        """Let the device's stroke test drive; as ``start_relay``. Raises as that, TypeError included."""
         if not isinstance(command, FirmwareStrokes):
             raise TypeError("a command of another driver")
         self._start_law(command.setup)
