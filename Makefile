@@ -4,7 +4,7 @@ RIG := .venv/bin/rig
 # where it is set, each of the thousand processes that the tests start compiles all its packages anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: stopping campaign-real design emps tracking help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
+.PHONY: stopping campaign-real design emps tracking wheel help demo test search check format bench figures paper safety soak faults mutants fuzz firmware golden lock clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' Makefile
@@ -78,6 +78,9 @@ mutants: .venv/.ready firmware  ## defects put in on purpose, one at a time: eac
 
 firmware: .venv/.ready  ## the firmware (build/firmware/uno/rig_uno.hex, pico/rig_pico.uf2), and the emulated board and chips
 	@$(MAKE) --no-print-directory -C firmware host uno chip pico pico-chip
+
+wheel: .venv/.ready  ## a wheel with the Uno's firmware of every variant: dist
+	RIG_FIRMWARE=required .venv/bin/uv build --quiet --wheel -o dist
 
 golden: .venv/.ready firmware  ## the golden recordings that live in virtual time, anew: docs/replay.md
 	.venv/bin/python tools/golden.py

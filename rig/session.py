@@ -18,7 +18,7 @@ from rig.control.guard import Guard
 from rig.control.tracking import tracking_error
 from rig.estimators import ESTIMATORS, LEADING
 from rig.faults import Fault, since_the_last_run
-from rig.identify import IdentifyError, identify
+from rig.identify import Identification, IdentifyError, identify
 from rig.loop.device_relay import STOPPING
 from rig.loop.runner import Loop
 from rig.loop.stop_request import StopRequest, stop_on_signals
@@ -39,6 +39,7 @@ from rig.signals import BenchDelay
 
 Array = NDArray[np.float64]
 
+COASTING = 2.0  # estimated no-load speed over that of the data sheet from which on the bridge is doubted
 MOST_TESTS = 40  # designed tests of one run
 FADE_S = 1.5  # of the tracking reference; errors count after it
 SHAFT_GAP_S = 0.02  # by which the path of an emulated shaft may be shorter than the rows
@@ -166,7 +167,7 @@ def _begin(
     guard = Guard(guard_settings_of(experiment))
     recorder = Recorder(folder, _stages(experiment))
     loop = Loop(bench.driver, bench.clock, guard, recorder, experiment.period_s, stop)
-    first_notes = [since_the_last_run(code) for code in bench.info.acknowledged]
+    first_notes = [*bench.info.remarks, *(since_the_last_run(code) for code in bench.info.acknowledged)]
     supply = _supply(experiment, bench).objection
     first_notes += [] if supply is None else [supply]
     return Session(experiment, folder, bench, recorder, loop, meta, Findings(notes=first_notes)), recorder
@@ -239,7 +240,8 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
         try:
             recording = session.read()
             if any(Stage.parse(stage).tells_motor for stage in recording.stages()):
-                session.found.identification = identify([recording])
+                found = session.found.identification = identify([recording])
+                session.found.notes += beside_data_sheet(session.experiment, found)
         except (IdentifyError, RecordingError) as error:
             session.found.notes.append(f"{NOTHING_TO_IDENTIFY}: {error.cause}")
         except Exception as error:  # noqa: BLE001 - the result that is written already stays, and says so
@@ -254,6 +256,31 @@ def _conclude(session: Session, outcome: Outcome) -> Outcome:
     except Exception as error:  # noqa: BLE001 - recording and result are there
         outcome.failures.append(f"no report: {_defect(error)}")
     return outcome
+
+
+def beside_data_sheet(e: Experiment, identification: Identification) -> list[str]:
+    """A note if the motor is faster than the config says: the bound on unseen travel depends on that speed.
+
+    By a bridge that lets the motor run free while PWM is low, K and tau come out several times too large, because its
+    drive brakes for its share of the time only (docs/real-bench.md).
+    """
+    best = identification.best or identification.estimates.get(LEADING)
+    if e.motor is None or best is None or not best.is_motor:
+        return []
+    expected_rad_s = e.motor.no_load_speed_rad_s
+    no_load_rad_s = best.K_rad_s_V * (e.drive.supply_V - best.fc_V)
+    if identification.best is not None and 1.1 < no_load_rad_s / expected_rad_s <= COASTING:
+        return [
+            f"motor.no_load_speed_rad_s is {expected_rad_s:g}, but by this estimate the shaft would reach "
+            f"{no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V: correct it; the breakaway check's strokes rely on it"
+        ]
+    if no_load_rad_s > COASTING * expected_rad_s:
+        return [
+            f"by this estimate the shaft would reach {no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V, but "
+            f"motor.no_load_speed_rad_s is {expected_rad_s:g}: if that is true, the bridge lets the motor run free "
+            "while PWM is low, as an L298 does with PWM on its enable; docs/real-bench.md names the wires to move"
+        ]
+    return []
 
 
 def _defect(error: Exception) -> str:

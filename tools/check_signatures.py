@@ -26,6 +26,7 @@ ALLOWED: dict[str, set[str]] = {
     "rig/cli/predict.py": {"predict"},
     "rig/cli/campaign.py": {"campaign"},
     "rig/cli/flash.py": {"flash"},
+    "rig/cli/init.py": {"init"},
 }
 
 

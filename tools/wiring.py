@@ -1,4 +1,6 @@
-"""Draws the wiring of a bench with an Arduino Uno, docs/wiring.svg; its pins are those of the firmware's wiring.h.
+"""Draws the wiring of a bench with an Arduino Uno, docs/wiring.svg, and of each bridge, docs/bridges.svg.
+
+The pins are those of the firmware's wiring.h.
 
 python tools/wiring.py
 """
@@ -7,12 +9,13 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 from xml.sax.saxutils import escape
 
 ROOT = Path(__file__).resolve().parent.parent
 HEADER = ROOT / "firmware/boards/uno/wiring.h"
 PICTURE = ROOT / "docs/wiring.svg"
+BRIDGES_PICTURE = ROOT / "docs/bridges.svg"
 
 WIPER_PULL_DOWN_OHM = 100e3
 BRIDGE_PULL_DOWN_OHM = 10e3
@@ -35,9 +38,11 @@ STYLE = """
   .optional { fill: none; stroke: #5d6b7a; stroke-width: 1.2; stroke-dasharray: 6 5; }
   .gap { fill: none; stroke: #ffffff; stroke-width: 3; }
   .wide { stroke-width: 6; }
+  .wrong-box { fill: #ffffff; stroke: #b3401e; stroke-width: 2; stroke-dasharray: 8 5; }
   .dot { fill: #24303c; }
   text { fill: #24303c; }
   .name { font-weight: bold; }
+  text.wrong { font-weight: bold; fill: #b3401e; }
   .small { font-size: 12px; }
   .dim { fill: #4d5a68; font-size: 12px; }
   @media (prefers-color-scheme: dark) {
@@ -46,10 +51,12 @@ STYLE = """
     .body { fill: #12171d; stroke: #d5dde5; }
     .wire { stroke: #d5dde5; }
     .motor { stroke: #f08a5d; }
+    .wrong-box { fill: #12171d; stroke: #f08a5d; }
     .gap { stroke: #12171d; }
     .optional { stroke: #93a1b0; }
     .dot, text { fill: #d5dde5; }
     .dim { fill: #a3b0bd; }
+    text.wrong { fill: #f08a5d; }
   }
 """
 
@@ -72,18 +79,18 @@ def ohms(value: float) -> str:
 class Drawing:
     """A circuit diagram that grows; coordinates in pixels, y downwards."""
 
-    def __init__(self, width: int, height: int) -> None:
+    def __init__(self, width: int, height: int, title: str = "Wiring of a bench with an Arduino Uno") -> None:
         self._size = width, height
+        self._title = title
         self._parts: list[str] = []
 
     def svg(self) -> str:
         """The whole file."""
         width, height = self._size
-        title = "Wiring of a bench with an Arduino Uno"
         return "\n".join(
             [
                 f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img">',
-                f"<title>{title}</title>",
+                f"<title>{escape(self._title)}</title>",
                 f"<style>{STYLE}</style>",
                 f'<rect class="paper" x="0.5" y="0.5" width="{width - 1}" height="{height - 1}" rx="8"/>',
                 *self._parts,
@@ -350,9 +357,95 @@ def _legend(d: Drawing) -> None:
     d.text(95, 865, "ground: one net, star point at the bridge")
 
 
+class Module(NamedTuple):
+    """A bridge as it is sold, and where its pins go.
+
+    wires     what each wire joins: a pin of the Uno by its name in wiring.h, or 5V or GND; the module's pins
+    inputs    names in wiring.h of the two pins whose wires get a pull-down
+    is_wrong  whether it is drawn as a warning
+    """
+
+    title: str
+    words: str
+    wires: tuple[tuple[str, str], ...]
+    inputs: tuple[str, str] | None = ("PIN_OC1A", "PIN_OC1B")
+    is_wrong: bool = False
+
+
+MODULES = (
+    Module(
+        "L298N as most pages wire it: NOT like this",
+        "PWM at ENA: while it is\nlow the motor runs free,\nand 0 V does not brake.",
+        (("PWM", "ENA, no jumper"), ("a pin", "IN1"), ("another", "IN2"), ("GND", "GND")),
+        None,
+        is_wrong=True,
+    ),
+    Module(
+        "L298N: --bridge in1-in2",
+        "Jumper back on ENA.\nTwo wires to move:\nIN1 to D9, IN2 to D10.",
+        (("PIN_OC1A", "IN1"), ("PIN_OC1B", "IN2"), ("GND", "GND")),
+    ),
+    Module(
+        "TB6612FNG: --bridge in1-in2",
+        "Motor supply at VM,\n13.5 V at most;\nmotor at AO1, AO2.",
+        (("5V", "VCC, STBY, PWMA"), ("PIN_OC1A", "AIN1"), ("PIN_OC1B", "AIN2"), ("GND", "GND")),
+    ),
+    Module(
+        "DRV8871: --bridge in1-in2",
+        "Motor supply at VM,\n6.5 V at least; the board\nlimits the current.",
+        (("PIN_OC1A", "IN1"), ("PIN_OC1B", "IN2"), ("GND", "GND")),
+    ),
+    Module(
+        "BTS7960, IBT-2: --bridge in1-in2",
+        "Motor supply at B+, B-.\nR_IS, L_IS stay open.",
+        (("5V", "VCC, R_EN, L_EN"), ("PIN_OC1A", "RPWM"), ("PIN_OC1B", "LPWM"), ("GND", "GND")),
+    ),
+    Module(
+        "PWM and DIR (Cytron MD10C, ...): --bridge pwm-dir",
+        "It must brake while PWM\nis low. The Arduino Motor\nShield (L298P) does not.",
+        (("PIN_DIRECTION", "DIR"), ("PIN_OC1A", "PWM"), ("GND", "GND")),
+        ("PIN_OC1A", "PIN_OC1A"),
+    ),
+)
+
+
+def draw_bridges(pin: dict[str, str]) -> str:
+    """The picture of the bridges, as SVG. ``pin``: as ``pins`` gives it."""
+    width, height = 620, 250
+    d = Drawing(2 * width, height * ((len(MODULES) + 1) // 2) + 8, "Wiring of bridges as they are sold")
+    for k, module in enumerate(MODULES):
+        _module(d, module, pin, width * (k % 2), height * (k // 2))
+    return d.svg()
+
+
+def _module(d: Drawing, module: Module, pin: dict[str, str], x: float, y: float) -> None:
+    d.text(x + 30, y + 36, module.title, kind="wrong" if module.is_wrong else "name")
+    d.rectangle(x + 30, y + 52, 80, 170)
+    d.text(x + 70, y + 242, "Arduino Uno", "middle", "dim")
+    d.rectangle(x + 270, y + 52, 160, 170, "wrong-box" if module.is_wrong else "box")
+    d.text(x + 440, y + 80, module.words)
+    levels = {name: y + 75 + 120 * k / (len(module.wires) - 1) for k, (name, _) in enumerate(module.wires)}
+    for name, there in module.wires:
+        d.line((x + 110, levels[name]), (x + 270, levels[name]))
+        d.pin(x + 110, levels[name], pin.get(name, name), "right")
+        d.pin(x + 270, levels[name], there, "left")
+    ground = levels["GND"]
+    for k, name in enumerate(dict.fromkeys(module.inputs or ())):
+        at = x + 140 + 66 * k
+        crossed = [other for wire, other in levels.items() if levels[name] < other < ground and wire != name]
+        hops = "".join(f" V {other - 6:g} a 6 6 0 0 1 0 12" for other in sorted(crossed))
+        d.path(f"M {at:g} {levels[name]:g}{hops} V {ground:g}")
+        d.rectangle(at - 8, ground - 29, 16, 22, "body")
+        d.text(at + 12, ground - 13, ohms(BRIDGE_PULL_DOWN_OHM))
+        d.joint(at, levels[name])
+        d.joint(at, ground)
+
+
 def main() -> None:
-    """Write the picture."""
-    PICTURE.write_text(draw(pins(HEADER.read_text(encoding="utf-8"))), encoding="utf-8")
+    """Write the pictures."""
+    pin = pins(HEADER.read_text(encoding="utf-8"))
+    BRIDGES_PICTURE.write_text(draw_bridges(pin), encoding="utf-8")
+    PICTURE.write_text(draw(pin), encoding="utf-8")
 
 
 if __name__ == "__main__":

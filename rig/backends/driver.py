@@ -28,6 +28,7 @@ class DeviceInfo:
     supply_V     motor supply as the device measures it, V; nan where it does not
     supply_at_least  that reading is at the end of its range: the supply may be higher
     drive_units  steps of the drive at full duty: u_V of a sample is a whole number of them; None: no such steps
+    remarks      what people should know of this device before it drives, a sentence each
     acknowledged codes of the faults that the device had latched before, and that opening it has cleared
     """
 
@@ -41,6 +42,7 @@ class DeviceInfo:
     supply_at_least: bool = False
     drive_units: int | None = None
     acknowledged: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         # these texts come from the device and go to terminals

@@ -21,7 +21,7 @@ from typing_extensions import override
 
 from rig import plug_ins
 from rig.backends.backend import Backend, Unopened, host_clock, truth_of
-from rig.backends.driver import DeviceWatchdog, Driver, DriverSettings, RelayDriver
+from rig.backends.driver import DeviceWatchdog, Driver, DriverSettings, RelayDriver, StrokeDriver
 from rig.config.problems import ConfigError, Problem, wrong
 from rig.config.schema import Experiment
 from rig.plug_ins import PlugInError
@@ -141,6 +141,12 @@ class PlugIn(Backend):
             yield driver
         elif e.relay.where == "device" and not isinstance(driver, RelayDriver):
             yield wrong("relay.where", f"driver {e.daq.driver!r} has no relay in its device", "set it to host")
+        elif e.relay.where == "device" and e.relay.until is not None and not isinstance(driver, StrokeDriver):
+            yield wrong(
+                "relay.where",
+                f"driver {e.daq.driver!r} runs no strokes in its device; relay.until does",
+                "set it to host",
+            )
 
     def _tried(self, e: Experiment) -> Driver | Problem:
         """The driver, not opened; or why there is none."""

@@ -42,13 +42,14 @@ if TYPE_CHECKING:  # it loads slowly
 @click.option("--encoder", is_flag=True, help="An encoder is wired to D2 and D3 (Pico: GP2 and GP3).")
 @click.option(
     "--hex", "hex_file", type=click.Path(path_type=Path, exists=True, dir_okay=False), default=None,
-    help="Write this file to the Uno. Default: build it here, for the options above.",
+    help="Write this file to the Uno. Default: the one that came with rig for the options above; without one it is "
+    "built here.",
 )  # fmt: skip
 @click.option(
     "--uf2", type=click.Path(path_type=Path, exists=True, dir_okay=False), default=None,
-    help="Write this file to the Pico. Default: build it here, for the options above.",
+    help="Write this file to the Pico. Default: as of --hex.",
 )  # fmt: skip
-@click.option("--dry-run", is_flag=True, help="Build, and print what would be done; touch no board.")
+@click.option("--dry-run", is_flag=True, help="Print what would be done; touch no board.")
 def flash(
     board: str,
     port: str | None,
@@ -63,10 +64,11 @@ def flash(
     uf2: Path | None,
     dry_run: bool,
 ) -> None:
-    """Build a board's firmware and write it to the board.
+    """Write the firmware to a board.
 
-    To an Uno avrdude writes it; then rig asks the board which firmware it runs. To a Pico in BOOTSEL mode, which is a
-    drive then, rig copies it; with --port it asks the Pico, too.
+    rig's wheel carries it, for any of these options; in the repository it is built. To an Uno avrdude writes it; then
+    rig asks the board which firmware it runs. To a Pico in BOOTSEL mode, which is a drive then, rig copies it; with
+    --port it asks the Pico, too.
 
     Switch off the motor's supply first: while a board is written, its pins float.
     """
@@ -118,7 +120,8 @@ def _flash_uno(options: UnoOptions, port: str | None, hex_file: Path | None, *, 
         else:
             click.echo(f"found: {found}")
             port = found.device
-    command = uno.avrdude_command(avrdude or "avrdude", port, hex_file or build_uno(options))
+    file = hex_file or _shipped(f"{options.name}.hex") or build_uno(options)
+    command = uno.avrdude_command(avrdude or "avrdude", port, file)
     if dry_run:
         click.echo(f"would run: {shlex.join(command)}")
         if avrdude is None:
@@ -128,17 +131,19 @@ def _flash_uno(options: UnoOptions, port: str | None, hex_file: Path | None, *, 
     click.echo(f"running: {shlex.join(command)}")
     uno.write(command, port, partial(click.echo, nl=False, err=True))
     click.echo("written; waiting for the board to answer ...")
-    click.echo(f"{port}: {uno.in_words(uno.meet(port, options.baud))}")
+    hello = uno.meet(port, options.baud)
+    click.echo(f"{port}: {uno.in_words(hello)}")
     if hex_file is None:
+        uno.check_build(hello, "uno")
         click.echo(f"before you switch on the motor's supply: {uno.AT_REST[_bridge(options)]}")
 
 
 def _flash_pico(options: UnoOptions, port: str | None, uf2: Path | None, drive: Path | None, *, dry_run: bool) -> None:
     from rig.backends.serial import flash_pico as pico
     from rig.backends.serial.emulated.firmware_build import build_pico
-    from rig.backends.serial.flash import FlashError, in_words, meet
+    from rig.backends.serial.flash import FlashError, check_build, in_words, meet
 
-    program = uf2 or build_pico(options)
+    program = uf2 or _shipped(f"{options.name_for('pico')}.uf2") or build_pico(options)
     try:
         folder = pico.find_drive(drive)
     except FlashError as none:
@@ -157,9 +162,25 @@ def _flash_pico(options: UnoOptions, port: str | None, uf2: Path | None, drive: 
         )
     else:
         click.echo("written; waiting for the board to answer ...")
-        click.echo(f"{port}: {in_words(meet(port, options.baud))}")
+        hello = meet(port, options.baud)
+        click.echo(f"{port}: {in_words(hello)}")
+        if uf2 is None:
+            check_build(hello, "pico")
     if uf2 is None:
         click.echo(f"before you switch on the motor's supply: {pico.AT_REST[_bridge(options)]}")
+
+
+def _shipped(file: str) -> Path | None:
+    """The file that came with rig, which is said; None where there is none."""
+    from rig.backends.serial.flash import NEVER_RUN, REAL_CHIP_REPORT, prebuilt
+
+    found = prebuilt(file)
+    if found is None:
+        return None
+    click.echo(str(found))
+    if REAL_CHIP_REPORT is None:
+        click.echo(NEVER_RUN)
+    return found.path
 
 
 def _bridge(options: UnoOptions) -> str:

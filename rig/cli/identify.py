@@ -9,10 +9,12 @@ from pathlib import Path
 import click
 
 from rig.cli.failure import EXIT_BAD_INPUT, EXIT_FAILED, fail, fail_input
+from rig.cli.log_options import log_options
 from rig.cli.options import JSON, ROWS
 from rig.estimators import ESTIMATORS
 from rig.recording.errors import RecordingError
 from rig.recording.folder import json_text
+from rig.recording.log_format import LogFormat
 from rig.terminal import patience, show_estimates, show_friction_law, show_friction_map, show_motor_law
 
 
@@ -33,18 +35,24 @@ from rig.terminal import patience, show_estimates, show_friction_law, show_frict
     help="A stage of the run that is not read: breakaway, search, relay-1, relay-2, ... Repeat for several.",
 )
 @ROWS
+@log_options
 @JSON
 def identify(
     paths: Sequence[Path],
     methods: Sequence[str],
     without: Sequence[str],
     rows: tuple[int | None, int | None] | None,
+    log: LogFormat | None,
     as_json: bool,
 ) -> None:
     """Identify gain, time constant and friction from recordings.
 
     A recording is a run folder, or a CSV file with columns t_s,u_V,y_rad. Several recordings must be of one motor: rig
     says so if they do not agree.
+
+    A log of your own may have any columns and units. Say which: --time ms --drive pwm --full 255 --supply-V 12
+    --position counts --counts-per-turn 1440. A unit alone takes the column with a usual name; pos:counts names it, and
+    3:counts numbers it. A log without a line of names has time, drive and position, in this order.
     """
     from rig.identify import IdentifyError
     from rig.identify import identify as identify_recordings
@@ -56,7 +64,9 @@ def identify(
     try:
         require_distinct(paths)
         with patience("reading and identifying"):
-            recordings = [read(path) if rows is None else read(path).only_rows(*rows) for path in paths]
+            recordings = [read(path, log) for path in paths]
+            if rows is not None:
+                recordings = [recording.only_rows(*rows) for recording in recordings]
             found = identify_recordings(recordings, tuple(methods) or None, without=without)
     except (RecordingError, IdentifyError) as error:
         fail_input(error)

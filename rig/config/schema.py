@@ -401,7 +401,9 @@ class UntilSection(_Section):
     """The tests end when the answer is known, and at the latest by two bounds (docs/until.md)."""
 
     interval_percent: Annotated[float, Field(ge=0.1, le=20.0)] = Field(
-        1.0, description="half width of the 95 % interval of each of tau, K and f_c, in % of its value"
+        0.4,
+        description="half width of the 95 % interval of each of tau, K and f_c, in % of its value; with the default a "
+        "plain motor is mostly ok, which asks for more than an interval",
     )
     longest_s: Annotated[float, Field(ge=5.0, le=3600.0)] = Field(
         60.0, description="the tests end after this time at the latest, whatever is known; the breakaway check is apart"
@@ -676,6 +678,10 @@ class Emulated(_Section):
     dead_band_duty: DeadBand | None = Field(
         None, description="duty below which the bridge truly passes nothing; default: drive.dead_band_duty"
     )
+    coasting: bool | None = Field(
+        None,
+        description="the bridge lets the motor run free while PWM is low (L298, PWM on its enable); default: false",
+    )
     reversed: bool | None = Field(
         None, description="positive duty truly turns the shaft to falling positions; default: drive.reversed"
     )
@@ -690,6 +696,14 @@ class Emulated(_Section):
         description="has a velocity channel, scaled as in section tachometer; default: where there is that section",
     )
     wiring: EmulatedWiring = Field(EmulatedWiring(), description="faults that the bench is built with")
+
+    @model_validator(mode="after")
+    def _coasts_without_parts(self) -> Self:
+        if self.coasting and self.motor.parts is not None:
+            raise ValueError(
+                "a coasting bridge takes a motor without parts: leave out emulated.coasting or emulated.motor.parts"
+            )
+        return self
 
 
 class Experiment(_Section):

@@ -44,6 +44,16 @@ _STALE_SAMPLES = 2  # in a row; one may come if a loop is as quick as its device
 _SETTLING_WINDOWS = 1.5  # windows: the velocity lags by half of one, and a drive acts up to two ticks later
 
 
+def velocity_noise_rad_s(noise_rad: float, period_s: float) -> float:
+    """Standard deviation of the guard's velocity, rad/s, by noise of the readings, rad, every ``period_s``."""
+    samples = _samples_every(period_s)
+    return noise_rad * math.sqrt(12.0 / samples) / ((samples - 1) * period_s)
+
+
+def _samples_every(period_s: float, window_s: float = WINDOW_S) -> int:
+    return max(_LEAST_SAMPLES, 1 + round(window_s / period_s))
+
+
 class VelocityWindow:
     """Velocity as the slope of the last few positions, by least squares. Without a model, none can mislead it.
 
@@ -125,7 +135,7 @@ class Guard:
 
         From a shorter window the velocity would be mostly the sensor's noise.
         """
-        self._samples = max(_LEAST_SAMPLES, 1 + round(window_s / sample_s))
+        self._samples = _samples_every(sample_s, window_s)
         self._velocity = VelocityWindow(self._samples, self.velocity_rad_s)
         self._window_s = (self._samples - 1) * sample_s
         self._gain = Gain(_SETTLING_WINDOWS * self._window_s + self.settings.delay_s)

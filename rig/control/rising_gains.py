@@ -1,4 +1,4 @@
-"""The start that needs no model and no target: the relay's gains grow until the shaft swings widely (docs/theory.md 4.5)."""
+"""A start without model and target: the relay's gains grow until the shaft swings widely (docs/theory.md 4.5)."""
 
 from __future__ import annotations
 

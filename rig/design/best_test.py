@@ -17,8 +17,8 @@ KINDS: tuple[Kind, ...] = ("strokes", "relay")
 def best_test(task: Task, kinds: Sequence[Kind] = KINDS) -> Design | None:
     """The test that should tell enough soonest, of these kinds, within the room for every motor that it may be.
 
-    None where there is no such test: too little is known yet, or the room is too small. Deterministic; strokes take
-    about 0.1 s, a relay 0.2 s.
+    None where there is no such test: too little is known yet, or the room is too small. Deterministic. Strokes take
+    about 0.3 s of one core, a relay 0.1 s.
     """
     found = [best_strokes(task) if "strokes" in kinds else None, best_gains(task) if "relay" in kinds else None]
     return min((one for one in found if one is not None), key=lambda one: one.seconds, default=None)

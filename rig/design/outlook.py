@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ AT_REST = State()
 LOOKED_S = 0.1  # between two looks at the information
 LONGEST_S = 8.0  # of a test; beyond it information is taken to grow as it did until then
 CORNER_S = 12.0  # of the simulation of a possible motor
+FAR_OUT = 0.85  # of the room
 PASSES = 2  # of all strokes, by which a motor shows how far it goes
 LEAST_SWING = 16.0  # standard deviations of the reading: tiny swings agree with any law, and tell of none
 KNOWN = 1e12  # information on a delay that is known, 1/s^2
@@ -111,6 +113,15 @@ def told(task: Task, law: compiled.Law, longest_s: float = LONGEST_S) -> Told:
     return Told(rows * period_s, information)
 
 
+def told_either_way(task: Task, law: compiled.Law, longest_s: float = LONGEST_S) -> Told:
+    """As ``told``, for strokes: where noise decides with which of the first two they begin, the slower way."""
+    y_rad = task.start.y
+    if abs(y_rad) > task.least_swing_rad:
+        return told(task, law, longest_s)
+    ways = (told(replace(task, start=task.start._replace(y=side)), law, longest_s) for side in (-1e-9, 1e-9))
+    return max(ways, key=lambda one: one.seconds)
+
+
 def told_in_turn(task: Task, laws: Sequence[compiled.Law], longest_s: float = LONGEST_S) -> float:
     """How soon tests that share the time evenly tell enough, s; each begins as ``task`` says.
 
@@ -172,21 +183,27 @@ class Outcome(NamedTuple):
     longest_stroke_s: float
 
 
-def outcome(task: Task, law: compiled.Law, motors: Sequence[tuple[float, ...]], strokes: int) -> Outcome:
+def outcome(
+    task: Task, law: compiled.Law, motors: Sequence[tuple[float, ...]], strokes: int, *, anywhere: bool = False
+) -> Outcome:
     """Simulate a test on each of the motors it may be, with a drive that acts up to one period later.
 
-    strokes  number of strokes; 0 for a relay
+    strokes   number of strokes; 0 for a relay
+    anywhere  whether the test may also begin far out, where another test turned that gives way to it
     """
+    starts = [task.start]
+    if anywhere:
+        starts += [State(y=FAR_OUT * task.room.low_rad), State(y=FAR_OUT * task.room.high_rad)]
     room, period_s = task.room, task.reading.period_s
     late_s = period_s + min(task.belief.delay_doubt_s, period_s)
-    timing, start = (period_s, task.delay_s + late_s), tuple(map(float, task.start))
+    timing = period_s, task.delay_s + late_s
     # a shaft that starts farther out is not the test's fault
     low_rad, high_rad = min(room.low_rad, task.start.y), max(room.high_rad, task.start.y)
     low = high = speed = excess = longest_s = 0.0
     n = round(CORNER_S / period_s)
     u_V, states = np.empty(n), np.empty((n, 2))
-    for motor in motors:
-        rows, longest = compiled.drive(motor, law, timing, start, PASSES * strokes, u_V, states)
+    for motor, start in product(motors, starts):
+        rows, longest = compiled.drive(motor, law, timing, tuple(map(float, start)), PASSES * strokes, u_V, states)
         lowest, highest, fastest, *stops = compiled.bounds(states[:rows], room.horizon_s)
         low, high, speed = min(low, lowest), max(high, highest), max(speed, fastest)
         longest_s = max(longest_s, longest * period_s)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.control.strokes import Stroke
-from rig.design.outlook import LONGEST_S, Task, law_of, outcome, told
+from rig.design.outlook import LONGEST_S, Task, law_of, outcome, told_either_way
 from rig.design.planned_test import Design, Strokes
 
 Array = NDArray[np.float64]
@@ -21,6 +21,7 @@ STEPS = 300  # changes of one stroke that it tries
 SLOWEST_RAD_S = 0.5  # final speed of the softest stroke to try
 FASTEST = 3.0  # times the largest speed: final speed of the hardest, which is ended long before
 TOO_FAR_S = 1e4  # cost of a plan that leaves the room
+THROUGH = 0.1  # of the reach: the first two strokes turn beyond that
 FULL = 0.98  # of the room that turning points may use
 SEED = 1
 
@@ -49,6 +50,8 @@ class _Search:
         high = np.minimum(belief.K_rad_s_V * (room.max_V - self.friction_V), FASTEST * room.max_speed_rad_s)
         self.low, self.high = np.log(low), np.log(np.maximum(high, 1.01 * low))
         self.reach = np.where(self.sign > 0.0, room.high_rad, -room.low_rad) * FULL
+        # whichever of the first two begins, inward, goes through the centre: no test begins with a stroke that is over
+        self.least_turn = np.where(np.arange(STROKES) < 2, THROUGH * self.reach, -math.inf)
         self.rng = np.random.default_rng(SEED)
 
     def strokes(self, plan: _Plan) -> tuple[Stroke, ...]:
@@ -75,7 +78,7 @@ class _Search:
         """
         least = self.task.least_swing_rad
         for i in range(STROKES):
-            turn_rad[i] = min(max(turn_rad[i], least - turn_rad[i - 1]), self.reach[i])
+            turn_rad[i] = min(max(turn_rad[i], self.least_turn[i], least - turn_rad[i - 1]), self.reach[i])
         turn_rad[0] = max(turn_rad[0], least - turn_rad[-1])
         return turn_rad
 
@@ -87,7 +90,7 @@ class _Search:
         else:
             turn[i] = np.clip(
                 turn[i] + 0.25 * size * self.reach[i] * self.rng.standard_normal(),
-                self.task.least_swing_rad - min(turn[i - 1], turn[(i + 1) % STROKES]),
+                max(self.least_turn[i], self.task.least_swing_rad - min(turn[i - 1], turn[(i + 1) % STROKES])),
                 self.reach[i],
             )
         return _Plan(log_speed, turn)
@@ -98,10 +101,10 @@ class _Search:
         far = outcome(self.task, law, self.nominal, STROKES)
         if far.excess > 0.0:
             return 10.0 * TOO_FAR_S * (1.0 + far.excess)
-        seconds = told(self.task, law, min(LONGEST_S, best + 0.2)).seconds
+        seconds = told_either_way(self.task, law, min(LONGEST_S, best + 0.2)).seconds
         if seconds >= best:
             return seconds
-        far = outcome(self.task, law, self.corners, STROKES)
+        far = outcome(self.task, law, self.corners, STROKES, anywhere=True)
         return TOO_FAR_S * (1.0 + far.excess) if far.excess > 0.0 else seconds
 
     def local_best(self) -> tuple[_Plan, float]:
@@ -123,6 +126,6 @@ def best_strokes(task: Task) -> Design | None:
         return None
     law = law_of(search.strokes(best))
     far = outcome(task, law, search.corners, STROKES)
-    found = told(task, law)
+    found = told_either_way(task, law)
     test = Strokes(search.strokes(best), far.longest_stroke_s)
     return Design(test, found.seconds, task.percent(found.information), far.reach)

@@ -44,6 +44,8 @@ def with_config(experiment: Experiment, run_folder: Path, seconds: float = SECON
     try:
         with connect(experiment) as bench:
             yield Finding("device", "good", bench.driver.backend)
+            for remark in bench.info.remarks:
+                yield Finding("device", "note", remark)
             for code in bench.info.acknowledged:
                 yield Finding("device", "note", since_the_last_run(code))
             if adapter is not None:  # only now: opening the port asks an FTDI to wait for 1 ms only

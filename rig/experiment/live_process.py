@@ -29,6 +29,7 @@ LOOK_EVERY_S = 0.02
 SILENT_S = 5.0  # without advice: it hangs, or the machine has no time for it
 NICE = 10  # the loop, and the process that writes the rows, go first
 BRAKED = b"braked"
+_CLOSES_S = 5.0
 _HEAD = struct.Struct("=I")
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 
@@ -60,7 +61,8 @@ class LiveProcess:
             self.trouble = f"its process did not start: {error.strerror}"
             return
         # a thread waits for its words, because not every system can poll a pipe
-        threading.Thread(target=_listen, args=(self._said, self._process.stdout), daemon=True).start()
+        self._thread = threading.Thread(target=_listen, args=(self._said, self._process.stdout), daemon=True)
+        self._thread.start()
 
     def begin(self, settings: AdvisorSettings) -> None:
         """Tell it what the breakaway check showed."""
@@ -91,8 +93,9 @@ class LiveProcess:
         if process.stdin is not None:
             with contextlib.suppress(OSError):
                 process.stdin.close()
-        process.kill()  # the thread then hears the end of its words
+        process.kill()  # its words end, and with them the thread, which closes the pipe
         process.wait()
+        self._thread.join(_CLOSES_S)
 
     def __enter__(self) -> LiveProcess:
         return self
@@ -173,6 +176,8 @@ def _listen(heard: queue.SimpleQueue[bytes | None], pipe: IO[bytes] | None) -> N
                 message = _whole(pipe, *_HEAD.unpack(head))
                 if message is not None:
                     heard.put(message)
+        with contextlib.suppress(OSError):
+            pipe.close()
     heard.put(None)
 
 

@@ -41,7 +41,7 @@ from rig.preflight.room_to_stop import counted_delay_s, expected_delay_s, reach_
 from rig.recording.folder import write_meta
 from rig.recording.stage import Stage, StageKind
 from rig.results import JogResult, RealTimeReport, TrackingResult
-from rig.session import FADE_S, Session
+from rig.session import FADE_S, Session, beside_data_sheet
 from rig.signals import BenchDelay
 
 REST_S = 0.7
@@ -424,21 +424,8 @@ def identify_recorded(session: Session) -> None:
     session.recorder.drain()
     session.note("stage", name="identify")
     identification = session.found.identification = identify([session.read()])
-    _compare_with_data_sheet(session, identification)
+    session.found.notes += beside_data_sheet(session.experiment, identification)
     session.loop.check_stop()
-
-
-def _compare_with_data_sheet(session: Session, identification: Identification) -> None:
-    """Note if the motor is faster than the config says: the bound on unseen travel depends on that speed."""
-    e, best = session.experiment, identification.best
-    if e.motor is None or best is None:
-        return
-    no_load_rad_s = best.K_rad_s_V * (e.drive.supply_V - best.fc_V)
-    if no_load_rad_s > 1.1 * e.motor.no_load_speed_rad_s:
-        session.found.notes.append(
-            f"motor.no_load_speed_rad_s is {e.motor.no_load_speed_rad_s:g}, but by this estimate the shaft would reach "
-            f"{no_load_rad_s:.3g} rad/s at {e.drive.supply_V:g} V: correct it; the breakaway check's strokes rely on it"
-        )
 
 
 def verify_models(session: Session) -> None:

@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
-from scipy.stats import chi2
 
 from rig.identify.departures.fit import (
     CORE,
@@ -36,7 +35,7 @@ from rig.identify.departures.pieces import Cut
 from rig.identify.estimate import PARAMETERS, Estimate
 from rig.identify.motions import Motion, in_parts, motions
 from rig.identify.noise import WHITE, Noise
-from rig.identify.opinion import RecordingEstimate, agree, apart, differences, mean_of
+from rig.identify.opinion import RecordingEstimate, agree, differences, mean_of
 from rig.identify.output_error import refit
 from rig.model.real_motor import Frame, RealMotor
 from rig.model.sensitivity import Theta
@@ -50,7 +49,9 @@ GROWN = 3.0  # standard deviations by which the squares may grow from parts to w
 FEWEST_ROWS = 40  # in motion
 STRANGE = 2.5  # RMS residual of a piece over that of the tests from which on the piece shows another motor
 NOTICED = 1.05  # variance of the records' residual over that of the tests from which on they weigh less
-CHANCE = 0.01  # below it, records that differ widen the intervals by as much as they differ
+VAGUE = 0.15  # standard error, relative, from which on records are not compared with the tests
+EXPLAINED = 0.001  # probability from which on chance explains a difference
+STAGE_ERROR = 0.005  # of each parameter: what a plain motor may leave out in one stage of a run
 EXACT = 1e-6  # residual over the spread of positions below which there is no noise to weigh records by
 
 
@@ -100,14 +101,24 @@ def together(estimate: Estimate, tests: Sequence[TimeSeries], beside: Sequence[T
     found = [_parts(window, sensor) for window in windows]
     remarks: list[str] = []
     while sum(motion.stop - motion.first for each in found for motion in each) >= FEWEST_ROWS:
-        fit = _fit(estimate, windows, found, sensor, known=not is_search)
+        windows, found = _moving(windows, found)
+        fit = _fit(estimate, windows, found, sensor, known=False)
+        others = None if is_search else _opinion(fit)
+        if others is None and not is_search:  # they say too little by themselves
+            fit = _fit(estimate, windows, found, sensor, known=True)
         strange = _strange(fit, windows, found, sensor)
         if strange is None:
-            if not remarks:
-                whole = [motions(window, sensor.noise_rad, sensor.lsb_rad, through=True) for window in windows]
-                longer = _fit(estimate, windows, whole, sensor, known=not is_search)
-                fit = longer if bears(longer, fit) else fit
-            return _joined(estimate, fit, tests, sensor, tuple(remarks))
+            whole = [motions(window, sensor.noise_rad, sensor.lsb_rad, through=True) for window in windows]
+            longer = None if remarks else _fit(estimate, windows, whole, sensor, known=fit.problem.known is not None)
+            if longer is not None and bears(longer, fit):
+                fit, found, others = longer, whole, None if others is None else _opinion(longer)
+            if others is None:
+                return Together(_joined(estimate, fit, tests), tuple(remarks))
+            odd = _difference(estimate, others)
+            if odd is not None:
+                return Together(estimate, (*remarks, *odd.remarks), odd.objections)
+            fit = _fit(estimate, windows, found, sensor, known=True)
+            return Together(_joined(estimate, fit, tests), tuple(remarks))
         k, motion, rms_rad = strange
         row = windows[k].series.first_row + windows[k].first + motion.first
         remarks.append(
@@ -132,6 +143,11 @@ def _whole(tests: Sequence[TimeSeries]) -> list[Window]:
 
 def _long_enough(series: TimeSeries, latest_s: float) -> bool:
     return len(series) - int(np.searchsorted(series.t_s, series.edge_s[0] + latest_s)) >= FEWEST_ROWS
+
+
+def _moving(windows: Sequence[Window], found: Sequence[list[Motion]]) -> tuple[list[Window], list[list[Motion]]]:
+    """Only the windows that have motions."""
+    return [w for w, each in zip(windows, found, strict=True) if each], [each for each in found if each]
 
 
 def _parts(window: Window, sensor: _Sensor) -> list[Motion]:
@@ -190,22 +206,10 @@ def _strange(
     return worst
 
 
-def _joined(
-    estimate: Estimate, fit: Fit, tests: Sequence[TimeSeries], sensor: _Sensor, remarks: tuple[str, ...]
-) -> Together:
-    """The estimate of all, if what is beside the tests says the same as they do."""
+def _joined(estimate: Estimate, fit: Fit, tests: Sequence[TimeSeries]) -> Estimate:
+    """The estimate with the motor of ``fit``, and the tests predicted with it."""
     problem, motor = fit.problem, fit.motor
-    scatter = max(1.0, _own_unit(fit))
-    normal = Normal.of(replace(problem, known=None).rows(motor, fit.starts), problem.cut)
-    matrix = normal.matrix / scatter
-    if problem.known is None:
-        inverse = np.linalg.inv(matrix)
-    else:
-        names = " and ".join(dict.fromkeys(window.series.name for window in problem.cut.windows))
-        opinions = _opinions(estimate, normal, scatter, fit, names)
-        if not agree(opinions):
-            return Together(estimate, remarks, (_objection(opinions),))
-        inverse = np.linalg.inv(problem.known.root.T @ problem.known.root + matrix) * _widened(opinions)
+    inverse = _covariance(fit)
     size = np.array([getattr(motor, name) if name in POSITIVE else 1.0 for name in problem.free])
     covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     covariance[: size.size, : size.size] = inverse * np.outer(size, size)
@@ -224,22 +228,19 @@ def _joined(
     if not fits_delay:
         intervals["delay_s"] = estimate.ci95["delay_s"]
         covariance[4, 4] = estimate.covariance[4, 4]
-    return Together(
-        replace(
-            estimate,
-            tau_s=motor.tau_s,
-            K_rad_s_V=motor.K_rad_s_V,
-            fc_V=motor.fc_V,
-            asym_V=motor.bias_V,
-            delay_s=delay_s,
-            ci95=intervals,
-            covariance=covariance,
-            rms_rad=math.sqrt(predicted.cost / predicted.residual.size),
-            iterations=estimate.iterations + len(fit.iterates),
-            iterates=np.concatenate((estimate.iterates, fit.iterates)),
-            residual_rad=-predicted.residual,
-        ),
-        remarks,
+    return replace(
+        estimate,
+        tau_s=motor.tau_s,
+        K_rad_s_V=motor.K_rad_s_V,
+        fc_V=motor.fc_V,
+        asym_V=motor.bias_V,
+        delay_s=delay_s,
+        ci95=intervals,
+        covariance=covariance,
+        rms_rad=math.sqrt(predicted.cost / predicted.residual.size),
+        iterations=estimate.iterations + len(fit.iterates),
+        iterates=np.concatenate((estimate.iterates, fit.iterates)),
+        residual_rad=-predicted.residual,
     )
 
 
@@ -249,31 +250,64 @@ def _own_unit(fit: Fit) -> float:
     return squares / max(fit.problem.cut.freedom, 1)
 
 
-def _opinions(estimate: Estimate, normal: Normal, scatter: float, fit: Fit, names: str) -> list[RecordingEstimate]:
-    """What the tests say, and what the records beside them say by themselves."""
-    own = normal.matrix / scatter
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
-    inverse = np.linalg.pinv(own * np.outer(scale, scale), rcond=1e-9, hermitian=True) * np.outer(scale, scale)
-    change = -inverse @ normal.gradient / scatter
-    motor = fit.motor
-    here = np.array([math.log(motor.tau_s), math.log(motor.K_rad_s_V), motor.fc_V])
-    tests = RecordingEstimate.of("the tests", estimate)
-    others = RecordingEstimate.at(names, here + change[:3], inverse[:3, :3])
-    return [others] if tests is None else [tests, others]
+def _covariance(fit: Fit) -> Array:
+    """Of the free numbers, with what is known beforehand, (m, m), of the logarithms of tau and K."""
+    problem = fit.problem
+    normal = Normal.of(replace(problem, known=None).rows(fit.motor, fit.starts), problem.cut)
+    matrix = normal.matrix / max(1.0, _own_unit(fit))
+    if problem.known is not None:
+        at = [problem.free.index(name) for name in problem.known.names]
+        matrix[np.ix_(at, at)] += problem.known.root.T @ problem.known.root
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    return np.asarray(inverse * np.outer(scale, scale))
 
 
-def _widened(opinions: Sequence[RecordingEstimate]) -> float:
-    """Factor of the covariance: by how much more than chance, and without effects outside a record, they differ."""
-    if len(opinions) < 2:
-        return 1.0
-    square = apart(*opinions)
-    return square / 3.0 if chi2.sf(square, 3) < CHANCE else 1.0
+class _Opinion(NamedTuple):
+    """What records say by themselves: ln tau, ln K, f_c in V, and their covariance by the noise alone."""
+
+    names: str
+    values: Array
+    covariance: Array
 
 
-def _objection(opinions: Sequence[RecordingEstimate]) -> str:
-    tests, others = opinions
-    return (
-        f"{others.name} and the tests do not agree: in {others.name} {differences(others, *mean_of([tests]))}; "
-        "something that a plain motor has not moves the shaft, or it changed meanwhile: the estimate is of the tests "
-        "alone"
+def _opinion(fit: Fit) -> _Opinion | None:
+    """What records say by themselves; None if that is too little to compare."""
+    motor, covariance = fit.motor, _covariance(fit)
+    names = " and ".join(dict.fromkeys(window.series.name for window in fit.problem.cut.windows))
+    errors = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0)) / [1.0, 1.0, max(motor.fc_V, 1e-12)]
+    if not np.all(errors < VAGUE) or not fit.arrived:
+        return None
+    return _Opinion(names, np.array([math.log(motor.tau_s), math.log(motor.K_rad_s_V), motor.fc_V]), covariance[:3, :3])
+
+
+class _Difference(NamedTuple):
+    remarks: tuple[str, ...]
+    objections: tuple[str, ...]
+
+
+def _difference(estimate: Estimate, others: _Opinion) -> _Difference | None:
+    """How records and tests differ, as a sentence; None if chance explains it.
+
+    A plain motor leaves out a little: up to that, the records do not count, and nothing is wrong.
+    """
+
+    def both(model_error: float) -> list[RecordingEstimate]:
+        tests = RecordingEstimate.of("the tests", estimate, model_error)
+        return [] if tests is None else [tests, RecordingEstimate.at(*others, model_error)]
+
+    if not both(0.0) or agree(both(0.0), EXPLAINED):
+        return None
+    tests, beside = both(STAGE_ERROR)
+    said = f"in {others.names} {differences(beside, *mean_of([tests]))}"
+    if agree([tests, beside]):
+        return _Difference(
+            (f"{said}: within what a plain motor leaves out, so the estimate is of the tests alone",), ()
+        )
+    return _Difference(
+        (),
+        (
+            f"{others.names} and the tests do not agree: {said}; something that a plain motor has not moves the "
+            "shaft, or it changed meanwhile: the estimate is of the tests alone",
+        ),
     )

@@ -28,7 +28,8 @@ def known_model(path: Path) -> FramedMotor:
                 f"has no {RESULT}: the run was killed before its motor was identified",
                 "give another run; `rig identify` reads what this one recorded",
             )
-        raise no_run(path)
+        nothing = no_run(path)
+        raise nothing
     try:
         motor = _with_laws(result) or _plain(result.estimates.get(LEADING))
     except ValueError as error:

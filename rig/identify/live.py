@@ -2,7 +2,7 @@
 
 Breakaway check, gain search and tests are pieces of one record. Each piece begins where the record is cut or where the
 shaft begins to move (``rig.identify.motions``). A fit begins where the last one ended. So it costs a few milliseconds
-for each second of record, and the same rows in the same portions give the same numbers (docs/theory.md 7.10).
+for each second of record, and the same rows in the same portions give the same numbers (docs/theory.md 7.12).
 """
 
 from __future__ import annotations

@@ -105,7 +105,8 @@ def measurements(
         for test in tests:
             data.tests.append(test)
             data.recording_of.append(str(recording.source))
-            data.cycles.append(_cycle(test, data) if with_cycles else None)
+            has_cycle = with_cycles and (test.stage is None or test.stage.kind is not StageKind.STROKES)
+            data.cycles.append(_cycle(test, data) if has_cycle else None)
     if not data.tests:
         data.tests = data.hysteretic
         data.recording_of = [name for name, series in data.sources for _ in series]
@@ -180,10 +181,11 @@ def _series_of(
         if len(short) < len(chosen):
             notes += [f"{label}: left out, because fewer than {FEWEST_ROWS} of its rows can be used" for label in short]
             chosen = [(label, rows) for label, rows in chosen if label not in short]
-        one_drive = [label for label, rows in chosen if np.ptp(recording.u_V[rows]) == 0.0]
-        if len(one_drive) < len(chosen):
-            notes += [f"{label}: left out, because its drive never changes" for label in one_drive]
-            chosen = [(label, rows) for label, rows in chosen if label not in one_drive]
+        # another test took its place within one stroke
+        steady = [label for label, rows in chosen if stages and np.ptp(recording.u_V[rows]) == 0.0]
+        if len(steady) < len(chosen):
+            notes += [f"{label}: left out, because its drive never changed" for label in steady]
+            chosen = [(label, rows) for label, rows in chosen if label not in steady]
     tests: list[TimeSeries] = []
     runs: list[TimeSeries] = []
     for label, rows in chosen:

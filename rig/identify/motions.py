@@ -1,4 +1,4 @@
-"""Where a record shows motion, and which motions begin at rest (docs/theory.md 7.10).
+"""Where a record shows motion, and which motions begin at rest (docs/theory.md 7.11).
 
 A shaft at rest shows that friction holds the drive, and nothing else: neither tau nor K, and of friction only that its
 static level is above the drive. A plain motor whose moving friction is below the static one would move there. So rows

@@ -39,6 +39,7 @@ from rig.results import BudgetEntry, FittedRecord, FoundLawResult, LawFrameResul
 Array = NDArray[np.float64]
 
 ALIKE = 6.0  # difference in BIC within which two laws are not told apart
+TURNS_BACK = 0.2  # of the whole motion: a way back shorter than that is no turn
 NO_CYCLE = 12.0  # parts of a record without a cycle that count as one
 MOST_ROWS = 8000  # of all tests
 ROUNDS = 3  # in which records that disagree with the tests are cut, before none of them is used
@@ -236,7 +237,8 @@ class Beginning:
             plain.tau_s, plain.K_rad_s_V, max(plain.fc_V, 0.0), plain.asym_V, plain.delay_s if free_delay else 0.0
         )
         durations = [window.duration_s for window in whole.windows]
-        cycle_s = min((p for p in periods_s if p is not None), default=max(durations) / NO_CYCLE)
+        known_s = [p if p is not None else _swings_s(test) for p, test in zip(periods_s, tests, strict=True)]
+        cycle_s = min((p for p in known_s if p is not None), default=max(durations) / NO_CYCLE)
         frame = whole.frames[0]
         travel_rad = (frame.centre_rad - frame.half_travel_rad, frame.centre_rad + frame.half_travel_rad)
         linearity_rad = max(one.linearity_rad(travel_rad[1] - travel_rad[0]) for one in stated)
@@ -250,6 +252,24 @@ class Beginning:
             max(sigma, SMALLEST_NOISE * frame.half_travel_rad),
         )
         return cls(whole, motor, cycle_s, travel_rad, chooser)
+
+
+def _swings_s(test: TimeSeries) -> float | None:
+    """Mean length of a swing to and fro in a test of a run that has no cycle, s; None of any other record, and of rest.
+
+    Strokes turn at varied places, and a test may end before its cycle settles.
+    """
+    if test.stage is None or test.stage.kind not in (StageKind.STROKES, StageKind.RELAY, StageKind.SEARCH):
+        return None
+    y, least_rad = test.y_rad, TURNS_BACK * float(np.ptp(test.y_rad))
+    turns, way, low, high = 0, 0, float(y[0]), float(y[0])
+    for y_rad in y.tolist():
+        low, high = min(low, y_rad), max(high, y_rad)
+        if (way >= 0 and high - y_rad > least_rad) or (way <= 0 and y_rad - low > least_rad):
+            turns += way != 0
+            way = -1 if high - y_rad > least_rad else 1
+            low = high = y_rad
+    return 2.0 * float(test.t_s[-1] - test.t_s[0]) / (turns + 1) if way else None
 
 
 def motor_law(

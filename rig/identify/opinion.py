@@ -28,7 +28,7 @@ class RecordingEstimate:
 
     name        of the recording, as on the command line
     values      (3,): ln tau, ln K, f_c in V
-    covariance  (3, 3) of these values, with ``MODEL_ERROR``
+    covariance  (3, 3) of these values, with a model error
     squares     sum of squares of its residual, rad^2, and its number of rows
     """
 
@@ -38,20 +38,26 @@ class RecordingEstimate:
     squares: tuple[float, int] = (0.0, 0)
 
     @classmethod
-    def of(cls, name: str, estimate: Estimate) -> RecordingEstimate | None:
-        """From a sampled-data estimate; None if that was refused or has no finite covariance."""
+    def of(cls, name: str, estimate: Estimate, model_error: float = MODEL_ERROR) -> RecordingEstimate | None:
+        """From a sampled-data estimate; None if that was refused or has no finite covariance.
+
+        model_error   as ``at``
+        """
         scale = np.array([1.0 / estimate.tau_s, 1.0 / estimate.K_rad_s_V, 1.0])
         values = np.array([math.log(estimate.tau_s), math.log(estimate.K_rad_s_V), estimate.fc_V])
-        found = cls.at(name, values, estimate.covariance[:3, :3] * np.outer(scale, scale))
+        found = cls.at(name, values, estimate.covariance[:3, :3] * np.outer(scale, scale), model_error)
         if estimate.verdict == "refused" or not (np.all(np.isfinite(found.covariance)) and np.all(np.isfinite(values))):
             return None
         residual = estimate.residual_rad
         return replace(found, squares=(float(residual @ residual), residual.size))
 
     @classmethod
-    def at(cls, name: str, values: Array, covariance: Array) -> RecordingEstimate:
-        """From ``values``, (3,): ln tau, ln K, f_c in V; and from their covariance, (3, 3), by the noise alone."""
-        return cls(name, values, covariance + np.diag([MODEL_ERROR, MODEL_ERROR, MODEL_ERROR * float(values[2])]) ** 2)
+    def at(cls, name: str, values: Array, covariance: Array, model_error: float = MODEL_ERROR) -> RecordingEstimate:
+        """From ``values``, (3,): ln tau, ln K, f_c in V; and from their covariance, (3, 3), by the noise alone.
+
+        model_error   standard deviation of a further error of each parameter, relative, at least 0
+        """
+        return cls(name, values, covariance + np.diag(model_error * np.array([1.0, 1.0, float(values[2])])) ** 2)
 
 
 def mean_of(found: Sequence[RecordingEstimate]) -> tuple[Array, Array]:
@@ -61,23 +67,18 @@ def mean_of(found: Sequence[RecordingEstimate]) -> tuple[Array, Array]:
     return covariance @ np.sum([w @ o.values for w, o in zip(weights, found, strict=True)], axis=0), covariance
 
 
-def agree(found: Sequence[RecordingEstimate]) -> bool:
-    """Whether chance explains how they differ."""
+def agree(found: Sequence[RecordingEstimate], chance: float = CHANCE) -> bool:
+    """Whether chance explains how they differ; ``chance``: probability of a false alarm."""
     mean, _ = mean_of(found)
     square = sum(float((o.values - mean) @ np.linalg.solve(o.covariance, o.values - mean)) for o in found)
-    return bool(chi2.sf(square, 3 * (len(found) - 1)) > CHANCE)
-
-
-def apart(one: RecordingEstimate, other: RecordingEstimate) -> float:
-    """Square of how far two differ, in standard deviations by the noise alone: chi-square of three degrees."""
-    model = np.diag([MODEL_ERROR, MODEL_ERROR, MODEL_ERROR * float(one.values[2])]) ** 2
-    model = model + np.diag([MODEL_ERROR, MODEL_ERROR, MODEL_ERROR * float(other.values[2])]) ** 2
-    off = one.values - other.values
-    return float(off @ np.linalg.solve(one.covariance + other.covariance - model, off))
+    return bool(chi2.sf(square, 3 * (len(found) - 1)) > chance)
 
 
 def differences(odd: RecordingEstimate, mean: Array, covariance: Array) -> str:
-    """The parameters that differ by three standard errors or more; at least the one that differs most."""
+    """The parameters that differ by three standard errors or more, in words; at least the one that differs most.
+
+    mean, covariance   of the others, as ``RecordingEstimate``: (3,) and (3, 3)
+    """
     errors = np.sqrt(np.diag(odd.covariance + covariance))
     distances = np.abs(odd.values - mean) / errors
     told: list[str] = []

@@ -53,10 +53,12 @@ class Objection(NamedTuple):
 def judge_records(tests: Sequence[TimeSeries]) -> list[Objection]:
     """Objections to the recordings: units, columns that do not belong together, gaps, too little motion."""
     found: list[Objection] = []
+    # a test of a run may end in the middle of a swing, where another took its place: what it lacks, others tell
+    is_told = any(not _information(test) for test in tests if test.stage is not None)
     for test in tests:
-        found += _columns(test) or [
-            objection for look in (_units, _holes, _spikes, _rails, _information) for objection in look(test)
-        ]
+        told = is_told and test.stage is not None
+        looks = (_units, _holes, _spikes, _rails, *(() if told else (_information,)))
+        found += _columns(test) or [objection for look in looks for objection in look(test)]
     return found
 
 
@@ -104,7 +106,8 @@ def _columns(test: TimeSeries) -> list[Objection]:
         return [
             Objection(
                 "refused",
-                f"{name}: the motor turns against its drive: reverse the sign of u_V or y_rad, or are they swapped?",
+                f"{name}: the motor turns against its drive: reverse the sign of u_V or y_rad (where units are given: "
+                "--reversed), or are they swapped?",
             )
         ]
     return []
@@ -136,7 +139,9 @@ def _units(test: TimeSeries) -> list[Objection]:
         object_to("doubtful", f"the whole recording lasts {duration:.3g} s: is t_s in seconds?")
 
     step = test.resolution_rad()
-    if span > 2.0 and bool(np.all(y == np.round(y))):
+    if test.units_stated and span > SMALLEST_SPAN_RAD:
+        pass  # any number of turns, in steps of any size: ``_information`` asks for enough steps
+    elif span > 2.0 and bool(np.all(y == np.round(y))):
         object_to("refused", f"all positions are whole numbers over {span:g}: is y_rad in raw counts or degrees?")
     elif span > LARGEST_SPAN_RAD:
         object_to("refused", f"positions span {span:.3g} rad: is y_rad in degrees or milliradians?")

@@ -79,7 +79,8 @@ def from_recording(recording: Recording, rows: slice, name: str) -> tuple[TimeSe
             t_s, y_rad, t_u_s, u_V = t_s[:-waiting], y_rad[:-waiting], t_u_s[waiting:], u_V[waiting:]
     known = np.isfinite(t_u_s)
     if not known.any():
-        return TimeSeries(t_s, y_rad, None, u_V, first, name, stage=stage), notes
+        stated = recording.units_stated
+        return TimeSeries(t_s, y_rad, None, u_V, first, name, stage=stage, units_stated=stated), notes
     start = int(np.flatnonzero(known)[0])
     missing = int((~known[start:]).sum())
     if missing > 0.2 * t_s.size:

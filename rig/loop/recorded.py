@@ -140,7 +140,10 @@ class RecordedDriver:
     def strokes_command(
         self, strokes: Sequence[tuple[float, float]], times: StrokeTimes, motion_rad: float
     ) -> StrokesCommand:
-        """The command that the device got; raises as ``StrokeRules.strokes_command``."""
+        """The command that the device got; raises as ``StrokeRules.strokes_command``.
+
+        Raises Fault CONFIG_MISMATCH, too, for a driver without strokes.
+        """
         if not isinstance(self._rules, StrokeRules):
             raise Fault("CONFIG_MISMATCH", "relay.where is device, but its driver does not say how strokes run there")
         return self._rules.strokes_command(strokes, times, motion_rad)

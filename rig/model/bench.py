@@ -12,12 +12,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
+from rig.model.friction import Friction
 from rig.model.motor import Motor, State
 from rig.model.real_motor import Frame, MovingMotor, RealMotor
 
 DriveWiring = Literal["ok", "reversed", "dead", "stuck_on"]
 SensorWiring = Literal["ok", "reversed", "broken_low", "broken_high", "stuck", "jumped", "noisy", "still"]
 
+_LEAST_SHARE = 1e-6  # of the time connected: its braking is beyond any measurement
 NOISY_COUNTS = 25.0  # standard deviation that a "noisy" sensor adds to its own noise
 
 
@@ -36,6 +38,7 @@ class BenchParameters:
     supply_V, drive_counts   motor supply, and the counts of full duty
     bridge_drop_V    lost in the bridge while it drives
     dead_band_plus, dead_band_minus   duty up to which the bridge gives 0 V, for positive and for negative counts
+    coasting         the bridge lets the motor run free while PWM is low; then it has no parts (see ``coasting``)
     reversed         positive counts turn the shaft to falling positions
     tachometer_rad_s_per_count, tachometer_zero_counts, gear_ratio   velocity channel; None where there is none
     drive, sensor    their wiring: "ok" or a fault
@@ -61,6 +64,7 @@ class BenchParameters:
     bridge_drop_V: float = 0.0
     dead_band_plus: float = 0.0
     dead_band_minus: float = 0.0
+    coasting: bool = False
     reversed: bool = False
     tachometer_rad_s_per_count: float | None = None
     tachometer_zero_counts: float = 0.0
@@ -71,6 +75,26 @@ class BenchParameters:
     fault_after_s: float = 0.0
     real: RealMotor | None = None
     frame: Frame = field(default=Frame())
+
+
+def coasting(motor: Motor, share: float) -> Motor:
+    """The motor behind a bridge that connects it for a ``share`` of the time, 0 to 1, and else lets it run free.
+
+    An example is an L298 with PWM on its enable. While the motor runs free no current flows, so nothing but friction
+    brakes it. The current is taken to end with the pulse. Then the mean of the motion is, with the supply's U,
+    tau dv/dt = share (K U - v) - K f(v): a motor with tau / share and f / share under U.
+    """
+    share = max(share, _LEAST_SHARE)
+    f = motor.friction
+    friction = Friction(
+        f.plus_V / share,
+        f.minus_V / share,
+        f.static_plus_V / share,
+        f.static_minus_V / share,
+        f.stribeck_rad_s,
+        f.viscous_V_s_rad / share,
+    )
+    return Motor(motor.tau_s / share, motor.K_rad_s_V, friction, motor.bias_V / share)
 
 
 class BenchModel:
@@ -156,13 +180,17 @@ class BenchModel:
         self._moved_for_s = end_s
 
     def _move(self, dt_s: float) -> None:
-        if self._real is None:
+        p = self.parameters
+        if p.coasting:
+            share = max(abs(self.motor_V) / (p.supply_V - p.bridge_drop_V), _LEAST_SHARE)
+            state = coasting(p.motor, share).advance(self.state, self.motor_V / share, dt_s)
+        elif self._real is None:
             state = self.parameters.motor.advance(self.state, self.motor_V, dt_s)
         else:
             self._real.put(self.state.v, self.state.y)
             self._real.advance(self.motor_V, max(self.armed_for_s, 0.0), dt_s)
             state = State(self._real.state.v, self._real.state.y, self.state.z)
-        low, high = self.parameters.stop_rad
+        low, high = p.stop_rad
         if not low < state.y < high:
             state = State(0.0, min(max(state.y, low), high), state.z)
             if self._real is not None:

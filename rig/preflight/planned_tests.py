@@ -6,6 +6,7 @@ import numpy as np
 
 from rig.backends.registry import backend_of
 from rig.config.schema import Experiment
+from rig.control.guard import velocity_noise_rad_s
 from rig.design.belief import Belief
 from rig.design.outlook import Task
 from rig.design.room import Reading, Room
@@ -15,26 +16,34 @@ from rig.results import BreakawayResult, RunResult
 from rig.signals import BenchDelay
 
 STATIC = 1.1  # times f_c: level at which a shaft breaks away, where no check has seen it
-INSIDE = 0.95  # part of the soft limits, the speed and the stop that a plan uses: the rest is for noise
+INSIDE = 0.95  # part of the soft limits that a plan uses
+SCATTER = 4.0  # standard deviations of the guard's velocity that a plan leaves it
+LEAST = 0.5  # part of the speed and of the way to stop that a plan uses at least, however noisy the sensor
 
 
-def room_of_tests(e: Experiment, static_V: float, delay: BenchDelay | None = None) -> Room:
-    """What a planned test may use.
+def room_of_tests(
+    e: Experiment, static_V: float, delay: BenchDelay | None = None, noise_rad: float | None = None
+) -> Room:
+    """What a planned test may use: so much that the guard, which sees a noisy velocity, does not brake.
 
-    static_V  level that the shaft breaks away at, V
-    delay     of the bench, as its breakaway check shows it
+    static_V   level that the shaft breaks away at, V
+    delay      of the bench, as its breakaway check shows it
+    noise_rad  standard deviation of a reading at rest, rad; None, or less: one step of the sensor
     """
-    low, high = (-swing_rad(e), swing_rad(e)) if e.limits.is_endless else e.limits.soft_rad
-    stop_low, stop_high = e.limits.hard_rad
-    delay_s = 0.0 if delay is None else counted_delay_s(e, delay)
+    limits, delay_s = e.limits, 0.0 if delay is None else counted_delay_s(e, delay)
+    horizon_s = known_reaction_s(e) + delay_s + limits.coast_tau_s
+    step_rad = e.sensor.curve.lsb_rad
+    scatter_rad_s = SCATTER * velocity_noise_rad_s(max(noise_rad or 0.0, step_rad), e.period_s)
+    low, high = (max(1.0 - scatter_rad_s * horizon_s / abs(hard), LEAST) * hard for hard in limits.hard_rad)
+    soft_low, soft_high = (-swing_rad(e), swing_rad(e)) if limits.is_endless else limits.soft_rad
     return Room(
-        INSIDE * low,
-        INSIDE * high,
+        INSIDE * soft_low,
+        INSIDE * soft_high,
         e.drive.max_V,
-        INSIDE * e.limits.max_speed_rad_s,
+        max(limits.max_speed_rad_s - scatter_rad_s, LEAST * limits.max_speed_rad_s),
         static_V,
-        (INSIDE * stop_low, INSIDE * stop_high),
-        known_reaction_s(e) + delay_s + e.limits.coast_tau_s,
+        (low, high),
+        horizon_s,
     )
 
 
@@ -66,4 +75,4 @@ def task_of_run(
     latency_s = (1.5 if backend_of(e).writes_first(e) else 0.5) * e.period_s
     reading = reading_of(e, noise_rad, latency_s)
     belief = Belief.within((motor.tau_s, motor.K_rad_s_V, motor.fc_V, motor.bias_V), doubt_percent, motor.delay_s, 0.0)
-    return Task(belief, np.zeros((5, 5)), room_of_tests(e, static_V), reading, percent)
+    return Task(belief, np.zeros((5, 5)), room_of_tests(e, static_V, None, noise_rad), reading, percent)

@@ -9,7 +9,9 @@ folder     the run folder and its small files
 follow     live progress of a run
 recording  ``Recording``: the rows of a run folder or a CSV file as arrays
 reader     reads run folders and CSV files
-csv_file   reads the rows of a CSV file
+csv_file   reads a CSV file with the columns of samples.csv
+csv_table  a CSV file as lines, fields and columns
+log_file   reads a CSV file with other columns and units; ``log_format`` says which
 text_file  files as text, whatever is in them
 series     ``TimeSeries``: the numbers of one stretch of a recording
 stage      the stages of a run

@@ -15,6 +15,8 @@ from pydantic import JsonValue
 from rig.recording.csv_file import read_csv
 from rig.recording.errors import RecordingError
 from rig.recording.folder import CONFIG, META, RESULT
+from rig.recording.log_file import read_log
+from rig.recording.log_format import LogFormat
 from rig.recording.path_kind import no_recording, no_run
 from rig.recording.recording import Recording
 from rig.recording.text_file import content_of, is_folder, text_of, whole_content, without_torn_line
@@ -27,12 +29,22 @@ _P = TypeVar("_P", bound=Part)
 _File = TypeVar("_File", RunMeta, RunResult)
 
 
-def read(path: Path) -> Recording:
-    """Read a run folder or a CSV file, whichever ``path`` is. Raises RecordingError."""
+def read(path: Path, log: LogFormat | None = None) -> Recording:
+    """Read a run folder or a CSV file, whichever ``path`` is.
+
+    log  what the columns of the CSV file are; None: they are those of samples.csv
+    Raises RecordingError.
+    """
     mistaken = no_recording(path)
     if mistaken is not None:
         raise mistaken
-    return read_run(path) if is_folder(path) else read_csv(path)
+    if is_folder(path):
+        if log is not None:
+            raise RecordingError(
+                path, "is a run folder: its columns have names and units", "leave the options of a log out"
+            )
+        return read_run(path)
+    return read_csv(path) if log is None else read_log(path, log)
 
 
 def read_run(folder: Path, known: Recording | None = None, *, strict: bool = False) -> Recording:

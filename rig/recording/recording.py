@@ -42,6 +42,7 @@ class Recording:
     meta, config_text, events   of a run folder; RunMeta(), None and () for a plain CSV file
     notes        defects that the reader put up with, as sentences: a torn last line, a missing meta.json
     first_row    number of the first row in the file; not 0 in a selection of rows
+    units_stated whether somebody has said in which units the file is: then a large number is no sign of a wrong one
     """
 
     t_s: Floats
@@ -65,6 +66,7 @@ class Recording:
     events: tuple[RunEvent, ...]
     notes: tuple[str, ...]
     first_row: int = 0
+    units_stated: bool = False
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -160,10 +162,12 @@ def assembled(
     columns_present: tuple[str, ...],
     meta: RunMeta | None = None,
     notes: tuple[str, ...] = (),
+    units_stated: bool = False,
 ) -> Recording:
     """A recording from its known columns; it keeps these arrays and makes them read-only.
 
-    numbers  the line of each row, for messages
+    numbers       the line of each row, for messages
+    units_stated  as in ``Recording``
     Raises RecordingError if times do not rise.
     """
     _check_time(source, columns["t_s"], numbers)
@@ -179,6 +183,7 @@ def assembled(
         events=(),
         notes=notes,
         first_row=0,
+        units_stated=units_stated,
     )
 
 

@@ -48,6 +48,7 @@ class TimeSeries:
     times_error_s  largest error of t_u_s against t_s, s, at least 0
     stage      the stage of these rows; None if the file has no stages
     delay_s    what is known of that constant delay, s: least and most; None: nothing
+    units_stated  whether somebody has said in which units these are: then a large number is no sign of a wrong one
     even_s     n times from which that delay counts: t_s, each later or earlier by as much as its drive was later or
                earlier than the mean; None: t_s
     Raises IdentifyError on columns of unequal length, fewer than 2 rows, values that are not finite, values beyond
@@ -65,6 +66,7 @@ class TimeSeries:
     stage: Stage | None = None
     delay_s: tuple[float, float] | None = None
     even_s: Array | None = None
+    units_stated: bool = False
 
     def __post_init__(self) -> None:
         columns = {"t_s": self.t_s, "y_rad": self.y_rad, "u_V": self.u_V}

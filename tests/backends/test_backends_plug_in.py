@@ -119,6 +119,22 @@ def test_keys_that_do_not_go_with_a_plug_in(
     assert refused(tmp_path, **changes)[1] == words
 
 
+def test_a_device_without_strokes_is_refused_where_tests_are_designed_in_it(
+    installed: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class WithRelay(VirtualCard):
+        tick_s = 0.001
+        relay_command = start_relay = keep = read_rows = stop_relay = lambda self, *of: None
+
+    monkeypatch.setattr("plug_in_cards.VirtualCard", WithRelay)
+    data = yaml.safe_load(SOURCE.read_text(encoding="utf-8"))
+    path = tmp_path / "card.yaml"
+    path.write_text(yaml.safe_dump(data | {"relay": {"where": "device", "until": {}}}), encoding="utf-8")
+    result = CliRunner().invoke(main, ["check", str(path)])
+    assert result.exit_code == 2
+    assert "driver 'virtual-card' runs no strokes in its device; relay.until does; set it to host" in result.stderr
+
+
 def test_check_constructs_the_driver_once_and_a_changed_config_anew(
     installed: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

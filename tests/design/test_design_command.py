@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -124,11 +125,16 @@ def test_a_model_without_friction_is_refused(tmp_path: Path) -> None:
 
 def test_the_room_is_a_little_inside_the_limits_and_looks_as_far_ahead_as_the_guard() -> None:
     e = load(CONFIG)
-    room = room_of_tests(e, 0.5)
+    room = room_of_tests(e, 0.5, noise_rad=0.005)
     assert room.high_rad == pytest.approx(0.95 * 1.1)
-    assert room.max_speed_rad_s == pytest.approx(0.95 * 4.9)
     # three periods, a reply's time-out, the watchdog and coasting
     assert room.horizon_s == pytest.approx(0.03 + e.daq.timeout_s + 0.1 + 0.2)
+    # four standard deviations of a slope through five samples, each 5 mrad off
+    scatter_rad_s = 4.0 * 0.005 * math.sqrt(12.0 / 5.0) / 0.04
+    assert room.max_speed_rad_s == pytest.approx(4.9 - scatter_rad_s)
+    assert room.stop_rad[1] == pytest.approx(1.95 - scatter_rad_s * room.horizon_s)
+    coarse = room_of_tests(e, 0.5)
+    assert coarse.max_speed_rad_s == pytest.approx(4.9 - scatter_rad_s * e.sensor.curve.lsb_rad / 0.005)
 
 
 def test_static_friction_is_the_identified_one_else_the_seen_one_else_a_guess() -> None:

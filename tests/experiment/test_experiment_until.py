@@ -50,8 +50,8 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunResult]:
 def test_from_nothing_the_tests_end_when_the_motor_is_known_and_the_run_says_why(known: tuple[Path, RunResult]) -> None:
     folder, result = known
     stopped = result.stopped
-    assert stopped is not None and stopped.known and "1 % were asked for" in stopped.why
-    assert stopped.interval_percent is not None and stopped.interval_percent <= 1.0 == stopped.wanted_percent
+    assert stopped is not None and stopped.known and "0.4 % were asked for" in stopped.why
+    assert stopped.interval_percent is not None and stopped.interval_percent <= 0.4 == stopped.wanted_percent
     assert stopped.tests_s is not None and stopped.tests_s < 20.0  # 60 s are allowed
     rows = [live.row for live in stopped.live]
     assert len(rows) >= 3 and rows == sorted(set(rows)) and rows[-1] < len(read_run(folder))

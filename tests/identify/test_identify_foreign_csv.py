@@ -32,8 +32,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rig.identify import identify
+from rig.identify.departures.cogging import Cogging
+from rig.identify.departures.departure import Bench
 from rig.identify.estimate import Estimate
+from rig.identify.plausibility import judge_records
+from rig.identify.preprocessing import from_recording
 from rig.recording.errors import IdentifyError, RecordingError
+from rig.recording.log_format import LogColumn, LogFormat
 from rig.recording.reader import read
 
 WITH_DRIVE_TIMES = ("t_s", "u_V", "y_rad", "t_u_s")
@@ -278,6 +283,26 @@ def test_a_handful_of_rows_is_one_clear_line(tmp_path: Path, relay_test: Columns
     short = {name: column[:rows] for name, column in relay_test.items()}
     with pytest.raises(IdentifyError, match=f"{rows} rows are too few"):
         identify([read(plain_csv(tmp_path / "a.csv", short))])
+
+
+def test_where_units_are_stated_the_shaft_may_turn_as_often_as_it_likes(tmp_path: Path) -> None:
+    """300 rad, in the steps of an encoder with 44 counts a turn: no sign of degrees, as it is where nobody says."""
+    step_rad = 2.0 * np.pi / 44
+    columns = sampled(motor(**PAPER), binary(-3.0, 4.0, 0.9), ticks(2000), 0.004, 0.0, step_rad)
+    path = plain_csv(tmp_path / "a.csv", columns)
+    unsaid = read(path)
+    said = read(path, LogFormat(LogColumn("s"), LogColumn("V"), LogColumn("rad")))
+    for recording, objections in ((unsaid, 1), (said, 0)):
+        series, _ = from_recording(recording, slice(0, len(recording)), "a")
+        assert float(np.ptp(series.y_rad)) > 100.0
+        assert len(judge_records([series])) == objections
+
+
+def test_beyond_one_turn_cogging_has_whole_orders() -> None:
+    """Else their number would grow with the turns, and with it the time: 2,700 orders over 300 rad."""
+    far, near = (Bench(6.5, 0.5, 3.0, 20.0, half_rad, 0.01, 0.05) for half_rad in (150.0, 1.0))
+    assert [order["cogging_per_rad"] for order in Cogging().trials(far)] == list(range(3, 30))
+    assert len(Cogging().trials(near)) == 18
 
 
 # -- anything else ----------------------------------------------------------------------------------------------------

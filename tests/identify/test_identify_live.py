@@ -121,7 +121,7 @@ def test_a_gap_between_rows_is_no_motion(golden: Recording) -> None:
     """Of a link that lost a second of rows: what lies between is not predicted."""
     whole = rows_of(golden, 0, SEARCH_ENDS)
     kept = np.r_[0:1500, 1613:SEARCH_ENDS]
-    estimate = estimated(LiveRows(*(column[kept] for column in whole)))
+    estimate = estimated(LiveRows._make(column[kept] for column in whole))
     assert max(errors(estimate, TRUTH).values()) < 1.5
 
 
@@ -188,7 +188,7 @@ def test_intervals_hold_the_truth_at_any_length(told: bool) -> None:
         rows = live_rows(simulate(Motor(tau, gain, coulomb(fc), 0.01), dcr(0.7 * h2, h2), 1200, bench), told)
         fit = LiveFit(LiveSettings(0.01, NOISE_RAD, LSB_RAD, 3.0))
         for first in range(0, 1200, 400):
-            fit.take(LiveRows(*(column[first : first + 400] for column in rows)))
+            fit.take(LiveRows._make(column[first : first + 400] for column in rows))
             estimate = fit.estimate()
             if estimate is not None:
                 off = errors(estimate, truth)

@@ -133,7 +133,7 @@ def test_a_test_that_ended_in_its_first_stroke_is_left_out(run: Recording) -> No
     u_V = run.u_V.copy()
     u_V[run.stage_rows("relay-2")] = 1.0
     found = identify([replace(run, u_V=u_V)], LED_BY, choose_law=False)
-    assert "relay-2: left out, because its drive never changes" in found.notes
+    assert "relay-2: left out, because its drive never changed" in found.notes
     assert [relay.stage for relay in found.relays] == ["relay-1"]
 
 

@@ -14,7 +14,6 @@ from synthetic import LSB_RAD, Bench, dcr, motor, record, simulate
 from rig.identify import sampled_data, sampled_data_verdict
 from rig.identify.cycles import find_cycle
 from rig.identify.estimate import Estimate
-from rig.identify.mean_cycle import Cycle
 from rig.identify.measurements import Measurements
 from rig.identify.triple_relay import TripleRelay
 from rig.model.friction import Friction
@@ -26,15 +25,13 @@ NOISY: dict[str, Any] = {"noise_rad": 0.003, "lsb_rad": LSB_RAD}
 
 
 def judged(*records: TimeSeries) -> Estimate:
-    cycles: list[Cycle] = []
     periods_s: list[float | None] = []
     for one in records:
         try:
-            cycles.append(find_cycle(one))
-            periods_s.append(cycles[-1].period_s)
+            periods_s.append(find_cycle(one).period_s)
         except IdentifyError:
             periods_s.append(None)
-    return sampled_data_verdict.judge(sampled_data.fit(records, periods_s=periods_s), records, cycles)
+    return sampled_data_verdict.judge(sampled_data.fit(records, periods_s=periods_s), records)
 
 
 def relay(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
 from simulated_bench import DEMO
 
-from rig.model.bench import BenchModel
+from rig.model.bench import BenchModel, BenchParameters
+from rig.model.friction import Friction
+from rig.model.motor import Motor, State
 
 
 def drives(bench: BenchModel, shift_s: float = 0.0, step_s: float = 0.003) -> list[tuple[float, float]]:
@@ -19,6 +22,22 @@ def drives(bench: BenchModel, shift_s: float = 0.0, step_s: float = 0.003) -> li
         bench.advance(step_s)
         states.append((bench.state.v, bench.state.y))
     return states
+
+
+def test_behind_a_coasting_bridge_friction_alone_stops_the_motor() -> None:
+    """At 0 V it runs v^2 tau / (2 K fc) on; at full drive it is the motor that it is."""
+    motor = Motor(0.17, 6.5, Friction(0.5, 0.5, 0.5, 0.5))
+    for coasts in (False, True):
+        bench = BenchModel(BenchParameters(motor, coasting=coasts, stop_rad=(-1e3, 1e3)), 1)
+        bench.state = State(v=10.0)
+        bench.advance(2.0)
+        braked_rad = 0.17 * (10.0 - 3.25 * math.log1p(10.0 / 3.25))
+        assert bench.state == pytest.approx(
+            (0.0, 10.0**2 * 0.17 / 6.5 if coasts else braked_rad, bench.state.z), rel=1e-5
+        )
+        bench.pin_counts = 799.0
+        bench.advance(5.0)
+        assert bench.state.v == pytest.approx(6.5 * 11.5)
 
 
 @pytest.mark.parametrize("delay_s", [0.006, 0.036, 0.12])

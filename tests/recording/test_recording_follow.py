@@ -13,7 +13,7 @@ from pathlib import Path
 from rich.console import Console
 
 from rig.recording.columns import HEADER
-from rig.recording.follow import Progress, Tail
+from rig.recording.follow import Progress, Tail, stage_line
 
 EVENTS = [
     {"t_s": 0.0, "kind": "stage", "name": "breakaway"},
@@ -49,6 +49,26 @@ def test_each_stage_is_shown_with_what_came_of_it() -> None:
         progress.take_event(event)
     assert progress.ended
     assert "POLARITY" in shown(progress)
+
+
+LIVE = {"t_s": 9.41, "kind": "live", "tau_s": 0.17098, "tau_percent": 0.796, "fc_V": 0.48138, "fc_percent": None} | {
+    "K_rad_s_V": 6.5418, "K_percent": 0.652,
+}  # fmt: skip
+
+
+def test_a_live_estimate_and_why_the_tests_ended_are_shown_and_are_lines_in_a_pipe() -> None:
+    enough = {"t_s": 10.4, "kind": "decided", "row": 941, "by": "advice", "what": "stop", "why": "all is known"}
+    progress = Progress()
+    progress.take_event({"t_s": 7.4, "kind": "stage", "name": "strokes-1"})
+    progress.take_event(LIVE)
+    progress.take_event(enough)
+    assert "tau 0.171 s ±0.8 %, K 6.542 ±0.65 %; enough: all is known" in shown(progress)
+    assert stage_line(LIVE) == "    9.4 s    tau 0.171 s ±0.8 %, K 6.542 ±0.65 %"
+    assert stage_line(enough) == "   10.4 s    enough: all is known"
+    bound = enough | {"by": "loop", "what": "rest", "why": "the guard had to brake"}
+    assert stage_line(bound) == "   10.4 s    broken off: the guard had to brake"
+    assert stage_line(enough | {"by": "loop"}) == "   10.4 s    over: all is known"
+    assert stage_line(enough | {"what": "relay"}) is None  # the stage itself has a line
 
 
 def test_a_stage_without_rows_says_that_it_computes_and_for_how_long() -> None:

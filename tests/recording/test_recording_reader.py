@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from rig.recording import csv_file as csv_files
+from rig.recording import csv_table
 from rig.recording.columns import COLUMNS, HEADER, SampleRow, format_row
 from rig.recording.csv_file import read_csv
 from rig.recording.errors import RecordingError
@@ -419,15 +419,13 @@ def test_rows_that_were_read_before_are_not_parsed_again(
     path.write_text("".join(lines))
     whole = read_csv(path)
     parsed: list[int] = []
-    parse_rows = csv_files._parse_rows
+    parse_rows = csv_table._parse_rows
 
-    def counted(
-        path: Path, header: tuple[str, ...], delimiter: str, lines: Sequence[str], numbers: Sequence[int]
-    ) -> dict[str, np.ndarray]:
+    def counted(table: csv_table.CsvTable, numbers: Sequence[int]) -> dict[str, np.ndarray]:
         parsed.extend(numbers)
-        return parse_rows(path, header, delimiter, lines, numbers)
+        return parse_rows(table, numbers)
 
-    monkeypatch.setattr(csv_files, "_parse_rows", counted)
+    monkeypatch.setattr(csv_table, "_parse_rows", counted)
     again = read_csv(path, known=known)
     assert len(parsed) == after - before
     for name in COLUMNS:

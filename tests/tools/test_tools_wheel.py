@@ -1,7 +1,8 @@
-"""A wheel, installed into an empty environment, has the ready configs, the firmware's sources and the license."""
+"""A wheel, installed into an empty environment, has the ready configs, the firmware, its sources and the license."""
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
 import subprocess
@@ -11,8 +12,13 @@ from pathlib import Path
 
 import pytest
 
+from rig.backends.serial.emulated.firmware_build import UnoOptions
+
 ROOT = Path(__file__).resolve().parents[2]
 UV = ROOT / ".venv" / "bin" / "uv"
+
+
+pytestmark = pytest.mark.timeout(900)  # 64 variants of the firmware for two boards, on a busy machine
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +33,30 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(ROOT / name, tree / name)
     subprocess.run(
         [UV, "build", "--wheel", "--quiet", "--python", sys.executable, "-o", out],
-        cwd=tree, check=True, timeout=120,
+        cwd=tree, check=True, env=os.environ | {"RIG_FIRMWARE": "required"},
     )  # fmt: skip
     return next(out.glob("*.whl"))
+
+
+def test_the_wheel_holds_every_variant_of_the_firmware_the_same_from_another_folder(
+    wheel: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(ROOT / "firmware", tmp_path / "elsewhere")
+    subprocess.run(
+        ["make", "-s", "-j2", "-C", tmp_path / "elsewhere", "prebuilt", f"BUILD={tmp_path / 'out'}"],
+        check=True, capture_output=True, env={name: value for name, value in os.environ.items() if "MAKE" not in name},
+    )  # fmt: skip
+    with zipfile.ZipFile(wheel) as archive:
+        held = {
+            name.rpartition("/")[2]: archive.read(name)
+            for name in archive.namelist()
+            if name.startswith("rig/_firmware/prebuilt/")
+        }
+    assert held == {path.name: path.read_bytes() for path in (tmp_path / "out/prebuilt").iterdir()}
+    wired = list(itertools.product((False, True), repeat=4))
+    every = [UnoOptions(b, r, *w) for b in ("PWM_DIR", "IN1_IN2") for r in (115200, 1000000) for w in wired]
+    files = {f"{one.name}.hex" for one in every} | {f"{one.name_for('pico')}.uf2" for one in every}
+    assert held.keys() == files | {"SHA256SUMS"}
 
 
 def test_the_wheel_holds_the_configs_the_firmware_and_the_license(wheel: Path) -> None:
@@ -77,3 +104,10 @@ def test_an_installed_rig_gives_a_config_that_its_check_accepts(wheel: Path, tmp
         encoding="utf-8"
     )
     assert "verdict: ok" in rig("check", "mine.yaml")
+
+    clean["PATH"] = str(home / "bin")  # no compiler, no make, no avrdude
+    rig("init", "bench.yaml", "--yes", "--bridge", "l298n", "--no-load-rpm", "590")
+    assert "verdict: ok" in rig("check", "bench.yaml")
+    flashed = rig("flash", "--dry-run", "--port", "/dev/ttyACM0", "--bridge", "in1-in2", "--baud", "1000000")
+    assert "has never run on a real chip" in flashed
+    assert "/rig/_firmware/prebuilt/rig_uno-in1_in2-1000000.hex:i" in flashed

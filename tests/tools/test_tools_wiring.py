@@ -35,6 +35,20 @@ def test_wiring_h_says_in_words_what_it_defines() -> None:
         assert re.search(rf"\b{pin}\s+{numbers[pin]}\b", comment), pin
 
 
+def test_the_pictures_are_those_of_the_source() -> None:
+    assert wiring.PICTURE.read_text(encoding="utf-8") == wiring.draw(PINS)
+    assert wiring.BRIDGES_PICTURE.read_text(encoding="utf-8") == wiring.draw_bridges(PINS)
+
+
+@pytest.mark.parametrize("module", [one for one in wiring.MODULES if "in1-in2" in one.title], ids=lambda m: m.title[:7])
+def test_the_table_of_bridges_is_what_the_picture_shows(module: wiring.Module) -> None:
+    name = module.title.split(":")[0].split(",")[0]
+    row = next(line for line in PAGE.splitlines() if line.startswith(f"| {name}") and PINS["PIN_OC1A"] in line)
+    for here, there in module.wires:
+        if here != "GND":
+            assert (there if here == "5V" else f"{there} {PINS[here]}") in row
+
+
 @pytest.mark.parametrize(("style", "option"), [("PWM_DIR", "pwm-dir"), ("IN1_IN2", "in1-in2")])
 def test_the_page_has_the_pins_of_each_bridge(style: str, option: str) -> None:
     source = (UNO / "bridge.c").read_text(encoding="utf-8")

@@ -26,6 +26,8 @@ from rig.identify import IdentifyError, identify
 from rig.preflight import check
 from rig.recording.csv_file import read_csv
 from rig.recording.errors import RecordingError
+from rig.recording.log_file import read_log
+from rig.recording.log_format import LogColumn, LogFormat
 from rig.recording.reader import read_run
 from rig.recording.recording import Recording
 from rig.replay import replay
@@ -264,6 +266,26 @@ def csv_file(data: bytes) -> None:
     _check(recording)
 
 
+def log_file(data: bytes) -> None:
+    """Any file as a log of one's own: arrays of one length with rising time, or RecordingError."""
+    path = _file("log.csv", data)
+    for log in _LOGS:
+        try:
+            recording = read_log(path, log)
+        except RecordingError as error:
+            assert error.cause
+            assert error.cure
+            continue
+        _check(recording)
+
+
+_LOGS = (
+    LogFormat(LogColumn("us"), LogColumn("pwm"), LogColumn("counts"), counts_per_turn=1440, full=255, supply_V=12),
+    LogFormat(LogColumn("s"), LogColumn("V"), velocity=LogColumn("rpm")),
+    LogFormat(LogColumn("s", "1"), LogColumn("V", "2"), LogColumn("deg", "3")),
+)
+
+
 def _check(recording: Recording) -> None:
     assert len({len(recording.t_s), len(recording.u_V), len(recording.y_rad), len(recording.t_u_s)}) == 1
     assert np.all(np.diff(recording.t_s) > 0.0)
@@ -347,6 +369,13 @@ def _csv_seeds() -> Iterator[bytes]:
     yield b"# a comment\nt_s\tu_V\ty_rad\n" + rows.replace(b",", b".").replace(b";", b"\t")
 
 
+def _log_seeds() -> Iterator[bytes]:
+    rows = b"0,255,0\n10,-51,360\n20,0,720\n"
+    yield rows
+    yield b"millis,pwm,counts\n" + rows
+    yield b"t rpm volts\n0 1 0.5\n1 2 -0.5\n4294967295 3 0\n1 3 0\n"
+
+
 TARGETS = {
     "frames": Target(frames_from_device, _frame_seeds),
     "serial-driver": Target(serial_driver, _frame_seeds),
@@ -354,6 +383,7 @@ TARGETS = {
     "config": Target(experiment_config, lambda: _config_seeds(campaign=False)),
     "campaign-config": Target(campaign_config, lambda: _config_seeds(campaign=True)),
     "csv": Target(csv_file, _csv_seeds),
+    "log": Target(log_file, _log_seeds),
     "run-folder": Target(run_folder, _run_seeds),
     "replay": Target(replayed, _run_seeds),
     "identify": Target(identification, _csv_seeds),

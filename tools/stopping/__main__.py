@@ -50,7 +50,9 @@ def main() -> int:
     parser.add_argument("--percent", type=float, default=1.0, help="wanted half width of the 95 %% intervals")
     parser.add_argument("--page", type=Path, default=PAGE, help="where the table goes")
     given = parser.parse_args()
-    campaign = Campaign(name="stopping", experiments=max(given.motors, given.known, given.departing, 1), seed=given.seed)
+    campaign = Campaign(
+        name="stopping", experiments=max(given.motors, given.known, given.departing, 1), seed=given.seed
+    )
     commit = _git("rev-parse", "--short", "HEAD") + ("+" if _git("status", "--porcelain", *MADE_BY) else "")
     code = sha256("".join(_git("rev-parse", f"HEAD:{part}") for part in MADE_BY).encode()).hexdigest()[:8]
     file = HERE / "runs" / f"stopping-{given.seed}-{given.percent:g}-{code}" / "rows.jsonl"

@@ -15,6 +15,7 @@ static const double NEGLIGIBLE = 32.0;
 static const double SMALLEST = 1e-200;
 static const double LARGEST = 1e12;
 static const double JUST_ABOVE = 1.0 + 1e-9;
+static const double LEAST_SHARE = 1e-6; /* of the time connected: its braking is beyond any measurement */
 
 /* Viscous friction lowers gain and time constant alike. */
 static double viscous_share(const bench_params *p)
@@ -203,10 +204,27 @@ bool bench_is_faulty(const bench *b)
     return b->armed_t_s >= 0.0 && b->t_s >= b->armed_t_s + b->p.fault_after_s;
 }
 
+/* Behind a bridge that lets the motor run free while PWM is low: rig/model/bench.py has the equation. */
+static void coast(bench *b, double u_V, double dt_s)
+{
+    const double share = fmax(fabs(u_V) / (b->p.supply_V - b->p.bridge_drop_V), LEAST_SHARE);
+    bench_params connected = b->p;
+    connected.tau_s /= share;
+    connected.fc_plus_V /= share;
+    connected.fc_minus_V /= share;
+    connected.fs_plus_V /= share;
+    connected.fs_minus_V /= share;
+    connected.viscous_V_s_rad /= share;
+    connected.bias_V /= share;
+    bench_motion(&connected, &b->v_rad_per_s, &b->y_rad, u_V / share, dt_s);
+}
+
 static void move_to(bench *b, double t_s)
 {
     const double dt_s = t_s - b->t_s;
-    if (b->p.parts == 0) {
+    if (b->p.coasting != 0) {
+        coast(b, bench_motor_V(b), dt_s);
+    } else if (b->p.parts == 0) {
         bench_motion(&b->p, &b->v_rad_per_s, &b->y_rad, bench_motor_V(b), dt_s);
     } else {
         const double when[2] = {b->armed_t_s >= 0.0 ? b->t_s - b->armed_t_s : 0.0, dt_s}; /* drift runs from arming */
@@ -484,6 +502,7 @@ static const struct {
     {"bridge-drop-V", REAL, offsetof(bench_params, bridge_drop_V)},
     {"dead-band-plus", REAL, offsetof(bench_params, dead_band_plus)},
     {"dead-band-minus", REAL, offsetof(bench_params, dead_band_minus)},
+    {"coasting", INTEGER, offsetof(bench_params, coasting)},
     {"reversed", INTEGER, offsetof(bench_params, reversed)},
     {"tachometer-rad-s-per-count", REAL, offsetof(bench_params, tachometer_rad_s_per_count)},
     {"tachometer-zero-counts", REAL, offsetof(bench_params, tachometer_zero_counts)},
@@ -630,6 +649,9 @@ const char *bench_check(const bench_params *p)
     }
     if (!(p->bridge_drop_V >= 0.0 && p->bridge_drop_V < p->supply_V) || p->reversed > 1) {
         return "bridge-drop-V must be >= 0 and below supply-V, reversed 0 or 1";
+    }
+    if (p->coasting > 1 || (p->coasting == 1 && p->parts != 0)) {
+        return "coasting must be 0 or 1, and 0 where the motor has parts";
     }
     if (!(p->dead_band_plus >= 0.0 && p->dead_band_plus < 1.0 && p->dead_band_minus >= 0.0 && p->dead_band_minus < 1.0)) {
         return "dead bands are duties in [0, 1)";

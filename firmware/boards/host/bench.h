@@ -48,6 +48,7 @@ typedef struct {
     int32_t counts_max;      /* largest reading of the ADC, both channels */
     int32_t encoder;         /* 1: the position is an encoder's, without noise and without an end */
     int32_t drive_counts;    /* units at full duty */
+    int32_t coasting;        /* 1: the bridge lets the motor run free while PWM is low, as an L298 with PWM on its enable */
     int32_t reversed;        /* 1: positive units turn the shaft to falling positions */
     uint32_t clock_start_us; /* of the device's clock at a reset */
     uint32_t seed;           /* of the noise */

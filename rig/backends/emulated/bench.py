@@ -39,6 +39,7 @@ def bench_parameters(emulated: Emulated, tachometer: Tachometer | None = None) -
         bridge_drop_V=_given(emulated.bridge_drop_V, _MODEL.bridge_drop_V),
         dead_band_plus=_MODEL.dead_band_plus if dead_band is None else dead_band.plus,
         dead_band_minus=_MODEL.dead_band_minus if dead_band is None else dead_band.minus,
+        coasting=_given(emulated.coasting, _MODEL.coasting),
         reversed=_given(emulated.reversed, _MODEL.reversed),
         tachometer_rad_s_per_count=None if channel is None else channel.rad_s_per_count,
         tachometer_zero_counts=_MODEL.tachometer_zero_counts if channel is None else channel.zero_counts,

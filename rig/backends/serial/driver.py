@@ -27,7 +27,7 @@ from rig.backends.serial import frames
 from rig.backends.serial.device_clock import DeviceClock, TimedExchange, fit_device_clock
 from rig.backends.serial.exchange import ATTEMPTS, Exchange
 from rig.backends.serial.firmware_laws import FirmwareLawRules, FirmwareRelay, FirmwareStrokes
-from rig.backends.serial.fit import PLAIN_BOARD, Board, Expected, check_fit, measured_supply_V
+from rig.backends.serial.fit import PLAIN_BOARD, Board, Expected, check_fit, measured_supply_V, other_version
 from rig.backends.serial.frames import Code, DeviceState, Hello, Kind, Packet, RelaySetup, Setup, StrokesSetup
 from rig.backends.serial.introduction import await_introduction, refusal
 from rig.backends.serial.law_run import LawRun
@@ -220,6 +220,7 @@ class SerialDriver:
         except ValueError as error:
             raise Fault("DEVICE_RESET", f"while its clock was measured: {error}") from error
         supply_V, supply_at_least = self._measured_supply_V(hello)
+        version = other_version(hello, self._expected.board)
         told_board = frames.BOARDS.get(hello.board, f"number {hello.board}")
         emulated = self._expected.emulated or hello.board in frames.EMULATED_BOARDS
         self.backend = f"{self._name} ({'emulated ' if emulated else ''}{told_board} board, build {hello.build_text})"
@@ -234,6 +235,7 @@ class SerialDriver:
             supply_at_least=supply_at_least,
             drive_units=hello.drive_full,
             acknowledged=acknowledged,
+            remarks=() if version is None else (version,),
         )
 
     def set_zero(self, here_rad: float) -> None:
@@ -428,7 +430,7 @@ class SerialDriver:
         self._start_law(command.setup)
 
     def start_strokes(self, command: StrokesCommand) -> None:
-        """Let the device's stroke test drive; as ``start_relay``."""
+        """Let the device's stroke test drive; as ``start_relay``. Raises as that, TypeError included."""
         if not isinstance(command, FirmwareStrokes):
             raise TypeError("a command of another driver")
         self._start_law(command.setup)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from rig.backends.serial import frames
 from rig.backends.serial.frames import Hello
 from rig.calibration import Scaling
 from rig.faults import Fault
+from rig.package import VERSION
 
 _LEAST_FULL_UNITS = 50  # with coarser steps no drive is near the commanded one
 _SUPPLY_TOLERANCE = 0.15  # relative: the divider in front of the converter, and a loaded supply
@@ -28,6 +30,7 @@ class Board:
 
 
 PLAIN_BOARD = Board()
+_OWN_BUILD = re.compile(r"uno (\d\S*)")  # RIG_BUILD of firmware/boards/uno
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,17 @@ class Expected:
     board: Board
     scaling: Scaling
     emulated: bool
+
+
+def other_version(hello: Hello, board: Board) -> str | None:
+    """A sentence if the board runs rig's firmware of another version, with what to type; None if it does not.
+
+    It may drive all the same: the protocol has a version of its own, which must be right.
+    """
+    found = _OWN_BUILD.fullmatch(hello.build_text)
+    if found is None or found[1] == VERSION:
+        return None
+    return f"the board runs the firmware of rig {found[1]}, and this is rig {VERSION}: {board.flashing}"
 
 
 def check_fit(hello: Hello, expected: Expected) -> None:

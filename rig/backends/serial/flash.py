@@ -6,6 +6,7 @@ The Uno's boot loader (Optiboot) listens at 115200 baud, whatever the firmware s
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import re
 import shutil
@@ -21,6 +22,7 @@ from rig.backends.serial.frames import BOARDS, FrameReader, Hello
 from rig.backends.serial.introduction import await_introduction
 from rig.errors import RigError
 from rig.faults import Fault
+from rig.package import FOLDER, VERSION
 
 # The chip between USB and the Uno's serial port; those of the Uno itself are in the Arduino IDE's boards.txt.
 USB_CHIPS = {
@@ -79,6 +81,11 @@ _LAST_WORDS = re.compile(r"^avrdude(?: OS)?(?: error)?: (?!.*TIOCM)(?!.*done\.  
 _SIGNATURE = re.compile(r"device signature = (0x[0-9a-f]+)", re.IGNORECASE)
 
 
+PREBUILT = FOLDER / "_firmware" / "prebuilt"  # in an installed rig
+REAL_CHIP_REPORT: str | None = None  # page of the report that this firmware has run on a real chip; None: there is none
+NEVER_RUN = "this firmware has never run on a real chip: take the first steps of docs/real-bench.md one by one"
+
+
 class FlashError(RigError):
     """What went wrong and what to do, a line each; ``status``: exit status, avrdude's own where that failed."""
 
@@ -119,6 +126,45 @@ def only_candidate(ports: Iterable[Port]) -> Port:
     raise FlashError(
         f"no Arduino Uno on USB{others}", "plug it in, with a cable that has data wires, or name its port: --port PORT"
     )
+
+
+class Prebuilt(NamedTuple):
+    """A .hex or .uf2 that came with rig, and its hash, which has been checked."""
+
+    path: Path
+    sha256: str
+
+    def __str__(self) -> str:
+        return f"prebuilt firmware {self.path.name}, SHA-256 {self.sha256}"
+
+
+def prebuilt(file: str, folder: Path | None = None) -> Prebuilt | None:
+    """The firmware that came with rig; None where rig runs from its repository, or was built without.
+
+    file    its name: the variant, and ".hex" or ".uf2"
+    folder  where they are; default: in the installed package
+    Raises FlashError if the file is not the one that was built with rig.
+    """
+    folder = PREBUILT if folder is None else folder
+    sums, path = folder / "SHA256SUMS", folder / file
+    if not sums.is_file():
+        return None
+    expected = {line.split()[1]: line.split()[0] for line in sums.read_text(encoding="ascii").splitlines()}
+    content = path.read_bytes() if path.is_file() else b""
+    digest = hashlib.sha256(content).hexdigest()
+    if digest != expected.get(path.name):
+        raise FlashError(f"{path} is damaged: its SHA-256 is {digest}", "install rig again")
+    return Prebuilt(path, digest)
+
+
+def check_build(hello: Hello, board: str) -> None:
+    """Raise FlashError where the board answers with another firmware than this rig has just written to it."""
+    written = f"{board} {VERSION}"
+    if hello.build_text != written:
+        raise FlashError(
+            f"the board answers with build {hello.build_text}, and what was written is {written}",
+            "leave the motor's supply off; press the board's reset and type this again",
+        )
 
 
 def find_avrdude() -> str | None:

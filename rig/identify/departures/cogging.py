@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 from rig.identify.departures.departure import Bench, Departure
@@ -26,7 +27,14 @@ class Cogging(Departure):
         return min(0.05, bench.half_drive_V)
 
     def trials(self, bench: Bench) -> Sequence[Mapping[str, float]]:
-        """Orders from 3 a radian to what the travel shows, closer than half a period over it."""
+        """Orders from 3 a radian to what the travel shows, closer than half a period over it.
+
+        Beyond one turn they are whole: a shaft's poles come again after each turn.
+        """
+        if bench.half_travel_rad > math.pi:
+            return [
+                {"cogging_per_rad": float(order)} for order in range(math.ceil(self._fewest(bench)), int(MOST_PER_RAD))
+            ]
         step = 1.5 / bench.half_travel_rad
         orders = []
         order = self._fewest(bench)

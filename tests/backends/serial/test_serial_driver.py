@@ -21,6 +21,7 @@ from rig.calibration import Calibration, DriveMap, Scaling, TachometerScale
 from rig.cli import main
 from rig.config import Experiment, load
 from rig.faults import Fault
+from rig.package import VERSION
 from rig.signals import Limits
 from rig.testing.line import on_device
 
@@ -414,6 +415,17 @@ def test_what_lasts_stays_latched() -> None:
     port, codes = meeting(Code.RESET, Code.E_STOP, refuses=[Code.E_STOP])
     assert make(port).open().acknowledged == ()
     assert codes == [Code.E_STOP]
+
+
+@pytest.mark.parametrize(
+    ("build", "is_said"), [("uno 0.0.9", True), (f"uno {VERSION}", False), ("test-1", False), ("uno, my own", False)]
+)
+def test_the_firmware_of_another_version_of_rig_is_said_with_what_to_type(build: str, is_said: bool) -> None:
+    port = ScriptedPort()
+    port.hello = port.hello._replace(build=build.encode().ljust(16, b"\0"))
+    remarks = make(port, board=Board(flashing="type: rig flash --bridge in1-in2")).open().remarks
+    said = f"the board runs the firmware of rig 0.0.9, and this is rig {VERSION}: type: rig flash --bridge in1-in2"
+    assert remarks == ((said,) if is_said else ())
 
 
 def test_a_device_that_takes_long_to_answer_is_opened_all_the_same() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import pty
 import shutil
@@ -26,8 +27,9 @@ from rig.backends.serial.emulated.firmware_build import source_folder
 from rig.backends.serial.flash import FlashError, Port
 from rig.backends.serial.frames import FrameReader, Hello, Kind, encode
 from rig.cli import main
+from rig.package import VERSION
 
-HELLO = Hello(2, 0, 1, 0, 1023, 400, 0, 0, b"uno 9.9".ljust(16, b"\0"))
+HELLO = Hello(2, 0, 1, 0, 1023, 400, 0, 0, f"uno {VERSION}".encode().ljust(16, b"\0"))
 
 SYNC_7 = (
     "avrdude error: programmer is not responding\n"
@@ -138,8 +140,40 @@ def test_the_board_is_written_and_then_says_who_it_is_after_its_boot_loader(avrd
     assert Path(name).name == "rig_uno-in1_in2-ends.hex"
     assert Path(name).read_text().startswith(":")
     who, at_rest = result.stdout.splitlines()[-2:]
-    assert who == f"{port}: board uno, build uno 9.9, reset: unknown, cleared by the boot loader"
+    assert who == f"{port}: board uno, build uno {VERSION}, reset: unknown, cleared by the boot loader"
     assert "D10" in at_rest and "full drive" in at_rest
+
+
+def test_a_board_that_goes_on_with_another_firmware_is_said(avrdude: Path) -> None:
+    with board(hello=HELLO._replace(build=b"uno 0.0.9".ljust(16, b"\0")).pack()) as port:
+        result = rig_flash("--port", port)
+    assert result.exit_code == 1
+    assert f"build uno 0.0.9, and what was written is uno {VERSION}" in result.stderr
+    assert "type this again" in result.stderr
+
+
+def test_what_came_with_rig_is_taken_if_its_hash_is_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert flash.prebuilt("rig_uno.hex", tmp_path) is None
+    (tmp_path / "rig_uno-in1_in2.hex").write_bytes(b":00000001FF\n")
+    digest = hashlib.sha256(b":00000001FF\n").hexdigest()
+    (tmp_path / "SHA256SUMS").write_text(f"{digest}  rig_uno-in1_in2.hex\n")
+    monkeypatch.setattr(flash, "PREBUILT", tmp_path)
+    monkeypatch.setenv("PATH", str(tmp_path))  # no compiler
+    dry = rig_flash("--dry-run", "--port", "/dev/ttyACM7", "--bridge", "in1-in2")
+    assert dry.exit_code == 0, dry.output
+    assert dry.stdout.splitlines()[:2] == [
+        f"prebuilt firmware rig_uno-in1_in2.hex, SHA-256 {digest}",
+        "this firmware has never run on a real chip: take the first steps of docs/real-bench.md one by one",
+    ]
+    (tmp_path / "rig_uno-in1_in2.hex").write_bytes(b":00000001FE\n")
+    damaged = rig_flash("--dry-run", "--port", "/dev/ttyACM7", "--bridge", "in1-in2")
+    assert damaged.exit_code == 1
+    assert "is damaged: its SHA-256 is" in damaged.stderr and "install rig again" in damaged.stderr
+
+
+def test_it_says_that_no_real_chip_has_run_it_until_a_report_stands_in_the_docs() -> None:
+    docs = Path(__file__).resolve().parents[3]
+    assert flash.REAL_CHIP_REPORT is None or (docs / flash.REAL_CHIP_REPORT).is_file()
 
 
 def test_the_reset_cause_is_told_where_the_boot_loader_leaves_it(avrdude: Path, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from rig.backends.serial.frames import (
     Packet,
     RelaySetup,
     Setup,
+    StrokesSetup,
     crc16,
     encode,
 )
@@ -71,6 +72,8 @@ MESSAGES = [
     Packet(Kind.NACK, 14, Nack(Code.NO_SETUP, Kind.ARM).pack()),
     Packet(Kind.RELAY, 15, RelaySetup((-213, 53, -53, 213), 512 * 16, 5_000_000, 1, 10).pack()),
     Packet(Kind.KEEP, 16, b""),
+    Packet(Kind.STROKES, 17, StrokesSetup(((80, 600), (-90, -(2**31))) * 4, 2000, 300, 5, 10).pack()),
+    Packet(Kind.STROKES_REPLY, 17, StrokesSetup(((-1, 2**31 - 1), (32767, 0)), 1, 10_000, 65535, 1).pack()),
     Packet(Kind.RELAY_REPLY, 15, RelaySetup((-213, 53, -53, 213), 512 * 16, 5_000_000, -1, 10).pack()),
     Packet(Kind.BLOCK, 0, Block(10**6, 1000, 24, 9, 0, 3, ((512, -213), (0, 53), (1023, 0)) * 3 + ((1, 1),)).pack()),
     Packet(Kind.BLOCK, 0xFFFF, Block(0, 1000, 0, 2, Code.TRAVEL, 0, ()).pack()),
@@ -94,12 +97,20 @@ def test_a_frame_byte_by_byte() -> None:
     assert encode(Kind.READ, 0x0201) == bytes([7]) + packet + crc + b"\0"
 
 
+def test_strokes_come_back_as_they_were_and_no_more_than_fit() -> None:
+    setup = StrokesSetup(((80, 600), (-90, -(2**31))), 2000, 300, 5, 10)
+    assert StrokesSetup.unpack(setup.pack()) == setup
+    assert setup.pack()[8:14] == bytes([80, 0, 0x58, 2, 0, 0]) and setup.pack()[20:] == bytes(36)
+    with pytest.raises(ValueError, match="at most 8 strokes, not 9"):
+        setup._replace(strokes=((1, 2),) * 9).pack()
+
+
 def test_body_sizes_are_those_of_the_protocol() -> None:
     sizes = {Kind(kind).name: size for kind, size in frames.BODY_LENGTH.items()}
     assert sizes == {
         "HELLO": 0, "SETUP": 30, "ARM": 4, "READ": 0, "ACK": 1, "ACK_REPLY": 24, "DRIVE": 2, "STOP": 0,
         "HELLO_REPLY": 31, "SETUP_REPLY": 30, "ARM_REPLY": 1, "STATE": 24, "STOP_REPLY": 24, "NACK": 2,
-        "RELAY": 18, "KEEP": 0, "RELAY_REPLY": 18, "ZERO": 4, "ZERO_REPLY": 24,
+        "RELAY": 18, "KEEP": 0, "RELAY_REPLY": 18, "STROKES": 56, "STROKES_REPLY": 56, "ZERO": 4, "ZERO_REPLY": 24,
     }  # fmt: skip
     full = Block(0, 0, 0, 0, 0, 0, ((0, 0),) * frames.BLOCK_ROWS)
     assert len(full.pack()) == frames.MAX_BODY == 58 and len(encode(Kind.BLOCK, 0, full.pack())) == 66

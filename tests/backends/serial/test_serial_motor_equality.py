@@ -281,6 +281,31 @@ def test_wiring_is_the_python_benchs(drive: DriveWiring, sensor: SensorWiring, f
         assert bench.faulty
 
 
+def test_a_coasting_bridge_is_the_python_benchs() -> None:
+    """Motion under drives of every share, 0 V among them."""
+    friction = Friction(0.45, 0.5, 0.5, 0.55, 0.0, 0.02)
+    parameters = BenchParameters(Motor(0.17, 6.5, friction, 0.03), start_rad=0.2, coasting=True, bridge_drop_V=1.4)
+    board, bench = VirtualBoard(parameters), BenchModel(parameters, 1)
+    board.write(encode(Kind.SETUP, 1, Setup(1, 2, 1021, 0, 1023, 512, 799, 1000, 1).pack()))
+    board.write(encode(Kind.ACK, 1, pack_ack(Code.RESET)))
+    board.sleep_until(0.01)
+    board.write(encode(Kind.ARM, 2, pack_arm(1)))
+    board.sleep_until(0.02)
+    bench.advance(0.02)
+    last_s = 0.02
+    for k, units in enumerate((90, 0, -150, -1, 0, 200, 0)):
+        board.write(encode(Kind.DRIVE, 3 + k, pack_drive(units)))
+        board.sleep_until(last_s + 0.04)
+        truth = board.truth()
+        assert truth.armed
+        bench.advance(truth.pin_changed_s - last_s)
+        bench.pin_counts = units
+        bench.advance(board.now_s() - truth.pin_changed_s)
+        last_s = board.now_s()
+        assert truth.y_rad == pytest.approx(bench.state.y, abs=1e-9)
+        assert truth.v_rad_per_s == pytest.approx(bench.state.v, abs=1e-9)
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_the_bridge_is_the_python_benchs(turned: bool) -> None:
     """Drop, dead bands and direction: the same voltage at the motor for every drive, to the last digit."""

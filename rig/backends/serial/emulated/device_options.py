@@ -42,6 +42,7 @@ def device_options(
         "bridge-drop-V": bench.bridge_drop_V,
         "dead-band-plus": bench.dead_band_plus,
         "dead-band-minus": bench.dead_band_minus,
+        "coasting": int(bench.coasting),
         "reversed": int(bench.reversed),
         "tachometer-rad-s-per-count": bench.tachometer_rad_s_per_count or 0.0,
         "tachometer-zero-counts": bench.tachometer_zero_counts,

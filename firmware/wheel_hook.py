@@ -1,0 +1,48 @@
+"""Builds the firmware of every variant, of Uno and Pico, into a wheel of rig: `rig flash` needs no compiler there.
+
+hatchling runs it for each wheel. Without both compilers the wheel has none, and says so; with RIG_FIRMWARE=required
+that is an error.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+TOOLS = ("make", "cc", "avr-gcc", "avr-objcopy", "arm-none-eabi-gcc", "arm-none-eabi-objcopy", "sha256sum")
+PACKAGES = "make gcc gcc-avr avr-libc binutils-avr gcc-arm-none-eabi binutils-arm-none-eabi"
+
+
+class FirmwareHook(BuildHookInterface):  # type: ignore[type-arg]
+    """Adds ``rig/_firmware/prebuilt``: the .hex and .uf2 files and SHA256SUMS."""
+
+    PLUGIN_NAME = "custom"
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Build the variants, unless the installation is editable."""
+        if version == "editable":
+            return
+        missing = [tool for tool in TOOLS if shutil.which(tool) is None]
+        if missing:
+            words = f"{', '.join(missing)} missing: this wheel carries no prebuilt firmware"
+            if os.environ.get("RIG_FIRMWARE") == "required":
+                raise RuntimeError(f"{words}; Debian: apt-get install {PACKAGES}")
+            self.app.display_warning(f"{words}; `rig flash` will need them")
+            return
+        self.folder = Path(tempfile.mkdtemp(prefix="rig-firmware-"))
+        # a make that runs this build has flags and a job server of its own
+        environment = {key: value for key, value in os.environ.items() if not key.startswith(("MAKE", "MFLAGS"))}
+        command = ["make", "-s", f"-j{os.cpu_count() or 1}", "-C", str(Path(self.root) / "firmware"), "prebuilt"]
+        subprocess.run([*command, f"BUILD={self.folder}"], check=True, env=environment)
+        build_data["force_include"][str(self.folder / "prebuilt")] = "rig/_firmware/prebuilt"
+
+    def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
+        """Remove what was built: the wheel has it."""
+        if hasattr(self, "folder"):
+            shutil.rmtree(self.folder)

@@ -1,0 +1,137 @@
+"""What the columns of somebody's own log are: which column is the time, the drive, the position, and in which unit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from rig.errors import RigError
+
+# For each quantity its units: what one of them is in s, V, rad and rad/s. None: it takes a further number of the log.
+UNITS: Final[dict[str, dict[str, float | None]]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "drive": {"V": 1.0, "mV": 1e-3, "pwm": None, "duty": None, "percent": None},
+    "position": {"rad": 1.0, "deg": math.pi / 180.0, "turns": 2.0 * math.pi, "counts": None},
+    "velocity": {
+        "rad/s": 1.0,
+        "deg/s": math.pi / 180.0,
+        "turns/s": 2.0 * math.pi,
+        "rpm": math.pi / 30.0,
+        "counts/s": None,
+    },
+}
+LARGEST: Final = 1e18  # number in a log, above microseconds since 1970
+OWN_NAMES: Final = {"time": "t_s", "drive": "u_V", "position": "y_rad", "velocity": "v_rad_per_s"}
+"""The column of samples.csv that each quantity becomes; a log may have it under this name."""
+
+
+class LogFormatError(RigError):
+    """Columns or units of a log that cannot be: one line of cause, one of cure."""
+
+    def __init__(self, cause: str, cure: str) -> None:
+        self.cause = cause
+        self.cure = cure
+        super().__init__(f"{cause}\n{cure}")
+
+
+@dataclass(frozen=True)
+class LogColumn:
+    """One column of a log.
+
+    unit    one of ``UNITS`` of its quantity
+    column  its name, or its number from 1; None: the column with a usual name of that quantity
+    """
+
+    unit: str
+    column: str | None = None
+
+    @classmethod
+    def parse(cls, quantity: str, text: str) -> LogColumn:
+        """From ``UNIT`` or ``COLUMN:UNIT``. Raises LogFormatError."""
+        column, colon, unit = text.rpartition(":")
+        units = ", ".join(UNITS[quantity])
+        if unit not in UNITS[quantity]:
+            example = next(iter(UNITS[quantity]))
+            named = f"--{quantity} {unit or 'COLUMN'}:{example}"
+            raise LogFormatError(
+                f"--{quantity} {text}: {unit!r} is no unit of {quantity}",
+                f"give one of {units}; with a column before it if its name does not tell: {named}",
+            )
+        if colon and not column.strip():
+            raise LogFormatError(
+                f"--{quantity} {text} names no column", f"give its name or number: --{quantity} 1:{unit}"
+            )
+        return cls(unit, column.strip() or None)
+
+
+@dataclass(frozen=True)
+class LogFormat:
+    """The columns of a log, and the numbers that turn them into s, V and rad.
+
+    time, drive      each a column; None: the log has t_s or u_V
+    position         None: the log has y_rad, or a velocity alone
+    velocity         instead of a position
+    counts_per_turn  of the measured shaft, gear included, > 0; for counts
+    full             the drive's number at full supply, > 0; for pwm
+    supply_V         volts at the motor at full drive, > 0; for pwm, duty and percent
+    reversed         whether a positive drive turns the shaft to falling positions: positions change their sign
+    Raises LogFormatError if a number is missing, useless or not positive.
+    """
+
+    time: LogColumn | None = None
+    drive: LogColumn | None = None
+    position: LogColumn | None = None
+    velocity: LogColumn | None = None
+    counts_per_turn: float | None = None
+    full: float | None = None
+    supply_V: float | None = None
+    reversed: bool = False
+
+    def __post_init__(self) -> None:
+        if self.position is not None and self.velocity is not None:
+            raise LogFormatError(
+                "--position and --velocity are both given", "leave --velocity out: the position says more"
+            )
+        drive = "V" if self.drive is None else self.drive.unit
+        motion = next((one.unit for one in (self.position, self.velocity) if one is not None), "rad")
+        for option, value, needed_by, unit, example in (
+            ("--counts-per-turn", self.counts_per_turn, ("counts", "counts/s"), motion, "1440"),
+            ("--full", self.full, ("pwm",), drive, "255"),
+            ("--supply-V", self.supply_V, ("pwm", "duty", "percent"), drive, "12"),
+        ):
+            if value is None and unit in needed_by:
+                raise LogFormatError(f"the unit {unit} needs {option}", f"{_MEANING[option]}: {option} {example}")
+            if value is not None and unit not in needed_by:
+                raise LogFormatError(
+                    f"{option} is for {' and '.join(needed_by)}, and this log has {unit}",
+                    "leave it out, or correct the unit",
+                )
+            if value is not None and not 0.0 < value < LARGEST:
+                raise LogFormatError(f"{option} {value:g} is not above 0", f"{_MEANING[option]}: {option} {example}")
+
+    def columns(self) -> dict[str, LogColumn]:
+        """The column of each quantity that is read: time, drive, and position or velocity."""
+        motion = "position" if self.velocity is None else "velocity"
+        given = {"time": self.time, "drive": self.drive, motion: self.position or self.velocity}
+        return {name: one or LogColumn(next(iter(UNITS[name])), OWN_NAMES[name]) for name, one in given.items()}
+
+    def scale(self, quantity: str, unit: str) -> float:
+        """What one unit is in s, V, rad or rad/s; positions and velocities with their sign."""
+        size = UNITS[quantity][unit]
+        if size is None:
+            size = {
+                "pwm": (self.supply_V or math.nan) / (self.full or math.nan),
+                "duty": self.supply_V or math.nan,
+                "percent": 0.01 * (self.supply_V or math.nan),
+                "counts": 2.0 * math.pi / (self.counts_per_turn or math.nan),
+                "counts/s": 2.0 * math.pi / (self.counts_per_turn or math.nan),
+            }[unit]
+        return -size if self.reversed and quantity in ("position", "velocity") else size
+
+
+_MEANING: Final = {
+    "--counts-per-turn": "give the counts of one turn of the shaft, gear and all edges included",
+    "--full": "give the number that means full drive",
+    "--supply-V": "give the volts at the motor at full drive: the supply less the bridge's drop",
+}

@@ -1,0 +1,79 @@
+"""`rig init`: a few answers become a commented config that `rig check` accepts, and never replaces a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from command_line import rig
+
+from rig import preflight
+from rig.cli import main
+from rig.config import new_bench, ready
+from rig.config.load import load
+
+ANSWERED = ("--yes", "--bridge", "l298n", "--no-load-rpm", 590, "--port", "/dev/ttyUSB0")
+
+
+def test_its_answers_stand_in_a_config_that_check_accepts(tmp_path: Path) -> None:
+    file = tmp_path / "bench.yaml"
+    made = rig("init", file, *ANSWERED, "--supply-V", 9, "--travel-deg", 80)
+    assert made.exit_code == 0, made.output
+    assert "rig flash --port /dev/ttyUSB0 --bridge in1-in2 --baud 1000000" in made.stdout
+    e = load(file)
+    assert (e.name, e.daq.port, e.drive.bridge, e.drive.supply_V, e.drive.bridge_drop_V) == (
+        "bench", "/dev/ttyUSB0", "in1-in2", 9.0, 2.0,
+    )  # fmt: skip
+    assert e.limits.hard_rad[1] == pytest.approx(1.4 - 0.2, abs=0.01)
+    assert e.motor is not None and e.motor.no_load_speed_rad_s == pytest.approx(61.8, abs=0.1)
+    comments = [line for line in (ready.text("uno")).splitlines() if line.strip().startswith("#")]
+    kept = [line for line in comments[8:] if "config/uno.yaml" not in line]
+    text = file.read_text(encoding="utf-8")
+    assert all(line in text for line in kept)
+    assert "uno.yaml" not in text and "L298N" in text
+
+
+@pytest.mark.parametrize("bridge", new_bench.BRIDGES)
+@pytest.mark.parametrize("travel_deg", [40.0, 103.0, 125.0])
+def test_any_bridge_and_travel_pass(tmp_path: Path, bridge: str, travel_deg: float) -> None:
+    file = tmp_path / "bench.yaml"
+    for supply_V, rpm in ((6.5, 100.0), (10.0, 590.0)):
+        answers = new_bench.Answers("uno", "potentiometer", bridge, "/dev/ttyACM0", supply_V, travel_deg, rpm)
+        file.write_text(new_bench.text(answers, "bench.yaml"), encoding="utf-8")
+        preflight.check(file)
+
+
+def test_somebody_who_answers_is_asked_for_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("click.testing._NamedTextIOWrapper.isatty", lambda self: True, raising=False)
+    told = CliRunner().invoke(main, ["init"], input="drv8871\n/dev/ttyACM3\n9\n60\n350\n")
+    assert told.exit_code == 0, told.output
+    assert "DRV8871" in told.output
+    assert load(tmp_path / "bench.yaml").daq.port == "/dev/ttyACM3"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((), "there is nobody to ask"),
+        (("--yes",), "--bridge has no default"),
+        (("--yes", "--bridge", "l298n"), "--no-load-rpm has no default"),
+        ((*ANSWERED, "--supply-V", 1), "a motor supply of 1 V is nothing for L298N"),
+        ((*ANSWERED, "--travel-deg", 200), "200 degrees to each side are not 40 to 125"),
+        ((*ANSWERED, "--no-load-rpm", -3), "a speed of -3"),
+    ],
+)
+def test_what_cannot_be_is_said_and_nothing_is_written(tmp_path: Path, words: tuple[object, ...], said: str) -> None:
+    refused = rig("init", tmp_path / "bench.yaml", *words)
+    assert refused.exit_code == 2
+    assert said in refused.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_is_never_replaced_and_a_config_that_check_refuses_is_said(tmp_path: Path) -> None:
+    (tmp_path / "there.yaml").write_text("mine\n")
+    assert "is there already" in rig("init", tmp_path / "there.yaml", *ANSWERED).stderr
+    fast = rig("init", tmp_path / "fast.yaml", *ANSWERED, "--no-load-rpm", 9000)
+    assert fast.exit_code == 2
+    assert "breakaway.max_V" in fast.stderr and "correct these numbers" in fast.stdout

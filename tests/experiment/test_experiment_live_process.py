@@ -1,0 +1,96 @@
+"""The advisor in a process of its own: it advises on a growing folder, and whatever happens to it, no loop notices."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from rig.design.advisor import Advice, AdvisorSettings
+from rig.design.room import Reading, Room
+from rig.experiment import live_process
+from rig.experiment.live_process import LiveProcess
+from rig.identify.live import LiveSettings
+from rig.recording.writer import SAMPLES
+
+ROOT = Path(__file__).resolve().parents[2]
+GOLDEN = ROOT / "tests/golden/simulated"
+SETTINGS = AdvisorSettings(
+    0.1, LiveSettings(0.01, 0.003, 0.0041, 3.0), Room(-1.0, 1.0, 3.0, 4.6), Reading(0.01, 0.003), turn_rad=0.08
+)
+
+
+@pytest.fixture
+def process(tmp_path: Path) -> Iterator[LiveProcess]:
+    with LiveProcess(tmp_path) as started:
+        yield started
+
+
+def heard(process: LiveProcess, is_heard: Callable[[Advice | None], bool]) -> Advice | None:
+    """Ask as the loop does until this is heard; a minute at most."""
+    end_s = time.monotonic() + 60.0
+    while time.monotonic() < end_s:
+        advice = process.advice(0, 0.0)
+        if is_heard(advice):
+            return advice
+        time.sleep(0.01)
+    raise AssertionError("not heard within a minute")
+
+
+def test_it_reads_the_folder_as_it_grows_and_advises_about_once_a_second_of_the_run(
+    process: LiveProcess, tmp_path: Path
+) -> None:
+    rows = (GOLDEN / SAMPLES).read_text().splitlines(keepends=True)
+    process.begin(SETTINGS)
+    (tmp_path / SAMPLES).write_text("".join(rows[:900]))
+    first = heard(process, lambda advice: advice is not None)
+    assert first is not None and first.estimate is not None and first.estimate.row <= 899
+    with (tmp_path / SAMPLES).open("a") as file:
+        file.write("".join(rows[900:1100]))
+    second = heard(process, lambda advice: advice is not None)
+    assert second is not None and second.estimate is not None and second.estimate.row > 900
+    assert process.trouble == ""
+    process.braked()  # it designs anew, and says so, without a new row
+    again = heard(process, lambda advice: advice is not None)
+    assert again is not None and again.design is not None
+
+
+def test_a_process_that_was_killed_is_trouble_and_nothing_else(process: LiveProcess) -> None:
+    assert process._process is not None
+    process.begin(SETTINGS)
+    process._process.kill()
+    heard(process, lambda _: process.trouble != "")
+    assert process.trouble == "its process was killed by signal 9"
+    process.braked()
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="no such signal")
+def test_a_process_that_hangs_is_trouble_and_can_be_closed(
+    process: LiveProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_process, "SILENT_S", 0.2)
+    assert process._process is not None
+    os.kill(process._process.pid, signal.SIGSTOP)
+    process.begin(SETTINGS)
+    heard(process, lambda _: process.trouble != "")
+    assert process.trouble == "its process has said nothing for 0.2 s"
+    process.close()
+    assert process._process.poll() is not None
+
+
+def test_its_process_ends_with_the_one_that_started_it(process: LiveProcess) -> None:
+    assert process._process is not None and process._process.stdin is not None
+    process._process.stdin.close()
+    process._process.wait(60.0)
+
+
+def test_without_a_process_there_is_trouble_and_no_advice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "none"))
+    with LiveProcess(tmp_path) as none:
+        none.begin(SETTINGS)
+        assert none.advice(0, 0.0) is None and "did not start" in none.trouble

@@ -1,0 +1,190 @@
+"""A log of one's own: any columns and units; what cannot be read is an error with line and what to type."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.recording.errors import RecordingError
+from rig.recording.log_format import LogColumn, LogFormat, LogFormatError
+from rig.recording.reader import read
+from rig.recording.recording import Recording
+
+TURN = 2.0 * math.pi
+COUNTED = LogFormat(LogColumn("ms"), LogColumn("pwm"), LogColumn("counts"), counts_per_turn=1440, full=255, supply_V=12)
+ROWS = "0,255,0\n10,-51,360\n20,0,720\n"
+NAMED = f"millis,pwm,counts\n{ROWS}"
+
+
+def parse(folder: Path, text: str, log: LogFormat = COUNTED) -> Recording:
+    path = folder / "log.csv"
+    path.write_text(text)
+    return read(path, log)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        NAMED,
+        ROWS,
+        ROWS.replace(",", " "),
+        ROWS.replace(",", ";"),
+        f"pm,255\n{ROWS}",  # a capture that began within a line
+        f"# my bench\nTime (ms),Motor PWM,Encoder counts\n{ROWS}",
+        "counts,other,pwm,t\n0,a,255,0\n360,b,-51,10\n720,,0,20\n",
+        "current,speed,ms,pwm,counts\n9,9,0,255,0\n9,9,10,-51,360\n9,9,20,0,720\n",
+    ],
+)
+def test_columns_by_their_usual_names_or_their_order(tmp_path: Path, text: str) -> None:
+    recording = parse(tmp_path, text)
+    assert recording.t_s.tolist() == [0.0, 0.01, 0.02]
+    assert recording.u_V.tolist() == pytest.approx([12.0, -2.4, 0.0])
+    assert recording.y_rad.tolist() == pytest.approx([0.0, 0.25 * TURN, 0.5 * TURN])
+    assert recording.units_stated
+    assert any("(255 is 12 V)" in note and "(1440 a turn)" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(
+    ("time", "drive", "position"),
+    [("a:ms", "b:pwm", "c:counts"), ("1:ms", "2:pwm", "3:counts"), ("ms", "2:pwm", "c:counts")],
+)
+def test_columns_by_name_and_by_number(tmp_path: Path, time: str, drive: str, position: str) -> None:
+    log = LogFormat(
+        LogColumn.parse("time", time),
+        LogColumn.parse("drive", drive),
+        LogColumn.parse("position", position),
+        counts_per_turn=1440,
+        full=255,
+        supply_V=12,
+    )
+    first = "a" if ":" in time else "t"
+    assert parse(tmp_path, f"{first},b,c\n{ROWS}", log).y_rad[2] == pytest.approx(0.5 * TURN)
+
+
+@pytest.mark.parametrize(
+    ("log", "u_V", "y_rad"),
+    [
+        (LogFormat(LogColumn("s"), LogColumn("V"), LogColumn("rad")), 0.5, 0.25),
+        (LogFormat(LogColumn("s"), LogColumn("mV"), LogColumn("deg")), 0.0005, math.radians(0.25)),
+        (LogFormat(LogColumn("s"), LogColumn("duty"), LogColumn("turns"), supply_V=10), 5.0, 0.25 * TURN),
+        (LogFormat(LogColumn("s"), LogColumn("percent"), LogColumn("rad"), supply_V=10, reversed=True), 0.05, -0.25),
+    ],
+)
+def test_units(tmp_path: Path, log: LogFormat, u_V: float, y_rad: float) -> None:
+    recording = parse(tmp_path, "0,0.5,0.25\n1,0,0\n2,0,0\n", log)
+    assert (recording.t_s[1], recording.u_V[0], recording.y_rad[0]) == pytest.approx((1.0, u_V, y_rad))
+
+
+def test_a_unit_that_is_left_out_is_that_of_samples_csv(tmp_path: Path) -> None:
+    log = LogFormat(position=LogColumn("deg"))
+    recording = parse(tmp_path, "t_s,u_V,angle\n0,1,0\n1,1,180\n2,1,90\n", log)
+    assert recording.y_rad.tolist() == pytest.approx([0.0, math.pi, 0.5 * math.pi])
+    with pytest.raises(
+        RecordingError, match=r"no column t_s; there are: 't', 'u_V', 'angle'.*--time t:UNIT.*s, ms, us"
+    ):
+        parse(tmp_path, "t,u_V,angle\n0,1,0\n1,1,180\n2,1,90\n", log)
+
+
+def test_a_velocity_from_a_counter_gives_back_its_counts(tmp_path: Path) -> None:
+    """Differences of counts over time, as a sketch has them, rounded, with rows that come at uneven times."""
+    rng = np.random.default_rng(2)
+    t_ms = np.cumsum(rng.integers(8, 13, 60))
+    counts = np.cumsum(rng.integers(-3, 6, 60))
+    rpm = np.diff(counts, prepend=counts[0]) / np.diff(t_ms, prepend=t_ms[0] - 10) * 60e3 / 1440
+    log = LogFormat(LogColumn("ms"), LogColumn("pwm"), velocity=LogColumn("rpm"), full=255, supply_V=12)
+    recording = parse(tmp_path, "".join(f"{t},1,{v:.1f}\n" for t, v in zip(t_ms, rpm, strict=True)), log)
+    assert recording.y_rad == pytest.approx((counts - counts[0]) * TURN / 1440, abs=0.1 * TURN / 1440)
+    assert any("the mean since the row before" in note for note in recording.notes)
+
+
+def test_samples_of_a_velocity_change_evenly_in_between(tmp_path: Path) -> None:
+    t_s = 0.01 * np.arange(60)
+    log = LogFormat(LogColumn("s"), LogColumn("V"), velocity=LogColumn("rad/s"))
+    recording = parse(tmp_path, "".join(f"{t:.2f},1,{3.1 * t + 0.7}\n" for t in t_s), log)
+    assert recording.y_rad == pytest.approx(0.5 * 3.1 * t_s**2 + 0.7 * t_s)
+    assert any("as of a tachometer" in note for note in recording.notes)
+
+
+def test_a_clock_and_a_counter_that_wrap_go_on(tmp_path: Path) -> None:
+    log = LogFormat(LogColumn("us"), LogColumn("V"), LogColumn("counts"), counts_per_turn=65536)
+    recording = parse(tmp_path, "4294960000,1,32000\n4294967000,1,32767\n6704,1,-32768\n13704,1,-32000\n", log)
+    assert np.diff(recording.t_s).tolist() == pytest.approx([0.007, 0.007, 0.007])
+    assert recording.y_rad[-1] == pytest.approx(33536 / 65536 * TURN)
+    assert sum("wrapped" in note or "began anew" in note for note in recording.notes) == 2
+
+
+def test_an_angle_within_one_turn_goes_on(tmp_path: Path) -> None:
+    log = LogFormat(LogColumn("s"), LogColumn("V"), LogColumn("deg"))
+    recording = parse(tmp_path, "0,1,350\n1,1,359\n2,1,8\n3,1,355\n", log)
+    assert np.degrees(recording.y_rad).tolist() == pytest.approx([350.0, 359.0, 368.0, 355.0])
+    assert any("within one turn" in note for note in recording.notes)
+    far = parse(tmp_path, "0,1,350\n1,1,359\n2,1,8\n3,1,900\n", log)
+    assert np.degrees(far.y_rad).tolist() == pytest.approx([350.0, 359.0, 8.0, 900.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        (
+            "x,pwm,counts\n" + ROWS,
+            1,
+            r"no column is called like a time; there are: 'x', 'pwm', 'counts'; say which, .*--time x:UNIT",
+        ),
+        ("t,millis,pwm,counts\n0,0,1,1\n1,1,1,1\n2,2,1,1\n", 1, "several columns may be the time: 't', 'millis'"),
+        ("0,1,2,3\n1,1,2,3\n2,1,2,3\n", 1, r"4 columns without names; number them from 1: --time 1:ms --drive 2:pwm"),
+        (NAMED.replace("360", "36x"), 3, "column counts: '36x' is not a number; correct or delete this line"),
+        (ROWS.replace("360", "36x"), 2, "column 3: '36x' is not a number"),
+        (ROWS.replace("-51,360", "360"), 2, "the line has 2 fields, and the first line 3"),
+        (NAMED.replace("-51,360", "360"), 3, "the line has 2 fields, and the header 3"),
+        (NAMED.replace("10,", "0,"), 3, "repeats the time"),
+        (NAMED.replace("360", "1e300"), 3, "column counts: 1e.300 is too large"),
+        ("millis,pwm,counts\n0,1,2\n1,1,2\n", 1, "has 2 rows"),
+        ("millis,pwm,counts,counts\n0,1,2,2\n1,1,2,2\n2,1,2,2\n", 1, "several columns may be the position"),
+    ],
+)
+def test_a_broken_log_is_an_error_with_line_and_what_to_type(tmp_path: Path, text: str, line: int, words: str) -> None:
+    with pytest.raises(RecordingError, match=words) as caught:
+        parse(tmp_path, text)
+    assert caught.value.line == line
+    assert "\n" not in str(caught.value)
+
+
+def test_a_column_that_is_not_there_and_one_that_is_taken_twice(tmp_path: Path) -> None:
+    three = LogFormat(LogColumn("s", "7"), LogColumn("V", "2"), LogColumn("rad", "3"))
+    with pytest.raises(RecordingError, match="no column 7; it has 3, without names"):
+        parse(tmp_path, ROWS, three)
+    twice = LogFormat(LogColumn("s", "a"), LogColumn("V", "b"), LogColumn("rad", "b"))
+    with pytest.raises(RecordingError, match="'b' is both drive and position"):
+        parse(tmp_path, "a,b,c\n" + ROWS, twice)
+
+
+def test_a_run_folder_has_its_own_columns(tmp_path: Path) -> None:
+    (tmp_path / "samples.csv").write_text("t_s,u_V,y_rad\n" + ROWS)
+    with pytest.raises(RecordingError, match="is a run folder"):
+        read(tmp_path, COUNTED)
+
+
+def test_a_format_that_cannot_be_says_what_to_type() -> None:
+    for quantity, text, words in (
+        ("time", "min", "'min' is no unit of time"),
+        ("drive", "pwm:volts", "give one of V, mV, pwm, duty, percent"),
+        ("position", ":deg", "names no column"),
+    ):
+        with pytest.raises(LogFormatError, match=words):
+            LogColumn.parse(quantity, text)
+    counts, pwm = LogColumn("counts"), LogColumn("pwm")
+    cannot: tuple[tuple[dict[str, Any], str], ...] = (
+        ({"position": counts}, "needs --counts-per-turn.*--counts-per-turn 1440"),
+        ({"drive": pwm, "supply_V": 12}, "needs --full"),
+        ({"drive": pwm, "full": 255}, "needs --supply-V"),
+        ({"full": 255}, "--full is for pwm, and this log has V"),
+        ({"drive": pwm, "full": 0, "supply_V": 12}, "--full 0 is not above 0"),
+        ({"position": counts, "velocity": LogColumn("rpm"), "counts_per_turn": 4}, "both given"),
+    )
+    for given, words in cannot:
+        with pytest.raises(LogFormatError, match=f"(?s){words}"):
+            LogFormat(**given)
