@@ -66,6 +66,7 @@ def test_no_key_is_left_without_a_value() -> None:
         taken = [name for name, field in of.model_fields.items() if not field.is_required() and field.default is None]
         assert taken
         other_sensor = {"encoder"} if experiment().sensor.encoder is None else set()
+        other_sensor |= {"coasting"}  # None is a bridge that brakes: old run folders do not have the key
         assert all(getattr(section, name) is not None for name in set(taken) - other_sensor)
 
 
@@ -75,7 +76,9 @@ def test_the_configs_of_the_project_mean_what_they_did(name: str) -> None:
     read = load(ROOT / "config" / name)
     bench = truth_of(read)
     assert bench is not None
-    if read.sensor.encoder is None:
+    if name == "demo-pico.yaml":  # 12 bits
+        assert (bench.rad_per_count, bench.centre_counts, bench.counts_max) == (4.2 / 4096, 2048.0, 4095)
+    elif read.sensor.encoder is None:
         assert (bench.rad_per_count, bench.centre_counts, bench.counts_max) == (4.2 / 1024, 512.0, 1023)
     else:
         assert (bench.encoder, bench.centre_counts) == (True, 0.0)
