@@ -73,7 +73,7 @@ def test_what_the_state_says_is_what_is_at_the_pins() -> None:
     host = armed_chip(QUIET, clock_error_ppm=3000)
     host.drive(1)
     start_s = host.truth().pin_changed_s - host.state().t_drive_us / 1e6 / 1.003  # the program's, after power on
-    assert 0.0 < start_s < 0.5e-3
+    assert 0.0 < start_s < 0.6e-3  # most of it clears the program's memory
     for k in range(100):
         host.drive((-1) ** k * rng.randint(1, 50))
         host.wait(rng.uniform(0.0, 0.008))
